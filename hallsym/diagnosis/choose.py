@@ -59,7 +59,7 @@ def _shown(log: Log, known: Fit, effect: Effect) -> Model:
     base = base_of(log, known)
     holdout = set(known.log["holdout"])
     runs = [r for r in base.log.runs if r not in holdout]
-    seen = survey(base, frozenset(runs))
+    seen = survey(base, runs)
     facts = facts_of(base, seen)
     tried, trouble = candidates(base, [effect], facts)
     ranked = Screen(base, tried, runs, POLICY.inflation, colour=seen.colour).scores if tried else []

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hallsym.diagnosis.coordinates import Coordinate, hats, knots
-from hallsym.diagnosis.regression import NIL, RIDGE, regression, ridge
+from hallsym.diagnosis.regression import NIL, RIDGE, others, regression, ridge
 from hallsym.diagnosis.residual_table import PARTS, ResidualTable
 from hallsym.diagnosis.sign_flips import drawn, moments, of_products, of_sums
 from hallsym.families.play import stop_operator
@@ -96,10 +96,10 @@ class Smooth:
             np.array([by[:, :, s].sum(axis=2) for s in group]) for group in (self.folds, self.blocks)
         ]
         self.own = 1 / np.diag(np.linalg.inv(r.precision))
-        self.gram = np.array(
-            [[w * phi[:, s] @ phi[:, s].T for s in self.folds]
-             for w, phi in zip(self.own, self.phi, strict=True)]
-        )  # fmt: skip
+        self.gram = self.own[:, None, None, None] * np.array(
+            [[phi[:, s] @ phi[:, s].T for s in self.folds] for phi in self.phi]
+        )
+        self.rest = [others(gram) for gram in self.gram]
 
     def _features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         r, c = self.r, self.coordinate
@@ -117,7 +117,7 @@ class Smooth:
         z = np.max([f.statistic for f in fits], axis=0)
         (U, _, nf), m = left.shape, len(self.at)
         error = np.sqrt((U - 1) / U * ((left - left.mean(axis=0)) ** 2).sum(axis=0))
-        predicted = np.einsum("kf,kfn->kn", beta, self.phi)
+        predicted = (beta[:, None] @ self.phi)[:, 0]
         both = nf == 2 * m and self.coordinate.gain
         return Curve(
             self.coordinate, self.values, self.at, beta[:, :m], beta[:, m:] if both else None, error[:, :m],
@@ -130,7 +130,7 @@ class Smooth:
         level, weighted = level_weights(r, residual, r.block)[:, None], r.precision @ residual
         cross, scores = (
             [
-                np.array([(phi[:, s] * row[s]).sum(axis=1) for s in group]) - shared[:, k]
+                np.array([phi[:, s] @ row[s] for s in group]) - shared[:, k]
                 for k, (phi, row) in enumerate(zip(self.phi, rows, strict=True))
             ]
             for rows, group, shared in (
@@ -142,9 +142,9 @@ class Smooth:
         for bend in BENDS if self.coordinate.ordered else BENDS[:1]:
             q = np.zeros((len(self.blocks),) * 2)
             each = []
-            for gram, targets, of_blocks in zip(self.gram, cross, scores, strict=True):
+            for gram, rest, targets, of_blocks in zip(self.gram, self.rest, cross, scores, strict=True):
                 penalty = _penalty(np.diag(gram.sum(axis=0)), len(self.at), bend)
-                each.append(regression(gram, targets[:, :, None], penalty))
+                each.append(regression(gram, targets[:, :, None], penalty, rest))
                 own = level * of_blocks
                 q += own @ np.linalg.solve(gram.sum(axis=0) + penalty, own.T)
             left = np.stack([fit.left_out[:, :, 0] for fit in each], axis=1)
@@ -156,7 +156,7 @@ class Smooth:
         """Squares that coefficients (folds, K, features), each of the other folds, remove."""
         total = 0.0
         for beta, s in zip(left_out, self.folds, strict=True):
-            says = np.einsum("kf,kfn->kn", beta, self.phi[:, :, s])
+            says = (beta[:, None] @ self.phi[:, :, s])[:, 0]
             total += float((says * (self.r.precision @ (2 * residual[:, s] - says))).sum())
         return total
 

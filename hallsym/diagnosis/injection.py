@@ -82,7 +82,11 @@ def injections(
     base = truth.base
     tried, trouble = candidates(base, catalogue, _facts(truth, draw("mount_slip")))
     t = normal_equations(base, {key: (model, new) for key, (_, _, model, new) in tried.items()})
-    strength = np.sqrt(np.maximum(np.diag(t.output.sum(axis=0)) / t.count.sum(), 0.0))
+
+    def strength(key: str) -> np.ndarray:
+        squares = np.diag(t.of(key, decoded=True).sum(axis=0))[len(base.free) : -1]
+        return np.sqrt(np.maximum(squares / t.count.sum(), 0.0))
+
     recording = _recording(truth)
     reasons = {t.name: t.reason for t in trouble}
     out = []
@@ -102,7 +106,7 @@ def injections(
             gridded = effect.around(tried[own[0]][1]) is not None
             key = own[(len(own) - 1) // 2] if gridded else own[0]
             _, variant, model, new = tried[key]
-            add(effect, _effect(truth, variant, model, new, strength[t.span[key]], draw(effect.name)))
+            add(effect, _effect(truth, variant, model, new, strength(key), draw(effect.name)))
         elif not variants:
             reasons.setdefault(effect.name, f"it is part of {base.model.name}")
     for fault in FAULTS.values():

@@ -5,7 +5,6 @@ not fitted on is lack of fit, whatever the noise floor is said to be; its p-valu
 honest for noise that is correlated in time. Memory is constant.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from hallsym.diagnosis.coordinates import coordinates
 from hallsym.diagnosis.curves import FineMap, Smooth, run_gains
 from hallsym.diagnosis.residual_table import residual_table
-from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.residuals import Base, found_once
 from hallsym.diagnosis.tones import tones
 
 
@@ -47,7 +46,8 @@ class LackOfFit:
         return next((s for s in self.shapes if s.p_value * tried < level and s.drop > 0), None)
 
 
-def lack_of_fit(base: Base, runs: Sequence[int]) -> LackOfFit:
+@found_once
+def lack_of_fit(base: Base, runs: frozenset[int]) -> LackOfFit:
     """Hold the families of curves against what `base` leaves on `runs`."""
     r = residual_table(base, runs)
     if r is None:

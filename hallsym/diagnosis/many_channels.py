@@ -8,35 +8,34 @@ from typing import Any
 
 import numpy as np
 
+from hallsym.diagnosis.products import Products
+
 
 def by_candidate(
     work: Any, near: np.ndarray, rows: list[np.ndarray], precision: np.ndarray, D: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return products (blocks, c, c) under `precision` (K, K), and mapped to the pose by D.
+) -> tuple[Products, Products]:
+    """Return products under `precision` (K, K), and mapped to the pose by D.
 
     `work`: the `Accumulator`. `near`: (own, K, blocks, samples) of zeros, parameters and residual, `rows`:
     (rows, blocks, samples) of each channel, `D`: (n_pose, K, blocks, samples).
     """
-    first, at, blocks = work.z + work.n, work.near, near.shape[2]
+    first, blocks = work.z + work.n, near.shape[2]
     white, decoded = np.tensordot(work.whiten, near, axes=(1, 1)).swapaxes(0, 1), _decoded(D, near)
-    grams = [_gram(columns) for columns in (white, decoded)]
-    out = [np.zeros((blocks, work.size, work.size)) for _ in grams]
-    for M, gram in zip(out, grams, strict=True):
-        M[:, at[:, None], at] = gram
+    out = work.nil(blocks), work.nil(blocks)
+    for M, columns in zip(out, (white, decoded), strict=True):
+        M.border[:, :, work.near] = _gram(columns)
     if not any(map(len, rows)):
-        return out[0], out[1]
+        return out
     metric = np.tensordot(precision, near, axes=(1, 1)).swapaxes(0, 1)
     mapped = np.einsum("ikbs,oibs->okbs", D, decoded)
     for M, columns in zip(out, (metric, mapped), strict=True):
         for k, block in enumerate(rows):
             if len(block):
-                across = block.swapaxes(0, 1) @ columns[:, k].transpose(1, 2, 0)
-                M[:, (first + work.slopes.column[k])[:, None], at] += across
-        M[:, at[:-1], first:-1] = M[:, first:-1, at[:-1]].swapaxes(1, 2)
-        M[:, -1, first:-1] = M[:, first:-1, -1]
-    for c in range(len(work.slopes.span)):
-        _add_own(work, rows, c, precision, D, *out)
-    return out[0], out[1]
+                across = columns[:, k].transpose(1, 0, 2) @ block.transpose(1, 2, 0)
+                M.border[:, :, first + work.slopes.column[k]] += across
+    for c, key in enumerate(work.slopes.span):
+        _add_own(work, rows, c, precision, D, *(work.own_of(M, key) for M in out))
+    return out
 
 
 def _decoded(D: np.ndarray, near: np.ndarray) -> np.ndarray:
@@ -67,7 +66,7 @@ def _add_own(
     white: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Add the products of the rows of candidate c with each other."""
+    """Add the products of the rows of candidate c with each other, (blocks, k, k) twice."""
     parts = [work.slopes.parts[k][c] for k in range(len(rows))]
     channel = np.repeat(np.arange(len(rows)), [part.stop - part.start for part in parts])
     if not len(channel):
@@ -75,7 +74,7 @@ def _add_own(
     stack = np.concatenate([block[part] for block, part in zip(rows, parts, strict=True)]).swapaxes(0, 1)
     column = np.concatenate([work.slopes.column[k][part] for k, part in enumerate(parts)])
     known, place = np.unique(column, return_inverse=True)
-    at = work.z + work.n + known
+    at = known - list(work.slopes.span.values())[c].start
     if len(channel) ** 2 > len(known) * len(rows) * (len(known) + len(rows)):
         _add_dense(stack, channel, place, at, precision, D, white, out)
         return

@@ -15,8 +15,9 @@ import numpy as np
 
 from hallsym.diagnosis.derivatives import Slopes, reading_and_derivatives
 from hallsym.diagnosis.many_channels import by_candidate
+from hallsym.diagnosis.products import NormalEquations, Products
 from hallsym.diagnosis.residuals import Base
-from hallsym.estimation import eliminate, pseudo_inverse
+from hallsym.estimation import pseudo_inverse, solve
 from hallsym.estimation.decoding import columns_of, decoding_gain
 from hallsym.log.batches import Batch, batches
 from hallsym.log.derived import extended
@@ -26,36 +27,6 @@ UNITS = 64
 """Runs whose matrices are kept one by one; beyond that neighbouring runs are pooled."""
 TOGETHER = 16
 """Blocks whose products are made in one call: a matrix each, of some 0.5 MB with the whole catalogue."""
-
-
-@dataclass(frozen=True, eq=False)
-class NormalEquations:
-    """Products of the columns [parameters | effects | residual], the zeros of each run eliminated.
-
-    `likelihood`, `output`: (units, c, c). `count`: (units,) samples. `runs`: the runs of each unit.
-    `span`: columns of each candidate, by its key; the base's parameters are under "".
-    """
-
-    likelihood: np.ndarray
-    output: np.ndarray
-    count: np.ndarray
-    runs: tuple[tuple[int, ...], ...]
-    span: dict[str, slice]
-    follow: np.ndarray
-    """(runs, zeros, c): how the zeros of a run follow the other columns; none with candidates."""
-    order: tuple[int, ...]
-    """The runs of `follow`."""
-    spoiled: frozenset[str] = frozenset()
-    """Candidates whose slope is not finite somewhere; their columns are 0."""
-    offsets: np.ndarray | None = None
-    """(units, zeros, c): products with the run's own zeros, in units in which these are orthonormal.
-
-    Over a whole run they add up to 0. None where every unit is a whole run."""
-
-    def units(self, runs: Sequence[int]) -> np.ndarray:
-        """Return the index of the units whose runs are all among `runs`."""
-        known = set(runs)
-        return np.array([k for k, unit in enumerate(self.runs) if known.issuperset(unit)], dtype=int)
 
 
 MANY = 6
@@ -69,15 +40,16 @@ class Unit(NamedTuple):
     """Runs, products for the likelihood and in the output, samples, and products with the zeros."""
 
     runs: tuple[int, ...]
-    white: np.ndarray
-    out: np.ndarray
+    white: Products
+    out: Products
     samples: float
     offsets: np.ndarray | None = None
 
     def plus(self, other: "Unit") -> "Unit":
         """Return both together."""
         runs = tuple(dict.fromkeys((*self.runs, *other.runs)))
-        return Unit(runs, self.white + other.white, self.out + other.out, self.samples + other.samples)
+        white, out = self.white.plus(other.white), self.out.plus(other.out)
+        return Unit(runs, white, out, self.samples + other.samples)
 
 
 def normal_equations(
@@ -99,13 +71,6 @@ def normal_equations(
 def coefficients(M: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return the coefficients of `columns` that explain the last column in least squares, from products."""
     return pseudo_inverse(M[np.ix_(columns, columns)]) @ M[columns, -1]
-
-
-def eliminated(M: np.ndarray, follow: np.ndarray) -> np.ndarray:
-    """Return products (..., c - z, c - z) once the first z columns follow the others as `follow` says."""
-    z = len(follow)
-    half = (M[..., z:, :z] + 0.5 * follow.T @ M[..., :z, :z]) @ follow
-    return M[..., z:, z:] + half + half.swapaxes(-1, -2)
 
 
 @dataclass
@@ -139,6 +104,11 @@ class Accumulator:
         self.span = {"": slice(0, self.n)}
         self.span |= {k: slice(self.n + s.start, self.n + s.stop) for k, s in self.slopes.span.items()}
         self.near = np.array([*range(own), self.size - 1])
+        widths = {k: s.stop - s.start for k, s in self.slopes.span.items()}
+        ends = np.cumsum([0, *(k * k for k in widths.values())]).tolist()
+        self.places = {key: slice(*ends[j : j + 2]) for j, key in enumerate(widths)}
+        pairs = [np.indices((k, k)).reshape(2, -1) + self.span[c].start for c, k in widths.items()]
+        self.pairs = np.concatenate([np.zeros((2, 0), dtype=int), *pairs], axis=1)
         rows = max(len(self.near) * len(model.channels), sum(map(len, self.slopes.column)))
         self.most = max(FEWEST, ENTRIES // rows)
         self.precision = np.linalg.inv(base.covariance)
@@ -183,17 +153,28 @@ class Accumulator:
             for k, block in enumerate(batch.blocks[first:last]):
                 part = slice(batch.edges[first + k], batch.edges[first + k + 1])
                 count = float(part.stop - part.start if weights is None else weights[part].sum())
-                self._gather(Unit((block.run,), white[k], out[k], count), part.stop - part.start)
+                unit = Unit((block.run,), white.block(k), out.block(k), count)
+                self._gather(unit, part.stop - part.start)
 
-    def _products(self, near: np.ndarray, rows: list[np.ndarray], metric: np.ndarray) -> np.ndarray:
-        """Products (blocks, c, c) of all columns with zeros, parameters and residual, and of each candidate
-        with itself, under `metric` (K, K, blocks or 1, samples or 1).
+    def nil(self, blocks: int) -> Products:
+        """Return products of so many blocks, still nil."""
+        return Products(
+            np.zeros((blocks, len(self.near), self.size)), np.zeros((blocks, self.pairs.shape[1]))
+        )
 
-        `near`: (own, K, blocks, samples); `rows`: (rows, blocks, samples) of each channel. Products between
-        two candidates are nobody's business and stay 0.
+    def own_of(self, made: Products, key: str) -> np.ndarray:
+        """Return a view (blocks, k, k) of the products of a candidate's columns with each other."""
+        k = self.slopes.span[key].stop - self.slopes.span[key].start
+        return made.inner[:, self.places[key]].reshape(-1, k, k)
+
+    def _products(self, near: np.ndarray, rows: list[np.ndarray], metric: np.ndarray) -> Products:
+        """Products of all columns with zeros, parameters and residual, and of each candidate with itself,
+        under `metric` (K, K, blocks or 1, samples or 1).
+
+        `near`: (own, K, blocks, samples); `rows`: (rows, blocks, samples) of each channel.
         """
         own, K = len(near), near.shape[1]
-        M = np.zeros((near.shape[2], self.size, self.size))
+        M = self.nil(near.shape[2])
         mapped = np.zeros_like(near)
         for k in range(K):
             for j in range(K):
@@ -202,31 +183,28 @@ class Accumulator:
         inner = np.zeros((near.shape[2], own, own))
         for k in range(K):
             inner += _dot(near[:, k], mapped[:, k])
-        M[:, self.near[:, None], self.near] = inner
+        M.border[:, :, self.near] = inner
         first = self.z + self.n
         for k, block in enumerate(rows):
             if len(block):
-                across = _dot(block, mapped[:, k])
-                M[:, (first + self.slopes.column[k])[:, None], self.near] += across
-        M[:, self.near[:-1], first:-1] = M[:, first:-1, self.near[:-1]].swapaxes(1, 2)
-        M[:, -1, first:-1] = M[:, first:-1, -1]
+                M.border[:, :, first + self.slopes.column[k]] += _dot(mapped[:, k], block)
         for k in range(K):
             for j in range(k, K):
                 if len(rows[k]) and len(rows[j]) and np.any(metric[k, j]):
                     self._own(M, rows[k] * metric[k, j], rows[j], k, j)
         return M
 
-    def _own(self, M: np.ndarray, left: np.ndarray, right: np.ndarray, k: int, j: int) -> None:
+    def _own(self, M: Products, left: np.ndarray, right: np.ndarray, k: int, j: int) -> None:
         """Add the products of each candidate's rows in channel k with its own in channel j."""
-        first = self.z + self.n
-        for a, b in zip(self.slopes.parts[k], self.slopes.parts[j], strict=True):
+        slopes = self.slopes
+        for key, a, b in zip(slopes.span, slopes.parts[k], slopes.parts[j], strict=True):
             if a.start == a.stop or b.start == b.stop:
                 continue
-            P = _dot(left[a], right[b])
-            at, to = first + self.slopes.column[k][a], first + self.slopes.column[j][b]
-            M[:, at[:, None], to] += P
+            P, into = _dot(left[a], right[b]), self.own_of(M, key)
+            at, to = (slopes.column[c][part] - slopes.span[key].start for c, part in ((k, a), (j, b)))
+            into[:, at[:, None], to] += P
             if k != j:
-                M[:, to[:, None], at] += P.swapaxes(1, 2)
+                into[:, to[:, None], at] += P.swapaxes(1, 2)
 
     def _near(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Columns of zeros, parameters and residual, (own + 1, K, samples), and what maps them to the pose.
@@ -306,26 +284,29 @@ class Accumulator:
         """Eliminate the zeros of a run: they follow the likelihood, also where the output is measured."""
         if not self.open:
             return
-        z, total = self.z, np.sum([u.white for u in self.open], axis=0)
-        own, follow = eliminate(total, z)
+        z = self.z
+        across = np.sum([u.white.border[:z] for u in self.open], axis=0)
+        follow = -solve(across[:, :z], across[:, z:]) if z else np.zeros((0, self.size))
         # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
         self.follow.append(follow[:, :0] if self.slopes.columns else follow)
-        if len(self.open) == 1:
-            (unit,) = self.open
-            self.done.append(unit._replace(white=own, out=eliminated(unit.out, follow)))
-        else:
-            root = np.linalg.cholesky(pseudo_inverse(total[:z, :z])).T if z else np.zeros((0, 0))
-            self.done += [
-                u._replace(
-                    white=eliminated(u.white, follow),
-                    out=eliminated(u.out, follow),
-                    offsets=root @ (u.white[:z, z:] + u.white[:z, :z] @ follow),
-                )
-                for u in self.open
-            ]
+        whole = len(self.open) == 1
+        root = np.linalg.cholesky(pseudo_inverse(across[:, :z])).T if z and not whole else np.zeros((z, z))
+        for u in self.open:
+            rest = u.white.border[:z, z:] + u.white.border[:z, :z] @ follow
+            white, out = (self._eliminated(p, follow) for p in (u.white, u.out))
+            self.done.append(u._replace(white=white, out=out, offsets=None if whole else root @ rest))
         self.open = []
         if len(self.done) > 2 * UNITS and not self.length:
             self._pool()
+
+    def _eliminated(self, p: Products, follow: np.ndarray) -> Products:
+        """Return products once the zeros follow the other columns as `follow` (zeros, c) says."""
+        z, rows = self.z, self.near[self.z :] - self.z
+        half = p.border[:z, z:] + 0.5 * p.border[:z, :z] @ follow
+        border = p.border[z:, z:] + half[:, rows].T @ follow + follow[:, rows].T @ half
+        i, j = self.pairs
+        inner = (half[:, i] * follow[:, j] + follow[:, i] * half[:, j]).sum(axis=0)
+        return Products(border, p.inner + inner)
 
     def _pool(self) -> None:
         """Pool neighbouring units of the same side."""
@@ -344,16 +325,21 @@ class Accumulator:
         parts = any(u.offsets is not None for u in self.done)
         none = np.zeros((self.z, self.size - self.z))
         return NormalEquations(
-            np.array([u.white for u in self.done]),
-            np.array([u.out for u in self.done]),
+            _stacked([u.white for u in self.done]),
+            _stacked([u.out for u in self.done]),
             np.array([u.samples for u in self.done]),
             tuple(u.runs for u in self.done),
             self.span,
+            self.places,
             np.array(self.follow),
             tuple(self.order),
             frozenset(self.slopes.spoiled),
             np.array([none if u.offsets is None else u.offsets for u in self.done]) if parts else None,
         )
+
+
+def _stacked(made: Sequence[Products]) -> Products:
+    return Products(np.array([p.border for p in made]), np.array([p.inner for p in made]))
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

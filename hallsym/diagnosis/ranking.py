@@ -103,7 +103,7 @@ def count_of(fit: Refitted) -> float:
 def bic_of(fit: Refitted, size: int, inflation: float) -> float:
     """Return the BIC of a fit with `size` parameters more than the model without effects has."""
     N = count_of(fit)
-    return bic(fit.cost, N / inflation, size, N)
+    return float(bic(fit.cost, N / inflation, size, N))
 
 
 # -- the order ---------------------------------------------------------------------------------------------

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.diagnosis.normal_equations import NormalEquations, coefficients, normal_equations
+from hallsym.diagnosis.normal_equations import coefficients, normal_equations
+from hallsym.diagnosis.products import NormalEquations
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation import pseudo_inverse
 from hallsym.model import Model

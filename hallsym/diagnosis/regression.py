@@ -27,21 +27,23 @@ class Regression:
     squares: np.ndarray
 
 
-def regression(gram: np.ndarray, cross: np.ndarray, penalty: np.ndarray) -> Regression:
+def regression(
+    gram: np.ndarray, cross: np.ndarray, penalty: np.ndarray, rest: np.ndarray | None = None
+) -> Regression:
     """Solve penalised least squares from the products of U groups.
 
     `gram`: (U, n, n) of the features, `cross`: (U, n, E) of features and targets, `penalty`: (n, n).
+    `rest`: `others(gram)`, where it is known.
     """
     total, targets = gram.sum(axis=0), cross.sum(axis=0)
     size = np.sqrt(np.maximum(np.diag(total + penalty), 0.0))  # differences of sums may round below 0
     d = np.maximum(size, 1e-9 * max(size.max(initial=0.0), 1e-140))  # what never moves has no coefficient
+    scale = np.outer(d, d)
 
     def solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return np.asarray(np.linalg.solve((A + penalty) / np.outer(d, d), b / d[:, None]) / d[:, None])
+        return np.asarray(np.linalg.solve((A + penalty) / scale, b / d[:, None]) / d[:, None])
 
-    # one group at a time: stacked, hundreds of features are as many copies of 100 MB as there are operations
-    left = np.array([solved(A, b) for A, b in zip(others(gram), others(cross), strict=True)])
-    left = left.reshape(-1, *cross.shape[1:])
+    left = solved(others(gram) if rest is None else rest, others(cross)).reshape(-1, *cross.shape[1:])
     squares = 2 * (left * cross).sum(axis=(1, 2)) - ((gram @ left) * left).sum(axis=(1, 2))
     return Regression(solved(total, targets), left, squares)
 

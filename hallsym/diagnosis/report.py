@@ -155,7 +155,7 @@ def _located(
     loud = noise if noise is not None and noise.larger and verdict not in WITH_REST else None
     if loud is not None:
         start = with_noise(start, loud)
-    plain = replace(start, keep=None)
+    plain = start.on_all
     floor = found.floor.metric * (1.0 if loud is None else loud.ratio)
     if found.before.metric > floor * (1 + setup.policy.floor_known):
         gap = _placed(selection, found.start.base, plain, runs, found.faults, found.variance)

@@ -4,7 +4,7 @@ At most `ROOM` samples are held, evenly decimated, so that memory does not grow 
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -130,7 +130,7 @@ class ResidualTable:
         return float(self.squares.sum()) - self.residual.size
 
 
-def residual_table(base: Base, runs: Sequence[int]) -> ResidualTable | None:
+def residual_table(base: Base, runs: Iterable[int]) -> ResidualTable | None:
     """Return what `base` leaves on `runs`; None where no sample of them counts."""
     model, wanted = base.model, frozenset(runs)
     read, decode = on_arrays(model.reading), decoding_gain(model)

@@ -1,7 +1,9 @@
 """A fitted model on a log, and its residual, run by run: computed once for each log that fits in memory."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import wraps
+from typing import TypeVar
 from weakref import WeakKeyDictionary
 
 import casadi as ca
@@ -38,6 +40,11 @@ class Base:
     timed: bool = True
 
     @property
+    def on_all(self) -> "Base":
+        """The same on all samples."""
+        return self if self.keep is None else replace(self, keep=None)
+
+    @property
     def values(self) -> dict[str, float]:
         """Parameters by name."""
         return self.model.named(self.p)
@@ -60,6 +67,23 @@ class Base:
         """Return the zero deviations of every sample of a batch, (zeros, samples)."""
         own = np.array([self.zeros_in(block.run) for block in batch.blocks])
         return np.repeat(own, np.diff(batch.edges), axis=0).T
+
+
+Found = TypeVar("Found")
+_FOUND: WeakKeyDictionary[Base, dict[tuple[str, frozenset[int]], object]] = WeakKeyDictionary()
+
+
+def found_once(look: Callable[[Base, frozenset[int]], Found]) -> Callable[[Base, Iterable[int]], Found]:
+    """Return `look` with what it finds of a base on some runs kept for as long as the base lives."""
+
+    @wraps(look)
+    def found(base: Base, runs: Iterable[int]) -> Found:
+        known, key = _FOUND.setdefault(base, {}), (look.__qualname__, frozenset(runs))
+        if key not in known:
+            known[key] = look(base, key[1])
+        return known[key]  # type: ignore[return-value]
+
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,15 +1,16 @@
 """Screening: score tests of the whole catalogue, from one pass over the log."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from hallsym.diagnosis.measurement_error import shared_noise
-from hallsym.diagnosis.normal_equations import NormalEquations, coefficients, normal_equations
+from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.policy import POLICY, Policy
+from hallsym.diagnosis.products import NormalEquations
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.regression import FOLDS, NIL
 from hallsym.diagnosis.residuals import Base
@@ -18,6 +19,8 @@ from hallsym.errors import InputError
 from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.decoding import columns_of
 from hallsym.model import Effect, Facts, Model, Variant
+
+Values = float | np.ndarray
 
 
 class Candidate(NamedTuple):
@@ -123,7 +126,7 @@ def scores(
 class Screen:
     """The catalogue scored beside one fit, from one pass over the log.
 
-    One pass for all candidates, or for as many as have `COLUMNS` parameters together. `scores`: best first,
+    One pass for all candidates, or for as many as have `PRODUCTS` together. `scores`: best first,
     by BIC. `significance`: that any of them is there at all. `tables`: the products of each pass. `top`:
     the largest statistic of all with each draw of signs, that of the log first.
     """
@@ -145,7 +148,7 @@ class Screen:
         length = (
             stretch(base.log.rows / len(base.log.runs) * len(runs), len(runs)) if colour is not None else None
         )
-        for part in _parts(tried):
+        for part in _parts(tried, len(base.free)):
             plain = {key: (c.model, c.new) for key, c in part.items()}
             t = normal_equations(base, plain, length)
             table = Table(t, part, len(base.model.channels))
@@ -153,19 +156,24 @@ class Screen:
                 SignFlips(t, runs, shared_noise(base, plain, length, colour)) if colour is not None else None
             )
             self.tables.append(table)
-            for key, score in table.fast(runs, inflation):
-                at, name = table.at(key), score.effect.name
-                z = None if score.absorbed or flips is None else flips.statistic(at)
+            for key, scored in table.scored([runs], inflation):
+                c, absorbed = part[key], bool(scored.absorbed[0])
+                z = None if absorbed or flips is None else flips.statistic(key)
                 if z is not None:
                     # numbers that were searched elsewhere, and are not among the variants
-                    flipped.append(searched(z, score.variant.tried / variants[name]))
-                p = 1.0 if z is None else -1.0
+                    flipped.append(searched(z, c.variant.tried / variants[c.effect.name]))
                 found.append(
-                    replace(
-                        score,
-                        place=places[name],
-                        p_value=p,
+                    Score(
+                        effect=c.effect,
+                        variant=c.variant,
+                        model=c.model,
+                        gain=float(scored.gain[0]),
+                        size=scored.size,
+                        bic=float(scored.bic[0]),
                         ratio=table.ratio(key, runs),
+                        p_value=1.0 if z is None else -1.0,
+                        absorbed=absorbed,
+                        place=places[c.effect.name],
                         statistic=-np.inf if z is None else float(flipped[-1][0]),
                     )
                 )
@@ -179,45 +187,33 @@ class Screen:
         found = [replace(s, p_value=min(s.p_value, EVENTS * s.variant.by_itself)) for s in found]
         self.scores = sorted(found, key=lambda s: s.bic)
 
-    def choice(self, runs: Sequence[int], level: float, taken: str | None, policy: Policy) -> "Choice | None":
-        """Return what some of the runs alone would choose: the best by BIC that lowers the gap by `level`.
+    def choices(
+        self, stacks: Sequence[Sequence[int]], level: float, taken: str | None, policy: Policy
+    ) -> list["Choice | None"]:
+        """Return what each of several sets of runs would choose: by BIC, of what lowers the gap by `level`.
 
         `taken`: an effect that stays the choice where it is as good. To first order, from the products.
         """
-        ranked = sorted(
-            (
-                (s.bic, s.gain, key, table)
-                for table in self.tables
-                for key, s in table.fast(runs, self.inflation)
-            ),
-            key=lambda r: r[0],
-        )
-        most = max((gain for _, gain, *_ in ranked), default=0.0)
-        found: dict[str, tuple[float, Choice]] = {}
-        for least, gain, key, table in ranked:
-            name = table.tried[key].effect.name
-            if name in found or gain < policy.promising * most or len(found) == policy.most_refits:
-                continue
-            if table.ratio(key, runs) <= 1 - level:
-                found[name] = least, Choice(name, key, table)
-        if not found:
-            return None
-        best = min(found.values(), key=lambda f: f[0])
-        own = found.get(taken or "")
-        return own[1] if own and own[0] - best[0] < policy.as_good else best[1]
+        scored = [(key, table, s) for table in self.tables for key, s in table.scored(stacks, self.inflation)]
+        return [
+            _choice(
+                sorted(((s.bic[k], s.gain[k], key, table) for key, table, s in scored), key=lambda r: r[0]),
+                runs, level, taken, policy,
+            )
+            for k, runs in enumerate(stacks)
+        ]  # fmt: skip
 
     def foreseen(
         self, runs: Sequence[int], group: frozenset[int], choice: "Choice | None"
     ) -> dict[tuple[int, ...], float]:
         """Return the squared decoded errors of the runs of `group` as `runs` foresee them with a choice."""
-        table = choice.table if choice else self.tables[0]
-        at = table.at(choice.key) if choice else NONE
-        train = Split(table.products(runs), table.own)
-        theta = table.solved(train, choice.key) if choice else np.zeros(0)
+        table, key = (choice.table, choice.key) if choice else (self.tables[0], None)
+        (by,) = Training(table, table.among(runs)[None]).solved(key).by
+        squares = np.einsum("i,uij,j->u", by, table.t.of(key, decoded=True), by)
         out: dict[tuple[int, ...], float] = {}
-        for unit, own in enumerate(table.t.runs):
+        for own, value in zip(table.t.runs, squares.tolist(), strict=True):
             if not group.isdisjoint(own):
-                out[own] = out.get(own, 0.0) + train.error(table.t.output[unit], at, theta)
+                out[own] = out.get(own, 0.0) + value
         return out
 
     @property
@@ -230,20 +226,21 @@ EVENTS = 10.0
 """What the p-value of a single event is multiplied by, to stand beside those by signs (weighted Bonferroni).
 
 An event such as a step lies in one run, of which signs know nothing. A tenth of the error rate is its own."""
-COLUMNS = 400
-"""Parameters of candidates that are screened in one pass: 1.3 MB for the products of each run, twice."""
+PRODUCTS = 160_000
+"""Products of a run that are kept from one pass, 1.3 MB, twice."""
 
 
-def _parts(tried: dict[str, Candidate]) -> Iterator[dict[str, Candidate]]:
-    """Yield the candidates in parts of at most `COLUMNS` parameters, in order."""
+def _parts(tried: dict[str, Candidate], own: int) -> Iterator[dict[str, Candidate]]:
+    """Yield the candidates in parts of at most `PRODUCTS` beside `own` columns, in order."""
     part: dict[str, Candidate] = {}
     size = 0
     for key, c in tried.items():
-        if part and size + len(c.new) > COLUMNS:
+        more = len(c.new) * (own + 1 + len(c.new))
+        if part and size + more > PRODUCTS:
             yield part
             part, size = {}, 0
         part[key] = c
-        size += len(c.new)
+        size += more
     yield part
 
 
@@ -255,52 +252,64 @@ class Choice(NamedTuple):
     table: "Table"
 
 
-NONE = np.zeros(0, dtype=int)
+def _choice(
+    ranked: Sequence[tuple[float, float, str, "Table"]],
+    runs: Sequence[int],
+    level: float,
+    taken: str | None,
+    policy: Policy,
+) -> Choice | None:
+    """Return what some runs would choose; `ranked`: BIC, gain, key and table of each variant, best first."""
+    most = max((gain for _, gain, *_ in ranked), default=0.0)
+    found: dict[str, tuple[float, Choice]] = {}
+    for least, gain, key, table in ranked:
+        name = table.tried[key].effect.name
+        if name in found or gain < policy.promising * most or len(found) == policy.most_refits:
+            continue
+        if table.ratio(key, runs) <= 1 - level:
+            found[name] = least, Choice(name, key, table)
+    if not found:
+        return None
+    best = min(found.values(), key=lambda f: f[0])
+    own = found.get(taken or "")
+    return own[1] if own and own[0] - best[0] < policy.as_good else best[1]
 
 
-class Split:
-    """Products over some units, the model's own parameters projected out of the columns asked for."""
+class Training:
+    """Regressions on stacks of units that train, (F, units) of 0 and 1, of the products in a table."""
 
-    def __init__(self, products: np.ndarray, parameters: int) -> None:
-        self.M = products
-        self.own = parameters
-        self.through = pseudo_inverse(self.M[:parameters, :parameters]) @ self.M[:parameters]
+    def __init__(self, table: "Table", units: np.ndarray) -> None:
+        self.table, self.units, n = table, units.astype(float), table.own
+        own = table.t.likelihood[:, :n, :n]
+        self.inverse = pseudo_inverse(np.tensordot(self.units, own, 1))
 
-    @property
-    def square(self) -> float:
-        """Squares that the model leaves."""
-        return float(self.of(NONE)[-1, -1])
+    def solved(self, key: str | None) -> "Solved":
+        """Fit a candidate (None: nothing) and the model's own parameters to each stack of units."""
+        table, n = self.table, self.table.own
+        M = np.tensordot(self.units, table.t.of(key), 1)
+        through = self.inverse @ M[:, :n, n:]
+        left = M[:, n:, n:] - M[:, n:, :n] @ through
+        raw, squares = (np.diagonal(x, axis1=1, axis2=2)[:, :-1] for x in (M[:, n:, n:], left))
+        seen = squares > NIL * np.maximum(raw, 1e-300)
+        inside = left[:, :-1, :-1] * (seen[:, :, None] & seen[:, None, :])
+        theta = (pseudo_inverse(inside) @ (left[:, :-1, -1] * seen)[:, :, None])[:, :, 0]
+        v = np.ones((len(M), theta.shape[1] + 1))
+        v[:, :-1] = -(np.clip(theta, *table.limits(key)) if key else theta)
+        by_own = -(through @ v[:, :, None])[:, :, 0]
+        squares_left = np.einsum("fi,fij,fj->f", v, left, v)
+        return Solved(np.hstack([by_own, v]), left[:, -1, -1], squares_left, ~seen.any(axis=1))
 
-    def of(self, at: np.ndarray) -> np.ndarray:
-        """Return the products of the columns `at` and the residual."""
-        pick = np.append(at, len(self.M) - 1)
-        return self.M[pick[:, None], pick] - self.M[pick, : self.own] @ self.through[:, pick]
 
-    def solved(self, at: np.ndarray, raw: np.ndarray) -> np.ndarray:
-        """Return the coefficients of the columns `at`, 0 where the model absorbs their squares `raw`."""
-        own = self.of(at)
-        seen = np.flatnonzero(np.diag(own)[:-1] > NIL * np.maximum(raw, 1e-300))
-        pick = np.append(seen, len(at))
-        out = np.zeros(len(at))
-        out[seen] = coefficients(own[pick[:, None], pick], np.arange(len(seen)))
-        return out
+class Solved(NamedTuple):
+    """Fits to F stacks of units: `by` (F, n + k + 1) makes what is left of the columns.
 
-    def cost(self, at: np.ndarray, theta: np.ndarray) -> float:
-        """Return the squares that are left with the columns `at` times `theta`."""
-        v = np.append(-theta, 1.0)
-        return float(v @ self.of(at) @ v)
+    `plain`, `left`: (F,) squares without and with the candidate; `absorbed`: the parameters can do the same.
+    """
 
-    def error(self, M: np.ndarray, at: np.ndarray, theta: np.ndarray) -> float:
-        """Return the squares of other units, of products M, with what these units give."""
-        v = np.append(-theta, 1.0)
-        return float(v @ self.tested(M, at) @ v)
-
-    def tested(self, M: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """Return the products of other units, with the projection that these units give."""
-        pick = np.append(at, len(self.M) - 1)
-        P = self.through[:, pick]
-        across = M[pick, : self.own] @ P
-        return M[pick[:, None], pick] - across - across.T + P.T @ M[: self.own, : self.own] @ P
+    by: np.ndarray
+    plain: np.ndarray
+    left: np.ndarray
+    absorbed: np.ndarray
 
 
 class Table:
@@ -310,82 +319,65 @@ class Table:
         self.t, self.tried, self.channels = t, tried, channels
         self.own = t.span[""].stop
         self.run = np.array([unit[0] for unit in t.runs])
-        self.known: tuple[tuple[int, ...], list[tuple[Split, np.ndarray]]] = ((), [])
-
-    def at(self, key: str) -> np.ndarray:
-        """Return the columns of a candidate."""
-        return np.arange(self.t.span[key].start, self.t.span[key].stop)
+        self.known: tuple[tuple[int, ...], Training | None] = ((), None)
 
     def limits(self, key: str) -> tuple[np.ndarray, ...]:
         """Return the bounds of the parameters of a candidate."""
         c = self.tried[key]
         return tuple(b[[c.model.names.index(n) for n in c.new]] for b in c.model.bounds)
 
-    def folds(self, runs: Sequence[int], count: int = FOLDS) -> list[np.ndarray]:
-        """Return the units of groups of runs that are left out in turn."""
-        units = self.t.units(runs)
-        own = list(dict.fromkeys(self.run[units].tolist()))
-        return [units[np.isin(self.run[units], own[k::count])] for k in range(min(count, len(own)))]
+    def among(self, runs: Iterable[int]) -> np.ndarray:
+        """Return which units (units,) hold nothing but `runs`."""
+        out = np.zeros(len(self.run), dtype=bool)
+        out[self.t.units(runs)] = True
+        return out
 
-    def products(self, runs: Sequence[int]) -> np.ndarray:
-        """Return the products of all columns over some runs."""
-        return self.t.likelihood[self.t.units(runs)].sum(axis=0)
-
-    def solved(self, train: "Split", key: str) -> np.ndarray:
-        """Return the coefficients of a candidate within its bounds."""
-        at = self.at(key)
-        return np.clip(train.solved(at, np.diag(train.M)[at]), *self.limits(key))
+    def folds(self, runs: Sequence[int], count: int = FOLDS) -> np.ndarray:
+        """Return the units (F, units) of groups of runs that are left out in turn."""
+        among = self.among(runs)
+        own = list(dict.fromkeys(self.run[among].tolist()))
+        return np.array([among & np.isin(self.run, own[k::count]) for k in range(min(count, len(own)))])
 
     def ratio(self, key: str, runs: Sequence[int]) -> float:
         """Return the gap metric with a candidate over that without, cross-validated within some runs."""
-        at, folds = self.at(key), self.split(tuple(runs))
-        squares = sum(train.error(output, at, self.solved(train, key)) for train, output in folds)
-        plain = sum(train.error(output, NONE, np.zeros(0)) for train, output in folds)
+        left_out = self.folds(runs)
+        if self.known[0] != tuple(runs):
+            self.known = tuple(runs), Training(self, self.among(runs) & ~left_out)
+        assert self.known[1] is not None
+        M = np.tensordot(left_out.astype(float), self.t.of(key, decoded=True), 1)
+        u = self.known[1].solved(key).by
+        none = self.known[1].solved(None).by
+        pick = np.append(np.arange(self.own), M.shape[1] - 1)
+        squares = float(np.einsum("fi,fij,fj->", u, M, u))
+        plain = float(np.einsum("fi,fij,fj->", none, M[:, pick[:, None], pick], none))
         return float(np.sqrt(squares / max(plain, 1e-300)))
 
-    def split(self, runs: tuple[int, ...]) -> list[tuple["Split", np.ndarray]]:
-        """Return the products of all groups of runs but one, and of that one in the output, for each."""
-        if self.known[0] != runs:
-            groups = self.folds(runs)
-            sums = [self.t.likelihood[g].sum(axis=0) for g in groups]
-            total = np.sum(sums, axis=0)
-            folds = [
-                (Split(total - left_out, self.own), self.t.output[g].sum(axis=0))
-                for g, left_out in zip(groups, sums, strict=True)
-            ]
-            self.known = runs, folds
-        return self.known[1]
-
-    def fast(self, runs: Sequence[int], inflation: float) -> Iterator[tuple[str, Score]]:
-        """Score every candidate on some runs; p-values, places and the cross-validated gap are not set."""
-        total = Split(self.products(runs), self.own)
-        N = float(self.t.count[self.t.units(runs)].sum()) * self.channels
-        square = total.square
+    def scored(self, stacks: Sequence[Sequence[int]], inflation: float) -> Iterator[tuple[str, "Scored"]]:
+        """Score every candidate on stacks of runs."""
+        units = np.array([self.among(runs) for runs in stacks])
+        N = units @ self.t.count * self.channels
+        training = Training(self, units)
         for key, c in self.tried.items():
-            if key in self.t.spoiled:
-                continue
-            at = self.at(key)
-            raw, left = np.diag(total.M)[at], np.diag(total.of(at))[:-1]
-            cost, size = total.cost(at, self.solved(total, key)), len(c.new) + c.variant.shapes
-            yield (
-                key,
-                Score(
-                    effect=c.effect,
-                    variant=c.variant,
-                    model=c.model,
-                    gain=max(square - cost, 0.0),
-                    size=size,
-                    bic=bic(cost, N / inflation, size, N),
-                    ratio=1.0,
-                    p_value=1.0,
-                    absorbed=bool(np.all(left <= NIL * np.maximum(raw, 1e-300))),
-                ),
-            )
+            if key not in self.t.spoiled:
+                found, size = training.solved(key), len(c.new) + c.variant.shapes
+                criterion = bic(found.left, N / inflation, size, N)
+                yield key, Scored(np.maximum(found.plain - found.left, 0.0), criterion, size, found.absorbed)
 
 
-def bic(cost: float, effective: float, size: int, N: float) -> float:
+class Scored(NamedTuple):
+    """The gain and BIC (F,) of a candidate on stacks of runs, its size, and where the model absorbs it."""
+
+    gain: np.ndarray
+    bic: np.ndarray
+    size: int
+    absorbed: np.ndarray
+
+
+def bic(cost: Values, effective: Values, size: int, N: Values) -> np.ndarray:
     """Return the Bayesian information criterion of squares over N numbers, `effective` independent."""
-    return float(effective * np.log(max(cost, 1e-300) / N) + size * np.log(max(effective, 2.0)))
+    return np.asarray(
+        effective * np.log(np.maximum(cost, 1e-300) / N) + size * np.log(np.maximum(effective, 2.0))
+    )
 
 
 def by_name(ranked: Sequence[Score]) -> list[Score]:

@@ -267,7 +267,7 @@ class _Search:
         self, at: Refitted, worth: Callable[[Score], bool] = lambda _: True
     ) -> tuple[list[Exact], Screen]:
         """Screen the catalogue at `at`; return exact refits, best first, if any effect is `worth` it."""
-        found = survey(at.base, frozenset(self.runs))
+        found = survey(at.base, self.runs)
         facts = facts_of(at.base, found)
         told = faults(at.base, found, self.setup.tested)
         self.of_values = sum(f.power for f in told if f.name in OF_VALUES)
@@ -300,7 +300,7 @@ class _Search:
     def prune(self) -> None:
         """Where a gap remains, drop effects that only resemble its cause: they leave its shape behind."""
         rest = lack_of_fit(self.now.base, self.runs)
-        seen = survey(self.now.base, frozenset(self.runs))
+        seen = survey(self.now.base, self.runs)
         gap, slow = _gap(self.now), slow_share(seen.variance, seen.fast)
         if not remains(rest, slow, gap, self.setup.floor, self.setup.threshold, self.policy):
             return

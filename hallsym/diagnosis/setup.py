@@ -84,7 +84,7 @@ class Setup:
 
     def as_logged(self, base: Base) -> Base:
         """Return `base` on all samples, with the channels as they were logged."""
-        return replace(base, keep=None, log=self.log) if self.miswired else replace(base, keep=None)
+        return replace(base, keep=None, log=self.log) if self.miswired else base.on_all
 
 
 def base_of(log: Log, result: Fit) -> Base:

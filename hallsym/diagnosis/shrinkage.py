@@ -119,9 +119,10 @@ class Nested:
 
         A group that others would have chosen differently for is judged with that choice, to first order.
         """
-        for k in sorted(self.same):
-            rest = [run for run in self.runs if run not in self.groups[k]]
-            choice = screen.choice(rest, level, taken, self.policy)
+        same = sorted(self.same)
+        rests = [[run for run in self.runs if run not in self.groups[k]] for k in same]
+        choices = screen.choices(rests, level, taken, self.policy) if same else []
+        for k, rest, choice in zip(same, rests, choices, strict=True):
             if (choice and choice.name) != taken:
                 self.same.discard(k)
                 self.others |= screen.foreseen(rest, self.groups[k], choice)

@@ -20,7 +20,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import gammaincc, ndtr, ndtri, stdtr
 
-from hallsym.diagnosis.normal_equations import NormalEquations
+from hallsym.diagnosis.products import NormalEquations
 from hallsym.diagnosis.regression import NIL
 from hallsym.estimation import pseudo_inverse
 
@@ -39,7 +39,7 @@ def stretch(samples: float, runs: int) -> int | None:
 
 def _of_units(t: NormalEquations, noise: Mapping[tuple[int, int], np.ndarray]) -> np.ndarray:
     """Return what is known by run and stretch for each unit, (units, columns)."""
-    out = np.zeros((len(t.runs), t.likelihood.shape[1] - 1))
+    out = np.zeros((len(t.runs), max(span.stop for span in t.span.values())))
     parts = Counter[int]()
     for unit, runs in enumerate(t.runs):
         for run in runs:
@@ -66,15 +66,15 @@ class SignFlips:
         `noise`: what the candidates' columns have in common with the residual by the references' noise.
         """
         self.units = t.units(runs)
-        self.M, self.own = t.likelihood, t.span[""].stop
-        n = self.own
-        self.total = self.M[self.units].sum(axis=0)
-        self.JJ = pseudo_inverse(self.total[:n, :n])
+        self.t, self.own = t, t.span[""].stop
+        n, M = self.own, t.likelihood[self.units]
+        total = M.sum(axis=0)
+        self.JJ = pseudo_inverse(total[:n, :n])
         values, vectors = np.linalg.eigh(self.JJ)
         self.root = vectors * np.sqrt(np.maximum(values, 0.0))
-        self.known = self.M[self.units][:, :n, :n]
-        self.b = self.JJ @ self.total[:n, -1]
-        self.left = self.M[self.units, :n, -1] - self.known @ self.b
+        self.known = M[:, :n, :n]
+        self.b = self.JJ @ total[:n, -1]
+        self.left = M[:, :n, -1] - self.known @ self.b
         self.offsets = None if t.offsets is None else t.offsets[self.units]
         self.shared = _of_units(t, noise)[self.units]
         self.drawn = self.JJ @ self.shared[:, :n].sum(axis=0)
@@ -86,38 +86,35 @@ class SignFlips:
         """(1 + FLIPS, units) signs; those of the first row are the observed ones, all 1."""
         return drawn(len(self.units))
 
-    def statistic(self, at: np.ndarray) -> np.ndarray | None:
-        """Return the statistic (1 + FLIPS,) of the columns `at`, None where the model absorbs them all.
+    def statistic(self, key: str) -> np.ndarray | None:
+        """Return the statistic (1 + FLIPS,) of a candidate, None where the model absorbs all of it.
 
         First the observed one, then with random signs: the squared score over its variance, and over what the
         candidate leaves of the scores. It is given as a power of it that is symmetric, with mean 0 and
         variance 1, so that effects of any size and noise of any level compare.
         """
-        n, M = self.own, self.M
-        P = self.JJ @ self.total[:n, at]
-        G = self.total[np.ix_(at, at)] - P.T @ self.total[:n, at]
-        raw = self.total[at, at]
-        seen = np.diag(G) > NIL * np.maximum(raw, 1e-300)
+        n, M = self.own, self.t.of(key)[self.units]
+        total = M.sum(axis=0)
+        P = self.JJ @ total[:n, n:-1]
+        G = total[n:-1, n:-1] - P.T @ total[:n, n:-1]
+        seen = np.diag(G) > NIL * np.maximum(np.diag(total)[n:-1], 1e-300)
         if not seen.any():
             return None
-        at, P, G = at[seen], P[:, seen], G[np.ix_(seen, seen)]
+        at, P, G = n + np.flatnonzero(seen), P[:, seen], G[np.ix_(seen, seen)]
+        columns = self.t.span[key].start + np.flatnonzero(seen)  # of all candidates
         d = np.sqrt(np.diag(G))
         values, V = np.linalg.eigh(G / np.outer(d, d))
         kept = values > SAME * values[-1]
         V = V[:, kept] / np.sqrt(values[kept]) / d[:, None]
-        units, own = self.units[:, None, None], np.arange(n)
-        across = M[units, at[:, None], own] - P.T @ self.known  # (units, k, n) left of T'J
-        score = M[self.units[:, None], at, -1] - M[units, at[:, None], own] @ self.b - self.left @ P
-        score -= self.shared[:, at] - self.shared[:, :n] @ P - across @ self.drawn
+        to_own = M[:, at, :n]
+        across = to_own - P.T @ self.known  # (units, k, n) left of T'J
+        score = M[:, at, -1] - to_own @ self.b - self.left @ P
+        score -= self.shared[:, columns] - self.shared[:, :n] @ P - across @ self.drawn
         score = score @ V
-        gram = (
-            V.T
-            @ (M[units, at[:, None], at] - M[units, at[:, None], own] @ P - P.T @ across.swapaxes(1, 2))
-            @ V
-        )
+        gram = V.T @ (M[:, at[:, None], at] - to_own @ P - P.T @ across.swapaxes(1, 2)) @ V
         C = np.tensordot(np.tensordot(across, V, (1, 0)), self.root, (1, 0)).reshape(len(score), -1)
         if self.offsets is not None:
-            C = np.hstack([C, self._of_zeros(at, P, V)])
+            C = np.hstack([C, self._of_zeros(columns, P, V)])
         total = self.signs @ score
         variance = 1 - ((self.signs @ C) ** 2).sum(axis=1) / V.shape[1]
         taken = (gram @ score[:, :, None])[:, :, 0]

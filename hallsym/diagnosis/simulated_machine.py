@@ -75,7 +75,7 @@ def machine_of(base: Base, floor_m: float, stated: Collection[str] | None = None
 
     `stated`: columns whose noise the simulated logs state, by default all.
     """
-    base = replace(base, keep=None)
+    base = base.on_all
     columns = {c: base.log.array(c) for c in base.log.columns}
     columns["run"] = columns["run"].astype(int)
     columns |= _motion(base)

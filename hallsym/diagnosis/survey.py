@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from hallsym.diagnosis.p_values import as_many, as_often, chance, exceeds, statistic_at, student
-from hallsym.diagnosis.residuals import Base, Piece, pieces
+from hallsym.diagnosis.residuals import Base, Piece, found_once, pieces
 from hallsym.estimation import pseudo_inverse
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 
@@ -92,6 +92,7 @@ class Survey:
     step_p: float = 1.0
 
 
+@found_once
 def survey(base: Base, runs: frozenset[int]) -> Survey:
     """Read the log once and return what the residual of `base` on `runs` shows by itself."""
     work = _Work(len(base.model.channels))

@@ -1,6 +1,6 @@
 """Steady tones in what a model leaves: lines of its spectrum that do not scatter as noise does."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -24,7 +24,7 @@ STEADY = 0.5
 The power of noise, also of a resonance that noise excites, scatters in each line by as much as it is."""
 
 
-def tones(base: Base, runs: Sequence[int]) -> float:
+def tones(base: Base, runs: Iterable[int]) -> float:
     """Return by how much the gap metric of `runs` falls without the steady tones of the decoded error."""
     model, spread, back = base.model, decoding_gain(base.model), np.linalg.inv(base.whiten)
     of_run: dict[int, list[np.ndarray]] = {}
@@ -54,18 +54,21 @@ def tones(base: Base, runs: Sequence[int]) -> float:
 
 
 def _steady(of_run: Sequence[Sequence[np.ndarray]], certain: np.ndarray) -> bool:
-    """Return whether lines have the same power all through a run, unlike noise of their frequency.
+    """Return whether lines have the same power all through a run, unlike noise.
 
-    Runs too short for that are held against each other.
+    No other frequency may be as steady: of few segments, some noise is steady by chance. Runs of one segment
+    are held against each other.
     """
     single = [own[0] for own in of_run if len(own) == 1]
     groups = [np.array(own) for own in (*of_run, single) if len(own) > 1]
-    means = [own.mean(axis=0) for own in groups]
-    varies = np.sum([((own - m) ** 2).sum(axis=0) for own, m in zip(groups, means, strict=True)], axis=0)
-    squares = np.sum([(len(own) - 1) * m**2 for own, m in zip(groups, means, strict=True)], axis=0)
+    means = [np.maximum(own.mean(axis=0), 1e-300) for own in groups]
+    varies = np.sum([((own - m) ** 2 / m).sum(axis=0) for own, m in zip(groups, means, strict=True)], axis=0)
+    squares = np.sum([(len(own) - 1) * m for own, m in zip(groups, means, strict=True)], axis=0)
     noise = ~certain & (squares > 0)
     if not noise.any() or not squares[certain].sum() > 0:
         return True
     # the median: a few frequencies beside a line have a part of its power
-    usual = float(np.median(varies[noise] / squares[noise]))
-    return bool(varies[certain].sum() < STEADY * usual * squares[certain].sum())
+    others = varies[noise] / squares[noise]
+    beside = np.convolve(certain, np.ones(3), mode="same")[noise] > 0
+    steadiest = min(STEADY * float(np.median(others)), float(others[~beside].min(initial=np.inf)))
+    return bool(varies[certain].sum() < steadiest * squares[certain].sum())

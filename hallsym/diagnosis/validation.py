@@ -84,7 +84,7 @@ class Validation:
     @property
     def counted(self) -> Base:
         """The same on the samples that the gap counts: all but those that are a fault by themselves."""
-        return self.base if self.cured is not self.after else replace(self.base, keep=None)
+        return self.base if self.cured is not self.after else self.base.on_all
 
     @property
     def named(self) -> bool:
@@ -106,13 +106,13 @@ def validate(setup: Setup, selection: Selection) -> Validation:
     before = _errors(setup, setup.as_logged(selection.start.base))
     unchanged = not selection.effects and not setup.miswired
     fit, runs = selection.fit, frozenset(setup.runs)
-    after = before if unchanged else _errors(setup, replace(fit.base, keep=None))
+    after = before if unchanged else _errors(setup, fit.base.on_all)
     effects = tuple(_held(setup, selection, e, before) for e in selection.effects)
     end = fit.base
-    whole = survey(replace(end, keep=None), runs)
+    whole = survey(end.on_all, runs)
     kept = survey(end, runs) if end.keep else whole
     found = [f for f in faults(end, whole, setup.tested) if cures(f) >= setup.threshold]
-    gap = block_errors(replace(end, keep=None), setup.runs, setup.log.rows, None).metric
+    gap = block_errors(end.on_all, setup.runs, setup.log.rows, None).metric
     floor = _lowered_floor(setup, gap, bool(effects), found)
     rest = lack_of_fit(end, setup.runs)
     if gap <= floor.metric * (1 + setup.policy.floor_known):
@@ -168,7 +168,7 @@ def _held(setup: Setup, selection: Selection, effect: Selected, before: BlockErr
     alone is judged with the choice repeated without each group of runs.
     """
     without, alone = selection.without(effect), len(selection.effects) == 1
-    errors = before if alone else _errors(setup, replace(without.base, keep=None))
+    errors = before if alone else _errors(setup, without.base.on_all)
     judged = _judged(setup, selection, without, nested=alone)
     p = effect.exact.score.p_value
     if effect.exact.fit.cost < setup.policy.bent * effect.first_order:

@@ -73,7 +73,7 @@ def _without_steps(setup: Setup, found: Validation) -> tuple[float, float, bool]
     clean = sorted(holdout - steps)
     if not clean or not holdout & steps:
         return found.before.metric, found.metric, False
-    bases = setup.as_logged(found.start.base), replace(found.base, keep=None)
+    bases = setup.as_logged(found.start.base), found.base.on_all
     before, after = (block_errors(b, clean, setup.log.rows, None).metric for b in bases)
     return before, after, True
 

@@ -1,6 +1,6 @@
 """Standard uncertainties of a fit: from the likelihood, or from what differs between runs."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -17,6 +17,8 @@ from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.quantities import combination, linear
 
+TOGETHER = 16_384
+"""Places of runs whose slopes are computed at once."""
 OVERSTATED = 0.1
 """Cost per degree of freedom below which noise was overstated or there is none (a plan): it tells nothing."""
 BY_RUNS = "runs as blocks"
@@ -61,7 +63,7 @@ def uncertainty_at(point: Point, found: Determination) -> Uncertainty:
     covariance = np.zeros((len(p), len(p)))
     known = _Estimate(covariance, "likelihood", "there was nothing to estimate")
     if len(free):
-        runs, more = point.information(1.0, free), _turning_noise_of(cost, p, free)
+        runs, more = point.information(1.0, free), _turning_noise_of(point, free)
         scores = 0.5 * point.run_gradients[:, free]
         known = _estimate(runs, more, scores, cost.weights, fit)
         covariance[np.ix_(free, free)] = known.covariance
@@ -97,15 +99,16 @@ def _by_log(
     return not determined[k] and p.name not in found.structural and p.width > 0 and k not in at_bound
 
 
-def _turning_noise_of(cost: Cost, p: np.ndarray, free: np.ndarray) -> np.ndarray | None:
+def _turning_noise_of(point: Point, free: np.ndarray) -> np.ndarray | None:
     """Return `_turning_noise` of the runs of all shares of a cost, in order; None where none has any."""
+    cost, p = point.cost, point.p
     out, runs = np.zeros((len(cost.weights), len(free), len(free))), 0
     turning = False
     for part, chosen in cost.shares:
         at = slice(runs, runs + len(part.weights))
         own = np.flatnonzero(np.isin(free, chosen))
         place = np.searchsorted(chosen, free[own])
-        found = _turning_noise(part, p[chosen], place)
+        found = _turning_noise(point if part is cost else part.at(p[chosen]), place)
         if found is not None:
             out[at, own[:, None], own] = found
             turning = True
@@ -113,7 +116,7 @@ def _turning_noise_of(cost: Cost, p: np.ndarray, free: np.ndarray) -> np.ndarray
     return out if turning else None
 
 
-def _turning_noise(cost: Cost, p: np.ndarray, free: np.ndarray) -> np.ndarray | None:
+def _turning_noise(point: Point, free: np.ndarray) -> np.ndarray | None:
     """What the covariance of each run's scores has beyond its information, (r, n, n) for n `free` parameters.
 
     The cost weighs every residual of a run by the mean of their covariances C (`likelihood`). Where the
@@ -121,26 +124,43 @@ def _turning_noise(cost: Cost, p: np.ndarray, free: np.ndarray) -> np.ndarray | 
     the inverse of the mean C, then have the covariance sum of g^T W C W g, and the estimate the sandwich of
     both (White, Econometrica 50 (1982) 1, doi:10.2307/1912526). None where readings are linear in the pose.
     """
-    summary, model = cost.summary, cost.summary.model
+    cost, p, summary, model = point.cost, point.p, point.cost.summary, point.cost.summary.model
     if not summary.places or not np.any(cost.column_variance):
         return None
     K, n = len(cost.reading_variance), len(free)
-    run = model.remember("slopes of all kinds, on arrays", lambda: _slopes_of_all(model))
-    at = cost.at(p)
-    out = np.zeros((len(summary.runs), n, n))
-    for k, (places, W) in enumerate(zip(summary.places, at.W, strict=True)):
-        poses = len(summary.model.pose)
-        found = run(p, at.zeros[k], places[:poses], places[poses:])
-        g, j, z = (np.transpose(v.reshape(-1, K, places.shape[1]), (2, 1, 0)) for v in found)
-        if z.shape[2]:  # what the run's zeros leave of a slope
-            square, both = (np.einsum("ski,kl,slj->ij", z, W, v) for v in (z, g))
-            g = g - z @ solve(square, both)
-        g = g[:, :, free]
-        C = (j * cost.column_variance) @ np.swapaxes(j, 1, 2)
-        weighed = W @ g
-        more = np.tensordot(weighed, (C - C.mean(axis=0)) @ weighed, axes=([0, 1], [0, 1]))
-        out[k] = more * summary.counts[k] / places.shape[1]
+    slopes = model.remember("slopes of all kinds, on arrays", lambda: _slopes_of_all(model))
+    out, W, poses = np.zeros((len(summary.runs), n, n)), point.W[:, None], len(model.pose)
+    for some in _alike(summary.places):
+        places = np.array([summary.places[k] for k in some])  # (r, columns, s)
+        r, _, s = places.shape
+        columns = np.swapaxes(places, 0, 1).reshape(-1, r * s)
+        found = slopes(p, np.repeat(point.zeros[some].T, s, axis=1), columns[:poses], columns[poses:])
+        g, j, z = (np.transpose(v.reshape(-1, K, r, s), (2, 3, 1, 0)) for v in found)
+        if z.shape[3]:  # what the zeros of a run leave of a slope
+            square, both = (_products(z, W[some] @ v) for v in (z, g))
+            g = g - z @ solve(square, both)[:, None]
+        g = g[..., free]
+        C = (j * cost.column_variance) @ np.swapaxes(j, 2, 3)
+        weighed = W[some] @ g
+        more = _products(weighed, (C - C.mean(axis=1, keepdims=True)) @ weighed)
+        out[some] = more * (summary.counts[some] / s)[:, None, None]
     return out
+
+
+def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the sum of a^T b over samples and channels, (r, i, j), of a (r, s, K, i) and b (r, s, K, j)."""
+    left, right = (v.reshape(len(v), -1, v.shape[-1]) for v in (a, b))
+    return np.asarray(np.swapaxes(left, 1, 2) @ right)
+
+
+def _alike(places: Sequence[np.ndarray]) -> Iterator[list[int]]:
+    """Yield runs with one number of places (n_columns, samples), as many as are handled at once."""
+    by_samples: dict[int, list[int]] = {}
+    for k, own in enumerate(places):
+        by_samples.setdefault(own.shape[1], []).append(k)
+    for samples, runs in by_samples.items():
+        most = max(1, TOGETHER // max(samples, 1))
+        yield from (runs[first : first + most] for first in range(0, len(runs), most))
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,46 +283,39 @@ def _std(gradient: np.ndarray, covariance: np.ndarray) -> float:
     return float(np.sqrt(max(gradient @ covariance @ gradient, 0.0)))
 
 
-def noise_floor(cost: Cost, p: np.ndarray) -> dict[str, float]:
+def noise_floor(point: Point) -> dict[str, float]:
     """RMSE of the decoded pose that reading and reference noise alone would leave, by pose coordinate."""
-    summary, model = cost.summary, cost.summary.model
+    cost, p, summary, model = point.cost, point.p, point.cost.summary, point.cost.summary.model
     gain = model.remember("gain at any pose, on arrays", lambda: on_arrays(model.noise_gain_at))
     weight = 1.0 / cost.reading_variance
     share = cost.weights * summary.counts / (cost.weights @ summary.counts)
-    variance, poses = np.zeros(len(model.pose)), _poses(cost)
-    for pose in poses:
-        (flat,) = gain(p, pose, summary.mean_state.T, weight)
-        D = np.transpose(flat.reshape(len(model.channels), len(model.pose), -1), (2, 1, 0))  # (r, pose, K)
-        covariance = _covariance_at(cost, p, pose) if model.typical else cost.at(p).covariance
-        variance += np.einsum("r,rij,rjk,rik->i", share, D, covariance, D) / len(poses)
+    K, poses, m = len(model.channels), _poses(cost), max(len(model.typical), 1)
+    state = np.tile(summary.mean_state.T, m)
+    (flat,) = gain(p, poses, state, weight)
+    D = np.transpose(flat.reshape(K, len(model.pose), m, -1), (2, 3, 1, 0))  # (m, r, n_pose, K)
+    if model.typical:  # the covariance of a residual is not the same all over a run
+        (flat,) = model.remember("slopes by column", lambda: _slopes_by_column(model))(p, poses, state)
+        J = np.transpose(flat.reshape(len(cost.column_variance), K, m, -1), (2, 3, 1, 0))
+        each = np.square(D) @ cost.reading_variance + np.square(D @ J) @ cost.column_variance
+    else:
+        each = np.einsum("mrik,mrik->mri", D @ point.covariance, D)
+    variance = np.einsum("r,mri->i", share / m, each)
     return dict(zip(model.pose, np.sqrt(variance).tolist(), strict=True))
 
 
-def _poses(cost: Cost) -> list[list[np.ndarray]]:
-    """Poses over which noise is averaged, each coordinate (r,): typical ones, the zero pose without any.
+def _poses(cost: Cost) -> np.ndarray:
+    """Poses over which noise is averaged, (n_pose, m * runs): m typical ones, the zero pose without any.
 
     A coordinate that does not repeat, such as a gap on which the noise depends, is where each run was.
     """
     summary, model = cost.summary, cost.summary.model
-    typical = model.typical or (tuple(np.zeros(len(model.pose))),)
-    out = [[np.full(len(summary.runs), v) for v in pose] for pose in typical]
+    typical = np.array(model.typical or (np.zeros(len(model.pose)),))
+    out = np.repeat(typical.T[:, :, None], len(summary.runs), axis=2)
     for k, coordinate in enumerate(model.pose):
         if summary.places and coordinate not in model.period:
-            for j, pose in enumerate(out):
-                share = (j + 0.5) / len(out)
-                pose[k] = np.array([np.quantile(place[k], share) for place in summary.places])
-    return out
-
-
-def _covariance_at(cost: Cost, p: np.ndarray, pose: Sequence[float | np.ndarray]) -> np.ndarray:
-    """Covariance of a residual (r, K, K) at one pose of each run, where it is not the same all over a run."""
-    summary, model = cost.summary, cost.summary.model
-    run = model.remember("slopes by column", lambda: _slopes_by_column(model))
-    (flat,) = run(p, pose, summary.mean_state.T)
-    K = len(cost.reading_variance)
-    J = np.transpose(flat.reshape(len(cost.column_variance), K, -1), (2, 1, 0))  # (r, K, columns)
-    C = np.diag(cost.reading_variance) + (J * cost.column_variance) @ np.swapaxes(J, 1, 2)
-    return np.broadcast_to(C, (len(summary.runs), K, K))
+            shares = (np.arange(len(typical)) + 0.5) / len(typical)
+            out[k] = np.transpose([np.quantile(place[k], shares) for place in summary.places])
+    return out.reshape(len(model.pose), -1)
 
 
 def _slopes_of_all(model: Model) -> Callable[..., list[np.ndarray]]:

@@ -82,7 +82,8 @@ def fit(
     the user's effects by name. `start`: (n,) values to begin from instead of the closed form.
 
     `quick`: one pass over a log whose run statistics show nothing amiss, without error tables (`errors` is
-    None) and without a test of the colour of the noise; any other log is fitted as without it.
+    None), the lower bound of the cost and a test of the colour of the noise; any other log is fitted as
+    without it.
 
     `log` may be a list of logs of one device, each with its runs and its noise: they share all parameters but
     those named in `per_log` (`"eta_A"`, or a pattern such as `"eta_*"`), of which each log has its own.

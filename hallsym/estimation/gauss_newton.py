@@ -12,7 +12,7 @@ from hallsym.estimation.covariance import noise_floor
 from hallsym.estimation.decoding import ErrorTable, error_tables, zero_shifts
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import Determination, determine
-from hallsym.estimation.likelihood import Cost, cost_of
+from hallsym.estimation.likelihood import Cost, Point, cost_of
 from hallsym.estimation.linearised import exact, summarise_at
 from hallsym.estimation.optimum import Search, Solution, search
 from hallsym.estimation.run_statistics import summarise
@@ -57,11 +57,11 @@ def zeros_of(cost: Cost, p: np.ndarray) -> dict[int, np.ndarray]:
     return dict(zip(cost.summary.runs, cost.at(p).zeros, strict=True))
 
 
-def deviations_of(cost: Cost, p: np.ndarray) -> dict[int, np.ndarray]:
-    """Return the zero deviations of every run at `p` in reading space, as a calibration keeps them."""
-    model = cost.summary.model
-    first = dict(zip(cost.summary.runs, cost.summary.first_state, strict=True))
-    return {run: zeros * model.zero_scale(p, first[run]) for run, zeros in zeros_of(cost, p).items()}
+def deviations_of(point: Point) -> dict[int, np.ndarray]:
+    """Return the zero deviations of every run at a point in reading space, as a calibration keeps them."""
+    summary = point.cost.summary
+    read = point.zeros * summary.model.zero_scale(point.p, summary.first_state)
+    return dict(zip(summary.runs, read, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +100,8 @@ def judged(
         log = rehomed(log, shifts, model)
         cost = cost_near(log, model, p, noise)
     (table,) = error_tables(log, model, [(p, zeros_of(cost, p))], cost.reading_variance, sigma=noise)
-    floor = noise_floor(cost, p)
-    return Judged(table, shifts, goodness_of(cost.at(p), 0), floor, deviations_of(cost, p), log)
+    point = cost.at(p)
+    return Judged(table, shifts, goodness_of(point, 0), noise_floor(point), deviations_of(point), log)
 
 
 @dataclass(frozen=True, eq=False)

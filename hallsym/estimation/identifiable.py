@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from hallsym.estimation.coefficients import Coefficients
-from hallsym.estimation.likelihood import Cost
+from hallsym.estimation.likelihood import Cost, Point
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.features import Features
@@ -56,15 +56,20 @@ def scales(model: Model) -> np.ndarray:
 
 
 def determine(cost: Cost, p: np.ndarray) -> Determination:
-    """Find the undetermined directions of `cost` at `p` and choose what to hold.
+    """Find the undetermined directions of `cost` at `p` and choose what to hold."""
+    return determine_at(cost.at(p))
+
+
+def determine_at(point: Point) -> Determination:
+    """Find the undetermined directions of a cost at a point and choose what to hold.
 
     A motion no larger than the noise of its reference does not count (`information(2)`).
     """
-    model = cost.summary.model
+    cost, p, model = point.cost, point.p, point.cost.summary.model
     scale, (lower, upper) = scales(model), model.bounds
     open_ = lower < upper
     always, rest = structural_directions(cost, p)
-    information = cost.information(p, 2.0) * np.outer(scale, scale)
+    information = point.total_information(2.0) * np.outer(scale, scale)
     values, vectors = np.linalg.eigh(rest.T @ information @ rest)
     null = np.hstack([always, rest @ vectors[:, values < least_information(values)]])
     inside = (lower <= model.nominal) & (model.nominal <= upper)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 import solvers
-from hallsym.estimation.identifiable import Determination, determine, scales
-from hallsym.estimation.likelihood import Cost
+from hallsym.estimation.identifiable import Determination, determine_at, scales
+from hallsym.estimation.likelihood import Cost, Point
 from hallsym.model import Model
 
 SOLVERS = ("hybrid", "direct", *solvers.EXPLORERS)
@@ -57,13 +57,23 @@ class Solution:
         return self.search.p
 
     @cached_property
+    def point(self) -> Point:
+        """The cost of the fitted runs at the optimum."""
+        return self.fitted.at(self.p)
+
+    @cached_property
+    def everywhere(self) -> Point:
+        """The cost of all runs at the optimum."""
+        return self.point if self.everything is self.fitted else self.everything.at(self.p)
+
+    @cached_property
     def determined(self) -> Determination:
         """What the fitted runs determine at the optimum, for what was held on the way there."""
-        return replace(determine(self.fitted, self.p), held=self.determination.held)
+        return replace(determine_at(self.point), held=self.determination.held)
 
     def zeros(self) -> dict[int, np.ndarray]:
         """Zero displacements of every run, held-out ones included."""
-        return dict(zip(self.everything.summary.runs, self.everything.at(self.p).zeros, strict=True))
+        return dict(zip(self.everything.summary.runs, self.everywhere.zeros, strict=True))
 
 
 def search(

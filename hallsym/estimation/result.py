@@ -27,10 +27,11 @@ def result_of(solved: Solved, notes: tuple[str, ...], mounted: Wiring | None, be
     """Return the fit that is handed out; `mounted`: the wiring that was found before it, by inspection;
     `began`: when, by `perf_counter`."""
     state, found = solved.solution, solved.solution.determined
-    point = state.fitted.at(state.p)
+    point = state.point
     estimate = uncertainty_at(point, found)
     free = int(np.count_nonzero(np.diag(estimate.covariance)))
-    bound = lower_bound(point, free) if exact(solved.task.model) else None
+    asked = solved.errors is not None  # a quick fit that found nothing amiss needs no further evidence
+    bound = lower_bound(point, free) if asked and exact(solved.task.model) else None
     return fit_of(solved, found, estimate, bound, notes, mounted, began)
 
 
@@ -51,7 +52,7 @@ def fit_of(
         path.parent if path is not None and path.is_file() and task.log.meta.raw else path
     )  # a folder with its meta.json
     command = diagnose_command(whole, model, added_effects(model))
-    zeros = deviations_of(state.everything, state.p)
+    zeros = deviations_of(state.everywhere)
     delta = np.array(list(zeros.values()))
     return Fit(
         model=model,
@@ -68,7 +69,7 @@ def fit_of(
         combinations=estimate.combinations,
         zeros=zeros,
         noise=task.noise,
-        noise_floor=noise_floor(state.fitted, state.p),
+        noise_floor=noise_floor(state.point),
         status=state.search.status,
         message=state.search.message,
         solver={

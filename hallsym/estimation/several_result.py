@@ -45,7 +45,7 @@ def several_fit(
     began: float,
 ) -> Fit:
     """Return the fit of the logs `members`; `judged`: those held out. `numbers`: per log run -> number."""
-    point = solution.fitted.at(solution.p)
+    point = solution.point
     found = solution.determined
     estimate = uncertainty_at(point, found)
     free = int(np.count_nonzero(np.diag(estimate.covariance)))
@@ -73,14 +73,14 @@ def _of_log(member: Member, estimate: Uncertainty, began: float) -> Fit:
 
 def _goodness(members: Sequence[Member], free: int) -> list[GoodnessOfFit]:
     """Return what the fit leaves in each log; the parameters are shared out by samples."""
-    points = [m.solution.fitted.at(m.solution.p) for m in members]
+    points = [m.solution.point for m in members]
     counts = np.array([point.cost.summary.counts.sum() for point in points])
     share = free * counts / max(counts.sum(), 1e-300)
     return [goodness_of(point, round(own)) for point, own in zip(points, share.tolist(), strict=True)]
 
 
 def _judged_goodness(member: Member) -> GoodnessOfFit:
-    return goodness_of(member.solution.everything.at(member.solution.p), 0)
+    return goodness_of(member.solution.everywhere, 0)
 
 
 def _own(estimate: Uncertainty, sharing: Sharing, g: int, goodness: GoodnessOfFit) -> Uncertainty:

@@ -53,11 +53,9 @@ ROUNDS = 12
 """Of taking outliers out and fitting again, at most."""
 
 
-QUICKLY = 4
-"""Stretches of 1024 samples that tell the noise where time counts: to 1.2 %, and 16 of them to 0.6 %."""
 QUICKLY_KNOWN = 1.06
-"""Residual over a noise that was told so from which on a log is looked at in full: three times 1.2 %, and up
-to 3 % by which the least of several estimates is below their mean."""
+"""Residual over a noise that was estimated quickly from which on a log is looked at in full: three times its
+1.2 %, and up to 3 % by which the least of several estimates is below their mean."""
 
 
 def noise_of(log: Log, model: Model | None, holdout: Sequence[int] = (), *, quick: bool = False) -> Noise:
@@ -70,8 +68,7 @@ def noise_of(log: Log, model: Model | None, holdout: Sequence[int] = (), *, quic
     log = continuous(log, model) if model else log
     missing = [c for c in columns if c not in log.noise]
     used = without(log, Drop(runs=frozenset(holdout))) if missing and holdout else log
-    enough = {"enough": QUICKLY} if quick else {}
-    noise = log.noise.merged(estimate_noise(used, missing, **enough)) if missing else log.noise
+    noise = log.noise.merged(estimate_noise(used, missing, quick=quick)) if missing else log.noise
     sigmas = {c: noise[c] for c in columns}
     for c in model.channels if model else ():
         sigmas[c] = replace(sigmas[c], value=max(sigmas[c].value, LEAST_SIGMA))
@@ -244,7 +241,7 @@ class Task:
         run raises the mean square of its channel by s^2 / n, and is found where that is more than chance.
         Where noise was estimated, that is beside the noise that all runs leave, which knows it better.
         """
-        fit = goodness_of(state.fitted.at(state.p), len(state.p) - len(state.determination.held))
+        fit = goodness_of(state.point, len(state.p) - len(state.determination.held))
         columns = (*self.model.channels, *self.model.references)
         told = fit.judged(self.noise, columns, self.log.meta.gap_threshold_rel)
         left = told.residual_over_noise if told.noise_estimated else 1.0
@@ -313,7 +310,7 @@ class Task:
 
     def suspicious(self, state: Solution, errors: Errors) -> bool:
         """Return whether some error is too large for the noise floor."""
-        floor = np.array(list(noise_floor(state.fitted, state.p).values()))
+        floor = np.array(list(noise_floor(state.point).values()))
         return bool(np.any(errors.fitted.peak.max(axis=0) > SUSPECT * floor))
 
     def without_outliers(self, state: Started) -> tuple[Started, Weigh | None, tuple[str, ...]]:
@@ -351,7 +348,7 @@ class Task:
     def weigh(self, state: Solution, suspects: Weigh) -> outliers.Filter:
         """Return what takes outliers out, judged by the residuals of the fit so far."""
         residual = outliers.residuals(self.model, state.p, state.zeros())
-        covariance = state.fitted.at(state.p).covariance.mean(axis=0)
+        covariance = state.point.covariance.mean(axis=0)
         if self.loss == "tukey":
             return outliers.tukey(residual, covariance)
         return outliers.reject_spikes(residual, covariance, suspects, self.model.channels)
@@ -381,7 +378,7 @@ class Task:
         guessed = frozenset(c for c in columns if self.noise[c].source == "estimated")
         if not guessed:
             return None
-        point = state.fitted.at(state.p)
+        point = state.point
         left = noise_at(self.log, point, self.noise.std, keep)
         factor = 1.0 if left is None else estimated_factor(left, point, guessed)
         if factor <= 1.0 + KNOWN:

@@ -37,13 +37,18 @@ def _stops_from(u: np.ndarray, width: float, starts: Sequence[float]) -> list[tu
     strokes = (np.diff(u[edges]) / width).tolist()
     stroke = np.repeat(np.arange(len(strokes)), np.diff(edges))
     along = (u[1:] - u[edges[stroke]]) / width
-    out = []
+    out: list[tuple[np.ndarray, np.ndarray]] = []
+    known: tuple[list[float], list[float]] | None = None
     for start in starts:
         states, slopes = [start], [0.0]
-        for moved in strokes:
-            state = states[-1] + moved
-            slopes.append(slopes[-1] - moved / width if abs(state) < 1.0 else 0.0)
+        for k, moved in enumerate(strokes):
+            if known and states[k] == known[0][k] and slopes[k] == known[1][k]:  # from here on they are one
+                states[k:], slopes[k:] = known[0][k:], known[1][k:]
+                break
+            state = states[k] + moved
+            slopes.append(slopes[k] - moved / width if abs(state) < 1.0 else 0.0)
             states.append(1.0 if state > 1.0 else -1.0 if state < -1.0 else state)
+        known = known or (states, slopes)
         z, slope = np.full(len(u), start), np.zeros(len(u))
         z[1:] = np.clip(np.array(states)[stroke] + along, -1.0, 1.0)
         slope[1:] = np.where(np.abs(z[1:]) < 1.0, np.array(slopes)[stroke] - along / width, 0.0)

@@ -294,7 +294,8 @@ def _spectrum(evidence: Evidence) -> np.ndarray:
 
 
 def _outputs(evidence: Evidence, slopes: Slopes) -> dict[str, Output]:
-    spread, floor = slopes.spread(evidence.uncertainty.covariance), noise_floor(evidence.cost, evidence.p)
+    spread = slopes.spread(evidence.uncertainty.covariance)
+    floor = noise_floor(evidence.cost.at(evidence.p))
     return {c: Output(float(floor[c]), spread.rms[c], spread.worst[c]) for c in evidence.model.pose}
 
 
@@ -303,7 +304,7 @@ def _offsets(evidence: Evidence) -> Offsets:
     names, units = tuple(z.name for z in model.zeros), tuple(z.unit for z in model.zeros)
     if not names:
         return Offsets((), (), cost.summary.runs, np.zeros((0, 0)), np.zeros((0, 0)))
-    gain = np.array([model.zero_scale(p, s) for s in cost.summary.first_state])
+    gain = model.zero_scale(p, cost.summary.first_state)
     point = cost.at(p)
     variance = np.diagonal(point.zero_covariance(evidence.uncertainty.covariance), axis1=1, axis2=2)
     std = np.sqrt(np.maximum(variance, 0.0)) * np.abs(gain)

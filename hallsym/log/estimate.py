@@ -12,10 +12,11 @@ from hallsym.log.columns import RUN
 from hallsym.log.core import Log
 from hallsym.log.noise import Noise, Sigma
 from hallsym.log.phase import unwrapped
-from hallsym.model.medians import median, medians
+from hallsym.model.medians import median, medians, middles
 from hallsym.units import Array, si_unit
 
 _ORDERS = range(2, 9)
+_ENOUGH_QUICKLY = 4  # blocks over all runs: to 1.2 %
 _SAMPLES = 1024  # taken from the middle of each block of a run
 _BLOCKS = 16  # at most, per run
 _ENOUGH = 16  # blocks over all runs: 16 384 samples know a standard deviation to 0.6 %
@@ -31,7 +32,7 @@ _SLACK = 1.03
 _TURN = 2 * np.pi  # an angle that steps by more than half of it began another turn
 
 
-def estimate_noise(log: Log, channels: Sequence[str], *, enough: int = _ENOUGH) -> Noise:
+def estimate_noise(log: Log, channels: Sequence[str], *, quick: bool = False) -> Noise:
     """Estimate one standard deviation of white noise for each channel, in its SI unit.
 
     In each run, differences of order k = 2..8 remove motion that is a polynomial of degree k - 1 over k + 1
@@ -41,13 +42,15 @@ def estimate_noise(log: Log, channels: Sequence[str], *, enough: int = _ENOUGH) 
     Where samples are not evenly spaced the differences are divided ones; none spans a gap. Where the ADC
     step hides the noise, step / sqrt(12) is the least that is returned.
     Angles are unwrapped first: where one begins another turn it has not moved by one.
-    Some 16 384 samples are used, 1024 in a stretch, of runs spread over the log (at most 128); `enough`:
-    another number of such stretches.
+    Some 16 384 samples are used, 1024 in a stretch, of runs spread over the log (at most 128); `quick`: a
+    quarter as many.
 
     Valid for noise that is independent from sample to sample: drift, 1/f noise and hum below about a tenth of
     the sampling rate look like motion and are not seen. A channel that is constant within all runs gives 0.
     """
-    steps: dict[str, list[float]] = {name: [] for name in channels}
+    enough = _ENOUGH_QUICKLY if quick else _ENOUGH
+    turning = {name for name in channels if si_unit(name) == "rad"}
+    steps: list[Array] = []
     alike: dict[tuple[int, bool], list[tuple[Array, Array]]] = {}
     timed = "t_s" in log.columns
     taken: dict[int, int] = {}
@@ -64,8 +67,8 @@ def estimate_noise(log: Log, channels: Sequence[str], *, enough: int = _ENOUGH) 
         t = part["t_s"] if timed else np.arange(len(part[RUN]), dtype=float)
         rows = np.empty((len(channels), len(t)))
         for k, name in enumerate(channels):
-            rows[k] = unwrapped(part[name], _TURN) if si_unit(name) == "rad" else part[name]
-            steps[name].append(_coarse_step(rows[k]))
+            rows[k] = unwrapped(part[name], _TURN) if name in turning else part[name]
+        steps.append(_coarse_steps(rows))
         alike.setdefault((len(t), _is_even(t)), []).append((t, rows))
     found = [
         _even_spreads([rows for _, rows in blocks]) if even
@@ -73,16 +76,29 @@ def estimate_noise(log: Log, channels: Sequence[str], *, enough: int = _ENOUGH) 
         for (_, even), blocks in alike.items()
     ]  # fmt: skip
     spreads = np.concatenate(found) if found else np.empty((0, len(channels), len(_ORDERS)))
+    combined = _combined(spreads)
+    for name in (n for n, spread in zip(channels, combined, strict=True) if np.isnan(spread)):
+        raise InputError(
+            f"Noise of {name} cannot be estimated from {log.name}: no run has {_FEWEST + 2} samples in a row;"
+            f" state it with --noise {name}=..., in the column file's [noise] table or in meta.json."
+        )
+    coarse = medians(np.transpose(steps)) / np.sqrt(12.0)
     return Noise({
-        n: Sigma(_combine(n, spreads[:, k], steps[n], log.name), "estimated") for k, n in enumerate(channels)
+        n: Sigma(float(value), "estimated")
+        for n, value in zip(channels, np.maximum(combined, coarse), strict=True)
     })  # fmt: skip
 
 
 def _is_even(t: Array) -> bool:
     """Return whether samples are evenly spaced."""
     step = np.diff(t)
-    usual = median(step) if len(step) else 0.0
-    return bool(usual > 0 and np.abs(step / usual - 1).max(initial=0.0) <= _UNEVEN)
+    if not len(step):
+        return False
+    low, high = float(step.min()), float(step.max())
+    if low > 0 and high <= (1 + 0.5 * _UNEVEN) * low:  # then the usual step lies so near to all of them
+        return True
+    usual = median(step)
+    return bool(usual > 0 and np.abs(step / usual - 1).max() <= _UNEVEN)
 
 
 def _even_spreads(blocks: list[Array]) -> Array:
@@ -157,23 +173,33 @@ def _spreads(differences: Array, reach: int) -> Array:
     most = size.max(axis=1) if size.shape[1] else np.empty(0)
     if size.shape[1] < _FEWEST or not np.isfinite(most).all():
         return np.array([_spread(row, reach) for row in differences])
-    sigma = medians(size) / 0.67449
+    ordered = np.sort(size, axis=1)
+    sigma = middles(ordered) / 0.67449
     coarse = sigma <= 1e-9 * most
     sigma[coarse] = np.sqrt(np.mean(size[coarse] ** 2, axis=1))
-    left = np.flatnonzero(~coarse)
+    squares, left = np.square(ordered), np.flatnonzero(~coarse)
     for _ in range(_ROUNDS):
         if not len(left):
             break
-        rows, before = size[left], sigma[left, None]
-        within = rows <= _CLIP * before
-        kept = np.where(within, rows, 0.0)
-        now = np.sqrt(np.einsum("ij,ij->i", kept, kept) / np.count_nonzero(within, axis=1))
-        for j in np.flatnonzero(most[left] > _FAR * before[:, 0]):
-            clean = _clean(rows[j], before[j, 0], reach)
+        before = sigma[left]
+        within = np.count_nonzero(ordered[left] <= _CLIP * before[:, None], axis=1)
+        now = np.sqrt(_sums_of_first(squares, left, within) / within)
+        for j in np.flatnonzero(most[left] > _FAR * before):
+            clean = _clean(size[left[j]], before[j], reach)
             now[j] = np.sqrt(clean @ clean / len(clean))
         sigma[left] = now / _CLIPPED_STD
-        left = left[np.abs(sigma[left] - before[:, 0]) > 3e-3 * before[:, 0]]
+        left = left[np.abs(sigma[left] - before) > 3e-3 * before]
     return np.asarray(sigma)
+
+
+def _sums_of_first(rows: Array, some: Array, count: Array) -> Array:
+    """Return the sums of the first `count` (m,) numbers, one at least, of `some` (m,) of the rows (c, n)."""
+    starts = some * rows.shape[1]
+    ends = np.minimum(starts + count, rows.size - 1)
+    sums = np.add.reduceat(rows.ravel(), np.column_stack([starts, ends]).ravel())[::2]
+    if starts[-1] + count[-1] == rows.size:  # the last number of all ends no stretch
+        sums[-1] = rows[-1].sum()
+    return np.asarray(sums)
 
 
 def _clean(size: Array, sigma: float, reach: int) -> Array:
@@ -186,21 +212,29 @@ def _clean(size: Array, sigma: float, reach: int) -> Array:
     return size[within]
 
 
-def _coarse_step(values: Array) -> float:
-    """Return the ADC step where readings repeat so often that it matters, else 0."""
-    step = np.abs(np.diff(values))
-    changes = step[step > 0]
-    return float(changes.min()) if len(changes) and len(changes) < 0.8 * len(step) else 0.0
+def _coarse_steps(rows: Array) -> Array:
+    """Return the ADC step of each row (c, n) where readings repeat so often that it matters, else 0; (c,)."""
+    step = np.abs(np.diff(rows, axis=1))
+    changes = np.count_nonzero(step > 0, axis=1)
+    coarse = (changes > 0) & (changes < 0.8 * step.shape[1])
+    out = np.zeros(len(rows))
+    for k in np.flatnonzero(coarse):
+        out[k] = step[k][step[k] > 0].min()
+    return out
 
 
-def _combine(channel: str, table: Array, steps: list[float], where: str) -> float:
-    """Return the noise from spreads (blocks, orders)."""
-    known = ~np.isnan(table)
-    usable = [float(np.median(table[known[:, i], i])) for i in range(len(_ORDERS)) if known[:, i].any()]
-    if not usable:
-        raise InputError(
-            f"Noise of {channel} cannot be estimated from {where}: no run has {_FEWEST + 2} samples in a row;"
-            f" state it with --noise {channel}=..., in the column file's [noise] table or in meta.json."
-        )
-    chosen = next(value for value in usable if value <= _SLACK * min(usable))
-    return max(chosen, float(np.median(steps)) / np.sqrt(12.0))
+def _combined(spreads: Array) -> Array:
+    """Return the noise of each channel from spreads (blocks, channels, orders); nan where all are nan."""
+    blocks, channels, orders = spreads.shape
+    rows = spreads.transpose(1, 2, 0).reshape(channels * orders, blocks)
+    known = ~np.isnan(rows)
+    middle = np.full(len(rows), np.nan)
+    some = known.any(axis=1)
+    whole = known.all(axis=1) & some
+    middle[whole] = medians(rows[whole])
+    for k in np.flatnonzero(some & ~whole):
+        middle[k] = median(rows[k, known[k]])
+    by_order = middle.reshape(channels, orders)
+    least = np.where(np.isnan(by_order), np.inf, by_order).min(axis=1)
+    chosen = np.argmax(by_order <= _SLACK * least[:, None], axis=1)  # the first that holds
+    return np.where(np.isfinite(least), by_order[np.arange(channels), chosen], np.nan)

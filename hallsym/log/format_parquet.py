@@ -15,6 +15,8 @@ from hallsym.log.table import IN_MEMORY_ROWS, Source, label
 from hallsym.units import Array
 
 _BUFFER = 1 << 20
+_THREADS = 131_072
+"""Rows from which on columns are decoded by several threads: starting them costs more than a shorter file."""
 _FIRST = 1024
 """Rows in which the first moment of a column is looked for at once."""
 
@@ -58,7 +60,8 @@ class ParquetSource(Source):
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns."""
         with self._opened() as file:
-            table = file.read(columns=[self._own[name] for name in names])
+            columns = [self._own[name] for name in names]
+            table = file.read(columns=columns, use_threads=self.rows >= _THREADS)
             readers = self._readers(names, table.schema)
             return {name: readers[name](table.column(self._own[name])) for name in names}
 
@@ -99,7 +102,11 @@ class ParquetSource(Source):
 
 
 class ParquetWriter:
-    """Writes chunks as row groups, compressed with zstd, with a checksum of each page."""
+    """Writes chunks as row groups, compressed with zstd, with a checksum of each page.
+
+    The bytes of floats are split by their place: measured numbers hardly repeat, and a dictionary of them
+    makes a file 40 % larger and twice as slow to read.
+    """
 
     group_rows = 131_072
 
@@ -113,9 +120,12 @@ class ParquetWriter:
         """Append rows."""
         table = self._arrow.table(dict(columns))
         if self._file is None:
+            floats = [f.name for f in table.schema if self._arrow.types.is_floating(f.type)]
+            others = [name for name in table.column_names if name not in floats]
             self._file = self._parquet.ParquetWriter(
-                self.path, table.schema, compression="zstd", write_page_checksum=True
-            )
+                self.path, table.schema, compression="zstd", write_page_checksum=True,
+                use_dictionary=others, use_byte_stream_split=floats,
+            )  # fmt: skip
         self._file.write_table(table, row_group_size=self.group_rows)
 
     def close(self) -> None:

@@ -155,22 +155,31 @@ class Features:
 
     def label(self, j: int) -> str:
         """Readable name of feature j, such as `x_m*z_m`; `1` for the constant."""
+        return self._labels[j]
+
+    @cached_property
+    def _labels(self) -> list[str]:
         s = self.model
         names = [*s.pose, *s.state, *(str(d) for d in ca.vertsplit(s.symbols.derived))]
-        return "*".join(names[v] for v, power in enumerate(self.exponents[j]) for _ in range(power)) or "1"
+        return [
+            "*".join(names[v] for v, power in enumerate(row) for _ in range(power)) or "1"
+            for row in self.exponents
+        ]
 
     def shift(self, offset: np.ndarray) -> np.ndarray:
         """Matrix T with c(centre) = T c(centre - offset): the binomial theorem on every monomial."""
-        n = self.size
-        matrix = np.zeros((n, n))
-        for i, low in enumerate(self.exponents):
-            for j, high in enumerate(self.exponents):
-                if np.all(high >= low):
-                    matrix[i, j] = prod(
-                        comb(int(h), int(k)) * float(o) ** int(h - k)
-                        for h, k, o in zip(high, low, offset, strict=True)
-                    )
+        i, j, binomials = self._shifts
+        matrix = np.zeros((self.size, self.size))
+        powers = self.exponents[j] - self.exponents[i]
+        matrix[i, j] = binomials * np.prod(np.asarray(offset, dtype=float) ** powers, axis=1)
         return matrix
+
+    @cached_property
+    def _shifts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Monomials i that a monomial j of the same or higher powers adds to when it is moved; how often."""
+        i, j = np.nonzero((self.exponents[None] >= self.exponents[:, None]).all(axis=2))
+        pairs = zip(self.exponents[j].tolist(), self.exponents[i].tolist(), strict=True)
+        return i, j, np.array([prod(map(comb, high, low)) for high, low in pairs], dtype=float)
 
 
 @lru_cache(maxsize=64)

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError, nearest
+from hallsym.model.arrays import on_arrays
 from hallsym.model.derived import Computed
 from hallsym.model.family import Family
 
@@ -317,13 +318,14 @@ class Model:
         return ca.Function("gain", [s.parameters, s.state], [ca.densify(s.full(s.gain))])
 
     def zero_scale(self, p: np.ndarray, first_state: np.ndarray) -> np.ndarray:
-        """Return what a run's zeros (z,) are multiplied by to be read.
+        """Return what a run's zeros (z,) are multiplied by to be read; of states (runs, n_state) (runs, z).
 
         phi(0) of Eq. (31) where they are displacements, one per channel; else 1.
         """
         if not self.zeros or self.symbols.displacement.numel() != len(self.zeros):
-            return np.ones(len(self.zeros))
-        return np.asarray(self.gain(p, first_state)).ravel()
+            return np.ones((*np.shape(first_state)[:-1], len(self.zeros)))
+        gain = self.remember("gain, on arrays", lambda: on_arrays(self.gain))
+        return np.asarray(gain(p, np.transpose(first_state))[0]).T
 
     @cached_property
     def decoded(self) -> ca.Function:

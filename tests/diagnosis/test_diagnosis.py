@@ -271,7 +271,7 @@ def test_tangents_predict_what_a_refit_finds() -> None:
     wide = effects(STAGE_FAMILY)["even_nonlinearity"](start.base.model)
     new = [n for n in wide.names if n not in base.model.names]
     t = normal_equations(start.base, {"e": (wide, new)})
-    M = t.likelihood[t.units(runs)].sum(axis=0)
+    M = t.of("e")[t.units(runs)].sum(axis=0)
     linear = np.linalg.lstsq(M[:-1, :-1], M[:-1, -1], rcond=1e-12)[0]
     expected = M[-1, -1] - M[:-1, -1] @ linear
     assert refit(with_model(start.base, wide), runs).cost == pytest.approx(expected, rel=0.02)

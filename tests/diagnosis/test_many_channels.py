@@ -33,6 +33,8 @@ def test_products_are_those_of_each_pair_of_channels(monkeypatch):
     found = module.normal_equations(base, tried)
     monkeypatch.setattr(module, "MANY", 99)
     pairs = module.normal_equations(base, tried)
-    for a, b in ((found.likelihood, pairs.likelihood), (found.output, pairs.output)):
+    each = [(key, decoded) for key in found.span for decoded in (False, True)]
+    for key, decoded in each:
+        a, b = (t.of(key, decoded=decoded) for t in (found, pairs))
         size = np.sqrt(np.einsum("uii,ujj->uij", np.abs(b), np.abs(b)))
         assert np.all(np.abs(a - b) <= 1e-9 * size)

@@ -32,12 +32,21 @@ from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
 
 
-def products(columns, residual, own, runs, size):
+def products(columns, residual, own, runs, size, candidates):
     """Products of [own | candidates | residual] by run."""
     stack = np.vstack([columns, residual]).reshape(len(columns) + 1, runs, size)
     M = np.einsum("aru,bru->rab", stack, stack)
+    last = len(columns)
+    span = {"": slice(0, own)} | {str(s): s for s in (slice(a, b) for a, b in candidates)}
+
+    def of(key):
+        at = np.r_[:own, span[key], last]
+        return M[:, at[:, None], at]
+
+    at = np.r_[:own, last]
     return SimpleNamespace(
-        likelihood=M, span={"": slice(0, own)}, offsets=None, runs=tuple((k,) for k in range(runs)),
+        likelihood=M[:, at[:, None], at], of=of, span=span, offsets=None,
+        runs=tuple((k,) for k in range(runs)),
         units=lambda wanted: np.arange(runs),
     )  # fmt: skip
 
@@ -63,10 +72,9 @@ def largest(kind, seed, size=0.0, runs=30, samples=40):
     )
     columns[4] *= np.repeat(np.arange(runs) < 2, samples)  # an effect that two runs show
     residual = noise_of(kind, rng, n) + size * columns[6]
-    t = products(columns, residual, 4, runs, samples)
+    t = products(columns, residual, 4, runs, samples, [(4, 5), (5, 6), (6, 8), (8, 11), (11, 14)])
     flips = SignFlips(t, range(runs), {})
-    spans = [np.array(k) for k in ([4], [5], [6, 7], [8, 9, 10], [11, 12, 13])]
-    p, least = adjusted(np.array([flips.statistic(at) for at in spans]))
+    p, least = adjusted(np.array([flips.statistic(key) for key in t.span if key]))
     return p, least
 
 
@@ -117,7 +125,7 @@ def test_noise_that_columns_share_with_the_residual_is_measured():
         by = {c: base.sigma[c] * rng.standard_normal(log.rows) for c in names}
         both = [columns | {c: columns[c] + sign * by[c] for c in names} for sign in (1, 0, -1)]
         moved = [replace(base, log=Log.from_arrays(c, log.noise, log.meta)) for c in both]
-        up, middle, down = (normal_equations(b, plain).likelihood.sum(axis=0)[:-1, -1] for b in moved)
+        up, middle, down = (normal_equations(b, plain).whitened.border.sum(axis=0)[-1, :-1] for b in moved)
         draws.append(0.5 * (up + down) - middle)
     mean, error = np.mean(draws, axis=0), np.std(draws, axis=0) / np.sqrt(len(draws))
     certain = np.abs(mean) > 20 * error

@@ -135,7 +135,7 @@ def test_noise_floor_is_what_the_true_parameters_leave():
         for k, r in enumerate(runs)
     }
     (table,) = error_tables(log, MODEL, [(MODEL.nominal, zeros)], np.ones(3))
-    floor = noise_floor(cost_on(log, MODEL), MODEL.nominal)
+    floor = noise_floor(cost_on(log, MODEL).at(MODEL.nominal))
     for name, value in table.over()["rmse"].items():
         assert floor[name] == pytest.approx(value, rel=0.03)
 

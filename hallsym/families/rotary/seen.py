@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from hallsym.log.batches import Batch, batches
 from hallsym.log.phase import unwrapped
 from hallsym.model import Model
 
@@ -16,6 +17,38 @@ MANY = 65536
 """Numbers of a stream that are kept, however long it is."""
 EDGE = 0.02
 """Share of the samples at either end that may be spikes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stretches:
+    """Samples of consecutive stretches of a run each: run of each, where it begins, samples of all."""
+
+    runs: tuple[int, ...]
+    starts: np.ndarray
+    samples: int
+
+    @staticmethod
+    def of(batch: Batch, good: np.ndarray) -> "Stretches":
+        """Return the stretches of a batch, of its `good` samples (n,), that hold any."""
+        before = np.r_[0, np.cumsum(good)][list(batch.edges)]
+        some = np.flatnonzero(np.diff(before))
+        runs = tuple(batch.blocks[k].run for k in some)
+        return Stretches(runs, before[some], int(before[-1]))
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Samples of each stretch, (s,)."""
+        return np.diff(self.starts, append=self.samples)
+
+    def sums(self, values: np.ndarray) -> np.ndarray:
+        """Sum values (..., n) over each stretch, (..., s)."""
+        return np.asarray(np.add.reduceat(values, self.starts, axis=-1))
+
+    def inside(self) -> np.ndarray:
+        """Whether each step from a sample to the next lies in one stretch, (n - 1,)."""
+        out = np.ones(self.samples - 1, dtype=bool)
+        out[self.starts[1:] - 1] = False
+        return out
 
 
 @dataclass(frozen=True)
@@ -36,19 +69,20 @@ class Straight:
     sums: dict[int, np.ndarray] = field(default_factory=dict)
     ends: dict[int, tuple[float, float]] = field(default_factory=dict)
 
-    def add(self, run: int, apart: np.ndarray, reference: np.ndarray) -> None:
-        """Take a block of a run (n,) [rad]: angle - sign * reference in any form, the reference unwrapped."""
-        if not len(apart):
-            return
-        r, d = reference, unwrapped(apart, 2 * np.pi)
-        if self.last and self.last[0] == run:  # go on from the block before
-            r = r + 2 * np.pi * np.round((self.last[1] - r[0]) / (2 * np.pi))
-            d = d + 2 * np.pi * np.round((self.last[2] - d[0]) / (2 * np.pi))
-        self.last = run, float(r[-1]), float(d[-1])
-        low, high = self.ends.get(run, (np.inf, -np.inf))
-        self.ends[run] = min(low, float(r.min())), max(high, float(r.max()))
-        new = np.array([len(r), r.sum(), d.sum(), r @ r, r @ d, d @ d])
-        self.sums[run] = self.sums.get(run, np.zeros(6)) + new
+    def add(self, at: Stretches, apart: np.ndarray, reference: np.ndarray) -> None:
+        """Take stretches (n,) [rad]: angle - sign * reference in any form, the reference unwrapped."""
+        r, d = reference, unwrapped(apart, 2 * np.pi, at.starts)
+        if self.last and self.last[0] == at.runs[0]:  # go on from the stretch before
+            first = np.arange(at.samples) < at.counts[0]
+            r = r + first * 2 * np.pi * np.round((self.last[1] - r[0]) / (2 * np.pi))
+            d = d + first * 2 * np.pi * np.round((self.last[2] - d[0]) / (2 * np.pi))
+        self.last = at.runs[-1], float(r[-1]), float(d[-1])
+        sums = at.sums(np.array([np.ones(at.samples), r, d, r * r, r * d, d * d]))
+        lows, highs = np.minimum.reduceat(r, at.starts).tolist(), np.maximum.reduceat(r, at.starts).tolist()
+        for run, new, low, high in zip(at.runs, sums.T, lows, highs, strict=True):
+            before = self.ends.get(run, (np.inf, -np.inf))
+            self.ends[run] = min(before[0], low), max(before[1], high)
+            self.sums[run] = self.sums.get(run, 0.0) + new
 
     def found(self) -> "Line":
         """Return the line."""
@@ -71,15 +105,16 @@ class Plates:
     right: dict[int, np.ndarray] = field(default_factory=dict)
     energy: dict[int, np.ndarray] = field(default_factory=dict)
 
-    def add(self, run: int, values: np.ndarray, reference: np.ndarray) -> None:
-        """Take a block of a run: voltages (2, n), reference (n,) [rad]."""
+    def add(self, at: Stretches, values: np.ndarray, reference: np.ndarray) -> None:
+        """Take stretches: voltages (2, n), reference (n,) [rad]."""
         rows = np.array([np.ones_like(reference), np.cos(reference), np.sin(reference)])
         for kept, new in (
-            (self.square, rows @ rows.T),
-            (self.right, rows @ values.T),
-            (self.energy, (values**2).sum(axis=1)),
+            (self.square, at.sums(rows[:, None] * rows)),
+            (self.right, at.sums(rows[:, None] * values)),
+            (self.energy, at.sums(values**2)),
         ):
-            kept[run] = kept.get(run, np.zeros(np.shape(new))) + new
+            for k, run in enumerate(at.runs):
+                kept[run] = kept.get(run, 0.0) + new[..., k]
 
     def shares(self) -> np.ndarray:
         """Share of each voltage's variation within runs that one wave of the reference makes, (2,)."""
@@ -127,15 +162,14 @@ class Jumps:
     apart: Some = field(default_factory=lambda: Some(np.empty((2, 0))))
     """What angle - reference and angle + reference do where it wraps, whole turns aside."""
 
-    def add(self, values: np.ndarray, angle: np.ndarray, reference: np.ndarray) -> None:
-        """Take a block of a run (n,) [rad]; `values` is one of the other two."""
+    def add(self, values: np.ndarray, angle: np.ndarray, reference: np.ndarray, inside: np.ndarray) -> None:
+        """Take stretches (n,) [rad]; `values`: one of the other two; `inside`: steps that count (n - 1,)."""
         size = np.abs(np.diff(values))
-        wraps = size > np.pi
+        wraps = inside & (size > np.pi)
+        self.steps.add(size[inside & ~wraps])
         if not wraps.any():
-            self.steps.add(size)
             return
         self.wraps.add(size[wraps])
-        self.steps.add(size[~wraps])
         both = np.array([np.diff(angle - reference), np.diff(angle + reference)])[:, wraps]
         self.apart.add(np.abs(both - 2 * np.pi * np.round(both / (2 * np.pi))))
 
@@ -177,21 +211,25 @@ class Seen:
     scales: list[tuple[float, float]] = field(default_factory=list)
     """Middle and half of the extent of each voltage [V]."""
 
-    def add(self, run: int, angle: np.ndarray, reference: np.ndarray) -> None:
-        """Take a block of a run, (n,) each [rad]."""
-        self.samples += len(angle)
-        self.counts[run] = self.counts.get(run, 0) + len(angle)
-        self.some.add(np.array([np.full(len(angle), run), angle, reference]))
-        own, along = self.runs.setdefault(run, {}), unwrapped(reference, 2 * np.pi)
+    def add(self, at: Stretches, angle: np.ndarray, reference: np.ndarray) -> None:
+        """Take stretches, (n,) each [rad]."""
+        self.samples += at.samples
+        for run, count in zip(at.runs, at.counts.tolist(), strict=True):
+            self.counts[run] = self.counts.get(run, 0) + count
+        self.some.add(np.array([np.repeat(at.runs, at.counts), angle, reference]))
+        along, inside = unwrapped(reference, 2 * np.pi, at.starts), at.inside()
         for k, line in self.lines.items():
             apart = angle - k * reference
-            own[k] = own.get(k, 0j) + complex(np.cos(apart).sum(), np.sin(apart).sum())
-            line.add(run, apart, along)
+            turns = at.sums(np.cos(apart)) + 1j * at.sums(np.sin(apart))
+            for run, turn in zip(at.runs, turns.tolist(), strict=True):
+                own = self.runs.setdefault(run, {})
+                own[k] = own.get(k, 0j) + turn
+            line.add(at, apart, along)
         for bins, values in ((self.reference, reference), (self.angle, angle)):
-            bins[(np.mod(values, 2 * np.pi) / (2 * np.pi) * BINS).astype(int) % BINS] = True
+            bins[np.floor(values * (BINS / (2 * np.pi))).astype(int) % BINS] = True
         for jumps, values in zip(self.jumps, (angle, reference), strict=True):
-            jumps.add(values, angle, reference)
-        moved = np.diff(along)
+            jumps.add(values, angle, reference, inside)
+        moved = np.diff(along)[inside]
         twice = 2 * np.abs(moved)
         self.even += complex(np.cos(twice).sum(), np.sin(twice).sum())
         self.up += float(moved[moved > 0].sum())
@@ -211,24 +249,28 @@ def seen_of(model: Model, log: Any) -> Seen:
     """Go over a log once (twice for voltages, whose middle and extent come first)."""
     scales = _scales(model, log) if len(model.channels) == 2 else []
     seen, (column,) = Seen(scales=scales), model.references
-    for block in log.blocks((*model.channels, column)):
-        values = np.array([block.data[c] for c in model.channels])
-        good = np.isfinite(values.sum(axis=0) + block.data[column])
-        values, reference = values[:, good], block.data[column][good]
+    for batch in batches(log, (*model.channels, column)):
+        values, reference = np.array(batch.columns(model.channels)), batch.data[column]
+        good = np.isfinite(values.sum(axis=0) + reference)
+        at = Stretches.of(batch, good)
+        if not at.samples:
+            continue
+        if not good.all():
+            values, reference = values[:, good], reference[good]
         if scales:
             y, x = ((v - middle) / half for v, (middle, half) in zip(values, scales, strict=True))
-            seen.plates.add(block.run, np.array([y, x]), reference)
+            seen.plates.add(at, np.array([y, x]), reference)
             angle = np.arctan2(y, x)
         else:
             angle = values[0]
-        seen.add(block.run, angle, reference)
+        seen.add(at, angle, reference)
     return seen
 
 
 def _scales(model: Model, log: Any) -> list[tuple[float, float]]:
     """Middle and half of the extent of each voltage, spikes aside: near enough to count turns by."""
     seen = Some(np.empty((2, 0)))
-    for block in log.blocks(model.channels):
-        seen.add(np.array([block.data[c] for c in model.channels]))
+    for batch in batches(log, model.channels):
+        seen.add(np.array(batch.columns(model.channels)))
     low, high = np.nanquantile(seen.values, [EDGE, 1 - EDGE], axis=1)
     return [(float(a + b) / 2, float(b - a) / 2 or 1.0) for a, b in zip(low, high, strict=True)]

@@ -83,11 +83,11 @@ def _should_move(log: Log, seen: Scan, name: str, run: int, runs: Mapping[int, M
 def few_levels(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
     """Readings that take a handful of values while a reference takes many."""
     for name in filter(is_reading, spans.overall):
-        values = seen.sample.whole.data
-        levels = len(np.unique(values[name]))
+        whole = seen.sample.whole
+        levels = _levels(whole.ordered(name))
         if not 2 <= levels <= _FEW_LEVELS:
             continue
-        finest = max((len(np.unique(v)) for c, v in values.items() if is_reference(c)), default=0)
+        finest = max((_levels(whole.ordered(c)) for c in filter(is_reference, whole.data)), default=0)
         step = (spans.overall[name].max - spans.overall[name].min) / (levels - 1)
         widest = max(spans.overall[c].max - spans.overall[c].min for c in filter(is_reading, spans.overall))
         coarse = (
@@ -98,6 +98,11 @@ def few_levels(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
                 f"{the(log, name)} takes {levels} values only, about {step:.3g} {si_unit(name)} apart",
                 remedy="raise the gain before the converter, or log more of its digits",
             )
+
+
+def _levels(ordered: Array) -> int:
+    """Return how many different values ascending samples take."""
+    return 1 + int(np.count_nonzero(ordered[1:] != ordered[:-1])) if len(ordered) else 0
 
 
 def _hidden(seen: Scan, name: str) -> float:

@@ -46,9 +46,8 @@ class Pile:
         return np.asarray(self.sign * x >= self.sign * self.edge)
 
 
-def piles(x: Array) -> list[Pile]:
-    """Return the piles at the ends of samples (n,)."""
-    ordered = np.sort(x)
+def piles(ordered: Array) -> list[Pile]:
+    """Return the piles at the ends of samples (n,) by size."""
     step = code(ordered)
     if not ordered[-1] - ordered[0] > _LEVELS * step:
         return []

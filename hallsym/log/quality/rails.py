@@ -42,7 +42,7 @@ def saturated(log: Log, seen: Scan) -> Iterator[Finding]:
         trace = seen.traces[name]
         if trace.nonfinite or not trace.low < trace.high:
             continue
-        if max(trace.at_low, trace.at_high) >= SAME or piles(seen.sample.whole.data[name]):
+        if max(trace.at_low, trace.at_high) >= SAME or piles(seen.sample.whole.ordered(name)):
             rails = _rails(_samples(log, seen, name), name)
             if rails:
                 yield _finding(log, name, rails, seen.rows)
@@ -73,7 +73,7 @@ def _rails(whole: Whole, name: str) -> Rails | None:
     """Find both ends, then whether the reading is cut off there or rests or turns there."""
     references = [column for column in whole.data if is_reference(column)]
     x = whole.data[name]
-    found = piles(x)
+    found = piles(whole.ordered(name))
     free = ~np.any([pile.of(x) for pile in found], axis=0) if found else np.empty(0, bool)
     motion = [whole.data[column] for column in references]
     found = [pile for pile in found if not motion or is_cut_off(x, motion, whole.run, pile, free)]

@@ -59,6 +59,16 @@ class Whole:
     run: Array
     data: dict[str, Array]
 
+    @cached_property
+    def _ordered(self) -> dict[str, Array]:
+        return {}
+
+    def ordered(self, name: str) -> Array:
+        """Return the samples of a column by size, (n,)."""
+        if name not in self._ordered:
+            self._ordered[name] = np.sort(self.data[name])
+        return self._ordered[name]
+
     @staticmethod
     def of(log: Log, columns: Sequence[str]) -> Whole:
         """Read whole columns of a log, of its first `WHOLE_ROWS` samples at most."""

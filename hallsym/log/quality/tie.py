@@ -147,41 +147,51 @@ def _ways(model: Model, units: Units, told: np.ndarray) -> _Ways:
     groups = [list(g) for _, g in groupby(sorted(state, key=_unit_of), key=_unit_of)]
     signs = [(1.0, -1.0) if here else (1.0,) for here in known]
     factors = [(1.0, *units[c]) if here else (1.0,) for c, here in zip(state, known, strict=True)]
-    kept: list[tuple[float, list[int], list[float], list[float]]] = []
+    signs_of = np.array(list(product(*signs)))
+    factors_of, prices = _priced_factors(state, factors, units, model.ties)
+    flips = np.array([_price(row) for row in (signs_of < 0).tolist()])
+    found: list[tuple[np.ndarray, ...]] = []
     for way in product(*(permutations(g) for g in groups)):
         carrier = dict(pair for g, o in zip(groups, way, strict=True) for pair in zip(g, o, strict=True))
-        order = [place[carrier[c]] for c in state]
-        swapped = RARE * any(k != n for k, n in enumerate(order))
-        for sign in product(*signs):
-            flipped = swapped + _price([s < 0 for s in sign])
-            if flipped > MOST:
-                continue
-            for factor in product(*factors):
-                if not _far(state, factor, model.ties):
-                    continue
-                if (price := flipped + _unit_price(state, factor, units)) <= MOST:
-                    kept.append((price, order, [sign[n] for n in order], [factor[n] for n in order]))
-    parts = [np.array(part) for part in zip(*kept, strict=True)]
-    return _Ways(parts[1], parts[2], parts[3], parts[0])
+        order = np.array([place[carrier[c]] for c in state])
+        swapped = RARE * bool((order != np.arange(len(order))).any())
+        price = (swapped + flips)[:, None] + prices
+        i, j = np.nonzero((price <= MOST) & (swapped + flips <= MOST)[:, None])
+        here = np.broadcast_to(order, (len(i), len(order)))
+        found.append((here, signs_of[i][:, order], factors_of[j][:, order], price[i, j]))
+    return _Ways(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
-def _far(state: Sequence[str], factors: Sequence[float], ties: Sequence[Tie]) -> bool:
-    """Return whether units that change a ratio change it by more than a plausible scale."""
-    ratios = [factors[state.index(t.column)] / factors[state.index(t.other)] for t in ties]
-    return all(r == 1 or not 1 / APART < r < APART for r in ratios)
+def _priced_factors(
+    state: Sequence[str], factors: Sequence[Sequence[float]], units: Units, ties: Sequence[Tie]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the factors of all columns (m, n_state) that may be tried together, with their prices (m,).
+
+    Units that change a ratio change it by more than a plausible scale.
+    """
+    at = np.array(list(product(*(range(len(each)) for each in factors))))
+    tried = np.column_stack([np.array(each)[k] for each, k in zip(factors, at.T, strict=True)])
+    far = np.ones(len(tried), dtype=bool)
+    for tie in ties:
+        ratio = tried[:, state.index(tie.column)] / tried[:, state.index(tie.other)]
+        far &= (ratio == 1) | (ratio <= 1 / APART) | (ratio >= APART)
+    tried = tried[far]
+    price = np.zeros(len(tried))
+    for unit in dict.fromkeys(map(_unit_of, state)):  # each unit once, and a little for every further column
+        own = tried[:, [_unit_of(c) == unit for c in state]]
+        for factor in np.unique(own[own != 1]):
+            often = np.count_nonzero(own == factor, axis=1)
+            price += np.where(often > 0, RARE + ALSO * (often - 1), 0.0)
+    doubled = [
+        [f for f in each if f != 1 and not units[c][f]] for c, each in zip(state, factors, strict=True)
+    ]
+    twice = [np.isin(column, some) for column, some in zip(tried.T, doubled, strict=True)]
+    return tried, price + DOUBLED * np.any(twice, axis=0)
 
 
 def _price(wrong: Sequence[bool]) -> float:
     """Return decades of odds against columns that are wrong in one way."""
     return RARE + ALSO * (sum(wrong) - 1) if any(wrong) else 0.0
-
-
-def _unit_price(state: Sequence[str], factors: Sequence[float], units: Units) -> float:
-    """Return decades of odds against factors: each unit once, and a little for every further column in it."""
-    ways = [(f, _unit_of(c)) for c, f in zip(state, factors, strict=True) if f != 1]
-    total = sum((RARE + ALSO * (ways.count(way) - 1) for way in set(ways)), 0.0)
-    doubled = any(f != 1 and not units[c][f] for c, f in zip(state, factors, strict=True))
-    return total + DOUBLED * doubled
 
 
 def _unit_of(column: str) -> str:
