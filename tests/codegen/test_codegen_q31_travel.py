@@ -111,6 +111,7 @@ def test_whatever_the_bits_nothing_overflows():
         assert np.abs(backend.step(inputs)[0]).max() < 2**29  # raises OverflowError beyond 32 bits
 
 
+@pytest.mark.slow
 def test_a_recalibration_needs_the_same_code(tmp_path):
     made().write(tmp_path / "fw")
     fit = travel.fit_of(COLUMNS, REACH)
@@ -166,10 +167,9 @@ def test_whatever_the_bits_nothing_of_a_mover_overflows():
 
 # -- the C itself --------------------------------------------------------------------------------------------
 
-CASES = ["travel", pytest.param("mover", marks=pytest.mark.slow)]
 
-
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["travel", "mover"])
 def test_the_folder_passes_its_self_test_without_undefined_behaviour(case, tmp_path):
     need("gcc")
     made(case).write(tmp_path / "fw")

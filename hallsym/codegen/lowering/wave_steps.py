@@ -196,9 +196,11 @@ class Collected:
         self.symbols[name] = ca.SX.sym(name)
         return self.symbols[name]
 
-    def step(self, name: str, expression: ca.SX, remark: str = "") -> ca.SX:
-        """Add a step; returns its symbol."""
-        self.steps.append(Step(name, expression, remark))
+    def step(
+        self, name: str, expression: ca.SX, remark: str = "", within: tuple[float, int] | None = None
+    ) -> ca.SX:
+        """Add a step; returns its symbol. `within`: see `Step`."""
+        self.steps.append(Step(name, expression, remark, within=within))
         return self.symbols.setdefault(name, ca.SX.sym(name))
 
     def total(self, name: str, terms: Sequence[ca.SX], remark: str = "") -> ca.SX:
@@ -265,10 +267,10 @@ def phasor_steps(made: Collected, wave: Wave, readings: Mapping[str, ca.SX], tag
     }
     at: Pair = (seen[0], seen[1])
     for k in range(1, wave.rounds + 1):
-        ahead = wave.last == "linear" and k == wave.rounds
-        powers = Powers(made, *at, f"_{k}{tag}", (*wave.harmonics, *(n - 1 for n in wave.harmonics if ahead)))
+        along = wave.last == "linear" and k == wave.rounds
+        powers = Powers(made, *at, f"_{k}{tag}", (*wave.harmonics, *(n - 1 for n in wave.harmonics if along)))
         sums = _shared(shares, [powers(n) for n in wave.harmonics])
-        if ahead:
+        if along:
             moves = [
                 made.step(f"{axis}_move{tag}", total if k == 1 else before - (first - total))
                 for axis, before, first, total in zip(AXES, at, seen, sums, strict=True)
@@ -302,10 +304,10 @@ def _shared(shares: Mapping[int, list[ca.SX]], powers: Sequence[Pair]) -> Pair:
     return sum(cos[1:], start=cos[0]), sum(sin[1:], start=sin[0])
 
 
-def _times(made: Collected, a: Pair, b: Pair, name: str) -> Pair:
+def _times(made: Collected, a: Pair, b: Pair, name: str, within: tuple[float, int] | None = None) -> Pair:
     """Add a product of complex numbers."""
-    real = made.step(f"real{name}", a[0] * b[0] - a[1] * b[1])
-    return real, made.step(f"imaginary{name}", a[0] * b[1] + a[1] * b[0])
+    real = made.step(f"real{name}", a[0] * b[0] - a[1] * b[1], within=within)
+    return real, made.step(f"imaginary{name}", a[0] * b[1] + a[1] * b[0], within=within)
 
 
 class Powers:
@@ -326,12 +328,13 @@ class Powers:
         elif n not in self.known and n == FIFTH and self.fifth_alone:
             self.known[n] = self._fifth()
         elif n not in self.known and n % 2:
-            self.known[n] = _times(self.made, self(n - 1), self(1), f"_{n}{self.tag}")
+            self.known[n] = _times(self.made, self(n - 1), self(1), f"_{n}{self.tag}", (1.0, n))
         elif n not in self.known:
             a, b = self(n // 2)
-            real = self.made.step(f"real_{n}{self.tag}", a * a - b * b)
-            half = self.made.step(f"half_{n}{self.tag}", a * b)
-            self.known[n] = real, self.made.step(f"imaginary_{n}{self.tag}", half + half)
+            real = self.made.step(f"real_{n}{self.tag}", a * a - b * b, within=(1.0, n))
+            half = self.made.step(f"half_{n}{self.tag}", a * b, within=(0.5, n))
+            imaginary = self.made.step(f"imaginary_{n}{self.tag}", half + half, within=(1.0, n))
+            self.known[n] = real, imaginary
         return self.known[n]
 
     def _fifth(self) -> Pair:
@@ -340,15 +343,14 @@ class Powers:
         Five products fewer than by squares where the length is needed too.
         """
         made, tag, (a, b) = self.made, self.tag, self(1)
-        size = made.step(f"length_2{tag}", a * a + b * b, "[1] squares of the length")
-        square = made.step(f"length_4{tag}", size * size)
-        turned = made.step(f"real_2{tag}", a * a - b * b)
-        twice = made.step(f"twice_real_2{tag}", turned + turned)
-        even, side = (
-            made.step(f"even_5{tag}", twice * twice - square),
-            made.step(f"side_5{tag}", twice * size),
-        )
-        return made.step(f"real_5{tag}", a * (even - side)), made.step(f"imaginary_5{tag}", b * (even + side))
+        size = made.step(f"length_2{tag}", a * a + b * b, "[1] squares of the length", (1.0, 2))
+        square = made.step(f"length_4{tag}", size * size, within=(1.0, 4))
+        turned = made.step(f"real_2{tag}", a * a - b * b, within=(1.0, 2))
+        twice = made.step(f"twice_real_2{tag}", turned + turned, within=(2.0, 2))
+        even = made.step(f"even_5{tag}", twice * twice - square, within=(3.0, 4))
+        side = made.step(f"side_5{tag}", twice * size, within=(2.0, 4))
+        real = made.step(f"real_5{tag}", a * (even - side), within=(1.0, 5))
+        return real, made.step(f"imaginary_5{tag}", b * (even + side), within=(1.0, 5))
 
 
 def _chain(n: int) -> set[int]:
