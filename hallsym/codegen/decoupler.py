@@ -34,6 +34,8 @@ class Step:
     name: str
     expression: ca.SX
     remark: str = ""
+    within: tuple[float, int] | None = field(default=None, kw_only=True)
+    """Of a part of a power of a phasor: factor and power of its length that are not exceeded."""
 
 
 @dataclass(frozen=True, eq=False)

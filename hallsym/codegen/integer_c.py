@@ -194,18 +194,20 @@ class Compiler:
             if operation.op == "input":
                 made.append(known[operation.symbol])
                 continue
-            args = [made[k] for k in operation.args]
-            if operation.op == "mul":
-                made.append(self._mul(*args))
-            elif operation.op == "sq":
-                made.append(self._mul(args[0], args[0]))
-            elif operation.op in ("add", "sub"):
-                made.append(self._add(args[0], args[1], minus=operation.op == "sub"))
-            elif operation.op == "div":
-                made.append(self._divide(*args))
-            else:
-                made.append(self._other(operation, args, step.name))
+            made.append(self._operation(operation, [made[k] for k in operation.args], step.name))
         return made[found.results[0]]
+
+    def _operation(self, operation: Operation, args: Sequence[Fixed], step: str) -> Fixed:
+        """Return what an operation of a step gives."""
+        if operation.op == "mul":
+            return self._mul(*args)
+        if operation.op == "sq":
+            return self._mul(args[0], args[0])
+        if operation.op in ("add", "sub"):
+            return self._add(args[0], args[1], minus=operation.op == "sub")
+        if operation.op == "div":
+            return self._divide(*args)
+        return self._other(operation, args, step)
 
     def _other(self, operation: Operation, args: Sequence[Fixed], step: str) -> Fixed:
         """Return what another operation of a step gives."""

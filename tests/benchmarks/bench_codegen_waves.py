@@ -81,7 +81,9 @@ def main() -> int:
         ("30 columns, 300 mm, array of 120 mm", travelling(), None),
         ("6-DOF, 24 sums, rows longer than arrays", longer_rows(), 5e-6),
     ]
-    integers = [(rows[k], name) for k, name in ((0, "q31: the first"), (4, "q31: 12 sums"), (5, "q31: 24"))]
+    named = ((0, "q31: the first"), (1, "q31: 4 to 10 mm"), (4, "q31: 12 sums"), (5, "q31: 24"),
+             (6, "q31: 30 columns, 300 mm"), (7, "q31: rows longer than arrays"))  # fmt: skip
+    integers = [(rows[k], name) for k, name in named]
     if quick:
         rows, integers = rows[:1], integers[:1]
     print(

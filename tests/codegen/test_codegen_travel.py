@@ -95,8 +95,6 @@ def test_stated_errors_hold_and_rounding_is_small():
 def test_what_is_not_generated_is_refused_in_one_sentence():
     with pytest.raises(InputError, match="do not say which period"):
         hallsym.generate(fit_of(18, 0.14))
-    with pytest.raises(InputError, match="use float"):
-        hallsym.generate(fit_of(), arithmetic="q31")
 
 
 def test_the_folder_passes_its_self_test_without_undefined_behaviour(tmp_path):

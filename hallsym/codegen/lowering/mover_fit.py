@@ -125,11 +125,14 @@ class Mover(Reference):
     def first(self, r: np.ndarray, near: np.ndarray) -> np.ndarray:
         """Return places (2, s) along both axes from all sensors alike, in the period of `near` (2, s)."""
         out = []
-        for axis, members in self.axes.items():
-            rows = [self.rows[k] for k in members]
-            u = sum((row.factor[:, :1].conj() * r[list(row.channels)]).sum(axis=0) for row in rows)
-            out.append(self._next_to(near[axis], np.asarray(u)))
+        for axis in self.axes:
+            out.append(self._next_to(near[axis], self.all_alike(r, axis)))
         return np.array(out)
+
+    def all_alike(self, r: np.ndarray, axis: int) -> np.ndarray:
+        """Return what all sensors of an axis alike say of the phasor (s,) [V2]."""
+        rows = [self.rows[k] for k in self.axes[axis]]
+        return np.asarray(sum((row.factor[:, :1].conj() * r[list(row.channels)]).sum(axis=0) for row in rows))
 
     def _next_to(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         place = self.lc * np.angle(u)
@@ -173,7 +176,7 @@ class Mover(Reference):
 
     def straight(self, readings: np.ndarray, near: np.ndarray | None) -> np.ndarray:
         """Return displacements (6, s) from the middle of the box, linear in places and heights."""
-        r = self._without_offset(readings)
+        r = self.without_offset(readings)
         shape = (2, r.shape[1])
         at = self.first(r, np.broadcast_to(self.middle[:2, None], shape) if near is None else near)
         with np.errstate(all="ignore"):
@@ -182,7 +185,8 @@ class Mover(Reference):
             seen, _ = self.seen(r, at, (turns, phasors))
         return np.asarray(self.inverse @ (seen - self.at_middle))
 
-    def _without_offset(self, readings: np.ndarray) -> np.ndarray:
+    def without_offset(self, readings: np.ndarray) -> np.ndarray:
+        """Return readings (n, s) less what each sensor reads with no array over it."""
         r = np.array(readings, dtype=float)
         for row in self.rows:
             r[list(row.channels)] -= row.offset[:, None]
@@ -198,7 +202,7 @@ class Mover(Reference):
     def sample(self) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
         """Poses of the box, their phasors, places and heights."""
         pose, readings = self.trials(1, SAMPLES)
-        r = self._without_offset(readings)
+        r = self.without_offset(readings)
         seen, phasors = self.seen(r, self.first(r, pose[:2]))
         return pose, phasors, seen
 

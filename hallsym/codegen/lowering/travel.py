@@ -7,7 +7,8 @@ of the rest and the end of the row say it. Least squares of the weighted sensors
 endless wave; how far from its ends a sensor must be to count is chosen by what ends and noise leave.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import casadi as ca
@@ -16,10 +17,12 @@ import numpy as np
 from hallsym.codegen.box import Box, limits
 from hallsym.codegen.decoupler import Decoupler, Flag, Margin
 from hallsym.codegen.entries import Entry, short, unit
+from hallsym.codegen.fixed_point import Program
+from hallsym.codegen.lowering.integer_ranges import program
 from hallsym.codegen.lowering.travel_bounds import Rounding
 from hallsym.codegen.lowering.travel_fit import Row, row_of
 from hallsym.codegen.lowering.travel_steps import Pieces
-from hallsym.codegen.lowering.wave_steps import Collected, Wave, wave_of
+from hallsym.codegen.lowering.wave_steps import POLYNOMIALS, Collected, Wave, wave_of
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
 
@@ -50,7 +53,17 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box, accurac
             f"Over the box the sensors do not say which period {model.pose[0]} is in: too few of them see "
             f"the array at its ends; give fewer with --range {model.pose[0]}."
         )
-    return _Assembly(replace(best.row, rounds=best.rounds), wave, box).make()
+    row = replace(best.row, rounds=best.rounds)
+
+    def integers(accuracy: float = accuracy, plan: Sequence[int] | None = None) -> Program:
+        native = _Assembly(
+            row, wave_of(row.plain, box.ends[model.pose[1]], accuracy), box, Collected(native=True)
+        )
+        made = native.make()
+        share = POLYNOMIALS * accuracy / row.lc
+        return program(made, native.made.least, share, native.drawn, plan)
+
+    return replace(_Assembly(row, wave, box).make(), integers=integers)
 
 
 class _Tried:
@@ -83,9 +96,10 @@ class _Assembly:
     row: Row
     wave: Wave
     given: Box
+    made: Collected = field(default_factory=Collected)
 
     def make(self) -> Decoupler:
-        model, made = self.row.model, Collected()
+        model, made = self.row.model, self.made
         inputs = model.channels
         made.symbols |= {c: ca.SX.sym(short(c)) for c in inputs}
         zeros = tuple(
@@ -94,6 +108,7 @@ class _Assembly:
         )
         made.symbols |= {z.name: ca.SX.sym(z.name) for z in zeros}
         Pieces(self.row, self.wave, made, COVER).add()
+        made.keep((*map(short, model.pose), "inside", "cover"))
         ends = self._ends
         values: dict[str, float | tuple[float, float]] = {e.name: e.value for e in made.table}
         values |= {short(c): ends.ends[c] for c in inputs}
@@ -106,9 +121,9 @@ class _Assembly:
                 Flag("FIELD", "inside", "least_inside", FIELD), Flag("COVER", "cover", "least_cover", COVERED)
             ),
             approximation=max(leaves.values()), leaves=leaves,
-            bounded=Rounding(self.row, self.wave, tuple(made.steps), values, self._drawn),
+            bounded=Rounding(self.row, self.wave, tuple(made.steps), values, self.drawn),
             rest=tuple(self.row.readings(self.row.middle[:, None])[:, 0].tolist()),
-            drawn=self._drawn, said=self._said(leaves), evident=False,
+            drawn=self.drawn, said=self._said(leaves), evident=made.native,
         )  # fmt: skip
 
     @cached_property
@@ -121,7 +136,7 @@ class _Assembly:
             ends[c] = self.given.ends.get(c, (-end, end))
         return Box(ends)
 
-    def _drawn(self, rng: np.random.Generator, count: int) -> np.ndarray:
+    def drawn(self, rng: np.random.Generator, count: int) -> np.ndarray:
         return self.row.readings(self.row.poses(rng, count))
 
     @cached_property
@@ -130,7 +145,8 @@ class _Assembly:
         pose = self.row.poses(np.random.default_rng(5), TRIALS)
         readings = self.row.readings(pose)
         off = self.row.decoded(readings, self.row.rounds) - self.row.exact(readings)
-        functions = self.wave.error * self.row.lc
+        # of integers the errors of functions are counted where they are computed
+        functions = (self.wave.left if self.made.native else self.wave.error) * self.row.lc
         return {
             c: SAFE * (float(np.abs(v).max()) + functions)
             for c, v in zip(self.row.model.pose, off, strict=True)

@@ -77,8 +77,10 @@ def vector_error(wave: Wave, steps: Sequence[Step], values: Values, digits: int)
         (found,) = enclose(
             [step.expression], {s.name(): known[s.name()] for s in ca.symvar(step.expression)}, digits
         )
-        if step.name.startswith(("cos", "sin")):  # of a round: no longer than `outer` with the flag clear
-            most = wave.outer
+        # a vector of a round is no longer than `outer` with the flag clear, and its powers as they are made
+        factor, power = step.within or (1.0, 1)
+        if step.within or step.name.startswith(("cos", "sin")):
+            most = factor * wave.outer**power
             found = Enclosure(np.maximum(found.low, -most), np.minimum(found.high, most), found.error)
         known[step.name] = found
     return hypot(*(float(known[step.name].error) for step in steps[-2:]))

@@ -80,9 +80,15 @@ class Waves(Compiler):
         if operation.op == "hypot":
             most = hypot(args[0].most, args[1].most)
             return _Vector("", 0, 0.0, most, 0.0, *args)
-        if operation.op == "log" and isinstance(args[0], _Vector):
-            return self._logarithm(args[0], self.least[step])
+        if operation.op == "log":
+            if isinstance(args[0], _Vector):
+                return self._logarithm(args[0], self.least[step])
+            return self._logarithm_of_number(args[0])
         return super()._other(operation, args, step)
+
+    def _add(self, a: Fixed, b: Fixed, minus: bool = False) -> Fixed:
+        """Whole numbers of the code take the exponent of the other, so that nothing of it is lost."""
+        return super()._add(self._like(a, b), self._like(b, a), minus)
 
     def _mul(self, a: Fixed, b: Fixed) -> Fixed:
         """Whole numbers are multiplied in 32 bits: nothing is lost but bits that do not fit."""
@@ -107,11 +113,19 @@ class Waves(Compiler):
 
     def _chosen_of(self, least: bool, a: Fixed, b: Fixed) -> Fixed:
         """The lesser or the greater of two: no further off than either."""
+        a, b = self._like(a, b), self._like(b, a)
         e = min(a.e, b.e)
         name = self._line("lesser" if least else "greater", a.text, b.text, a.e - e, b.e - e)
         choose = min if least else max
         error = max(v.error + (2.0**-e if v.e > e else 0.0) for v in (a, b))
         return self._checked(Fixed(name, e, choose(a.low, b.low), choose(a.high, b.high), error))
+
+    def _like(self, number: Fixed, other: Fixed) -> Fixed:
+        """A whole number of the code in the exponent of what it is compared with, where it fits."""
+        if not number.text.endswith(")") or number.e or number.e >= other.e:
+            return number
+        e = min(other.e, exponent(number.low, number.low))
+        return Fixed(f"({round(number.low * 2.0**e)})", e, number.low, number.high)
 
     def _signed(self, size: bool, v: Fixed) -> Fixed:
         if size:
@@ -156,6 +170,15 @@ class Waves(Compiler):
         e = binary_logarithm.FRACTION
         none = 29 + 2 * x.e  # halves of ln 2 below those of a vector of length 1
         return self._checked(Fixed(name, e, -none * log(2) / 2, log(most), error))
+
+    def _logarithm_of_number(self, v: Fixed) -> Fixed:
+        """The logarithm of a number above zero: of a vector along an axis."""
+        if v.low <= v.error:
+            raise InputError("A logarithm of zero lies within the box; give a smaller one with --range.")
+        x = self._cut(v, self._chosen(lambda: min(v.e, LONGEST)))
+        error = x.error / (v.low - x.error) + binary_logarithm.logarithm_error(v.low, x.most, self.degree)
+        name = self._line("log", x.text, "(0)", self.degree, 2 * x.e)
+        return self._checked(Fixed(name, binary_logarithm.FRACTION, log(v.low), log(v.high), error))
 
     def _exponential(self, v: Fixed) -> Fixed:
         """exp, by a polynomial over a range on both sides of zero."""

@@ -41,6 +41,8 @@ TINY = 1e-30
 QUARTER_PI = PI / 4
 AXES = {"cos": "cosine", "sin": "sine"}
 
+FIFTH = 5
+"""The harmonic that square magnets have most of, which has a shorter form where it is alone."""
 TERMS = 3
 """Terms of a sum that one step adds."""
 
@@ -194,9 +196,11 @@ class Collected:
         self.symbols[name] = ca.SX.sym(name)
         return self.symbols[name]
 
-    def step(self, name: str, expression: ca.SX, remark: str = "") -> ca.SX:
-        """Add a step; returns its symbol."""
-        self.steps.append(Step(name, expression, remark))
+    def step(
+        self, name: str, expression: ca.SX, remark: str = "", within: tuple[float, int] | None = None
+    ) -> ca.SX:
+        """Add a step; returns its symbol. `within`: see `Step`."""
+        self.steps.append(Step(name, expression, remark, within=within))
         return self.symbols.setdefault(name, ca.SX.sym(name))
 
     def total(self, name: str, terms: Sequence[ca.SX], remark: str = "") -> ca.SX:
@@ -263,9 +267,10 @@ def phasor_steps(made: Collected, wave: Wave, readings: Mapping[str, ca.SX], tag
     }
     at: Pair = (seen[0], seen[1])
     for k in range(1, wave.rounds + 1):
-        powers = Powers(made, *at, f"_{k}{tag}")
+        along = wave.last == "linear" and k == wave.rounds
+        powers = Powers(made, *at, f"_{k}{tag}", (*wave.harmonics, *(n - 1 for n in wave.harmonics if along)))
         sums = _shared(shares, [powers(n) for n in wave.harmonics])
-        if wave.last == "linear" and k == wave.rounds:
+        if along:
             moves = [
                 made.step(f"{axis}_move{tag}", total if k == 1 else before - (first - total))
                 for axis, before, first, total in zip(AXES, at, seen, sums, strict=True)
@@ -299,31 +304,58 @@ def _shared(shares: Mapping[int, list[ca.SX]], powers: Sequence[Pair]) -> Pair:
     return sum(cos[1:], start=cos[0]), sum(sin[1:], start=sin[0])
 
 
-def _times(made: Collected, a: Pair, b: Pair, name: str) -> Pair:
+def _times(made: Collected, a: Pair, b: Pair, name: str, within: tuple[float, int] | None = None) -> Pair:
     """Add a product of complex numbers."""
-    real = made.step(f"real{name}", a[0] * b[0] - a[1] * b[1])
-    return real, made.step(f"imaginary{name}", a[0] * b[1] + a[1] * b[0])
+    real = made.step(f"real{name}", a[0] * b[0] - a[1] * b[1], within=within)
+    return real, made.step(f"imaginary{name}", a[0] * b[1] + a[1] * b[0], within=within)
 
 
 class Powers:
-    """Powers of a complex number, one step for each part, made where first used."""
+    """Powers of a complex number, one step for each part, made where first used.
 
-    def __init__(self, made: Collected, cos: ca.SX, sin: ca.SX, tag: str) -> None:
+    `wanted`: those that will be asked for, where it is known.
+    """
+
+    def __init__(self, made: Collected, cos: ca.SX, sin: ca.SX, tag: str, wanted: Sequence[int] = ()) -> None:
         self.made, self.tag, self.known = made, tag, {1: (cos, sin)}
+        self.fifth_alone = FIFTH in wanted and not any(FIFTH - 1 in _chain(n) for n in wanted if n != FIFTH)
 
     def __call__(self, n: int) -> Pair:
         """Return real and imaginary part of the n-th power."""
         names = f"real_{n}{self.tag}", f"imaginary_{n}{self.tag}"
         if n not in self.known and names[1] in self.made.symbols:  # made before
             self.known[n] = self.made.symbols[names[0]], self.made.symbols[names[1]]
+        elif n not in self.known and n == FIFTH and self.fifth_alone:
+            self.known[n] = self._fifth()
         elif n not in self.known and n % 2:
-            self.known[n] = _times(self.made, self(n - 1), self(1), f"_{n}{self.tag}")
+            self.known[n] = _times(self.made, self(n - 1), self(1), f"_{n}{self.tag}", (1.0, n))
         elif n not in self.known:
             a, b = self(n // 2)
-            real = self.made.step(f"real_{n}{self.tag}", a * a - b * b)
-            half = self.made.step(f"half_{n}{self.tag}", a * b)
-            self.known[n] = real, self.made.step(f"imaginary_{n}{self.tag}", half + half)
+            real = self.made.step(f"real_{n}{self.tag}", a * a - b * b, within=(1.0, n))
+            half = self.made.step(f"half_{n}{self.tag}", a * b, within=(0.5, n))
+            imaginary = self.made.step(f"imaginary_{n}{self.tag}", half + half, within=(1.0, n))
+            self.known[n] = real, imaginary
         return self.known[n]
+
+    def _fifth(self) -> Pair:
+        """cos 5 x = cos x (4 y^2 - 2 y - 1), sin 5 x = sin x (4 y^2 + 2 y - 1), y = cos 2 x: no fourth power.
+
+        Five products fewer than by squares where the length is needed too.
+        """
+        made, tag, (a, b) = self.made, self.tag, self(1)
+        size = made.step(f"length_2{tag}", a * a + b * b, "[1] squares of the length", (1.0, 2))
+        square = made.step(f"length_4{tag}", size * size, within=(1.0, 4))
+        turned = made.step(f"real_2{tag}", a * a - b * b, within=(1.0, 2))
+        twice = made.step(f"twice_real_2{tag}", turned + turned, within=(2.0, 2))
+        even = made.step(f"even_5{tag}", twice * twice - square, within=(3.0, 4))
+        side = made.step(f"side_5{tag}", twice * size, within=(2.0, 4))
+        real = made.step(f"real_5{tag}", a * (even - side), within=(1.0, 5))
+        return real, made.step(f"imaginary_5{tag}", b * (even + side), within=(1.0, 5))
+
+
+def _chain(n: int) -> set[int]:
+    """Return the powers that are made on the way to the n-th by squares."""
+    return {n} if n == 1 else {n} | _chain(n - 1 if n % 2 else n // 2)
 
 
 def logarithm_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.SX:
@@ -339,8 +371,7 @@ def logarithm_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.S
     made.step(f"inside{tag}", 1.0 - square)
     total = odd(wave.logarithm.coefficients, t, square)
     if wave.last == "radial":
-        seen = [made.symbols[f"{axis}_seen{tag}"] for axis in AXES]
-        known = {1: made.step(f"size_seen{tag}", seen[0] * seen[0] + seen[1] * seen[1])}
+        known = _squares_seen(made, tag)
         for n in wave.harmonics:
             value = radial_of(wave.phasor)[n]
             entry = made.entry(
@@ -348,6 +379,15 @@ def logarithm_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.S
             )
             total = total + entry * power(made, known, n - 1, f"size_seen{tag}")
     return made.step(f"log{tag}", total, "[1] logarithm, a polynomial")
+
+
+def _squares_seen(made: Collected, tag: str) -> dict[int, ca.SX]:
+    """The square of the phasor as it was seen, and its powers that the first round has made."""
+    of_round = {n: made.symbols.get(f"length_{2 * n}_1{tag}") for n in (1, 2)}
+    if of_round[1] is not None:
+        return {n: v for n, v in of_round.items() if v is not None}
+    cos, sin = (made.symbols[f"{axis}_seen{tag}"] for axis in AXES)
+    return {1: made.step(f"size_seen{tag}", cos * cos + sin * sin)}
 
 
 def power(made: Collected, known: dict[int, ca.SX], n: int, name: str) -> ca.SX:
@@ -367,13 +407,17 @@ def least_inside(made: Collected, waves: Sequence[Wave]) -> None:
     made.entry("least_inside", float(value), "1", about)
 
 
-def arctangent_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.SX:
+def arctangent_steps(
+    made: Collected, wave: Wave, u: Pair, tag: str = "", least: float | None = None
+) -> ca.SX:
     """Add the steps of the angle of u by quadrants; returns it [rad].
+
+    `least`: length of u where no flag is set, that of a phasor if it is not given.
 
     Correct rounding keeps |b - a| <= b + a of two magnitudes, so no tangent is beyond 1.
     """
     if made.native:
-        made.least[f"phase{tag}"] = wave.least
+        made.least[f"phase{tag}"] = wave.least if least is None else least
         return made.step(f"phase{tag}", ca.atan2(u[1], u[0]), "[rad] angle of the phasor")
     across, up = (made.step(f"{n}{tag}", ca.fabs(v)) for n, v in zip(("across", "up"), u, strict=True))
     t = made.step(f"turned{tag}", (up - across) / ((up + across) + TINY), "[1] tangent of the angle - pi / 4")
