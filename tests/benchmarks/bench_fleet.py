@@ -30,46 +30,32 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from bench_fleet_many import ENCODERS, RUNS, SAMPLES, STAGES, Columns
 
 from hallsym.estimation import fit
-from hallsym.families import build, published
+from hallsym.families import build
 from hallsym.fleets import completed, devices_of
 from hallsym.fleets.row import Job, Settings, row_of
 from hallsym.log import Noise, read_log, write_log
-from hallsym.simulation import NoiseModel, campaign_from, paper_campaign, simulate, table8_noise
+from hallsym.simulation import table8_noise
 
-RUNS, SAMPLES = 20, 500
 IDLE = 10.0
 """Time [s] for which a cluster is watched while it waits."""
 Rows = dict[str, dict[str, Any]]
 
 
-def encoder(seed: int) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+def encoder(seed: int) -> tuple[Columns, dict[str, float]]:
     """Return the log of one encoder, and the noise of its columns."""
-    model, rng = build("rotary"), np.random.default_rng(seed)
-    example = model.family.example
-    assert example is not None
-    truth = {n: v for n, v in example.values.items() if n in model.names}
-    truth = {n: v + 5e-3 * rng.standard_normal() for n, v in truth.items()}
-    noise = dict(Noise.given(example.noise, (*model.channels, *model.references)).std)
-    runs = [
-        {"duration_s": 1.0, "angle_rad": {"kind": "ramp", "rate": 13.0 - 26.0 * (k % 2), "about": 0.3 * k}}
-        for k in range(RUNS)
-    ]
-    campaign = campaign_from({"step_s": 1.0 / SAMPLES, "run": runs}, "the benchmark")
-    return simulate(model, truth, campaign, NoiseModel(noise), seed=seed), noise
+    model = build("rotary")
+    assert model.family.example is not None
+    noise = dict(Noise.given(model.family.example.noise, (*model.channels, *model.references)).std)
+    return ENCODERS.record(ENCODERS.truth(seed), seed), noise
 
 
-def stage(seed: int) -> tuple[dict[str, np.ndarray], dict[str, float]]:
-    """Return the log of one stage, 20 of the paper's runs, and the noise of its columns."""
-    from dataclasses import replace
-
-    model, whole = build("stage31"), paper_campaign(1.0 / SAMPLES, 1.0)
-    some = (17 * np.arange(RUNS)) % len(whole.runs)  # of all its trajectories and settings
-    truth = published.values("table7_estimates")
-    noise = table8_noise(model, truth)
-    campaign = replace(whole, runs=tuple(whole.runs[k] for k in some))
-    return simulate(model, truth, campaign, noise, seed=seed), dict(noise.sigma)
+def stage(seed: int) -> tuple[Columns, dict[str, float]]:
+    """Return the log of one stage, and the noise of its columns."""
+    truth = STAGES.truth(seed)
+    return STAGES.record(truth, seed), dict(table8_noise(build(STAGES.model), truth).sigma)
 
 
 def least(call: Callable[[], object], turns: int = 5) -> float:

@@ -30,8 +30,12 @@ import numpy as np
 from hallsym.families import build, published
 from hallsym.fleets import Fleet, load_fleet
 from hallsym.fleets.journal import journal_of
-from hallsym.log import Noise, write_log
-from hallsym.simulation import NoiseModel, campaign_from, paper_campaign, simulate, table8_noise
+from hallsym.log import write_log
+from hallsym.simulation import paper_campaign, simulate, table8_noise
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "fleets"))
+
+from fleet_work import recorded
 
 RUNS, SAMPLES = 20, 500
 WITHIN = 0.05
@@ -60,15 +64,7 @@ class Kind:
 
 def encoder(truth: Mapping[str, float], seed: int) -> Columns:
     """Return the log of an encoder that turns to and fro."""
-    model = build("rotary")
-    assert model.family.example is not None
-    noise = Noise.given(model.family.example.noise, (*model.channels, *model.references)).std
-    runs = [
-        {"duration_s": 1.0, "angle_rad": {"kind": "ramp", "rate": 13.0 - 26.0 * (k % 2), "about": 0.3 * k}}
-        for k in range(RUNS)
-    ]
-    campaign = campaign_from({"step_s": 1.0 / SAMPLES, "run": runs}, "the benchmark")
-    return simulate(model, truth, campaign, NoiseModel(noise), seed=seed)
+    return recorded(dict(truth), seed, runs=RUNS, samples=SAMPLES)
 
 
 def stage(truth: Mapping[str, float], seed: int) -> Columns:

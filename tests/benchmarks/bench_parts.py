@@ -93,7 +93,17 @@ def apart(one: dict[str, Any], other: dict[str, Any]) -> float:
 
 def compared(folder: Path, limit: int = LIMIT) -> tuple[dict[str, Any], dict[str, Any], float]:
     """Return the fits of one pass and of two workers, and by how much they differ."""
-    one, two = fitted(folder, None, 0), fitted(folder, 2, limit)
+    found = []
+    for said, workers, most in (("one pass", None, 0), ("two workers", 2, limit)):
+        fit = fitted(folder, workers, most)
+        print(
+            f"{said:12s} {fit['rows'] / 1e6:.0f} M samples, {fit['seconds']:.0f} s, CPU {fit['cpu']:.0f} s + "
+            f"workers {fit['workers_cpu']:.0f} s; peak {fit['own_mb']:.0f} MB, of a worker "
+            f"{fit['worker_mb']:.0f} MB",
+            flush=True,
+        )
+        found.append(fit)
+    one, two = found
     return one, two, apart(two, one)
 
 
@@ -109,13 +119,7 @@ def main() -> None:
             began = perf_counter()
             write(folder, asked.samples)
             print(f"written in {perf_counter() - began:.0f} s", flush=True)
-        one, two, difference = compared(folder)
-    for said, fit in (("one pass", one), ("two workers", two)):
-        print(
-            f"{said:12s} {fit['rows'] / 1e6:.0f} M samples, {fit['seconds']:.0f} s, CPU {fit['cpu']:.0f} s + "
-            f"workers {fit['workers_cpu']:.0f} s; peak {fit['own_mb']:.0f} MB, of a worker "
-            f"{fit['worker_mb']:.0f} MB"
-        )
+        _, _, difference = compared(folder)
     print(f"largest relative difference of values, uncertainties, cost and errors: {difference:.1e}")
     if not difference <= AGREE:
         raise SystemExit("The fits differ.")

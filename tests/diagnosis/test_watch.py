@@ -125,6 +125,7 @@ def test_a_bad_log_does_not_stop_the_others(known: hallsym.Fit, tmp_path: Path) 
     write_log({"run": np.zeros(9), "t_s": np.arange(9.0), "x_ref_m": np.ones(9)}, tmp_path / "other.csv")
     seen = hallsym.watch(known, [tmp_path / "none.csv", tmp_path / "other.csv", log_of(7)])
     assert [log.verdict for log in seen.logs] == ["not judged", "not judged", "belongs"]
+    assert seen.summary().startswith("1 of 3 logs could be judged; all of them belong to the calibration")
     assert "does not exist" in seen.logs[0].reason
     assert "has no column" in seen.logs[1].reason
 
