@@ -177,6 +177,11 @@ def si_unit(column: str) -> str:
     return unit.si if unit else ""
 
 
+def si_symbol(column: str) -> str:
+    """Return the same as it is printed: `col_0_v` -> "V"."""
+    return _SYMBOLS.get(si_unit(column), si_unit(column))
+
+
 def reading_unit(si: str, *, turns: bool = False) -> tuple[float, str]:
     """Return factor and unit in which tables of text show an SI unit; `turns`: an angle that goes round."""
     kind = "turn" if turns and si == "rad" else si

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from hallsym.units import fitting, parameter_unit, readable, scaled, si_unit, split_unit, typeset
+from hallsym.units import fitting, parameter_unit, readable, scaled, si_symbol, si_unit, split_unit, typeset
 
 
 @pytest.mark.parametrize(
@@ -45,6 +45,7 @@ def test_words_of_units():
     assert (parameter_unit("1")[1], parameter_unit("1", bare=True)[1]) == ("1", "")
     assert [typeset(u) for u in ("um", "urad", "degC", "rpm")] == ["µm", "µrad", "°C", "rpm"]
     assert [si_unit(c) for c in ("hall_a_m", "speed_rad_s", "hall_a")] == ["m", "rad_s", ""]
+    assert [si_symbol(c) for c in ("col_0_v", "speed_rad_s", "hall_a")] == ["V", "rad/s", ""]
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ Independent facts: the thesis (UBC 2015) and its tables in data/maguire2015; the
 rectangles, which must add up to the array's harmonics; symmetry (a shift of all sensors is a shift of x).
 """
 
+from dataclasses import replace
 from math import exp, pi
 from pathlib import Path
 
@@ -157,6 +158,10 @@ def test_sums_over_a_wavelength_cancel_the_crossing_array():
     with pytest.raises(InputError, match="Sums of 3 sensors at a pitch of 8 mm leave"):
         build("halbach", meta=Meta(nominal={"rows_summed": 3, "sensor_pitch_m": 0.008, "columns": 9}))
     build("halbach", meta=Meta(nominal={"rows_summed": 3, "sensor_pitch_m": 0.01, "columns": 9}))
+    layout = columns((-0.01, 0.0, 0.01))
+    stacked = tuple((-0.01, y) for y in (0.0, 0.008, 0.016))
+    with pytest.raises(InputError, match="The 3 sensors of channel col_0_v leave 26 % of the field"):
+        halbach((replace(layout[0], positions=stacked), *layout[1:]))
 
 
 def test_wavelength_is_scale_of_x_and_z_with_the_pitch():

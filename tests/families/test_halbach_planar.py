@@ -7,6 +7,7 @@ from halbach_plant import BR, magnets, readings, rotation
 
 import hallsym
 from hallsym import InputError, Log, Noise
+from hallsym.estimation import decoding_gain
 from hallsym.families.halbach import PLANAR, planar
 from hallsym.families.halbach.effects import planar_ends
 from hallsym.families.halbach.ends import strength
@@ -313,3 +314,12 @@ def test_decoding_within_the_noise_over_the_thesis_box():
 
     error = near(model, found, poses.T) - poses.T
     assert np.all(np.abs(np.mean((error / std) ** 2, axis=1) - 1) < 0.3)
+
+
+def test_the_gain_of_many_readings_in_numbers_is_that_of_the_expression():
+    model = planar.halbach_planar()
+    p, weight = model.vector({"a1": 0.62, "a5": -0.002, "rx0": 3e-4}), np.linspace(0.5, 2, 24)
+    pose = [*np.array(model.typical).T]
+    (found,) = decoding_gain(model)(p, pose, [], weight)
+    (expected,) = on_arrays(model.noise_gain_at)(p, pose, [], weight)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())

@@ -12,8 +12,9 @@ SAMPLES = 4000
 """Samples of a log that are looked at, evenly over all runs."""
 LEAST_STROKE = 0.25
 """Stroke, in wavelengths, that a fit needs: less tells amplitude and phase of a harmonic hardly apart."""
-WHOLE = 1.0
-"""Stroke, in wavelengths, from which on the wavelength of the magnets shows by itself."""
+WHOLE = 0.99
+"""Stroke, in wavelengths, from which on the wavelength of the magnets shows by itself: a whole one, of which
+the last sample and the reference's noise may take a little."""
 SILENT = 0.1
 """Amplitude of a channel, over the median of all, below which it sees no field."""
 FOLLOWS = 0.5

@@ -177,3 +177,15 @@ def check_sums(count: int, pitch_m: float, wavelength_m: float) -> None:
             f"field of an array along them (wavelength {1e3 * wavelength_m:g} mm); sum sensors over whole "
             f"wavelengths, such as three at {1e3 * wavelength_m / 3:g} mm."
         )
+
+
+def check_channel(sensor: Sensor, array: Array) -> None:
+    """Raise `InputError` where the sensors of a channel leave the field of an array that crosses theirs."""
+    across = np.array(sensor.positions)[:, 1 - array.axis]
+    left = abs(np.mean(np.exp(1j * array.wavenumber * across)))
+    if len(across) > 1 and np.ptp(across) > 0 and left > LEAKS:
+        raise InputError(
+            f"The {len(across)} sensors of channel {sensor.channel} leave {100 * left:.0f} % of the field of "
+            f"an array that crosses (wavelength {1e3 * array.wavelength_m:g} mm); sum sensors over whole "
+            f"wavelengths, such as three at {1e3 * array.wavelength_m / 3:g} mm."
+        )

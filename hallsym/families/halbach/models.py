@@ -25,6 +25,7 @@ from hallsym.families.halbach.layout import (
     Layout,
     Sensor,
     arrays,
+    check_channel,
     check_sums,
     columns,
     part_of,
@@ -54,6 +55,8 @@ def halbach(layout: Layout | None = None) -> Model:
             f"({1e3 * array.wavelength_m / 2:g} mm) apart, three at a third of it if offsets are not known; "
             f"instead received {len(seen)}."
         )
+    for sensor in seen:
+        check_channel(sensor, array)
     parameters = [
         Parameter(f"{part}{h}", 0.6 if (part, h) == ("a", 1) else 0.0, -FAR, FAR, "V", meaning.format(h=h))
         for h in HARMONICS

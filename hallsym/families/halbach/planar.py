@@ -20,9 +20,9 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.families.halbach import links
-from hallsym.families.halbach.layout import Array, Layout, Sensor, arrays, part_of, sensors
+from hallsym.families.halbach.layout import Array, Layout, Sensor, arrays, check_channel, part_of, sensors
 from hallsym.families.halbach.models import FAR, HARMONICS, WAVELENGTH_M
-from hallsym.families.halbach.planar_checks import check_sums, inspect
+from hallsym.families.halbach.planar_checks import inspect
 from hallsym.log import Meta
 from hallsym.model import Family, Model, Parameter, Signals, on_arrays
 
@@ -367,7 +367,7 @@ def check(layout: Layout) -> None:
     if len(waves) > 1:
         raise InputError(f"The arrays of a mover must have one wavelength; instead received {sorted(waves)}.")
     for sensor in sensors(layout):
-        check_sums(sensor, arrays(layout)[sensor.array])
+        check_channel(sensor, arrays(layout)[sensor.array])
     rows = least_squares(layout) if names else np.zeros((0, 6))
     rank = int(np.linalg.matrix_rank(rows * np.array([1, 1, 1, 0.1, 0.1, 0.1]), tol=1e-3))
     if rank < len(POSE):

@@ -7,7 +7,7 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.families.halbach.checks import FOLLOWS, LEAST_STROKE, OFF, SILENT, TRIED, WHOLE
-from hallsym.families.halbach.layout import LEAKS, Array, Sensor, arrays, sensors
+from hallsym.families.halbach.layout import Array, Sensor, arrays, sensors
 from hallsym.model import Inspection, Model
 
 SAMPLES = 400
@@ -16,18 +16,6 @@ LEAST_SEEN = 2
 """Sensors that an array must have under it at every pose: for a phase and an amplitude."""
 SURE = 4.0
 """Times less of the variation that the nominal wavelength must leave over than another does, not to be it."""
-
-
-def check_sums(sensor: Sensor, array: Array) -> None:
-    """Raise `InputError` where the sensors of a channel leave the field of an array that crosses theirs."""
-    across = np.array(sensor.positions)[:, 1 - array.axis]
-    left = abs(np.mean(np.exp(1j * array.wavenumber * across)))
-    if len(across) > 1 and np.ptp(across) > 0 and left > LEAKS:
-        raise InputError(
-            f"The {len(across)} sensors of channel {sensor.channel} leave {100 * left:.0f} % of the field of "
-            f"an array that crosses (wavelength {1e3 * array.wavelength_m:g} mm); sum sensors over whole "
-            f"wavelengths, such as three at {1e3 * array.wavelength_m / 3:g} mm."
-        )
 
 
 def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:

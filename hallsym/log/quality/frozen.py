@@ -13,7 +13,7 @@ from hallsym.log.limits import is_moving, tells
 from hallsym.log.quality.findings import Finding, the
 from hallsym.log.quality.motion import Gains, equal_by_chance, gains, noise_in_codes, stretches
 from hallsym.log.quality.scan import HELD_SAMPLES, Scan, Spans
-from hallsym.units import Array, si_unit
+from hallsym.units import Array, si_symbol
 
 REFUSE = 0.05
 """Share of a column's samples from which a log is refused: below, the others tell what it would have told."""
@@ -54,7 +54,7 @@ def _finding(log: Log, name: str, found: list[Stretch], rows: int) -> Finding:
     count = sum(one.stop - one.start for one in found)
     longest = max(one.stop - one.start for one in found)
     first = found[0]
-    where = f"first in row {first.start + 1}, run {first.run}, {first.value:.4g} {si_unit(name)}"
+    where = f"first in row {first.start + 1}, run {first.run}, {first.value:.4g} {si_symbol(name)}"
     stretches_of = "1 stretch" if len(found) == 1 else f"{len(found)} stretches"
     zero = all(one.value == 0.0 for one in found)
     return Finding(

@@ -14,7 +14,7 @@ from hallsym.log.quality.motion import gains, is_noisy
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.log.quality.sample import WHOLE_ROWS
 from hallsym.log.quality.scan import HELD_SAMPLES, Scan, Span, Spans
-from hallsym.units import Array, si_unit
+from hallsym.units import Array, si_symbol
 
 _FEW_LEVELS = 8
 """Values of a reading that are too few to calibrate with: the step is an eighth of the travel."""
@@ -95,7 +95,7 @@ def few_levels(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
         )  # of a reading that hardly moves here, its converter may be fine
         if coarse and finest > levels and _hidden(seen, name) > _HIDDEN * step:
             yield Finding(
-                f"{the(log, name)} takes {levels} values only, about {step:.3g} {si_unit(name)} apart",
+                f"{the(log, name)} takes {levels} values only, about {step:.3g} {si_symbol(name)} apart",
                 remedy="raise the gain before the converter, or log more of its digits",
             )
 

@@ -15,7 +15,7 @@ from hallsym.log.quality.findings import Finding, the
 from hallsym.log.quality.piles import SAME, piles
 from hallsym.log.quality.sample import WHOLE_ROWS, Whole
 from hallsym.log.quality.scan import Scan
-from hallsym.units import Array, si_unit
+from hallsym.units import Array, si_symbol
 
 REFUSE = 0.05
 """Share of the samples on the rails from which a log is refused. A sine cut off for 5 % of the
@@ -49,7 +49,7 @@ def saturated(log: Log, seen: Scan) -> Iterator[Finding]:
 
 
 def _finding(log: Log, name: str, rails: Rails, rows: int) -> Finding:
-    count, unit = round(rails.share * rows), si_unit(name)
+    count, unit = round(rails.share * rows), si_symbol(name)
     where = " and ".join(f"{level:.4g}" for level in rails.at)
     refuse = rails.share > REFUSE
     return Finding(

@@ -154,16 +154,27 @@ def effects_text(report: Identifiability) -> str:
             *(f"1 % {name} [{unit}]" for _, unit, name in shown),
         ]
     ]
-    for entry in report.parameters:
-        if entry.verdict.word == "fixed":
-            continue
-        sigma = [""] * len(shown) if entry.sigma is None else _numbers(entry.sigma, report.model)
-        rows.append([entry.name, *sigma, *_numbers(entry.percent, report.model)])
+    entries = [entry for entry in report.parameters if entry.verdict.word != "fixed"]
+    sigma = _numbers([entry.sigma for entry in entries], report.model)
+    percent = _numbers([entry.percent for entry in entries], report.model)
+    rows += [[e.name, *s, *p] for e, s, p in zip(entries, sigma, percent, strict=True)]
     return grid(rows)
 
 
-def _numbers(change: Change, model: Model) -> list[str]:
-    return [f"{change.worst[c] * readable(c, model.period)[0]:.3g}" for c in model.pose]
+NIL = 1e-9
+"""Part of the largest change of a coordinate below which a change is a rounding error: 0."""
+
+
+def _numbers(changes: Sequence[Change | None], model: Model) -> list[list[str]]:
+    """Return each change of each coordinate, in its unit; empty where a parameter has none."""
+    largest = {c: max((abs(x.worst[c]) for x in changes if x), default=0.0) for c in model.pose}
+    factor = {c: readable(c, model.period)[0] for c in model.pose}
+
+    def number(c: str, change: Change) -> str:
+        size = change.worst[c]
+        return f"{size * factor[c]:.3g}" if abs(size) > NIL * largest[c] else "0"
+
+    return [[number(c, change) if change else "" for c in model.pose] for change in changes]
 
 
 def outputs_text(report: Identifiability) -> str:
