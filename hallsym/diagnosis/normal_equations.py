@@ -325,7 +325,7 @@ class Accumulator:
         i, j = self.pairs
         own = i == j
         nil = i[own][left[0].inner[own] <= NIL * before.inner[own]]
-        for p in left:
+        for p in left if len(nil) else ():
             p.border[:, nil] = 0.0
             p.inner[np.isin(i, nil) | np.isin(j, nil)] = 0.0
 
