@@ -21,7 +21,7 @@ from hallsym.codegen.arithmetic import Arithmetic, Port
 from hallsym.codegen.decoupler import Decoupler, flag_bit
 from hallsym.codegen.entries import short, unit
 from hallsym.codegen.naming import PREFIX, commented
-from hallsym.codegen.templates import MARK, filled, tree
+from hallsym.codegen.templates import MARK, filled, lines_of, tree
 
 VERSION = 2
 """Of the generated interface and of the head of the table."""
@@ -280,9 +280,15 @@ class Backend(Arithmetic):
             "why_no_eva": "frama-c is not installed"
             if d.evident
             else "it relates no two values, as this code needs",
-            "table": [e.member for e in self.constant],
-            "reserved": ["uint32_t reserved; /**< 0 */"] if self.pad else [],
-            "zeros": [e.member for e in self.zeros],
+            "params": lines_of(
+                "common/fragments/params.h",
+                {
+                    "table": [e.member for e in self.constant],
+                    "reserved": ["uint32_t reserved; /**< 0 */"] if self.pad else [],
+                    "zeros": [e.member for e in self.zeros],
+                },
+            ),
+            "crc": lines_of("common/fragments/crc.c", {"first_zero": self.zeros[0].name}),
             "first_zero": self.zeros[0].name,
             "values": self._values(),
             "without_flags": f" & ~({' | '.join(status_bit(f.name) for f in d.flags)})" if d.flags else "",

@@ -101,10 +101,13 @@ def test_signs_of_zero_are_those_of_product_and_sum():
 # -- arithmetic and bounds -----------------------------------------------------------------------------------
 
 
-ITERATED = [pytest.param(c, marks=pytest.mark.slow) for c in ("exact_rotation", "cubic")]
+COMPARED = ("stage31", "four probes")
+"""Cases that are compared in every run: three probes and four."""
 
 
-@pytest.mark.parametrize("case", [*(c for c in CASES if c not in ("exact_rotation", "cubic")), *ITERATED])
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, marks=() if c in COMPARED else pytest.mark.slow) for c in CASES]
+)
 def test_never_more_operations_and_never_a_larger_bound(case):
     fused, plain = made(case, fma=True), made(case)
     assert firmware_cost(fused.decoupler, fused=True).operations < firmware_cost(plain.decoupler).operations

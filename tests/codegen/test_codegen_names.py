@@ -192,6 +192,7 @@ def test_flags_that_are_not_refused_change_no_bit(image, compiler, flags):
     assert "0 faults of a table not found, 0 zeros wrong" in said
 
 
+@pytest.mark.slow
 def test_the_self_test_finds_a_flag_that_clang_does_not_tell(tmp_path):
     """A range of two ends is tested by comparisons, which -fno-honor-nans may take for true."""
     need("clang", "make")

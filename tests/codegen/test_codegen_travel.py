@@ -92,6 +92,7 @@ def test_stated_errors_hold_and_rounding_is_small():
         assert 0 < met <= code.backend.error_bound[column]
 
 
+@pytest.mark.slow
 def test_what_is_not_generated_is_refused_in_one_sentence():
     with pytest.raises(InputError, match="do not say which period"):
         hallsym.generate(fit_of(18, 0.14))

@@ -479,6 +479,7 @@ def test_an_effect_is_varied_only_over_what_it_is_a_function_of_and_with_enough_
     assert over(fewest=99) == set()
 
 
+@pytest.mark.slow
 def test_sets_beside_an_effect_are_small_and_may_miss_what_is_not_linear():
     """Offsets, a gain mismatch and skewed axes stand beside an eccentricity: one and two waves per turn."""
     setup = prepare(table({1: (0.3, 0.4), 2: (0.25, 1.3)}), "rotary_ideal")

@@ -47,7 +47,12 @@ def deviations(result, truth=TRUTH) -> dict[str, float]:
 
 @pytest.mark.parametrize(
     ("name", "solver"),
-    [("stage30", "direct"), ("stage31", "hybrid"), ("stage31", "direct"), ("stage31_tied", "direct")],
+    [
+        pytest.param("stage30", "direct", marks=pytest.mark.slow),
+        ("stage31", "hybrid"),
+        pytest.param("stage31", "direct", marks=pytest.mark.slow),
+        ("stage31_tied", "direct"),
+    ],
 )
 def test_a_noise_free_log_gives_the_truth_back(name, solver):
     """1e-9 of each value (of 1 mrad for angles)."""

@@ -36,6 +36,7 @@ def test_a_tilt_and_a_place_of_sensors(cause):
     assert "smaller gap" in found.separate_by[0].recording
 
 
+@pytest.mark.slow
 def test_a_lost_magnet_and_a_spread_of_all():
     model = halbach()
     log = swept(magnets.lost_magnet(model, magnet=1), {"lost_1": 1.0}, (4.2e-3, 5.2e-3))

@@ -50,13 +50,18 @@ def drawings() -> dict[str, Callable[[], Figure]]:
 NAMES = [*FIT, *(f"{p} {w}" for p in PICTURES for w in WHICH if (p, w) != ("profiles", "level"))]
 
 
+ODD = ("intervals odd", "profiles odd")
+"""Pictures that show every verdict and every end that an interval can have."""
+
+
 def listed() -> list:
-    """All pictures one column wide; two are wider than they need, and one report stands for the others."""
+    """One column of one report and of what is odd in every run; all others with the slow tests."""
+    always = {(name, 1) for name in NAMES if name.endswith(" full") or name in (*FIT, *ODD)}
+    always |= {(name, 2) for name in FIT}
     return [
-        pytest.param(name, columns, marks=pytest.mark.slow if later else ())
+        pytest.param(name, columns, marks=() if (name, columns) in always else pytest.mark.slow)
         for name in NAMES
         for columns in (1, 2)
-        for later in [name.endswith(" level") or (columns == 2 and name not in FIT)]
     ]
 
 
