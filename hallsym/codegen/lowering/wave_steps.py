@@ -318,7 +318,11 @@ class Powers:
 
     def __init__(self, made: Collected, cos: ca.SX, sin: ca.SX, tag: str, wanted: Sequence[int] = ()) -> None:
         self.made, self.tag, self.known = made, tag, {1: (cos, sin)}
-        self.fifth_alone = FIFTH in wanted and not any(FIFTH - 1 in _chain(n) for n in wanted if n != FIFTH)
+        others = [n for n in wanted if n != FIFTH]
+        # of integers, whose parts of a phasor are held one by one, squares keep more bits
+        self.fifth_alone = FIFTH in wanted and not (
+            made.native or any(FIFTH - 1 in _chain(n) for n in others)
+        )
 
     def __call__(self, n: int) -> Pair:
         """Return real and imaginary part of the n-th power."""
