@@ -23,7 +23,7 @@ COLUMNS, REACH, GAPS = 13, 0.05, travel.GAPS
 """A board of 130 mm, an array of 90 mm: at the ends of the travel a third of it is over no sensor."""
 FIELD, TILTED, COVER = movers.FIELD, movers.TILTED, movers.COVER
 TRAVEL_COVER = travel.COVER
-MOST = {"travel": 12_500, "mover": 28_000}
+MOST = {"travel": 15_000, "mover": 28_000}
 """Instructions of decoupler_step() on a Cortex-M0, whatever the inputs."""
 
 
