@@ -1,5 +1,6 @@
 """The elastic part of a play, the memory of a hysteresis, in closed form between turning points."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -34,23 +35,44 @@ def stop_state(u: np.ndarray, width: float) -> np.ndarray:
 def _stops_from(u: np.ndarray, width: float, starts: Sequence[float]) -> list[tuple[np.ndarray, np.ndarray]]:
     """State from each start, and its slope with the width: both in closed form between turning points."""
     edges = np.concatenate([[0], np.flatnonzero(np.diff(np.sign(np.diff(u))) != 0) + 1, [len(u) - 1]])
-    strokes = (np.diff(u[edges]) / width).tolist()
+    strokes = np.diff(u[edges]) / width
     stroke = np.repeat(np.arange(len(strokes)), np.diff(edges))
     along = (u[1:] - u[edges[stroke]]) / width
     out: list[tuple[np.ndarray, np.ndarray]] = []
-    known: tuple[list[float], list[float]] | None = None
-    for start in starts:
-        states, slopes = [start], [0.0]
-        for k, moved in enumerate(strokes):
-            if known and states[k] == known[0][k] and slopes[k] == known[1][k]:  # from here on they are one
-                states[k:], slopes[k:] = known[0][k:], known[1][k:]
-                break
-            state = states[k] + moved
-            slopes.append(slopes[k] - moved / width if abs(state) < 1.0 else 0.0)
-            states.append(1.0 if state > 1.0 else -1.0 if state < -1.0 else state)
-        known = known or (states, slopes)
+    for start, states in zip(starts, _states(strokes, starts), strict=True):
+        stopped = np.maximum.accumulate(np.where(np.abs(states) < 1.0, 0, np.arange(len(states))))
+        slopes = (
+            u[edges[stopped]] - u[edges]
+        ) / width**2  # nothing of what it covered before it last stopped
         z, slope = np.full(len(u), start), np.zeros(len(u))
-        z[1:] = np.clip(np.array(states)[stroke] + along, -1.0, 1.0)
-        slope[1:] = np.where(np.abs(z[1:]) < 1.0, np.array(slopes)[stroke] - along / width, 0.0)
+        z[1:] = np.clip(states[stroke] + along, -1.0, 1.0)
+        slope[1:] = np.where(np.abs(z[1:]) < 1.0, slopes[stroke] - along / width, 0.0)
         out.append((z, slope))
+    return out
+
+
+def _states(strokes: np.ndarray, starts: Sequence[float]) -> list[np.ndarray]:
+    """State before each stroke and after the last, from each start.
+
+    However many strokes make clip(start + travel, low, high), low and high the states from -1 and 1: groups
+    of strokes are followed side by side from both, then each group from where the one before it ended.
+    """
+    count = len(strokes)
+    size = max(1, round(math.sqrt(count)))
+    moved = np.zeros((size, -(-count // size)))
+    moved.T.flat[:count] = strokes
+    low, high = np.empty_like(moved), np.empty_like(moved)
+    below, above = np.full(moved.shape[1], -1.0), np.full(moved.shape[1], 1.0)
+    for k, by in enumerate(moved):
+        low[k] = below = np.minimum(np.maximum(below + by, -1.0), 1.0)
+        high[k] = above = np.minimum(np.maximum(above + by, -1.0), 1.0)
+    travel = np.cumsum(moved, axis=0)
+    groups = list(zip(travel[-1].tolist(), low[-1].tolist(), high[-1].tolist(), strict=True))
+    out = []
+    for start in starts:
+        first = [start]
+        for by, least, most in groups:
+            first.append(min(max(first[-1] + by, least), most))
+        states = np.minimum(np.maximum(np.array(first[:-1]) + travel, low), high)
+        out.append(np.concatenate([[start], states.T.ravel()[:count]]))
     return out
