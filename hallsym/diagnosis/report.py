@@ -231,8 +231,8 @@ def sentence(
     """
     judges = f"{held_out}s"
     before, after, floor = (gap_text(v, unit) for v in (gap.before, gap.after, gap.floor))
+    small = gap.before <= gap.floor * (1 + POLICY.floor_known)
     if verdict == "no gap":
-        small = gap.before <= gap.floor * (1 + POLICY.floor_known)
         alone = f"noise alone gives {floor}"
         return f"No gap. The error on the {judges} is {before}; {alone}" + (
             "." if small else ", and the difference is not worth reporting."
@@ -241,6 +241,9 @@ def sentence(
     said = f"The error on the {judges} is {before}, {times:.3g} x the noise floor"
     if verdict == LARGER and noise is not None:
         return f"{LARGER.capitalize()}. {said}, and that is noise: {noise_text(noise, stated=True)}."
+    if not effects and small:
+        hidden = f"The error on the {judges} is {before}, no more than noise alone gives ({floor})"
+        return f"{hidden}, but what the readings keep has a shape; no known effect explains it."
     if not effects:
         return f"{said}; no known effect explains it."
     named = " and ".join(_with_others(e.name, instead_of(e.name)) for e in effects)
