@@ -73,7 +73,8 @@ def add(sub: Any) -> None:
     )
     parser.add_argument(
         "--values", metavar="JSON",
-        help="calibration to plan for (default: fitted to the log of --after, else Table 7)",
+        help="calibration to plan for (default: fitted to the log of --after, else the published or "
+        "example values)",
     )  # fmt: skip
     parser.add_argument(
         "--compare", metavar="TOML", help="campaign to compare with (default: Table 6, for its own layout)"
@@ -136,7 +137,9 @@ def _truth(options: Namespace, machine: Machine, log: Log | None) -> tuple[Model
     """Model, values that the plan is made for, and the sentence that says where they come from."""
     if log is None or options.values:
         model, values = truth_of(options, machine)
-        where = options.values or ("Table 7" if machine.probes is None else "the machine file")
+        known = "Table 7" if is_the_papers(model) else f"the example of {model.family.name}"
+        own = machine.probes is not None or bool(machine.tables)
+        where = options.values or ("the machine file" if own else known)
         return model, values, f"planned for the values of {where}; other values make other plans."
     fitted = fit(log, options.model, solver="direct", parameters=machine.parameters, effects=options.effect)
     values = named(fitted.model.names, fitted.values)

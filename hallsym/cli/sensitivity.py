@@ -78,7 +78,9 @@ def add(sub: Any) -> None:
     )  # fmt: skip
     group.add_argument("--seed", type=seed, default=0, help="of the bootstrap (default 0)")
     parser.add_argument(
-        "--values", metavar="JSON", help="calibration whose values a plan is judged at (default: Table 7)"
+        "--values",
+        metavar="JSON",
+        help="calibration whose values a plan is judged at (default: published or example values)",
     )
     model_options(parser, "the calibration's, or stage31")
     log_options(parser)

@@ -34,7 +34,9 @@ def add(sub: Any) -> None:
     )  # fmt: skip
     parser.add_argument("--seed", type=seed, required=True, help="of noise and random zero deviations")
     parser.add_argument(
-        "--values", metavar="JSON", help="calibration whose values are the truth (default: Table 7)"
+        "--values",
+        metavar="JSON",
+        help="calibration whose values are the truth (default: published or example values)",
     )
     parser.add_argument(
         "--noise-scale", type=float, default=1.0, help="factor on every noise level; 0 for a noise-free log"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest
-from hallsym.estimation import columns_of, cost_of, noise_of, summarise
+from hallsym.estimation import columns_of, cost_near, noise_of
 from hallsym.experiment.comparison import Comparison, compare
 from hallsym.experiment.criteria import CRITERIA
 from hallsym.experiment.information import Worst
@@ -171,8 +171,8 @@ def _noise(model: Model, noise: Mapping[str, float]) -> dict[str, float]:
     missing = [c for c in (*model.channels, *model.references) if c not in sigmas]
     if missing:
         raise InputError(
-            f"Noise of {missing[0]} is not stated; give 1 sigma of every reading and reference in [noise], "
-            "such as hall_m = 5e-7."
+            f"Noise of {missing[0]} is not stated; give 1 sigma of every reading and reference in [noise], in "
+            "the unit that its name ends with."
         )
     return sigmas
 
@@ -181,7 +181,7 @@ def _recorded(log: Log, model: Model, p: np.ndarray) -> tuple[np.ndarray, int]:
     """Information (n, n) of a log that was recorded, held-out runs left out, and its runs."""
     check_log(log, columns_of(model))
     sigma = noise_of(log, model, log.meta.holdout).std
-    cost = cost_of(summarise(log, model), sigma).without(log.meta.holdout)
+    cost = cost_near(log, model, p, sigma).without(log.meta.holdout)
     return cost.information(p), len(cost.summary.runs)
 
 

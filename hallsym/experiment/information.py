@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.estimation import Cost, cost_of, least_information, scales, structural_directions, summarise
+from hallsym.estimation import Cost, cost_near, least_information, scales, structural_directions
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.model.quantities import combination
@@ -21,16 +21,17 @@ def planned_cost(
 ) -> tuple[Cost, np.ndarray]:
     """Return the cost of `runs` recorded without noise, and (runs,) factors to the real number of samples.
 
-    Zero deviations are 0: they move the information by the square of their share of the motion.
+    It is exact near `values`. Zero deviations are 0: they move the information by the square of their share
+    of the motion.
     """
     zeros = (0.0,) * len(model.zeros)
     real = Campaign(step_s, tuple(runs))
     longest = max(run.duration_s for run in runs)
     least = max(LEAST, PER_PERIOD * max(map(_fastest, runs)) * longest)
     coarse = Campaign(max(step_s, longest / least), tuple(replace(run, zeros=zeros) for run in runs))
-    summary = summarise(Log.from_arrays(simulate(model, values, coarse, seed=0)), model)
+    log = Log.from_arrays(simulate(model, values, coarse, seed=0))
     factor = np.array([real.samples(run) / coarse.samples(run) for run in runs])
-    return cost_of(summary, noise), factor
+    return cost_near(log, model, model.vector(values), noise), factor
 
 
 def _fastest(run: Run) -> float:

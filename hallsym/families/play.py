@@ -41,9 +41,8 @@ def _stops_from(u: np.ndarray, width: float, starts: Sequence[float]) -> list[tu
     out: list[tuple[np.ndarray, np.ndarray]] = []
     for start, states in zip(starts, _states(strokes, starts), strict=True):
         stopped = np.maximum.accumulate(np.where(np.abs(states) < 1.0, 0, np.arange(len(states))))
-        slopes = (
-            u[edges[stopped]] - u[edges]
-        ) / width**2  # nothing of what it covered before it last stopped
+        # nothing counts of what it covered before it last stopped
+        slopes = (u[edges[stopped]] - u[edges]) / width**2
         z, slope = np.full(len(u), start), np.zeros(len(u))
         z[1:] = np.clip(states[stroke] + along, -1.0, 1.0)
         slope[1:] = np.where(np.abs(z[1:]) < 1.0, slopes[stroke] - along / width, 0.0)
