@@ -171,8 +171,8 @@ def _noise(model: Model, noise: Mapping[str, float]) -> dict[str, float]:
     missing = [c for c in (*model.channels, *model.references) if c not in sigmas]
     if missing:
         raise InputError(
-            f"Noise of {missing[0]} is not stated; give 1 sigma of every reading and reference in [noise], in "
-            "the unit that its name ends with."
+            f"Noise of {missing[0]} is not stated; give 1 sigma of every reading and reference in [noise], "
+            "in the unit that its name ends with."
         )
     return sigmas
 
