@@ -53,8 +53,9 @@ def tones(base: Base, runs: Iterable[int]) -> float:
 def _steady(of_run: Sequence[Sequence[np.ndarray]], certain: np.ndarray) -> bool:
     """Return whether lines have the same power all through a run, unlike noise.
 
-    No other frequency may be as steady: of few segments, some noise is steady by chance. Runs of one segment
-    are held against each other.
+    Of few segments some noise is steady by chance, so no more of the other frequencies may be as steady than
+    a false alarm has; of many, all noise is nearly as steady, so the line must be by a good part more. Runs
+    of one segment are held against each other.
     """
     single = [own[0] for own in of_run if len(own) == 1]
     groups = [np.array(own) for own in (*of_run, single) if len(own) > 1]
@@ -64,8 +65,9 @@ def _steady(of_run: Sequence[Sequence[np.ndarray]], certain: np.ndarray) -> bool
     noise = ~certain & (squares > 0)
     if not noise.any() or not squares[certain].sum() > 0:
         return True
-    # the median: a few frequencies beside a line have a part of its power
-    others = varies[noise] / squares[noise]
-    beside = np.convolve(certain, np.ones(3), mode="same")[noise] > 0
-    steadiest = min(POLICY.half * float(np.median(others)), float(others[~beside].min(initial=np.inf)))
-    return bool(varies[certain].sum() < steadiest * squares[certain].sum())
+    beside = np.convolve(certain, np.ones(3), mode="same") > 0  # a part of the line's power is theirs
+    others = (varies / np.maximum(squares, 1e-300))[noise & ~beside]
+    line = varies[certain].sum() / squares[certain].sum()
+    as_steady = float((others <= line).mean()) if len(others) else 0.0
+    usual = float(np.median(others)) if len(others) else np.inf
+    return bool(as_steady < POLICY.false_alarm and line < POLICY.mostly * usual)

@@ -14,7 +14,6 @@ from firmware import STRICT, need, ran
 from waves import LENGTH, SIX, calibrated
 
 import hallsym
-from hallsym.errors import InputError
 from hallsym.families.halbach.effects.planar_ends import array_edges
 from hallsym.families.halbach.layout import Array, Sensor
 from hallsym.families.halbach.planar import halbach_planar
@@ -155,11 +154,6 @@ def test_whatever_the_bits_the_pose_is_finite():
     backend = made().backend
     found, _ = backend.step(backend.sample(np.arange(20_000)))
     assert np.isfinite(found).all()
-
-
-def test_integers_are_refused_in_one_sentence():
-    with pytest.raises(InputError, match="use float"):
-        hallsym.generate(fit_of(), arithmetic="q31")
 
 
 TESTED = ("src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c", "test/selftest.c",

@@ -535,7 +535,7 @@ RECORDING = (
     of_encoder(
         "a plate that drops out",
         hold(("v_sin_v",), of_run(2, 100, 150), 0.0),
-        r"v_sin_v .* run 2, 0 v.*dropped",
+        r"v_sin_v .* run 2, 0 V.*dropped",
         "note",
     ),
     of_encoder("a log appended to itself", appended(1.0), r"Run 4 .* is run 0 again.*3 more runs", "refusal"),
