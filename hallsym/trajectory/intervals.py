@@ -60,7 +60,8 @@ class Interval:
         """Enclose the quotient; everything where the divisor may be 0."""
         holds_zero = (other.low <= 0) & (other.high >= 0)
         one = np.where(holds_zero, 1.0, other.low), np.where(holds_zero, 1.0, other.high)
-        inverse = _out(1 / one[1], 1 / one[0])
+        with np.errstate(over="ignore"):  # an infinite bound of the inverse of a subnormal number is right
+            inverse = _out(1 / one[1], 1 / one[0])
         low = np.where(holds_zero, -np.inf, inverse.low)
         return self * Interval(low, np.where(holds_zero, np.inf, inverse.high))
 

@@ -4,7 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 from cycloid import WHOLE, cycloid, through
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hallsym import InputError
@@ -47,6 +47,8 @@ def _at(terms, j):
     return [term.low[j] for term in terms], [term.high[j] for term in terms]
 
 
+@example(0.0, 0.0, -1.0, -2.225e-313, 0.0, 0.0)
+@example(1.0, 2.0, 2.225e-313, 2.225e-313, 0.0, 0.5)
 @given(finite, finite, finite, finite, st.floats(0, 1), st.floats(0, 1))
 def test_interval_operations_enclose(a, b, c, d, p, q):
     one, two = Interval.of(np.sort([a, b])[:1]), Interval.of(np.sort([c, d])[:1])
