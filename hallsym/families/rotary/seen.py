@@ -145,7 +145,7 @@ class Some:
 
     def add(self, new: np.ndarray) -> None:
         """Take more of the stream."""
-        kept = new[..., -self.count % self.every :: self.every]
+        kept = new[..., -self.count % self.every :: self.every].copy()  # a view would hold all of `new`
         self._taken.append(kept)
         self._size, self.count = self._size + kept.shape[-1], self.count + new.shape[-1]
         while self._size > MANY:
