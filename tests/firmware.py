@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -119,6 +120,14 @@ def ran(folder: Path, *command: str) -> str:
     )
     assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}\n{done.stderr}"
     return done.stdout
+
+
+def most_instructions(folder: Path) -> int:
+    """Return the instructions of the longest call on a Cortex-M0, counted by `make count`."""
+    said = ran(folder, "make", "count")
+    found = re.search(r"decoupler_step, \d+ bytes, instructions per call: (.*)", said)
+    assert found, said
+    return max(map(int, found[1].split()))
 
 
 def proved_by_eva(folder: Path, *, integers: bool = False) -> None:

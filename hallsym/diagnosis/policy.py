@@ -51,7 +51,7 @@ class Policy:
     mostly: float = 0.7
     """Part of a shape that must go with an effect for the shape to hold it, of the best recording's
     separation from which on the plainest one is proposed, of a curve that one sensor makes if it is
-    named.
+    named; of the usual scatter of a spectrum's power, below which a line is steady.
 
     Simulated machines: a shape of limited resolution does not hold all of an effect."""
     fewest: int = 6

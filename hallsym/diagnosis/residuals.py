@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import wraps
-from typing import TypeVar
+from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import casadi as ca
@@ -70,20 +70,21 @@ class Base:
 
 
 Found = TypeVar("Found")
-_FOUND: WeakKeyDictionary[Base, dict[tuple[str, frozenset[int]], object]] = WeakKeyDictionary()
+_FOUND: WeakKeyDictionary[Base, dict[tuple[str, frozenset[int]], Any]] = WeakKeyDictionary()
 
 
 def found_once(look: Callable[[Base, frozenset[int]], Found]) -> Callable[[Base, Iterable[int]], Found]:
     """Return `look` with what it finds of a base on some runs kept for as long as the base lives."""
 
     @wraps(look)
-    def found(base: Base, runs: Iterable[int]) -> Found:
+    def looked_up(base: Base, runs: Iterable[int]) -> Found:
         known, key = _FOUND.setdefault(base, {}), (look.__qualname__, frozenset(runs))
         if key not in known:
             known[key] = look(base, key[1])
-        return known[key]  # type: ignore[return-value]
+        found: Found = known[key]
+        return found
 
-    return found
+    return looked_up
 
 
 @dataclass(frozen=True, eq=False)
