@@ -18,11 +18,9 @@ if TYPE_CHECKING:
     from hallsym.codegen import generate as generate
     from hallsym.diagnosis import Diagnosis as Diagnosis
     from hallsym.diagnosis import SelfTest as SelfTest
-    from hallsym.diagnosis import Watch as Watch
     from hallsym.diagnosis import diagnose as diagnose
     from hallsym.diagnosis import diagnosis_schema as diagnosis_schema
     from hallsym.diagnosis import selftest as selftest
-    from hallsym.diagnosis import watch as watch
     from hallsym.errors import InputError as InputError
     from hallsym.estimation import ErrorTable as ErrorTable
     from hallsym.estimation import Evaluation as Evaluation
@@ -82,12 +80,12 @@ if TYPE_CHECKING:
     from hallsym.uncertainty.tolerances import Tolerances as Tolerances
     from hallsym.uncertainty.tolerances import read_tolerances as read_tolerances
     from hallsym.uncertainty.tolerances import tolerances as tolerances
+    from hallsym.watching import Watch as Watch
+    from hallsym.watching import watch as watch
 
 _PUBLIC = {
     "hallsym.codegen": ("Generated", "decouple", "generate"),
-    "hallsym.diagnosis": (
-        "Diagnosis", "SelfTest", "Watch", "diagnose", "diagnosis_schema", "selftest", "watch",
-    ),
+    "hallsym.diagnosis": ("Diagnosis", "SelfTest", "diagnose", "diagnosis_schema", "selftest"),
     "hallsym.errors": ("InputError",),
     "hallsym.estimation": (
         "ErrorTable", "Evaluation", "Fit", "calibration_schema", "evaluate", "fit", "judge", "load_fit",
@@ -111,6 +109,7 @@ _PUBLIC = {
         "Budget", "ErrorModel", "Source", "error_model", "position_budget", "read_budget", "uncertainty_map",
     ),
     "hallsym.uncertainty.tolerances": ("Tolerances", "read_tolerances", "tolerances"),
+    "hallsym.watching": ("Watch", "watch"),
 }  # fmt: skip
 """Where each public name stands; it is imported when it is first used, so that `import hallsym` is quick."""
 shown_by(lambda: import_module("hallsym.report.views"))

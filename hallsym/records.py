@@ -1,8 +1,11 @@
 """Results as plain numbers for JSON, and JSON data as the records that they must be."""
 
+import math
 import re
-from collections.abc import Iterable
-from typing import Any, TypeVar
+from collections.abc import Iterable, Mapping
+from dataclasses import is_dataclass
+from types import UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -20,12 +23,46 @@ def named(names: Iterable[str], values: Any) -> dict[str, Any]:
     return dict(zip(names, np.asarray(values, dtype=float).tolist(), strict=True))
 
 
+def plain(record: Any) -> Any:
+    """Return a record as plain JSON data; a number that is not finite becomes None.
+
+    >>> plain({"x": (np.float64(1.0), np.nan)})
+    {'x': [1.0, None]}
+    """
+    import msgspec  # here, because most commands read and write no record
+
+    def builtin(value: Any) -> Any:
+        return str(value) if isinstance(value, str) else value.item()  # a finding, a number of NumPy
+
+    return msgspec.json.decode(msgspec.json.encode(record, enc_hook=builtin))
+
+
+def with_nan(kind: Any, value: Any) -> Any:
+    """Return plain data of a `kind` with nan where `plain` wrote None for a number that cannot be missing.
+
+    What is not of that type stays as it is.
+    """
+    origin, args = get_origin(kind), get_args(kind)
+    if value is None:
+        return math.nan if kind is float else None
+    if origin in (Union, UnionType):
+        return with_nan(args[0], value)
+    if is_dataclass(kind) and isinstance(value, Mapping):
+        hints = get_type_hints(kind)
+        return {k: with_nan(hints.get(k), v) for k, v in value.items()}
+    if origin is tuple and isinstance(value, list | tuple):
+        return [with_nan(args[0], v) for v in value]
+    if origin is dict and isinstance(value, Mapping):
+        return {k: with_nan(args[1], v) for k, v in value.items()}
+    return value.item() if hasattr(value, "item") else value
+
+
 def structured(raw: Any, kind: type[Kind], where: str, remedy: str) -> Kind:
     """Return JSON data as `kind`, a `msgspec.Struct`: every key known, every value of its type and range.
 
     Raises `InputError` that names the place, for a key that is not known with the nearest one that is.
     """
-    import msgspec  # here, because most commands read no record
+    import msgspec
 
     try:
         return msgspec.convert(raw, kind, str_keys=True)

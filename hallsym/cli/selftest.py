@@ -18,12 +18,15 @@ from hallsym.cli.common import (
     say,
     seed,
 )
-from hallsym.diagnosis import FIRST_LOOK_S, RATIOS, REPEATS, ROWS, load_effects, selftest
+from hallsym.diagnosis import RATIOS, REPEATS, ROWS, load_effects, selftest
 from hallsym.estimation.calibration import load_fit
 from hallsym.families import build, default_model
 from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
 from hallsym.report.text.selftest import selftest_text
+
+FIRST_LOOK_S = 100.0
+"""Seconds of trials of `--quick`: with the fit before them, two minutes."""
 
 
 def add(sub: Any) -> None:
@@ -32,8 +35,8 @@ def add(sub: Any) -> None:
         sub, "selftest", run,
         "Fit a model and simulate it on the recorded motion. Inject each effect of the catalogue at several\n"
         "sizes, with noise like that of the log, and diagnose each simulated log blind. Print which effects\n"
-        "would be found, from which size on, and which would be taken for another. Takes an hour for all\n"
-        "effects, minutes for a few; --quick ends after two minutes. Ctrl-C keeps what was done.",
+        "would be found, from which size on, and which would be taken for another. Takes an hour or two for\n"
+        "all effects, minutes for a few; --quick ends after two minutes. Ctrl-C keeps what was done.",
         "examples:\n"
         "  hallsym selftest LOG --model stage31 --quick\n"
         "  hallsym selftest LOG --effects hysteresis,time_skew --sizes 1.1,1.2\n"

@@ -18,10 +18,10 @@ from hallsym.cli.common import (
     reading_words,
     say,
 )
-from hallsym.diagnosis import FALSE_ALARM, watch
 from hallsym.estimation import load_fit
 from hallsym.log import Log
 from hallsym.report.text.watch import watch_text
+from hallsym.watching import FALSE_ALARM, watch
 
 
 def add(sub: Any) -> None:

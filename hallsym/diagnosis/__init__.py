@@ -9,17 +9,18 @@
 from hallsym.diagnosis.alternatives import Alternative, alternatives
 from hallsym.diagnosis.change_points import ChangePoint, change_points
 from hallsym.diagnosis.choose import model_on
-from hallsym.diagnosis.compare import Comparison, EffectChange, ParameterChange, PlaceChange, compare
+from hallsym.diagnosis.compare import Comparison, EffectChange, PlaceChange, compare
 from hallsym.diagnosis.confusable import confusable, recorded, separation, smaller_findings
 from hallsym.diagnosis.coordinates import Coordinate, coordinates, hats, knots
 from hallsym.diagnosis.cordic import cordic
 from hallsym.diagnosis.curve_words import shape, waves_per_period
 from hallsym.diagnosis.curves import FineMap, Smooth, run_gains
-from hallsym.diagnosis.decoded_errors import BlockErrors, block_errors, errors_of
-from hallsym.diagnosis.detection import FIRST_LOOK_S, REPEATS, CurvePoint, Rate
+from hallsym.diagnosis.decimation import decimated
+from hallsym.diagnosis.decoded_errors import DecodedErrors, decoded_errors, errors_of
+from hallsym.diagnosis.detection import CurvePoint, Findable, SelfTest, Trial, clopper_pearson
 from hallsym.diagnosis.engine import Examined, diagnose, examine, prepare
 from hallsym.diagnosis.facts import facts_of, instants, rails_of
-from hallsym.diagnosis.faults import faults, wiring_p, wirings
+from hallsym.diagnosis.faults import faults, of_samples, wiring_p, wirings
 from hallsym.diagnosis.findings import firmware_cost, operations
 from hallsym.diagnosis.flexible import PAST, flexible, resemblances
 from hallsym.diagnosis.further import with_readings
@@ -33,10 +34,9 @@ from hallsym.diagnosis.noise import noise_of_rest, noise_text
 from hallsym.diagnosis.normal_equations import Accumulator, normal_equations
 from hallsym.diagnosis.p_values import as_many, as_often, beyond, exceeds, student
 from hallsym.diagnosis.policy import POLICY, Policy
-from hallsym.diagnosis.ranking import Exact, distance, ordered
+from hallsym.diagnosis.ranking import Exact, ordered
 from hallsym.diagnosis.record import (
     Diagnosis,
-    Estimate,
     FoundEffect,
     Gap,
     LogRecord,
@@ -56,51 +56,50 @@ from hallsym.diagnosis.refit import Refitted, inside_bounds, refit, with_model
 from hallsym.diagnosis.regression import others
 from hallsym.diagnosis.remainder import Band, CurveShape, ModelLeft, NotExcluded, Unexplained
 from hallsym.diagnosis.report import unexplained
-from hallsym.diagnosis.residual_table import ResidualTable, Spectrum, both, residual_table
+from hallsym.diagnosis.residual_table import FrequencyBand, ResidualTable, Spectrum, both, residual_table
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score, Screen, candidates
-from hallsym.diagnosis.selection import Selected, cancelled, select
-from hallsym.diagnosis.selftest import NO_EFFECT, RATIOS, ROWS, Bench, Findable, SelfTest, Trial, selftest
+from hallsym.diagnosis.selection import Screened, cancelled, select
+from hallsym.diagnosis.selftest import NO_EFFECT, RATIOS, REPEATS, ROWS, Bench, selftest
 from hallsym.diagnosis.setup import Floor, base_of
 from hallsym.diagnosis.shares import sizes
 from hallsym.diagnosis.shrinkage import Judged, Nested, foreseen
-from hallsym.diagnosis.sign_flips import SignFlips, adjusted, of_products, searched, stretch
+from hallsym.diagnosis.sign_flips import Joint, SignFlips, independent, of_products, searched, stretch
 from hallsym.diagnosis.simulated_machine import (
     SimulatedMachine,
-    decimated,
     machine_of,
     readings_of,
     simulated_noise,
 )
-from hallsym.diagnosis.survey import survey
+from hallsym.diagnosis.survey import Survey, survey
 from hallsym.diagnosis.validation import validate
 from hallsym.diagnosis.verdict import QUIET, WITH_REST, decide
-from hallsym.diagnosis.watch import FALSE_ALARM, watch
-from hallsym.diagnosis.watch_record import Watch, WatchedLog, WatchTest
-from hallsym.diagnosis.words import degrees_of, gap_text, gap_unit, shown
+from hallsym.diagnosis.words import gap_text, gap_unit, place_unit, shown
 from hallsym.families.user import load_effects
+from hallsym.inference import Estimate, ParameterChange
 from hallsym.model import Effect, Facts, Variant
 
 __all__ = [
-    "FALSE_ALARM", "FIRST_LOOK_S", "NO_EFFECT", "PAST", "POLICY", "QUIET", "RATIOS", "REPEATS", "ROWS",
-    "WITH_REST",
-    "Accumulator", "Alternative", "Band", "Base", "Bench", "BlockErrors", "ChangePoint", "Comparison",
-    "Coordinate", "CurvePoint", "CurveShape", "Diagnosis", "Effect", "EffectChange", "Estimate", "Exact",
-    "Examined", "Facts", "Findable", "FineMap", "Floor", "FoundEffect", "Gap", "Injection", "Judged", "Key",
-    "LackOfFit", "Located", "LogRecord", "Metric", "ModelLeft", "Nested", "NoiseFloor", "NotExcluded",
-    "ParameterChange", "PlaceChange", "Policy", "Range", "Rate", "Refitted", "Resemblance", "ResidualTable",
-    "Score", "Screen", "Selected", "SelfTest", "Separation", "Shape", "Share", "Shrinkage", "SignFlips",
-    "Significance", "SimulatedMachine", "SmallerFinding", "Smooth", "Spectrum", "Statement", "Trial",
-    "Unexplained", "Variant", "Watch", "WatchTest", "WatchedLog", "adjusted", "alternatives", "as_many",
-    "as_often", "base_of", "beyond", "block_errors", "both", "cancelled", "candidates", "change_points",
-    "compare", "confusable", "coordinates", "cordic", "decide", "decimated", "degrees_of", "diagnose",
-    "diagnosis_schema", "distance", "errors_of", "examine", "exceeds", "facts_of", "faults", "firmware_cost",
-    "flexible", "foreseen", "gap_text", "gap_unit", "generator", "hats", "injections", "inside_bounds",
+    "NO_EFFECT", "PAST", "POLICY", "QUIET", "RATIOS", "REPEATS", "ROWS", "WITH_REST",
+    "Accumulator", "Alternative", "Band", "Base", "Bench", "ChangePoint", "Comparison", "Coordinate",
+    "CurvePoint", "CurveShape", "DecodedErrors", "Diagnosis", "Effect", "EffectChange", "Estimate", "Exact",
+    "Examined", "Facts", "Findable", "FineMap", "Floor", "FoundEffect", "FrequencyBand", "Gap", "Injection",
+    "Joint", "Judged", "Key", "LackOfFit", "Located", "LogRecord", "Metric", "ModelLeft", "Nested",
+    "NoiseFloor", "NotExcluded", "ParameterChange", "PlaceChange", "Policy", "Range", "Refitted",
+    "Resemblance", "ResidualTable", "Score", "Screen", "Screened", "SelfTest", "Separation", "Shape",
+    "Share", "Shrinkage", "SignFlips", "Significance", "SimulatedMachine", "SmallerFinding", "Smooth",
+    "Spectrum", "Statement", "Survey", "Trial", "Unexplained", "Variant", "alternatives", "as_many",
+    "as_often", "base_of", "beyond", "both", "cancelled", "candidates", "change_points", "clopper_pearson",
+    "compare", "confusable", "coordinates", "cordic", "decide", "decimated", "decoded_errors", "diagnose",
+    "diagnosis_schema", "errors_of", "examine", "exceeds", "facts_of", "faults", "firmware_cost",
+    "flexible", "foreseen", "gap_text", "gap_unit", "generator", "hats", "independent", "injections",
+    "inside_bounds",
     "instants", "knot_group", "knots", "lack_of_fit", "load_effects", "located", "machine_of", "model_on",
-    "noise_of_rest", "noise_text", "normal_equations", "of_products", "operations", "ordered", "others",
-    "prepare", "rails_of", "range_of", "readings_of", "recorded", "recordings", "refit", "remains",
-    "resemblances", "residual_table", "run_gains", "searched", "select", "selftest", "separation",
-    "shape", "shared_noise", "shown", "simulated_noise", "sized", "sizes", "smaller_findings", "split",
-    "stretch", "student", "survey", "unexplained", "used_up", "validate", "watch", "waves_per_period",
+    "noise_of_rest", "noise_text", "normal_equations", "of_products", "of_samples", "operations", "ordered",
+    "others", "place_unit", "prepare", "rails_of", "range_of", "readings_of", "recorded", "recordings",
+    "refit",
+    "remains", "resemblances", "residual_table", "run_gains", "searched", "select", "selftest",
+    "separation", "shape", "shared_noise", "shown", "simulated_noise", "sized", "sizes", "smaller_findings",
+    "split", "stretch", "student", "survey", "unexplained", "used_up", "validate", "waves_per_period",
     "wiring_p", "wirings", "with_model", "with_readings",
 ]  # fmt: skip

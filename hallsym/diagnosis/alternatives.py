@@ -7,39 +7,22 @@ selected effects make, as they were fitted, are explained by the columns of othe
 refitted exactly, and stands beside the selected effects if its residual cannot be told from theirs.
 """
 
-from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from math import log
 
 import numpy as np
 
 from hallsym.diagnosis.normal_equations import ENTRIES, Accumulator, coefficients
 from hallsym.diagnosis.policy import POLICY, Policy
-from hallsym.diagnosis.ranking import count_of, distance
-from hallsym.diagnosis.refit import Refitted, refit, with_model
+from hallsym.diagnosis.refit import Refitted, refit, with_effects
 from hallsym.diagnosis.regression import NIL
-from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.scores import Score
+from hallsym.diagnosis.scores import Score, bic
 from hallsym.diagnosis.selection import Selection, cancels
 from hallsym.diagnosis.setup import Setup
-from hallsym.diagnosis.validation import Held, Validation
+from hallsym.diagnosis.validation import Validation
 from hallsym.estimation import eliminate, pseudo_inverse
-from hallsym.log.batches import Batch
-from hallsym.model import Model
-
-SHOWN = 2
-"""Sets that stand beside the same effects at most, of one size none with an effect of another: most further
-ones only exchange a member for one like it."""
-COLUMNS = 400
-"""Parameters of effects that are screened together, those that explain most alone: 1.3 MB of products."""
-SAMPLES = 200_000
-"""Samples that products are made of; of a longer log, batches spread over it."""
-BEYOND = 2.0
-"""Times its bounds that a parameter of a set may be to first order: refitted exactly it would stop there."""
-FIRST = 2
-"""Linearisations after which a set must leave less than at its start."""
+from hallsym.log.batches import HELD, Batch
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,18 +58,16 @@ def alternatives(
         return []
     products = _products(setup, found, tried)
     out: list[Alternative] = []
-    refits: Counter[tuple[str, ...]] = Counter()
-    seen: set[tuple[tuple[str, ...], tuple[str, ...]]] = set()
+    refitted: set[tuple[tuple[str, ...], tuple[str, ...]]] = set()
     for proposal in _ordered(list(_proposals(setup, found, products)), setup.policy):
         of = proposal.of
         beside = [a for a in out if a.instead_of == of]
-        full = len(beside) == SHOWN or refits[of] == setup.policy.starts
+        full = sum(other == of for other, _ in refitted) == setup.policy.starts
         like = any(len(a.names) == len(proposal.names) and set(a.names) & set(proposal.names) for a in beside)
         like |= any(set(proposal.names) & set(known.get(name, ())) for name in of)
-        if full or like or (of, proposal.names) in seen or any(proposal.holds(a) for a in out):
+        if full or like or (of, proposal.names) in refitted or any(proposal.holds(a) for a in out):
             continue
-        refits[of] += 1
-        seen.add((of, proposal.names))
+        refitted.add((of, proposal.names))
         exact = _exact(setup, found, proposal, [tried[k] for k in proposal.keys])
         out += [exact] if exact else []
     return out
@@ -94,7 +75,7 @@ def alternatives(
 
 def _tried(selection: Selection, found: Validation) -> dict[str, Score]:
     """Return the variants that were tested: all that search no number, and the best ones that do."""
-    taken = {h.selected.name for h in found.effects}
+    taken = {h.name for h in found.effects}
     out: dict[str, Score] = {}
     for screened in selection.screened:
         best: set[str] = set()
@@ -104,9 +85,7 @@ def _tried(selection: Selection, found: Validation) -> dict[str, Score]:
                 continue
             best.add(name)
             out.setdefault(f"{name}|{s.variant.label}", s)
-    kept = sorted(out, key=lambda key: -out[key].gain)
-    sizes = np.cumsum([out[key].size for key in kept])
-    return {key: out[key] for key, size in zip(kept, sizes, strict=True) if size <= COLUMNS}
+    return out
 
 
 # -- screening ----------------------------------------------------------------------------------------------
@@ -116,35 +95,41 @@ def _tried(selection: Selection, found: Validation) -> dict[str, Score]:
 class _Products:
     """Products of columns: of the model, of all effects, contributions of the selected ones, and residual.
 
-    The zeros of each run are eliminated. `own`: columns of the model without effects; `selected`, `others`:
-    those of each effect; `made`: the contribution of each selected effect. `count`: readings. `width`: how
-    far each column's parameter may go from where it is nil.
+    The zeros of each run are eliminated. `tried`: the other effects. `own`: columns of the model without
+    effects; `selected`, `others`: those of each effect; `made`: the contribution of each selected effect.
+    `count`: readings.
     """
 
     M: np.ndarray
+    tried: Mapping[str, Score]
     own: np.ndarray
     selected: Mapping[str, np.ndarray]
     others: Mapping[str, np.ndarray]
     made: Mapping[str, int]
-    names: Mapping[str, str]
-    places: Mapping[str, int]
-    searched: Mapping[str, bool]
     count: float
-    width: np.ndarray
+
+    def names(self, keys: Iterable[str]) -> tuple[str, ...]:
+        """Return the names of effects of `tried`."""
+        return tuple(self.tried[k].effect.name for k in keys)
+
+    def searched(self, key: str) -> bool:
+        """Return whether a number of an effect of `tried` was searched."""
+        return self.tried[key].variant.tried > 1
 
 
 def _products(setup: Setup, found: Validation, tried: Mapping[str, Score]) -> _Products:
     end, start = found.end, found.start.base
     p = start.model.vector({n: end.values[n] for n in start.model.names})
     plain = replace(start, p=p, zeros=end.zeros, keep=end.keep)
-    made = {key: s.variant.make(start.model) for key, s in tried.items()}
-    new = {key: [n for n in m.names if n not in start.model.names] for key, m in made.items()}
-    near, far = Accumulator(end), Accumulator(plain, {key: (made[key], new[key]) for key in tried})
+    models = {key: s.variant.make(start.model) for key, s in tried.items()}
+    new = {key: [n for n in m.names if n not in start.model.names] for key, m in models.items()}
+    near, far = Accumulator(end), Accumulator(plain, {key: (models[key], new[key]) for key in tried})
     n, z = len(end.free), len(end.model.zeros)
-    bare = {h.selected.name: _without(end, h) for h in found.effects}
+    nominal = end.model.nominal
+    bare = {h.name: np.where(np.isin(end.model.names, h.added), nominal, end.p) for h in found.effects}
     runs: dict[int, np.ndarray] = {}
     total = 0.0
-    every = max(1, setup.log.rows // SAMPLES)
+    every = max(1, end.log.rows // HELD)  # of a longer log, batches spread over it
     known = set(setup.runs)
     for k, (one, other) in enumerate(zip(near.batches(), far.batches(), strict=True)):
         if k % every:
@@ -161,43 +146,20 @@ def _products(setup: Setup, found: Validation, tried: Mapping[str, Score]) -> _P
                 X = X.reshape(len(X), -1)
                 runs[block.run] = runs.get(block.run, 0.0) + X @ X.T
                 total += X.shape[1]
-    M = sum(eliminate(P, z)[0] if z else P for P in runs.values())
+    M = sum(eliminate(P, z)[0] for P in runs.values())
     first = n + far.slopes.columns
     index = {end.model.names[k]: j for j, k in enumerate(end.free)}
-    selected = {
-        h.selected.name: np.array([index[q] for q in h.added if q in index], dtype=int) for h in found.effects
-    }
+    selected = {h.name: np.array([index[q] for q in h.added if q in index], dtype=int) for h in found.effects}
     taken = np.concatenate(list(selected.values()))
     return _Products(
         M=np.asarray(M) * every,
+        tried=tried,
         own=np.setdiff1d(np.arange(n), taken),
         selected=selected,
         others={key: n + np.arange(s.start, s.stop) - far.n for key, s in far.span.items() if key in tried},
         made={name: first + k for k, name in enumerate(bare)},
-        names={key: s.effect.name for key, s in tried.items()},
-        places={key: s.place for key, s in tried.items()},
-        searched={key: s.variant.tried > 1 for key, s in tried.items()},
         count=total * every,
-        width=_widths(n + far.slopes.columns + len(bare) + 1, n - far.n, far, made, new),
     )
-
-
-def _widths(
-    size: int, first: int, far: Accumulator, made: Mapping[str, Model], new: Mapping[str, Sequence[str]]
-) -> np.ndarray:
-    """Return how far each of `size` columns may go; those of the candidates of `far` begin at `first`."""
-    out = np.full(size, np.inf)
-    for key, model in made.items():
-        at = [model.names.index(n) for n in new[key]]
-        lower, upper = (np.abs(b - model.nominal)[at] for b in model.bounds)
-        span = far.span[key]
-        out[first + span.start : first + span.stop] = np.maximum(lower, upper)
-    return out
-
-
-def _without(base: Base, held: Held) -> np.ndarray:
-    """Return the values of `base` with an effect undone."""
-    return np.where(np.isin(base.model.names, held.added), base.model.nominal, base.p)
 
 
 def _contributions(
@@ -236,30 +198,30 @@ class _Proposal:
 
 def _proposals(setup: Setup, found: Validation, P: _Products) -> Iterator[_Proposal]:
     """Yield sets of other effects that may stand beside sets of selected ones."""
-    policy = setup.policy
+    policy, inflation = setup.policy, found.inflation
     selected = tuple(P.selected)
-    known = {h.selected.name: {r.score.effect.name for r in h.selected.rivals} for h in found.effects}
+    known = {h.name: {r.name for r in h.exact.rivals} for h in found.effects}
     everything = np.concatenate([P.own, *P.selected.values()])
     least = float(P.M[-1, -1] - coefficients(P.M, everything) @ P.M[everything, -1])
-    variance = max(least / max(P.count, 1.0), 1e-12) * found.inflation
+    noise = policy.separated**2 * max(least / max(P.count, 1.0), 1e-12) * inflation
+
+    def bic_of(left: float, size: int) -> float:
+        return float(bic(left, P.count / inflation, size, P.count))
+
     for size in range(1, min(policy.most_in_set, len(selected)) + 1):
         for of in combinations(selected, size):
-            others = [P.selected[n] for n in selected if n not in of]
-            near = np.concatenate([P.own, *others])
-            M = _with_target(P, of)
-            R = _projected(M, near)
-            squares = R[-1, -1] - least  # what the selected effects explain here
-            limit = policy.separated**2 * variance + policy.nearly_linear * squares
+            near = np.concatenate([P.own, *(P.selected[n] for n in selected if n not in of)])
+            R = _projected(_with_target(P, of), near)
+            limit = noise + policy.negligible * (
+                R[-1, -1] - least
+            )  # of what the selected effects explain here
             most = policy.most_in_set if size == 1 else policy.most_in_set - 1
-            for keys, theta, left in _sets(R, P, most, least + limit):
-                names = tuple(P.names[k] for k in keys)
-                bic = (left - least) / variance + log(max(P.count / found.inflation, 2.0)) * (
-                    len(theta) - sum(len(P.selected[n]) for n in of)
-                )
-                if bic < 2 * policy.as_good and not (size == len(keys) == 1 and names[0] in known[of[0]]):
-                    searched = sum(P.searched[k] for k in keys)
-                    places = (searched, *sorted(P.places[k] for k in keys))
-                    yield _Proposal(of, keys, names, float(bic), places)
+            before = bic_of(least, sum(len(P.selected[n]) for n in of))
+            for keys, columns, left in _sets(R, P, most, least + limit):
+                names, more = P.names(keys), bic_of(left, columns) - before
+                if more < 2 * policy.as_good and not (size == len(keys) == 1 and names[0] in known[of[0]]):
+                    places = sum(map(P.searched, keys)), *sorted(P.tried[k].place for k in keys)
+                    yield _Proposal(of, keys, names, more, places)
 
 
 def _ordered(proposals: Sequence[_Proposal], policy: Policy) -> list[_Proposal]:
@@ -278,14 +240,9 @@ def _ordered(proposals: Sequence[_Proposal], policy: Policy) -> list[_Proposal]:
 
 def _with_target(P: _Products, of: Sequence[str]) -> np.ndarray:
     """Return the products with the contributions of some selected effects added to the residual."""
-    v = np.zeros(len(P.M))
-    v[-1] = 1.0
-    v[[P.made[n] for n in of]] = 1.0
-    M = P.M.copy()
-    M[:, -1] = P.M @ v
-    M[-1, :] = M[:, -1]
-    M[-1, -1] = v @ P.M @ v
-    return M
+    T = np.eye(len(P.M))
+    T[[P.made[n] for n in of], -1] = 1.0
+    return np.asarray(T.T @ P.M @ T)
 
 
 def _projected(M: np.ndarray, near: np.ndarray) -> np.ndarray:
@@ -293,10 +250,12 @@ def _projected(M: np.ndarray, near: np.ndarray) -> np.ndarray:
     return M - M[:, near] @ pseudo_inverse(M[np.ix_(near, near)]) @ M[near]
 
 
-def _sets(
-    R: np.ndarray, P: _Products, most: int, enough: float
-) -> list[tuple[tuple[str, ...], np.ndarray, float]]:
-    """Return sets that leave at most `enough`, with their coefficients and what they leave.
+_Sets = list[tuple[tuple[str, ...], int, float]]
+"""Sets of effects with the number of their columns and the squares they leave."""
+
+
+def _sets(R: np.ndarray, P: _Products, most: int, enough: float) -> _Sets:
+    """Return sets that leave at most `enough`.
 
     Grown one effect at a time from the best few of each size: once from effects that search no number,
     which sets with flexible effects would crowd out, and once from all.
@@ -304,49 +263,38 @@ def _sets(
     seen = {
         key: at[np.diag(R)[at] > NIL * np.maximum(np.diag(P.M)[at], 1e-300)] for key, at in P.others.items()
     }
-    together = np.concatenate(list(seen.values()))
-    if not len(together) or R[-1, -1] - coefficients(R, together) @ R[together, -1] > enough:
+    if _left(R, np.concatenate(list(seen.values()))) > enough:
         return []  # not even all of them
-    plain = {key: at for key, at in seen.items() if not P.searched[key]}
+    plain = {key: at for key, at in seen.items() if not P.searched(key)}
     found = {entry[0]: entry for pool in (plain, seen) for entry in _grown(R, P, pool, most, enough)}
     return list(found.values())
 
 
-def _grown(
-    R: np.ndarray, P: _Products, seen: Mapping[str, np.ndarray], most: int, enough: float
-) -> list[tuple[tuple[str, ...], np.ndarray, float]]:
+def _grown(R: np.ndarray, P: _Products, seen: Mapping[str, np.ndarray], most: int, enough: float) -> _Sets:
     """Return the sets of a pool that leave at most `enough`; none holds another."""
     grown: list[tuple[str, ...]] = [()]
-    out: list[tuple[tuple[str, ...], np.ndarray, float]] = []
+    out: _Sets = []
     for _ in range(most):
-        tried: dict[tuple[str, ...], tuple[np.ndarray, float]] = {}
+        tried: dict[tuple[str, ...], tuple[int, float]] = {}
         for keys in grown:
-            names = {P.names[k] for k in keys}
             for key, at in seen.items():
                 wider = tuple(sorted((*keys, key)))
-                if not len(at) or P.names[key] in names or wider in tried:
-                    continue
-                columns = np.concatenate([seen[k] for k in wider])
-                pick = np.append(columns, len(R) - 1)
-                theta = coefficients(R[np.ix_(pick, pick)], np.arange(len(columns)))
-                tried[wider] = theta, float(R[-1, -1] - theta @ R[columns, -1])
+                if len(at) and not {*P.names([key])} & {*P.names(keys)} and wider not in tried:
+                    columns = np.concatenate([seen[k] for k in wider])
+                    tried[wider] = len(columns), _left(R, columns)
         ranked = sorted(tried, key=lambda keys: tried[keys][1])
-        done = [
-            keys for keys in ranked if tried[keys][1] <= enough and _inside(P, seen, keys, tried[keys][0])
-        ]
-        out += [(keys, *tried[keys]) for keys in done]
+        out += [(keys, *tried[keys]) for keys in ranked if tried[keys][1] <= enough]
         best: dict[tuple[str, ...], tuple[str, ...]] = {}  # of the same effects the best variants
         for keys in ranked:
             if tried[keys][1] > enough:
-                best.setdefault(tuple(sorted(P.names[k] for k in keys)), keys)
+                best.setdefault(tuple(sorted(P.names(keys))), keys)
         grown = list(best.values())[: POLICY.most_refits]
     return out
 
 
-def _inside(P: _Products, seen: Mapping[str, np.ndarray], keys: Sequence[str], theta: np.ndarray) -> bool:
-    """Return whether the parameters of a set are, to first order, inside `BEYOND` times their bounds."""
-    columns = np.concatenate([seen[k] for k in keys])
-    return bool(np.all(np.abs(theta) <= BEYOND * P.width[columns]))
+def _left(R: np.ndarray, columns: np.ndarray) -> float:
+    """Return the squares that some columns leave."""
+    return float(R[-1, -1] - coefficients(R, columns) @ R[columns, -1])
 
 
 # -- exact refits --------------------------------------------------------------------------------------------
@@ -357,28 +305,17 @@ def _exact(
 ) -> Alternative | None:
     """Refit a set exactly; None if the log tells it apart, or it is no cause."""
     policy, end = setup.policy, found.end
-    base = found.start.base
-    for held in found.effects:
-        if held.selected.name not in proposal.of:
-            base = with_model(base, held.selected.exact.score.variant.make(base.model))
-    known = end.values
-    for score in scores:
-        base = with_model(base, score.variant.make(base.model))
-    p = np.array([known.get(n, v) for n, v in zip(base.model.names, base.p, strict=True)])
-    start = replace(base, p=p, zeros=end.zeros, keep=end.keep)
-    near = refit(start, setup.runs, FIRST)
-    if near.base is start:
-        return None  # the step that leaves as little to first order leaves more: it does not say what is left
-    fit = refit(near.base, setup.runs)
+    known, others = end.values, [h.exact.score for h in found.effects if h.name not in proposal.of]
+    base = with_effects(found.start.base, (s.variant for s in (*others, *scores)), known)
+    fit = refit(replace(base, zeros=end.zeros, keep=end.keep), setup.runs)
     values, new = fit.base.values, [n for n in fit.base.model.names if n not in known]
-    if not all(s.effect.possible(values) for s in scores) or cancels(fit, new, policy.cancelling):
+    if not all(s.effect.possible(values) for s in scores) or cancels(fit, new, policy.half):
         return None
     if any(fit.base.model.names[k] in new for k in fit.at_bound()):
         return None
     one = found.fit if found.end is found.fit.base else refit(end, setup.runs)
-    variance = max(one.cost / count_of(one), 1e-12) * found.inflation
-    limit = policy.separated**2 * variance
+    limit = policy.separated**2 * one.variance(found.inflation)
     if fit.cost - one.cost >= limit:
         return None
-    apart = distance(one, fit)
+    apart = one.distance(fit)
     return Alternative(proposal.of, tuple(scores), fit, apart) if apart < limit else None

@@ -36,7 +36,8 @@ def model_on(
     """
     if not isinstance(model, Model):
         model = build(model or default_model(log.meta), meta=log.meta)
-    model = adapted(model, (), _known(model, parameters))
+    names = {p.name for p in (*model.parameters, *model.zeros)}  # what its effects add is changed at the end
+    model = adapted(model, (), {name: entry for name, entry in (parameters or {}).items() if name in names})
     for text in effects:
         effect = effect_named(text, model, own)
         if ":" in text or not effect.lacking(text):
@@ -46,12 +47,6 @@ def model_on(
         seen, known = fitted(log, model, held, drop_bad, say)
         model = _shown(seen, known, effect)
     return adapted(model, (), parameters or {}, own)
-
-
-def _known(model: Model, parameters: Mapping[str, Mapping[str, Any]] | None) -> dict[str, Mapping[str, Any]]:
-    """Changes to parameters that the model has before its effects are added."""
-    names = {p.name for p in (*model.parameters, *model.zeros)}
-    return {name: entry for name, entry in (parameters or {}).items() if name in names}
 
 
 def _shown(log: Log, known: Fit, effect: Effect) -> Model:

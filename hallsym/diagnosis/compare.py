@@ -5,39 +5,20 @@ standard uncertainties, taken as independent: two recordings share no noise.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from scipy.special import erfc, stdtr
-
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Statement
+from hallsym.diagnosis.record import Diagnosis, Statement
 from hallsym.diagnosis.words import gap_text, gap_unit
 from hallsym.errors import InputError, quoted
 from hallsym.estimation.calibration import FORMAT, read_record
+from hallsym.inference import Estimate, Freedom, ParameterChange, changes
 from hallsym.reading import read_json
 
 Calibration = Mapping[str, Any]
 """What `Fit.to_dict` returns and `hallsym fit -o` writes."""
-
-
-@dataclass(frozen=True)
-class ParameterChange:
-    """A parameter in SI: values and standard uncertainties, `p_value` of no change (None: no uncertainty).
-
-    `significant`: corrected for the number of parameters compared; None where it cannot be told.
-    """
-
-    name: str
-    unit: str
-    before: float
-    before_std: float | None
-    after: float
-    after_std: float | None
-    p_value: float | None
-    significant: bool | None
 
 
 @dataclass(frozen=True)
@@ -69,21 +50,21 @@ class PlaceChange:
 class Comparison:
     """What changed between two records of one machine. Pairs are (before, after); SI units.
 
-    `kind`: "diagnoses" or "calibrations". `gap`, `rest`, `floor`: gap metric [m] of the model, with the
-    effects that were found, and of the noise. `rmse`: output -> its error on the holdout runs, without
-    effects.
+    `kind`: "diagnoses" or "calibrations"; of the latter parameters are compared, and nothing else. `gap`,
+    `rest`, `floor`: gap metric [m] of the model, with the effects that were found, and of the noise. `rmse`:
+    output -> its error on the holdout runs, without effects.
     """
 
     kind: str
     model: str
     sentence: str
-    verdict: tuple[str, str]
-    gap: tuple[float, float]
-    rest: tuple[float, float]
-    floor: tuple[float, float]
-    rmse: dict[str, tuple[float, float]]
     effects: tuple[EffectChange, ...]
-    where: tuple[PlaceChange, ...]
+    verdict: tuple[str, str] = ("", "")
+    gap: tuple[float, float] = (0.0, 0.0)
+    rest: tuple[float, float] = (0.0, 0.0)
+    floor: tuple[float, float] = (0.0, 0.0)
+    rmse: dict[str, tuple[float, float]] = field(default_factory=dict)
+    where: tuple[PlaceChange, ...] = ()
     notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -162,42 +143,29 @@ def _diagnoses(old: Diagnosis, new: Diagnosis) -> Comparison:
 
 
 def _effects(old: Diagnosis, new: Diagnosis) -> tuple[EffectChange, ...]:
+    """Return the effects of both records: those that are gone, those that came, those that stay."""
     one, two = ({e.name: e for e in d.effects} for d in (old, new))
-    same = [(one[n], two[n]) for n in one if n in two and one[n].variant == two[n].variant]
-    count = sum(len(set(a.parameters) & set(b.parameters)) for a, b in same)
-    gone = [_missing(one[n], "gone", new) for n in one if n not in two]
-    came = [_missing(two[n], "came", old) for n in two if n not in one]
-    return (*gone, *came, *(_stays(one[n], two[n], count) for n in one if n in two))
-
-
-def _stays(a: FoundEffect, b: FoundEffect, count: int) -> EffectChange:
-    """Return an effect of both records; `count`: parameters that are compared in all."""
-    same = a.variant == b.variant
-    return EffectChange(
-        name=a.name,
-        state="stays",
-        share=(a.share, b.share),
-        form=(a.variant, b.variant),
-        parameters=_parameters(a.parameters, b.parameters, count) if same else (),
-        remark="" if same else "its form changed: no parameters compared",
-    )
-
-
-def _missing(e: FoundEffect, state: str, other: Diagnosis) -> EffectChange:
-    """Return an effect of one record, with the reason why the `other` may lack it."""
-    gone = state == "gone"
-    remark = _reason(e.name, other)
-    return EffectChange(
-        name=e.name,
-        state=state,
-        share=(e.share, None) if gone else (None, e.share),
-        form=(e.variant, "") if gone else ("", e.variant),
-        parameters=(),
-        remark=f"{'after' if gone else 'before'}, {remark}" if remark else "",
-    )
+    both = [n for n in one if n in two]
+    same = [n for n in both if one[n].variant == two[n].variant]
+    limit = POLICY.false_alarm / max(sum(len(one[n].parameters.keys() & two[n].parameters) for n in same), 1)
+    out = []
+    for n in (*(n for n in one if n not in two), *(n for n in two if n not in one), *both):
+        a, b = one.get(n), two.get(n)
+        if a and b:
+            state, remark = "stays", "" if n in same else "its form changed: no parameters compared"
+        else:
+            state, when, other = ("gone", "after", new) if a else ("came", "before", old)
+            reason = _reason(n, other)
+            remark = f"{when}, {reason}" if reason else ""
+        share = (a.share if a else None, b.share if b else None)
+        form = (a.variant if a else "", b.variant if b else "")
+        moved = changes(a.parameters, b.parameters, limit) if a and b and n in same else ()
+        out.append(EffectChange(n, state, share, form, moved, remark))
+    return tuple(out)
 
 
 def _reason(name: str, other: Diagnosis) -> str:
+    """Return why a record may lack an effect; nothing where it does not say."""
     groups = [g for g in other.groups if name in g]
     partner = next((e.name for e in other.effects for g in groups if e.name in g), None)
     if partner:
@@ -206,50 +174,6 @@ def _reason(name: str, other: Diagnosis) -> str:
         return f"not testable: {other.not_testable[name]}"
     smaller = next((f for f in other.smaller_findings if f.name == name), None)
     return f"below the threshold: {100 * smaller.shrinkage:.2g} %" if smaller else ""
-
-
-Freedom = Mapping[str, float]
-"""Parameter -> degrees of freedom of its standard uncertainty; infinite where it is not named."""
-
-
-def changes(
-    one: Mapping[str, Estimate],
-    two: Mapping[str, Estimate],
-    limit: float,
-    freedom: tuple[Freedom, Freedom] = ({}, {}),
-) -> tuple[ParameterChange, ...]:
-    """Compare parameters by name, those that both have; significant is a p-value below `limit`.
-
-    The difference over its standard uncertainty follows Student's t with the degrees of freedom after Welch
-    and Satterthwaite (Biometrics Bulletin 2 (1946) 110, doi:10.2307/3002019) where `freedom` is finite.
-    """
-    out = []
-    for name in (n for n in one if n in two):
-        a, b = one[name], two[name]
-        p = None
-        if a.std is not None and b.std is not None and np.hypot(a.std, b.std) > 0:
-            distance = abs(b.value - a.value) / np.hypot(a.std, b.std)
-            dof = welch((a.std, b.std), (freedom[0].get(name, np.inf), freedom[1].get(name, np.inf)))
-            p = float(2 * stdtr(dof, -distance) if np.isfinite(dof) else erfc(distance / np.sqrt(2)))
-        significant = None if p is None else p < limit
-        out.append(ParameterChange(name, a.unit, a.value, a.std, b.value, b.std, p, significant))
-    return tuple(out)
-
-
-def welch(stds: tuple[float, float], dofs: tuple[float, float]) -> float:
-    """Return the degrees of freedom of the root of two summed variances."""
-    share = sum(std**4 / dof for std, dof in zip(stds, dofs, strict=True))
-    return float(np.hypot(*stds) ** 4 / share) if share > 0 else float("inf")
-
-
-def _parameters(
-    one: Mapping[str, Estimate],
-    two: Mapping[str, Estimate],
-    count: int,
-    freedom: tuple[Freedom, Freedom] = ({}, {}),
-) -> tuple[ParameterChange, ...]:
-    """Compare parameters by name; `count`: how many are compared in all."""
-    return changes(one, two, POLICY.false_alarm / max(count, 1), freedom)
 
 
 def _places(one: Sequence[Statement], two: Sequence[Statement]) -> tuple[PlaceChange, ...]:
@@ -312,7 +236,8 @@ def _calibrations(old: Calibration, new: Calibration) -> Comparison:
         {n: p["degrees_of_freedom"] for n, p in r["parameters"].items() if p.get("degrees_of_freedom")}
         for r in (old, new)
     ]
-    changed = _parameters(one, two, len(set(one) & set(two)), (free[0], free[1]))
+    limit = POLICY.false_alarm / max(len(set(one) & set(two)), 1)
+    changed = changes(one, two, limit, (free[0], free[1]))
     left = sorted((set(old["parameters"]) | set(new["parameters"])) - {c.name for c in changed})
     moved = [c.name for c in changed if c.significant]
     return Comparison(
@@ -320,12 +245,6 @@ def _calibrations(old: Calibration, new: Calibration) -> Comparison:
         model=old["model"],
         sentence=f"{len(moved)} of {len(changed)} parameters changed significantly"
         + (f": {', '.join(moved)}." if moved else "."),
-        verdict=("", ""),
-        gap=(0.0, 0.0),
-        rest=(0.0, 0.0),
-        floor=(0.0, 0.0),
-        rmse={},
         effects=(EffectChange(old["model"], "stays", (None, None), ("", ""), changed),),
-        where=(),
         notes=(f"Not compared, not identifiable in one or both: {', '.join(left)}.",) if left else (),
     )

@@ -5,31 +5,31 @@ the readings of each possible recording, without noise; the other is fitted to t
 The whitened residual of that fit is how far the recording tells the two apart.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
 from hallsym.diagnosis.alternatives import Alternative, alternatives
-from hallsym.diagnosis.findings import EITHER
 from hallsym.diagnosis.further import added, further_recordings, recording, with_readings
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.policy import POLICY, Policy
-from hallsym.diagnosis.ranking import Exact, count_of, distance
+from hallsym.diagnosis.ranking import Exact
 from hallsym.diagnosis.record import FoundEffect, Separation, SmallerFinding
-from hallsym.diagnosis.recordings import BETWEEN, Range, Recording, range_of, recordings
+from hallsym.diagnosis.recordings import Range, Recording, range_of, recordings
 from hallsym.diagnosis.refit import Refitted
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import by_name
-from hallsym.diagnosis.selection import Selected, Selection
+from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Validation
 from hallsym.diagnosis.verdict import Verdict
 from hallsym.diagnosis.words import SHOWN
 from hallsym.errors import InputError
+from hallsym.families.faults import WIRING
 from hallsym.log import Log
-from hallsym.model import ways_text
+from hallsym.model import Effect, ways_text
 
 
 def separation(
@@ -108,36 +108,19 @@ def recorded(span: Range, tried: Sequence[Recording], base: Base) -> Log:
 
     The clock goes on where the log ended: a stub at its start keeps the origin of campaign time.
     """
-    columns: dict[str, list[np.ndarray]] = {}
-    start = span.end_s + BETWEEN
-    stub = replace(tried[0].run, duration_s=span.step_s * 32)
-    for number, (run, begin, warm) in enumerate(
-        [(stub, span.start_s, None), *((r.run, 0.0, r.temperature) for r in tried)]
-    ):
-        begin = begin if number == 0 else start  # each could be the next one
-        t = np.arange(max(32, round(run.duration_s / span.step_s))) * span.step_s
-        here = {c: run.position(c, t) for c in (*base.model.pose, *span.vertical)}
-        _append(columns, base, span, number, begin + t, here, warm(t) if warm else None)
-    plain = {c: np.concatenate(v) for c, v in columns.items()}
-    return with_readings(plain, base)
-
-
-def _append(
-    columns: dict[str, list[np.ndarray]],
-    base: Base,
-    span: Range,
-    number: int,
-    t: np.ndarray,
-    here: Mapping[str, np.ndarray],
-    warm: np.ndarray | None,
-) -> None:
     model = base.model
-    row = dict(zip(model.references, (here[c] for c in model.pose), strict=True))
-    row |= {c: here[c] for c in span.vertical} | {"run": np.full(len(t), number), "t_s": t}
-    if span.temperature is not None:
-        row["temperature_degc"] = np.full(len(t), span.temperature) if warm is None else warm
-    for c, values in row.items():
-        columns.setdefault(c, []).append(values)
+    stub = replace(tried[0].run, duration_s=span.step_s * 32)
+    each_next = ((r.run, span.end_s + span.step_s, r.temperature) for r in tried)
+    rows = []
+    for number, (run, begin, warm) in enumerate([(stub, span.start_s, None), *each_next]):
+        t = np.arange(max(32, round(run.duration_s / span.step_s))) * span.step_s
+        here = {c: run.position(c, t) for c in (*model.pose, *span.vertical)}
+        row = dict(zip(model.references, (here[c] for c in model.pose), strict=True))
+        row |= {c: here[c] for c in span.vertical} | {"run": np.full(len(t), number), "t_s": begin + t}
+        if span.temperature is not None:
+            row["temperature_degc"] = warm(t) if warm else np.full(len(t), span.temperature)
+        rows.append(row)
+    return with_readings({c: np.concatenate([row[c] for row in rows]) for c in rows[0]}, base)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,84 +154,62 @@ def confusable(
     that the log does not exclude in their place. An effect that does not lower the gap on the holdout runs
     has no evidence.
     """
-    groups: list[tuple[str, ...]] = []
-    separate = []
-    members = {h.selected.name: _members(setup, h.selected, found.inflation) for h in found.effects}
-    known = {name: {r.score.effect.name for r, _ in rivals} for name, rivals in members.items()}
-    sets, fits = [], []
-    for other in alternatives(setup, selection, found, known):
-        if len(other.instead_of) == len(other.names) == 1:
-            one = Exact(other.scores[0], other.fit, other.fit.cost)
-            members[other.instead_of[0]].append((one, other.distance))
-        else:
-            sets.append(other)
+    inflation = found.inflation
+    alike = {h.name: _alike(setup, h.exact, inflation) for h in found.effects}
+    sets: list[Alternative] = []
+    fits: list[Refitted] = []
+    for other in alternatives(
+        setup, selection, found, {n: {a.names[0] for a in own} for n, own in alike.items()}
+    ):
+        (alike[other.instead_of[0]] if len(other.instead_of) == len(other.names) == 1 else sets).append(other)
         fits.append(other.fit)
+    separate = []
     for held in found.effects:
-        rivals = members[held.selected.name]
-        rest = {h.selected.name for h in found.effects} - {held.selected.name}
-        fits += [r.fit for r, _ in rivals if rest <= set(r.fit.base.model.effects) and r.fit not in fits]
-        if rivals:
-            groups.append((held.selected.name, *(r.score.effect.name for r, _ in rivals)))
-            separate.append(_separation(setup, groups[-1], held.selected.exact, rivals, found.inflation))
+        own, rest = alike[held.name], {h.name for h in found.effects} - {held.name}
+        fits += [a.fit for a in own if rest <= set(a.fit.base.model.effects) and a.fit not in fits]
+        if own:
+            separate.append(_separation(setup, inflation, held.exact.fit, [held.exact.score.effect], own))
     for other in sets:
-        groups.append((*other.instead_of, *other.names))
-        separate.append(_from_selected(setup, found, other))
-    if effects and effects[0].name in EITHER and len(setup.base.model.pose) == 1:
-        groups.insert(0, EITHER)  # either turns the angle round, and its zero is free
+        mine = [h.exact.score.effect for h in found.effects if h.name in other.instead_of]
+        said = _separation(setup, inflation, found.fit, mine, [other])
+        separate.append(replace(said, sides=(other.instead_of, other.names)))
+    groups = [s.group for s in separate]
+    if effects and effects[0].name in WIRING and len(setup.base.model.pose) == 1:
+        groups.insert(0, WIRING)  # either turns the angle round, and its zero is free
     names = [e.name for e in effects if e.share > 0 or verdict == "partly explained"] + [
         name for group in groups for name in group
     ]
     if verdict in ("explained", "behaves like", "partly explained"):
         for held in found.effects:
-            others = _not_excluded(setup, held.selected, found.inflation)
-            names += [r.score.effect.name for r in others]
+            names += [r.name for r in _not_excluded(setup, held.exact, inflation)]
     return Confusable(tuple(groups), tuple(separate), tuple(dict.fromkeys(names)), tuple(fits))
 
 
-def _members(setup: Setup, selected: Selected, inflation: float) -> list[tuple[Exact, float]]:
-    """Return the effects that the log cannot tell from the one selected, each with its squared distance."""
-    one = selected.exact
-    rivals = _not_excluded(setup, selected, inflation)
+def _alike(setup: Setup, one: Exact, inflation: float) -> list[Alternative]:
+    """Return the effects that the log cannot tell from the one selected."""
+    rivals = _not_excluded(setup, one, inflation)
     if setup.base.model.family.pairs:  # parameters for which the log gives no reason make no rival
         rivals = [r for r in rivals if r.bic - one.bic < 2 * setup.policy.as_good]
-    close = [(r, distance(one.fit, r.fit)) for r in rivals]
-    limit = _limit(setup, one, inflation)
-    return [(r, d) for r, d in close if d < limit][:SHOWN]
+    close = [Alternative((one.name,), (r.score,), r.fit, one.fit.distance(r.fit)) for r in rivals]
+    limit = setup.policy.separated**2 * one.fit.variance(inflation)
+    return [a for a in close if a.distance < limit][:SHOWN]
 
 
-def _from_selected(setup: Setup, found: Validation, other: Alternative) -> Separation:
-    """Return the recording that would separate a set of effects from the selected ones."""
-    mine = [h.selected.exact.score.effect for h in found.effects if h.selected.name in other.instead_of]
-    group = (*other.instead_of, *other.names)
-    variance = max(found.fit.cost / count_of(found.fit), 1e-12) * found.inflation
-    advice = ways_text(way for e in (*mine, *(s.effect for s in other.scores)) for way in e.separate)
-    said = separation(group, [found.fit, other.fit], other.distance, variance, advice, setup.policy)
-    return replace(said, sides=(other.instead_of, other.names))
-
-
-def _not_excluded(setup: Setup, selected: Selected, inflation: float) -> list[Exact]:
+def _not_excluded(setup: Setup, one: Exact, inflation: float) -> list[Exact]:
     """Return the effects that the log does not exclude in the place of the one selected."""
-    limit = _limit(setup, selected.exact, inflation)
-    return [r for r in selected.rivals if r.fit.cost - selected.exact.fit.cost < limit]
-
-
-def _limit(setup: Setup, one: Exact, inflation: float) -> float:
-    """Whitened squares by which two fits must differ to be told apart."""
-    return setup.policy.separated**2 * _variance(one, inflation)
-
-
-def _variance(one: Exact, inflation: float) -> float:
-    """Variance of a slow average of the whitened residual."""
-    return max(one.fit.cost / count_of(one.fit), 1e-12) * inflation
+    limit = setup.policy.separated**2 * one.fit.variance(inflation)
+    return [r for r in one.rivals if r.fit.cost - one.fit.cost < limit]
 
 
 def _separation(
-    setup: Setup, names: tuple[str, ...], one: Exact, members: Sequence[tuple[Exact, float]], inflation: float
+    setup: Setup, inflation: float, fit: Refitted, mine: Sequence[Effect], others: Sequence[Alternative]
 ) -> Separation:
-    fits = [one.fit, *(r.fit for r, _ in members)]
-    advice = ways_text(way for e in (one, *(r for r, _ in members)) for way in e.score.effect.separate)
-    closest = min(d for _, d in members)
-    return separation(names, fits, closest, _variance(one, inflation), advice, setup.policy)
+    """Return the recording that would separate `others` from effects of `fit`."""
+    effects = [*mine, *(s.effect for o in others for s in o.scores)]
+    advice = ways_text(way for e in effects for way in e.separate)
+    fits, closest = [fit, *(o.fit for o in others)], min(o.distance for o in others)
+    variance = fit.variance(inflation)
+    return separation([e.name for e in effects], fits, closest, variance, advice, setup.policy)
 
 
 def smaller_findings(
@@ -260,7 +221,7 @@ def smaller_findings(
     holdout runs, then those that score beside what was selected.
     """
     out = [SmallerFinding(e.name, e.shrinkage, e.p_value) for e in below] + list(found.dropped)
-    known = {h.selected.name for h in found.effects} | {d.name for d in found.dropped}
+    known = {h.name for h in found.effects} | {d.name for d in found.dropped}
     for score in by_name(selection.last):
         p, shrinkage = score.p_value, 1 - score.ratio
         # what is worth more was judged, and not selected

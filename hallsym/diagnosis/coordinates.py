@@ -6,12 +6,11 @@ from math import tau
 import numpy as np
 
 from hallsym.diagnosis.residual_table import ResidualTable, phase
+from hallsym.estimation.residual_columns import STILL
 from hallsym.units import readable
 
 KNOTS = 9
 """Knots of a smooth curve."""
-VARIES = 5.0
-"""Standard deviations of its noise that a coordinate must vary by (rms)."""
 
 
 @dataclass(frozen=True)
@@ -52,14 +51,7 @@ class Coordinate:
             return None
         if self.unit == "rad" and self.fine and np.ptp(x) > tau:
             x = np.mod(x, tau)
-        return x if np.std(x) > max(VARIES * r.sigma.get(self.column, 0.0), 1e-15) else None
-
-
-TEMPERATURE = Coordinate("temperature", "temperature_degc", "degC")
-TIMES = (
-    Coordinate("time in the campaign", "campaign_s", "s", clocked=True),
-    Coordinate("time since the start of the run", "run_s", "s", gain=False, clocked=True),
-)
+        return x if np.std(x) > max(STILL * r.sigma.get(self.column, 0.0), 1e-15) else None
 
 
 def coordinates(r: ResidualTable) -> tuple[Coordinate, ...]:
@@ -77,12 +69,11 @@ def coordinates(r: ResidualTable) -> tuple[Coordinate, ...]:
         motion = [
             Coordinate("speed" + _of(c, r), f"d1_{c}", f"{unit_of(c)}/s", clocked=True) for c in r.references
         ]
-        known = [TEMPERATURE, *phases, *motion, *TIMES]
+        known = [*phases, *motion]
     else:
         reading = unit_of(r.channels[0])
         rates = tuple(f"d2_{c}" for c in r.references)
         known = [
-            TEMPERATURE,
             *_states(r),
             *phases,
             Coordinate("the reading itself", "sensed", reading, gain=False, own=True, fine=True),
@@ -90,8 +81,13 @@ def coordinates(r: ResidualTable) -> tuple[Coordinate, ...]:
             Coordinate("velocity", "rate", f"{reading}/s", own=True),
             Coordinate("acceleration", "acceleration", "m/s2", gain=False, of=rates),
             *(Coordinate(_place(c, r), f"d0_{c}", unit_of(c), fine=True) for c in r.references),
-            *TIMES,
         ]
+    known = [
+        Coordinate("temperature", "temperature_degc", "degC"),
+        *known,
+        Coordinate("time in the campaign", "campaign_s", "s", clocked=True),
+        Coordinate("time since the start of the run", "run_s", "s", gain=False, clocked=True),
+    ]
     return tuple(c for c in known if r.timed or not c.clocked)
 
 

@@ -8,20 +8,12 @@ import numpy as np
 from hallsym.diagnosis.p_values import as_often
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.regression import NIL
-from hallsym.families.cordic import Levels, levels, worst_of
+from hallsym.families.cordic import CHIP_STEPS, Levels, levels
 
-STEPS = range(4, 15)
-"""Steps that are looked for: the error of 4 is 7 deg, that of 14 less than a count of 14 bits."""
 TOLERANCE = 0.25
-"""How near an angle must be, in distances of neighbouring levels, to be one of them.
+"""How near a value must be to one of some levels, in distances of neighbouring ones, to be one of them.
 
-It leaves room for a rounding to counts of half that distance; half of all angles would be as near."""
-WORTH, MOST = 0.02, 2.0
-"""Mean square of CORDIC's error over that of the residual: what is looked for lies between."""
-EVEN = 0.7
-"""Least distance of equal steps, in distances of levels, that the values are held against."""
-FINE = 16
-"""Offsets of the zero that are tried, per distance of neighbouring levels, at least."""
+It leaves room for a rounding to counts of half that distance; half of all values would be as near."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +23,6 @@ class Cordic:
 
     levels: Levels
     p_value: float
-
-    @property
-    def distance(self) -> float:
-        """Angle from level to level [rad]."""
-        return _distance(self.levels)
 
 
 def cordic(values: np.ndarray, spread: float, step: float = 0.0) -> Cordic | None:
@@ -47,24 +34,19 @@ def cordic(values: np.ndarray, spread: float, step: float = 0.0) -> Cordic | Non
     rounding, or a motor that goes from step to step.
     """
     v = np.unique(np.round(np.mod(values, tau) / NIL)) * NIL
-    known = [levels(n) for n in STEPS]
     tried = [
         k
-        for k in known
-        if WORTH * spread**2 < k.rms**2 < MOST * spread**2
+        for k in map(levels, CHIP_STEPS)
+        if k.rms**2 > POLICY.negligible * spread**2
         and (1 - POLICY.minor) * len(v) <= 4 * len(k.angles)  # rounded to counts a level has two at most
-        and (step >= 0.9 * _distance(k) or step <= 0.5 * _distance(k))
+        and not 2 * TOLERANCE < step / k.distance < 1 - TOLERANCE
     ]
     for k in tried:
         near, off, bins = _hits(v, k)
-        p = min(1.0, as_often(near, len(v), _covered(k)) * bins * len(tried))
-        if near >= (1 - POLICY.minor) * len(v) and p < 1.0 and off < _off_even(v, _distance(k), bins):
+        p = min(1.0, as_often(near, len(v), 2 * TOLERANCE) * bins * len(tried))
+        if near >= (1 - POLICY.minor) * len(v) and p < 1.0 and off < _off_even(v, k.distance, bins):
             return Cordic(k, p)
     return None
-
-
-def _distance(k: Levels) -> float:
-    return 2 * worst_of(k.steps)
 
 
 def _circle(k: Levels) -> np.ndarray:
@@ -72,17 +54,10 @@ def _circle(k: Levels) -> np.ndarray:
     return np.sort(np.mod(np.concatenate([k.angles, k.angles + pi]), tau))
 
 
-def _covered(k: Levels) -> float:
-    """Part of a turn that is near a level."""
-    at = _circle(k)
-    gaps = np.diff(at, append=at[0] + tau)
-    return float(np.minimum(gaps, 2 * TOLERANCE * _distance(k)).sum()) / tau
-
-
 def _hits(v: np.ndarray, k: Levels) -> tuple[int, float, int]:
     """Values near a level at the best offset, their rms distance [rad], and how many offsets were tried."""
-    bins = int(2 ** np.ceil(np.log2(FINE * tau / _distance(k))))
-    width, at, reach = tau / bins, _circle(k), TOLERANCE * _distance(k)
+    bins = int(2 ** np.ceil(np.log2(tau / (TOLERANCE**2 * k.distance))))
+    width, at, reach = tau / bins, _circle(k), TOLERANCE * k.distance
     centres = (np.arange(bins) + 0.5) * width
     cost = np.minimum(_apart(centres, at) ** 2, reach**2)
     total = np.fft.irfft(np.fft.rfft(_held(v, bins)) * np.conj(np.fft.rfft(cost)), bins)
@@ -100,7 +75,7 @@ def _off_even(v: np.ndarray, distance: float, bins: int) -> float:
     """Rms distance of the values from the equal steps that suit them best, `distance` or more [rad]."""
     waves = np.arange(bins + 1) / 2  # per turn; the steps need not divide it
     size = np.abs(np.fft.rfft(_held(v, bins), 2 * bins))
-    asked = (waves >= 4) & (waves <= tau / (EVEN * distance))
+    asked = (waves >= 4) & (waves <= tau / ((1 - TOLERANCE) * distance))
     best = float(waves[asked][np.argmax(size[asked])])
     near = best + np.linspace(-0.5, 0.5, 51)
     length = np.abs(np.exp(1j * np.outer(near, v)).mean(axis=1))

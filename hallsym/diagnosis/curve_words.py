@@ -2,18 +2,17 @@
 
 import numpy as np
 
-from hallsym.diagnosis.coordinates import unit_of
+from hallsym.diagnosis.coordinates import KNOTS, unit_of
 from hallsym.diagnosis.curves import MEMORIES, Curve
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Statement
 from hallsym.diagnosis.remainder import Band, CurveShape
 from hallsym.diagnosis.residual_table import ResidualTable, phase
-from hallsym.diagnosis.words import SHOWN, percent, plain, shown
+from hallsym.diagnosis.words import percent, plain, shown
 from hallsym.estimation.calibration import coverage_factor
+from hallsym.log.quality.gains import listed
 from hallsym.units import readable
 
-SLOWEST = 5
-"""Waves per range from which on a line that holds most of a map is a ripple with a period."""
 FASTEST = 104
 """The most waves per period that are looked for: those of a stepper of 50 pole pairs and their neighbours."""
 
@@ -21,25 +20,23 @@ FASTEST = 104
 def described(r: ResidualTable, c: Curve, share: float, p: float, further: bool) -> Statement:
     """Return the statement that `share` of the excess follows a curve, a `further` one beside others."""
     coordinate, more = c.coordinate, "a further " if further else ""
-    cyclic = coordinate.period is not None  # it has no ends
-    period = coordinate.period if cyclic else _period(c) if c.fine else None
-    waves = waves_of(r, c) if cyclic else ()
-    at = _most(c) if coordinate.ordered and not cyclic else ""
-    text = f"{more}{percent(share)} of the excess goes with {coordinate.name}{_form(r, c, period, waves)}"
+    at = _most(c) if coordinate.ordered and coordinate.period is None else ""
+    text = f"{more}{percent(share)} of the excess goes with {coordinate.name}{_form(r, c)}"
     text += f", {at}" if at else ""
     sensor = _mostly(r, c)
     text += f"; seen by {plain(sensor)} above all" if sensor else ""
-    return Statement(coordinate.name, at, share, p, text, unit=coordinate.unit, period=period, waves=waves)
+    return Statement(coordinate.name, at, share, p, text)
 
 
-def _form(r: ResidualTable, c: Curve, period: float | None, waves: tuple[int, ...]) -> str:
+def _form(r: ResidualTable, c: Curve) -> str:
     """Waves per period, ripples, or whether the gain follows the coordinate."""
     unit = c.coordinate.unit
     if c.coordinate.period is not None:
-        per = "turn" if unit == "rad" else "period"
-        return f", {' and '.join(map(str, waves))} waves per {per}" if waves else ""
+        waves, per = waves_of(r, c), "turn" if unit == "rad" else "period"
+        return f", {listed([*map(str, waves)])} waves per {per}" if waves else ""
     if not c.fine:
         return _part(r, c)
+    period = _period(c)
     return f", in ripples of {shown(period, unit)}" if period else ""
 
 
@@ -76,7 +73,7 @@ def waves_of(r: ResidualTable, c: Curve) -> tuple[int, ...]:
 
 
 def waves_per_period(at: np.ndarray, error: np.ndarray) -> tuple[int, ...]:
-    """Return the waves per period of up to three sines that hold a tenth of an error's squares each.
+    """Return the waves per period of the sines that hold a tenth of an error's squares each.
 
     `at`: phase [rad]. The largest first, each fitted beside those before it: where half of a table's knots
     are held out, a wave has images at other orders. Of alike ones the slowest is meant.
@@ -86,32 +83,27 @@ def waves_per_period(at: np.ndarray, error: np.ndarray) -> tuple[int, ...]:
     said: list[int] = []
     rest = error - error.mean()
     least = POLICY.minor * float(rest @ rest)
-    while len(said) < SHOWN:
+    while True:
         power = 2 * np.abs(waves @ rest) ** 2 / len(at)
         k = int(np.argmax(power >= (1 - POLICY.minor) * power.max()))
-        if power[k] <= least:
-            break
+        if not power[k] > least:
+            return tuple(said)
         said.append(k + 1)
         columns += [waves[k].real, waves[k].imag]
         X = np.array(columns).T
         rest = error - X @ np.linalg.lstsq(X, error, rcond=None)[0]
-    return tuple(said)
 
 
 def _period(c: Curve) -> float | None:
-    """Period of a fine map, where one line holds most of its power."""
-    power = _power(c)
+    """Period of a fine map, where one line that no smooth curve follows holds most of its power."""
+    waves = np.fft.rfft(c.offset - c.offset.mean(axis=1, keepdims=True), axis=1)  # per range
+    power = (np.abs(waves) ** 2).sum(axis=0)
     k = int(np.argmax(power))
-    if k < SLOWEST or 2 * power[k - 1 : k + 2].sum() < power.sum():
-        return None
     near = power[k - 1 : k + 2]
+    if 2 * k < KNOTS or near.sum() < POLICY.half * power.sum():
+        return None
     centre = float(np.arange(k - 1, k - 1 + len(near)) @ near / near.sum())
     return float((c.at[1] - c.at[0]) * len(c.at) / centre)
-
-
-def _power(c: Curve) -> np.ndarray:
-    """Power of a fine map by waves per range."""
-    return (np.abs(np.fft.rfft(c.offset - c.offset.mean(axis=1, keepdims=True), axis=1)) ** 2).sum(axis=0)
 
 
 def _most(c: Curve) -> str:

@@ -29,7 +29,9 @@ BENDS = (0.01, 0.3, 10.0)
 The curve that predicts runs left out best is taken: a free one runs wild beyond its runs, a stiff one follows
 no bend."""
 FINE = 96
-"""Bins of a fine map, at most; none narrower than 8 sigma of what places it, which is in the residual."""
+"""Bins of a fine map, at most; none narrower than 8 sigma of what places it, which is in the residual.
+
+With twice as many a ripple is predicted no better on runs left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,21 +40,23 @@ class Curve:
 
     `at`: (m,) places. `offset`, `gain`: (K, m), the residual is offset + gain * sensed / scale [m]; `gain`
     None where it has none. `spread`, `gain_spread`: standard errors of these, from runs left out in turn.
-    `explained`: whitened squares that it removes from runs it was not fitted on; `predicted`: (K, n).
-    `statistic`: (draws,) with random signs, that of the log first.
+    `explained`: whitened squares that it removes from runs it was not fitted on. `statistic`: (draws,) with
+    random signs, that of the log first. `predicted`: (K, n); `says`: the same of other samples, None where
+    the coordinate does not vary.
     """
 
     coordinate: Coordinate
     values: np.ndarray
     at: np.ndarray
     offset: np.ndarray
-    gain: np.ndarray | None
     spread: np.ndarray
-    gain_spread: np.ndarray | None
-    scale: float
     explained: float
     statistic: np.ndarray
     predicted: np.ndarray
+    says: Callable[[ResidualTable], np.ndarray | None]
+    gain: np.ndarray | None = None
+    gain_spread: np.ndarray | None = None
+    scale: float = 1.0
     fine: bool = False
 
     @property
@@ -80,17 +84,18 @@ class Smooth:
     def __init__(self, r: ResidualTable, coordinate: Coordinate, moved: ResidualTable | None = None) -> None:
         """Take the residual on some runs; `moved`: the same with more noise in the references."""
         self.r, self.coordinate = r, coordinate
-        values = coordinate.values(r)
-        self.values = values
-        if values is None:
-            return
+        self.values = values = _values(coordinate, r)
         self.scale = float(np.sqrt(np.mean(r.sensed**2))) or 1.0
-        self.at, self.phi = self._features(values)
-        K, nf, _ = self.phi.shape
+        c = coordinate
+        free = MEMORIES if c.memory else np.arange(len(c.of) * (1.0 + c.gain))
+        self.at = knots(values) if c.ordered else np.asarray(free)
+        self.phi = self._features(r, values)
         self.folds, self.blocks = _slices(r.fold), _slices(r.block)
-        other = None if moved is None else _features_at(moved, coordinate, self.at, self.scale, r)
-        change = np.zeros_like(r.residual) if moved is None else r.precision @ (moved.residual - r.residual)
-        by = (other - self.phi) * change[:, None, :] if other is not None else np.zeros((K, nf, 1))
+        there = None if moved is None else c.values(moved)
+        by = np.zeros((*self.phi.shape[:2], 1))
+        if moved is not None and there is not None:
+            change = r.precision @ (moved.residual - r.residual)
+            by = (self._features(moved, there) - self.phi) * change[:, None, :]
         self.shared = [
             np.array([by[:, :, s].sum(axis=2) for s in group]) for group in (self.folds, self.blocks)
         ]
@@ -100,27 +105,38 @@ class Smooth:
         )
         self.rest = [others(gram) for gram in self.gram]
 
-    def _features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        r, c = self.r, self.coordinate
-        at = knots(x) if c.ordered else np.array(MEMORIES)
-        phi = _features_at(r, c, at, self.scale, r)
-        assert phi is not None
-        return at if c.ordered or c.memory else np.arange(float(phi.shape[1])), phi
+    def _features(self, r: ResidualTable, x: np.ndarray) -> np.ndarray:
+        """Return the features of some samples where the coordinate has the values `x`, (K, features, n)."""
+        c = self.coordinate
+        if c.ordered:
+            phi = np.array([hats(row, self.at) for row in _by_sensor(x, r)])
+        elif c.memory:
+            size = float(np.std(self.r.sensed))
+            phi = np.stack([_memory(r, size * w) for w in MEMORIES], axis=1)
+        else:
+            old, new = (np.array([of.columns[n] for n in c.of]) for of in (self.r, r))
+            middle = old.mean(axis=1, keepdims=True) if c.gain else 0.0
+            rows = (new - middle) / np.maximum(old.std(axis=1, keepdims=True), 1e-300)
+            phi = np.broadcast_to(rows, (len(r.channels), *rows.shape))
+        return np.concatenate([phi, phi * (r.sensed / self.scale)[:, None, :]], axis=1) if c.gain else phi
 
-    def curve(self, residual: np.ndarray) -> Curve | None:
+    def curve(self, residual: np.ndarray) -> Curve:
         """Return the curve of a residual (K, n)."""
-        if self.values is None:
-            return None
         fits = self._fits(residual)
         explained, beta, left, _ = max(fits, key=lambda f: f.explained)
         z = np.max([f.statistic for f in fits], axis=0)
-        (U, _, nf), m = left.shape, len(self.at)
+        U, m = len(left), len(self.at)
         error = np.sqrt((U - 1) / U * ((left - left.mean(axis=0)) ** 2).sum(axis=0))
+        both = self.coordinate.ordered and self.coordinate.gain
         predicted = (beta[:, None] @ self.phi)[:, 0]
-        both = nf == 2 * m and self.coordinate.gain
+
+        def says(other: ResidualTable) -> np.ndarray | None:
+            x = self.coordinate.values(other)
+            return None if x is None else (beta[:, None] @ self._features(other, x))[:, 0]
+
         return Curve(
-            self.coordinate, self.values, self.at, beta[:, :m], beta[:, m:] if both else None, error[:, :m],
-            error[:, m:] if both else None, self.scale, explained, z, predicted,
+            self.coordinate, self.values, self.at, beta[:, :m], error[:, :m], explained, z, predicted, says,
+            beta[:, m:] if both else None, error[:, m:] if both else None, self.scale,
         )  # fmt: skip
 
     def _fits(self, residual: np.ndarray) -> list["_Fit"]:
@@ -166,13 +182,8 @@ class FineMap:
     def __init__(self, r: ResidualTable, coordinate: Coordinate, moved: ResidualTable | None = None) -> None:
         """Take the residual on some runs; `moved`: the same with more noise in the references."""
         self.r, self.coordinate = r, coordinate
-        x = coordinate.values(r)
-        if x is None:
-            self.values = None
-            return
-        self.values = x
-        each = x if x.ndim == 2 else np.broadcast_to(x, r.residual.shape)
-        low, high = np.quantile(each, [0.002, 0.998])
+        self.values = x = _values(coordinate, r)
+        low, high = np.quantile(_by_sensor(x, r), [0.002, 0.998])
         noise = max((r.sigma.get(c, 0.0) for c in r.sigma if c.endswith(f"_{coordinate.unit}")), default=0.0)
         self.bins = int(np.clip((high - low) / max(8 * noise, 1e-300), 12, FINE))
         self.width = (high - low) / self.bins
@@ -188,11 +199,9 @@ class FineMap:
             )
         self.prior = r.residual.size / max(r.excess, 1e-3 * r.residual.size)
 
-    def curve(self, residual: np.ndarray) -> Curve | None:
+    def curve(self, residual: np.ndarray) -> Curve:
         """Return the map of a residual (K, n)."""
-        if self.values is None:
-            return None
-        r, K = self.r, len(residual)
+        r = self.r
         n, sums = self._sums(residual, r.fold, self.bin)
         sums = sums - self.shared(r.fold)
         N, S = n.sum(axis=0), sums.sum(axis=0)
@@ -206,15 +215,19 @@ class FineMap:
         scores = (parts * np.sqrt(weight / (N + self.prior))).reshape(len(parts), -1)
         U = len(left)
         error = np.sqrt((U - 1) / U * ((left - left.mean(axis=0)) ** 2).sum(axis=0))
-        predicted = np.array([mean[k][self.bin[k]] for k in range(K)])
+
+        def says(other: ResidualTable) -> np.ndarray | None:
+            x = self.coordinate.values(other)
+            return None if x is None else np.take_along_axis(mean, self._bin(x, other), axis=1)
+
+        z = of_products(scores @ scores.T, r.run_of(r.block))
+        predicted = np.take_along_axis(mean, self.bin, axis=1)
         return Curve(
-            self.coordinate, self.values, self.at, mean, None, error, None, 1.0, explained,
-            of_products(scores @ scores.T, r.run_of(r.block)), predicted, True,
-        )  # fmt: skip
+            self.coordinate, self.values, self.at, mean, error, explained, z, predicted, says, fine=True
+        )
 
     def _bin(self, x: np.ndarray, r: ResidualTable) -> np.ndarray:
-        each = x if x.ndim == 2 else np.broadcast_to(x, r.residual.shape)
-        return np.clip(((each - self.low) / self.width).astype(int), 0, self.bins - 1)
+        return np.clip(((_by_sensor(x, r) - self.low) / self.width).astype(int), 0, self.bins - 1)
 
     def _sums(
         self, residual: np.ndarray, group: np.ndarray, bins: np.ndarray
@@ -228,6 +241,20 @@ class FineMap:
         size = groups * K * self.bins
         n = np.bincount(flat, minlength=size).reshape(shape).astype(float)
         return n, np.bincount(flat, residual.ravel(), size).reshape(shape)
+
+
+def over(r: ResidualTable, c: Coordinate, moved: ResidualTable | None = None) -> list[Smooth | FineMap]:
+    """Return what fits a residual over a coordinate: nothing where that does not vary."""
+    if c.values(r) is None:
+        return []
+    return [make(r, c, moved) for make in ((Smooth, FineMap) if c.fine else (Smooth,))]
+
+
+def _values(coordinate: Coordinate, r: ResidualTable) -> np.ndarray:
+    values = coordinate.values(r)
+    if values is None:
+        raise ValueError(f"{coordinate.name} does not vary")
+    return values
 
 
 def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray]:
@@ -267,52 +294,9 @@ def level_weights(r: ResidualTable, residual: np.ndarray, group: np.ndarray) -> 
     return np.where(some, 1.0 / np.sqrt(np.where(some, means, 1.0)), 0.0)
 
 
-def _features_at(
-    r: ResidualTable, c: Coordinate, at: np.ndarray, scale: float, like: ResidualTable
-) -> np.ndarray | None:
-    """Features of a coordinate, (K, features, n), as they are on `like`; None where it does not vary."""
-    x = c.values(r)
-    if x is None:
-        return None
-    if not c.ordered:
-        return _unordered(r, c, like)
-    each = x if x.ndim == 2 else np.broadcast_to(x, r.residual.shape)
-    phi = np.array([hats(row, at) for row in each])
-    return np.concatenate([phi, phi * (r.sensed / scale)[:, None, :]], axis=1) if c.gain else phi
-
-
-def _unordered(r: ResidualTable, c: Coordinate, like: ResidualTable) -> np.ndarray:
-    """Features of a coordinate that is no place on a line, (K, features, n), scaled as on `like`."""
-    if c.memory:
-        size = float(np.std(like.sensed))
-        return np.stack([_memory(r, size * w) for w in MEMORIES], axis=1)
-    old, new = (np.array([x.columns[n] for n in c.of]) for x in (like, r))
-    spread = np.maximum(old.std(axis=1), 1e-300)[:, None]
-    if not c.gain:
-        rows = new / spread
-        return np.broadcast_to(rows, (len(r.channels), *rows.shape)).copy()
-    rows = (new - old.mean(axis=1)[:, None]) / spread
-    gains = rows * (r.sensed / (float(np.sqrt(np.mean(like.sensed**2))) or 1.0))[:, None, :]
-    return np.concatenate([np.broadcast_to(rows, gains.shape), gains], axis=1)
-
-
-def predicted(c: Curve, fitted: ResidualTable, other: ResidualTable) -> np.ndarray | None:
-    """Return what a curve of `fitted` says of other samples, (K, n); None where they lack the coordinate."""
-    x = c.coordinate.values(other)
-    if x is None:
-        return None
-    if not c.coordinate.ordered:
-        return np.asarray(np.einsum("kf,kfn->kn", c.offset, _unordered(other, c.coordinate, fitted)))
-    each = x if x.ndim == 2 else np.broadcast_to(x, other.sensed.shape)
-    if c.fine:
-        step = c.at[1] - c.at[0]
-        bins = np.clip(np.rint((each - c.at[0]) / step).astype(int), 0, len(c.at) - 1)
-        return np.take_along_axis(c.offset, bins, axis=1)
-    out = np.array([np.interp(row, c.at, curve) for row, curve in zip(each, c.offset, strict=True)])
-    if c.gain is not None:
-        gain = np.array([np.interp(row, c.at, curve) for row, curve in zip(each, c.gain, strict=True)])
-        out = out + gain * other.sensed / c.scale
-    return out
+def _by_sensor(x: np.ndarray, r: ResidualTable) -> np.ndarray:
+    """Return values of a coordinate for each sensor, (K, n)."""
+    return x if x.ndim == 2 else np.broadcast_to(x, r.residual.shape)
 
 
 def _memory(r: ResidualTable, width: float) -> np.ndarray:

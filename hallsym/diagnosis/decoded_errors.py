@@ -1,53 +1,48 @@
-"""Decoded errors: of two versions of a model on the same samples, block by block, and as waves per period."""
+"""Decoded errors: of a version of a model on some samples, and as waves per period."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.record import Waves
+from hallsym.diagnosis.record import Gap, Waves
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation.decoding import columns_of, nominal_variance, pose_errors
 from hallsym.log import Block
 from hallsym.log.batches import Weigh, batches
 from hallsym.log.derived import extended
 from hallsym.log.phase import decoding, designed
-
-BLOCKS = 400
-"""Blocks that a log is cut into for resampling, none shorter than 50 samples."""
+from hallsym.records import named
 
 
 @dataclass(frozen=True, eq=False)
-class BlockErrors:
-    """Decoded errors by block of samples: `count` (b,), sums of `squares` (b, pose), `peak` (pose,).
+class DecodedErrors:
+    """Decoded errors of `count` samples: sums of `squares` and `peak`, (pose,) each, in SI.
 
     `weights`: (pose,) of the pose metric.
     """
 
     pose: tuple[str, ...]
     weights: np.ndarray
-    count: np.ndarray
+    count: int
     squares: np.ndarray
     peak: np.ndarray
 
-    def gap(self) -> dict[str, dict[str, float]]:
-        """Return rmse and peak per pose coordinate."""
-        rmse = np.sqrt(self.squares.sum(axis=0) / max(self.count.sum(), 1.0))
-        return {
-            "rmse": dict(zip(self.pose, rmse.tolist(), strict=True)),
-            "peak": dict(zip(self.pose, self.peak.tolist(), strict=True)),
-        }
-
     @property
-    def sums(self) -> np.ndarray:
-        """Squares of each block in the pose metric."""
-        return np.asarray(self.squares @ self.weights**2)
+    def rms(self) -> np.ndarray:
+        """Root mean square of each coordinate, (pose,)."""
+        return np.sqrt(self.squares / max(self.count, 1))
 
     @property
     def metric(self) -> float:
         """The gap metric: root of the summed mean squares in the pose metric."""
-        return float(np.sqrt(self.sums.sum() / max(self.count.sum(), 1.0)))
+        return float(np.linalg.norm(self.rms * self.weights))
+
+    @property
+    def gap(self) -> Gap:
+        """Rmse and peak per pose coordinate."""
+        return Gap(named(self.pose, self.rms), named(self.pose, self.peak))
 
 
 Decode = Callable[[Block], np.ndarray]
@@ -59,39 +54,27 @@ def errors_of(base: Base) -> Decode:
     return lambda block: errors(base.p, base.zeros_in(block.run), block.data)
 
 
-def block_errors(base: Base, runs: Sequence[int], rows: int, keep: Weigh | None) -> BlockErrors:
-    """Decode some runs and return their errors, see `errors_of`; `rows` of the log sets a block's size."""
-    model, wanted = base.model, set(runs)
-    size = max(50, rows // BLOCKS)
-    decode = errors_of(base)
-    count, squares, peak = [], [], np.zeros(len(model.pose))
+def decoded_errors(base: Base, runs: Iterable[int], keep: Weigh | None = None) -> DecodedErrors:
+    """Decode the samples of some runs that `keep` does not leave out, and return their errors."""
+    model, wanted, decode = base.model, set(runs), errors_of(base)
+    count, squares, peak = 0, np.zeros(len(model.pose)), np.zeros(len(model.pose))
     for batch in batches(extended(base.log, model, base.sigma, base.values), columns_of(model)):
         weights = batch.weights(keep)
         for block, at in batch.parts():
-            if block.run not in wanted:
-                continue
-            error = decode(block)
-            if weights is not None:
-                error = error[:, weights[at] > 0]
-            for low in range(0, error.shape[1], size):
-                part = error[:, low : low + size]
-                count.append(part.shape[1])
-                squares.append((part**2).sum(axis=1))
-                peak = np.maximum(peak, np.abs(part).max(axis=1, initial=0.0))
-    return BlockErrors(
-        model.pose,
-        base.pose_weights,
-        np.array(count, float),
-        np.array(squares).reshape(-1, len(model.pose)),
-        peak,
-    )
+            if block.run in wanted:
+                error = decode(block)
+                if weights is not None:
+                    error = error[:, weights[at] > 0]
+                count += error.shape[1]
+                squares += (error**2).sum(axis=1)
+                peak = np.maximum(peak, np.abs(error).max(axis=1, initial=0.0))
+    return DecodedErrors(model.pose, base.pose_weights, count, squares, peak)
 
 
 FIRST = 12
-"""Waves per period up to which all are looked at, beside those that an effect is known by."""
-COVERED = 0.01
-"""Least eigenvalue of the mean products of 1 and the first `LONG` waves where a log covers the period."""
-LONG = 3
+"""Waves per period up to which all are looked at, beside those that an effect is known by.
+
+A log covers a period if samples lie in each half of the shortest of them."""
 
 
 def waves(model: Base, after: Base | None) -> tuple[Waves, ...]:
@@ -129,13 +112,15 @@ def _amplitudes(base: Base, periodic: Sequence[int], orders: Sequence[int]) -> t
     columns = [model.references[k] for k in periodic]
     size = 1 + 2 * len(orders)
     M, b = np.zeros((len(columns), size, size)), np.zeros((len(columns), size))
-    squares = np.zeros(len(columns))
+    squares, seen = np.zeros(len(columns)), np.zeros((len(columns), 2 * FIRST), dtype=bool)
     for batch in batches(extended(base.log, model, base.sigma, base.values), columns_of(model)):
         weights = batch.weights(base.keep)
         for block, at in batch.parts():
             errors = decode(block)
             for j, (k, c) in enumerate(zip(periodic, columns, strict=True)):
-                turn = np.outer(orders, 2 * np.pi / model.period[c] * block.data[c])
+                periods = block.data[c] / model.period[c]
+                seen[j, (periods % 1 * 2 * FIRST).astype(int) % (2 * FIRST)] = True
+                turn = np.outer(orders, 2 * np.pi * periods)
                 x = np.vstack([np.ones(turn.shape[1]), np.cos(turn), np.sin(turn)])
                 wx = x if weights is None else x * weights[at]
                 M[j] += wx @ x.T
@@ -143,8 +128,7 @@ def _amplitudes(base: Base, periodic: Sequence[int], orders: Sequence[int]) -> t
                 squares[j] += wx[0] @ errors[k] ** 2
     out, rest = np.zeros((len(columns), len(orders))), np.zeros(len(columns))
     for j in range(len(columns)):
-        long = [0, *(1 + n + k * len(orders) for k in (0, 1) for n in range(min(LONG, len(orders))))]
-        if np.linalg.eigvalsh(M[j][np.ix_(long, long)])[0] > COVERED * M[j, 0, 0]:
+        if seen[j].all():
             solved = np.linalg.lstsq(M[j], b[j], rcond=1e-9)[0]
             out[j] = np.hypot(*solved[1:].reshape(2, -1))
             rest[j] = np.sqrt(max(squares[j] - b[j] @ solved, 0.0) / M[j, 0, 0])

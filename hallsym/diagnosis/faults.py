@@ -3,40 +3,38 @@
 They are judged on what the best model leaves. What each costs is what the gap would lose without it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from math import factorial
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from hallsym.diagnosis.cordic import cordic
-from hallsym.diagnosis.p_values import beyond, statistic_at
+from hallsym.diagnosis.p_values import as_many, as_often, beyond, exceeds, statistic_at, student
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.record import Estimate
+from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residuals import Base, pieces
-from hallsym.diagnosis.survey import FAR, Survey
+from hallsym.diagnosis.survey import WINDOW, Survey
+from hallsym.diagnosis.words import shown
+from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.outliers import residuals
-from hallsym.families.faults import FAULTS
+from hallsym.families.faults import FAULTS, RecordingFault
+from hallsym.inference import Estimate
 from hallsym.log import Block, Log
-from hallsym.log.batches import Weigh
+from hallsym.log.batches import HELD, Weigh
+from hallsym.log.quality.runs import FEWEST_SAMPLES
 
-TAILS = ("outliers", "dropped_samples")
-"""Faults of few samples, which can be left out."""
-OF_VALUES = ("cordic_steps",)
-"""Faults that the values of the readings tell, whatever a model leaves: their error is known."""
-SPIKES = 0.3
-"""Part of the power of far samples from which on spikes, which no delay explains, are the cause.
+TAIL_KNOWN = 2.0
+"""Factor to which the body of noise with heavy tails tells how many samples lie beyond that.
 
-A stale sample is off along the direction of motion only and leaves none; a spike of one of K readings has
-1 - 1/K of its power in the others on average (2/3 for three). Half of that."""
+Student's t of 3 degrees of freedom in every reading and reference has up to 1.5 times as many."""
 SMOOTH = 0.25
 """Correlation of neighbouring time shifts from which on they are no jitter, which has none.
 
-White noise has -0.09 after the running median; a gap of the model that is sampled finely comes near 1."""
-
-
-KINDS = 6
-"""Faults that every log is asked for: those of samples here, and exchanged and inverted channels."""
+White noise has -0.08 after the running median, noise with a memory of 3 samples 0.3, a gap of the model that
+is sampled finely nearly 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +48,9 @@ class Fault:
     p_value: float
 
     @property
-    def link(self) -> str:
-        """Link of the chain that the fault belongs to."""
-        return FAULTS[self.name].link
+    def record(self) -> RecordingFault:
+        """What is known of such faults."""
+        return FAULTS[self.name]
 
 
 def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
@@ -61,48 +59,117 @@ def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
     Each must be certain after correction for all that was `tested`.
     """
 
-    def certain(p: float) -> bool:
-        return p * tested < POLICY.certain
+    def certain(fault: Fault | None) -> bool:
+        return fault is not None and fault.p_value * tested < POLICY.certain
 
-    out = []
-    variance = max(found.variance, 1e-12)
-    tail = found.spike_power + found.stale_power
-    rare = found.bursts < POLICY.half
-    if rare and certain(found.spike_p) and found.spike_power > SPIKES * tail:
-        out.append(
-            Fault("outliers", f"{100 * found.spike_share:.2g} % of the samples are spikes",
-                  tail / variance, {"share": Estimate(found.spike_share, None, "1")}, found.spike_p)
-        )  # fmt: skip
-    elif rare and certain(found.stale_p):
-        out.append(
-            Fault("dropped_samples", f"{100 * found.stale_share:.2g} % of the samples are old",
-                  tail / variance, {"share": Estimate(found.stale_share, None, "1")}, found.stale_p)
-        )  # fmt: skip
-    elif certain(found.jitter_p) and found.smooth < SMOOTH:
-        out.append(
-            Fault("clock_jitter", f"sampling instants scatter by {1e6 * found.jitter_s:.3g} us rms",
-                  found.jitter_power / variance, {"jitter": Estimate(found.jitter_s, None, "s")},
-                  found.jitter_p)
-        )  # fmt: skip
+    # samples that are far off, each by itself, are spikes or late; only without them scatter is jitter
+    first = next(filter(certain, of_samples(found)), None)
     chip = _chip(base, found)
-    if chip and certain(chip.p_value):
-        out.append(chip)
+    out = [f for f in (first, chip, _steps(base, found, chip)) if f is not None and certain(f)]
+    return sorted(out, key=lambda f: -f.power)
+
+
+def of_samples(found: Survey) -> Iterator[Fault]:
+    """Yield what single samples may be, by precedence, each with the p-value that it has by itself.
+
+    The residual is split into what a time shift explains (z) and the rest, each into body and tail. The body
+    is judged by quartiles, which rare samples do not move: its growth with speed is jitter. What the mean of
+    squares has beyond that is the tail: samples that are late, or spikes. Both are held against what the body
+    makes expect; late ones also against as many that are early.
+    """
+    (z, size, rest), K = found.instants, len(found.values)
+    n, bins, across = len(z), 2 * POLICY.fewest, max(K - 1, 1)
+    if n < bins * FEWEST_SAMPLES:
+        return
+
+    def fault(name: str, text: str, power: float, p: float, size: Estimate) -> Fault:
+        of = "share" if size.unit == "1" else "jitter"
+        return Fault(name, text, power / K / max(found.variance, NIL), {of: size}, p)
+
+    square, quartile = _filtered()
+    body, slope, error = _growth(z, size, bins, quartile)
+    growth = max(slope, 0.0)
+    expected = square * np.maximum(body + growth * size**2, NIL)
+    quiet = max(float(np.median(rest)) / statistic_at(0.5, across), NIL)
+    limit, far_z = quiet * far_from(across, n), far_from(1, n)
+    spikes = rest > limit
+    late = (z**2 > far_z * expected) & ~spikes
+    far = spikes | late
+    near = np.convolve(far, np.ones(2 * WINDOW + 1), "same") > WINDOW
+    if far.any() and (far & near).sum() < POLICY.half * far.sum():  # each by itself
+        of_spikes = float((rest[spikes] + z[spikes] ** 2).sum()) / n
+        of_late = max(float(np.mean(np.where(spikes, 0.0, z**2 - expected))), 0.0) if late.any() else 0.0
+        tail, share = of_spikes + of_late, 100 * float(spikes.mean())
+        if of_spikes > POLICY.half * tail:  # a late sample is off along the motion only
+            p = as_many(_events(spikes), TAIL_KNOWN * exceeds(rest, across, limit) * n)
+            text = f"{share:.2g} % of the samples are spikes"
+            yield fault("outliers", text, tail, p, Estimate(share / 100, None, "1"))
+        events, share = _events(late), 100 * float(late.mean())
+        sides = round(0.5 * (events + abs(float(np.sign(z[late]).mean())) * events)) if events else 0
+        rare = as_many(events, exceeds(z**2 / expected, 1, far_z) * n)
+        p = max(rare, min(1.0, 2 * as_often(sides, events, 0.5)))
+        text = f"{share:.2g} % of the samples are old"
+        yield fault("dropped_samples", text, tail, p, Estimate(share / 100, None, "1"))
+    if z[1:] @ z[:-1] < SMOOTH * (z @ z):
+        rms, power = float(np.sqrt(growth)), growth * float(np.mean(size**2))
+        p = student(slope / max(error, 1e-300), bins - 2)
+        text = f"sampling instants scatter by {1e6 * rms:.3g} us rms"
+        yield fault("clock_jitter", text, power, p, Estimate(rms, None, "s"))
+
+
+def far_from(freedom: int, samples: int) -> float:
+    """Return the chi-square of a sample that is far: none of so many Gaussian samples exceeds it."""
+    return statistic_at(POLICY.certain / samples, freedom)
+
+
+@cache
+def _filtered() -> tuple[float, float]:
+    """Mean square, and upper quartile of squares, that the running median leaves of white noise."""
+    white = np.random.default_rng(0).standard_normal(HELD)
+    squares = (white - median_filter(white, size=WINDOW)) ** 2
+    return float(squares.mean()), float(np.quantile(squares, 0.75))
+
+
+def _events(far: np.ndarray) -> int:
+    """Count groups of neighbouring samples: what lasts for several samples happened once."""
+    return int(np.count_nonzero(np.diff(far.astype(int), prepend=0) > 0))
+
+
+def _growth(z: np.ndarray, size: np.ndarray, bins: int, quartile: float) -> tuple[float, float, float]:
+    """Variance of z at rest, its growth with size^2 and the error of that, from quartiles in bins of speed.
+
+    `quartile`: of z^2 at unit variance. The error is what the bins scatter by about the line.
+    """
+    parts = np.array_split(np.argsort(size), bins)
+    x = np.array([np.mean(size[b] ** 2) for b in parts])
+    y = np.array([np.quantile(z[b] ** 2, 0.75) for b in parts]) / quartile
+    weight = 1 / np.maximum(y, NIL)  # the error of a quartile grows with it
+    A = np.column_stack([np.ones(bins), x]) * weight[:, None]
+    covariance = pseudo_inverse(A.T @ A)
+    body, slope = covariance @ A.T @ (y * weight)
+    scatter = float(((y * weight - A @ [body, slope]) ** 2).sum()) / (bins - 2)
+    return float(body), float(slope), float(np.sqrt(covariance[1, 1] * scatter))
+
+
+def _steps(base: Base, found: Survey, chip: Fault | None) -> Fault | None:
+    """The fault that readings come in steps."""
     steps = found.adc_step
     # a chip's levels lie as evenly as steps nearly everywhere, and are named by what makes them
-    if chip and steps.max() > 0.5 * chip.parameters["distance"].value:
-        steps = np.zeros_like(steps)
-    if steps.size and steps.max() > 0 and certain(found.step_p):
-        whiten = np.linalg.inv(base.covariance)
-        power = float(np.diag(whiten) @ steps**2) / 12 / len(steps)
-        fine = {
-            f"step_{c}": Estimate(float(q), None, _unit(c))
-            for c, q in zip(base.model.channels, steps, strict=True)
-        }
-        out.append(
-            Fault("adc_quantisation", _steps(base.model.channels, steps),
-                  power / variance, fine, found.step_p)
-        )  # fmt: skip
-    return sorted(out, key=lambda f: -f.power)
+    if not steps.any() or (chip and steps.max() > POLICY.half * chip.parameters["distance"].value):
+        return None
+    power = float(np.diag(np.linalg.inv(base.covariance)) @ steps**2) / 12 / len(steps) / found.variance
+    if power * POLICY.half > 1:  # no rounding: readings as even as their knots
+        return None
+    sized = list(zip(base.model.channels, steps.tolist(), strict=True))
+    units = {c: c.rpartition("_")[2] for c, _ in sized}
+    widest, step = max(sized, key=lambda one: one[1])
+    return Fault(
+        "adc_quantisation",
+        f"readings come in steps of {shown(step, units[widest])}",
+        power,
+        {f"step_{c}": Estimate(q, None, units[c].replace("v", "V")) for c, q in sized},
+        found.step_p,
+    )
 
 
 def _chip(base: Base, found: Survey) -> Fault | None:
@@ -116,7 +183,7 @@ def _chip(base: Base, found: Survey) -> Fault | None:
     chip = seen.levels
     fine = {
         "steps": Estimate(float(chip.steps), None, "1"),
-        "distance": Estimate(seen.distance, None, "rad"),
+        "distance": Estimate(chip.distance, None, "rad"),
         "error": Estimate(chip.rms, None, "rad"),
     }
     many, worst = 2 * len(chip.angles), np.degrees(chip.worst)
@@ -125,25 +192,16 @@ def _chip(base: Base, found: Survey) -> Fault | None:
     return Fault("cordic_steps", text, power, fine, seen.p_value)
 
 
-def _unit(channel: str) -> str:
-    return {"v": "V"}.get(channel.rpartition("_")[2], channel.rpartition("_")[2])
-
-
-def _steps(channels: Sequence[str], steps: np.ndarray) -> str:
-    unit = _unit(channels[int(np.argmax(steps))])
-    factor, name = {"V": (1e3, "mV"), "rad": (1e6, "urad")}.get(unit, (1e6, "um"))
-    return f"readings come in steps of {factor * steps.max():.3g} {name}"
-
-
 def without_tail(base: Base) -> Weigh:
     """Return weights 0 for samples that are far off the model, on top of those left out already."""
     residual = residuals(base.model, base.p, base.zeros)
-    whiten = base.whiten
+    whiten, K = base.whiten, len(base.model.channels)
+    limit = far_from(K, base.log.rows)
 
     def weigh(block: Block) -> np.ndarray:
         distance = ((whiten @ residual(block)) ** 2).sum(axis=0)
-        typical = max(float(np.median(distance)) / statistic_at(0.5, len(whiten)), 0.5)
-        near = (distance < FAR * typical).astype(float)
+        typical = max(float(np.median(distance)) / statistic_at(0.5, K), POLICY.half)
+        near = (distance < limit * typical).astype(float)
         return near if base.keep is None else near * base.keep(block)
 
     return weigh

@@ -7,21 +7,19 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen import cost_of
+from hallsym.codegen.operations import graph
 from hallsym.diagnosis.faults import Fault, wiring_p, wirings
 from hallsym.diagnosis.flexible import PAST
-from hallsym.diagnosis.ranking import count_of
-from hallsym.diagnosis.record import Estimate, FoundEffect, Resemblance
+from hallsym.diagnosis.record import FoundEffect, Resemblance
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Held, Validation
 from hallsym.diagnosis.verdict import closed
 from hallsym.diagnosis.words import SHOWN
 from hallsym.errors import InputError, counted
 from hallsym.families.faults import FAULTS
+from hallsym.inference import Estimate
 from hallsym.model import Model
 from hallsym.units import readable
-
-EITHER = ("sign_inversion", "channel_swap")
-"""Faults of the channel assignment that an angle from two channels cannot tell apart."""
 
 
 def findings(
@@ -32,7 +30,7 @@ def findings(
     `resembled`: why the machine only behaves like some of the effects.
     """
     spread = _standard_errors(found)
-    out = [_effect(found, e, spread, resembled.get(e.selected.name)) for e in found.effects]
+    out = [_effect(found, e, spread, resembled.get(e.name)) for e in found.effects]
     out += [_fault(setup, found, f) for f in found.faults]
     if setup.miswired:
         out.insert(0, _assignment(setup, found))
@@ -41,12 +39,12 @@ def findings(
 
 def _standard_errors(found: Validation) -> np.ndarray:
     """Standard errors of all parameters, for the noise and the slow averages of what is left."""
-    noise = max(found.fit.cost / count_of(found.fit), 1e-12)
+    noise = found.fit.variance(1.0)
     return np.sqrt(np.maximum(np.diag(found.fit.covariance()), 0.0) * noise * found.inflation)
 
 
 def _effect(found: Validation, held: Held, spread: np.ndarray, resembled: Resemblance | None) -> FoundEffect:
-    score, fit = held.selected.exact.score, found.fit
+    score, fit = held.exact.score, found.fit
     model, before = fit.base.model, held.without.base.model
     stuck, unseen = fit.at_bound(), fit.unseen()
     index = {n: model.names.index(n) for n in score.model.names if n in model.names and n not in before.names}
@@ -77,45 +75,34 @@ def _effect(found: Validation, held: Held, spread: np.ndarray, resembled: Resemb
 
 
 def _note(name: str, ended: Sequence[str], blind: Sequence[str], resembled: Resemblance | None) -> str:
-    said = [at_bound_text(ended)] if ended else []
-    said += [unseen_text(blind)] if blind else []
-    return " ".join([*said, *([resembles_text(name, resembled)] if resembled else [])])
-
-
-def resembles_text(name: str, r: Resemblance) -> str:
-    """Return what to say of an effect that the machine only behaves like."""
-    varied = (
-        "a free linear response to the past of what it makes"
-        if r.by == PAST
-        else f"a strength that follows {', '.join(readable(c)[2] for c in r.by)} freely"
-    )
-    return (
-        f"The machine behaves like {name}, but {varied} predicts other runs better: what the effect makes is "
-        f"off by {100 * r.misfit:.2g} % (rms). The cause is something of the same kind that no effect "
-        "describes."
-    )
-
-
-def at_bound_text(names: Sequence[str]) -> str:
-    """Return what to say of parameters that ended at a bound."""
-    bound = "its bound" if len(names) == 1 else "their bounds"
-    return (
-        f"{', '.join(names)} ended at {bound}, so there is no interval; the intervals of other parameters "
-        "hold only if the bound is right. Either the bound is wrong for this machine, or another effect does "
-        "part of the work."
-    )
-
-
-def unseen_text(names: Sequence[str]) -> str:
-    """Return what to say of parameters on which no sample depends."""
-    return f"No sample of this log depends on {', '.join(names)}: fixed at the nominal value."
+    """Return what qualifies an effect: parameters at their bounds or unseen, and a better alternative."""
+    said = []
+    if ended:
+        bound = "its bound" if len(ended) == 1 else "their bounds"
+        said.append(
+            f"{', '.join(ended)} ended at {bound}, so there is no interval; the intervals of other "
+            "parameters hold only if the bound is right. Either the bound is wrong for this machine, or "
+            "another effect does part of the work."
+        )
+    if blind:
+        said.append(f"No sample of this log depends on {', '.join(blind)}: fixed at the nominal value.")
+    if resembled:
+        varied = f"a strength that follows {', '.join(readable(c)[2] for c in resembled.by)} freely"
+        if resembled.by == PAST:
+            varied = "a free linear response to the past of what it makes"
+        said.append(
+            f"The machine behaves like {name}, but {varied} predicts other runs better: what the effect "
+            f"makes is off by {100 * resembled.misfit:.2g} % (rms). The cause is something of the same kind "
+            "that no effect describes."
+        )
+    return " ".join(said)
 
 
 def _fault(setup: Setup, found: Validation, fault: Fault) -> FoundEffect:
     scale = found.fault_scale
     return FoundEffect(
         name=fault.name,
-        link=fault.link,
+        link=fault.record.link,
         variant=fault.text,
         parameters=fault.parameters,
         p_value=min(1.0, fault.p_value * setup.tested),
@@ -159,19 +146,12 @@ def _repair(name: str) -> str:
     return f"{name} {FAULTS[name].refusal}"
 
 
-NO_WORK = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN)
-
-
 def operations(model: Model) -> int:
     """Return the count of arithmetic operations of one decoded pose, common subexpressions counted once.
 
     Each sine or division of the model's own expression is one operation: for models that have no C.
     """
-    f = model.decoded
-    inputs = f.sx_in()
-    (pose,) = f.call(inputs)
-    lean = ca.Function("lean", inputs, [ca.cse(pose)])
-    return sum(lean.instruction_id(k) not in NO_WORK for k in range(lean.n_instructions()))
+    return graph([ca.cse(*model.decoded.call(model.decoded.sx_in()))]).count
 
 
 def firmware_cost(before: Model, after: Model, p: np.ndarray | None = None) -> str:

@@ -19,7 +19,7 @@ from hallsym.diagnosis.features import Features, powers
 from hallsym.diagnosis.normal_equations import reading_and_derivatives
 from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.record import Resemblance
-from hallsym.diagnosis.regression import others
+from hallsym.diagnosis.regression import FOLDS, lengths, others
 from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Held, Validation
@@ -28,16 +28,11 @@ from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.model.arrays import on_arrays
 from hallsym.model.derived import rate
 
-FOLDS = 13
-"""Groups of runs left out in turn; a prime, so that they do not fall in step with settings that recur."""
 DEGREE, TOGETHER = 3, 2
 """Highest power of a coordinate that the strength of an effect follows; of several coordinates together."""
-FINER = 2
-"""Powers beyond those with which it is judged what a contribution is a function of."""
 MEMORIES = 5
-"""Low-passes that a response to the past is made of."""
-LONGEST = 0.1
-"""Time constant of the slowest of these, over the length of a run."""
+"""Low-passes that a response to the past is made of. What went before a run is not known: the time constant
+of the slowest is a minor part of a run (`Policy.minor`)."""
 PRIORS = tuple(10.0**k for k in range(-4, 1))
 """Inverse variances of the prior, for features of unit length; the evidence chooses one."""
 
@@ -56,7 +51,7 @@ def resemblances(setup: Setup, found: Validation) -> dict[str, Resemblance]:
         sure = [f for f in tried if f.p_value < setup.policy.beyond_doubt]
         best = max(sure, key=lambda f: f.misfit, default=None)
         if best is not None and best.misfit >= setup.policy.minor:
-            out[held.selected.name] = best
+            out[held.name] = best
     return out
 
 
@@ -65,25 +60,26 @@ def flexible(setup: Setup, found: Validation, held: Held) -> list[Resemblance]:
     base, known = found.end, frozenset(setup.runs)
     if len(known) < setup.policy.fewest:
         return []
-    work = _Work(base, held, known, _moving(setup, held))
+    work = _Work(base, held, known, setup)
     for piece in pieces(base, known):
         work.add(piece)
-    return work.finish(max(held.without.cost - found.fit.cost, 1e-300), setup.policy.own_coordinate)
+    return work.finish(max(held.without.cost - found.fit.cost, 1e-300))
 
 
 def _moving(setup: Setup, held: Held) -> bool:
     """Return whether an effect follows how fast the reference moves."""
     plain = setup.base.model
     rates = {rate(c, n).name for c in plain.references for n in range(1, 5)}
-    wide = held.selected.exact.score.variant.make(plain)
+    wide = held.exact.score.variant.make(plain)
     return bool(rates & set(wide.state) - set(plain.state))
 
 
 class _Work:
     """Products of each run: the model's columns, varied contributions, residual."""
 
-    def __init__(self, base: Base, held: Held, runs: frozenset[int], moving: bool) -> None:
-        self.base, self.moving, model = base, moving, base.model
+    def __init__(self, base: Base, held: Held, runs: frozenset[int], setup: Setup) -> None:
+        self.base, self.policy, model = base, setup.policy, base.model
+        self.moving = base.timed and _moving(setup, held)
         self.features = Features(base, runs)
         self.read = reading_and_derivatives(model)
         self.plain = on_arrays(model.reading)
@@ -116,19 +112,17 @@ class _Work:
     ) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
         """Yield what the strength follows, and the contribution (K, samples) so varied, (n, K, samples)."""
         for by, x in self._coordinates(piece, bare):
-            several = len(by) > 1
-            degree = TOGETHER if several else DEGREE
-            yield by, powers_of(x, degree) * made
-            finer = powers_of(x, degree + FINER)
+            followed = powers_of(x, TOGETHER if len(by) > 1 else DEGREE)
+            yield by, followed * made
             for k, own in enumerate(made):
-                basis = np.vstack([np.ones_like(own), finer[:, k % finer.shape[1]]])
+                basis = np.vstack([np.ones_like(own), followed[:, k % followed.shape[1]]])
                 rows = np.vstack([basis, basis * bare[k], own])[:, piece.used]
                 sums = self.shares.setdefault(by, [np.zeros((len(rows),) * 2) for _ in made])
                 sums[k] += rows @ rows.T
-        if self.moving and self.base.timed and len(piece.t) >= 2 * FEWEST_SAMPLES:
+        if self.moving and len(piece.t) >= 2 * FEWEST_SAMPLES:
             span = float(piece.t[-1] - piece.t[0])
             step = span / (len(piece.t) - 1)
-            lasting = np.geomspace(step, max(LONGEST * span, 2 * step), MEMORIES)
+            lasting = np.geomspace(step, max(self.policy.minor * span, 2 * step), MEMORIES)
             yield PAST, np.array([_remembered(made, step / tau) - made for tau in lasting])
 
     def _coordinates(self, piece: Piece, bare: np.ndarray) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
@@ -149,23 +143,21 @@ class _Work:
         extra = ("temperature_degc", *(("campaign_s",) if self.base.timed else ()))
         yield from (((c,), f.unit(piece, c)[None, None]) for c in extra if c in piece.data)
 
-    def finish(self, gain: float, own: float) -> list[Resemblance]:
+    def finish(self, gain: float) -> list[Resemblance]:
         """Return the variations over what the contribution is a function of; `gain`: squares it explains."""
-        tried = {by: runs for by, runs in self.sums.items() if by == PAST or self._function_of(by) >= own}
+        tried = {by: runs for by, runs in self.sums.items() if by == PAST or self._function_of(by)}
         return [self._judged(by, runs, gain, len(tried)) for by, runs in tried.items()]
 
-    def _function_of(self, by: tuple[str, ...]) -> float:
-        """Return the share of the contribution that offsets and gains over a coordinate make."""
-        left, whole = 0.0, 0.0
-        for M in self.shares[by]:
-            whole += M[-1, -1]
-            left += max(M[-1, -1] - M[-1, :-1] @ pseudo_inverse(M[:-1, :-1]) @ M[:-1, -1], 0.0)
-        return 1 - left / max(whole, 1e-300)
+    def _function_of(self, by: tuple[str, ...]) -> bool:
+        """Return whether offsets and gains over a coordinate make all of the contribution that counts."""
+        whole = sum(M[-1, -1] for M in self.shares[by])
+        left = sum(max(float(_projected(M, len(M) - 1)[0, 0]), 0.0) for M in self.shares[by])
+        return bool(left <= self.policy.negligible * whole)
 
     def _judged(
         self, by: tuple[str, ...], runs: dict[int, np.ndarray], gain: float, tried: int
     ) -> Resemblance:
-        each = [eliminate(M, self.z)[0] if self.z else M for M in runs.values()]
+        each = [eliminate(M, self.z)[0] for M in runs.values()]
         folds = np.array([np.sum(each[k::FOLDS], axis=0) for k in range(min(FOLDS, len(each)))])
         whole = _projected(folds.sum(axis=0), self.n)
         pull = _prior(whole)
@@ -205,15 +197,9 @@ def _tested(train: np.ndarray, M: np.ndarray, n: int) -> np.ndarray:
     return M[n:, n:] - across - across.T + P.T @ M[:n, :n] @ P
 
 
-def _sizes(G: np.ndarray) -> np.ndarray:
-    d = np.sqrt(np.maximum(np.diag(G), 0.0))
-    return np.maximum(d, 1e-9 * max(d.max(initial=0.0), 1e-140))  # what never moves has no coefficient
-
-
 def _prior(M: np.ndarray) -> float:
     """Return the inverse variance of the prior that has the greatest marginal likelihood."""
-    G, b = M[:-1, :-1], M[:-1, -1]
-    d = _sizes(G)
+    G, b, d = M[:-1, :-1], M[:-1, -1], lengths(M[:-1, :-1])
     size, V = np.linalg.eigh(G / np.outer(d, d))
     size, c = np.maximum(size, 0.0), V.T @ (b / d)
     evidence = [float((c**2 / (size + a)).sum() - np.log1p(size / a).sum()) for a in PRIORS]
@@ -221,6 +207,5 @@ def _prior(M: np.ndarray) -> float:
 
 
 def _solved(M: np.ndarray, pull: float) -> np.ndarray:
-    G, b = M[:-1, :-1], M[:-1, -1]
-    d = _sizes(G)
+    G, b, d = M[:-1, :-1], M[:-1, -1], lengths(M[:-1, :-1])
     return np.asarray(np.linalg.solve(G / np.outer(d, d) + pull * np.eye(len(d)), b / d) / d)

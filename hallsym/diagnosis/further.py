@@ -14,12 +14,10 @@ from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.recordings import LONGEST, Recording
 from hallsym.diagnosis.refit import Refitted, with_model
 from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.simulated_machine import readings_of
 from hallsym.estimation import pseudo_inverse
-from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log
-from hallsym.log.derived import extended
 from hallsym.model import Further
-from hallsym.model.arrays import on_arrays
 from hallsym.simulation import Run
 
 Told = tuple[list[Recording], np.ndarray]
@@ -33,7 +31,8 @@ def further_recordings(fits: Sequence[Refitted]) -> Told:
     if not offered:
         return [], np.zeros(0)
     motion = _motion(first)
-    seconds = _seconds(motion)
+    run, t = motion["run"], motion["t_s"]
+    seconds = float(sum(np.ptp(t[run == r]) for r in np.unique(run)))
     told = [min(_told(f, motion, a, b) for a, b in permutations(fits, 2)) for f in offered]
     return [Recording(f"{f.text} ({seconds:.3g} s)", Run(seconds, {}, {})) for f in offered], np.array(told)
 
@@ -46,11 +45,6 @@ def _motion(base: Base) -> dict[str, np.ndarray]:
     rows = np.concatenate([np.flatnonzero(run == r)[:each] for r in runs])
     names = [c for c in base.log.columns if c not in (*base.model.channels, "run")]
     return {"run": run[rows]} | {c: base.log.array(c)[rows] for c in names}
-
-
-def _seconds(columns: Mapping[str, np.ndarray]) -> float:
-    run, t = columns["run"], columns["t_s"]
-    return float(sum(np.ptp(t[run == r]) for r in np.unique(run)))
 
 
 def _told(further: Further, motion: dict[str, np.ndarray], a: Refitted, b: Refitted) -> float:
@@ -93,13 +87,7 @@ def with_readings(columns: Mapping[str, np.ndarray], base: Base) -> Log:
     model = base.model
     blank = np.zeros(len(columns["run"]))
     bare = Log.from_arrays({**columns, **dict.fromkeys(model.channels, blank)}, noise=base.log.noise)
-    read, zeros = on_arrays(model.reading), np.zeros(len(model.zeros))
-    parts: list[np.ndarray] = []
-    for block in extended(bare, model, base.sigma, base.values).blocks(columns_of(model)):
-        pose, state = ([block.data[c] for c in names] for names in (model.references, model.state))
-        (reading,) = read(base.p, zeros, pose, state)
-        parts.append(np.broadcast_to(reading, (len(model.channels), len(pose[0]))))
-    readings = np.hstack(parts)
+    readings = readings_of(replace(base, log=bare, zeros={}), model, base.p)
     return Log.from_arrays(
         {**columns, **dict(zip(model.channels, readings, strict=True))}, noise=base.log.noise
     )

@@ -1,6 +1,7 @@
 """Is what a model leaves a gap? Lack of fit decides, and the noise floor as far as it is known."""
 
 import numpy as np
+from scipy.special import ndtri
 
 from hallsym.diagnosis.lack_of_fit import Key, LackOfFit
 from hallsym.diagnosis.policy import Policy
@@ -9,12 +10,12 @@ from hallsym.diagnosis.setup import Floor
 
 def worth_reporting(floor: Floor, threshold: float, policy: Policy) -> float:
     """Return the metric up to which nothing above the floor is worth reporting."""
-    return floor.metric * (1 + policy.floor_known) / (1 - threshold)
+    return floor.metric * (1 + policy.negligible) / (1 - threshold)
 
 
 def shaped(found: LackOfFit, threshold: float, policy: Policy) -> bool:
     """Return whether a residual has a shape, or tones, that are worth the threshold by themselves."""
-    need = 1 - (1 - threshold) / (1 + policy.floor_known)
+    need = 1 - (1 - threshold) / (1 + policy.negligible)
     best = found.best(policy.false_alarm)
     return found.tones >= need or (best is not None and best.drop >= need)
 
@@ -37,11 +38,11 @@ def remains(
     """
     if shaped(found, threshold, policy):
         return True
-    metric /= 1 + policy.excess_errors * error
+    metric /= 1 + float(ndtri(1 - policy.false_alarm / 2)) * error
     if not floor.stated or metric <= worth_reporting(floor, threshold, policy):
         return False
     half = policy.half * threshold
-    likely = any(s.p_value < policy.shape_likely and s.drop >= half for s in found.shapes)
+    likely = any(s.p_value < policy.certain and s.drop >= half for s in found.shapes)
     large = metric > floor.metric * (1 + policy.unstructured)
     return likely or found.tones >= half or slow >= threshold or large
 

@@ -7,18 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.regression import FOLDS
 from hallsym.errors import counted
 from hallsym.log import Log
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 
-PIECES = 20
-"""Stretches of time: every second is held out, so that ten are fitted and held against each other."""
-GROUPS = 22
-"""Groups of knots: eleven are fitted. Each goes round the turn, so that waves of it do not lean on another;
-an odd number takes every phase of a pattern of two or four knots into each group."""
-LEAST = 6
-"""Pieces of a short recording: three are fitted, three judge."""
-FEWEST = LEAST * FEWEST_SAMPLES
+FEWEST = POLICY.fewest * FEWEST_SAMPLES
 """Samples that a recording must have to be taken to pieces."""
 BLOCK = 4
 """Knots of a block. Every second is held out, the other ones in the next block, so that a pattern of two or
@@ -60,13 +55,17 @@ def counted_off(log: Log) -> Log:
 
 
 def _pieces(n: int, timed: bool) -> int:
-    """How many pieces of `n` samples: as many as leave each the samples that a run must have."""
+    """How many pieces of `n` samples: those fitted are the folds, or as many as have the samples of a run.
+
+    An odd number fitted takes every phase of a pattern of two or four knots into each group; groups go round
+    the turn, so that waves of it do not lean on another.
+    """
     at = np.arange(n)
-    for count in range(PIECES if timed else GROUPS, LEAST, -4):  # half of it stays even, or odd
+    for count in range(2 * FOLDS, POLICY.fewest, -4):  # half of it stays odd
         smallest = n // count if timed else int(np.bincount(knot_group(at, count), minlength=count).min())
         if smallest >= FEWEST_SAMPLES:
             return count
-    return LEAST
+    return POLICY.fewest
 
 
 def knot_group(at: np.ndarray, count: int) -> np.ndarray:

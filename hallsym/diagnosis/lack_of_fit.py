@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hallsym.diagnosis.coordinates import coordinates
-from hallsym.diagnosis.curves import FineMap, Smooth, run_gains
+from hallsym.diagnosis.curves import over, run_gains
 from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.residuals import Base, found_once
 from hallsym.diagnosis.tones import tones
@@ -57,7 +57,7 @@ def lack_of_fit(base: Base, runs: frozenset[int]) -> LackOfFit:
     found = [(Key("run", "gain of its own"), explained, float((z >= z[0]).mean()))]
     for c in coordinates(r):
         kind = "place" if c.fine and not c.own else c.name  # those along several axes are one shape
-        curves = [make(r, c).curve(r.residual) for make in ((Smooth, FineMap) if c.fine else (Smooth,))]
-        found += [(Key(kind, c.name), x.explained, x.p_value) for x in curves if x is not None]
+        curves = [each.curve(r.residual) for each in over(r, c)]
+        found += [(Key(kind, c.name), x.explained, x.p_value) for x in curves]
     shapes = [Shape(key, 1 - float(np.sqrt(1 - np.clip(x / total, 0.0, 1.0))), p) for key, x, p in found]
     return LackOfFit(tuple(sorted(shapes, key=lambda s: -s.drop)), tones(base, runs))

@@ -48,7 +48,7 @@ def of_links(base: Base, scored: Sequence[Score], r: ResidualTable, faults: Sequ
         if not s.absorbed:
             add(_link_of(base, s), s.effect.name, (1 - s.ratio**2) * whole / excess, s.p_value)
     for f in faults:
-        add(f.link, f.name, f.power, f.p_value)
+        add(f.record.link, f.name, f.power, f.p_value)
     top = max((f.share for f in found.values() if f.p_value < POLICY.false_alarm), default=0.0)
     rows, said = [], []
     for link in (*LINKS, *(k for k in found if k not in LINKS)):
@@ -60,7 +60,7 @@ def of_links(base: Base, scored: Sequence[Score], r: ResidualTable, faults: Sequ
         rows.append(Share("link", link, own.share, own.p_value, text))
         if own.p_value < POLICY.false_alarm and own.share >= max(POLICY.negligible, (1 - POLICY.minor) * top):
             text = f"{percent(own.share)} of the excess can come from the {link} ({text})"
-            said.append(Statement("link", link, own.share, own.p_value, text, kind="link"))
+            said.append(Statement("link", link, own.share, own.p_value, text))
     # of links that take up the same the first of the chain stands first, whatever the rounding
     return rows, sorted(said, key=lambda s: -round(s.share, 6))
 

@@ -15,18 +15,17 @@ import numpy as np
 from hallsym.diagnosis.change_points import change_points
 from hallsym.diagnosis.coordinates import coordinates, unit_of
 from hallsym.diagnosis.curve_words import described
-from hallsym.diagnosis.curves import Curve, FineMap, Smooth, predicted, run_gains
+from hallsym.diagnosis.curves import Curve, over, run_gains
 from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.links import of_links
 from hallsym.diagnosis.measurement_error import WHITE, with_noise
-from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Share, Statement
 from hallsym.diagnosis.residual_table import ResidualTable, both, residual_table
 from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.scores import Score
+from hallsym.diagnosis.selection import Screened
 from hallsym.diagnosis.shares import (
-    means,
+    clear,
     of_frequencies,
     of_powers,
     of_runs,
@@ -35,12 +34,6 @@ from hallsym.diagnosis.shares import (
 )
 from hallsym.diagnosis.sign_flips import Joint
 from hallsym.diagnosis.words import percent, plain, shown
-
-MOST = 5
-NEARLY = 0.92
-"""Of coordinates that explain at least this part of what the best one explains the most telling is named."""
-RATHER = 0.6
-"""A gain of its own in every run is named only where no coordinate explains this part of what it does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,39 +54,39 @@ class Located:
 def located(
     base: Base,
     runs: Sequence[int],
-    scored: Sequence[Score] = (),
+    screened: Screened | None = None,
     faults: Sequence[Fault] = (),
     variance: float = 1.0,
     *,
-    top: np.ndarray | None = None,
-    colour: np.ndarray = WHITE,
+    noisy: bool = False,
 ) -> Located:
     """Return the statements with what they rest on.
 
-    `scored`: the catalogue's effects at `base`, for the links of the chain; `top`: the largest statistic of
-    all of them with each draw of signs. `faults`: of samples, their power as a part of `variance`, the
-    whitened residual's. `colour`: autocorrelation of the residual at lags 0, 1, ...
+    `screened`: the catalogue at `base`, for the links of the chain. `faults`: of samples, their power as a
+    part of `variance`, the whitened residual's. `noisy`: the residual is noise, which has a spectrum and lies
+    at no frequency.
     """
     fitted, held = both(base, runs)
     steps = _steps([r for r in (fitted, held) if r is not None])
     if fitted is None or fitted.excess <= POLICY.negligible * fitted.residual.size:
         return Located(tuple(steps), (), fitted, held)
-    tried = _Tried(base, fitted, top, colour)
-    statements, curves, alone = _coordinates(tried)
+    tried = _Tried(base, fitted, screened)
+    statements, curves, alone, joint = _coordinates(tried)
     if held is not None and held.excess > 0:
-        statements = _confirmed(statements, curves, fitted, held)
-    if not statements and not _clear(fitted):
+        statements = _confirmed(statements, curves, held)
+    if not statements and not clear(fitted):
         return Located(tuple(steps), tuple(curves), fitted, held)
     told = sum(s.share for s in statements)
-    tones, frequencies = of_frequencies(fitted, told)
-    if frequencies and frequencies[0].kind == "mains" and frequencies[0].share > told:
-        statements, frequencies = [frequencies[0], *statements], frequencies[1:]
+    tones, mains, octaves = of_frequencies(fitted, told)
+    if mains and mains[0].share > told:
+        statements, mains = [*mains, *statements], []
     size = variance * fitted.residual.size / fitted.excess
     bad = [replace(f, power=f.power * size) for f in faults]
-    counted = [replace(s, p_value=max(s.p_value, tried.joint.p_value(s.statistic))) for s in scored]
+    scores = screened.scores if screened else []
+    counted = [replace(s, p_value=max(s.p_value, joint.p_value(s.statistic))) for s in scores]
     rest = [of_links(base, counted, fitted, bad)] if counted else []
-    rest += [of_powers(p, [tried.joint.p_value(z[0]) for z in statistics]) for p, statistics in tried.powers]
-    rest += [(tones, frequencies), of_runs(fitted, told)]
+    rest += [of_powers(p, [joint.p_value(z[0]) for z in statistics]) for p, statistics in tried.powers]
+    rest += [(tones, [*mains, *(() if noisy else octaves)]), of_runs(fitted, told)]
     said = [s for _, found in rest for s in found]
     if steps and steps[0].share > told:
         statements = [*steps, *statements]
@@ -114,7 +107,7 @@ def _steps(tables: Sequence[ResidualTable]) -> list[Statement]:
             size = shown(abs(s.size), unit_of(r.channels[s.channel]))
             text = f"{percent(share)} of the excess is a step of {plain(r.channels[s.channel])} by {size}"
             at = f"run {s.run} at {s.instant_s:.6g} s"
-            out.append(Statement("run", at, share, s.p_value, f"{text} in {at}", kind="run"))
+            out.append(Statement("run", at, share, s.p_value, f"{text} in {at}"))
     return sorted(out, key=lambda s: -s.share)
 
 
@@ -126,78 +119,66 @@ def _worded(s: Statement) -> Statement:
 class _Tried:
     """Everything that is tried on a residual, and what its p-values are corrected for."""
 
-    def __init__(self, base: Base, r: ResidualTable, top: np.ndarray | None, colour: np.ndarray) -> None:
+    def __init__(self, base: Base, r: ResidualTable, screened: Screened | None) -> None:
         self.r = r
-        noisy = with_noise(base, colour)
+        noisy = with_noise(base, screened.colour if screened else WHITE)
         moved = None if noisy is None else residual_table(noisy, list(dict.fromkeys(r.run.tolist())))
         if moved is not None and moved.residual.shape != r.residual.shape:
             moved = None
-        known = coordinates(r)
-        self.every: list[Smooth | FineMap] = [Smooth(r, c, moved) for c in known]
-        self.every += [FineMap(r, c, moved) for c in known if c.fine]
+        self.every = [each for c in coordinates(r) for each in over(r, c, moved)]
         self.powers = [(p, p.statistics(r.block)) for p in (outputs(r), sensors(r))]
         self.others = [z for _, each in self.powers for z in each]
-        if top is not None:
-            self.others.append(top)
-        self.joint = Joint(self.others)
+        if screened and screened.top is not None:
+            self.others.append(screened.top)
 
-    def curves(self, left: np.ndarray, taken: Sequence[str]) -> tuple[list[Curve], float, np.ndarray]:
-        """Curves of what is left over all coordinates but some, and what gains of the runs' own explain."""
-        free = [t for t in self.every if t.values is not None and t.coordinate.name not in taken]
-        found = [c for t in free if (c := t.curve(left)) is not None]
+    def curves(self, left: np.ndarray, taken: Sequence[str]) -> tuple[list[Curve], Statement | None, Joint]:
+        """Curves of what is left over all coordinates but some, a statement on gains of the runs' own.
+
+        Both are corrected for each other and for all that is no coordinate, by the tests that are returned.
+        """
+        found = [t.curve(left) for t in self.every if t.coordinate.name not in taken]
         explained, own = run_gains(self.r, left)
-        self.joint = Joint([*(c.statistic for c in found), own, *self.others])
-        return found, explained, own
-
-
-def _clear(r: ResidualTable) -> bool:
-    """Whether the excess is more than chance: block by block, so that memory of the noise does not count."""
-    return beyond(means(r.squares - len(r.residual), r.part)) < POLICY.beyond_doubt
+        joint = Joint([*(c.statistic for c in found), own, *self.others])
+        return found, _own_gain(explained / self.r.excess, joint.p_value(own[0])), joint
 
 
 # -- coordinates -------------------------------------------------------------------------------------------
 
 
-def _coordinates(tried: _Tried) -> tuple[list[Statement], list[Curve], list[Share]]:
-    """Coordinates one after the other, each with what it explains beyond those before; and each by itself."""
-    r, joint = tried.r, tried.joint
-    alone: list[Share] = []
-    excess = r.excess
-    statements: list[Statement] = []
-    curves: list[Curve] = []
-    left = r.residual
-    for k in range(MOST):
-        found, explained, own = tried.curves(left, [c.coordinate.name for c in curves])
-        run = _own_gain(explained / excess, tried.joint.p_value(own[0]))
-        if not k:
-            alone, joint = _alone(tried, found, run), tried.joint
-        chance = tried.joint.p_value
-        good = [
-            c
-            for c in found
-            if chance(c.statistic[0]) < POLICY.false_alarm and c.explained > POLICY.negligible * excess
-        ]
+def _coordinates(tried: _Tried) -> tuple[list[Statement], list[Curve], list[Share], Joint]:
+    """Coordinates one after the other, each with what it explains beyond those before; and each by itself.
+
+    Of those that explain nearly the same the most telling is named. A gain of its own in every run is named
+    where no coordinate explains most of what it does. The tests that are returned are those of all
+    coordinates, beside which the rest is tested.
+    """
+    r, excess = tried.r, tried.r.excess
+    statements, curves, left = list[Statement](), list[Curve](), r.residual
+    found, run, joint = every = tried.curves(left, [])
+    while True:
+        chance, least = joint.p_value, POLICY.negligible * excess
+        good = [c for c in found if chance(c.statistic[0]) < POLICY.false_alarm and c.explained > least]
         best = max((c.explained for c in good), default=0.0)
-        if run and RATHER * run.share * excess > best:
+        if run and POLICY.mostly * run.share * excess > best:
             statements.append(run)
             break
         if not good:
             break
-        first = next(c for c in good if c.explained >= NEARLY * best)
+        first = next(c for c in good if c.explained >= (1 - POLICY.minor) * best)
         share = min(first.explained / excess, 1.0 - sum(s.share for s in statements))
         if share < POLICY.negligible:
             break
         statements.append(described(r, first, share, chance(first.statistic[0]), bool(statements)))
         curves.append(first)
         left = left - first.predicted
-    tried.joint = joint  # what is not a coordinate is tested beside all of them
-    return statements, curves, alone
+        found, run, joint = tried.curves(left, [c.coordinate.name for c in curves])
+    return statements, curves, _alone(r, *every), every[2]
 
 
-def _alone(tried: _Tried, found: Sequence[Curve], run: Statement | None) -> list[Share]:
+def _alone(r: ResidualTable, found: Sequence[Curve], run: Statement | None, joint: Joint) -> list[Share]:
     """What each coordinate explains with none before it; of a smooth curve and a fine map the better one."""
-    out, r = [], tried.r
-    for c in dict.fromkeys(t.coordinate for t in tried.every):
+    out = []
+    for c in coordinates(r):
         own = [f for f in found if f.coordinate == c]
         if not own:
             logged = c.own or not c.ordered or c.column in r.columns
@@ -206,7 +187,7 @@ def _alone(tried: _Tried, found: Sequence[Curve], run: Statement | None) -> list
             )
             continue
         share = max(float(np.clip(f.explained / r.excess, 0.0, 1.0)) for f in own)
-        p = tried.joint.p_value(max(f.statistic[0] for f in own))
+        p = joint.p_value(max(f.statistic[0] for f in own))
         out.append(Share("coordinate", c.name, share, p))
     if run:
         out.append(Share("run", run.at, run.share, run.p_value))
@@ -218,16 +199,14 @@ def _own_gain(share: float, p: float) -> Statement | None:
         return None
     share = min(share, 1.0)
     text = f"{percent(share)} of the excess is a gain that differs from run to run and follows nothing logged"
-    return Statement("run", "gain of its own", share, p, text, kind="run")
+    return Statement("run", "gain of its own", share, p, text)
 
 
-def _confirmed(
-    statements: list[Statement], curves: list[Curve], fitted: ResidualTable, held: ResidualTable
-) -> list[Statement]:
+def _confirmed(statements: list[Statement], curves: list[Curve], held: ResidualTable) -> list[Statement]:
     """Add what each curve, as fitted, explains of the excess on held-out runs."""
     out, left = [], held.residual
     for s, c in zip(statements, curves, strict=False):
-        says = predicted(c, fitted, held)
+        says = c.says(held)
         if says is None:
             out.append(s)
             continue

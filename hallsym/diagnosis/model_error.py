@@ -3,7 +3,6 @@
 import numpy as np
 
 from hallsym.diagnosis.confusable import Confusable
-from hallsym.diagnosis.ranking import count_of
 from hallsym.diagnosis.record import Gap
 from hallsym.diagnosis.refit import Refitted
 from hallsym.diagnosis.remainder import ModelLeft, NotExcluded, Unexplained
@@ -20,7 +19,7 @@ def model_error(
     `gap`, `metric`: the error that is left on the holdout runs. `rest`: its shape, where it is unexplained.
     """
     floor = found.floor_by_output
-    known = metric <= found.floor.metric * (1 + setup.policy.floor_known)
+    known = metric <= found.floor.metric * (1 + setup.policy.negligible)
     above = {c: float(np.sqrt(max(v**2 - floor[c] ** 2, 0.0))) for c, v in gap.rmse.items()}
     counts = rest is not None and _placed(setup, rest)
     share = (rest.of_it or 0.0) if rest is not None and counts else 0.0
@@ -44,13 +43,10 @@ def _candidates(found: Validation, fits: tuple[Refitted, ...]) -> tuple[NotExclu
     """Return the named model and those the log does not exclude, each with its probability by BIC."""
     if not fits:
         return ()
-    one = found.fit
-    N, variance = count_of(one), max(one.cost / count_of(one), 1e-12) * found.inflation
-    price = np.log(max(N / found.inflation, 2.0))
-    sizes = [len(f.base.free) for f in (one, *fits)]
-    bic = np.array([f.cost / variance + n * price for f, n in zip((one, *fits), sizes, strict=True)])
+    models = found.fit, *fits
+    bic = np.array([f.bic(len(f.base.free), found.inflation) for f in models])
     weight = np.exp(-0.5 * (bic - bic.min()))
     return tuple(
         NotExcluded(tuple(added_effects(f.base.model)), f.base.values, float(w))
-        for f, w in zip((one, *fits), weight / weight.sum(), strict=True)
+        for f, w in zip(models, weight / weight.sum(), strict=True)
     )

@@ -8,33 +8,26 @@ matrices any set of effects can be fitted, cross-validated and judged without re
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from hallsym.diagnosis.derivatives import Slopes, reading_and_derivatives
-from hallsym.diagnosis.many_channels import by_candidate
 from hallsym.diagnosis.products import NormalEquations, Products
 from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.stacked_products import stacked_products
 from hallsym.estimation import pseudo_inverse, solve
 from hallsym.estimation.decoding import columns_of, decoding_gain
 from hallsym.log.batches import Batch, batches
 from hallsym.log.derived import extended
 from hallsym.model import Model
+from hallsym.model.arrays import FEWEST
 
 UNITS = 64
 """Runs whose matrices are kept one by one; beyond that neighbouring runs are pooled."""
-TOGETHER = 16
-"""Blocks whose products are made in one call: a matrix each, of some 0.5 MB with the whole catalogue."""
-
-
-MANY = 6
-"""Channels above which products are made candidate by candidate, not for each pair of channels."""
-ENTRIES, FEWEST = 2_000_000, 256
-"""Derivatives of the readings that are held at once, 16 MB, and samples that are taken together at least: a
-refit of many channels with a number each would hold all channels times itself."""
+ENTRIES = 500_000
+"""Derivatives of the readings, and products of them, that are held at once: 4 MB each."""
 
 
 class Unit(NamedTuple):
@@ -75,16 +68,6 @@ def normal_equations(
 def coefficients(M: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return the coefficients of `columns` that explain the last column in least squares, from products."""
     return pseudo_inverse(M[np.ix_(columns, columns)]) @ M[columns, -1]
-
-
-@dataclass
-class Stretch:
-    """Products (c, c) of consecutive samples of a run: `size` readings from `start_s` [s of the log] on."""
-
-    run: int
-    start_s: float
-    products: np.ndarray
-    size: float
 
 
 class Accumulator:
@@ -146,15 +129,9 @@ class Accumulator:
             batch = batch.cut(self.length, self.seen if batch.blocks[0].run == self.run else 0)
         near, D = self._near(batch, weights), self._to_pose(batch)
         rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
-        metric = np.einsum("iks,ils->kls", D, D) if len(rows) <= MANY and self.decoded else D
-        for first, last in batch.groups(max(1, TOGETHER * MANY // max(len(rows), MANY))):
+        for first, last in batch.groups(max(1, ENTRIES // (len(self.near) * self.size))):
             lay = batch.layout(first, last)
-            own, others = lay(near), [lay(r) for r in rows]
-            if len(rows) > MANY:
-                white, out = by_candidate(self, own, others, self.precision, lay(metric))
-            else:
-                white = self._products(own, others, self.precision[:, :, None, None])
-                out = self._products(own, others, lay(metric)) if self.decoded else white
+            white, out = stacked_products(self, lay(near), [lay(r) for r in rows], lay(D))
             for k, block in enumerate(batch.blocks[first:last]):
                 part = slice(batch.edges[first + k], batch.edges[first + k + 1])
                 count = float(part.stop - part.start if weights is None else weights[part].sum())
@@ -171,45 +148,6 @@ class Accumulator:
         """Return a view (blocks, k, k) of the products of a candidate's columns with each other."""
         k = self.slopes.span[key].stop - self.slopes.span[key].start
         return made.inner[:, self.places[key]].reshape(-1, k, k)
-
-    def _products(self, near: np.ndarray, rows: list[np.ndarray], metric: np.ndarray) -> Products:
-        """Products of all columns with zeros, parameters and residual, and of each candidate with itself,
-        under `metric` (K, K, blocks or 1, samples or 1).
-
-        `near`: (own, K, blocks, samples); `rows`: (rows, blocks, samples) of each channel.
-        """
-        own, K = len(near), near.shape[1]
-        M = self.nil(near.shape[2])
-        mapped = np.zeros_like(near)
-        for k in range(K):
-            for j in range(K):
-                if np.any(metric[k, j]):
-                    mapped[:, k] += metric[k, j] * near[:, j]
-        inner = np.zeros((near.shape[2], own, own))
-        for k in range(K):
-            inner += _dot(near[:, k], mapped[:, k])
-        M.border[:, :, self.near] = inner
-        first = self.z + self.n
-        for k, block in enumerate(rows):
-            if len(block):
-                M.border[:, :, first + self.slopes.column[k]] += _dot(mapped[:, k], block)
-        for k in range(K):
-            for j in range(k, K):
-                if len(rows[k]) and len(rows[j]) and np.any(metric[k, j]):
-                    self._own(M, rows[k] * metric[k, j], rows[j], k, j)
-        return M
-
-    def _own(self, M: Products, left: np.ndarray, right: np.ndarray, k: int, j: int) -> None:
-        """Add the products of each candidate's rows in channel k with its own in channel j."""
-        slopes = self.slopes
-        for key, a, b in zip(slopes.span, slopes.parts[k], slopes.parts[j], strict=True):
-            if a.start == a.stop or b.start == b.stop:
-                continue
-            P, into = _dot(left[a], right[b]), self.own_of(M, key)
-            at, to = (slopes.column[c][part] - slopes.span[key].start for c, part in ((k, a), (j, b)))
-            into[:, at[:, None], to] += P
-            if k != j:
-                into[:, to[:, None], at] += P.swapaxes(1, 2)
 
     def _to_pose(self, batch: Batch) -> np.ndarray:
         """What turns readings into the decoded pose, rotation as length: (pose, K, samples), or no row."""
@@ -254,31 +192,6 @@ class Accumulator:
 
         return white
 
-    def stretches(self, length: int) -> Iterator[list[Stretch]]:
-        """Yield the stretches of `length` samples of each run; zeros are the first columns."""
-        run: list[Stretch] = []
-        seen, origin = 0, None
-        for batch, weights in self.weighed("t_s"):
-            white = self.whitener(batch, weights)
-            t = batch.data["t_s"]
-            origin = float(t[0]) if origin is None else origin
-            for block, part in batch.parts():
-                if run and run[0].run != block.run:
-                    yield run
-                    run, seen = [], 0
-                edges = range(part.start - seen % length, part.stop, length)
-                for low, high in ((max(e, part.start), min(e + length, part.stop)) for e in edges):
-                    here = white(slice(low, high)).reshape(self.size, -1)
-                    products = here @ here.T
-                    if (seen + low - part.start) % length:  # goes on from the block before
-                        run[-1].products += products
-                        run[-1].size += here.shape[1]
-                    else:
-                        run.append(Stretch(block.run, float(t[low]) - origin, products, here.shape[1]))
-                seen += part.stop - part.start
-        if run:
-            yield run
-
     def _gather(self, part: Unit, samples: int) -> None:
         if part.runs[0] != self.run:
             self._close()
@@ -301,11 +214,11 @@ class Accumulator:
         self.follow.append(follow[:, :0] if self.slopes.columns else follow)
         whole = len(self.open) == 1
         root = np.linalg.cholesky(pseudo_inverse(across[:, :z])).T if z and not whole else np.zeros((z, z))
-        for u in self.open:
-            white, out = (self._eliminated(p, follow) for p in (u.white, u.out))
-            if whole:
-                self._clear(u.white, white, out)
+        left = [tuple(self._eliminated(p, follow) for p in (u.white, u.out)) for u in self.open]
+        nil = self._clear([u.white for u in self.open], left)
+        for u, (white, out) in zip(self.open, left, strict=True):
             rest = u.white.border[:z, z:] + u.white.border[:z, :z] @ follow
+            rest[:, nil] = 0.0
             self.done.append(u._replace(white=white, out=out, offsets=None if whole else root @ rest))
         self.open = []
         if len(self.done) > 2 * UNITS and not self.length:
@@ -320,14 +233,19 @@ class Accumulator:
         inner = (half[:, i] * follow[:, j] + follow[:, i] * half[:, j]).sum(axis=0)
         return Products(border, p.inner + inner)
 
-    def _clear(self, before: Products, *left: Products) -> None:
-        """Set to 0 the columns of which the zeros of a run leave rounding: a step between runs is one."""
+    def _clear(self, before: Sequence[Products], left: Sequence[tuple[Products, ...]]) -> np.ndarray:
+        """Set to 0 the columns of which the zeros of a run leave rounding: a step between runs is one.
+
+        `before`, `left`: of each part of the run. Returns the columns.
+        """
         i, j = self.pairs
         own = i == j
-        nil = i[own][left[0].inner[own] <= NIL * before.inner[own]]
-        for p in left if len(nil) else ():
+        rest, whole = (np.sum([p.inner[own] for p in of], axis=0) for of in ([p for p, _ in left], before))
+        nil = i[own][rest <= NIL * whole]
+        for p in (p for both in left for p in both if len(nil)):
             p.border[:, nil] = 0.0
             p.inner[np.isin(i, nil) | np.isin(j, nil)] = 0.0
+        return np.asarray(nil)
 
     def _pool(self) -> None:
         """Pool neighbouring units of the same side."""
@@ -361,8 +279,3 @@ class Accumulator:
 
 def _stacked(made: Sequence[Products]) -> Products:
     return Products(np.array([p.border for p in made]), np.array([p.inner for p in made]))
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Products of rows (m, blocks, samples) with rows (n, blocks, samples), (blocks, m, n)."""
-    return a.transpose(1, 0, 2) @ b.transpose(1, 2, 0)

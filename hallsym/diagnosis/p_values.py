@@ -3,6 +3,7 @@
 Block-wise and by signs they hold for noise that is correlated in time, whatever its size in each block."""
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import bdtrc, chdtrc, chdtri, fdtrc, fdtri, gammainc, stdtr
 
 
@@ -44,19 +45,15 @@ def exceeds(values: np.ndarray, freedom: int, limit: float) -> float:
     middle, high = np.quantile(values, [0.5, 0.95])
     if middle <= 0.0:
         return 1.0
-    ratio = float(high / middle)
 
-    def tails(logarithm: float) -> float:
+    def heavier(logarithm: float) -> float:
         weight = 10.0**logarithm
-        return float(fdtri(freedom, weight, 0.95) / fdtri(freedom, weight, 0.5)) - ratio
+        return float(fdtri(freedom, weight, 0.95) / fdtri(freedom, weight, 0.5) - high / middle)
 
-    light, heavy = 4.0, 0.0
-    if tails(light) >= 0.0:
+    lightest, heaviest = 4.0, 0.0
+    if heavier(lightest) >= 0.0:
         return chance(limit * statistic_at(0.5, freedom) / float(middle), freedom)
-    for _ in range(40):
-        weight = 0.5 * (light + heavy)
-        light, heavy = (light, weight) if tails(weight) >= 0.0 else (weight, heavy)
-    weight = 10.0**light
+    weight = 10.0 ** (brentq(heavier, heaviest, lightest) if heavier(heaviest) > 0.0 else heaviest)
     return float(fdtrc(freedom, weight, limit * float(fdtri(freedom, weight, 0.5)) / float(middle)))
 
 

@@ -7,23 +7,29 @@ import numpy as np
 
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.refit import Refitted, refit, with_model
-from hallsym.diagnosis.residuals import Base, pieces
-from hallsym.diagnosis.scores import Score, Screen, bic, by_name, candidates
+from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.scores import Score, Screen, by_name, candidates
 from hallsym.model import Effect, Facts
 
 
 @dataclass(frozen=True, eq=False)
 class Exact:
-    """An effect refitted exactly."""
+    """An effect refitted exactly.
+
+    Of a selected one, `squares_before`: whitened squares that were left without it; `rivals`: the others that
+    were refitted for its place.
+    """
 
     score: Score
     fit: Refitted
     bic: float
+    squares_before: float = np.inf
+    rivals: tuple["Exact", ...] = ()
 
     @property
-    def gap(self) -> float:
-        """Gap metric on the fitted runs."""
-        return self.fit.gap(self.fit.fitted)
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.score.effect.name
 
 
 def refitted(
@@ -38,11 +44,12 @@ def refitted(
     """Refit the promising effects exactly and return them, best first; none if none is `worth` it.
 
     An effect whose refit does not `stand`, or that no start brings to parameters that its cause can have, is
-    left out except for its variants with fewer parameters; effects that it had displaced are then refitted.
+    left out except for its variants with fewer parameters: those that promise as much are refitted in its
+    place. If none is worth it, effects that it had displaced are refitted.
     """
 
     def exact(first: Score) -> Exact | None:
-        starts = [s for s in left if s.effect is first.effect and s.gain >= policy.promising * first.gain]
+        starts = [s for s in left if s.effect is first.effect and s.gain >= policy.mostly * first.gain]
         wanted = policy.starts if first.variant.tried > 1 else 1
         possible: list[Exact] = []
         for score in starts[: policy.most_refits]:
@@ -61,10 +68,12 @@ def refitted(
         known |= {id(s): exact(s) for s in tried if id(s) not in known}
         fitted = [(s, known[id(s)]) for s in tried]
         out = [e for _, e in fitted if e is not None]
-        if len(out) == len(fitted) or any(worth(e.score) for e in out):
-            return ordered(out, left, worth, policy)
         fallen = {s.effect.name: s.size for s, e in fitted if e is None}
-        left = [s for s in left if s.size < fallen.get(s.effect.name, s.size + 1)]
+        rest = [s for s in left if s.size < fallen.get(s.effect.name, s.size + 1)]
+        plainer = any(s.effect.name in fallen and id(s) not in known for s in _promising(rest, worth, policy))
+        if not fallen or (any(worth(e.score) for e in out) and not plainer):
+            return ordered(out, left, worth, policy)
+        left = rest
     return []
 
 
@@ -76,7 +85,7 @@ def _promising(scored: Sequence[Score], worth: Callable[[Score], bool], policy: 
     """
     named = [s for s in by_name(scored) if not s.absorbed]
     best = max((s.gain for s in named if worth(s)), default=np.inf)
-    return [s for s in named if s.gain >= policy.promising * best and s.ratio < 1][: policy.most_refits]
+    return [s for s in named if s.gain >= policy.mostly * best and s.ratio < 1][: policy.most_refits]
 
 
 def _finer(base: Base, score: Score, runs: Sequence[int], facts: Facts, policy: Policy) -> Score:
@@ -84,26 +93,13 @@ def _finer(base: Base, score: Score, runs: Sequence[int], facts: Facts, policy: 
     finer = score.effect.around(score.variant)
     if finer is None:
         return score
-    tried, _ = candidates(base, [finer], facts)
-    ranked = Screen(base, tried, runs, policy.inflation).scores
-    best = min([score, *ranked], key=lambda s: s.bic)
+    best = min([score, *_scores(base, [finer], runs, facts, policy)], key=lambda s: s.bic)
     return replace(best, effect=score.effect, p_value=score.p_value)
 
 
 def _exact(base: Base, score: Score, runs: Sequence[int], policy: Policy) -> Exact:
     fit = refit(with_model(base, score.model), runs)
-    return Exact(score, fit, bic_of(fit, score.size, policy.inflation))
-
-
-def count_of(fit: Refitted) -> float:
-    """Return the count of readings that were fitted: samples x channels."""
-    return float(fit.tangents.count[fit.fitted].sum()) * len(fit.base.model.channels)
-
-
-def bic_of(fit: Refitted, size: int, inflation: float) -> float:
-    """Return the BIC of a fit with `size` parameters more than the model without effects has."""
-    N = count_of(fit)
-    return float(bic(fit.cost, N / inflation, size, N))
+    return Exact(score, fit, fit.bic(score.size, policy.inflation))
 
 
 # -- the order ---------------------------------------------------------------------------------------------
@@ -140,11 +136,11 @@ def _simpler(e: Exact, best: Exact, scored: Sequence[Score], policy: Policy) -> 
     return (
         e.score.size < best.score.size
         and e.bic - best.bic <= policy.negligible * best.score.gain
-        and e.gap <= best.gap * (1 + policy.simpler_gap)
+        and e.fit.metric <= best.fit.metric * (1 + policy.negligible)
         and not any(
             s.effect is best.score.effect
             and s.size <= e.score.size
-            and s.gain >= (1 - policy.simpler_gap) * e.score.gain
+            and s.gain >= (1 - policy.negligible) * e.score.gain
             and s.bic <= e.score.bic + policy.as_good
             for s in scored
         )
@@ -153,7 +149,7 @@ def _simpler(e: Exact, best: Exact, scored: Sequence[Score], policy: Policy) -> 
 
 def _same(a: Exact, b: Exact) -> bool:
     """Return whether two effects of one size leave the same, to less than the noise of one reading."""
-    return a.score.size == b.score.size and abs(b.fit.cost - a.fit.cost) * count_of(a.fit) <= a.fit.cost
+    return a.score.size == b.score.size and abs(b.fit.cost - a.fit.cost) * a.fit.readings <= a.fit.cost
 
 
 def plain_pairs_first(
@@ -171,14 +167,14 @@ def plain_pairs_first(
     plain = [
         e
         for e in exact[1:]
-        if e.score.size < best.score.size and e.score.gain >= policy.promising * best.score.gain
+        if e.score.size < best.score.size and e.score.gain >= policy.mostly * best.score.gain
     ]
     found: list[tuple[float, Exact, float]] = []
-    for e in plain[: policy.plain_pairs]:
+    for e in plain:
         second = _second(e, catalogue, runs, facts, policy)
         if second is None or second.size + e.score.size > best.score.size:
             continue
-        both = second.bic + e.score.size * float(np.log(max(count_of(e.fit) / policy.inflation, 2.0)))
+        both = second.bic + e.score.size * float(np.log(max(e.fit.readings / policy.inflation, 2.0)))
         if both < best.bic:
             found.append((both, e, e.fit.cost - second.gain))
     if not found:
@@ -194,19 +190,16 @@ def _second(
     e: Exact, catalogue: Sequence[Effect], runs: Sequence[int], facts: Facts, policy: Policy
 ) -> Score | None:
     """Return the best second effect beside one, by its score."""
-    tried, _ = candidates(e.fit.base, catalogue, facts)
-    ranked = Screen(e.fit.base, tried, runs, policy.inflation).scores
-    return next((s for s in ranked if not s.absorbed), None)
+    scores = _scores(e.fit.base, catalogue, runs, facts, policy)
+    return next((s for s in scores if not s.absorbed), None)
+
+
+def _scores(
+    base: Base, effects: Sequence[Effect], runs: Sequence[int], facts: Facts, policy: Policy
+) -> list[Score]:
+    tried, _ = candidates(base, effects, facts)
+    return Screen(base, tried, runs, policy.inflation).scores
 
 
 def _first(first: Exact, exact: Sequence[Exact]) -> list[Exact]:
     return [first, *(e for e in exact if e is not first)]
-
-
-def distance(a: Refitted, b: Refitted) -> float:
-    """Return the whitened squared distance of the residuals of two fits: how far a log separates them."""
-    known = frozenset(run for unit in a.fitted for run in a.tangents.runs[unit])
-    return sum(
-        float((((one.residual - other.residual) * one.used) ** 2).sum())
-        for one, other in zip(pieces(a.base, known), pieces(b.base, known), strict=True)
-    )

@@ -1,13 +1,13 @@
 """The results of a diagnosis: typed, frozen records, and their JSON as documented in docs/diagnose.md."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
-from hallsym.diagnosis.plain_data import filled, plain
 from hallsym.diagnosis.remainder import ModelLeft, Unexplained
 from hallsym.estimation import KNOWN
-from hallsym.records import schema_of, structured
+from hallsym.inference import Estimate
+from hallsym.records import plain, schema_of, structured, with_nan
 from hallsym.shown import Shown
 
 
@@ -109,15 +109,6 @@ class SmallerFinding:
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """A parameter of an effect: value and standard uncertainty in SI; None where there is none to give."""
-
-    value: float
-    std: float | None
-    unit: str
-
-
-@dataclass(frozen=True)
 class Resemblance:
     """Why the machine only behaves like an effect: a free variation of it predicts other runs better.
 
@@ -166,9 +157,7 @@ class Statement:
 
     `share`: 0 to 1, on fitted runs; a statement on a coordinate counts only what those before it leave, so
     the shares of coordinates add up to at most 1. `held_out`: the same on the holdout runs, with the curve
-    fitted on the others; None where it does not apply. `kind`: as of `Share`; of a frequency "mains",
-    "motion" or "band". Of a coordinate, `unit` is its unit, `period` that of ripples or of a place within a
-    period, `waves` the waves per period. JSON holds the first six fields; `text` tells the others in words.
+    fitted on the others; None where it does not apply. `text`: all of it in words, and what only words tell.
     """
 
     by: str
@@ -177,14 +166,6 @@ class Statement:
     p_value: float
     text: str
     held_out: float | None = None
-    kind: str = "coordinate"
-    unit: str | None = None
-    period: float | None = None
-    waves: tuple[int, ...] = ()
-
-
-IN_WORDS = ("kind", "unit", "period", "waves")
-"""Fields of a statement that its JSON tells in `text` only."""
 
 
 @dataclass(frozen=True)
@@ -359,17 +340,14 @@ class Diagnosis(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the diagnosis as plain JSON data."""
-        floor = {**self.noise_floor.outputs, "source": self.noise_floor.source}
-        rest = asdict(self.unexplained) if self.unexplained else {}
-        data: dict[str, Any] = plain(asdict(self) | {"noise_floor": floor, "unexplained": rest})
+        data: dict[str, Any] = plain(self)
+        data["noise_floor"] = {**data["noise_floor"]["outputs"], "source": self.noise_floor.source}
+        data["unexplained"] = data["unexplained"] or {}
         for wave in data["waves"]:
             if not wave["coordinate"]:
                 del wave["coordinate"]
         if self.held_out == "holdout run":
             del data["held_out"]
-        for statement in (*data["where"], *data["remaining"]):
-            for name in IN_WORDS:
-                del statement[name]
         return data
 
     @classmethod
@@ -383,7 +361,7 @@ class Diagnosis(Shown):
         if isinstance(floor, Mapping):
             outputs = {name: value for name, value in floor.items() if name != "source"}
             made["noise_floor"] = {"outputs": outputs, "source": floor.get("source")}
-        return structured(filled(cls, made), cls, where, "diagnose the log again")
+        return structured(with_nan(cls, made), cls, where, "diagnose the log again")
 
 
 def diagnosis_schema() -> dict[str, Any]:

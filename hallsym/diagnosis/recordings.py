@@ -1,5 +1,6 @@
 """Recordings that could be made next: short runs on the same machine, inside the ranges of its log."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -10,16 +11,15 @@ from hallsym.simulation import AtTimes, Run, multi_sine, sine
 
 LONGEST = 2000
 """Samples of a simulated run, at most."""
-LENGTH = 8.0
-"""Seconds of a simulated run, where that is no more samples."""
 PER_PERIOD = 12
-"""Samples per period of the fastest motion that is proposed."""
-BETWEEN = 1.0
-"""Seconds between runs."""
+"""Samples per period of the fastest motion that is proposed, or that a decimated log keeps."""
 SWING = 0.05
 """Part of a turn over which a shaft is swung to and fro: 18 deg."""
 WARM = 5.0
 """Kelvin by which a temperature cycle goes up and down."""
+
+Motion = tuple[str, dict[str, AtTimes]]
+"""A motion in words, and by coordinate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,142 +60,134 @@ def range_of(base: Base) -> Range:
     model = base.model
     vertical = tuple(c for c in model.state if c in model.family.axes)
     turn = model.period.get(model.pose[0], 0.0) if model.pose[0] in model.family.endless else 0.0
-    columns = (*model.references, *vertical, "temperature_degc")
-    seen: dict[str, list[np.ndarray]] = {}
-    slopes: dict[str, list[np.ndarray]] = {}
-    step, first, last = [], None, 0.0
+    names = dict(zip(model.references, model.pose, strict=True)) | {c: c for c in vertical}
+    columns = (*names, "temperature_degc", *(f"d1_{c}" for c in model.references))
+    seen: dict[str, list[np.ndarray]] = defaultdict(list)
+    ends: list[float] = []
+    steps: list[float] = []
     for piece in pieces(base, frozenset(base.log.runs)):
         thin = slice(None, None, max(1, len(piece.t) // 256))
         for c in columns:
             if c in piece.data:
-                seen.setdefault(c, []).append(piece.data[c][thin])
-        for c in model.references:
-            slopes.setdefault(c, []).append(piece.data[f"d1_{c}"][thin])
-        step.append(float(np.median(np.diff(piece.t))) if len(piece.t) > 1 else np.nan)
-        first = float(piece.t[0]) if first is None else first
-        last = float(piece.t[-1])
+                seen[c].append(piece.data[c][thin])
+        steps += [float(np.median(np.diff(piece.t)))] if len(piece.t) > 1 else []
+        ends += [float(piece.t[0]), float(piece.t[-1])]
     values = {c: np.concatenate(v) for c, v in seen.items()}
-    half, middle = {}, {}
-    for c, v in values.items():
-        low, high = np.quantile(v, [0.005, 0.995])
-        half[c], middle[c] = float(high - low) / 2, float(high + low) / 2
+    low, high = ({c: float(np.quantile(v, q)) for c, v in values.items()} for q in (0.005, 0.995))
+    warm = "temperature_degc"
     typical = [
-        float(np.std(np.concatenate(slopes[c])) / np.std(values[c])) / (2 * np.pi)
+        float(np.std(values[f"d1_{c}"]) / np.std(values[c])) / (2 * np.pi)
         for c in model.references
         if np.std(values[c]) > 0
     ]
-    names = dict(zip(model.references, model.pose, strict=True))
     return Range(
-        model.pose, vertical, {names.get(c, c): v for c, v in half.items()},
-        {names.get(c, c): v for c, v in middle.items()}, max(typical, default=1.0),
-        float(np.nanmin(step) if turn else np.nanmedian(step)),
-        first or 0.0, last, middle.get("temperature_degc"),
-        float(np.quantile(np.abs(np.concatenate(slopes[model.references[0]])), 0.95)),
-        turn,
-        model.family.noun or model.family.name,
-    )  # fmt: skip
+        pose=model.pose,
+        vertical=vertical,
+        amplitude={name: (high[c] - low[c]) / 2 for c, name in names.items()},
+        centre={name: (high[c] + low[c]) / 2 for c, name in names.items()},
+        frequency_hz=max(typical, default=1.0),
+        step_s=float(np.min(steps) if turn else np.median(steps)),
+        start_s=min(ends),
+        end_s=max(ends),
+        temperature=(high[warm] + low[warm]) / 2 if warm in values else None,
+        speed=float(np.quantile(np.abs(values[f"d1_{model.references[0]}"]), 0.95)),
+        turn=turn,
+        noun=model.family.noun or model.family.name,
+    )
 
 
 def recordings(r: Range) -> list[Recording]:
-    """Return what could be recorded, from the plain to the elaborate."""
-    return _turns(r) if r.turn and r.speed > 0 else _strokes(r)
-
-
-def _turns(r: Range) -> list[Recording]:
-    """What a shaft can do: turn at a speed, both ways, swing, rest, or turn while it gets warm."""
-    seconds = min(LENGTH, LONGEST * r.step_s)
-    fastest = r.turn / (2 * PER_PERIOD * r.step_s)
-    v = min(r.speed, fastest)
-    out: list[Recording] = []
-
-    def add(text: str, *legs: tuple[float, float], temperature: AtTimes | None = None) -> None:
-        """A run of legs (share of the time, speed)."""
-        out.append(Recording(f"{text} ({seconds:.3g} s)", Run(seconds, {}, {r.pose[0]: _legs(legs, seconds)}),
-                             temperature))  # fmt: skip
-
-    def both_ways(speed: float) -> tuple[tuple[float, float], ...]:
-        return (0.5, speed), (0.5, -speed)
-
-    whole = 2.0 * r.turn / seconds  # a turn each way
-    for times in (1.0, 2.0, 4.0, 8.0):
-        if times * v <= fastest:
-            add(f"turns in both directions at {_speed(times * v, r.turn)}", *both_ways(times * v))
-    if v > 4 * whole:
-        add(f"turns in both directions, slowly, at {_speed(v / 4, r.turn)}", *both_ways(v / 4))
-    steps = [s * v for s in (0.25, 0.5, 1.0, 2.0, 4.0) if s * v <= fastest]
-    add(f"turns in both directions at {len(steps)} speeds, up to {_speed(steps[-1], r.turn)}",
-        *((0.5 / len(steps), s) for s in (*steps, *(-s for s in reversed(steps)))))  # fmt: skip
-    add(f"turns in one direction at {_speed(v, r.turn)}", (1.0, v))
-    swing = min(v, SWING * r.turn / (2 * PER_PERIOD * r.step_s))  # each way long enough to be seen
-    shuttles = round(swing * seconds / (2 * SWING * r.turn))
-    if shuttles > 1:
-        reach = swing * seconds / (2 * shuttles) * 360 / r.turn
-        add(
-            f"swings to and fro over {reach:.2g} deg at {_speed(swing, r.turn)}", *both_ways(swing) * shuttles
-        )
-    add(f"the {r.noun} at rest", (1.0, 0.0))
+    """Return what could be recorded, from the plain to the elaborate, none longer than the log."""
+    seconds = min(r.end_s - r.start_s, LONGEST * r.step_s)
+    turning = r.turn > 0 and r.speed > 0
+    away = [c for c in r.pose if not turning and abs(r.centre[c]) > r.amplitude[c]]  # a gap never comes to 0
+    level = {c: r.centre[c] for c in (*r.vertical, *away)}
+    motions = list(_turns(r, seconds) if turning else _strokes(r, seconds))
+    out = [Recording(f"{text} ({seconds:.3g} s)", Run(seconds, level, motion)) for text, motion in motions]
     if r.temperature is not None:
-        middle = r.temperature
-        add(f"turns in both directions at {_speed(v, r.turn)} through a temperature cycle of +-{WARM:g} K",
-            *both_ways(v), temperature=lambda t: middle + WARM * np.sin(2 * np.pi * t / seconds))  # fmt: skip
+        (text, motion), middle = motions[0], r.temperature
+        out.append(
+            Recording(
+                f"{text} through a temperature cycle of +-{WARM:g} K ({seconds:.3g} s)",
+                Run(seconds, level, motion),
+                lambda t: middle + WARM * np.sin(2 * np.pi * t / seconds),
+            )
+        )
     return out
 
 
-def _legs(legs: Sequence[tuple[float, float]], seconds: float) -> AtTimes:
-    """Return the place over time of legs (share of the time, speed), one after the other."""
-    share = np.array([a for a, _ in legs]) / sum(a for a, _ in legs)
-    ends = np.concatenate([[0.0], np.cumsum(share * seconds)])
-    places = np.concatenate([[0.0], np.cumsum(share * seconds * np.array([v for _, v in legs]))])
-    return lambda t: np.interp(t, ends, places)
+def _turns(r: Range, seconds: float) -> Iterator[Motion]:
+    """What a shaft can do: turn at a speed, both ways, swing, rest."""
+    fastest = r.turn / (2 * PER_PERIOD * r.step_s)
+    v = min(r.speed, fastest)
+
+    def legs(*speeds: float) -> dict[str, AtTimes]:
+        """One speed after the other, each for as long."""
+        times = np.linspace(0.0, seconds, len(speeds) + 1)
+        places = np.concatenate([[0.0], np.cumsum(np.diff(times) * speeds)])
+        return {r.pose[0]: lambda t: np.interp(t, times, places)}
+
+    for times in (1.0, 2.0, 4.0, 8.0):
+        if times * v <= fastest:
+            yield f"turns in both directions at {_speed(times * v, r.turn)}", legs(times * v, -times * v)
+    if v > 8.0 * r.turn / seconds:  # two turns each way
+        yield f"turns in both directions, slowly, at {_speed(v / 4, r.turn)}", legs(v / 4, -v / 4)
+    steps = [s * v for s in (0.25, 0.5, 1.0, 2.0, 4.0) if s * v <= fastest]
+    yield (
+        f"turns in both directions at {len(steps)} speeds, up to {_speed(steps[-1], r.turn)}",
+        legs(*steps, *(-s for s in reversed(steps))),
+    )
+    yield f"turns in one direction at {_speed(v, r.turn)}", legs(v)
+    swing = min(v, SWING * fastest)  # each way long enough to be seen
+    shuttles = round(swing * seconds / (2 * SWING * r.turn))
+    if shuttles > 1:
+        reach = swing * seconds / (2 * shuttles) * 360 / r.turn
+        yield (
+            f"swings to and fro over {reach:.2g} deg at {_speed(swing, r.turn)}",
+            legs(*(swing, -swing) * shuttles),
+        )
+    yield f"the {r.noun} at rest", legs(0.0)
 
 
 def _speed(value: float, turn: float) -> str:
     return f"{float(f'{60 * value / turn:.3g}'):g} rpm"
 
 
-def _strokes(r: Range) -> list[Recording]:
+def _strokes(r: Range, seconds: float) -> Iterator[Motion]:
     """What a machine of limited travel can do."""
     fastest = 1.0 / (PER_PERIOD * r.step_s)
-    seconds = min(LENGTH, LONGEST * r.step_s)
     f = min(max(r.frequency_hz, 2.0 / seconds), fastest)
-    out: list[Recording] = []
-
-    def add(text: str, motion: dict[str, AtTimes], setting: dict[str, float] | None = None,
-            temperature: AtTimes | None = None) -> None:  # fmt: skip
-        away = [c for c in r.pose if abs(r.centre[c]) > r.amplitude[c]]  # a gap never comes to 0
-        level = {c: r.centre[c] for c in (*r.vertical, *away)} | (setting or {})
-        out.append(Recording(f"{text} ({seconds:.3g} s)", Run(seconds, level, motion), temperature))
-
     all_axes = _names(r.pose)
     for times in (1.0, 2.0, 4.0, 8.0):
         if times * f <= fastest:
-            add(f"{all_axes} together at {_hz(times * f)}", _sines(r, times * f))
+            yield f"{all_axes} together at {_hz(times * f)}", _sines(r, times * f)
     if f > 8.0 / seconds:
-        add(f"{all_axes} together, slowly, at {_hz(f / 4)}", _sines(r, f / 4))
-    add(f"{all_axes} together over a fifth of the stroke at {_hz(f)}", _sines(r, f, 0.2))
+        yield f"{all_axes} together, slowly, at {_hz(f / 4)}", _sines(r, f / 4)
+    yield f"{all_axes} together over a fifth of the stroke at {_hz(f)}", _sines(r, f, 0.2)
     tones = [x for x in f * np.array([0.5, 1.0, 2.0, 4.0, 8.0]) if x <= fastest]
-    add(
+    yield (
         f"{all_axes} with {len(tones)} frequencies at once, up to {_hz(tones[-1])}",
         {c: multi_sine(2 * r.amplitude[c], [x * s for x in tones]) for c, s in _spread(r.pose)},
     )
-    add(f"{all_axes} at constant speed to and fro, at {_hz(f)}",
-        {c: _to_and_fro(r.amplitude[c], f * s) for c, s in _spread(r.pose)})  # fmt: skip
+    yield (
+        f"{all_axes} at constant speed to and fro, at {_hz(f)}",
+        {c: _to_and_fro(r.amplitude[c], f * s) for c, s in _spread(r.pose)},
+    )
     for c in r.pose:
-        add(f"{_names((c,))} alone at {_hz(f)}", {c: sine(r.amplitude[c], f)})
-    add("everything at rest", {})
+        yield f"{_names((c,))} alone at {_hz(f)}", {c: sine(r.amplitude[c], f)}
+    yield "everything at rest", {}
     for c in r.vertical:
         if r.amplitude[c] > 0:
-            add(f"{_names((c,))} moved within the run while {all_axes} stand still",
-                {c: sine(r.amplitude[c], 2.0 / seconds)})  # fmt: skip
+            yield (
+                f"{_names((c,))} moved within the run while {all_axes} stand still",
+                {c: sine(r.amplitude[c], 2.0 / seconds)},
+            )
     if all(r.amplitude[c] > 0 for c in r.vertical) and r.vertical:
         slow = {c: sine(r.amplitude[c], (2.0 + k) / seconds) for k, c in enumerate(r.vertical)}
-        add(f"{_names(r.vertical)} moved within the run while {all_axes} move at {_hz(f)}",
-            {**_sines(r, f), **slow})  # fmt: skip
-    if r.temperature is not None:
-        middle = r.temperature
-        add(f"{all_axes} at {_hz(f)} through a temperature cycle of +-{WARM:g} K", _sines(r, f), None,
-            lambda t: middle + WARM * np.sin(2 * np.pi * t / seconds))  # fmt: skip
-    return out
+        yield (
+            f"{_names(r.vertical)} moved within the run while {all_axes} move at {_hz(f)}",
+            {**_sines(r, f), **slow},
+        )
 
 
 def _spread(pose: Sequence[str]) -> Iterator[tuple[str, float]]:

@@ -1,6 +1,6 @@
 """Fit a model with effects, exact and non-linear, by Gauss-Newton steps on passes over the log."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -8,19 +8,16 @@ import numpy as np
 
 from hallsym.diagnosis.normal_equations import coefficients, normal_equations
 from hallsym.diagnosis.products import NormalEquations
-from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.residuals import Base, pieces
+from hallsym.diagnosis.scores import bic
 from hallsym.estimation import pseudo_inverse
-from hallsym.model import Model
+from hallsym.estimation.covariance import AT_BOUND
+from hallsym.estimation.gauss_newton import DROP, PASSES
+from hallsym.model import Model, Variant
 from solvers import gauss_newton
 
-MOST = 48
-"""Linearisations at most, shortened steps included; three or four are usual."""
-AT_BOUND = 1e-6
-"""Part of the width of its bounds within which a parameter counts as at one of them."""
 CLOSE = 1e-5
 """Relative decrease of the cost below which Gauss-Newton has converged."""
-UNSEEN = 1e-3
-"""Length [sigma, over all samples] that a parameter must move the residual by, over all of its bounds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +49,32 @@ class Refitted:
     def gap(self, units: np.ndarray) -> float:
         """Return the gap metric over some units."""
         return float(np.sqrt(self.output[units].sum() / max(self.tangents.count[units].sum(), 1.0)))
+
+    @property
+    def metric(self) -> float:
+        """Gap metric over the fitted runs."""
+        return self.gap(self.fitted)
+
+    @property
+    def readings(self) -> float:
+        """Number of readings that were fitted."""
+        return float(self.tangents.count[self.fitted].sum()) * len(self.base.model.channels)
+
+    def bic(self, size: int, inflation: float) -> float:
+        """Return the BIC of `size` parameters, slow averages `inflation` times as noisy as of white noise."""
+        return float(bic(self.cost, self.readings / inflation, size, self.readings))
+
+    def variance(self, inflation: float) -> float:
+        """Return the variance of such a slow average of the whitened residual."""
+        return max(self.cost / self.readings, 1e-12) * inflation
+
+    def distance(self, other: "Refitted") -> float:
+        """Return the whitened squared distance of two residuals: how far a log separates the models."""
+        known = frozenset(run for unit in self.fitted for run in self.tangents.runs[unit])
+        return sum(
+            float((((one.residual - two.residual) * one.used) ** 2).sum())
+            for one, two in zip(pieces(self.base, known), pieces(other.base, known), strict=True)
+        )
 
     def at_bound(self) -> tuple[int, ...]:
         """Index of the free parameters that ended at one of their bounds."""
@@ -103,30 +126,35 @@ def with_model(base: Base, model: Model) -> Base:
     return replace(base, model=model, p=p, free=free)
 
 
-def refit(base: Base, runs: Sequence[int], most: int = MOST) -> Refitted:
-    """Minimise the whitened residual of `runs` from `base`; every run's zeros follow its own samples.
+def with_effects(base: Base, variants: Iterable[Variant], values: Mapping[str, float]) -> Base:
+    """Return `base` with effects added, at `values` of those parameters that have one."""
+    for variant in variants:
+        base = with_model(base, variant.make(base.model))
+    p = [values.get(name, nominal) for name, nominal in zip(base.model.names, base.p, strict=True)]
+    return replace(base, p=np.array(p))
 
-    `most`: linearisations at most.
-    """
+
+def refit(base: Base, runs: Sequence[int]) -> Refitted:
+    """Minimise the whitened residual of `runs` from `base`; every run's zeros follow its own samples."""
 
     def linearised(at: Base) -> Refitted:
         t = normal_equations(at, decoded=False)
         units = t.units(runs)
         return Refitted(at, t, units, float(t.likelihood[units, -1, -1].sum()))
 
-    return gauss_newton(linearised, base, lambda now, gained: gained <= CLOSE * now.cost, most)[0]
+    return gauss_newton(linearised, base, lambda now, gained: gained <= CLOSE * now.cost, PASSES)[0]
 
 
 def seen(base: Base, M: np.ndarray) -> np.ndarray:
     """Return which of the free parameters the log shows at all, from the products M of their columns.
 
-    A wave that is 0 wherever a sample was taken has a column of rounding errors, which would be scaled up to
-    explain noise; such a parameter stays where it is.
+    One that changes no cost over all of its bounds stays where it is: a wave that is 0 wherever a sample was
+    taken has a column of rounding errors, which would be scaled up to explain noise.
     """
     free = np.array(base.free, dtype=int)
     lower, upper = base.model.bounds
-    width = np.minimum((upper - lower)[free], 1e300)
-    return np.sqrt(np.maximum(np.diag(M)[: len(free)], 0.0)) * width >= UNSEEN
+    width = np.minimum((upper - lower)[free], 1e150)
+    return np.maximum(np.diag(M)[: len(free)], 0.0) * width**2 >= DROP
 
 
 def inside_bounds(base: Base, M: np.ndarray) -> np.ndarray:

@@ -36,8 +36,7 @@ def regression(
     `rest`: `others(gram)`, where it is known.
     """
     total, targets = gram.sum(axis=0), cross.sum(axis=0)
-    size = np.sqrt(np.maximum(np.diag(total + penalty), 0.0))  # differences of sums may round below 0
-    d = np.maximum(size, 1e-9 * max(size.max(initial=0.0), 1e-140))  # what never moves has no coefficient
+    d = lengths(total + penalty)
     scale = np.outer(d, d)
 
     def solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -48,11 +47,15 @@ def regression(
     return Regression(solved(total, targets), left, squares)
 
 
+def lengths(gram: np.ndarray) -> np.ndarray:
+    """Return the lengths (n,) of columns, to scale them by; what never moves has no coefficient."""
+    length = np.sqrt(np.maximum(np.diag(gram), 0.0))  # differences of sums may round below 0
+    return np.maximum(length, NIL * max(length.max(initial=0.0), 1e-140))
+
+
 def ridge(gram: np.ndarray) -> np.ndarray:
     """Return a penalty (n, n) of `RIDGE` times the squares that all groups but one have, on average."""
-    total = np.maximum(np.diag(gram.sum(axis=0)), 0.0)
-    floor = 1e-18 * max(total.max(initial=0.0), 1e-280)
-    return np.diag(RIDGE * (1 - 1 / len(gram)) * np.maximum(total, floor))
+    return np.diag(RIDGE * (1 - 1 / len(gram)) * lengths(gram.sum(axis=0)) ** 2)
 
 
 def others(parts: np.ndarray) -> np.ndarray:

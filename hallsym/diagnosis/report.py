@@ -1,15 +1,13 @@
 """The Diagnosis, put together from what the stages found. Nothing is decided here."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 
 from hallsym.diagnosis.confusable import Confusable, smaller_findings
 from hallsym.diagnosis.curve_words import shape
-from hallsym.diagnosis.decoded_errors import block_errors, waves
-from hallsym.diagnosis.faults import Fault
+from hallsym.diagnosis.decoded_errors import decoded_errors, waves
 from hallsym.diagnosis.gap import worth_reporting
 from hallsym.diagnosis.localisation import Located, located
 from hallsym.diagnosis.model_error import model_error
@@ -28,7 +26,6 @@ from hallsym.diagnosis.record import (
 )
 from hallsym.diagnosis.remainder import Unexplained
 from hallsym.diagnosis.residual_table import both
-from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.shares import sizes
@@ -37,6 +34,7 @@ from hallsym.diagnosis.verdict import QUIET, WITH_REST, Verdict, closed
 from hallsym.diagnosis.words import gap_text, gap_unit, percent
 from hallsym.estimation.calibration import Fit
 from hallsym.families.recipe import added_effects
+from hallsym.log.quality.gains import listed
 
 
 def report(
@@ -57,16 +55,17 @@ def report(
     after = found.before.metric if quiet else found.metric
     metric = Metric(found.before.metric, after, found.floor.metric)
     share = closed(metric.before, metric.after, metric.floor)
-    where, rest = _located(setup, selection, found, verdict, noise)
+    loud = noise if noise is not None and noise.larger and verdict not in WITH_REST else None
+    where, rest = _located(setup, selection, found, verdict, loud)
     left = unexplained(rest, 1 - share) if rest else None
-    gap_after = Gap(**found.before.gap()) if quiet else _gap_after(found)
+    gap_after = found.before.gap if quiet else _gap_after(found)
     unit = gap_unit(setup.fit.model.pose)
     return Diagnosis(
         verdict=verdict,
         sentence=sentence(verdict, named, alike.instead_of, metric, unit, setup.held_out, noise, left),
         held_out=setup.held_out,
         noise_floor=NoiseFloor(found.floor_by_output, _source(setup.fit)),
-        gap_before=Gap(**found.before.gap()),
+        gap_before=found.before.gap,
         gap_after=gap_after,
         metric=metric,
         shrinkage=_shrinkage(found, metric, share, quiet),
@@ -75,7 +74,7 @@ def report(
         effects=named,
         where=where.statements,
         shares=where.shares,
-        size=_size(setup, found, where, noise is not None and noise.larger and verdict not in WITH_REST),
+        size=_size(setup, found, where, loud is not None),
         remaining=rest.statements if rest else (),
         unexplained=left,
         model_error=model_error(setup, found, gap_after, after, left, alike),
@@ -139,50 +138,33 @@ def _log(setup: Setup) -> LogRecord:
 
 def _gap_after(found: Validation) -> Gap:
     """Return the gap with everything that was found; faults of samples count by their power."""
-    gap, share = found.cured.gap(), found.metric / found.cured.metric
-    return Gap({c: v * share for c, v in gap["rmse"].items()}, gap["peak"])
+    gap, share = found.cured.gap, found.metric / found.cured.metric
+    return Gap({c: v * share for c, v in gap.rmse.items()}, gap.peak)
 
 
 def _located(
-    setup: Setup, selection: Selection, found: Validation, verdict: Verdict, noise: NoiseFinding | None
+    setup: Setup, selection: Selection, found: Validation, verdict: Verdict, loud: NoiseFinding | None
 ) -> tuple[Located, Located | None]:
     """Return where the gap lies and, if it is unexplained, where the rest lies.
 
-    Faults of samples count by their power over all of the excess. Where the noise is larger than its floor,
-    the excess is what exceeds the noise: noise lies nowhere.
+    Faults of samples count by their power over all of the excess. `loud`: noise that is larger than its
+    floor; the excess is what exceeds that, for noise lies nowhere.
     """
     start, runs = found.start.base, setup.base.log.runs
-    loud = noise if noise is not None and noise.larger and verdict not in WITH_REST else None
     if loud is not None:
         start = with_noise(start, loud)
     plain = start.on_all
     floor = found.floor.metric * (1.0 if loud is None else loud.ratio)
-    if found.before.metric > floor * (1 + setup.policy.floor_known):
-        gap = _placed(selection, found.start.base, plain, runs, found.faults, found.variance)
+    if found.before.metric > floor * (1 + setup.policy.negligible):
+        screened, noisy = selection.screened_at(found.start.base), verdict in QUIET
+        gap = located(plain, runs, screened, found.faults, found.variance, noisy=noisy)
     else:
         gap = Located((), (), *both(plain, runs))
-    if verdict in QUIET:  # noise has a spectrum, see `noise`, and no place
-        gap = replace(gap, statements=tuple(s for s in gap.statements if s.kind != "band"))
     if verdict not in WITH_REST:
         return gap, None
     if found.base is start:
         return gap, gap
-    return gap, _placed(selection, found.base, found.base, runs)
-
-
-def _placed(
-    selection: Selection,
-    screened: Base,
-    base: Base,
-    runs: Sequence[int],
-    faults: Sequence[Fault] = (),
-    variance: float = 1.0,
-) -> Located:
-    """Return where what `base` leaves lies, beside the catalogue as it was scored at `screened`."""
-    s = selection.screened_at(screened)
-    if s is None:
-        return located(base, runs, (), faults, variance)
-    return located(base, runs, s.scores, faults, variance, top=s.top, colour=s.colour)
+    return gap, located(found.base, runs, selection.screened_at(found.base))
 
 
 def _size(setup: Setup, found: Validation, where: Located, loud: bool) -> Sizes:
@@ -192,17 +174,26 @@ def _size(setup: Setup, found: Validation, where: Located, loud: bool) -> Sizes:
     """
     start = setup.as_logged(found.start.base)
     fitted, held = both(start, setup.base.log.runs) if setup.miswired or loud else (where.fitted, where.held)
-    errors = {"fitted": block_errors(start, setup.runs, setup.log.rows, None), "held_out": found.before}
+    errors = {"fitted": decoded_errors(start, setup.runs), "held_out": found.before}
     return sizes({"fitted": fitted, "held_out": held}, errors, setup.fit.noise_floor)
 
 
 def _notes(setup: Setup, found: Validation, quiet: bool) -> tuple[str, ...]:
-    notes: Sequence[str] = setup.fit.notes
+    """Return the notes of the fit, and what a noise floor needs said that the log contradicts."""
+    notes = list(setup.fit.notes)
     if found.floor_was is not None:
-        notes = (*notes, floor_lowered_text(found.floor_was))
+        notes.append(
+            f"The estimated noise was {found.floor_was:.3g} x the error with the effects found: a pattern "
+            "from sample to sample was taken for noise. That error serves as the noise floor; state the "
+            "noise (--noise) if you know it."
+        )
     if quiet and found.before.metric > worth_reporting(found.floor, setup.threshold, setup.policy):
         times = found.before.metric / found.floor.metric
-        notes = (*notes, shapeless_text(times, found.floor.stated))
+        notes.append(
+            f"The error is {times:.3g} x the {'stated' if found.floor.stated else 'estimated'} noise and "
+            "depends on nothing that the log holds: the noise is larger than that, or more correlated in "
+            "time."
+        )
     return tuple(dict.fromkeys(notes))
 
 
@@ -220,9 +211,9 @@ def sentence(
     instead_of: Callable[[str], Sequence[str]],
     gap: Metric,
     unit: tuple[float, str],
-    held_out: str = "holdout run",
-    noise: NoiseFinding | None = None,
-    left: Unexplained | None = None,
+    held_out: str,
+    noise: NoiseFinding | None,
+    left: Unexplained | None,
 ) -> str:
     """Return the diagnosis in one or two sentences; gaps in `unit`, the factor and name a person reads.
 
@@ -231,7 +222,7 @@ def sentence(
     """
     judges = f"{held_out}s"
     before, after, floor = (gap_text(v, unit) for v in (gap.before, gap.after, gap.floor))
-    small = gap.before <= gap.floor * (1 + POLICY.floor_known)
+    small = gap.before <= gap.floor * (1 + POLICY.negligible)
     if verdict == "no gap":
         alone = f"noise alone gives {floor}"
         return f"No gap. The error on the {judges} is {before}; {alone}" + (
@@ -243,10 +234,10 @@ def sentence(
         return f"{LARGER.capitalize()}. {said}, and that is noise: {noise_text(noise, stated=True)}."
     if not effects and small:
         hidden = f"The error on the {judges} is {before}, no more than noise alone gives ({floor})"
-        return f"{hidden}, but what the readings keep has a shape; no known effect explains it."
+        return f"{hidden}, but the residual of the readings has a shape; no known effect explains it."
     if not effects:
         return f"{said}; no known effect explains it."
-    named = " and ".join(_with_others(e.name, instead_of(e.name)) for e in effects)
+    named = listed([_with_others(e.name, instead_of(e.name)) for e in effects])
     if verdict == "behaves like":
         first = next(e for e in effects if e.behaves_like or e.at_bound)
         why = (
@@ -259,8 +250,9 @@ def sentence(
             f"With {named} it falls to {after}."
         )
     if verdict == "partly explained" and left is not None:
-        remains = f"{percent(left.share)} of the excess over the noise"
-        return f"{said}. With {named} it falls to {after}; {remains} has no known cause: {left.text}."
+        remains = f"{percent(left.share)} of the excess over the noise has no known cause"
+        where = f"Of what is left, {left.text}" if left.by else left.text.capitalize()
+        return f"{said}. With {named} it falls to {after}; {remains}. {where}."
     rest = "" if verdict == "explained" else "; the rest has no known cause"
     open_ = closed(gap.before, gap.after, gap.floor) < 1 - POLICY.minor
     if verdict == "explained" and open_ and noise is not None and noise.larger:
@@ -273,29 +265,12 @@ def _with_others(name: str, others: Sequence[str]) -> str:
     return f"{name} (or {' or '.join(others)})" if others else name
 
 
-def floor_lowered_text(times: float) -> str:
-    """Return what to say of a noise floor that was estimated too high."""
-    return (
-        f"The estimated noise was {times:.3g} x the error with the effects found: a pattern from sample to "
-        "sample was taken for noise. That error serves as the noise floor; state the noise (--noise) if you "
-        "know it."
-    )
-
-
-def shapeless_text(times: float, stated: bool) -> str:
-    """Return what to say of noise that is larger than stated or estimated."""
-    return (
-        f"The error is {times:.3g} x the {'stated' if stated else 'estimated'} noise and depends on nothing "
-        "that the log holds: the noise is larger than that, or more correlated in time."
-    )
-
-
 def next_step(setup: Setup, found: Validation) -> tuple[str, ...]:
     """Return the arguments of `hallsym fit LOG` that fit the model with the effects found, in their order.
 
     The pieces of a split recording are no runs of the log on disk, so they are not held out.
     """
-    variants = [e.selected.exact.score.variant for e in found.effects]
+    variants = [e.exact.score.variant for e in found.effects]
     texts = [v.text for v in variants if v.text]
     if not texts:
         return ()

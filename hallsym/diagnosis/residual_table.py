@@ -12,38 +12,48 @@ import numpy as np
 from hallsym.diagnosis.normal_equations import UNITS
 from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.diagnosis.sign_flips import FEWEST_UNITS, stretch
-from hallsym.diagnosis.survey import ENOUGH, MAINS
 from hallsym.estimation.decoding import decoding_gain
 from hallsym.estimation.residual_columns import STILL
+from hallsym.families.mechanisms import MAINS_HZ
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.model.arrays import on_arrays
 
-MAINS_DRIFT = 0.3
-"""Distance from the mains [Hz] that they and a clock may drift by."""
+MAINS_DRIFT = 0.2
+"""Distance from their frequency that the mains may drift by [Hz]: grid code of Europe (EU 2017/1485)."""
 
 
 @dataclass(frozen=True)
-class Band:
-    """Frequencies that belong together: `kind` "mains" or "band", an octave of all others."""
+class FrequencyBand:
+    """Frequencies that belong together, from `low` to `high` [Hz]: octaves, and the mains, which are both."""
 
-    kind: str
-    name: str
+    low: float
+    high: float
+
+    @property
+    def mains(self) -> bool:
+        """Whether it is a frequency of the mains."""
+        return self.low == self.high
+
+    @property
+    def name(self) -> str:
+        """What a person calls it."""
+        if self.mains:
+            return f"the mains, {self.low:g} Hz"
+        return f"{self.low:g} to {self.high:g} Hz" if self.low else f"less than {self.high:g} Hz"
 
 
 @dataclass(eq=False)
 class Spectrum:
     """Power of the whitened residual by band and run: `power[band][run]`, `white` for noise."""
 
-    power: dict[Band, dict[int, float]] = field(default_factory=dict)
-    white: dict[Band, dict[int, float]] = field(default_factory=dict)
-    seen: int = 0
+    power: dict[FrequencyBand, dict[int, float]] = field(default_factory=dict)
+    white: dict[FrequencyBand, dict[int, float]] = field(default_factory=dict)
 
     def add(self, piece: Piece) -> None:
         """Add a stretch of one run."""
         n = len(piece.t)
-        if n < 2 * FEWEST_SAMPLES or self.seen > ENOUGH:
+        if n < 2 * FEWEST_SAMPLES:
             return
-        self.seen += n
         r = np.where(piece.used, piece.residual, 0.0)
         f = np.fft.rfftfreq(n, float(np.median(np.diff(piece.t))))
         twice = np.where((f > 0) & ((n % 2 == 1) | (f < f[-1])), 2.0, 1.0)
@@ -51,7 +61,7 @@ class Spectrum:
         white = twice * len(r)
         for band, here in _bands(f).items():
             floor = white
-            if band.kind == "mains":  # a line stands out from what is beside it, whatever its colour
+            if band.mains:  # a line stands out from what is beside it, whatever its colour
                 beside = np.convolve(here, np.ones(2 * int(here.sum()) + 1), "same") > 0
                 floor = np.maximum(white, power[beside & ~here].mean() if (beside & ~here).any() else 0.0)
             for store, values in ((self.power, power), (self.white, floor)):
@@ -59,15 +69,14 @@ class Spectrum:
                 runs[piece.run] = runs.get(piece.run, 0.0) + float(values[here].sum())
 
 
-def _bands(f: np.ndarray) -> dict[Band, np.ndarray]:
+def _bands(f: np.ndarray) -> dict[FrequencyBand, np.ndarray]:
     """Return the frequencies of each band: those of the mains, and the octaves of the others."""
     wide = max(MAINS_DRIFT, 1.5 * f[1])
-    out = {Band("mains", f"the mains, {hz:g} Hz"): np.abs(f - hz) < wide for hz in MAINS}
+    out = {FrequencyBand(hz, hz): np.abs(f - hz) < wide for hz in MAINS_HZ}
     left = ~np.any(list(out.values()), axis=0)
     octave = np.floor(np.log2(np.maximum(f, 1.0)))
     for k in np.unique(octave):
-        name = f"{2**k:g} to {2 ** (k + 1):g} Hz" if k else "less than 2 Hz"
-        out[Band("band", name)] = left & (octave == k)
+        out[FrequencyBand(2**k if k else 0.0, 2 ** (k + 1))] = left & (octave == k)
     return out
 
 

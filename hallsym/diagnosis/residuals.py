@@ -1,6 +1,6 @@
 """A fitted model on a log, and its residual, run by run: computed once for each log that fits in memory."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import wraps
 from typing import Any, TypeVar
@@ -15,7 +15,7 @@ from hallsym.log.batches import Batch, Weigh, batches, is_held
 from hallsym.log.derived import extended
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
-from hallsym.model.derived import Computed, campaign_time, rate, run_time
+from hallsym.model.derived import campaign_time, rate, run_time
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,18 +110,19 @@ Residual = tuple[np.ndarray, np.ndarray]
 _KNOWN: WeakKeyDictionary[Base, list[Residual]] = WeakKeyDictionary()
 
 
-def pieces(base: Base, runs: frozenset[int], further: Sequence[str] = ()) -> Iterator[Piece]:
-    """Yield the whitened residual of some runs beside what it may depend on, and `further` logged columns.
+def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
+    """Yield the whitened residual of some runs beside what it may depend on.
 
     Residuals of a log whose batches are kept (`is_held`) are kept too, for the next call with the same base.
     """
     model = base.model
-    extra = _extra(model)
+    rates = (rate(c, order) for order in range(4) for c in model.references)
+    extra = (*rates, campaign_time(), run_time())
     log = extended(base.log, model.with_columns(*extra), base.sigma, base.values)
-    wanted = (*columns_of(model), *(c.name for c in extra), "t_s", "temperature_degc", *further)
+    wanted = (*columns_of(model), *(c.name for c in extra), "t_s", "temperature_degc")
     columns = tuple(dict.fromkeys(c for c in wanted if c in log.columns))
     known, fresh, held = _KNOWN.get(base, []), [], is_held(base.log)
-    evaluate = residual_of(base)
+    evaluate = _residual_of(base)
     for k, batch in enumerate(batches(log, columns)):
         weights = batch.weights(base.keep)
         residual, speed = known[k] if known else evaluate(batch)
@@ -139,13 +140,7 @@ def pieces(base: Base, runs: frozenset[int], further: Sequence[str] = ()) -> Ite
         _KNOWN[base] = fresh
 
 
-def _extra(model: Model) -> tuple[Computed, ...]:
-    """Rates of the references and times, beside the columns of the model."""
-    rates = (rate(c, order) for order in range(4) for c in model.references)
-    return (*rates, campaign_time(), run_time())
-
-
-def residual_of(base: Base) -> Callable[[Batch], Residual]:
+def _residual_of(base: Base) -> Callable[[Batch], Residual]:
     """Return what computes the whitened residual of a batch, and the rate of the expected reading."""
     model = base.model
     run = model.remember("reading and its rate", lambda: _reading_and_rate(model))

@@ -14,7 +14,7 @@ from hallsym.diagnosis.products import NormalEquations
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.regression import FOLDS, NIL
 from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.sign_flips import SignFlips, adjusted, least_p, searched, stretch
+from hallsym.diagnosis.sign_flips import Joint, SignFlips, independent, least_p, searched, stretch
 from hallsym.errors import InputError
 from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.decoding import columns_of
@@ -38,9 +38,10 @@ class Score:
 
     `gain`: decrease of the whitened squares on the fitted runs. `size`: parameters added, searched numbers
     included. `bic`: Bayesian information criterion with the effect. `ratio`: gap metric over that without the
-    effect, cross-validated within the fitted runs. `p_value`: from random signs of the runs' scores,
-    corrected for all that was tried; `statistic`: what it rests on. `absorbed`: the model's own parameters
-    can do the same. `place`: of the effect in the catalogue, usual causes first.
+    effect, cross-validated within the fitted runs; what the references' noise makes of it does not count.
+    `p_value`: from random signs of the runs' scores, corrected for all that was tried; `statistic`: what it
+    rests on. `absorbed`: the model's own parameters can do the same. `place`: of the effect in the catalogue,
+    usual causes first.
     """
 
     effect: Effect
@@ -136,9 +137,10 @@ class Screen:
             plain = {key: (c.model, c.new) for key, c in part.items()}
             t = normal_equations(base, plain, length)
             table = Table(t, part, len(base.model.channels))
-            flips = (
-                SignFlips(t, runs, shared_noise(base, plain, length, colour)) if colour is not None else None
-            )
+            flips = None
+            if colour is not None:
+                apart = length is not None and independent(colour, length)
+                flips = SignFlips(t, runs, shared_noise(base, plain, length, colour), apart=apart)
             self.tables.append(table)
             for key, scored in table.scored([runs], inflation):
                 c, absorbed = part[key], bool(scored.absorbed[0])
@@ -154,21 +156,23 @@ class Screen:
                         gain=float(scored.gain[0]),
                         size=scored.size,
                         bic=float(scored.bic[0]),
-                        ratio=table.ratio(key, runs),
-                        p_value=1.0 if z is None else -1.0,
+                        ratio=1
+                        - (1 - table.ratio(key, runs))
+                        * (1.0 if flips is None or z is None else flips.kept(key)),
+                        p_value=1.0,
                         absorbed=absorbed,
                         place=places[c.effect.name],
                         statistic=-np.inf if z is None else float(flipped[-1][0]),
                     )
                 )
-        adjusted_p, least = adjusted(np.array(flipped))
-        self.top = np.max(flipped, axis=0, initial=-np.inf) if flipped else None
+        joint = Joint(flipped)
+        self.top = joint.top if flipped else None
+        least = joint.p_value(max((s.statistic for s in found), default=-np.inf))
         units = len(self.tables[0].t.units(runs))
         unit = "run" if length is None else "stretch"
         self.significance = Significance(least, least_p(units), units, unit)
-        rest = iter(adjusted_p.tolist())
-        found = [s if s.p_value > 0 else replace(s, p_value=next(rest)) for s in found]
-        found = [replace(s, p_value=min(s.p_value, EVENTS * s.variant.by_itself)) for s in found]
+        each = [min(joint.p_value(s.statistic), EVENTS * s.variant.by_itself) for s in found]
+        found = [replace(s, p_value=p) for s, p in zip(found, each, strict=True)]
         self.scores = sorted(found, key=lambda s: s.bic)
 
     def choices(
@@ -248,7 +252,7 @@ def _choice(
     found: dict[str, tuple[float, Choice]] = {}
     for least, gain, key, table in ranked:
         name = table.tried[key].effect.name
-        if name in found or gain < policy.promising * most or len(found) == policy.most_refits:
+        if name in found or gain < policy.mostly * most or len(found) == policy.most_refits:
             continue
         if table.ratio(key, runs) <= 1 - level:
             found[name] = least, Choice(name, key, table)

@@ -7,7 +7,7 @@ from time import perf_counter
 import numpy as np
 
 from hallsym.diagnosis import holdout_pieces
-from hallsym.diagnosis.faults import KINDS
+from hallsym.diagnosis.decimation import thinned
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.residuals import Base
 from hallsym.errors import InputError, counted
@@ -18,12 +18,17 @@ from hallsym.estimation.decoding import logged_columns
 from hallsym.estimation.gauss_newton import cost_near
 from hallsym.estimation.outliers import beside_rails
 from hallsym.families import build, default_model
+from hallsym.families.faults import FAULTS
 from hallsym.log import Log, clean_log
-from hallsym.log.batches import remembered
+from hallsym.log.batches import HELD, remembered
 from hallsym.log.phase import continuous
 from hallsym.model import Effect, Model
 
 Say = Callable[[str], None]
+LONG = (
+    "The log is long: every {every}. sample of it is diagnosed, and parameters are as certain as these make "
+    "them. hallsym fit takes all of them."
+)
 
 
 @dataclass(frozen=True)
@@ -39,9 +44,9 @@ class Setup:
     """What every stage of a diagnosis reads and none changes.
 
     `log`: as it was fitted, with the channels as they were logged. `base`: the fit as the point where
-    tangents are taken, channels assigned. `runs` are fitted, `holdout` judge. `threshold`: relative decrease
-    of the gap metric that counts. `split`: whether the runs are pieces of one recording. `say`: reports
-    progress.
+    tangents are taken, channels assigned. Of a long log both hold every m-th sample. `runs` are fitted,
+    `holdout` judge. `threshold`: relative decrease of the gap metric that counts. `split`: whether the runs
+    are pieces of one recording. `say`: reports progress.
     """
 
     log: Log
@@ -60,7 +65,7 @@ class Setup:
     @property
     def tested(self) -> int:
         """Hypotheses that every p-value is corrected for: effects of the catalogue and faults."""
-        return len(self.catalogue) + KINDS
+        return len(self.catalogue) + len(FAULTS)
 
     @property
     def held_out(self) -> str:
@@ -132,17 +137,25 @@ def prepare(
     began, say = perf_counter(), on_progress or (lambda _: None)
     model, timed = _built(log, model), "t_s" in log.columns
     level, whole = _threshold(log, threshold, policy), log
-    pieces = None
-    if holdout is None:
-        log, pieces = _pieces(log, model, policy)
+    held, pieces = _whole_runs(log, holdout, policy), tuple[int, ...]()
+    if not held and holdout is None:
+        log, pieces = _pieces(log, model)
     if holdout_pieces.TIME not in log.columns:
         log = holdout_pieces.counted_off(log)
-    held = pieces or _holdout(log, holdout, policy)
+    held = held or pieces
+    if not held:
+        raise _too_short(log)
     say("fitting the model")
     loss = "auto" if timed or not pieces else "none"
     log, result = fitted(log, _inspecting(model, whole) if pieces else model, held, drop_bad, say, loss)
     result = replace(result, model=model)
     base = base_of(log, result)
+    if log.rows > HELD:
+        say("decimating the log")
+        log, every = thinned(replace(base.on_all, log=log), HELD)
+        base = base_of(log, result)
+        if every > 1:
+            result = replace(result, notes=(*result.notes, LONG.format(every=every)))
     return Setup(
         log=log,
         fit=result,
@@ -165,11 +178,10 @@ def _built(log: Log, model: str | Model | Fit | None) -> Model:
     return model if isinstance(model, Model) else build(model or default_model(log.meta), meta=log.meta)
 
 
-def _pieces(log: Log, model: Model, policy: Policy) -> tuple[Log, tuple[int, ...] | None]:
+def _pieces(log: Log, model: Model) -> tuple[Log, tuple[int, ...]]:
     """Split a recording of too few runs if runs have no offsets; return the pieces to hold out."""
-    few = len(log.runs) < policy.fewest_runs and log.rows >= holdout_pieces.FEWEST
-    if not few or model.zeros or log.meta.holdout:
-        return log, None
+    if log.rows < holdout_pieces.FEWEST or model.zeros or log.meta.holdout:
+        return log, ()
     # a turn goes on from piece to piece: a short turn of the reference counts from one zero
     log = continuous(replace(log, noise=noise_of(log, model)), model)
     return holdout_pieces.split(log, None if holdout_pieces.TIME in log.columns else _spikes(log, model))
@@ -217,28 +229,31 @@ def fitted(
     return clean_log(log, logged_columns(model), rails=False), without(True)
 
 
-def _holdout(log: Log, holdout: Sequence[int] | None, policy: Policy) -> tuple[int, ...]:
-    """Return the holdout runs: as asked, the log's own, else every fifth."""
+def _whole_runs(log: Log, holdout: Sequence[int] | None, policy: Policy) -> tuple[int, ...]:
+    """Return the holdout runs: as asked, the log's own, else every fifth; none if fewer than 2 are left."""
     if holdout is None:
         every = policy.holdout_every
         holdout = log.meta.holdout or log.runs[every // 2 :: every]
-    if not holdout or len(log.runs) - len(set(holdout)) < 2:
-        short, many = log.rows < holdout_pieces.FEWEST, counted(len(log.runs), "run")
-        if short and len(log.runs) == 1 and not log.timed:
-            raise InputError(
-                f"{log.name} has {log.rows} samples, too few to hold any out and still choose an effect on "
-                f"the others; record at least {holdout_pieces.FEWEST}."
-            )
-        raise InputError(
-            f"{log.name} has {many}, too few to hold any out and still choose an effect on the others "
-            "(2 to fit and 1 to judge on at least); record more runs or "
-            + (
-                f"at least {holdout_pieces.FEWEST} samples (it has {log.rows})."
-                if short
-                else "split a long one."
-            )
+    return tuple(holdout) if len(log.runs) - len(set(holdout)) >= 2 else ()
+
+
+def _too_short(log: Log) -> InputError:
+    """Return what is wrong with a log of which nothing can be held out."""
+    short, few = (
+        log.rows < holdout_pieces.FEWEST,
+        "too few to hold any out and still choose an effect on the others",
+    )
+    if short and len(log.runs) == 1 and not log.timed:
+        return InputError(
+            f"{log.name} has {log.rows} samples, {few}; record at least {holdout_pieces.FEWEST}."
         )
-    return tuple(holdout)
+    enough = (
+        f"at least {holdout_pieces.FEWEST} samples (it has {log.rows})." if short else "split a long one."
+    )
+    return InputError(
+        f"{log.name} has {counted(len(log.runs), 'run')}, {few} (2 to fit and 1 to judge on at least); "
+        f"record more runs or {enough}"
+    )
 
 
 def _threshold(log: Log, threshold: float | None, policy: Policy) -> float:

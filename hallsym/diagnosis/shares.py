@@ -9,26 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.diagnosis.decoded_errors import BlockErrors
-from hallsym.diagnosis.p_values import beyond, beyond_one
+from hallsym.diagnosis.decoded_errors import DecodedErrors
+from hallsym.diagnosis.p_values import beyond, beyond_one, statistic_at
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Share, Size, Sizes, Statement
-from hallsym.diagnosis.residual_table import Band, ResidualTable
+from hallsym.diagnosis.residual_table import FrequencyBand, ResidualTable
 from hallsym.diagnosis.sign_flips import of_means
 from hallsym.diagnosis.words import percent, plain
-
-CLIP = 9.0
-"""Whitened square per reading at which a sample stops counting when runs are compared."""
-TOLD, HALF = 0.8, 0.5
-"""Shares that coordinates have told of from which on runs, and bands of frequency, add nothing."""
-FEWEST_RUNS = 4
-"""Runs from which on frequencies are judged."""
-ONE_RUN = 3.0
-"""Times its part that a single run must have of the excess."""
-TWICE = 2.0
-"""Times its part of white noise that a band must have."""
-NAMED = 2
-"""Bands that are named at most."""
 
 Found = tuple[list[Share], list[Statement]]
 
@@ -87,11 +74,21 @@ def of_powers(p: Powers, p_values: Sequence[float]) -> Found:
     for k, (name, chance) in enumerate(zip(p.names, p_values, strict=False)):
         share = float(np.clip(p.shares[k], 0.0, 1.0))
         rows.append(Share(p.kind, name, share, chance))
-        if chance < POLICY.false_alarm and share > p.parts[k] + POLICY.minor:
+        if chance < POLICY.false_alarm and _more_than_its(p.parts[k], share):
             seen = "is seen by" if p.kind == "sensor" else "lies in"
             text = f"{percent(share)} of the excess {seen} {plain(name)}, one of {len(p.names)} {p.kind}s"
-            said.append(Statement(p.kind, name, share, chance, text, kind=p.kind))
+            said.append(Statement(p.kind, name, share, chance, text))
     return rows, sorted(said, key=lambda s: -s.share)
+
+
+def _more_than_its(part: float, share: float) -> bool:
+    """Whether a share of the excess is more than what noise of one size everywhere would have there."""
+    return share >= part + POLICY.minor
+
+
+def clear(r: ResidualTable) -> bool:
+    """Whether the excess is more than chance: block by block, so that memory of the noise does not count."""
+    return beyond(means(r.squares - len(r.residual), r.part)) < POLICY.beyond_doubt
 
 
 def means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -101,9 +98,12 @@ def means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
 
 
 def of_runs(r: ResidualTable, told: float) -> Found:
-    """Whether one run has much more than its part of the excess."""
+    """Whether one run has much more than its part of the excess.
+
+    A square counts up to the largest that noise makes in so many samples, so no few wild samples are a run.
+    """
     order, index = np.unique(r.run, return_inverse=True)
-    squares = np.minimum(r.squares, CLIP * len(r.residual)) - len(r.residual)
+    squares = np.minimum(r.squares, statistic_at(1 / len(r.run), len(r.residual))) - len(r.residual)
     sums, counts = np.bincount(index, squares), np.bincount(index)
     level = np.log(sums / counts + len(r.residual))
     k, U = int(np.argmax(level)), len(order)
@@ -112,50 +112,65 @@ def of_runs(r: ResidualTable, told: float) -> Found:
     p = min(1.0, U * beyond_one(float(level[k]), np.delete(level, k)))
     share = float(np.clip(sums[k] / max(squares.sum(), 1e-300), 0.0, 1.0))
     rows = [Share("run", f"run {order[k]}", share, p)]
-    if p >= POLICY.beyond_doubt or share < max(ONE_RUN / U, 2 * POLICY.negligible) or told >= TOLD:
+    if p >= POLICY.beyond_doubt or not _more_than_its(1 / U, share) or told > POLICY.half:
         return rows, []
     text = f"{percent(share)} of the excess lies in run {order[k]}, one of {U} fitted runs"
-    return rows, [Statement("run", f"run {order[k]}", share, p, text, kind="run")]
+    return rows, [Statement("run", f"run {order[k]}", share, p, text)]
 
 
-def of_frequencies(r: ResidualTable, told: float) -> Found:
-    """Kinds of frequency that hold more than twice their part of what white noise would have."""
+def of_frequencies(r: ResidualTable, told: float) -> tuple[list[Share], list[Statement], list[Statement]]:
+    """Return what each band of frequency holds, and statements on the mains and on octaves.
+
+    Those are named that hold more than the part of them that white noise would have; octaves that follow each
+    other are one.
+    """
     s = r.spectrum
     runs = sorted({run for kind in s.white.values() for run in kind})
-    if len(runs) < FEWEST_RUNS or not r.timed:
-        return [], []
+    if not runs or not r.timed:
+        return [], [], []
     white = {k: np.array([v.get(run, 0.0) for run in runs]) for k, v in s.white.items()}
     power = {k: np.array([v.get(run, 0.0) for run in runs]) for k, v in s.power.items()}
     everything = np.sum(list(white.values()), axis=0)
     excess = float(sum(v.sum() for v in power.values()) - everything.sum())
     if excess <= 0:
-        return [], []
+        return [], [], []
     rows, worth = [], []
     for band, own in white.items():
         over, part = power[band] - own, float(own.sum() / everything.sum())
         share = float(over.sum()) / excess
         p = min(1.0, len(white) * beyond(over / everything))
         rows.append(Share("frequency", band.name, float(np.clip(share, 0.0, 1.0)), p))
-        named = band.kind == "mains" or told <= POLICY.half
-        if p < POLICY.certain and share >= max(TWICE * part, part + POLICY.minor) and named:
+        named = band.mains or told <= POLICY.half
+        if p < POLICY.certain and named and _more_than_its(part, share):
             worth.append((share, band, p))
-    return rows, _frequencies(worth)
-
-
-def _frequencies(worth: Sequence[tuple[float, Band, float]]) -> list[Statement]:
-    said, rest = [], 1.0
-    for share, band, p in sorted(worth, key=lambda w: -w[0])[:NAMED]:
+    mains, octaves, rest = list[Statement](), list[Statement](), 1.0
+    for share, band, p in sorted(_joined(worth), key=lambda w: -w[0]):
         share = min(share, rest)  # bands below the noise make the others more than the whole
         rest -= share
         if share >= POLICY.negligible:
             text = f"{percent(share)} of the excess lies at {band.name}"
-            said.append(Statement("frequency", band.name, share, p, text, kind=band.kind))
-    return said
+            (mains if band.mains else octaves).append(Statement("frequency", band.name, share, p, text))
+    return rows, mains, octaves
+
+
+Worth = tuple[float, FrequencyBand, float]
+"""A band with its share of the excess and its p-value."""
+
+
+def _joined(worth: Sequence[Worth]) -> list[Worth]:
+    """Return the bands by frequency, octaves that follow each other as one."""
+    out: list[Worth] = []
+    for share, band, p in sorted(worth, key=lambda w: (w[1].mains, w[1].low)):
+        if out and not band.mains and out[-1][1].high == band.low:
+            more, before, other = out.pop()
+            share, band, p = share + more, FrequencyBand(before.low, band.high), max(p, other)
+        out.append((share, band, p))
+    return out
 
 
 def sizes(
     residues: Mapping[str, ResidualTable | None],
-    errors: Mapping[str, BlockErrors],
+    errors: Mapping[str, DecodedErrors],
     floor: Mapping[str, float],
 ) -> Sizes:
     """Return how large the gap is on each side, "fitted" and "held_out".
@@ -167,18 +182,18 @@ def sizes(
     for side, r in residues.items():
         if r is None:
             continue
-        clear = beyond(means(r.squares - len(r.residual), r.part)) < POLICY.beyond_doubt
-        rms = np.sqrt(errors[side].squares.sum(axis=0) / max(errors[side].count.sum(), 1.0))
+        told = clear(r)
+        rms = errors[side].rms
         noise = np.array([floor.get(c, 0.0) for c in r.pose])
         seen = sensors(r)
         of = [(out.outputs, outputs(r), rms, noise), (out.sensors, seen, seen.rms, np.sqrt(seen.noise))]
         for store, powers, size, least in of:
-            for name, row in _sizes(powers, r.part, size, least, clear).items():
+            for name, row in _sizes(powers, r.part, size, least, told).items():
                 store.setdefault(name, {})[side] = row
     return out
 
 
-def _sizes(p: Powers, block: np.ndarray, rms: np.ndarray, noise: np.ndarray, clear: bool) -> dict[str, Size]:
+def _sizes(p: Powers, block: np.ndarray, rms: np.ndarray, noise: np.ndarray, told: bool) -> dict[str, Size]:
     above = np.maximum(rms**2 - noise**2, 0.0)
     weighed = above * p.weight
     total = float(weighed.sum())
@@ -187,7 +202,7 @@ def _sizes(p: Powers, block: np.ndarray, rms: np.ndarray, noise: np.ndarray, cle
             rms=float(rms[k]),
             noise=float(noise[k]),
             above=float(np.sqrt(above[k])),
-            share=float(weighed[k] / total) if clear and total > 0 else None,
+            share=float(weighed[k] / total) if told and total > 0 else None,
             p_value=beyond(means(p.squares[k] / p.noise[k] - 1.0, block)),
         )
         for k, name in enumerate(p.names)

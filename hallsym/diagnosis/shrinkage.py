@@ -31,13 +31,13 @@ class Judged:
 
     before: np.ndarray
     after: np.ndarray
-    fewest: int
+    policy: Policy
 
     @classmethod
-    def of(cls, before: Squares, after: Squares, fewest: int) -> "Judged":
-        """Return two models on the runs that both judge; below `fewest` of them there is no interval."""
+    def of(cls, before: Squares, after: Squares, policy: Policy) -> "Judged":
+        """Return two models on the runs that both judge; below `Policy.fewest` there is no interval."""
         runs = [run for run in before if run in after]
-        return cls(np.array([before[r] for r in runs]), np.array([after[r] for r in runs]), fewest)
+        return cls(np.array([before[r] for r in runs]), np.array([after[r] for r in runs]), policy)
 
     @property
     def log_ratio(self) -> float:
@@ -63,9 +63,9 @@ class Judged:
         that other repairs leave, over that without them.
         """
         n = len(self.before)
-        if n < self.fewest:
+        if n < self.policy.fewest:
             return None
-        half = float(stdtrit(n - 1, 0.975)) * np.sqrt(2) * self.error
+        half = float(stdtrit(n - 1, 1 - self.policy.false_alarm / 2)) * np.sqrt(2) * self.error
         ends = (self.log_ratio + half, self.log_ratio - half)
         return 1 - scale * float(np.exp(ends[0])), 1 - scale * float(np.exp(ends[1]))
 
@@ -80,12 +80,8 @@ class Judged:
     @property
     def holds(self) -> bool:
         """Whether the decrease is no chance at 2.5 %; of too few runs, whether there is any."""
-        return self.p_value < 0.025 if len(self.before) >= self.fewest else self.log_ratio < 0
-
-
-def groups_of(runs: Sequence[int]) -> list[frozenset[int]]:
-    """Return groups of runs that are left out in turn."""
-    return [frozenset(runs[k::FOLDS]) for k in range(min(FOLDS, len(runs)))]
+        enough = len(self.before) >= self.policy.fewest
+        return self.p_value < self.policy.false_alarm / 2 if enough else self.log_ratio < 0
 
 
 def foreseen(fit: Refitted, groups: Sequence[frozenset[int]]) -> dict[tuple[int, ...], float]:
@@ -110,7 +106,7 @@ class Nested:
     def __init__(self, runs: Sequence[int], policy: Policy) -> None:
         """Begin the search of every group; `runs` are fitted."""
         self.runs, self.policy = runs, policy
-        self.groups = groups_of(runs)
+        self.groups = [frozenset(runs[k::FOLDS]) for k in range(min(FOLDS, len(runs)))]
         self.same = set(range(len(self.groups)))
         self.others: dict[tuple[int, ...], float] = {}
 

@@ -7,10 +7,11 @@ and the statistic of every variant of every effect is computed for each draw. An
 the share of draws in which the largest statistic of all exceeds its own (Westfall and Young 1993).
 
 The score is the effective one: the model's own parameters are taken out of the candidate's columns, so that
-the residual may be that of a fit (Hemerik, Goeman and Finos 2020). What is fitted takes some of a score with
-random signs along; each is divided by the variance that it leaves (De Santis et al. 2022), and by what the
-candidate, fitted to these signs, leaves of the scores: an effect that is there leaves little, and one that
-few runs show is no less certain for it.
+the residual may be that of a fit (Hemerik, Goeman and Finos 2020); it is fitted again with each draw. What it
+is compared with is what the candidate, fitted to these signs, leaves of the scores of whole runs: an effect
+that is there leaves little, and one that few runs show is no less certain for it. Noise that goes on from one
+stretch to the next moves score and scatter of a run alike, so the statistic has the same distribution with
+stretches that are independent (the subcluster wild bootstrap of MacKinnon and Webb 2018).
 """
 
 from collections import Counter
@@ -18,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import gammaincc, ndtr, ndtri, stdtr
+from scipy.special import log_ndtr, ndtri, stdtr
 
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.products import NormalEquations
@@ -29,11 +30,37 @@ FLIPS = 1999
 """Random signs that are drawn: p-values go down to 0.0005, and one of 0.05 is good to 0.005."""
 FEWEST_UNITS = 24
 """Runs from which on runs are the units; of fewer, stretches are, so that there are about as many."""
+UNCORRELATED = 0.02
+"""Autocorrelation below which a residual's memory ends: noise has it by chance after some 10,000 readings."""
+MEMORIES = 4.0
+"""Memories of a residual from which on stretches of it are independent.
+
+The scores of neighbouring stretches of an autoregressive residual then have a correlation of 3 %."""
 
 
 def stretch(samples: float, runs: int) -> int | None:
     """Return the samples of a unit for so many samples in so many runs; None where a unit is a run."""
     return None if runs >= FEWEST_UNITS else max(1, int(-(-samples // (runs * -(-FEWEST_UNITS // runs)))))
+
+
+def clusters(run: np.ndarray) -> np.ndarray:
+    """Return which units (units,) scatter together: those of a run, or of a part of it where runs are few.
+
+    `run`: (units,) where each lies, in order. There are at least as many as say something of a scatter.
+    """
+    _, index, inverse, counts = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
+    parts = -(-POLICY.fewest // len(counts))
+    within = np.arange(len(run)) - index[inverse]
+    return np.unique(inverse * parts + within * parts // counts[inverse], return_inverse=True)[1]
+
+
+def independent(colour: np.ndarray, length: int) -> bool:
+    """Return whether stretches of `length` samples are independent.
+
+    `colour`: autocorrelation of the residual at lags 0, 1, ...
+    """
+    ended = np.flatnonzero(colour < UNCORRELATED)
+    return len(ended) > 0 and MEMORIES * int(ended[0]) <= length
 
 
 def _of_units(t: NormalEquations, noise: Mapping[tuple[int, int], np.ndarray]) -> np.ndarray:
@@ -58,27 +85,37 @@ class SignFlips:
     """The score of each unit, and its sum under random signs."""
 
     def __init__(
-        self, t: NormalEquations, runs: Sequence[int], noise: Mapping[tuple[int, int], np.ndarray]
+        self,
+        t: NormalEquations,
+        runs: Sequence[int],
+        noise: Mapping[tuple[int, int], np.ndarray],
+        *,
+        apart: bool = False,
     ) -> None:
         """Take the products of some runs, the model's own parameters as fitted to them.
 
         `noise`: what the candidates' columns have in common with the residual by the references' noise.
+        `apart`: whether stretches of one run are independent.
         """
         self.units = t.units(runs)
         self.t, self.own = t, t.span[""].stop
         n, M = self.own, t.likelihood[self.units]
         total = M.sum(axis=0)
-        self.JJ = pseudo_inverse(total[:n, :n])
-        values, vectors = np.linalg.eigh(self.JJ)
-        self.root = vectors * np.sqrt(np.maximum(values, 0.0))
-        self.known = M[:, :n, :n]
-        self.b = self.JJ @ total[:n, -1]
-        self.left = M[:, :n, -1] - self.known @ self.b
-        self.offsets = None if t.offsets is None else t.offsets[self.units]
         self.shared = _of_units(t, noise)[self.units]
-        self.drawn = self.JJ @ self.shared[:, :n].sum(axis=0)
-        """How far the references' noise has drawn the parameters."""
-        self.run = np.unique([t.runs[u][0] for u in self.units], return_inverse=True)[1]
+        self.JJ = pseudo_inverse(total[:n, :n])
+        self.known = M[:, :n, :n]
+        self.b = self.JJ @ (total[:n, -1] - self.shared[:, :n].sum(axis=0))
+        self.left = M[:, :n, -1] - self.known @ self.b - self.shared[:, :n]
+        run = np.unique([t.runs[u][0] for u in self.units], return_inverse=True)[1]
+        cluster = np.arange(len(run)) if apart else clusters(run)
+        self.cluster = np.arange(cluster.max() + 1)[:, None] == cluster
+        self.zeros: np.ndarray | None = None
+        if t.offsets is not None and len(self.cluster) > run.max() + 1:
+            # those of a run are fitted to all of it
+            self.zeros = t.offsets[self.units]
+            left = self.zeros[:, :, -1] - self.zeros[:, :, :n] @ self.b
+            together = run[np.argmax(self.cluster, axis=1)][:, None] == run
+            self.zeros_left = together[:, :, None] * left  # (clusters, units, z)
 
     @property
     def signs(self) -> np.ndarray:
@@ -88,10 +125,48 @@ class SignFlips:
     def statistic(self, key: str) -> np.ndarray | None:
         """Return the statistic (1 + FLIPS,) of a candidate, None where the model absorbs all of it.
 
-        First the observed one, then with random signs: the squared score over its variance, and over what the
-        candidate leaves of the scores. It is given as a power of it that is symmetric, with mean 0 and
+        First the observed one, then with random signs: the squared score over what the candidate leaves of
+        the scores of the clusters. It is given as a power of it that is symmetric, with mean 0 and
         variance 1, so that effects of any size and noise of any level compare.
         """
+        found = self._effective(key)
+        if found is None:
+            return None
+        n, (M, at, P, V) = self.own, found
+        columns = self._columns(key, at)
+        to_own = M[:, at, :n]
+        across = to_own - P.T @ self.known  # (units, k, n) left of T'J
+        score = (M[:, at, -1] - to_own @ self.b - self.left @ P - self.shared[:, columns]) @ V
+        gram = V.T @ (M[:, at[:, None], at] - to_own @ P - P.T @ across.swapaxes(1, 2)) @ V
+        # how the rest (clusters, k, units) of each cluster's score follows the signs of all units
+        of = np.tensordot(self.cluster, gram, 1) @ score.T
+        of += V.T @ np.tensordot(self.cluster, across, 1) @ (self.JJ @ self.left.T)
+        if self.zeros is not None:
+            to_zeros = (self.zeros[:, :, columns] - self.zeros[:, :, :n] @ P) @ V
+            of += np.einsum("gzk,guz->gku", np.tensordot(self.cluster, to_zeros, 1), self.zeros_left)
+        rest = (self.cluster[:, None] * score.T - of).reshape(-1, len(score))
+        squares = ((self.signs @ score) ** 2).sum(axis=1)
+        beside = ((self.signs @ (rest.T @ rest)) * self.signs).sum(axis=1)
+        return standardised(squares / np.maximum(beside, NIL * (score**2).sum()))
+
+    def kept(self, key: str) -> float:
+        """Return the part of what a candidate explains that the references' noise has not made, 0 to 1."""
+        found = self._effective(key)
+        if found is None:
+            return 0.0
+        n, (M, at, P, V) = self.own, found
+        total, shared = M[:, :, -1].sum(axis=0), self.shared.sum(axis=0)
+        seen = (total[at] - P.T @ total[:n]) @ V
+        noise = (shared[self._columns(key, at)] - P.T @ shared[:n]) @ V
+        return float(min(((seen - noise) ** 2).sum() / max((seen**2).sum(), 1e-300), 1.0))
+
+    def _columns(self, key: str, at: np.ndarray) -> np.ndarray:
+        """Return where columns `at` of a candidate's products lie among those of all candidates."""
+        return self.t.span[key].start + at - self.own
+
+    def _effective(self, key: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+        """Return products (units, p, p) of a candidate, which of its columns the model leaves something of,
+        what of each is the model's own (n, k), and what makes the rest orthonormal (k, directions)."""
         n, M = self.own, self.t.of(key)[self.units]
         total = M.sum(axis=0)
         P = self.JJ @ total[:n, n:-1]
@@ -99,39 +174,11 @@ class SignFlips:
         seen = np.diag(G) > NIL * np.maximum(np.diag(total)[n:-1], 1e-300)
         if not seen.any():
             return None
-        at, P, G = n + np.flatnonzero(seen), P[:, seen], G[np.ix_(seen, seen)]
-        columns = self.t.span[key].start + np.flatnonzero(seen)  # of all candidates
+        G = G[np.ix_(seen, seen)]
         d = np.sqrt(np.diag(G))
         values, V = np.linalg.eigh(G / np.outer(d, d))
-        kept = values > NIL * values[-1]
-        V = V[:, kept] / np.sqrt(values[kept]) / d[:, None]
-        to_own = M[:, at, :n]
-        across = to_own - P.T @ self.known  # (units, k, n) left of T'J
-        score = M[:, at, -1] - to_own @ self.b - self.left @ P
-        score -= self.shared[:, columns] - self.shared[:, :n] @ P - across @ self.drawn
-        score = score @ V
-        gram = V.T @ (M[:, at[:, None], at] - to_own @ P - P.T @ across.swapaxes(1, 2)) @ V
-        C = np.tensordot(np.tensordot(across, V, (1, 0)), self.root, (1, 0)).reshape(len(score), -1)
-        if self.offsets is not None:
-            C = np.hstack([C, self._of_zeros(columns, P, V)])
-        total = self.signs @ score
-        variance = 1 - ((self.signs @ C) ** 2).sum(axis=1) / V.shape[1]
-        taken = (gram @ score[:, :, None])[:, :, 0]
-        square = np.tensordot(gram, gram, ([0, 1], [0, 1]))
-        rest = (score**2).sum() - 2 * ((self.signs @ taken) * total).sum(axis=1)
-        rest += ((total @ square) * total).sum(axis=1)
-        q = (total**2).sum(axis=1) / np.maximum(variance, LEAST) / np.maximum(rest, 1e-12 * (score**2).sum())
-        return standardised(q)
-
-    def _of_zeros(self, at: np.ndarray, P: np.ndarray, V: np.ndarray) -> np.ndarray:
-        """What each unit has in common with the zeros of its run, which were fitted to the run as a whole."""
-        assert self.offsets is not None
-        own = (self.offsets[:, :, at] - self.offsets[:, :, : self.own] @ P) @ V  # (units, z, k)
-        size = own[0].size
-        out = np.zeros((len(own), size * (self.run.max() + 1)))
-        for u, run in enumerate(self.run):
-            out[u, size * run : size * (run + 1)] = own[u].ravel()
-        return out
+        some = values > NIL * values[-1]
+        return M, n + np.flatnonzero(seen), P[:, seen], V[:, some] / np.sqrt(values[some]) / d[:, None]
 
 
 def standardised(q: np.ndarray) -> np.ndarray:
@@ -141,38 +188,23 @@ def standardised(q: np.ndarray) -> np.ndarray:
     """
     logarithm = np.log(np.maximum(q, 1e-300))
     logarithm -= np.median(logarithm)
-    best, least = logarithm, np.inf
-    for power in POWERS:
-        x = np.exp(power * logarithm) if power else logarithm
-        z = (x - x[1:].mean()) / max(float(x[1:].std()), 1e-300)
-        skewness = abs(float((z[1:] ** 3).mean()))
-        if skewness < least:
-            best, least = z, skewness
-    return best
-
-
-POWERS = (0.5, 1 / 3, 0.2, 0.1, 0.0)
-"""Powers of which one makes a statistic symmetric: 1/3 for chi-square, less for one with few units in it."""
-LEAST = 0.01
-"""Least variance of a score with random signs, over that of the observed one.
-
-What a fit to few units leaves nothing of would be divided by rounding."""
-
-
-LEAST_SKEW = 0.05
-"""Least skewness of the gamma distribution that stands for the one over the signs; 0 would be Gaussian."""
+    drawn = logarithm[1:] - logarithm[1:].mean()
+    # the skewness of exp(a x) is that of x and 3 a times its standard deviation, to first order in a
+    power = max(0.0, -float((drawn**3).mean()) / (3 * max(float((drawn**2).mean()), 1e-300) ** 2))
+    x = np.exp(power * logarithm) if power else logarithm
+    return np.asarray((x - x[1:].mean()) / max(float(x[1:].std()), 1e-300))
 
 
 def of_products(q: np.ndarray, run: np.ndarray) -> np.ndarray:
     """Return the statistic (1 + FLIPS,) of products `q` (units, units) of the units' scores, observed first.
 
-    `run`: (units,) where each lies. Products of a unit with itself and with its neighbours in the same run
-    are left out, so that noise that goes on from one to the next does not count. The sum is given as the
-    normal score of the gamma distribution with the mean, variance and skewness that the signs give it.
+    `run`: (units,) where each lies. Products within a cluster, and of neighbours in the same run, are left
+    out, so that noise that goes on from one to the next does not count. The sum is given as the normal score
+    of the gamma distribution with the mean, variance and skewness that the signs give it.
     """
-    k = np.arange(len(q))
+    k, cluster = np.arange(len(q)), clusters(run)
     near = (np.abs(k[:, None] - k) <= 1) & (run[:, None] == run)
-    q = np.where(near, 0.0, q)
+    q = np.where(near | (cluster[:, None] == cluster), 0.0, q)
     signs = drawn(len(q))
     return of_sums(((signs @ q) * signs).sum(axis=1), *moments(q), len(q))
 
@@ -186,9 +218,9 @@ def of_sums(sums: np.ndarray, variance: float, third: float, units: int) -> np.n
     """Return sums (1 + FLIPS,) of products over signs as normal scores; -inf where there is no evidence."""
     if variance <= 0 or units < POLICY.fewest:
         return np.full(len(sums), -np.inf)
-    shape = 4 / max(third / variance**1.5, LEAST_SKEW) ** 2  # gamma with mean 0, variance 1, this skewness
-    x = np.maximum(shape + sums / np.sqrt(variance) * np.sqrt(shape), 0.0)
-    return np.asarray(-ndtri(np.clip(gammaincc(shape, x), 1e-300, 1 - 1e-16)))
+    skewness = max(third / variance**1.5, NIL)
+    x = np.cbrt(np.maximum(1 + skewness / 2 * sums / np.sqrt(variance), 0.0))  # Wilson and Hilferty 1931
+    return np.asarray(6 / skewness * (x - 1) + skewness / 6)
 
 
 def of_means(values: np.ndarray) -> np.ndarray:
@@ -218,12 +250,8 @@ def searched(z: np.ndarray, tried: float) -> np.ndarray:
     if tried <= 1:
         return z
     out = z.copy()
-    out[0] = -float(ndtri(-np.expm1(tried * np.log1p(-ndtr(-z[0]))))) if z[0] < MOST else z[0]
+    out[0] = -float(ndtri(max(-np.expm1(tried * log_ndtr(z[0])), 1e-300)))
     return out
-
-
-MOST = 8.0
-"""Standard deviations beyond which no search makes chance of a statistic (6e-16)."""
 
 
 class Joint:
@@ -236,15 +264,3 @@ class Joint:
     def p_value(self, statistic: float) -> float:
         """Return the share of draws in which the largest statistic of all is as large as one."""
         return float((self.top >= statistic - NIL).mean())
-
-
-def adjusted(statistics: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the p-value of each row, corrected for all rows, and that of the largest of all.
-
-    `statistics`: (variants, draws), the observed one first.
-    """
-    if not len(statistics):
-        return np.zeros(0), 1.0
-    top = statistics.max(axis=0)
-    p = (top[None, :] >= statistics[:, :1] - NIL).mean(axis=1)
-    return p, float(p.min())

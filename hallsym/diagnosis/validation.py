@@ -5,14 +5,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.diagnosis.decoded_errors import BlockErrors, block_errors
-from hallsym.diagnosis.faults import TAILS, Fault, faults, without_tail
+from hallsym.diagnosis.decoded_errors import DecodedErrors, decoded_errors
+from hallsym.diagnosis.faults import Fault, faults, without_tail
 from hallsym.diagnosis.gap import shaped, slow_share
 from hallsym.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
+from hallsym.diagnosis.ranking import Exact
 from hallsym.diagnosis.record import SmallerFinding
 from hallsym.diagnosis.refit import Refitted, refit
 from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.selection import Selected, Selection
+from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Floor, Setup
 from hallsym.diagnosis.shrinkage import Judged, foreseen
 from hallsym.diagnosis.survey import Survey, survey
@@ -25,17 +26,22 @@ class Held:
     `judged`: all effects against those without it, on every run that took no part.
     """
 
-    selected: Selected
+    exact: Exact
     without: Refitted
-    errors: BlockErrors
+    errors: DecodedErrors
     p_value: float
     judged: Judged
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.exact.name
 
     @property
     def added(self) -> tuple[str, ...]:
         """Names of the parameters that the effect adds."""
         before = self.without.base.model.names
-        return tuple(n for n in self.selected.exact.score.model.names if n not in before)
+        return tuple(n for n in self.exact.score.model.names if n not in before)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +66,9 @@ class Validation:
     effects: tuple[Held, ...]
     dropped: tuple[SmallerFinding, ...]
     judged: Judged | None
-    before: BlockErrors
-    after: BlockErrors
-    cured: BlockErrors
+    before: DecodedErrors
+    after: DecodedErrors
+    cured: DecodedErrors
     metric: float
     rest: LackOfFit
     floor: Floor
@@ -103,27 +109,27 @@ def validate(setup: Setup, selection: Selection) -> Validation:
     A noise floor that was estimated from a log with the gap in it is lowered to what the effects leave.
     Samples that are a fault by themselves are left out, and the model is refitted without them.
     """
-    before = _errors(setup, setup.as_logged(selection.start.base))
+    before = decoded_errors(setup.as_logged(selection.start.base), setup.holdout)
     unchanged = not selection.effects and not setup.miswired
     fit, runs = selection.fit, frozenset(setup.runs)
-    after = before if unchanged else _errors(setup, fit.base.on_all)
+    after = before if unchanged else decoded_errors(fit.base.on_all, setup.holdout)
     effects = tuple(_held(setup, selection, e, before) for e in selection.effects)
     end = fit.base
     whole = survey(end.on_all, runs)
     kept = survey(end, runs) if end.keep else whole
     found = [f for f in faults(end, whole, setup.tested) if cures(f) >= setup.threshold]
-    gap = block_errors(end.on_all, setup.runs, setup.log.rows, None).metric
+    gap = decoded_errors(end.on_all, setup.runs).metric
     floor = _lowered_floor(setup, gap, bool(effects), found)
     rest = lack_of_fit(end, setup.runs)
-    if gap <= floor.metric * (1 + setup.policy.floor_known):
+    if gap <= floor.metric * (1 + setup.policy.negligible):
         found = []
     if shaped(rest, setup.threshold, setup.policy):
         found = _beyond_shapes(found, rest)
     cured = after
-    if any(f.name in TAILS for f in found):
+    if any(f.record.rare for f in found):
         fit = refit(replace(end, keep=without_tail(end)), setup.runs)
-        cured = block_errors(fit.base, setup.holdout, setup.log.rows, fit.base.keep)
-    smooth = sum(f.power for f in found if f.name not in TAILS)
+        cured = decoded_errors(fit.base, setup.holdout, fit.base.keep)
+    smooth = sum(f.power for f in found if not f.record.rare)
     metric = cured.metric * float(np.sqrt(max(1 - smooth, 1e-6)))
     lowered = floor is not setup.floor
     scale = floor.metric / setup.floor.metric if lowered else 1.0
@@ -132,7 +138,7 @@ def validate(setup: Setup, selection: Selection) -> Validation:
         end=end,
         fit=fit,
         effects=effects,
-        dropped=tuple(_dropped(e) for e in selection.dropped),
+        dropped=tuple(SmallerFinding(e.name, 1 - e.score.ratio, e.score.p_value) for e in selection.dropped),
         judged=_judged(setup, selection, selection.start) if effects else None,
         before=before,
         after=after,
@@ -148,7 +154,7 @@ def validate(setup: Setup, selection: Selection) -> Validation:
         slow=slow_share(kept.variance, kept.fast),
         fast=float(np.sqrt(kept.fast)),
         inflation=kept.inflation,
-        error=_error(kept, float(after.count.sum()) * len(setup.fit.model.pose)),
+        error=_error(kept, after.count * len(setup.fit.model.pose)),
     )
 
 
@@ -164,7 +170,7 @@ def _error(left: Survey, values: float) -> float:
 # -- effects -------------------------------------------------------------------------------------------------
 
 
-def _held(setup: Setup, selection: Selection, effect: Selected, before: BlockErrors) -> Held:
+def _held(setup: Setup, selection: Selection, effect: Exact, before: DecodedErrors) -> Held:
     """Return an effect beside the fit without it.
 
     The score of an effect whose exact refit leaves far less than its score predicts says how well its tangent
@@ -172,28 +178,19 @@ def _held(setup: Setup, selection: Selection, effect: Selected, before: BlockErr
     alone is judged with the choice repeated without each group of runs.
     """
     without, alone = selection.without(effect), len(selection.effects) == 1
-    errors = before if alone else _errors(setup, without.base.on_all)
+    errors = before if alone else decoded_errors(without.base.on_all, setup.holdout)
     judged = _judged(setup, selection, without, nested=alone)
-    p = effect.exact.score.p_value
-    if effect.exact.fit.cost < setup.policy.half * effect.first_order:
+    p = effect.score.p_value
+    if effect.fit.cost < setup.policy.half * (effect.squares_before - effect.score.gain):
         p = judged.p_value
     return Held(effect, without, errors, p, judged)
 
 
-def _dropped(effect: Selected) -> SmallerFinding:
-    score = effect.exact.score
-    return SmallerFinding(score.effect.name, 1 - score.ratio, score.p_value)
-
-
 def _judged(setup: Setup, selection: Selection, without: Refitted, *, nested: bool = True) -> Judged:
     """Return all effects against the fit `without` some, on runs that took no part."""
-    search, fewest = selection.nested, setup.policy.fewest
+    search = selection.nested
     after = search.after(selection.fit) if nested else foreseen(selection.fit, search.groups)
-    return Judged.of(foreseen(without, search.groups), after, fewest)
-
-
-def _errors(setup: Setup, base: Base) -> BlockErrors:
-    return block_errors(base, setup.holdout, setup.log.rows, None)
+    return Judged.of(foreseen(without, search.groups), after, setup.policy)
 
 
 # -- faults of samples and the noise floor -----------------------------------------------------------------

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from hallsym.diagnosis.change_points import change_points
-from hallsym.diagnosis.decoded_errors import block_errors
+from hallsym.diagnosis.decoded_errors import decoded_errors
 from hallsym.diagnosis.gap import remains, shaped, worth_reporting
 from hallsym.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from hallsym.diagnosis.noise import LARGER, in_outputs
@@ -57,7 +57,7 @@ def decide(
     share = closed(before, after, found.floor.metric)
     main = max(found.effects, key=lambda h: h.errors.metric, default=None)
     ended = {found.base.model.names[k] for k in found.fit.at_bound()}
-    only_like = main is not None and (main.selected.name in resembled or bool(ended & set(main.added)))
+    only_like = main is not None and (main.name in resembled or bool(ended & set(main.added)))
     if gap and (stepped or share < 1 - setup.policy.minor):
         structured = stepped or shaped(rest, setup.threshold, setup.policy)
         most = share >= setup.policy.half and structured and not only_like
@@ -74,7 +74,7 @@ def _without_steps(setup: Setup, found: Validation) -> tuple[float, float, bool]
     if not clean or not holdout & steps:
         return found.before.metric, found.metric, False
     bases = setup.as_logged(found.start.base), found.base.on_all
-    before, after = (block_errors(b, clean, setup.log.rows, None).metric for b in bases)
+    before, after = (decoded_errors(b, clean).metric for b in bases)
     return before, after, True
 
 
@@ -93,7 +93,7 @@ def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, n
     half = policy.half * threshold
     if rest.tones >= half or any(s.p_value < policy.false_alarm and s.drop >= half for s in rest.shapes):
         return False
-    slow_on_top = not noise.white and abs(found.fast - 1.0) < policy.floor_known
+    slow_on_top = not noise.white and abs(found.fast - 1.0) < policy.negligible
     known = replace(floor, metric=floor.metric * in_outputs(found.base, noise))
     return not slow_on_top and metric <= worth_reporting(known, threshold, policy)
 

@@ -1,14 +1,8 @@
 """Words of statements: shares in per cent, names of channels, places in the unit a person reads."""
 
-import math
 from collections.abc import Iterable
 
-from hallsym.units import readable
-
-UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "m/s": (1e3, "mm/s"), "v": (1e3, "mV"), "v/s": (1.0, "V/s"),
-         "rad/s": (30 / math.pi, "rpm")}  # fmt: skip
-"""How places are shown to a person."""
-
+from hallsym.units import readable, reading_unit
 
 SHOWN = 3
 """Names that are listed at most: signals to compute, other effects of a group."""
@@ -24,17 +18,16 @@ def plain(channel: str) -> str:
     return channel.rpartition("_")[0] or channel
 
 
+def place_unit(unit: str) -> tuple[float, str]:
+    """Return factor and unit in which a place along a coordinate is read; time stays in seconds."""
+    return (1.0, unit) if unit == "s" else reading_unit(unit)
+
+
 def shown(value: float, unit: str, *, sign: bool = False) -> str:
     """Return a value with the unit that a person reads."""
-    factor, name = UNITS.get(unit, (1.0, unit))
+    factor, name = place_unit(unit)
     number = f"{value * factor:+.3g}" if sign and unit not in ("s", "degC") else f"{value * factor:.3g}"
     return f"{number} {name}"
-
-
-def degrees_of(unit: str, column: str) -> tuple[float, str] | None:
-    """Return factor and unit of a column that is an angle read in degrees; None of anything else."""
-    factor, name, _ = readable(column)
-    return (factor, name) if unit == "rad" and name == "deg" else None
 
 
 def gap_unit(outputs: Iterable[str]) -> tuple[float, str]:

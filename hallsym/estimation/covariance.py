@@ -21,6 +21,8 @@ TOGETHER = 16_384
 """Places of runs whose slopes are computed at once."""
 OVERSTATED = 0.1
 """Cost per degree of freedom below which noise was overstated or there is none (a plan): it tells nothing."""
+AT_BOUND = 1e-6
+"""Part of the width of its bounds within which a parameter counts as at one of them."""
 BY_RUNS = "runs as blocks"
 """Method of a covariance that comes from the scatter between runs."""
 
@@ -220,7 +222,7 @@ def _at_bound(bounds: tuple[np.ndarray, np.ndarray], p: np.ndarray, found: Deter
     return tuple(
         k
         for k in range(len(p))
-        if k not in found.held and min(p[k] - lower[k], upper[k] - p[k]) <= 1e-6 * found.scale[k]
+        if k not in found.held and min(p[k] - lower[k], upper[k] - p[k]) <= AT_BOUND * found.scale[k]
     )
 
 

@@ -8,6 +8,8 @@ import numpy as np
 
 from hallsym.errors import InputError
 
+CHIP_STEPS = range(4, 15)
+"""Steps that chips take: the error of 4 is 7 deg, that of 14 less than a count of 14 bits."""
 MOST_STEPS = 32
 """Steps beyond which float64 knows nothing of another one's error, by far."""
 
@@ -55,6 +57,11 @@ class Levels:
     angles: np.ndarray
     rms: float
     worst: float
+
+    @property
+    def distance(self) -> float:
+        """Angle from level to level [rad], but where branches overlap."""
+        return 2 * self.worst
 
 
 @cache

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.families.cordic import MOST_STEPS, cordic_angle, worst_of
+from hallsym.families.cordic import CHIP_STEPS, cordic_angle, worst_of
 from hallsym.log.phase import wrapped
 
 Size = dict[str, tuple[float, str]]
@@ -65,7 +65,9 @@ Inject = Callable[[Recording, Draw], Injection | str]
 class RecordingFault:
     """A fault that no effect can model. `remedy`: what to do instead.
 
-    `inject(recording, draw)`: how a self-test makes it, or why this recording cannot have it.
+    `inject(recording, draw)`: how a self-test makes it, or why this recording cannot have it. `rare`: few
+    samples have it, which can be left out. `of_values`: the values of the readings tell it, whatever a model
+    leaves, so its error is known. `wiring`: the channels are assigned wrongly.
     """
 
     name: str
@@ -73,6 +75,9 @@ class RecordingFault:
     meaning: str
     remedy: str
     inject: Inject
+    rare: bool = False
+    of_values: bool = False
+    wiring: bool = False
 
     @property
     def refusal(self) -> str:
@@ -92,8 +97,6 @@ HOLD = 3
 """Samples for which a stale reading is held at most."""
 MOST_SHARE = 0.3
 """Share of stale or clipped samples beyond which a recording is no longer one."""
-FEWEST_STEPS = 4
-"""Steps of CORDIC of which an encoder has at least: 7 deg of error."""
 
 
 def _spikes(r: Recording, draw: Draw) -> Injection:
@@ -152,8 +155,7 @@ def _chip(r: Recording, draw: Draw) -> Injection | str:
 
     def steps(amount: float) -> int:
         """The number whose error is nearest, by ratio."""
-        known = range(FEWEST_STEPS, MOST_STEPS + 1)
-        return min(known, key=lambda n: abs(float(np.log(worst_of(n) / amount))))
+        return min(CHIP_STEPS, key=lambda n: abs(float(np.log(worst_of(n) / amount))))
 
     def make(amount: float, noise: Noisy) -> np.ndarray:
         angle = r.clean + noise
@@ -162,7 +164,7 @@ def _chip(r: Recording, draw: Draw) -> Injection | str:
     def size(amount: float) -> Size:
         return {"steps": (float(steps(amount)), "1"), "error_at_most": (worst_of(steps(amount)), "rad")}
 
-    return Injection("whole steps", make, size, worst_of(FEWEST_STEPS), 2 * r.sigma)
+    return Injection("whole steps", make, size, worst_of(CHIP_STEPS[0]), 2 * r.sigma)
 
 
 def inject_rails(r: Recording, draw: Draw) -> Injection | str:
@@ -219,20 +221,26 @@ FAULTS = {
     fault.name: fault
     for fault in (
         RecordingFault("outliers", "electronics", "single readings are far off: spikes",
-                       "fit with --loss auto or tukey, which leave spikes out or weigh them down.", _spikes),
+                       "fit with --loss auto or tukey, which leave spikes out or weigh them down.",
+                       _spikes, rare=True),
         RecordingFault("dropped_samples", "clock", "readings that are older than their time stamp",
-                       "repair the acquisition, or leave the samples out (--loss tukey).", _stale),
+                       "repair the acquisition, or leave the samples out (--loss tukey).",
+                       _stale, rare=True),
         RecordingFault("clock_jitter", "clock", "sampling instants that scatter",
                        "take readings and reference on one clock, and record again.", _jitter),
         RecordingFault("adc_quantisation", "electronics", "readings that come in steps",
                        "use a finer range or converter; the fit counts step / sqrt(12) as noise.", _steps),
         RecordingFault("cordic_steps", "electronics", "an angle computed with few steps of CORDIC",
                        "let the chip take more steps, or take its raw voltages; an angle stands for a "
-                       "range of angles, so that no correction takes more than a few percent off.", _chip),
+                       "range of angles, so that no correction takes more than a few percent off.",
+                       _chip, of_values=True),
         RecordingFault("channel_swap", "electronics", "two channels exchanged", REWIRE,
-                       _wired(_swap, lambda names, pair, one: " and ".join(names[k] for k in pair))),
+                       _wired(_swap, lambda names, pair, one: " and ".join(names[k] for k in pair)),
+                       wiring=True),
         RecordingFault("sign_inversion", "electronics", "a channel of the other sign", REWIRE,
-                       _wired(_invert, lambda names, pair, one: names[one])),
+                       _wired(_invert, lambda names, pair, one: names[one]), wiring=True),
     )
 }  # fmt: skip
 """By name: what a diagnosis may find and no fit can add."""
+WIRING = tuple(fault.name for fault in FAULTS.values() if fault.wiring)
+"""Faults of the channel assignment: an angle from two channels cannot tell one from the other."""

@@ -152,8 +152,12 @@ def clipping(model: Model, port: Port, low: Sequence[float], high: Sequence[floa
     return add_terms(model, "saturation", "electronics", port, cut, lambda s, p: beyond, 1.5, "1")
 
 
+CUT = (0.002, 0.01, 0.03, 0.07)
+"""Shares of the samples that a rail is tried to cut off, at either end."""
+
+
 def rails(low: str, high: str, *, alike: bool) -> Callable[[Model, Facts], list[Try]]:
-    """Return the rule that finds rails, named `low` and `high`: where readings repeat, and four quantiles.
+    """Return the rule that finds rails, named `low` and `high`: where readings repeat, and those of `CUT`.
 
     `alike`: both rails of a channel are as far from zero.
     """
@@ -168,7 +172,7 @@ def rails(low: str, high: str, *, alike: bool) -> Callable[[Model, Facts], list[
                 above = np.maximum(above, -below)
                 below = -above
             numbers = {low: below.tolist(), high: above.tolist()}
-            out.append(Try(numbers, f"rails, try {k + 1}", shapes=1, tried=4))
+            out.append(Try(numbers, f"rails, try {k + 1}", shapes=1, tried=len(CUT)))
         return out
 
     return tries
@@ -284,6 +288,10 @@ def _per(lead: str) -> Any:
     return one_of(labels, "one coefficient for all channels or for each")
 
 
+MAINS_HZ = (50.0, 60.0)
+"""Frequencies of the mains [Hz]."""
+MAINS_REACH_HZ = 4.0
+"""Distance from these within which hum is looked for [Hz]: EN 50160 allows 47 Hz, and a clock may be off."""
 LINE = searched(
     lambda facts: facts.lines_hz, "mains frequency, as the clock of the log shows it",
     label="{:.5g} Hz", shapes=1, tried=lambda facts: facts.lines_tried,

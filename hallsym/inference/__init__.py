@@ -4,7 +4,8 @@
 be told apart, `further` what other recordings would determine. `profiles` (with `profile_tangent`,
 `profile_walk`) and `bootstrap` give intervals where a normal one is not good enough, which `intervals` says.
 `verdict` judges each parameter; `workspace` says what a change of it does to the decoded pose.
-`identifiability` puts this together, `comparison` sets models side by side.
+`identifiability` puts this together, `comparison` sets models side by side and `parameter_changes` two
+recordings of one sensor.
 """
 
 from hallsym.inference.bootstrap import Bootstrap, bootstrap
@@ -20,6 +21,7 @@ from hallsym.inference.identifiability import (
 )
 from hallsym.inference.intervals import Interval
 from hallsym.inference.null_directions import NullDirection, NullSpace
+from hallsym.inference.parameter_changes import Estimate, Freedom, ParameterChange, changes, welch
 from hallsym.inference.profile_tangent import Tangent, skewness, tangent
 from hallsym.inference.profile_walk import Side
 from hallsym.inference.profiles import Profile, profile
@@ -31,6 +33,8 @@ __all__ = [
     "Bootstrap",
     "Change",
     "CombinationReport",
+    "Estimate",
+    "Freedom",
     "FurtherReport",
     "Gained",
     "Identifiability",
@@ -39,15 +43,18 @@ __all__ = [
     "NullSpace",
     "Offsets",
     "Output",
+    "ParameterChange",
     "ParameterReport",
     "Profile",
     "Side",
     "Tangent",
     "Verdict",
     "bootstrap",
+    "changes",
     "comparison",
     "identify",
     "profile",
     "skewness",
     "tangent",
+    "welch",
 ]

@@ -17,7 +17,7 @@ from hallsym.model.derived import HALVES, Computed, Stretch
 
 HALO = 4 * HALVES[-1]
 """Samples of context on either side of a block."""
-ROOM = 100_000_000
+ROOM = 20_000_000
 """Bytes of computed columns that are kept for the next pass over the same log."""
 WINDOWED = 20_000
 """Runs whose smoothing windows are kept for the next pass over the same log."""
@@ -62,7 +62,7 @@ class ExtendedLog:
             return
         raw = dict.fromkeys(c for c in wanted if c not in self.computed)
         raw |= dict.fromkeys(c for m in made for c in m.needs) | {"t_s": None}
-        kept = _KEPT.setdefault(self.log, {})
+        kept = _KEPT.setdefault(self.log, {}) if isinstance(self.log, Log) else None
         for stretch, inner in self._stretches(tuple(raw), size):
             data = {c: stretch.data[c][inner] for c in wanted if c not in self.computed}
             at = (stretch.run, float(stretch.data["t_s"][inner.start]), inner.stop - inner.start)
@@ -91,13 +91,13 @@ class ExtendedLog:
 
 
 def _column(
-    kept: dict[tuple, np.ndarray], made: Computed, stretch: Stretch, inner: slice, at: tuple
+    kept: dict[tuple, np.ndarray] | None, made: Computed, stretch: Stretch, inner: slice, at: tuple
 ) -> np.ndarray:
     """Return a computed column of the block `at` run, time and length, kept while there is room."""
     key = (made.name, made.key, *at)
-    if key not in kept:
+    if kept is None or key not in kept:
         values = _finite(made.rule(stretch))[inner]
-        if len(kept) * values.nbytes > ROOM:
+        if kept is None or len(kept) * values.nbytes > ROOM:
             return values
         kept[key] = values.copy()
     return kept[key]

@@ -285,7 +285,7 @@ class Filtered(View):
             self._mask = np.ones(len(everything[RUN]), bool) if mask is None else mask
         new = [name for name in columns if name not in self._held]
         for name, values in next(iter(self.table.pieces(new, CHUNK_ROWS))).items():
-            kept = values[self._mask]
+            kept = values if self._mask.all() else values[self._mask]
             kept.flags.writeable = False
             self._held[name] = kept
         return {name: self._held[name] for name in columns}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.diagnosis import Diagnosis, Watch
+from hallsym.diagnosis import Diagnosis
 from hallsym.errors import InputError, counted
 from hallsym.estimation import Evaluation, Fit, as_read, load_fit
 from hallsym.experiment import Plan
@@ -27,6 +27,7 @@ from hallsym.report.text.identifiability import report_text
 from hallsym.report.text.watch import watch_text
 from hallsym.terminal import fitted
 from hallsym.uncertainty import Budget
+from hallsym.watching import Watch
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -105,15 +105,16 @@ MACHINES = {"stage": stage, "rotary": encoder}
 
 def log_of(
     machine: str, kind: str, runs: int, seed: int, *, stated: bool = True, make=None, parameters=None,
-    fresh: bool = False,
+    fresh: bool = False, again: int = 0,
 ) -> Log:  # fmt: skip
     """Return one log. `make(model) -> model` adds the gap, `parameters` its size.
 
-    `fresh`: the same machine on as many runs that were never seen, with other noise.
+    `fresh`: the same machine on as many runs that were never seen, with other noise. `again`: the same
+    motion recorded another time; each number draws other noise.
     """
     model, values, campaign, sigma = MACHINES[machine](runs, np.random.default_rng([seed, int(fresh)]))
     truth = build(model) if make is None else make(build(model))
-    rng = np.random.default_rng([seed, int(fresh), 1])
+    rng = np.random.default_rng([seed, int(fresh), 1 + again])
     known = values | dict(parameters or {})
     columns = simulate(truth, {n: v for n, v in known.items() if n in truth.names}, campaign, seed=seed + 7)
     edges = np.flatnonzero(np.diff(columns["run"], prepend=-1, append=-1))

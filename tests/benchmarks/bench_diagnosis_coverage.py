@@ -18,7 +18,7 @@ from time import process_time
 import numpy as np
 from _noisy_logs import log_of
 
-from hallsym.diagnosis import block_errors, examine, prepare
+from hallsym.diagnosis import decoded_errors, examine, prepare
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.families import build, effect_named
 
@@ -53,7 +53,7 @@ def sized(machine: str, effect: str, start: float, runs: int, seed: int, times: 
             machine, "white", runs, seed, make=make, parameters={n: size * s for n, s in signs.items()}
         )
         setup = prepare(log)
-        errors = block_errors(setup.base, setup.base.log.runs, setup.log.rows, None)
+        errors = decoded_errors(setup.base, setup.base.log.runs)
         excess = np.sqrt(max((errors.metric / setup.floor.metric) ** 2 - 1, 1e-4))
         size *= np.sqrt(times**2 - 1) / excess
     return make, {n: size * s for n, s in signs.items()}

@@ -1,6 +1,7 @@
 """What a diagnosis says of logs that have no gap: how often it names something, and whether p is uniform.
 
     python tests/benchmarks/bench_diagnosis_nulls.py --logs 60
+    python tests/benchmarks/bench_diagnosis_nulls.py --logs 160 --kinds pink --runs 8 12
     python tests/benchmarks/bench_diagnosis_nulls.py --quick
 
 `named`: logs with a verdict other than "no gap". `p < .05`: logs whose smallest p-value, corrected for all
@@ -29,9 +30,9 @@ RUNS = (8, 12, 24, 57)
 PRIME = 7919
 
 
-def settings(count: int, first: int) -> list[tuple]:
+def settings(count: int, first: int, kinds=tuple(KINDS), runs=RUNS) -> list[tuple]:
     """So many settings: each kind of noise with each number of runs, machine and source of noise."""
-    every = list(product(KINDS, MACHINES, RUNS, (True, False)))
+    every = list(product(kinds, MACHINES, runs, (True, False)))
     return [(*every[PRIME * (first + k) % len(every)], first + k) for k in range(count)]
 
 
@@ -67,11 +68,14 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--logs", type=int, default=24)
     parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=tuple(KINDS), help="kinds of noise")
+    parser.add_argument("--runs", nargs="+", type=int, choices=RUNS, default=RUNS, help="numbers of runs")
     parser.add_argument("--out", help="file for the rows as JSON lines")
     parser.add_argument("--quick", action="store_true", help="two logs, to see that everything runs")
     arguments = parser.parse_args()
     rows = []
-    for setting in settings(2 if arguments.quick else arguments.logs, arguments.first):
+    count = 2 if arguments.quick else arguments.logs
+    for setting in settings(count, arguments.first, arguments.kinds, arguments.runs):
         rows.append(tried(*setting))
         if arguments.out:
             with open(arguments.out, "a", encoding="utf-8") as file:

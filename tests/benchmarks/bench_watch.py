@@ -15,7 +15,7 @@ from time import process_time
 
 import numpy as np
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "diagnosis"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "watching"))
 
 from watched_logs import alarms
 

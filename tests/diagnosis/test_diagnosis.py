@@ -24,6 +24,7 @@ from hallsym.diagnosis import (
     normal_equations,
     rails_of,
     refit,
+    residual_table,
     with_model,
 )
 from hallsym.families import effects
@@ -356,11 +357,16 @@ def test_the_instant_of_a_slip_is_found_without_held_out_runs() -> None:
     runs = sorted(set(log.runs) - base.holdout)
     starts = {r: log.run(r, ("t_s",))["t_s"][0] - log.array("t_s")[0] for r in log.runs}
 
+    def slips(of: Base) -> tuple[tuple[int, float], ...]:
+        table = residual_table(of, log.runs)
+        assert table is not None
+        return instants(table, base.holdout)
+
     def first_run_after(instant: float) -> int:
         return next((r for r in runs if starts[r] >= instant - 1e-9), -1)
 
-    one = instants(base, log.runs, log.rows)
-    other = instants(replace(base, log=spoiled), log.runs, log.rows)
+    one = slips(base)
+    other = slips(replace(base, log=spoiled))
     assert [first_run_after(t) for _, t in one] == [first_run_after(t) for _, t in other]
 
 
@@ -368,8 +374,7 @@ def test_rails_are_where_readings_repeat() -> None:
     log = machine("multisine", seed=5, thin=6)
     top = float(np.sort(log.array("hall_a_m"))[-20])
     data = {c: log.array(c) for c in log.columns} | {"hall_a_m": np.minimum(log.array("hall_a_m"), top)}
-    model = hallsym.build("stage31")
-    rails = rails_of(Log.from_arrays(data, log.noise, log.meta), model)
+    rails = rails_of(np.array([data[c] for c in hallsym.build("stage31").channels]))
     assert rails == ((-np.inf, top), (-np.inf, np.inf), (-np.inf, np.inf))
 
 

@@ -7,6 +7,7 @@ import pytest
 from test_diagnosis_rotary import HELD, machine, third
 
 from hallsym.diagnosis import (
+    POLICY,
     Judged,
     coordinates,
     diagnose,
@@ -38,7 +39,9 @@ def turn(seed=1, pattern=0.0, noise=1e-3, size=200, zero=0.0):
 
 
 def judged(before, after, fewest=6):
-    return Judged(np.asarray(before, dtype=float), np.asarray(after, dtype=float), fewest)
+    return Judged(
+        np.asarray(before, dtype=float), np.asarray(after, dtype=float), replace(POLICY, fewest=fewest)
+    )
 
 
 def test_a_decrease_by_chance_is_uniform_and_a_real_one_is_certain():

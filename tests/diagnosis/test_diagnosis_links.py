@@ -1,5 +1,6 @@
 """The link of the chain that a gap lies in, and how large it is: named where it is put, silent on noise."""
 
+import sys
 from functools import cache
 
 import numpy as np
@@ -11,14 +12,16 @@ from twins import record
 from hallsym.diagnosis import (
     Base,
     Located,
-    Score,
     Screen,
-    block_errors,
+    Screened,
     both,
     candidates,
+    decoded_errors,
     diagnose,
     facts_of,
     located,
+    refit,
+    residual_table,
     sizes,
     survey,
 )
@@ -39,11 +42,12 @@ def fitted_runs(base: Base) -> list[int]:
     return [run for run in base.log.runs if run not in base.holdout]
 
 
-def scored(base: Base, effects: tuple[Effect, ...]) -> list[Score]:
+def screened(base: Base, effects: tuple[Effect, ...]) -> Screened:
     runs = fitted_runs(base)
     seen = survey(base, frozenset(runs))
     tried, _ = candidates(base, effects, facts_of(base, seen))
-    return Screen(base, tried, runs, 2.0, colour=seen.colour).scores
+    screen = Screen(base, tried, runs, 2.0, colour=seen.colour)
+    return Screened(refit(base, runs), screen.scores, screen.significance, screen.top, seen.colour)
 
 
 def some() -> tuple[Effect, ...]:
@@ -54,7 +58,7 @@ def some() -> tuple[Effect, ...]:
 def found(name: str) -> tuple[Base, Located]:
     log = machine("grid", (listed(np.random.default_rng(1))[name],), seed=1, thin=6)
     base = base_on(log)
-    return base, located(base, log.runs, scored(base, some()))
+    return base, located(base, log.runs, screened(base, some()))
 
 
 @pytest.mark.parametrize(
@@ -88,6 +92,22 @@ def test_every_coordinate_is_listed_also_those_that_are_not_logged() -> None:
         assert sum(s.share or 0.0 for s in here.shares if s.kind == kind) == pytest.approx(1.0, abs=0.02)
 
 
+def test_a_table_holds_an_even_part_of_a_long_log(monkeypatch: pytest.MonkeyPatch) -> None:
+    base, _ = found("odd_nonlinearity")
+    module = sys.modules[residual_table.__module__]
+    assert module.ROOM >= 50_000  # 57 runs of 900 samples, whole
+    whole = residual_table(base, base.log.runs)
+    monkeypatch.setattr(module, "ROOM", base.log.rows // 5)
+    part = residual_table(base, base.log.runs)
+    assert whole is not None
+    assert part is not None
+    assert whole.residual.shape[1] == base.log.rows
+    assert part.residual.shape[1] <= base.log.rows / 5 + len(base.log.runs)
+    assert set(part.run) == set(whole.run)
+    each = [table.excess / table.residual.size for table in (part, whole)]
+    assert each[0] == pytest.approx(each[1], rel=0.2)
+
+
 def test_an_effect_of_a_user_counts_for_the_link_that_it_changes() -> None:
     def cubic(model: Model) -> Model:
         size = Parameter("own_cubic", 0.0, -1e8, 1e8, "1/m2")
@@ -98,7 +118,7 @@ def test_an_effect_of_a_user_counts_for_the_link_that_it_changes() -> None:
         return model.with_step("field", step, effect="own_cubic", parameters=(size,))
 
     base, _ = found("odd_nonlinearity")
-    here = located(base, base.log.runs, scored(base, (as_effect(cubic),)))
+    here = located(base, base.log.runs, screened(base, (as_effect(cubic),)))
     rows = {s.name: s for s in here.shares if s.kind == "link"}
     assert rows["field"].share > 0.5
     assert rows["clock"].share is None
@@ -112,7 +132,7 @@ def test_noise_gets_no_statement_of_a_link_an_output_or_a_sensor(kind: str) -> N
     """Noise that is larger than stated: there is an excess, but in no link."""
     log = Log.from_arrays(record(seed=5, samples=24, **NOISES[kind]), noise=stated(0.85))
     base = base_on(log)
-    here = located(base, log.runs, scored(base, some()))
+    here = located(base, log.runs, screened(base, some()))
     assert [s for s in here.statements if s.by in ("link", "output", "sensor")] == []
 
 
@@ -123,7 +143,7 @@ def test_statements_of_links_on_correlated_noise_are_as_rare_as_they_claim() -> 
     for seed in range(60):
         log = Log.from_arrays(record(seed=seed, samples=40, **NOISES["correlated"]), noise=stated(0.85))
         base = base_on(log)
-        said = {s.by for s in located(base, log.runs, scored(base, CATALOGUE)).statements}
+        said = {s.by for s in located(base, log.runs, screened(base, CATALOGUE)).statements}
         for by in alarms:
             alarms[by] += by in said
     assert max(alarms.values()) < 4, alarms
@@ -132,13 +152,13 @@ def test_statements_of_links_on_correlated_noise_are_as_rare_as_they_claim() -> 
 def test_sizes_are_those_of_the_decoded_pose_and_of_the_readings() -> None:
     base, _ = found("odd_nonlinearity")
     sides = {"fitted": fitted_runs(base), "held_out": sorted(base.holdout)}
-    errors = {k: block_errors(base, runs, base.log.rows, None) for k, runs in sides.items()}
+    errors = {k: decoded_errors(base, runs) for k, runs in sides.items()}
     floor = {"x_m": 1e-6, "y_m": 0.5e-6, "rz_rad": 2e-6}
     fitted, held = both(base, base.log.runs)
     size = sizes({"fitted": fitted, "held_out": held}, errors, floor)
     for side in sides:
         rows = {c: sides_[side] for c, sides_ in size.outputs.items()}
-        assert {c: r.rms for c, r in rows.items()} == pytest.approx(errors[side].gap()["rmse"])
+        assert {c: r.rms for c, r in rows.items()} == pytest.approx(errors[side].gap.rmse)
         assert {c: r.noise for c, r in rows.items()} == floor
         for r in (*rows.values(), *(s[side] for s in size.sensors.values())):
             assert r.above**2 == pytest.approx(max(r.rms**2 - r.noise**2, 0.0))

@@ -27,7 +27,6 @@ from hallsym.diagnosis import (
     SmallerFinding,
     Statement,
     base_of,
-    distance,
     firmware_cost,
     operations,
     range_of,
@@ -69,7 +68,7 @@ def delays() -> list[Refitted]:
 
 @cache
 def delay_or_lag() -> Separation:
-    return separation(NAMES, delays(), distance(*delays()), 1.5, "what the catalogue says")
+    return separation(NAMES, delays(), delays()[0].distance(delays()[1]), 1.5, "what the catalogue says")
 
 
 def test_one_frequency_does_not_tell_a_delay_from_a_lag_and_a_fast_run_does() -> None:
@@ -156,7 +155,7 @@ def test_time_and_temperature_are_told_apart_by_a_temperature_cycle() -> None:
         lambda model: STAGE["gain_time_drift"](model, duration_s=float(t[-1])),
         lambda model: STAGE["gain_temperature_drift"](model, mean_degc=22.0),
     )
-    s = separation(("gain_time_drift", "gain_temperature_drift"), fits, distance(*fits), 1.5, "")
+    s = separation(("gain_time_drift", "gain_temperature_drift"), fits, fits[0].distance(fits[1]), 1.5, "")
     assert s.sigma_now is not None
     assert s.sigma_now < 1
     assert "temperature cycle" in s.recording
@@ -200,7 +199,9 @@ def test_the_firmware_cost_counts_parameters_instructions_and_signals() -> None:
     assert said == f"9 parameters; C about {a} -> {b} instructions, parameter table 100 -> 136 B"
     late = STAGE["time_skew"](large)
     assert firmware_cost(large, late).startswith("1 parameter; decoding")
-    assert "12 signals to compute (d1_x_ref_m, " in firmware_cost(large, late)
+    listed = firmware_cost(large, late).partition("12 signals to compute (d1_x_ref_m, ")[2]
+    assert listed.count(",") == 2  # two more, and that there are others
+    assert listed.endswith(", ...)")
 
 
 def test_operations_are_those_of_the_decoded_pose() -> None:

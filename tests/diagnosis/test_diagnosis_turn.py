@@ -45,6 +45,13 @@ def test_waves_of_half_a_table_are_not_their_images(phase):
     assert waves_per_period(a, error) == (1, 2, 50)
 
 
+def test_waves_of_the_second_harmonic_of_a_stepper_are_told():
+    """A stepper of 50 pole pairs makes 50 and 100 waves, and neighbours of these where it is eccentric."""
+    a = np.linspace(0, 2 * np.pi, 2000, endpoint=False)
+    error = np.sin(50 * a) + 0.8 * np.sin(100 * a) + 0.6 * np.cos(104 * a)
+    assert waves_per_period(a, error) == (50, 100, 104)
+
+
 @pytest.fixture(scope="module")
 def of_a_table():
     return diagnose(table(LIKE_A_TABLE), "rotary_ideal")

@@ -16,6 +16,7 @@ from hallsym.diagnosis import (
     Base,
     Coordinate,
     FineMap,
+    FrequencyBand,
     Located,
     ResidualTable,
     Smooth,
@@ -29,6 +30,8 @@ from hallsym.diagnosis import (
     shape,
     unexplained,
 )
+from hallsym.diagnosis.residuals import Piece
+from hallsym.diagnosis.shares import of_frequencies
 from hallsym.log import Log, Noise, Sigma
 
 HELD = tuple(range(2, 57, 5))
@@ -69,6 +72,32 @@ def test_hum_is_said_to_lie_at_the_mains() -> None:
     (first, *_) = found("mains_hum", "raster").statements
     assert (first.by, first.at) == ("frequency", "the mains, 60 Hz")
     assert first.share == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("line", "near"), [(50.15, True), (59.85, True), (50.6, False), (55.0, False)])
+def test_the_mains_are_what_a_grid_lets_them_drift_by(line: float, near: bool) -> None:
+    t = np.arange(0, 60, 2e-3)
+    row = np.sin(2 * np.pi * line * t)[None]
+    seen = Spectrum()
+    seen.add(Piece(0, t, row, row, row, np.ones(len(t), bool), {}))
+    power = {band: runs[0] for band, runs in seen.power.items()}
+    mains = sum(v for band, v in power.items() if band.mains)
+    assert mains / sum(power.values()) == pytest.approx(float(near), abs=0.05)
+
+
+def test_octaves_that_follow_each_other_are_one_statement() -> None:
+    power = {(0, 2): 10.0, (2, 4): 35.0, (4, 8): 35.0, (8, 16): 1.0, (16, 32): 40.0, (50, 50): 1.0}
+    white = {FrequencyBand(*ends): 1.0 for ends in power}
+    seen = {FrequencyBand(*ends): v for ends, v in power.items()}
+    rng = np.random.default_rng(3)
+    spectrum = Spectrum(*({b: dict(enumerate(v * rng.uniform(0.9, 1.1, 30))) for b, v in each.items()}
+                          for each in (seen, white)))  # fmt: skip
+    r = made_up(rng.standard_normal((1, 300)), np.linspace(0, 1, 300))
+    rows, mains, octaves = of_frequencies(replace(r, spectrum=spectrum), 0.0)
+    assert {row.name: round(row.share, 1) for row in rows}["less than 2 Hz"] == pytest.approx(0.1)
+    assert mains == []
+    assert [s.at for s in octaves] == ["2 to 8 Hz", "16 to 32 Hz"]
+    assert octaves[0].share == pytest.approx(68 / 116, abs=0.02)
 
 
 @pytest.mark.slow
@@ -203,6 +232,24 @@ def test_a_smooth_curve_is_found_with_a_band_that_holds_it() -> None:
     assert np.abs(value - expected).max() < 0.15
     assert (low < value).all()
     assert (value < high).all()
+
+
+@pytest.mark.parametrize(
+    ("truth", "size", "least"),
+    [
+        pytest.param(lambda x: np.cos(9 * x), 3000, 0.9, id="free knots"),
+        pytest.param(lambda x: 0.3 * np.cos(2 * x), 1500, 0.83, id="one bend"),
+        pytest.param(lambda x: 0.3 * x, 1500, 0.7, id="a line"),
+    ],
+)
+def test_a_curve_bends_as_stiffly_as_predicts_other_runs_best(truth, size: int, least: float) -> None:
+    explained = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        x = rng.uniform(-1, 1, size)
+        r = made_up((truth(x) + rng.standard_normal(size))[None], x)
+        explained.append(Smooth(r, Z).curve(r.residual).explained / (truth(x) ** 2).sum())
+    assert np.mean(explained) > least
 
 
 def test_a_curve_of_several_sensors_is_that_of_each() -> None:

@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "goldens"))
 from golden_logs import CASES, LOGS, Absent, folder_of
 
 import hallsym
-from hallsym.diagnosis import Diagnosis, base_of, block_errors, diagnose, model_on
+from hallsym.diagnosis import Diagnosis, base_of, decoded_errors, diagnose, model_on
 from hallsym.estimation import Fit
 from hallsym.log import read_log
 
@@ -45,7 +45,7 @@ def left(d: Diagnosis, path: Path) -> tuple[float, float]:
         holdout
     ):  # on the same samples: the table of a fit leaves out what looked like spikes without the effect
         base = replace(base_of(log, result), keep=None)
-        return d.metric.after, block_errors(base, holdout, log.rows, None).metric
+        return d.metric.after, decoded_errors(base, holdout).metric
     row = result.errors.rows()["fitted"]
     weights = wide.family.pose_metric.weights(wide.pose, log.meta.gap_length_scale_m)
     fitted = np.array([row["rmse"][c] for c in wide.pose])

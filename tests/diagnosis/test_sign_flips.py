@@ -17,11 +17,12 @@ from test_diagnosis_rotary import third
 import hallsym
 from hallsym.diagnosis import (
     Facts,
+    Joint,
     SignFlips,
-    adjusted,
     base_of,
     candidates,
     diagnose,
+    independent,
     normal_equations,
     searched,
     shared_noise,
@@ -32,8 +33,8 @@ from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
 
 
-def products(columns, residual, own, runs, size, candidates):
-    """Products of [own | candidates | residual] by run."""
+def products(columns, residual, own, runs, size, candidates, each=1):
+    """Products of [own | candidates | residual] by unit, `each` in a run."""
     stack = np.vstack([columns, residual]).reshape(len(columns) + 1, runs, size)
     M = np.einsum("aru,bru->rab", stack, stack)
     last = len(columns)
@@ -46,7 +47,7 @@ def products(columns, residual, own, runs, size, candidates):
     at = np.r_[:own, last]
     return SimpleNamespace(
         likelihood=M[:, at[:, None], at], of=of, span=span, offsets=None,
-        runs=tuple((k,) for k in range(runs)),
+        runs=tuple((k // each,) for k in range(runs)),
         units=lambda wanted: np.arange(runs),
     )  # fmt: skip
 
@@ -62,8 +63,14 @@ def noise_of(kind, rng, n):
     return rng.standard_normal(n)
 
 
+def p_values(flips):
+    """The p-value of each candidate, corrected for all."""
+    each = [flips.statistic(key) for key in flips.t.span if key]
+    return [Joint(each).p_value(z[0]) for z in each]
+
+
 def largest(kind, seed, size=0.0, runs=30, samples=40):
-    """The p-value of the largest of five candidates of 1 to 3 columns; the third has an effect of `size`."""
+    """The p-values of five candidates of 1 to 3 columns; the third has an effect of `size`."""
     rng = np.random.default_rng(seed)
     n = runs * samples
     t = np.arange(n)
@@ -73,36 +80,58 @@ def largest(kind, seed, size=0.0, runs=30, samples=40):
     columns[4] *= np.repeat(np.arange(runs) < 2, samples)  # an effect that two runs show
     residual = noise_of(kind, rng, n) + size * columns[6]
     t = products(columns, residual, 4, runs, samples, [(4, 5), (5, 6), (6, 8), (8, 11), (11, 14)])
-    flips = SignFlips(t, range(runs), {})
-    p, least = adjusted(np.array([flips.statistic(key) for key in t.span if key]))
-    return p, least
+    return p_values(SignFlips(t, range(runs), {}))
 
 
 @pytest.mark.parametrize(
     "kind", ["white", *(pytest.param(k, marks=pytest.mark.slow) for k in ("heavy", "correlated"))]
 )
 def test_the_largest_of_all_is_uniform_without_an_effect(kind):
-    p = np.array([largest(kind, seed)[1] for seed in range(200)])
+    p = np.array([min(largest(kind, seed)) for seed in range(200)])
     assert stats.kstest(p, "uniform").pvalue > 1e-3
     assert stats.binomtest(int((p <= 0.05).sum()), len(p), 0.05).pvalue > 1e-3
 
 
+def test_noise_that_wanders_over_whole_runs_is_no_effect():
+    """Stretches of six runs take signs; what they have in common within a run is not that many numbers."""
+    runs, each, samples = 6, 4, 10
+    p = []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        n = runs * each * samples
+        speed = np.repeat(rng.uniform(0.5, 1.5, runs) * (-1.0) ** np.arange(runs), each * samples)
+        columns = np.array([np.ones(n), speed, speed**2, rng.standard_normal(n)])
+        noise = np.repeat(rng.standard_normal(runs), each * samples) + rng.standard_normal(n)
+        t = products(columns, noise, 1, runs * each, samples, [(1, 2), (2, 3), (3, 4)], each)
+        p.append(min(p_values(SignFlips(t, range(runs), {}))))
+    assert stats.kstest(p, "uniform").pvalue > 1e-3
+    assert stats.binomtest(int((np.array(p) <= 0.05).sum()), len(p), 0.05).pvalue > 1e-3
+
+
 def test_an_effect_is_certain_and_what_it_resembles_is_not():
-    p, _ = largest("white", 1, size=0.3)
+    p = largest("white", 1, size=0.3)
     assert p[2] < 0.01
-    assert min(p[[0, 1, 3, 4]]) > 0.05
+    assert min(*p[:2], *p[3:]) > 0.05
 
 
 def test_numbers_that_were_searched_count():
     z = np.append(3.0, np.random.default_rng(0).standard_normal(499))
     assert searched(z, 1) is z
     assert searched(z, 100)[0] == pytest.approx(stats.norm.isf(1 - (1 - stats.norm.sf(3.0)) ** 100))
-    assert searched(np.append(30.0, z), 1e6)[0] == 30.0
+    assert searched(np.append(30.0, z), 1e6)[0] == pytest.approx(stats.norm.isf(1e6 * stats.norm.sf(30.0)))
+    assert np.isfinite(searched(np.append(50.0, z), 1e6)[0])
 
 
 def test_few_runs_are_cut_into_stretches():
     assert stretch(24_000, 24) is None
     assert stretch(8000, 8) == 334  # three stretches of each of eight runs of 1000 samples
+
+
+def test_stretches_are_independent_if_the_memory_of_the_residual_is_short():
+    lags = np.arange(64)
+    assert independent(0.9**lags, 160)  # 2 % after 38 samples
+    assert not independent(0.9**lags, 140)
+    assert not independent(0.99**lags, 10_000)  # no end is seen
 
 
 def test_the_least_p_value_is_stated():

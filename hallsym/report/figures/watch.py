@@ -15,7 +15,7 @@ from hallsym.report.figures.style import AFTER, BEFORE, DASHED, GREY, key, label
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hallsym.diagnosis import Watch
+    from hallsym.watching import Watch
 
 ACROSS, HEIGHT = 3, 1.0
 """Panels side by side, and how high each is [inches]."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from hallsym.diagnosis import Band, CurveShape, degrees_of
+from hallsym.diagnosis import Band, CurveShape, place_unit
 from hallsym.report.page.frames import Row, area, curve, framed, rows
 from hallsym.report.page.marks import Chart, Scale
-from hallsym.report.words import name, scale, three
-from hallsym.units import reading_unit, typeset
+from hallsym.report.words import degrees_of, name, scale, three
+from hallsym.units import typeset
 
 
 def curves(shape: CurveShape) -> tuple[str, list[Chart]]:
@@ -62,5 +62,5 @@ def _scale(unit: str, largest: float) -> tuple[float, str]:
     """Return factor and unit of the coordinate's axis."""
     if unit in ("m", "rad", "v"):
         return scale(f"x_{unit}", largest)
-    factor, shown = reading_unit(unit) if unit != "s" else (1.0, "s")
+    factor, shown = place_unit(unit)
     return factor, "" if unit == "1" else typeset(shown)

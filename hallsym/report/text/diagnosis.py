@@ -17,12 +17,12 @@ from hallsym.diagnosis import (
     Significance,
     Statement,
     Unexplained,
-    degrees_of,
     noise_text,
+    place_unit,
 )
 from hallsym.errors import counted
 from hallsym.report.tables import concise, error_rows, grid
-from hallsym.report.words import NOT_DECODED
+from hallsym.report.words import NOT_DECODED, degrees_of
 from hallsym.terminal import prose_width
 from hallsym.units import parameter_unit, readable
 
@@ -213,14 +213,15 @@ def shrinks_text(d: Diagnosis) -> str:
     The sizes before and after are of the holdout runs. The shrinkage and its interval are of all runs that
     judge, each by a fit that left its group out (`hallsym.diagnosis.shrinkage`).
     """
-    s, piece, held = d.shrinkage, piece_of(d), counted(len(d.validation_runs), d.held_out)
+    s, piece, judges = d.shrinkage, piece_of(d), len(d.validation_runs)
+    held = d.held_out if judges == 1 else counted(judges, d.held_out)
     fall = f"falls by {_percent(1 - d.metric.after / d.metric.before)}" if d.metric.before > 0 else "is 0"
     more = counted(s.parameters_added, "parameter")
     alone = (
         f"On the {held} alone the error {fall}: {100 * s.share_closed:.0f} % of its excess above the noise "
         f"floor is closed, with {more} more."
     )
-    if s.judges <= len(d.validation_runs):
+    if s.judges <= judges:
         known = "" if s.interval is None else f" (95 % of recordings like it: {_ends(s.interval)} %)"
         return f"The gap shrinks by {_percent(s.value)}{known}. {alone}" if known else alone
     known = (
@@ -291,9 +292,8 @@ def _curve(rest: Unexplained | None) -> list[str]:
 
 
 def _at(curve: CurveShape, k: int) -> str:
-    factor, unit = UNITS.get(curve.unit, (1.0, curve.unit)) if curve.unit != "s" else (1.0, "s")
-    factor, unit = degrees_of(curve.unit, curve.column) or (factor, unit)
-    return f"{curve.grid[k] * factor:.3g} {unit}".strip()
+    factor, unit = degrees_of(curve.unit, curve.column) or place_unit(curve.unit)
+    return f"{curve.grid[k] * factor:.3g} {'' if unit == '1' else unit}".strip()
 
 
 def _smaller(d: Diagnosis) -> str:

@@ -88,7 +88,8 @@ def _legend(s: SelfTest) -> str:
         "group: in one group with the effect named first; second: named beside another;",
         "wrong: only another effect was named; unexplained: a gap without a name; no gap: not detected; -: "
         "cannot be made that large here, or was not reached",
-        "found from: gap above the floor from which on it is found, and the largest parameters at that size",
+        "found from: of the sizes that were tried, the smallest gap above the floor from which on it is "
+        "found, and its largest parameters",
     ]
     if s.repeats > 1:
         lines[:2] = [

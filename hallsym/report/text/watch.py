@@ -3,9 +3,9 @@
 import shlex
 from collections.abc import Sequence
 
-from hallsym.diagnosis import Watch, WatchedLog
 from hallsym.report.tables import grid
 from hallsym.report.text.comparison import parameters_text
+from hallsym.watching import Watch, WatchedLog
 
 SHOWN = 6
 """Parameters without an answer that a line names."""

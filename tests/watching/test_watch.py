@@ -13,10 +13,10 @@ from watched_logs import alarms, calibration, log_of, machine
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.diagnosis import FALSE_ALARM, Estimate, Watch
-from hallsym.diagnosis.compare import changes, welch
 from hallsym.errors import InputError
+from hallsym.inference import Estimate, changes, welch
 from hallsym.log import write_log
+from hallsym.watching import FALSE_ALARM, Watch
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Products of columns where channels are many: all rows of a candidate in one product, not pair by pair.
+"""Products of columns: all rows of a candidate, of whatever channel, in one product.
 
 A parameter of one channel has one row, so a candidate of a sensor array has as many rows as parameters; each
 pair of channels on its own would be thousands of products of one row.
@@ -11,15 +11,15 @@ import numpy as np
 from hallsym.diagnosis.products import Products
 
 
-def by_candidate(
-    work: Any, near: np.ndarray, rows: list[np.ndarray], precision: np.ndarray, D: np.ndarray
+def stacked_products(
+    work: Any, near: np.ndarray, rows: list[np.ndarray], D: np.ndarray
 ) -> tuple[Products, Products]:
-    """Return products under `precision` (K, K), and mapped to the pose by D.
+    """Return products under the precision of `work`, and mapped to the pose by D; where D is empty no others.
 
     `work`: the `Accumulator`. `near`: (own, K, blocks, samples) of zeros, parameters and residual, `rows`:
     (rows, blocks, samples) of each channel, `D`: (n_pose, K, blocks, samples).
     """
-    first, blocks = work.z + work.n, near.shape[2]
+    first, blocks, precision = work.z + work.n, near.shape[2], work.precision
     white, decoded = np.tensordot(work.whiten, near, axes=(1, 1)).swapaxes(0, 1), _decoded(D, near)
     out = work.nil(blocks), work.nil(blocks)
     for M, columns in zip(out, (white, decoded), strict=True):
@@ -48,13 +48,8 @@ def _decoded(D: np.ndarray, near: np.ndarray) -> np.ndarray:
 
 def _gram(columns: np.ndarray) -> np.ndarray:
     """Return the products (blocks, own, own) of columns (own, rows, blocks, samples) with each other."""
-    return np.array([own @ own.T for own in _flat(columns)])
-
-
-def _flat(columns: np.ndarray) -> np.ndarray:
-    """(own, K, blocks, samples) as (blocks, own, K * samples)."""
-    own, K, blocks, samples = columns.shape
-    return columns.transpose(2, 0, 1, 3).reshape(blocks, own, K * samples)
+    flat = columns.transpose(2, 0, 1, 3).reshape(columns.shape[2], len(columns), -1)
+    return np.array([own @ own.T for own in flat])
 
 
 def _add_own(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from hallsym.diagnosis.compare import ParameterChange
+from hallsym.inference import ParameterChange
 from hallsym.shown import Shown
 
 BELONGS, CHANGED, NOT_JUDGED = "belongs", "changed", "not judged"

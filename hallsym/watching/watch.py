@@ -13,11 +13,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hallsym.diagnosis.watch_record import BELONGS, CHANGED, NOT_JUDGED, Watch, WatchedLog
-from hallsym.diagnosis.watch_tests import colour_of, compared, goodness
 from hallsym.errors import InputError
 from hallsym.estimation import Evaluation, Fit, evaluate, fit, load_fit, rewired
 from hallsym.log import Log, Noise, Sigma, as_log
+from hallsym.watching.hypotheses import colour_of, compared, goodness
+from hallsym.watching.result import BELONGS, CHANGED, NOT_JUDGED, Watch, WatchedLog
 
 FALSE_ALARM = 1 / 500
 """Probability that a log which belongs to the calibration is called changed: one log in 500."""

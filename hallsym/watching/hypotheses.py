@@ -8,18 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtri
 
-from hallsym.diagnosis.compare import ParameterChange, changes, welch
-from hallsym.diagnosis.record import Estimate
-from hallsym.diagnosis.regression import NIL
-from hallsym.diagnosis.watch_record import PARAMETER, RESIDUAL, TOGETHER, WatchTest
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, GoodnessOfFit, noise_at
+from hallsym.estimation.calibration import coverage_factor
 from hallsym.estimation.covariance import BY_RUNS
+from hallsym.estimation.normal_equations import SINGULAR, pseudo_inverse, unit_scale
+from hallsym.inference import Estimate, ParameterChange, changes, welch
+from hallsym.watching.result import PARAMETER, RESIDUAL, TOGETHER, WatchTest
 
-SMALLEST = 1e-300
+SMALLEST = np.finfo(float).tiny
 """Least p-value, so that its score is a number."""
-TWO_SIDED = 0.975
-"""Probability below the upper end of the 95 % interval of a noise level."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +41,7 @@ def colour_of(found: Fit) -> Colour:
     left = noise_at(found.source, found.likelihood.at(found.values), found.noise.std, found.keep)
     if left is None:
         return Colour()
-    error = 2 * np.log(left.interval[1] / left.ratio) / ndtri(TWO_SIDED)  # of the mean square, relative
+    error = 2 * np.log(left.interval[1] / left.ratio) / coverage_factor(np.inf)  # relative, of the square
     inflation = 0.5 * error**2 * left.samples * len(found.model.channels)
     return Colour(max(1.0, float(inflation)), 1.0 if left.white else left.memory, left.correlation)
 
@@ -144,11 +142,9 @@ def _together(
     """Test all parameters at once: a change along which they are correlated shows in none alone."""
     at = [known.model.names.index(name) for name in names]
     covariance = (factors[0] * known.covariance + factors[1] * after.covariance)[np.ix_(at, at)]
-    scale = np.sqrt(np.diag(covariance))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    kept = values > NIL * values[-1]
-    score = vectors[:, kept].T @ ((after.values - known.values)[at] / scale)
-    distance, count = float(np.sum(score**2 / values[kept])), int(np.count_nonzero(kept))
+    moved, scale = (after.values - known.values)[at], unit_scale(covariance)
+    distance = float(moved @ pseudo_inverse(covariance) @ moved)
+    count = int(np.linalg.matrix_rank(covariance * np.outer(scale, scale), rtol=SINGULAR, hermitian=True))
     dof = min(
         welch((known.std[k], after.std[k]), (known.degrees_of_freedom[k], after.degrees_of_freedom[k]))
         for k in at

@@ -1,0 +1,98 @@
+"""What a survey of a residual finds by itself, against machines whose hum, memory and samples are known."""
+
+import numpy as np
+import pytest
+
+import hallsym
+from hallsym.diagnosis import Survey, base_of, faults, lack_of_fit, of_samples, survey
+from hallsym.log import Log, Noise
+
+SIGMA = 5e-4
+SPEEDS = np.array([3.0, -3.0, 5.0, -5.0, 8.0, -8.0])
+STEP_S, PAUSE_S, RUNS, SAMPLES = 4e-3, 7.3, 6, 256
+
+
+def nothing(t):
+    return 0.0 * t
+
+
+def encoder(step_s=STEP_S, runs=RUNS, samples=SAMPLES, seed=1, *, added=nothing, turned=nothing, noise=None):
+    """An encoder turning at six speeds: `added(t)` in the voltage of its sine [V], `turned(t)` [rad]."""
+    rng = np.random.default_rng(seed)
+    run = np.repeat(np.arange(runs), samples)
+    t = np.tile(np.arange(samples) * step_s, runs) + run * (samples * step_s + PAUSE_S)
+    angle = SPEEDS[run % 6] * t
+    white = rng.normal(0, SIGMA, (2, len(t))) if noise is None else noise(rng, len(t))
+    true = angle + turned(t)
+    voltages = np.array([np.sin(true) + added(t), np.cos(true)]) + white
+    columns = {"run": run, "t_s": t, "v_sin_v": voltages[0], "v_cos_v": voltages[1], "angle_ref_rad": angle}
+    stated = {"v_sin_v": SIGMA, "v_cos_v": SIGMA, "angle_ref_rad": 1e-6}
+    return Log.from_arrays(columns, Noise.given(stated, tuple(columns)))
+
+
+def based(log):
+    return base_of(log, hallsym.fit(log, "ellipse", solver="direct", loss="none"))
+
+
+def surveyed(log) -> Survey:
+    base = based(log)
+    return survey(base, frozenset(log.runs))
+
+
+@pytest.mark.parametrize("step_s", [4e-3, 12e-3])  # 12 ms show 50 Hz as 33 Hz
+@pytest.mark.parametrize("hz", [49.37, 50.02, 61.4])
+def test_hum_is_found_as_exactly_as_the_whole_log_tells(step_s, hz):
+    log = encoder(step_s, added=lambda t: SIGMA * np.sin(2 * np.pi * hz * t + 1))
+    found = surveyed(log).lines_hz[hz > 55]
+    assert abs(found - hz) < 0.25 / (RUNS * (SAMPLES * step_s + PAUSE_S))
+
+
+def test_memory_ends_where_correlation_is_chance():
+    def slow(rng, n):
+        x = np.empty((2, n))
+        x[:, 0], drive = rng.standard_normal(2), rng.standard_normal((2, n))
+        for k in range(1, n):
+            x[:, k] = 0.8 * x[:, k - 1] + 0.6 * drive[:, k]
+        return SIGMA * x
+
+    coloured = surveyed(encoder(noise=slow, samples=2000))
+    assert coloured.inflation == pytest.approx((1 + 0.8) / (1 - 0.8), rel=0.25)
+    assert coloured.colour[1] == pytest.approx(0.8, abs=0.03)
+    assert surveyed(encoder(samples=2000)).inflation < 1.1
+
+
+@pytest.mark.parametrize(("hz", "seen"), [(31.25, True), (5.0, False)])
+def test_a_tone_is_a_line_that_is_no_drift(hz, seen):
+    log = encoder(samples=1024, turned=lambda t: 0.5 * SIGMA * np.sin(2 * np.pi * hz * t))
+    found = lack_of_fit(based(log), log.runs)
+    assert (found.tones > 0.01) == seen
+
+
+@pytest.mark.parametrize(("memory", "names"), [(0.0, ["clock_jitter"]), (0.75, [])])
+def test_time_shifts_that_neighbours_share_are_no_jitter(memory, names):
+    shift = np.random.default_rng(2).standard_normal(RUNS * 2000)
+    for k in range(1, len(shift)):
+        shift[k] = memory * shift[k - 1] + np.sqrt(1 - memory**2) * shift[k]
+    log = encoder(samples=2000, turned=lambda t: 1e-3 * SPEEDS[np.arange(len(t)) // 2000] * shift)
+    base = based(log)
+    assert [f.name for f in faults(base, survey(base, frozenset(log.runs)), 30)] == names
+
+
+def test_heavy_tails_are_no_spikes_and_spikes_are():
+    def heavy(rng, n):
+        return SIGMA * rng.standard_t(3, (2, n)) / np.sqrt(3)
+
+    def spiky(rng, n):
+        return SIGMA * (rng.standard_normal((2, n)) + 12 * (rng.random((2, n)) < 0.003))
+
+    for seed in range(4):
+        seen = of_samples(surveyed(encoder(noise=heavy, samples=2000, seed=seed)))
+        assert min(f.p_value for f in seen) > 0.01
+    base = based(encoder(noise=spiky, samples=2000))
+    (found,) = faults(base, survey(base, frozenset(base.log.runs)), 30)
+    assert found.name == "outliers"
+    assert found.parameters["share"].value == pytest.approx(0.006, rel=0.6)
+
+
+def test_fewer_samples_than_the_bins_need_tell_no_fault():
+    assert list(of_samples(surveyed(encoder(runs=3, samples=20)))) == []
