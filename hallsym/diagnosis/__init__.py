@@ -19,7 +19,7 @@ from hallsym.diagnosis.decimation import decimated
 from hallsym.diagnosis.decoded_errors import DecodedErrors, decoded_errors, errors_of
 from hallsym.diagnosis.detection import CurvePoint, Findable, SelfTest, Trial, clopper_pearson
 from hallsym.diagnosis.engine import Examined, diagnose, examine, prepare
-from hallsym.diagnosis.facts import facts_of, instants, rails_of
+from hallsym.diagnosis.facts import facts_of, instants, rails_of, switched_runs
 from hallsym.diagnosis.faults import faults, of_samples, wiring_p, wirings
 from hallsym.diagnosis.findings import firmware_cost, operations
 from hallsym.diagnosis.flexible import PAST, flexible, resemblances
@@ -64,14 +64,14 @@ from hallsym.diagnosis.selftest import NO_EFFECT, RATIOS, REPEATS, ROWS, Bench, 
 from hallsym.diagnosis.setup import Floor, base_of
 from hallsym.diagnosis.shares import sizes
 from hallsym.diagnosis.shrinkage import Judged, Nested, foreseen
-from hallsym.diagnosis.sign_flips import Joint, SignFlips, independent, of_products, searched, stretch
+from hallsym.diagnosis.sign_flips import Joint, SignFlips, clusters, memory, of_products, searched, stretch
 from hallsym.diagnosis.simulated_machine import (
     SimulatedMachine,
     machine_of,
     readings_of,
     simulated_noise,
 )
-from hallsym.diagnosis.survey import Survey, survey
+from hallsym.diagnosis.survey import Survey, memory_of_recording, survey
 from hallsym.diagnosis.validation import validate
 from hallsym.diagnosis.verdict import QUIET, WITH_REST, decide
 from hallsym.diagnosis.words import gap_text, gap_unit, place_unit, shown
@@ -80,26 +80,25 @@ from hallsym.inference import Estimate, ParameterChange
 from hallsym.model import Effect, Facts, Variant
 
 __all__ = [
-    "NO_EFFECT", "PAST", "POLICY", "QUIET", "RATIOS", "REPEATS", "ROWS", "WITH_REST",
-    "Accumulator", "Alternative", "Band", "Base", "Bench", "ChangePoint", "Comparison", "Coordinate",
-    "CurvePoint", "CurveShape", "DecodedErrors", "Diagnosis", "Effect", "EffectChange", "Estimate", "Exact",
-    "Examined", "Facts", "Findable", "FineMap", "Floor", "FoundEffect", "FrequencyBand", "Gap", "Injection",
-    "Joint", "Judged", "Key", "LackOfFit", "Located", "LogRecord", "Metric", "ModelLeft", "Nested",
-    "NoiseFloor", "NotExcluded", "ParameterChange", "PlaceChange", "Policy", "Range", "Refitted",
-    "Resemblance", "ResidualTable", "Score", "Screen", "Screened", "SelfTest", "Separation", "Shape",
-    "Share", "Shrinkage", "SignFlips", "Significance", "SimulatedMachine", "SmallerFinding", "Smooth",
-    "Spectrum", "Statement", "Survey", "Trial", "Unexplained", "Variant", "alternatives", "as_many",
-    "as_often", "base_of", "beyond", "both", "cancelled", "candidates", "change_points", "clopper_pearson",
-    "compare", "confusable", "coordinates", "cordic", "decide", "decimated", "decoded_errors", "diagnose",
-    "diagnosis_schema", "errors_of", "examine", "exceeds", "facts_of", "faults", "firmware_cost",
-    "flexible", "foreseen", "gap_text", "gap_unit", "generator", "hats", "independent", "injections",
-    "inside_bounds",
-    "instants", "knot_group", "knots", "lack_of_fit", "load_effects", "located", "machine_of", "model_on",
-    "noise_of_rest", "noise_text", "normal_equations", "of_products", "of_samples", "operations", "ordered",
-    "others", "place_unit", "prepare", "rails_of", "range_of", "readings_of", "recorded", "recordings",
-    "refit",
-    "remains", "resemblances", "residual_table", "run_gains", "searched", "select", "selftest",
-    "separation", "shape", "shared_noise", "shown", "simulated_noise", "sized", "sizes", "smaller_findings",
-    "split", "stretch", "student", "survey", "unexplained", "used_up", "validate", "waves_per_period",
-    "wiring_p", "wirings", "with_model", "with_readings",
+    "NO_EFFECT", "PAST", "POLICY", "QUIET", "RATIOS", "REPEATS", "ROWS", "WITH_REST", "Accumulator",
+    "Alternative", "Band", "Base", "Bench", "ChangePoint", "Comparison", "Coordinate", "CurvePoint",
+    "CurveShape", "DecodedErrors", "Diagnosis", "Effect", "EffectChange", "Estimate", "Exact", "Examined",
+    "Facts", "Findable", "FineMap", "Floor", "FoundEffect", "FrequencyBand", "Gap", "Injection", "Joint",
+    "Judged", "Key", "LackOfFit", "Located", "LogRecord", "Metric", "ModelLeft", "Nested", "NoiseFloor",
+    "NotExcluded", "ParameterChange", "PlaceChange", "Policy", "Range", "Refitted", "Resemblance",
+    "ResidualTable", "Score", "Screen", "Screened", "SelfTest", "Separation", "Shape", "Share",
+    "Shrinkage", "SignFlips", "Significance", "SimulatedMachine", "SmallerFinding", "Smooth", "Spectrum",
+    "Statement", "Survey", "Trial", "Unexplained", "Variant", "alternatives", "as_many", "as_often",
+    "base_of", "beyond", "both", "cancelled", "candidates", "change_points", "clopper_pearson",
+    "clusters", "compare", "confusable", "coordinates", "cordic", "decide", "decimated", "decoded_errors",
+    "diagnose", "diagnosis_schema", "errors_of", "examine", "exceeds", "facts_of", "faults",
+    "firmware_cost", "flexible", "foreseen", "gap_text", "gap_unit", "generator", "hats", "injections",
+    "inside_bounds", "instants", "knot_group", "knots", "lack_of_fit", "load_effects", "located",
+    "machine_of", "memory", "memory_of_recording", "model_on", "noise_of_rest", "noise_text",
+    "normal_equations", "of_products", "of_samples", "operations", "ordered", "others", "place_unit",
+    "prepare", "rails_of", "range_of", "readings_of", "recorded", "recordings", "refit", "remains",
+    "resemblances", "residual_table", "run_gains", "searched", "select", "selftest", "separation",
+    "shape", "shared_noise", "shown", "simulated_noise", "sized", "sizes", "smaller_findings", "split",
+    "stretch", "student", "survey", "switched_runs", "unexplained", "used_up", "validate",
+    "waves_per_period", "wiring_p", "wirings", "with_model", "with_readings",
 ]  # fmt: skip

@@ -1,6 +1,7 @@
 """What effects may know of a log before they are tried: length, columns, rails, hum, change points."""
 
 from collections.abc import Collection
+from functools import lru_cache
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residual_table import ROOM, ResidualTable, residual_table
 from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.sign_flips import FLIPS
 from hallsym.diagnosis.survey import SEGMENT, Survey
 from hallsym.estimation import pseudo_inverse
 from hallsym.families.mechanisms import CUT, MAINS_HZ, MAINS_REACH_HZ
@@ -72,26 +74,58 @@ def _gains(r: ResidualTable, k: int, counted: np.ndarray, at: np.ndarray) -> np.
 # -- two levels of offset among the runs ---------------------------------------------------------------------
 
 
-def switched_runs(r: ResidualTable) -> tuple[int, ...]:
-    """Return the runs whose offset forms a level of its own beside the others; none where runs are too few.
+def switched_runs(r: ResidualTable) -> tuple[tuple[int, ...], float]:
+    """Return the runs whose offset forms a level of its own beside the others, and the p-value of two levels.
 
-    Offsets are the mean whitened residuals of each run, along the direction in which they differ most; the
-    split into two levels is the one that explains most of their squares. A run of either side says of itself,
-    held out or not, on which level it lies. The first run is always on the other level.
+    None where runs are too few. Offsets are the mean whitened residuals of each run, along the direction in
+    which they differ most; the split into two levels is the one that explains most of their squares. A run of
+    either side says of itself, held out or not, on which level it lies. The first run is always on the other
+    level. The p-value is the share of as many Gaussian offsets that split as well by chance.
     """
     runs, index, n = np.unique(r.run, return_inverse=True, return_counts=True)
     if len(runs) < POLICY.fewest:
-        return ()
+        return (), 1.0
     whitened = np.linalg.cholesky(r.precision).T @ r.residual
     mean = np.array([np.bincount(index, row) for row in whitened]).T / n[:, None]
-    mean -= n @ mean / n.sum()
-    _, _, along = np.linalg.svd(np.sqrt(n)[:, None] * mean, full_matrices=False)
-    level = mean @ along[0]
-    order = np.argsort(level)
-    below, left = (np.cumsum(values[order])[:-1] for values in (n * level, n))
-    split = 1 + int(np.argmax(below**2 * (1 / left + 1 / (n.sum() - left))))
-    sides = set(runs[order[:split]].tolist()), set(runs[order[split:]].tolist())
-    return tuple(sorted(sides[int(r.run[0]) in sides[0]]))
+    level = _levels(mean[None], n)
+    share, split = _two_levels(level, n)
+    chance = _shares_by_chance(tuple(n.tolist()), len(r.residual))
+    order = np.argsort(level[0])
+    sides = set(runs[order[: split[0]]].tolist()), set(runs[order[split[0] :]].tolist())
+    p = (1 + np.count_nonzero(chance >= share[0])) / (1 + len(chance))
+    return tuple(sorted(sides[int(r.run[0]) in sides[0]])), float(p)
+
+
+@lru_cache(maxsize=4)
+def _shares_by_chance(n: tuple[int, ...], channels: int) -> np.ndarray:
+    """Return the shares of `_two_levels` (FLIPS,) where the offsets of runs of n samples are Gaussian."""
+    rng, size = np.random.default_rng(len(n)), np.array(n)
+    mean = (rng.standard_normal((len(n), channels)) / np.sqrt(size)[:, None] for _ in range(FLIPS))
+    return np.array([_two_levels(_levels(m[None], size), size)[0][0] for m in mean])
+
+
+def _levels(mean: np.ndarray, n: np.ndarray) -> np.ndarray:
+    """Return offsets (draws, runs) of the means (draws, runs, K) of n samples each, along what differs most.
+
+    Their unit is of no account.
+    """
+    mean = mean - (n @ mean / n.sum())[:, None]
+    vectors, _, _ = np.linalg.svd(np.sqrt(n)[:, None] * mean, full_matrices=False)
+    return np.asarray(vectors[:, :, 0] / np.sqrt(n))
+
+
+def _two_levels(level: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the share of the squares of offsets (draws, runs) that two levels explain best, and where the
+    offsets by size are split."""
+    order = np.argsort(level, axis=1)
+    below, left = (
+        np.cumsum(np.take_along_axis(np.broadcast_to(values, level.shape), order, axis=1), axis=1)[:, :-1]
+        for values in (n * level, n)
+    )
+    explained = below**2 * (1 / left + 1 / (n.sum() - left))
+    best = explained.argmax(axis=1)
+    whole = np.maximum((n * level**2).sum(axis=1), 1e-300)
+    return np.take_along_axis(explained, best[:, None], axis=1)[:, 0] / whole, 1 + best
 
 
 def _slips(base: Base, r: ResidualTable) -> tuple[tuple[tuple[int, float], ...], tuple[float, ...]]:
@@ -115,7 +149,8 @@ def facts_of(base: Base, found: Survey) -> Facts:
     model, log = base.model, base.log
     r, values = residual_table(base, log.runs), _readings(log, model)
     slips, chances = _slips(base, r) if r else ((), ())
-    two_levels = len(model.channels) > len(model.pose) and not model.zeros
+    several = len(model.channels) > len(model.pose) and not model.zeros
+    on_runs, on_runs_p = switched_runs(r) if r and several else ((), 1.0)
     return Facts(
         duration_s=max(found.duration_s, 1e-6),
         columns=tuple(c for c in log.columns if base.timed or c != "t_s"),
@@ -127,8 +162,9 @@ def facts_of(base: Base, found: Survey) -> Facts:
         instants=slips,
         instants_p=chances,
         instants_tried=len(model.layout) * (min(log.rows, ROOM) // SEGMENT + len(log.runs)),
-        on_runs=switched_runs(r) if r and two_levels else (),
+        on_runs=on_runs,
         on_runs_tried=2 ** (len(log.runs) - 1),
+        on_runs_p=on_runs_p,
     )
 
 

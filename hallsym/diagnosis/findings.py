@@ -30,7 +30,7 @@ def findings(
     `resembled`: why the machine only behaves like some of the effects.
     """
     spread = _standard_errors(found)
-    out = [_effect(found, e, spread, resembled.get(e.name)) for e in found.effects]
+    out = [_effect(found, e, spread, resembled.get(e.name), setup.piece) for e in found.effects]
     out += [_fault(setup, found, f) for f in found.faults]
     if setup.miswired:
         out.insert(0, _assignment(setup, found))
@@ -43,7 +43,9 @@ def _standard_errors(found: Validation) -> np.ndarray:
     return np.sqrt(np.maximum(np.diag(found.fit.covariance()), 0.0) * noise * found.inflation)
 
 
-def _effect(found: Validation, held: Held, spread: np.ndarray, resembled: Resemblance | None) -> FoundEffect:
+def _effect(
+    found: Validation, held: Held, spread: np.ndarray, resembled: Resemblance | None, piece: str
+) -> FoundEffect:
     score, fit = held.exact.score, found.fit
     model, before = fit.base.model, held.without.base.model
     stuck, unseen = fit.at_bound(), fit.unseen()
@@ -69,12 +71,14 @@ def _effect(found: Validation, held: Held, spread: np.ndarray, resembled: Resemb
         cost=firmware_cost(before, model, fit.base.p),
         text=score.variant.text,
         at_bound=ended,
-        note=_note(score.effect.name, ended, blind, resembled),
+        note=_note(score.effect.name, ended, blind, resembled, piece),
         behaves_like=resembled,
     )
 
 
-def _note(name: str, ended: Sequence[str], blind: Sequence[str], resembled: Resemblance | None) -> str:
+def _note(
+    name: str, ended: Sequence[str], blind: Sequence[str], resembled: Resemblance | None, piece: str
+) -> str:
     """Return what qualifies an effect: parameters at their bounds or unseen, and a better alternative."""
     said = []
     if ended:
@@ -91,7 +95,7 @@ def _note(name: str, ended: Sequence[str], blind: Sequence[str], resembled: Rese
         if resembled.by == PAST:
             varied = "a free linear response to the past of what it makes"
         said.append(
-            f"The machine behaves like {name}, but {varied} predicts other runs better: what the effect "
+            f"The machine behaves like {name}, but {varied} predicts other {piece}s better: what the effect "
             f"makes is off by {100 * resembled.misfit:.2g} % (rms). The cause is something of the same kind "
             "that no effect describes."
         )

@@ -18,6 +18,10 @@ FEWEST = POLICY.fewest * FEWEST_SAMPLES
 BLOCK = 4
 """Knots of a block. Every second is held out, the other ones in the next block, so that a pattern of two or
 four knots (a stepper's) is seen on both sides."""
+SLICES = 100
+"""Slices of time that a recording is taken as at most: a score of 50 scatters as Gauss has it."""
+LASTING = 40
+"""Samples of a slice at least: four memories of noise that remembers ten, so that slices are independent."""
 TIME = "t_s"
 
 
@@ -28,7 +32,7 @@ def split(log: Log, spikes: np.ndarray | None = None) -> tuple[Log, tuple[int, .
     held out, and a counter stands for the time that the log does not have. `spikes` (samples,) are left out.
     """
     n, timed = log.rows, TIME in log.columns
-    at, count = np.arange(n), _pieces(n, timed)
+    at, count = np.arange(n), pieces(n, timed)
     piece = at * count // n if timed else knot_group(at, count)
     held = tuple(range(1, count, 2))
     order = np.argsort(piece, kind="stable")
@@ -42,9 +46,16 @@ def split(log: Log, spikes: np.ndarray | None = None) -> tuple[Log, tuple[int, .
     columns = {TIME: at[: len(order)].astype(float)} | columns | {"run": piece[order]}
     how = f"{count} {'slices of time' if timed else 'groups of single knots, each round the turn'}"
     short = Log.from_arrays(columns, log.noise, replace(log.meta, holdout=held), log.name)
+    short = of_recording(short) if timed else short
     what = counted(len(log.runs), "run") if timed or len(log.runs) > 1 else "A table of knots"
     notes.append(f"{what} cannot be held out whole: taken as {how}, every other one held out.")
     return replace(short, notes=(*log.notes, *notes), path=log.path, counted=not timed), held
+
+
+def of_recording(log: Log) -> Log:
+    """Return a log whose runs are slices of one recording, one after the other, with that recording."""
+    whole = {c: log.array(c) for c in log.columns if c != "run"} | {"run": np.zeros(log.rows, dtype=int)}
+    return replace(log, recording=Log.from_arrays(whole, log.noise, log.meta, log.name))
 
 
 def counted_off(log: Log) -> Log:
@@ -54,12 +65,15 @@ def counted_off(log: Log) -> Log:
     return replace(counter, notes=log.notes, path=log.path, counted=True)
 
 
-def _pieces(n: int, timed: bool) -> int:
+def pieces(n: int, timed: bool) -> int:
     """How many pieces of `n` samples: those fitted are the folds, or as many as have the samples of a run.
 
-    An odd number fitted takes every phase of a pattern of two or four knots into each group; groups go round
-    the turn, so that waves of it do not lean on another.
+    With time there are up to `SLICES` of them: of a machine that rests half of the time many still say
+    something. Of knots an odd number is fitted, so that each group takes every phase of a pattern of two or
+    four; groups go round the turn, so that waves of it do not lean on another.
     """
+    if timed and n >= 2 * FOLDS * LASTING:
+        return min(SLICES, n // LASTING // 2 * 2)
     at = np.arange(n)
     for count in range(2 * FOLDS, POLICY.fewest, -4):  # half of it stays odd
         smallest = n // count if timed else int(np.bincount(knot_group(at, count), minlength=count).min())

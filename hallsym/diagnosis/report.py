@@ -91,7 +91,7 @@ def report(
         waves=waves(found.start.base, found.base if named else None),
         next_step=() if quiet else next_step(setup, found),
         noise=noise,
-        significance=selection.screened[0].significance,
+        significance=selection.significance,
     )
 
 
@@ -241,7 +241,7 @@ def sentence(
     if verdict == "behaves like":
         first = next(e for e in effects if e.behaves_like or e.at_bound)
         why = (
-            "a flexible alternative predicts other runs better"
+            f"a flexible alternative predicts other {held_out.split(' ', 1)[1]}s better"
             if first.behaves_like
             else "parameters of it ended at their bounds"
         )

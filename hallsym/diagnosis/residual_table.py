@@ -96,7 +96,8 @@ class ResidualTable:
     of runs, of the block for significance, of the stretch of a run. `output`: (n_pose, K) turns a residual
     into decoded pose. `state`: logged columns that the model reads. `weights`: (n_pose,) of the pose metric.
     `towards`: (K, n) of a periodic reference, turns a residual into an error of it. `period`: by reference.
-    `words`, `together`: what a person calls columns, and all of the state. `timed`: with a clock.
+    `words`, `together`: what a person calls columns, and all of the state. `timed`: with a clock. `sliced`:
+    of slices of one recording.
     """
 
     channels: tuple[str, ...]
@@ -117,6 +118,7 @@ class ResidualTable:
     sigma: Mapping[str, float]
     spectrum: Spectrum = field(default_factory=Spectrum)
     timed: bool = True
+    sliced: bool = False
     period: Mapping[str, float] = field(default_factory=dict)
     towards: Mapping[str, np.ndarray] = field(default_factory=dict)
     words: Mapping[str, str] = field(default_factory=dict)
@@ -128,9 +130,9 @@ class ResidualTable:
         return np.einsum("kn,kl,ln->n", self.residual, self.precision, self.residual)
 
     def run_of(self, group: np.ndarray) -> np.ndarray:
-        """Return the run in which each of the consecutive groups begins."""
+        """Return the run, as it was recorded, in which each of the consecutive groups begins."""
         first = np.flatnonzero(np.diff(group, prepend=group[0] - 1))
-        return self.run[first]
+        return self.run[first] * (not self.sliced)
 
     @property
     def excess(self) -> float:
@@ -194,6 +196,7 @@ def residual_table(base: Base, runs: Iterable[int]) -> ResidualTable | None:
         sigma=base.sigma,
         spectrum=spectrum,
         timed=base.timed,
+        sliced=base.sliced,
         period={c: model.period[c] for c in model.references if c in model.period},
         words=model.family.words,
         together=model.family.together,

@@ -24,7 +24,8 @@ class Base:
 
     `p`: (n,) values; `zeros`: displacement by run; `covariance`: (K, K) of one residual; `free`: index of
     parameters that the fit moves; `pose_weights`: (n_pose,) of the pose metric; `holdout`: holdout runs;
-    `timed`: whether the log holds time, and not a counter in its place.
+    `timed`: whether the log holds time, and not a counter in its place. `sliced`: whether the runs are slices
+    of one recording, one after the other.
     """
 
     log: Log
@@ -38,6 +39,7 @@ class Base:
     sigma: Mapping[str, float]
     keep: Weigh | None = None
     timed: bool = True
+    sliced: bool = False
 
     @property
     def on_all(self) -> "Base":

@@ -14,7 +14,7 @@ from hallsym.diagnosis.products import NormalEquations
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.regression import FOLDS, NIL
 from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.sign_flips import Joint, SignFlips, independent, least_p, searched, stretch
+from hallsym.diagnosis.sign_flips import Joint, SignFlips, least_p, memory, searched, stretch
 from hallsym.errors import InputError
 from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.decoding import columns_of
@@ -112,7 +112,8 @@ class Screen:
     """The catalogue scored beside one fit, from one pass over the log.
 
     One pass for all candidates, or for as many as have `PRODUCTS` together. `scores`: best first,
-    by BIC. `significance`: that any of them is there at all. `tables`: the products of each pass. `top`:
+    by BIC. `length`: samples of the stretches that are the units of p-values, None where runs are; `lasting`:
+    of a unit. `significance`: that any of them is there at all. `tables`: the products of each pass. `top`:
     the largest statistic of all with each draw of signs, that of the log first.
     """
 
@@ -124,30 +125,38 @@ class Screen:
         inflation: float,
         *,
         colour: np.ndarray | None = None,
+        remembers: float | None = None,
     ) -> None:
-        """Score `tried` on `runs`; `colour`: autocorrelation of the residual, None: without p-values."""
-        self.tried, self.tables, self.inflation = tried, list[Table](), inflation
-        places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in tried.values()))}
-        variants = Counter(c.effect.name for c in tried.values())
-        found, flipped = list[Score](), list[np.ndarray]()
-        length = (
-            stretch(base.log.rows / len(base.log.runs) * len(runs), len(runs)) if colour is not None else None
+        """Score `tried` on `runs`; `colour`: autocorrelation of the residual, None: without p-values.
+
+        `remembers`: samples after which the noise has forgotten; None: as `colour` says, and of slices of a
+        recording not at all.
+        """
+        self.base, self.tried, self.runs, self.inflation = base, tried, tuple(runs), inflation
+        rows = base.log.rows / len(base.log.runs)
+        self.length = None if colour is None else stretch(rows * len(runs), len(runs))
+        self.lasting = self.length or rows
+        parts = (
+            ({k: (c.model, c.new) for k, c in part.items()}, part) for part in _parts(tried, len(base.free))
         )
-        for part in _parts(tried, len(base.free)):
-            plain = {key: (c.model, c.new) for key, c in part.items()}
-            t = normal_equations(base, plain, length)
-            table = Table(t, part, len(base.model.channels))
-            flips = None
-            if colour is not None:
-                apart = length is not None and independent(colour, length)
-                flips = SignFlips(t, runs, shared_noise(base, plain, length, colour), apart=apart)
-            self.tables.append(table)
-            for key, scored in table.scored([runs], inflation):
-                c, absorbed = part[key], bool(scored.absorbed[0])
+        channels = len(base.model.channels)
+        self.tables = [Table(normal_equations(base, new, self.length), part, channels) for new, part in parts]
+        self.weigh(colour, remembers)
+
+    def weigh(self, colour: np.ndarray | None, remembers: float | None = None) -> None:
+        """Score with p-values for noise with this autocorrelation; None: without p-values."""
+        places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in self.tried.values()))}
+        variants = Counter(c.effect.name for c in self.tried.values())
+        found, flipped = list[Score](), list[np.ndarray]()
+        for table in self.tables:
+            flips = self._flips(table, colour, remembers) if colour is not None else None
+            for key, scored in table.scored([self.runs], self.inflation):
+                c, absorbed = table.tried[key], bool(scored.absorbed[0])
                 z = None if absorbed or flips is None else flips.statistic(key)
                 if z is not None:
                     # numbers that were searched elsewhere, and are not among the variants
                     flipped.append(searched(z, c.variant.tried / variants[c.effect.name]))
+                kept = 1.0 if flips is None or z is None else flips.kept(key)
                 found.append(
                     Score(
                         effect=c.effect,
@@ -156,9 +165,7 @@ class Screen:
                         gain=float(scored.gain[0]),
                         size=scored.size,
                         bic=float(scored.bic[0]),
-                        ratio=1
-                        - (1 - table.ratio(key, runs))
-                        * (1.0 if flips is None or z is None else flips.kept(key)),
+                        ratio=1 - (1 - table.ratio(key, self.runs)) * kept,
                         p_value=1.0,
                         absorbed=absorbed,
                         place=places[c.effect.name],
@@ -168,12 +175,20 @@ class Screen:
         joint = Joint(flipped)
         self.top = joint.top if flipped else None
         least = joint.p_value(max((s.statistic for s in found), default=-np.inf))
-        units = len(self.tables[0].t.units(runs))
-        unit = "run" if length is None else "stretch"
+        units = len(self.tables[0].t.units(self.runs))
+        unit = "run" if self.length is None else "stretch"
         self.significance = Significance(least, least_p(units), units, unit)
         each = [min(joint.p_value(s.statistic), EVENTS * s.variant.by_itself) for s in found]
         found = [replace(s, p_value=p) for s, p in zip(found, each, strict=True)]
         self.scores = sorted(found, key=lambda s: s.bic)
+
+    def _flips(self, table: "Table", colour: np.ndarray, remembers: float | None) -> SignFlips:
+        new = {key: (c.model, c.new) for key, c in table.tried.items()}
+        noise = shared_noise(self.base, new, self.length, colour)
+        if remembers is None:
+            remembers = 0.0 if self.base.sliced else memory(colour)
+        memories = self.lasting / max(remembers, NIL)
+        return SignFlips(table.t, self.runs, noise, memories=memories, sliced=self.base.sliced)
 
     def choices(
         self, stacks: Sequence[Sequence[int]], level: float, taken: str | None, policy: Policy

@@ -14,13 +14,15 @@ from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.ranking import Exact, plain_pairs_first, refitted
 from hallsym.diagnosis.record import Significance
-from hallsym.diagnosis.refit import Refitted, refit, with_effects
+from hallsym.diagnosis.refit import Refitted, refit, with_effects, with_model
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score, Screen, by_name, candidates
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.shrinkage import Judged, Nested, foreseen
-from hallsym.diagnosis.survey import survey
+from hallsym.diagnosis.sign_flips import MEMORIES, memory
+from hallsym.diagnosis.survey import memory_of_recording, survey
 from hallsym.log.phase import designed
+from hallsym.model import Facts
 
 
 def cancelled(
@@ -120,6 +122,8 @@ def select(setup: Setup) -> "Selection":
         search.prune()
     if len(search.effects) > 1 and search.reconsider():
         search.grow()
+    if setup.base.sliced:
+        search.confirm()
     search.hold()
     return search
 
@@ -154,6 +158,13 @@ class Selection:
         return self.setup.runs
 
     @property
+    def significance(self) -> Significance:
+        """That any effect is there: of one recording, with the others in place."""
+        first = [s.significance for s in self.screened if s.at is self.start][-1]
+        confirmed = self.effects if self.setup.base.sliced else []
+        return replace(first, p_value=min((e.score.p_value for e in confirmed), default=first.p_value))
+
+    @property
     def policy(self) -> Policy:
         """The thresholds."""
         return self.setup.policy
@@ -177,18 +188,19 @@ class Selection:
             self.fit = exact[0].fit
 
     def worth(self, score: Score, beside: int) -> bool:
-        """Return whether an effect lowers the gap enough; one `beside` others must be needed and certain.
+        """Return whether an effect is no chance and lowers the gap enough, and `beside` others is needed.
 
-        A first effect that is certain is taken up from half the threshold on: it may be worth more on the
-        holdout runs, which decide. What the values of the readings make of the gap, as steps do, no effect
-        can take away: it would only follow their error.
+        One that leaves more than half of what others left must be certain. A first effect that is certain is
+        taken up from half the threshold on: it may be worth more on the holdout runs, which decide. What the
+        values of the readings make of the gap, as steps do, no effect can take away: it would only follow
+        their error.
         """
-        if beside == self.setup.base.model.family.most_effects:
+        policy, certain = self.policy, score.p_value < self.policy.certain
+        if beside == self.setup.base.model.family.most_effects or (beside and not self.needed()):
             return False
-        certain = score.p_value < self.policy.certain
-        level = self.setup.threshold * (self.policy.half if certain and not beside else 1.0)
-        needed = not beside or (certain and self.needed())
-        return needed and max(score.ratio, np.sqrt(self.of_values)) <= 1 - level
+        likely = score.p_value < policy.false_alarm and (not beside or score.ratio <= policy.half)
+        level = self.setup.threshold * (policy.half if certain and not beside else 1.0)
+        return (certain or likely) and max(score.ratio, np.sqrt(self.of_values)) <= 1 - level
 
     def needed(self) -> bool:
         """Return whether what is left may hold another effect: it is above the floor, or that is unknown."""
@@ -199,14 +211,27 @@ class Selection:
         self, at: Refitted, worth: Callable[[Score], bool] = lambda _: True
     ) -> tuple[list[Exact], Screen]:
         """Screen the catalogue at `at`; return exact refits, best first, if any effect is `worth` it."""
+        screen, facts = self.screen(at)
+        exact = refitted(
+            at.base, screen.scores, self.runs, facts, worth, lambda e: self.stands(e, at), self.policy
+        )
+        if self.setup.base.model.family.pairs:
+            exact = plain_pairs_first(exact, self.setup.catalogue, self.runs, facts, self.policy)
+        return exact, screen
+
+    def screen(self, at: Refitted, remembers: float | None = None) -> tuple[Screen, Facts]:
+        """Screen the catalogue at `at`, for noise that forgets after so many samples; None: as it seems."""
         found = survey(at.base, self.runs)
         facts = facts_of(at.base, found)
         told = faults(at.base, found, self.setup.tested)
         self.of_values = sum(f.power for f in told if f.record.of_values)
         tried, trouble = candidates(at.base, self.setup.catalogue, facts)
-        screen = Screen(at.base, tried, self.runs, self.policy.inflation, colour=found.colour)
+        screen = Screen(
+            at.base, tried, self.runs, self.policy.inflation, colour=found.colour, remembers=remembers
+        )
+        colour = self.remembered(screen, found.colour)
         ranked = screen.scores
-        self.screened.append(Screened(at, ranked, screen.significance, screen.top, found.colour))
+        self.screened.append(Screened(at, ranked, screen.significance, screen.top, colour))
         self.not_testable |= trouble
         not_finite = "its readings are not finite on this log"
         self.not_testable |= {tried[key].effect.name: not_finite for key in screen.spoiled}
@@ -215,10 +240,23 @@ class Selection:
             self.not_testable |= {s.effect.name: absorbed for s in by_name(ranked) if s.absorbed}
         for c in tried.values():
             self.owner |= dict.fromkeys(c.new, c.effect.name)
-        exact = refitted(at.base, ranked, self.runs, facts, worth, lambda e: self.stands(e, at), self.policy)
-        if self.setup.base.model.family.pairs:
-            exact = plain_pairs_first(exact, self.setup.catalogue, self.runs, facts, self.policy)
-        return exact, screen
+        return screen, facts
+
+    def remembered(self, screen: Screen, colour: np.ndarray) -> np.ndarray:
+        """Weigh a screen by the memory of the noise; return the autocorrelation that it was weighed by.
+
+        A slow effect makes a residual that remembers as long as it lasts. Where stretches seem to depend on
+        each other, what the best effect leaves tells whether the noise does.
+        """
+        whole = screen.length is None or screen.base.sliced
+        if whole or screen.lasting >= MEMORIES * memory(colour) or not screen.scores:
+            return colour
+        left = refit(with_model(screen.base, screen.scores[0].model), self.runs)
+        beside = survey(left.base, self.runs).colour
+        if memory(beside) >= memory(colour):
+            return colour
+        screen.weigh(beside)
+        return beside
 
     def stands(self, exact: Exact, at: Refitted) -> bool:
         """Return whether a refit keeps what its score promised, and other parameters do not undo it.
@@ -249,14 +287,35 @@ class Selection:
 
     def reconsider(self) -> bool:
         """Hold each effect against the catalogue, the others in place; return whether any was replaced."""
-        before = [f.name for f in self.effects]
-        for k, effect in enumerate(self.effects[:-1]):  # the last was chosen with the others in place
+        before, replaced = [f.name for f in self.effects], False
+        for k, effect in enumerate(self.effects):
+            if k + 1 == len(before) and not replaced:
+                break  # the last was chosen with the others in place
             without = self.without(effect)
             exact, _ = self.step(without)
             if exact:
                 self.effects[k] = _selected(exact, without)
                 self.fit = exact[0].fit
+                replaced |= exact[0].name != effect.name
         return [f.name for f in self.effects] != before
+
+    def confirm(self) -> None:
+        """Of slices of one recording, test the effects again by the memory of what all of them leave.
+
+        While effects are missing what is left remembers as long as they last: slices count as independent.
+        In the end those that are not depend on each other; if no effect is there beyond chance then, none is.
+        """
+        remembers = memory_of_recording(self.fit.base, frozenset(self.runs))
+        tested: list[Exact] = []
+        for effect in self.effects:
+            screen, _ = self.screen(self.without(effect), remembers)
+            own = (s.p_value for s in screen.scores if s.effect.name == effect.name)
+            tested.append(replace(effect, score=replace(effect.score, p_value=min(own, default=1.0))))
+        if min((e.score.p_value for e in tested), default=1.0) < self.policy.false_alarm:
+            self.effects = tested
+        else:
+            self.drop(*self.effects)
+        self.last = self.screen(self.fit, remembers)[0].scores
 
     def hold(self) -> None:
         """Drop effects that do not lower the gap of runs that they were not fitted to, the weakest first.
@@ -297,8 +356,8 @@ class Selection:
         return self.refits[key]
 
     def screened_at(self, base: Base) -> Screened | None:
-        """Return the screening of the catalogue at a fit; None where there was none."""
-        return next((s for s in self.screened if s.at.base is base), None)
+        """Return the last screening of the catalogue at a fit; None where there was none."""
+        return next((s for s in reversed(self.screened) if s.at.base is base), None)
 
 
 def _selected(exact: Sequence[Exact], without: Refitted) -> Exact:

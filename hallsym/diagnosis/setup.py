@@ -68,10 +68,15 @@ class Setup:
         return len(self.catalogue) + len(FAULTS)
 
     @property
+    def piece(self) -> str:
+        """What is held out as a whole: a run, or a piece of a recording of too few."""
+        pieces = "time slice" if self.base.timed else "knot group"
+        return pieces if self.split else "run"
+
+    @property
     def held_out(self) -> str:
         """What judges: holdout runs, or pieces of a recording of too few."""
-        pieces = "time slice" if self.base.timed else "knot group"
-        return f"held-out {pieces}" if self.split else "holdout run"
+        return f"held-out {self.piece}" if self.split else "holdout run"
 
     @property
     def miswired(self) -> Wiring | None:
@@ -142,7 +147,7 @@ def prepare(
         log, pieces = _pieces(log, model)
     if holdout_pieces.TIME not in log.columns:
         log = holdout_pieces.counted_off(log)
-    held = held or pieces
+    held, sliced = held or pieces, log.recording is not None
     if not held:
         raise _too_short(log)
     say("fitting the model")
@@ -159,7 +164,7 @@ def prepare(
     return Setup(
         log=log,
         fit=result,
-        base=replace(base, model=model.family.direct(base.model), timed=timed),
+        base=replace(base, model=model.family.direct(base.model), timed=timed, sliced=sliced),
         runs=[r for r in base.log.runs if r not in held],
         holdout=held,
         threshold=level,

@@ -43,24 +43,26 @@ def stretch(samples: float, runs: int) -> int | None:
     return None if runs >= FEWEST_UNITS else max(1, int(-(-samples // (runs * -(-FEWEST_UNITS // runs)))))
 
 
-def clusters(run: np.ndarray) -> np.ndarray:
-    """Return which units (units,) scatter together: those of a run, or of a part of it where runs are few.
+def clusters(run: np.ndarray, memories: float = 0.0) -> np.ndarray:
+    """Return which units (units,) scatter together: those of a run, or of parts of it that are independent.
 
-    `run`: (units,) where each lies, in order. There are at least as many as say something of a scatter.
+    `run`: (units,) where each lies, in order. `memories`: of the residual that a unit lasts. Where runs are
+    few there are at least as many parts as say something of a scatter.
     """
     _, index, inverse, counts = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
-    parts = -(-POLICY.fewest // len(counts))
+    long = (counts * memories / MEMORIES).astype(int)
+    parts = np.clip(long, -(-POLICY.fewest // len(counts)), counts)[inverse]
     within = np.arange(len(run)) - index[inverse]
-    return np.unique(inverse * parts + within * parts // counts[inverse], return_inverse=True)[1]
+    return np.unique(inverse * len(run) + within * parts // counts[inverse], return_inverse=True)[1]
 
 
-def independent(colour: np.ndarray, length: int) -> bool:
-    """Return whether stretches of `length` samples are independent.
+def memory(colour: np.ndarray) -> float:
+    """Return the samples after which a residual has forgotten, infinity where no end of it is seen.
 
-    `colour`: autocorrelation of the residual at lags 0, 1, ...
+    `colour`: autocorrelation at lags 0, 1, ...
     """
     ended = np.flatnonzero(colour < UNCORRELATED)
-    return len(ended) > 0 and MEMORIES * int(ended[0]) <= length
+    return float(ended[0]) if len(ended) else np.inf
 
 
 def _of_units(t: NormalEquations, noise: Mapping[tuple[int, int], np.ndarray]) -> np.ndarray:
@@ -90,12 +92,13 @@ class SignFlips:
         runs: Sequence[int],
         noise: Mapping[tuple[int, int], np.ndarray],
         *,
-        apart: bool = False,
+        memories: float = 0.0,
+        sliced: bool = False,
     ) -> None:
         """Take the products of some runs, the model's own parameters as fitted to them.
 
         `noise`: what the candidates' columns have in common with the residual by the references' noise.
-        `apart`: whether stretches of one run are independent.
+        `memories`: of the residual that a unit lasts. `sliced`: whether all runs are slices of one recording.
         """
         self.units = t.units(runs)
         self.t, self.own = t, t.span[""].stop
@@ -106,8 +109,8 @@ class SignFlips:
         self.known = M[:, :n, :n]
         self.b = self.JJ @ (total[:n, -1] - self.shared[:, :n].sum(axis=0))
         self.left = M[:, :n, -1] - self.known @ self.b - self.shared[:, :n]
-        run = np.unique([t.runs[u][0] for u in self.units], return_inverse=True)[1]
-        cluster = np.arange(len(run)) if apart else clusters(run)
+        run = np.unique([t.runs[u][0] * (not sliced) for u in self.units], return_inverse=True)[1]
+        cluster = clusters(run, memories)
         self.cluster = np.arange(cluster.max() + 1)[:, None] == cluster
         self.zeros: np.ndarray | None = None
         if t.offsets is not None and len(self.cluster) > run.max() + 1:

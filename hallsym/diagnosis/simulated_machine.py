@@ -12,6 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from hallsym.diagnosis.holdout_pieces import of_recording
 from hallsym.diagnosis.noise import noise_of_rest, noise_text
 from hallsym.diagnosis.normal_equations import coefficients, normal_equations
 from hallsym.diagnosis.residual_table import at_rest
@@ -55,7 +56,8 @@ class SimulatedMachine:
         rows |= {c: self.columns[c] + noise for c, noise in reference.items()}
         noise = Noise({c: Sigma(s, "given") for c, s in base.sigma.items() if c in self.stated})
         meta = replace(base.log.meta, holdout=tuple(sorted(base.holdout)))
-        return Log.from_arrays({**self.columns, **rows}, noise, meta, "a simulated log")
+        log = Log.from_arrays({**self.columns, **rows}, noise, meta, "a simulated log")
+        return of_recording(log) if base.sliced else log
 
     def gap(self, readings: np.ndarray, *, anywhere: bool = False) -> tuple[float, float]:
         """Gap metric [m] of noise-free readings on the held-out runs: with the model fitted, and before.

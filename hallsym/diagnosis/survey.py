@@ -100,6 +100,29 @@ def _memory(rest: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
     return rho, max(1.0, 1.0 + 2.0 * float(rho[1 : 1 + end].sum()))
 
 
+def memory_of_recording(base: Base, runs: frozenset[int]) -> float:
+    """Return the samples after which the residual of `base` has forgotten; `runs` are slices of a recording.
+
+    It remembers to the last lag at which white noise would hardly be as correlated (Bartlett), all lags
+    counted; noise that remembers long may have forgotten earlier. What lies between slices is unknown.
+    """
+    found = list(pieces(base, runs))
+    t = np.concatenate([p.t for p in found])
+    place = np.round((t - t[0]) / max(float(np.median(np.diff(t))), 1e-300)).astype(int)
+    n = int(place.max()) + 1
+    rest = np.hstack([np.where(p.used, p.residual, 0.0) for p in found])
+    series, there = np.zeros((len(rest), n)), np.zeros((1, n))
+    series[:, place], there[:, place] = rest - rest.mean(axis=1, keepdims=True), 1.0
+    lags = np.arange(1, max(2, n // (2 * POLICY.fewest)))
+    sums, pairs = (
+        np.fft.irfft((np.abs(np.fft.rfft(x, 2 * n)) ** 2).sum(axis=0), 2 * n) for x in (series, there)
+    )
+    seen = np.maximum(pairs[lags], 1.0) * len(rest)
+    rho = sums[lags] / seen / max(float(np.mean(rest**2)), 1e-300)
+    chance = np.sqrt(statistic_at(POLICY.false_alarm / len(lags), 1) / seen)
+    return float(np.max(lags[np.abs(rho) > chance], initial=0))
+
+
 def _instants(piece: Piece) -> np.ndarray:
     """Return the time shift that each residual asks for, the speed, and the rest squared: (3, n), whitened.
 

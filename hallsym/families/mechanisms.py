@@ -247,6 +247,19 @@ def with_temperature(mean_degc: float) -> Functions:
     return Functions(["per degC"], lambda s: [s[name] - mean_degc], [name])
 
 
+def switched(model: Model, facts: Facts) -> list[Try]:
+    """Return the runs in which an external field may have been on."""
+    listed = ", ".join(map(str, facts.on_runs))
+    one = Try(
+        {"runs": facts.on_runs},
+        f"on in runs {listed}",
+        shapes=1,
+        tried=facts.on_runs_tried,
+        by_itself=facts.on_runs_p,
+    )
+    return [one] if facts.on_runs else []
+
+
 def in_runs(runs: Sequence[int]) -> Functions:
     """Return 1 in some runs, 0 in the others."""
 

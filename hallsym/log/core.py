@@ -31,7 +31,8 @@ class Log:
     """Recorded samples. Make one with `read_log` or `Log.from_arrays`; arrays are read-only views.
 
     `notes` says what was assumed while reading; `path` is the data file (None for arrays). `counted`: `t_s`
-    is no clock but a counter of samples in its place.
+    is no clock but a counter of samples in its place. `recording`: the same samples as they were recorded,
+    where the runs are pieces of them: what is checked.
     """
 
     table: TableLike
@@ -40,6 +41,7 @@ class Log:
     path: Path | None = None
     notes: tuple[str, ...] = ()
     counted: bool = False
+    recording: Log | None = None
 
     @staticmethod
     def from_arrays(

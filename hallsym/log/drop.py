@@ -91,4 +91,5 @@ class Keep:
 def without(log: Log, drop: Drop) -> Log:
     """Return the log without the samples that `drop` names; a stream stays a stream."""
     table = Filtered(log.table, drop.columns, partial(Keep, drop))
-    return Log(table, log.noise, log.meta, log.path, log.notes, log.counted)
+    recording = without(log.recording, drop) if log.recording else None
+    return Log(table, log.noise, log.meta, log.path, log.notes, log.counted, recording)

@@ -24,7 +24,7 @@ class Facts:
     mains frequencies seen in the residuals, of `lines_tried` independent ones. `instants`: channel and
     moment [s] at which it may have slipped, of `instants_tried` that were compared, and `instants_p`, the
     p-value that the reading steps there by no chance. `on_runs`: runs in which an external field may have
-    been on.
+    been on, of `on_runs_tried` choices, and `on_runs_p`, the p-value that their offsets are two levels.
     """
 
     duration_s: float
@@ -39,6 +39,7 @@ class Facts:
     instants_p: tuple[float, ...] = ()
     on_runs: tuple[int, ...] = ()
     on_runs_tried: int = 1
+    on_runs_p: float = 1.0
 
 
 def example_facts(model: Model) -> Facts:

@@ -19,6 +19,7 @@ from hallsym.simulation import Campaign, Run, paper_campaign, simulate, sine, ta
 STAGE_STEP, PAPER_RUNS = 4e-3, 57
 ENCODER = {"v_sin_v": 6e-4, "v_cos_v": 6e-4, "angle_ref_rad": 3e-5}
 ENCODER_STEP, ENCODER_SAMPLES = 1e-3, 300
+RECORDING_S = 3.0
 RESONANCE_HZ, DAMPING = 41.0, 0.03
 
 
@@ -90,7 +91,14 @@ def stage(runs: int, rng: np.random.Generator) -> tuple[str, dict[str, float], C
 
 
 def encoder(runs: int, rng: np.random.Generator) -> tuple[str, dict[str, float], Campaign, dict[str, float]]:
-    """An encoder whose ellipse is known, turned at several speeds in both directions."""
+    """An encoder whose ellipse is known, turned at several speeds in both directions.
+
+    A single run is a recording that rests, turns forward, rests, turns back and rests.
+    """
+    if runs == 1:
+        turn, times = 6.28 * rng.uniform(1, 5), RECORDING_S * np.array([0, 0.2, 0.5, 0.6, 0.9, 1])
+        motion = {"angle_rad": lambda t: turn * np.interp(t, times, [0, 0, 1, 1, 0, 0])}
+        return "ellipse", {}, Campaign(ENCODER_STEP, (Run(RECORDING_S, {}, motion),)), ENCODER
     speeds = (15.0, -15.0, 40.0, -40.0, 90.0, -90.0, 150.0, -150.0)
     made = []
     for k in range(runs):

@@ -1,12 +1,14 @@
 """Diagnoses of one turn: tables of knots and an overdriven input, made by numpy alone."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hallsym.diagnosis import diagnose, knot_group, others, split, waves_per_period
 from hallsym.errors import InputError
+from hallsym.estimation import fit
 from hallsym.log import Log, check_log
 from hallsym.report.text.diagnosis import diagnosis_text
 
@@ -161,6 +163,28 @@ def test_groups_of_knots_go_round_the_turn_and_see_every_phase_of_a_stepper(knot
         assert set(at % 4) == {0, 1, 2, 3}
 
 
+@pytest.mark.parametrize(("samples", "slices"), [(900, 22), (2000, 50), (4535, 100), (60_000, 100)])
+def test_a_recording_is_taken_as_many_slices_of_forty_samples_or_more(samples, slices):
+    t = 1e-3 * np.arange(samples)
+    log, held = split(Log.from_arrays({"t_s": t, "angle_ref_rad": t, "angle_rad": t}))
+    assert (len(log.runs), len(held)) == (slices, slices // 2)
+    assert np.bincount(log.array("run").astype(int)).min() >= 40
+    assert np.array_equal(log.array("t_s"), t)  # in the order of the recording
+
+
+def test_a_slice_that_turns_back_smoothly_is_not_saturated():
+    """By itself it would be: an arc to one side of which the reading hardly changes."""
+    t = 1e-3 * np.arange(1200)
+    rng = np.random.default_rng(16)
+    hz, size = rng.uniform(0.3, 2), rng.uniform(2, 12)
+    a = size * np.sin(2 * np.pi * hz * t)
+    volts = {c: f(a) + rng.normal(0, 6e-4, len(t)) for c, f in (("v_sin_v", np.sin), ("v_cos_v", np.cos))}
+    log, held = split(Log.from_arrays({"t_s": t, "angle_ref_rad": a, **volts}))
+    assert fit(log, "ellipse", solver="direct", holdout=held).errors
+    with pytest.raises(InputError, match=r"v_cos_v .* is saturated"):
+        fit(replace(log, recording=None), "ellipse", solver="direct", holdout=held)
+
+
 @pytest.mark.parametrize("knots", [48, 60, 72, 100, 144, 175])
 @pytest.mark.parametrize("timed", [False, True])
 def test_a_short_recording_is_taken_to_fewer_pieces_that_each_can_be_a_run(knots, timed):
@@ -205,3 +229,10 @@ def test_a_table_too_short_to_diagnose_is_refused_without_a_word_on_runs():
         diagnose(Log.from_arrays({"angle_ref_rad": a, "angle_rad": a}), "rotary")
     with pytest.raises(InputError, match=r"must have at least 8 samples; it has 5"):
         check_log(Log.from_arrays({"angle_ref_rad": a[:5], "angle_rad": a[:5]}))
+
+
+def test_waves_up_to_twelve_per_turn_are_looked_at_and_those_that_a_cause_is_known_by():
+    a = np.arange(400) * 2 * np.pi / 400
+    error = 0.3 * np.sin(12 * a) + 0.3 * np.sin(13 * a + 1) + 0.3 * np.cos(50 * a)
+    log = Log.from_arrays({"angle_ref_rad": a, "angle_rad": a + error * DEG})
+    assert {w.per_turn for w in diagnose(log, "rotary_ideal").waves} == {12, 50}

@@ -38,6 +38,27 @@ def test_noise_of_few_runs_is_no_gap(kind, machine, runs, stated, seed):
     assert (row["verdict"], row["effects"]) == ("no gap", [])
 
 
+@pytest.mark.parametrize(
+    ("kind", "stated", "seed"),
+    [
+        ("vibration", False, 49),  # rings for three slices: hum, if slices are independent
+        ("vibration", False, 229),
+        ("ar10", False, 122),  # a field that is on in some slices
+    ],
+)
+def test_noise_of_one_recording_is_no_gap(kind, stated, seed):
+    row = tried(kind, "rotary", 1, stated, seed)
+    assert (row["verdict"], row["effects"]) == ("no gap", [])
+
+
+@pytest.mark.slow
+def test_one_in_twenty_recordings_has_a_p_value_below_five_per_cent():
+    kinds = ("white", "ar3", "ar10", "t3", "vibration")
+    p = [tried(*setting)["p"] for setting in settings(60, 70_000, kinds, (1,))]
+    assert binomtest(sum(x < LEVEL for x in p), len(p), LEVEL).pvalue > SELDOM
+    assert kstest(p, "uniform").pvalue > SELDOM
+
+
 @pytest.mark.slow
 def test_one_in_twenty_null_logs_has_a_p_value_below_five_per_cent(rows):
     p = [row["p"] for row in rows]

@@ -16,13 +16,15 @@ from test_diagnosis_rotary import third
 
 import hallsym
 from hallsym.diagnosis import (
+    POLICY,
     Facts,
     Joint,
     SignFlips,
     base_of,
     candidates,
+    clusters,
     diagnose,
-    independent,
+    memory,
     normal_equations,
     searched,
     shared_noise,
@@ -127,11 +129,20 @@ def test_few_runs_are_cut_into_stretches():
     assert stretch(8000, 8) == 334  # three stretches of each of eight runs of 1000 samples
 
 
-def test_stretches_are_independent_if_the_memory_of_the_residual_is_short():
+def test_the_memory_of_a_residual_ends_where_it_is_uncorrelated():
     lags = np.arange(64)
-    assert independent(0.9**lags, 160)  # 2 % after 38 samples
-    assert not independent(0.9**lags, 140)
-    assert not independent(0.99**lags, 10_000)  # no end is seen
+    assert memory(0.9**lags) == 38  # 2 %
+    assert memory(0.99**lags) == np.inf  # no end is seen
+
+
+def test_parts_of_a_run_that_are_four_memories_long_scatter_by_themselves():
+    three_each = np.repeat(np.arange(8), 3)
+    assert len(set(clusters(three_each, 4.0))) == 24
+    assert list(clusters(three_each, 3.9)[:6]) == [0, 0, 1, 2, 2, 3]
+    assert list(clusters(three_each, 1.0)) == list(three_each)
+    recording = np.zeros(50, dtype=int)
+    assert len(set(clusters(recording))) == POLICY.fewest
+    assert list(np.bincount(clusters(recording, 0.8))) == [5] * 10
 
 
 def test_the_least_p_value_is_stated():

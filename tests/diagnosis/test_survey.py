@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 import hallsym
-from hallsym.diagnosis import Survey, base_of, faults, lack_of_fit, of_samples, survey
+from hallsym.diagnosis import (
+    Survey,
+    base_of,
+    faults,
+    lack_of_fit,
+    memory_of_recording,
+    of_samples,
+    split,
+    survey,
+)
 from hallsym.log import Log, Noise
 
 SIGMA = 5e-4
@@ -59,6 +68,27 @@ def test_memory_ends_where_correlation_is_chance():
     assert coloured.inflation == pytest.approx((1 + 0.8) / (1 - 0.8), rel=0.25)
     assert coloured.colour[1] == pytest.approx(0.8, abs=0.03)
     assert surveyed(encoder(samples=2000)).inflation < 1.1
+
+
+def ringing(rng, n):
+    """Noise behind a resonance of 41 Hz, of which 2 % are left after 130 samples of 4 ms."""
+    out, w = np.zeros((2, n)), 2 * np.pi * 41 * STEP_S
+    a, b, drive = 2 * 0.97 * np.cos(w), -(0.97**2), rng.standard_normal((2, n))
+    for k in range(2, n):
+        out[:, k] = a * out[:, k - 1] + b * out[:, k - 2] + drive[:, k]
+    return SIGMA * out / out.std()
+
+
+def white(rng, n):
+    return SIGMA * rng.standard_normal((2, n))
+
+
+@pytest.mark.parametrize(("noise", "least", "most"), [(white, 0, 10), (ringing, 60, 333)])
+def test_slices_of_a_recording_tell_how_long_its_noise_remembers(noise, least, most):
+    """Of every second slice of 40 samples, so also where the noise remembers longer than a slice."""
+    log, held = split(encoder(runs=1, samples=4000, noise=noise))
+    base = based(log)
+    assert least <= memory_of_recording(base, frozenset(set(log.runs) - set(held))) <= most
 
 
 @pytest.mark.parametrize(("hz", "seen"), [(31.25, True), (5.0, False)])

@@ -61,7 +61,7 @@ def usable(
     notes, began = list(log.notes), log
     for _ in range(_PASSES):
         told, drop = [], Drop()
-        for finding in _judge(log, required, thinned=log is not began):
+        for finding in _judge(log.recording or log, required, thinned=log is not began):
             on_rails = finding.drop is not None and bool(finding.drop.between)
             leave_out = finding.drop is not None and not (on_rails and not rails)
             if finding.refuse and not drop_bad and not (on_rails and not rails):

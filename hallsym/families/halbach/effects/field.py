@@ -2,16 +2,9 @@
 
 from hallsym.families.halbach.effects.transducer import BEND, constant
 from hallsym.families.halbach.links import FIELD
-from hallsym.families.mechanisms import following, in_runs, nonlinearity
-from hallsym.model import Facts, Model, Way, effect
-from hallsym.model.arguments import Try, found, one_of
-
-
-def switched(model: Model, facts: Facts) -> list[Try]:
-    """Return the runs in which an external field may have been on."""
-    listed = ", ".join(map(str, facts.on_runs))
-    one = Try({"runs": facts.on_runs}, f"on in runs {listed}", shapes=1, tried=facts.on_runs_tried)
-    return [one] if facts.on_runs else []
+from hallsym.families.mechanisms import following, in_runs, nonlinearity, switched
+from hallsym.model import Model, Way, effect
+from hallsym.model.arguments import found, one_of
 
 
 @effect(link="field", waves=(1,), separate=Way("a run without the mover", "the field from outside stays"))

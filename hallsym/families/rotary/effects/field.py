@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from hallsym.families.mechanisms import P, column, following, free, in_runs
+from hallsym.families.mechanisms import P, column, following, free, in_runs, switched
 from hallsym.families.rotary.effects.parts import MAGNET, REFERENCE, VOLTAGES, harmonic
 from hallsym.families.rotary.effects.transducer import offset
-from hallsym.model import Facts, Model, Signals, Way, effect
-from hallsym.model.arguments import Try, found, one_of
+from hallsym.model import Model, Signals, Way, effect
+from hallsym.model.arguments import found, one_of
 from hallsym.model.derived import rate
 
 
@@ -56,13 +56,6 @@ def field_saturation(model: Model) -> Model:
 
     new = free({"compression": "share of the field that compression takes at the peak"}, 0.5, "1")
     return model.with_step("field", step, effect="field_saturation", parameters=new)
-
-
-def switched(model: Model, facts: Facts) -> list[Try]:
-    """Return the runs in which an external field may have been on."""
-    listed = ", ".join(map(str, facts.on_runs))
-    one = Try({"runs": facts.on_runs}, f"on in runs {listed}", shapes=1, tried=facts.on_runs_tried)
-    return [one] if facts.on_runs else []
 
 
 @effect(link="field", separate=MAGNET, waves=(1,))

@@ -1,0 +1,36 @@
+"""What a log tells before effects are tried, against logs whose facts are known."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from hallsym.diagnosis import switched_runs
+
+RUNS, SAMPLES, CHANNELS = 14, 30, 2
+
+
+def residual_of(offsets: np.ndarray, rng: np.random.Generator) -> SimpleNamespace:
+    """A residual of white noise of size 1, with an offset (runs, channels) in each run."""
+    run = np.repeat(np.arange(len(offsets)), SAMPLES)
+    residual = rng.standard_normal((CHANNELS, len(run))) + offsets[run].T
+    return SimpleNamespace(run=run, residual=residual, precision=np.eye(CHANNELS))
+
+
+def test_a_field_that_is_on_in_some_runs_makes_two_levels():
+    on = np.isin(np.arange(RUNS), (3, 4, 6))
+    found, p = switched_runs(residual_of(np.outer(on, [3.0, -2.0]), np.random.default_rng(0)))
+    assert found == (3, 4, 6)
+    assert p < 1e-3
+
+
+@pytest.mark.parametrize("size", [0.0, 0.5])
+def test_runs_that_scatter_are_two_levels_as_often_as_stated(size):
+    rng = np.random.default_rng(1)
+    p = [switched_runs(residual_of(size * rng.standard_normal((RUNS, 2)), rng))[1] for _ in range(200)]
+    assert binomtest(sum(x < 0.05 for x in p), len(p), 0.05).pvalue > 1e-3
+
+
+def test_few_runs_have_no_levels():
+    assert switched_runs(residual_of(np.zeros((4, 2)), np.random.default_rng(2))) == ((), 1.0)
