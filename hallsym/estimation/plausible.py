@@ -15,9 +15,7 @@ from hallsym.log import Log
 from hallsym.log.quality.explain import Explanation
 from hallsym.log.quality.findings import Finding
 from hallsym.log.quality.gains import judge_gains, said
-from hallsym.log.quality.responses import Coupling
 from hallsym.log.quality.runs_against_model import judge_runs
-from hallsym.log.quality.tie import judge_ties
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,20 +54,15 @@ def judge(
     seen = responses_of(everything)
     if seen is None:
         return Judgement()
-    coupling = coupling_of(merged, linear, len(seen.runs))
-    gains = judge_gains(log, seen, holdout, _moved(coupling, everything))
+    gains = judge_gains(log, seen, holdout, _moved(coupling_of(merged, linear), everything))
     if gains.findings:
         return Judgement(gains.findings, gains.whole)
-    runs = tuple(judge_runs(log, seen.model, products_of(everything, merged, linear), holdout))
-    if runs:
-        return Judgement(runs)
-    ties = () if coupling is None else tuple(judge_ties(log, seen.model, coupling))
-    return Judgement(ties)
+    return Judgement(tuple(judge_runs(log, seen.model, products_of(everything, merged, linear), holdout)))
 
 
-def _moved(coupling: Coupling | None, everything: Cost) -> np.ndarray | float:
+def _moved(coupling: np.ndarray | None, everything: Cost) -> np.ndarray | float:
     """Return how far the state of each run moves the gain of each channel, relative, (runs, n_channels)."""
     if coupling is None:
         return 0.0
     state = everything.summary.first_state
-    return np.asarray(np.abs(state - np.median(state, axis=0)) @ np.abs(coupling.found))
+    return np.asarray(np.abs(state - np.median(state, axis=0)) @ np.abs(coupling))

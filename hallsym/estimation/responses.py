@@ -5,9 +5,8 @@ import numpy as np
 from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.run_statistics import RunStatistics, projected
 from hallsym.estimation.start import MOVED, LinearFit
-from hallsym.log.quality.responses import Coupling, Products, Responses
+from hallsym.log.quality.responses import Products, Responses
 from hallsym.model.features import Features
-from hallsym.model.response import relative
 
 SHARE, CLEAR = 0.02, 0.1
 """Share of a reading's variance that the motion of a reference must make to be judged by; and the share that
@@ -95,31 +94,26 @@ def _regression(
     return slopes, inverse, np.maximum(total - np.einsum("rjk,rjk->rk", slopes, cross), 0.0)
 
 
-def coupling_of(merged: Cost, linear: LinearFit, runs: int) -> Coupling | None:
-    """Return how gains of `runs` follow the state; None where no feature is a pose times a state."""
+def coupling_of(merged: Cost, linear: LinearFit) -> np.ndarray | None:
+    """Return the relative change of gains with each state column, (n_state, n_channels).
+
+    None where no feature is a pose times a state.
+    """
     features, model = merged.summary.features, merged.summary.model
     index = model.remember("coupled features", lambda: coupled_features(features))
     if index is None:
         return None
-    R_f, R_m = (part[0] for part in merged.triangles)
+    R_f = merged.triangles[0][0]
     size = np.sqrt(np.maximum(np.einsum("ij,ij->j", R_f, R_f), 1e-300))
     used = (R_f / size)[:, linear.moved]
     variance = np.full(features.size, np.inf)
     inverse = np.linalg.pinv(used.T @ used, rcond=1e-12, hermitian=True)
     variance[linear.moved] = np.diag(inverse) / size[linear.moved] ** 2
-    white = merged.reading_variance + np.einsum(
-        "fk,fg,gk->k", linear.coefficients, merged.noise_in_features[0], linear.coefficients
-    )
-    left = linear.unexplained * np.einsum("ij,ij->j", R_m, R_m) / merged.summary.counts[0]
-    # what is beyond noise goes along with a run: it counts once per run, not once per sample
-    noise = np.maximum(left, merged.reading_variance)
-    noise = noise + np.maximum(left - white, 0.0) * merged.summary.counts[0] / runs
     alone, coupled = index
-    slopes, change = linear.coefficients[alone], linear.coefficients[coupled]
-    weight = 1.0 / (variance[coupled][..., None] * noise)
-    told = (weight * slopes[:, None] ** 2).sum(axis=0)
-    std = np.where(told > 0, 1.0 / np.sqrt(np.where(told > 0, told, 1.0)), np.inf)
-    return Coupling(relative(slopes, change, weight), std)
+    slopes, change = linear.coefficients[alone][:, None], linear.coefficients[coupled]
+    along = slopes / variance[coupled][..., None]
+    told = (along * slopes).sum(axis=0)
+    return np.asarray((along * change).sum(axis=0) / np.where(told > 0, told, np.inf))
 
 
 def coupled_features(features: Features) -> tuple[np.ndarray, np.ndarray] | None:

@@ -17,7 +17,6 @@ from hallsym.model.model import (
     Signals,
     Step,
     Symbols,
-    Tie,
 )
 from hallsym.model.quantities import Quantity, combination, linear, parameter
 from hallsym.model.sketch import Part
@@ -40,7 +39,6 @@ __all__ = [
     "Signals",
     "Step",
     "Symbols",
-    "Tie",
     "Variant",
     "Way",
     "as_effect",

@@ -74,20 +74,6 @@ class Combination:
 
 
 @dataclass(frozen=True)
-class Tie:
-    """What a rigid body ties together: how gains follow two columns of the state.
-
-    For each channel, (d gain / d `column`) / (d gain / d `other`) is a place of the machine less an origin
-    that all channels share. `places`: its bounds for each channel, `origin`: those of the origin.
-    """
-
-    column: str
-    other: str
-    places: tuple[tuple[float, float], ...]
-    origin: tuple[float, float]
-
-
-@dataclass(frozen=True)
 class Inspection:
     """What a family finds in a log before a fit: notes, and for each channel its source and sign.
 
@@ -147,8 +133,6 @@ class Model:
     """`(model, log) -> parameters` to begin from, of a model without run statistics; nominal otherwise."""
     typical: tuple[tuple[float, ...], ...] = ()
     """Poses over which noise is averaged where readings are not linear in the pose; else the zero pose."""
-    ties: tuple[Tie, ...] = ()
-    """What is known of how gains follow the state: by this units and signs of its columns are judged."""
     inspect: "Callable[..., Inspection] | None" = None
     """`(model, log, fitted=True)`: what the family says of a log before it is fitted, or judged. Raises
     `InputError`."""

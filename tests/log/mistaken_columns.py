@@ -94,28 +94,16 @@ UNITS = (
         r"x_ref_m, y_ref_m, hall_a_m, hall_b_m and hall_c_m look like mm.*say|y_ref_m .*looks like mm.*say",
     ),
     seen("converted twice", scale("x_ref_m", 1e-3), r"x_ref_m looks 1000 times too small"),
-    seen("Z in mm", scale("z_m", 1e3), r"z_m looks like mm.*--column z_mm=z_m"),
-    seen("Z in um", scale("z_m", 1e6), r"z_m .*looks like um.*z_um=z_m"),
-    seen("Rx in degrees", scale("rx_rad", DEGREE), r"rx_rad looks like deg.*--column rx_deg=rx_rad"),
-    seen("Ry in degrees", scale("ry_rad", DEGREE), r"ry_rad looks like deg.*--column ry_deg=ry_rad"),
-    seen("Ry in mrad", scale("ry_rad", 1e3), r"ry_rad .*looks like mrad.*ry_mrad=ry_rad"),
-    seen("tilts in degrees", scaled(VERTICAL[1:], DEGREE), r"rx_rad and ry_rad look like deg.*rx_deg=rx_rad"),
-    seen(
-        "Z in mm and tilts in degrees",
-        both(scale("z_m", 1e3), scaled(VERTICAL[1:], DEGREE)),
-        r"z_m looks like mm and rx_rad and ry_rad look like deg.*z_mm=z_m",
-    ),
 )
 SIGNS = (
     *(
         seen(f"{c} inverted", scale(c, -1), rf"the sign of {c} looks inverted.*column file")
-        for c in (*REFERENCES, *VERTICAL)
+        for c in REFERENCES
     ),
     *(seen(f"{c} inverted", scale(c, -1), rf"the sign of {c} looks inverted.*wiring") for c in READINGS),
     seen(
         "x and y exchanged", swapped("x_ref_m", "y_ref_m"), r"x_ref_m and y_ref_m look swapped.*column file"
     ),
-    seen("Rx and Ry exchanged", swapped("rx_rad", "ry_rad"), r"rx_rad and ry_rad look swapped.*column file"),
     seen("A and B exchanged", swapped("hall_a_m", "hall_b_m"), r"hall_a_m and hall_b_m look swapped.*wiring"),
     seen(
         "all readings inverted",

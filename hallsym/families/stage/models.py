@@ -20,7 +20,6 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.families import published
-from hallsym.families.stage.ties import ORIGIN, vertical_ties
 from hallsym.log import Meta
 from hallsym.model import Combination, Family, Model, Parameter, Signals, Step, effect
 from hallsym.toml import number
@@ -30,6 +29,8 @@ FAMILY = Family("stage")
 POSE = ("x_m", "y_m", "rz_rad")
 REFERENCES = ("x_ref_m", "y_ref_m", "rz_ref_rad")
 STATE = ("z_m", "rx_rad", "ry_rad")
+ORIGIN = (-0.5, 0.5)
+"""Bounds of x0 and y0, the point at which Z is measured [m]: a stage is no larger than this."""
 
 
 @dataclass(frozen=True)
@@ -160,8 +161,7 @@ def vertical_coupling(model: Model) -> Model:
         ]
         s["gain"] = s["gain"] + ca.vertcat(*rows)
 
-    wider = model.with_step("transducer", step, effect="vertical_coupling", parameters=parameters)
-    return replace(wider, ties=vertical_ties(model))
+    return model.with_step("transducer", step, effect="vertical_coupling", parameters=parameters)
 
 
 @effect(link="transducer", diagnosed=False, unless=("vertical_coupling",))
@@ -191,8 +191,7 @@ def tied_vertical_coupling(model: Model) -> Model:
             rows.append(p[f"a_{probe.label}"] * lift)
         s["gain"] = s["gain"] + ca.vertcat(*rows)
 
-    wider = model.with_step("transducer", step, effect="tied_vertical_coupling", parameters=slopes + point)
-    return replace(wider, ties=vertical_ties(model))
+    return model.with_step("transducer", step, effect="tied_vertical_coupling", parameters=slopes + point)
 
 
 @effect(link="mechanics", diagnosed=False)

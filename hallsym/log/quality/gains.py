@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from hallsym.log.quality.explain import BEYOND, Explanation, Slopes, Units, explanations, widened
@@ -13,7 +14,7 @@ from hallsym.log.quality.findings import Finding, name_of
 from hallsym.log.quality.responses import Responses
 from hallsym.log.quality.units import option, other_units
 from hallsym.model import Model
-from hallsym.model.response import Response, response_of
+from hallsym.model.arrays import on_arrays
 
 VARIES = 0.2
 """Share of the largest slope of a reference by which slopes of one run may differ from those of the others:
@@ -32,6 +33,9 @@ NAMED, OPTIONS = 3, 2
 """Runs and options that a sentence names."""
 LONGEST = 300
 """Characters of a sentence."""
+CORNERS = 256
+"""Random corners of the bounds at which possible slopes are taken. A slope depends on four or five
+parameters, each of whose corners is among them."""
 SEARCHED = 6
 """Runs for which everything is tried, at most; further ones are compared with what was found there."""
 
@@ -51,13 +55,15 @@ def judge_gains(
 
     `moved_by_state`: (runs, n_channels) relative change of gains by the state of each run, as the log has it.
     """
-    possible = response_of(seen.model)
+    model = seen.model
+    if model.typical or model.computed or not np.all(np.isfinite(model.bounds)):
+        return Judged()
+    possible: tuple[np.ndarray, np.ndarray] | None = model.remember("slopes", lambda: _possible(model))
     if possible is None or not seen.moved.any():
         return Judged()
     if np.median(_worst(seen)) > ALIEN:  # slopes of what the references do not explain mean nothing
         return Judged()
-    usual = _usual(seen, possible)
-    model = seen.model
+    usual = _usual(seen, *possible)
     if not usual.possible():
         found = explanations(usual, model.references, model.channels, _units(log, model))
         return Judged((explained(log, model, found),) if found else (), tuple(found))
@@ -68,15 +74,35 @@ def _units(log: Any, model: Model) -> Units:
     return {c: other_units(log.table, c) for c in (*model.references, *model.channels)}
 
 
-def _usual(seen: Responses, possible: Response) -> Slopes:
+def _possible(model: Model) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the least and the greatest slopes d reading / d pose, (n_pose, n_channels), within the bounds.
+
+    At the zero pose and state; None where they are not finite there.
+    """
+    s = model.symbols
+    reading = ca.substitute(s.full(s.reading), s.zeros, ca.SX.zeros(s.zeros.numel()))
+    at_rest = ca.substitute(
+        [ca.densify(ca.jacobian(reading, s.pose))],
+        [s.pose, s.state],
+        [ca.SX.zeros(s.pose.numel()), ca.SX.zeros(s.state.numel())],
+    )
+    rng, (lower, upper) = np.random.default_rng(0), model.bounds
+    points = np.where(rng.integers(0, 2, (CORNERS, len(lower))) > 0, upper, lower).T
+    inside = np.clip(model.nominal, lower, upper)[:, None]
+    (values,) = on_arrays(ca.Function("slopes", [s.parameters], at_rest))(np.hstack([points, inside]))
+    slopes = np.moveaxis(values.reshape(len(model.pose), len(model.channels), -1), -1, 0)
+    return (slopes.min(axis=0), slopes.max(axis=0)) if np.all(np.isfinite(slopes)) else None
+
+
+def _usual(seen: Responses, lower: np.ndarray, upper: np.ndarray) -> Slopes:
     """Slopes of the whole log: the median over runs, of those that are possible if most are."""
-    low, high = widened(possible.lower, possible.upper, BEYOND)
+    low, high = widened(lower, upper, BEYOND)
     told = np.broadcast_to(seen.moved[:, :, None], seen.slopes.shape)
     good = told & (seen.slopes >= low) & (seen.slopes <= high)
     kept = np.where(2 * good.sum(axis=0) >= told.sum(axis=0), good, told)
     moved = np.asarray(seen.moved.any(axis=0))
     slopes, std = _medians(seen.slopes, kept), _medians(seen.std, kept)
-    return Slopes(slopes, std, moved, possible.lower, possible.upper)
+    return Slopes(slopes, std, moved, lower, upper)
 
 
 def _medians(values: np.ndarray, kept: np.ndarray) -> np.ndarray:

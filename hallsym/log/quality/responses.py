@@ -43,14 +43,6 @@ class Responses:
 
 
 @dataclass(frozen=True, eq=False)
-class Coupling:
-    """Relative change of gains with each state column, (n_state, n_channels), with standard uncertainty."""
-
-    found: np.ndarray
-    std: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class Products:
     """Products of columns by run: features (runs, f, f), with readings (runs, f, K), of readings (runs, K).
 
