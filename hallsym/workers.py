@@ -31,25 +31,6 @@ THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
-class Workers:
-    """Where work is done: in `count` local processes, one a core by default, or by a Dask `scheduler`."""
-
-    count: int | None = None
-    scheduler: str | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse a number of processes that is none."""
-        if self.count is not None and self.count < 1:
-            raise InputError(f"Workers must be 1 or more; instead received {self.count}.")
-
-    def check(self) -> None:
-        """Raise `InputError` where the scheduler does not answer: before minutes of reading, not after."""
-        if self.scheduler is not None:
-            with _cluster(self.scheduler):
-                pass
-
-
-@dataclass(frozen=True)
 class Failed:
     """Work that gave no result, and why."""
 

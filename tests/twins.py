@@ -129,7 +129,7 @@ def cost_on(log: Log, model: Model, sigma: Mapping[str, float] = SIGMAS) -> Cost
 class Chopped:
     """A log that streams: its blocks are handed over in pieces of the given sizes, in turn."""
 
-    table = SimpleNamespace(in_memory=False, workers=None)
+    table = SimpleNamespace(in_memory=False)
 
     def __init__(self, log: Log, sizes: Sequence[int]) -> None:
         self.log, self.sizes = log, sizes

@@ -20,11 +20,10 @@ from hallsym.families import build, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
 from hallsym.families.user import load_effects
-from hallsym.log import MOST_ROWS, MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
+from hallsym.log import MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
 from hallsym.model import Effect, Model
 from hallsym.records import named
 from hallsym.simulation import (
-    MOST_SAMPLES,
     Campaign,
     campaign_from,
     paper_campaign,
@@ -33,7 +32,6 @@ from hallsym.simulation import (
 )
 from hallsym.terminal import fitted
 from hallsym.toml import column_of
-from hallsym.workers import Workers
 
 if TYPE_CHECKING:
     from hallsym.report.figures import Place
@@ -135,24 +133,6 @@ def log_options(parser: ArgumentParser) -> None:
     )  # fmt: skip
 
 
-OF_PARTS = "processes that make run statistics and error tables of the parts; same numbers as without"
-
-
-def workers_options(parser: ArgumentParser, title: str = "log in parts", what: str = OF_PARTS) -> None:
-    """Options of commands that share work out: passes over a log in parts, or `what` else."""
-    group = parser.add_argument_group(title)
-    group.add_argument("--workers", type=int, metavar="N", help=what)
-    group.add_argument(
-        "--scheduler", metavar="ADDRESS", help="Dask scheduler to use instead: tcp://host:8786"
-    )
-
-
-def workers_of(options: Namespace) -> Workers | None:
-    """Return who makes passes over the parts of a log; None where nobody was named."""
-    count, scheduler = getattr(options, "workers", None), getattr(options, "scheduler", None)
-    return None if count is None and scheduler is None else Workers(count, scheduler)
-
-
 FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet", "clock", "dates")
 """Options that say what a file is."""
 
@@ -224,7 +204,6 @@ def open_log(options: Namespace, machine: Machine | None = None, known: Fit | No
         drop_bad=options.drop_bad,
         remembered=None if known is None else known.columns,
         read_with=None if known is None else known.read_with,
-        workers=workers_of(options),
         **reading_of(options),
     )
     return log if machine is None else replace(log, meta=machine.applied(log.meta))
@@ -393,7 +372,7 @@ def campaign_of(options: Namespace) -> Campaign:
         raise InputError(
             "--step and --duration belong to the paper's campaign; a campaign file states its own."
         )
-    return read_campaign(options.campaign, MOST_ROWS if getattr(options, "part_rows", None) else MOST_SAMPLES)
+    return read_campaign(options.campaign)
 
 
 def truth_of(

@@ -17,7 +17,6 @@ from hallsym.cli.common import (
     plots_place,
     reading_words,
     say,
-    workers_options,
 )
 from hallsym.estimation import evaluate, load_fit
 from hallsym.log import Fault
@@ -45,7 +44,6 @@ def add(sub: Any) -> None:
     )
     plots_options(parser)
     log_options(parser)
-    workers_options(parser)
 
 
 def run(options: Namespace) -> int:

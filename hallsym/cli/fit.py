@@ -22,15 +22,13 @@ from hallsym.cli.common import (
     save_fit_pictures,
     say,
     seed,
-    workers_options,
 )
 from hallsym.diagnosis import model_on
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.fit import fit
-from hallsym.families import plain
+from hallsym.families import added_effects, plain
 from hallsym.families.machine_file import Machine, read_machine
-from hallsym.families.recipe import added_effects
 from hallsym.log import Fault, Log
 from hallsym.model import Model
 from hallsym.report.text.fit import fit_text
@@ -92,7 +90,6 @@ def add(sub: Any) -> None:
     )
     group.add_argument("--seed", type=seed, default=0, help="of the global search (default 0)")
     log_options(parser)
-    workers_options(parser)
 
 
 def run(options: Namespace) -> int:

@@ -12,8 +12,6 @@ from hallsym.cli.common import (
     progress_of,
     reading_of,
     say,
-    workers_of,
-    workers_options,
 )
 from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
@@ -56,13 +54,17 @@ def add(sub: Any) -> None:
     )
     group.add_argument("--solver", default="direct", help="as for 'hallsym fit' (default: direct)")
     group.add_argument("--loss", default="auto", help="as for 'hallsym fit' (default: auto)")
-    workers_options(parser, "processes", "processes that fit devices (default: one a core)")
+    group.add_argument(
+        "--workers", type=int, metavar="N", help="processes that fit devices (default: one a core)"
+    )
+    group.add_argument(
+        "--scheduler", metavar="ADDRESS", help="Dask scheduler to use instead: tcp://host:8786"
+    )
     log_options(parser)
 
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
-    workers_of(options)  # refuses a number of processes that is none before anything is read
     machine = read_machine(options.machine)
     found = fleet(
         options.logs,

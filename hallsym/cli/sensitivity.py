@@ -20,7 +20,6 @@ from hallsym.cli.common import (
     say,
     seed,
     truth_of,
-    workers_options,
 )
 from hallsym.errors import InputError
 from hallsym.estimation import fit, load_fit
@@ -84,7 +83,6 @@ def add(sub: Any) -> None:
     )
     model_options(parser, "the calibration's, or stage31")
     log_options(parser)
-    workers_options(parser)
 
 
 def run(options: Namespace) -> int:

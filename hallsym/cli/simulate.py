@@ -5,9 +5,8 @@ from typing import Any
 
 from hallsym.cli import OK
 from hallsym.cli.common import campaign_of, command, levels, model_options, progress_of, say, seed, truth_of
-from hallsym.errors import InputError
 from hallsym.families.machine_file import read_machine
-from hallsym.log import LogWriter, PartsWriter
+from hallsym.log import LogWriter
 from hallsym.simulation import NoiseModel, simulate_blocks
 from hallsym.terminal import Step
 
@@ -28,10 +27,6 @@ def add(sub: Any) -> None:
     parser.add_argument(
         "-o", "--output", required=True, metavar="LOG", help="log to write: .parquet, .csv, .h5 or .mat"
     )
-    parser.add_argument(
-        "--part-rows", type=int, metavar="N",
-        help="write a folder of Parquet files of about N samples each, cut between runs",
-    )  # fmt: skip
     parser.add_argument("--seed", type=seed, required=True, help="of noise and random zero deviations")
     parser.add_argument(
         "--values",
@@ -82,10 +77,7 @@ def run(options: Namespace) -> int:
         cordic_steps=options.cordic_steps,
     )
     show, done = progress_of(options), 0
-    if options.part_rows is not None and options.part_rows < 1:
-        raise InputError(f"--part-rows must be 1 or more; instead received {options.part_rows}.")
-    parts = options.part_rows and PartsWriter(options.output, options.part_rows)
-    with parts or LogWriter(options.output) as writer:
+    with LogWriter(options.output) as writer:
         for block in simulate_blocks(model, values, campaign, noise, seed=options.seed):
             writer.append(block)
             done += len(block["run"])

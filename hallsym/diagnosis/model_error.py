@@ -8,7 +8,7 @@ from hallsym.diagnosis.refit import Refitted
 from hallsym.diagnosis.remainder import ModelLeft, NotExcluded, Unexplained
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Validation
-from hallsym.families.recipe import added_effects
+from hallsym.families import added_effects
 
 
 def model_error(

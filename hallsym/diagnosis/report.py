@@ -33,7 +33,7 @@ from hallsym.diagnosis.validation import Validation
 from hallsym.diagnosis.verdict import QUIET, WITH_REST, Verdict, closed
 from hallsym.diagnosis.words import gap_text, gap_unit, percent
 from hallsym.estimation.calibration import Fit
-from hallsym.families.recipe import added_effects
+from hallsym.families import added_effects
 from hallsym.log.quality.gains import listed
 
 

@@ -10,7 +10,6 @@ The path of a fit, file by file:
 - `identifiable`: which parameters the data determine, and which are therefore held.
 - `optimum`: global search, IPOPT, Newton; `gauss_newton`: by passes over the log.
 - `outliers`, `decoding`: samples that are left out; errors of the decoded pose.
-- `parts`: the same passes over a log in parts, made by several processes.
 - `residual_noise`: the noise that is left, its size and colour; `residual_columns`: what it is told from.
 - `goodness_of_fit`: what is left, in multiples of the noise; `lower_bound`: what a linear fit leaves.
 - `covariance`: standard uncertainties; `run_scatter`: those that show between runs.
@@ -69,7 +68,7 @@ from hallsym.estimation.residual_noise import KNOWN, Residual, ResidualNoise, au
 from hallsym.estimation.run_statistics import RunStatistics, summarise
 from hallsym.estimation.start import LinearFit, closed_form, linear_fit
 from hallsym.estimation.task import noise_of
-from hallsym.families.recipe import added_effects
+from hallsym.families import added_effects
 
 __all__ = [
     "BUDGET",

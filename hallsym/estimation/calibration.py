@@ -15,9 +15,8 @@ from hallsym.estimation.decoding import ErrorTable, logged_columns
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost
-from hallsym.families import known_effect
-from hallsym.families.recipe import Recipe, added_effects, layout_of, made
-from hallsym.log import Foreign, Log, Noise, Sigma
+from hallsym.families import added_effects, build, known_effect
+from hallsym.log import Foreign, Log, Meta, Noise, Sigma
 from hallsym.log.batches import Weigh
 from hallsym.model import Family, Model
 from hallsym.model.effect import read_text
@@ -261,7 +260,7 @@ class Fit(Shown):
                 for run, d in self.zeros.items()
             },
             "wiring": None if self.wiring is None else [list(pair) for pair in self.wiring],
-            "layout": layout_of(model),
+            "layout": [dict(part.entry) for part in model.layout],
             "log": {**self.log, "sha256": self.source.sha256 if self.source else self.log["sha256"]},
             **({"columns": mapped} if mapped else {}),
             **({"read_with": dict(self.read_with)} if self.read_with else {}),
@@ -395,8 +394,9 @@ def _model(
             raise InputError(f"Bounds of {name} in {where} are inverted; fit the log again.")
     for name, entry in record.parameters.items():
         changes[name]["nominal"] = entry.nominal
-    recipe = Recipe(record.model, tuple(record.added), tuple(record.layout), changes)
-    return made(recipe, own, families)
+    meta = Meta(probes=[dict(entry) for entry in record.layout])
+    model = build(record.model, meta=meta, added=tuple(record.added), own=own, families=families)
+    return model.with_parameters(changes)
 
 
 def _same(wanted: Sequence[str], found: Iterable[str], where: str) -> None:

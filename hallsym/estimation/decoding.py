@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from hallsym.estimation.parts import by_parts, shared_out, whole_runs
 from hallsym.log import Log
 from hallsym.log.batches import Weigh, batches
 from hallsym.log.derived import extended
@@ -181,10 +180,6 @@ def error_tables(
     `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part. `sigma`: noise by
     column, for the columns that are computed; those of parameters are taken at the last version's.
     """
-    if keep is None and shared_out(log, model):
-        found = by_parts(_tables_of_part, log, model, versions, reading_variance, sigma, on_rows=on_rows)
-        whole_runs([part[0].runs for part in found], log.name)
-        return [_together(tables) for tables in zip(*found, strict=True)]
     variances = np.broadcast_to(reading_variance, (len(versions), len(model.channels)))
     errors_of, none = [pose_errors(model, v) for v in variances], np.zeros(len(model.zeros))
     runs: list[int] = []
@@ -207,30 +202,6 @@ def error_tables(
                 peak = np.maximum(e.max(axis=1, initial=0.0), -e.min(axis=1, initial=0.0))
                 total.append((e.shape[1], np.einsum("ij,ij->i", e, e), peak))
     return [_table(model, runs, total, span) for total in sums]
-
-
-def _tables_of_part(
-    log: Log,
-    model: Model,
-    versions: Sequence[tuple[np.ndarray, Mapping[int, np.ndarray]]],
-    reading_variance: np.ndarray,
-    sigma: Mapping[str, float] | None,
-) -> list[ErrorTable]:
-    return error_tables(log, model, versions, reading_variance, sigma=sigma)
-
-
-def _together(parts: Sequence[ErrorTable]) -> ErrorTable:
-    """Return the runs of several parts of a log as one table."""
-    span: dict[str, tuple[float, float]] = {}
-    for part in parts:
-        for column, (low, high) in part.span.items():
-            least, most = span.get(column, (low, high))
-            span[column] = (min(least, low), max(most, high))
-    runs = tuple(run for part in parts for run in part.runs)
-    count, squares, peak = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("count", "squares", "peak")
-    )
-    return ErrorTable(parts[0].pose, runs, count, squares, peak, span)
 
 
 def zero_shifts(

@@ -18,7 +18,7 @@ from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.lower_bound import LowerBound, lower_bound
 from hallsym.estimation.task import Solved
-from hallsym.families.recipe import added_effects
+from hallsym.families import added_effects
 from hallsym.log.phase import home_notes
 from hallsym.model import Model
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.estimation.parts import by_parts, shared_out, whole_runs
 from hallsym.log import Log
 from hallsym.log.batches import Batch, Weigh, batches
 from hallsym.log.phase import continuous
@@ -115,7 +114,7 @@ class RunStatistics:
 
 
 def joined(parts: Sequence[RunStatistics]) -> RunStatistics:
-    """Return the runs of several logs, or parts of one, as one summary; no sample is touched again.
+    """Return the runs of several logs as one summary; no sample is touched again.
 
     The parts are of one model and have one centre, and each run stands in one of them: then triangles, and
     all else, are bitwise those of one pass over all.
@@ -140,19 +139,14 @@ def summarise(
 ) -> RunStatistics:
     """Read a log once and return its run statistics for `model`.
 
-    `centre`: (n_variables,) of the features, that of another log or part to be `joined` with; by default the
+    `centre`: (n_variables,) of the features, that of another log to be `joined` with; by default the
     mean of the first block.
 
     `weigh(block) -> (samples,)`: weights in [0, 1], 1 by default (how outliers are taken out).
     `on_rows(samples so far)` is called along the way.
-
-    Parts of a log that `read_log(workers=)` shares out are summarised by the workers; where `weigh` is given,
-    the pass is made here.
     """
     features, known = find_features(model), [] if centre is None else [centre]
     log = continuous(log, model)
-    if weigh is None and shared_out(log, model):
-        return _by_parts(log, features, centre, on_rows)
 
     def place(batch: Batch) -> np.ndarray:
         if not known:
@@ -160,23 +154,6 @@ def summarise(
         return known[0]
 
     return summarised(log, features, place, weigh, on_rows)
-
-
-def _by_parts(
-    log: Log, features: Features, centre: np.ndarray | None, on_rows: Callable[[int], None] | None
-) -> RunStatistics:
-    """Return what workers make of the parts of a log, about one centre."""
-    if centre is None:
-        centre = _centre(features, next(batches(log, _columns(features.model))))
-    found = by_parts(_of_part, log, features.model, centre, on_rows=on_rows)
-    whole_runs([part["runs"] for part in found], log.name)
-    return joined([RunStatistics(features=features, centre=centre, **part) for part in found if part["runs"]])
-
-
-def _of_part(log: Log, model: Model, centre: np.ndarray) -> dict[str, Any]:
-    """Return the run statistics of a part of a log without their features, which stay where they are."""
-    made = summarise(log, model, centre=centre)
-    return {name: value for name, value in vars(made).items() if name not in ("features", "centre")}
 
 
 def _columns(model: Model) -> tuple[str, ...]:

@@ -116,6 +116,12 @@ def plain(model: Model) -> Model:
     )
 
 
+def added_effects(model: Model) -> Sequence[str]:
+    """Return the effects that `model` has beyond those its name stands for, with their numbers."""
+    new = [model.texts.get(effect, effect) for effect in model.effects[len(plain(model).effects) :]]
+    return list(dict.fromkeys(new))
+
+
 def same_layout(model: Model, meta: Meta) -> bool:
     """Return whether a log's `meta.json` describes the machine of `model`, or none."""
     make = model.family.maker(model.name)

@@ -5,7 +5,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from hallsym.errors import counted
+from hallsym.errors import InputError, counted
 from hallsym.families import adapted, build, effect_named
 from hallsym.fleets.journal import Journal, journal_of
 from hallsym.fleets.result import Fleet
@@ -54,6 +54,8 @@ def fleet(
     answer.
     """
     began, say = perf_counter(), on_progress or (lambda _: None)
+    if workers is not None and workers < 1:
+        raise InputError(f"'workers' must be 1 or more; instead received {workers}.")
     devices = devices_of(sources)
     settings = Settings(
         model, tuple(effects), dict(parameters or {}), machine, solver, loss, dict(reading or {}), drop_bad,

@@ -9,7 +9,6 @@ from hallsym.log.estimate import estimate_noise
 from hallsym.log.guarded import MOST_ROWS
 from hallsym.log.meta import Meta, meta_schema
 from hallsym.log.noise import Noise, Sigma, check_noise_keys
-from hallsym.log.parts import PartsWriter
 from hallsym.log.phase import continuous, near, unwrapped, wrapped
 from hallsym.log.quality.check import check_log, clean_log, on_rails, spans, usable
 from hallsym.log.quality.findings import Fault
@@ -29,7 +28,6 @@ __all__ = [
     "LogWriter",
     "Meta",
     "Noise",
-    "PartsWriter",
     "Sigma",
     "Span",
     "Spans",

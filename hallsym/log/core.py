@@ -97,13 +97,8 @@ class Log:
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 of the data file, of a log in parts that of their digests; of the columns where there is
-        no file. Computed on first use."""
-        if self.path is not None and not self.path.is_dir():
-            return _hash_file(self.path)
-        parts = [part.path for part in self.table.source.parts]
-        digests = [_hash_file(path) for path in parts if path is not None]
-        return hashlib.sha256(" ".join(digests).encode()).hexdigest() if digests else _hash_columns(self)
+        """SHA-256 of the data file; of the columns where there is no file. Computed on first use."""
+        return _hash_columns(self) if self.path is None else _hash_file(self.path)
 
     def blocks(self, columns: Sequence[str] | None = None, size: int = CHUNK_ROWS) -> Iterator[Block]:
         """Yield consecutive blocks of one run each, of at most `size` samples, with `columns` (or all).

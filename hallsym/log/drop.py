@@ -51,12 +51,12 @@ class Drop:
 class Keep:
     """The filter of one pass: returns the rows of a piece to keep; remembers how far time has come."""
 
-    def __init__(self, drop: Drop, row: int = 0) -> None:
-        """Start a pass at a row of the log."""
+    def __init__(self, drop: Drop) -> None:
+        """Start a pass at the first row of the log."""
         self.drop = drop
         self._run: int | None = None
         self._latest = -np.inf
-        self._row = row
+        self._row = 0
 
     def __call__(self, piece: Piece) -> Array:
         """Return a boolean mask of shape (rows,)."""

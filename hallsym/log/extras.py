@@ -11,7 +11,6 @@ _EXTRAS = {
     "h5py": ("hdf5", "HDF5 (and MATLAB v7.3)", "h5py"),
     "python_calamine": ("xlsx", "Workbook", "python-calamine"),
     "nptdms": ("tdms", "TDMS", "npTDMS"),
-    "fsspec": ("cloud", "URL", "fsspec"),
     "asammdf": ("mdf", "MDF", "asammdf"),
     "mcap": ("mcap", "MCAP", "mcap"),
     "mcap_ros2": ("mcap", "MCAP", "mcap-ros2-support"),

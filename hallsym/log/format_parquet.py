@@ -24,23 +24,17 @@ _FIRST = 1024
 class ParquetSource(Source):
     """Columns of one Parquet file; a large one is decoded batch by batch. Times are in seconds."""
 
-    def __init__(
-        self, path: Path, stream: Callable[[], Any] | None = None, origins: dict[str, int] | None = None
-    ) -> None:
-        """Read the footer; `stream` opens a file that is not on a disk.
-
-        `origins`: where columns of times begin; a column that is not there begins in this file, and is added.
-        """
-        self.path, self._stream = path, stream
-        self.origins = {} if origins is None else origins
+    def __init__(self, path: Path) -> None:
+        """Read the footer, and where columns of times begin."""
+        self.path = path
+        self.origins: dict[str, int] = {}
         with self._opened() as file:
             schema = file.schema_arrow
             own = list(schema.names)
             self.rows = int(file.metadata.num_rows)
             times = [k for k, kind in enumerate(schema.types) if is_time(kind)]
             for k in times:
-                if own[k] not in self.origins:
-                    self._begin(file, own[k])
+                self._begin(file, own[k])
         self.small = self.rows <= IN_MEMORY_ROWS
         self.notes = tuple(said_of_times(own[k], quoted(path), "times") for k in times)
         self._own = {name: name for name in own}
@@ -82,8 +76,7 @@ class ParquetSource(Source):
     @contextmanager
     def _opened(self, **options: Any) -> Iterator[Any]:
         parquet = load("pyarrow.parquet")
-        where = self.path if self._stream is None else self._stream()
-        with parquet.ParquetFile(where, page_checksum_verification=True, **options) as file:
+        with parquet.ParquetFile(self.path, page_checksum_verification=True, **options) as file:
             yield file
 
     def _readers(self, names: Sequence[str], schema: Any) -> dict[str, Callable[[Any], Array]]:

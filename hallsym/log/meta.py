@@ -70,8 +70,6 @@ def meta_schema() -> dict[str, Any]:
     return schema_of(MetaRecord, "hallsym log metadata")
 
 
-PARTS = "parts"
-"""Key of a log in parts: how many there are."""
 _MISSPELT = 0.85
 """Likeness (`difflib`) of a key with a known one from which on it is that one misspelt: a letter or two."""
 

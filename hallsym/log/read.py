@@ -23,15 +23,13 @@ from hallsym.log.core import Log, run_notes
 from hallsym.log.formats import FORMATS, format_of
 from hallsym.log.frames import is_table, source_of
 from hallsym.log.guarded import Guarded
-from hallsym.log.meta import PARTS, Meta
+from hallsym.log.meta import Meta
 from hallsym.log.noise import Noise, check_misspelt_noise, check_noise_keys
-from hallsym.log.parts import check_count, open_parts, open_url, part_files
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
 from hallsym.log.text import ORDERS, stated_delimiter
 from hallsym.reading import regular
 from hallsym.units import split_unit
-from hallsym.workers import Workers
 
 
 def as_log(
@@ -59,12 +57,10 @@ def read_log(
     counts_per_turn: float | None = None,
     remembered: Mapping[str, Foreign] | None = None,
     read_with: Mapping[str, str] | None = None,
-    workers: Workers | None = None,
 ) -> Log:
     """Open a log; samples are read when they are first used.
 
-    `path` is a data file, or a folder with `log.parquet` (or .csv, .h5, .mat) and perhaps `meta.json`; a
-    folder of Parquet files that are parts of one log, or the URL of such files (`s3://...`, by fsspec); or a
+    `path` is a data file, or a folder with `log.parquet` (or .csv, .h5, .mat) and perhaps `meta.json`; or a
     table in memory: a dict of arrays, or a data frame of any library that speaks Arrow (pandas, polars,
     pyarrow, DuckDB), whose names state their unit as those of a file do: `x_ref_um`, `x_ref [um]`.
     `columns` maps our name, ending with the unit the foreign column is in, to the foreign name:
@@ -81,15 +77,12 @@ def read_log(
     `read_with`: options (`decimal`, `sheet`, ...) that an earlier log was read with (`Fit.read_with`), which
     answer what this file leaves open.
     `drop_bad` leaves out the samples and runs that `check_log` would refuse.
-    `workers`: processes or a scheduler that a log in parts is shared out to; run statistics and error tables
-    of its parts are then made there, and are bitwise those of one pass.
     """
     given = {"format": format, "delimiter": delimiter, "decimal": decimal, "sheet": sheet}
     given |= {"clock": clock, "dates": dates}
     (file, folder, source), said = _answered(path, given, read_with or {})
     where = quoted(file) if file is not None else path if isinstance(path, str) else "The table"
     meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
-    check_count(source, meta.raw.get(PARTS))
     stated = read_column_file(column_file) if column_file else ColumnFile()
     wanted = _resolve({**stated.columns, **(columns or {})}, source)
     again = still_missing(_resolve(remembered or {}, source), source.names, wanted, source.units, where)
@@ -102,14 +95,6 @@ def read_log(
     turn = None if counts is None else counts_in_turn(counts, where)
     bindings, changed = bind(source.names, wanted, where, turn, source.units)
     table = Table(source, bindings, where)
-    if workers is not None and not table.parts:
-        raise InputError(
-            f"Workers share a log in parts, a folder of Parquet files; {where} is one. Leave them out, or "
-            "write it in parts ('hallsym simulate --part-rows', hallsym.log.PartsWriter)."
-        )
-    if workers is not None:
-        workers.check()
-    table.workers = workers
     if not any(name != RUN for name in table.columns):
         raise InputError(
             f"{where} has no column whose name ends with a unit, such as hall_a_m; it has"
@@ -168,12 +153,9 @@ def _locate(path: Path) -> tuple[Path, Path | None]:
     if path.is_dir():
         names = [f"log{suffix}" for entry in FORMATS for suffix in entry.suffixes]
         found = [path / name for name in names if (path / name).is_file()]
-        if not found and part_files(path):
-            return path, path
         if not found:
             raise InputError(
-                f"Folder {path} must hold a log named log.parquet, log.csv, log.h5 or log.mat, or its parts; "
-                "it has none."
+                f"Folder {path} must hold a log named log.parquet, log.csv, log.h5 or log.mat; it has none."
             )
         return regular(found[0], "Log"), path
     return regular(path, "Log"), None
@@ -216,12 +198,8 @@ def open_source(
     """
     if is_table(path):
         return None, None, source_of(path, "The table")
-    if isinstance(path, str) and "://" in path:
-        return None, None, open_url(path)
     if isinstance(path, str | Path):
         file, folder = _locate(Path(path))
-        if file == folder:
-            return file, folder, open_parts(file)
         return file, folder, _open(file, format, stated)
     raise InputError(
         "A log must be a path, a dict of arrays, a data frame or a Log; instead received a "

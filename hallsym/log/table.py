@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from hallsym.errors import InputError, nearest
 from hallsym.log.columns import RUN, Binding, Foreign, listed
 from hallsym.log.limits import has_meaning
 from hallsym.units import Array
-from hallsym.workers import Workers
 
 IN_MEMORY_ROWS = 2_000_000
 CHUNK_ROWS = 65_536
@@ -44,12 +42,6 @@ class Source(ABC):
     unstated: str = ""
     read_with: Mapping[str, str] = {}
     path: Path | None = None
-    parts: Sequence[Source] = ()
-    """Files that it is read from one after the other, where it is a log in parts."""
-
-    def part(self, k: int) -> Source:
-        """Return part k as a source that is read in the pieces in which the whole is."""
-        raise NotImplementedError
 
     def count(self) -> int:
         """Return the number of rows."""
@@ -125,18 +117,7 @@ class Table:
         """Bind SI names to a source that messages call `where`."""
         self.source, self.bindings, self.where = source, dict(bindings), where
         self.columns = tuple(self.bindings) if RUN in self.bindings else (RUN, *self.bindings)
-        self.workers: Workers | None = None
-        """Who makes passes over its parts; None: they are made here, one after the other."""
         self._held: Piece = {}
-
-    @property
-    def parts(self) -> int:
-        """Number of parts; 0 of a table that is one file."""
-        return len(self.source.parts)
-
-    def part(self, k: int) -> Table:
-        """Return the rows of part k, bound alike, and nobody's work to share out."""
-        return Table(self.source.part(k), self.bindings, self.where)
 
     @property
     def in_memory(self) -> bool:
@@ -228,24 +209,18 @@ class View:
             raise AttributeError(name)
         return getattr(self.table, name)
 
-    def part(self, k: int) -> View:
-        """Return part k of the table, seen in the same way."""
-        out = copy(self)
-        out.table = self.table.part(k)
-        return out
-
 
 class Filtered(View):
     """A table seen through a row filter, which may carry state along one pass.
 
-    `make(row)` starts a fresh filter at a row of the log; it is shown the columns `needs` beside those asked
+    `make()` starts a fresh filter; it is shown the columns `needs` beside those asked
     for and returns the rows to keep as a boolean mask, or None for all.
     """
 
-    def __init__(self, table: TableLike, needs: Sequence[str], make: Callable[[int], RowFilter]) -> None:
+    def __init__(self, table: TableLike, needs: Sequence[str], make: Callable[[], RowFilter]) -> None:
         """Put a filter before a table."""
         super().__init__(table)
-        self.needs, self.make, self.first = tuple(needs), make, 0
+        self.needs, self.make = tuple(needs), make
         self._rows: int | None = None
         self._mask: Array | None = None
         self._held: Piece = {}
@@ -256,20 +231,12 @@ class Filtered(View):
             self._rows = sum(len(piece[RUN]) for piece in self.pieces((RUN,), CHUNK_ROWS))
         return self._rows
 
-    def part(self, k: int) -> Filtered:
-        """Return part k of the table, filtered from its first row on."""
-        out = copy(self)
-        out.table = self.table.part(k)
-        out.first = self.first + sum(self.table.part(j).count() for j in range(k))
-        out._rows, out._mask, out._held = None, None, {}
-        return out
-
     def pieces(self, columns: Sequence[str], size: int) -> Iterator[Piece]:
         """Yield the kept rows, as `Table.pieces` does."""
         if self.in_memory:
             yield self._hold(columns)
             return
-        keep = self.make(self.first)
+        keep = self.make()
         for piece in self.table.pieces(tuple(dict.fromkeys((*columns, *self.needs))), size):
             mask = keep(piece)
             if mask is None or mask.all():
@@ -281,7 +248,7 @@ class Filtered(View):
         """Filter columns of a table in memory, each once."""
         if self._mask is None:
             everything = next(iter(self.table.pieces(self.needs, CHUNK_ROWS)))
-            mask = self.make(self.first)(everything)
+            mask = self.make()(everything)
             self._mask = np.ones(len(everything[RUN]), bool) if mask is None else mask
         new = [name for name in columns if name not in self._held]
         for name, values in next(iter(self.table.pieces(new, CHUNK_ROWS))).items():

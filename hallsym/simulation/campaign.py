@@ -80,14 +80,12 @@ KEYS = ("step_s", "zero_spread_m", "setting", "trajectory", "run", "noise")
 # -- campaign files --------------------------------------------------------------------------------------
 
 
-def read_campaign(path: str | Path, most: int = MOST_SAMPLES) -> Campaign:
+def read_campaign(path: str | Path) -> Campaign:
     """Read a campaign from TOML: a clock, trajectories run at each vertical setting, then single runs.
-
-    `most`: samples that it may have; more than can be held where they are written in parts.
 
     Raises `InputError` for a missing file, an unknown key or signal, or a value that cannot be.
     """
-    return _campaign(Table.read(path, "Campaign file", KEYS), Path(path).parent, most)
+    return _campaign(Table.read(path, "Campaign file", KEYS), Path(path).parent)
 
 
 def campaign_from(raw: Mapping[str, Any], where: str) -> Campaign:
@@ -95,7 +93,7 @@ def campaign_from(raw: Mapping[str, Any], where: str) -> Campaign:
     return _campaign(Table(raw, where, KEYS), Path())
 
 
-def _campaign(file: Table, folder: Path, most: int = MOST_SAMPLES) -> Campaign:
+def _campaign(file: Table, folder: Path) -> Campaign:
     settings = [{axis: at.number(axis) for axis in at.raw} for at in file.tables("setting", axes())]
     trajectories = file.tables("trajectory", ("duration_s", "raster", "curve", *axes()))
     single = file.tables("run", ("name", "duration_s", "zero_deviations_m", "raster", "curve", *axes()))
@@ -116,18 +114,17 @@ def _campaign(file: Table, folder: Path, most: int = MOST_SAMPLES) -> Campaign:
         file.number("zero_spread_m", 1e-6, least=0.0),
         noise_table(file),
     )
-    _check_length(made, file, most)
+    _check_length(made, file)
     return made
 
 
-def _check_length(campaign: Campaign, file: Table, most: int) -> None:
+def _check_length(campaign: Campaign, file: Table) -> None:
     """Refuse runs that no memory holds, or no log."""
     samples = sum(run.duration_s for run in campaign.runs) / campaign.step_s
-    if samples > most:
-        parts = "; 'hallsym simulate --part-rows' writes more" if most == MOST_SAMPLES else ""
+    if samples > MOST_SAMPLES:
         raise InputError(
-            f"A {file.where} must have at most {most:g} samples; it has {samples:.3g}: raise 'step_s' or "
-            f"shorten 'duration_s'{parts}."
+            f"A {file.where} must have at most {MOST_SAMPLES:g} samples; it has {samples:.3g}: raise "
+            "'step_s' or shorten 'duration_s'."
         )
 
 

@@ -19,7 +19,6 @@ from hallsym.families.machine_file import read_machine
 from hallsym.fleets import Failed, completed, devices_of, load_fleet
 from hallsym.fleets.journal import journal_of
 from hallsym.log import write_log
-from hallsym.workers import Workers
 
 ROOT = Path(__file__).resolve().parents[2]
 COUNT = 24
@@ -311,8 +310,6 @@ def test_a_scheduler_that_does_not_answer_is_one_sentence(broken, monkeypatch):
     for address in (f"tcp://127.0.0.1:{free_port()}", "no address"):
         with pytest.raises(InputError, match="does not answer"):
             hallsym.fleet(folder, "rotary", scheduler=address)
-        with pytest.raises(InputError, match="does not answer"):
-            Workers(scheduler=address).check()
 
 
 def test_a_log_of_another_model_is_a_row_that_says_so(broken, tmp_path):
