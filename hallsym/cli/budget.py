@@ -139,7 +139,7 @@ def _stand_alone(options: Namespace) -> int:
     found = []
     if options.monte_carlo is not None:
         found = [budget_monte_carlo(budget, _rng(options), trials=options.monte_carlo or None)]
-    pictures = _pictures(options, {budget.quantity: budget}, cost=cost)
+    pictures = _pictures(options, {budget.quantity: budget})
     record: dict[str, Any] = {"budget": budget.to_dict()}
     if cost:
         record["curve"] = {"file": options.curve, **cost.to_dict()}
@@ -230,7 +230,7 @@ def _followed(options: Namespace, fit: Fit, settings: Settings, at: Mapping[str,
         "along_curve": along.to_dict(),
         "notes": said,
     }
-    pictures = _pictures(options, budgets, worst=True, along=along, cost=cost)
+    pictures = _pictures(options, budgets, worst=True, along=along)
     coverage = f"{100 * settings.level:g} %" if settings.level else f"k = {settings.coverage:g}"
     parts = [
         f"position along {options.curve}; fit covariance: {fit.covariance_method}",
@@ -331,16 +331,13 @@ def _pictures(
     *,
     worst: bool = False,
     along: AlongCurve | None = None,
-    cost: CurveCost | None = None,
 ) -> list[Path]:
     """Save the pictures asked for."""
     if not options.plots:
         return []
     from hallsym.report.figures import save_budget_pictures
 
-    return save_budget_pictures(
-        plots_place(options, options.file), budgets, grid, worst=worst, along=along, cost=cost
-    )
+    return save_budget_pictures(plots_place(options, options.file), budgets, grid, worst=worst, along=along)
 
 
 def _rng(options: Namespace) -> np.random.Generator:

@@ -4,7 +4,6 @@ import argparse
 import json
 import math
 import shlex
-import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -68,45 +67,22 @@ def plots_options(parser: Any, what: str = "save pictures") -> None:
     """Options of every command that draws; `parser` may be a group of options."""
     parser.add_argument("--plots", metavar="FOLDER", help=what)
     parser.add_argument(
-        "--plot-formats", type=_formats, default="png,pdf,svg", metavar="LIST",
-        help="files of each picture: any of png (300 dpi), pdf, svg (default: all)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--plot-columns", type=_columns, default="2", metavar="LIST",
-        help="width of each picture in columns of a journal: 2 (180 mm, default), 1 (89 mm, panels stacked) "
-        "or 1,2",
-    )  # fmt: skip
+        "--plot-format", choices=("png", "pdf", "svg"), default="png", help="of each picture (default: png)"
+    )
 
 
-def _formats(text: str) -> tuple[str, ...]:
-    known = ("png", "pdf", "svg")
-    found = tuple(dict.fromkeys(text.split(",")))
-    if not set(found) <= set(known):
-        raise argparse.ArgumentTypeError(f"pictures are {', '.join(known)}; instead received {text!r}")
-    return found
-
-
-def _columns(text: str) -> tuple[int, ...]:
-    if not set(text.split(",")) <= {"1", "2"}:
-        raise argparse.ArgumentTypeError(f"a picture takes 1 or 2 columns; instead received {text!r}")
-    return tuple(dict.fromkeys(map(int, text.split(","))))
-
-
-def place_of(folder: str | Path, formats: Sequence[str], columns: Sequence[int], *named: object) -> "Place":
+def place_of(folder: str | Path, format: str, *named: object) -> "Place":
     """Return where pictures go; `named` on each of them: file and model, those that are known."""
     from hallsym.report.figures import Place
 
-    def told(sentence: str) -> None:
-        print(f"note: {sentence}", file=sys.stderr)
-
     words = [str(name) for name in named if name]
     brief = ["/".join(Path(word).parts[-2:]) if Path(word).exists() else word for word in words]
-    return Place(Path(folder), formats, ", ".join(brief), told, columns)
+    return Place(Path(folder), format, ", ".join(brief))
 
 
 def plots_place(options: Namespace, *named: object) -> "Place":
     """Return where `--plots` puts pictures; `named` as in `place_of`."""
-    return place_of(options.plots, options.plot_formats, options.plot_columns, *named)
+    return place_of(options.plots, options.plot_format, *named)
 
 
 def log_options(parser: ArgumentParser) -> None:
@@ -313,19 +289,13 @@ def say(
     print(fitted("\n".join([text(), *lines])))
 
 
-def save_fit_pictures(
-    log: Log,
-    result: Fit,
-    folder: str | None,
-    formats: Sequence[str] = ("png",),
-    columns: Sequence[int] = (2,),
-) -> list[Path]:
+def save_fit_pictures(log: Log, result: Fit, folder: str | None, format: str = "png") -> list[Path]:
     """Save the pictures of a fit, if a folder is given."""
     if folder is None:
         return []
     from hallsym.report.figures import save_pictures
 
-    place = place_of(folder, formats, columns, log.path, result.model.name)
+    place = place_of(folder, format, log.path, result.model.name)
     return save_pictures(log, result, place, keep=result.keep)
 
 

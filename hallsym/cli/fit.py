@@ -133,7 +133,7 @@ def run(options: Namespace) -> int:
     wrote = _saved(options, result)
     for name, log, part in _pictured(result, logs):
         folder = options.plots and str(Path(options.plots) / name)
-        wrote += save_fit_pictures(log, part, folder, options.plot_formats, options.plot_columns)
+        wrote += save_fit_pictures(log, part, folder, options.plot_format)
     say(options, result.to_dict(), lambda: fit_text(result), wrote=wrote, then=_next(options, result))
     return exit_code(result, said=not options.json)
 

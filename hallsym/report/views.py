@@ -180,22 +180,11 @@ def _evaluation_table(found: Evaluation) -> Table:
 
 
 def _evaluation_figure(found: Evaluation, log: Any) -> Figure:
-    from matplotlib.figure import Figure
+    from hallsym.report.data import look_over
+    from hallsym.report.figures import errors_before_after
+    from hallsym.report.figures.evaluation import TITLES
 
-    from hallsym.units import readable
-
-    columns, pose = _evaluation_table(found), found.model.pose
-    picture = Figure(figsize=(7.0, 1.7 * len(pose)), layout="constrained")
-    for ax, c in zip(np.atleast_1d(picture.subplots(len(pose), 1, sharex=True)), pose, strict=True):
-        factor, unit, name = readable(c, found.model.period)
-        for what, mark in (("peak", "v"), ("rmse", "o")):
-            ax.plot(columns["run"], factor * np.array(columns[f"{what}_{c}"]), mark, label=what)
-        ax.set_ylabel(f"{name} [{unit}]")
-        ax.set_ylim(bottom=0)
-    ax.set_xlabel("run")
-    ax.legend()
-    picture.suptitle(f"{found.model.name} on {found.log_name}")
-    return picture
+    return errors_before_after(found.applied, look_over(found.decoded, found.applied), TITLES)
 
 
 # -- a diagnosis -----------------------------------------------------------------------------------------
@@ -260,9 +249,9 @@ def _identifiability_table(found: Identifiability) -> Table:
 
 
 def _identifiability_figure(found: Identifiability, log: Any) -> Figure:
-    from hallsym.report.figures import intervals
+    from hallsym.report.figures import effects
 
-    return intervals(found)
+    return effects(found)
 
 
 def _plan_brief(plan: Plan) -> list[str]:

@@ -108,7 +108,7 @@ def test_a_plan_by_model_and_by_calibration(folder, capsys):
 
 
 def test_pictures_are_written(folder, capsys, tmp_path):
-    words = ("--plots", tmp_path / "p", "--plot-formats", "svg")
+    words = ("--plots", tmp_path / "p", "--plot-format", "svg")
     code, out, _ = run(capsys, folder / "calib.json", folder / "log.csv", *words)
     assert code == 0
     written = sorted(p.name for p in (tmp_path / "p").iterdir())

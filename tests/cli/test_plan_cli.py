@@ -44,7 +44,7 @@ def run(capsys, *arguments) -> tuple[int, str, str]:
 
 def test_a_plan_is_written_simulated_fitted_and_continued(capsys, ranges, tmp_path):
     campaign, log = tmp_path / "next.toml", tmp_path / "log.csv"
-    pictures = ("--plots", tmp_path / "pictures", "--plot-formats", "png")
+    pictures = ("--plots", tmp_path / "pictures")
     code, out, err = run(capsys, "plan", ranges(), "-o", campaign, *pictures)
     assert (code, err) == (0, "")
     assert "8 runs of 1 s" in out

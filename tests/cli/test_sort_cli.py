@@ -27,7 +27,7 @@ def run(capsys, *arguments) -> tuple[int, str, str]:
 def test_sensors_are_sorted_and_matched(capsys, table, tmp_path):
     code, out, err = run(
         capsys, "sort", table, "--model", "stage31", "--sets", 4, "-o", tmp_path / "sets.csv",
-        "--plots", tmp_path / "pictures", "--plot-formats", "png",
+        "--plots", tmp_path / "pictures",
     )  # fmt: skip
     assert (code, err) == (0, "")
     for words in (

@@ -334,7 +334,7 @@ def test_every_command_works_on_an_encoder(form, tmp_path, monkeypatch, capsys):
     assert main(["simulate", "--model", "rotary", *machine, "-o", "log.csv", "--seed", "1"]) == 0
     assert main(["info", "log.csv"]) == 0
     assert "angle_ref_rad" in capsys.readouterr().out
-    drawn = ["--plots", "pictures", "--plot-formats", "png"]
+    drawn = ["--plots", "pictures"]
     assert main(["fit", "log.csv", "--solver", "direct", "-o", "calib.json", *drawn]) == 0
     text = capsys.readouterr().out
     assert "rmse angle [deg]" in text

@@ -69,9 +69,8 @@ def test_measured_lays_the_decoded_pose_over_the_reference(
 
 
 def test_errors_by_setting_shows_every_series(fitted: Fit, survey: data.Survey) -> None:
-    steps = {"Model (30)": survey.nominal}
-    figure = plots.errors_by_setting(fitted, survey, steps)
-    labels = ["nominal", "Model (30)", "fitted", "fitted, held-out runs", "noise floor"]
+    figure = plots.errors_by_setting(fitted, survey)
+    labels = ["nominal", "fitted", "fitted, held-out runs", "noise floor"]
     assert _legends(figure) == labels
     assert [ax.get_ylabel() for ax in figure.axes] == ["rmse x [µm]", "rmse y [µm]", "rmse Rz [µrad]"]
     assert all(ax.get_yscale() == "log" for ax in figure.axes)
@@ -128,32 +127,15 @@ def test_a_run_too_long_to_see_is_shown_from_its_start(fitted: Fit) -> None:
     np.testing.assert_allclose(np.nanmax(figure.axes[0].lines[0].get_xdata()), seconds, rtol=0.01)
 
 
-def test_rms_lies_over_errors_that_are_a_solid_block(fitted: Fit, survey: data.Survey) -> None:
-    assert "local rms" not in _legends(plots.errors_before_after(fitted, survey)), (
-        "short runs are seen as they are"
-    )
-    long = with_noise(one_run(40_000))
-    result = fit(long, "stage15", solver="direct", loss="none")
-    survey = data.look_over(long, result)
-    figure = plots.errors_before_after(result, survey)
-    assert "local rms" in _legends(figure)
-    for k, ax in enumerate(figure.axes[1::2]):
-        block, *_, line = ax.lines
-        assert len(line.get_xdata()) < 0.1 * len(block.get_xdata())
-        rmse = 1e6 * np.sqrt(survey.fitted.squares[0, k] / survey.fitted.count[0])
-        np.testing.assert_allclose(np.sqrt(np.mean(line.get_ydata() ** 2)), rmse, rtol=1e-2)
-
-
 def test_nothing_is_drawn_beyond_the_edge(log: Log, fitted: Fit, survey: data.Survey) -> None:
     """Margins are stated in inches: everything must fit into them."""
     from matplotlib import style
 
-    steps = {f"Model ({k})": survey.nominal for k in (15, 30)}
     with style.context(["default", plots.STYLE]):
         figures = (
             plots.measured(log, fitted, survey),
             plots.errors_before_after(fitted, survey),
-            plots.errors_by_setting(fitted, survey, steps),
+            plots.errors_by_setting(fitted, survey),
             plots.parameters(fitted),
         )
         for figure in figures:

@@ -10,7 +10,7 @@ import pytest
 from twins import record, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation import ErrorTable, Fit, fit
+from hallsym.estimation import Fit, fit
 from hallsym.log import Log
 from hallsym.report import figures as plots
 
@@ -29,12 +29,11 @@ def fitted(log: Log) -> Fit:
 
 
 def test_pictures_are_whole_files_in_their_own_style(log: Log, fitted: Fit, tmp_path: Path) -> None:
-    steps: dict[str, ErrorTable] = {"once more": fitted.errors.fitted} if fitted.errors else {}
     import matplotlib
 
     pyplot = "matplotlib.pyplot" in sys.modules
     with matplotlib.rc_context({"font.size": 17.0, "axes.facecolor": "red"}):
-        written = plots.save_pictures(log, fitted, tmp_path / "new" / "folder", steps=steps)
+        written = plots.save_pictures(log, fitted, tmp_path / "new" / "folder")
         assert matplotlib.rcParams["font.size"] == 17.0
         assert matplotlib.rcParams["axes.facecolor"] == "red"
     assert ("matplotlib.pyplot" in sys.modules) == pyplot
@@ -49,18 +48,10 @@ def test_pictures_are_whole_files_in_their_own_style(log: Log, fitted: Fit, tmp_
     assert sorted(p.name for p in (tmp_path / "new" / "folder").iterdir()) == sorted(p.name for p in written)
 
 
-def test_other_suffixes(log: Log, fitted: Fit, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="only png, pdf, svg; instead received 'gif'"):
-        plots.save_pictures(log, fitted, tmp_path, suffixes=("gif",))
-    assert list(tmp_path.iterdir()) == []
-    (path,) = plots.save_figures({"parameters": lambda: plots.parameters(fitted)}, tmp_path, ("pdf",))
-    assert path.read_bytes().startswith(b"%PDF")
-
-
 def test_every_kind_of_file_names_its_source(fitted: Fit, tmp_path: Path) -> None:
-    place = plots.Place(tmp_path, plots.SUFFIXES, "campaign/log.parquet, stage31")
     draw = {"parameters": lambda: plots.parameters(fitted)}
-    png, pdf, svg = plots.save_figures(draw, place)
+    places = [plots.Place(tmp_path, kind, "campaign/log.parquet, stage31") for kind in ("png", "pdf", "svg")]
+    png, pdf, svg = (plots.save_figures(draw, place)[0] for place in places)
     assert "campaign/log.parquet, stage31" in svg.read_text(encoding="utf-8")
     assert pdf.read_bytes().startswith(b"%PDF")
     (bare,) = plots.save_figures(draw, tmp_path / "bare")
@@ -69,35 +60,7 @@ def test_every_kind_of_file_names_its_source(fitted: Fit, tmp_path: Path) -> Non
     assert sizes[0][1] > sizes[1][1]  # a line of its own, nothing written over
     assert plots.DPI == 300
     first = [path.read_bytes() for path in (png, pdf, svg)]
-    assert [path.read_bytes() for path in plots.save_figures(draw, place)] == first
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "drawn"),
-    [
-        ([1.0], [2.0], False),
-        ([1.0, 1.0, 1.0], [2.0, 2.0, 2.0], False),
-        ([0.0, 1.0, 2.0], [3.0, 3.0, 3.0], False),
-        ([0.0, 1.0, 2.0, 3.0], [1e-6, 3e-6, 5e-6, 7e-6], False),
-        ([0.0, 1.0, np.nan, 3.0], [1.0, 2.0, 9.0, 4.0], False),
-        ([0.0, 1.0, 2.0], [3.0, 3.0, 3.1], True),
-        ([0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0], True),
-    ],
-)
-def test_a_straight_line_or_a_dot_is_no_picture(x: list, y: list, drawn: bool, tmp_path: Path) -> None:
-    from matplotlib.figure import Figure
-
-    def draw() -> Figure:
-        figure = Figure()
-        ax = figure.subplots()
-        ax.plot(x, y, "o-")
-        ax.axhline(1.5, ls="--")
-        return figure
-
-    said: list[str] = []
-    place = plots.Place(tmp_path, told=said.append)
-    assert bool(plots.save_figures({"line": draw}, place)) == drawn
-    assert said == ([] if drawn else ["The picture line would be a straight line or a dot; it is left out."])
+    assert [plots.save_figures(draw, place)[0].read_bytes() for place in places] == first
 
 
 def test_a_folder_that_cannot_be_is_one_sentence(log: Log, fitted: Fit, tmp_path: Path) -> None:
@@ -112,7 +75,7 @@ def test_a_folder_that_cannot_be_is_one_sentence(log: Log, fitted: Fit, tmp_path
 def test_no_half_written_picture(
     log: Log, fitted: Fit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(figure: object, suffix: str, path: Path) -> None:
+    def full(figure: object, place: object, path: Path) -> None:
         path.write_bytes(b"\x89PNG half")
         raise OSError(28, "No space left on device")
 

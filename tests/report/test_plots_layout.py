@@ -2,9 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pytest
 import reports
@@ -14,22 +12,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from hallsym.errors import InputError
 from hallsym.inference import VERDICTS, Identifiability
 from hallsym.report.figures import (
-    DPI,
     LOOKS,
     STYLE,
-    WIDTH,
     broken,
     correlation,
     drawable,
     effects,
-    intervals,
     profiles,
-    save_figures,
-    save_sensitivity_pictures,
-    spectrum,
     text_width,
 )
 from hallsym.report.words import digits
@@ -37,9 +28,7 @@ from hallsym.report.words import digits
 PICTURES = {
     "correlation": correlation,
     "effects": effects,
-    "intervals": intervals,
     "profiles": profiles,
-    "spectrum": spectrum,
 }
 
 
@@ -81,9 +70,7 @@ def labels(tick: Tick) -> tuple[Text, Text]:
     [
         *(("correlation", which) for which in ("full", "level")),
         *(("effects", which) for which in ("odd", "level")),
-        *(("intervals", which) for which in ("odd", "plan")),
         *(("profiles", which) for which in ("full", "odd")),
-        *(("spectrum", which) for which in ("full", "level")),
     ],
 )
 def test_nothing_is_beyond_the_edge_or_on_other_words(picture: str, which: str) -> None:
@@ -96,42 +83,9 @@ def test_nothing_is_beyond_the_edge_or_on_other_words(picture: str, which: str) 
 
 def test_pictures_that_have_nothing_to_show_are_not_drawn() -> None:
     plan, full = reports.plan(), reports.full()
-    assert drawable(plan) == [correlation, effects, intervals, spectrum]
-    assert drawable(full) == [correlation, effects, intervals, profiles, spectrum]
-    assert drawable(replace(plan, correlation=np.full((21, 21), np.nan))) == [effects, intervals, spectrum]
-
-
-def test_pictures_are_whole_files_in_their_own_style(tmp_path: Path) -> None:
-    plan = reports.plan()
-    with matplotlib.rc_context({"font.size": 17.0, "axes.facecolor": "red"}):
-        written = save_sensitivity_pictures(plan, tmp_path / "new" / "folder")
-        assert matplotlib.rcParams["font.size"] == 17.0
-    names = [f"{name}.png" for name in ("correlation", "effects", "intervals", "spectrum")]
-    assert [path.name for path in written] == names
-    assert sorted(p.name for p in (tmp_path / "new" / "folder").iterdir()) == names
-    for path in written:
-        assert int.from_bytes(path.read_bytes()[16:20], "big") == round(WIDTH * DPI)
-    (again,) = save_figures({"again": lambda: spectrum(plan)}, tmp_path)
-    assert again.read_bytes() == written[-1].read_bytes()
-
-
-def test_drawings_are_the_same_every_time(tmp_path: Path) -> None:
-    plan = reports.plan()
-    one, two = (
-        save_figures({name: lambda: spectrum(plan)}, tmp_path, suffixes=("svg",))[0].read_bytes()
-        for name in "ab"
-    )
-    assert one == two
-
-
-def test_bad_input_is_one_sentence(tmp_path: Path) -> None:
-    plan = reports.plan()
-    with pytest.raises(InputError, match="only png, pdf, svg; instead received 'gif'"):
-        save_sensitivity_pictures(plan, tmp_path, suffixes=("gif",))
-    (tmp_path / "file").write_text("mine")
-    with pytest.raises(InputError, match=r"^Cannot make the folder .*file.*\.$"):
-        save_sensitivity_pictures(plan, tmp_path / "file")
-    assert (tmp_path / "file").read_text() == "mine"
+    assert drawable(plan) == [correlation, effects]
+    assert drawable(full) == [correlation, effects, profiles]
+    assert drawable(replace(plan, correlation=np.full((21, 21), np.nan))) == [effects]
 
 
 def test_every_verdict_has_a_look_of_its_own() -> None:

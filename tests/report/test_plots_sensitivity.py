@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,10 +18,7 @@ from hallsym.report.figures import (
     correlation,
     effects,
     ends_in_words,
-    intervals,
     profiles,
-    sorts,
-    spectrum,
 )
 
 
@@ -213,91 +209,3 @@ def test_profiles_say_in_words_how_they_end(odd: Identifiability) -> None:
         assert all(low <= tick <= high for tick in ax.get_xticks())
     failed = odd.intervals.profiles[0]
     assert ends_in_words(replace(failed, upper=failed.lower)) == "ends failed"
-
-
-# -- spectrum --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("which", "counts"), [("full", (18, 0, 3)), ("level", (9, 9, 3)), ("plan", (9, 9, 3))]
-)
-def test_spectrum_marks_what_is_not_determined(which: str, counts: tuple[int, int, int]) -> None:
-    report: Identifiability = getattr(reports, which)()
-    figure = spectrum(report)
-    ax = figure.axes[0]
-    *series, threshold = ax.lines[:4]
-    assert tuple(len(line.get_xdata()) for line in series) == counts
-    np.testing.assert_allclose(np.concatenate([line.get_xdata() for line in series]), np.arange(21) + 1)
-    drawn = np.concatenate([line.get_ydata() for line in series])
-    np.testing.assert_allclose(drawn, np.maximum(report.spectrum, 0.01))
-    assert threshold.get_ydata()[0] == 4.0
-    assert (series[0].get_ydata() > 4).all()
-    assert (series[1].get_ydata() < 4).all()
-    assert (series[2].get_ydata() == 0.01).all(), "structural directions have no singular value"
-    assert len(sorts(report)) == len(report.spectrum)
-    caption = " ".join(words(figure))
-    assert "H1x with H1y; H2x with H2y; H3x with H3y" in caption
-    assert ("a_A, b_A, c_A" in caption) == (counts[1] > 0)
-    assert ("This plan leaves" in caption) == (which == "plan")
-
-
-def test_right_axis_of_the_spectrum_is_the_inverse_of_the_left(full: Identifiability) -> None:
-    left, right = spectrum(full).axes
-    np.testing.assert_allclose(np.array(left.get_ylim()) * right.get_ylim(), 100.0)
-
-
-# -- intervals -------------------------------------------------------------------------------------------
-
-
-def test_intervals_lie_in_their_bounds(full: Identifiability) -> None:
-    figure = intervals(full)
-    place, share = figure.axes
-    rows = list(full.parameters)
-    widths = {round(bar.get_y() + 0.31): bar.get_x() + bar.get_width() for bar in share.patches}
-    expected = {row: 100 * e.share for row, e in enumerate(rows) if e.share is not None}
-    assert widths == pytest.approx(expected)
-    assert all(to_hex(bar.get_facecolor()) == LOOKS["determined"].color for bar in share.patches)
-    for line, e in zip(place.lines, rows, strict=True):
-        p = full.model.parameters[full.model.names.index(e.name)]
-        assert line.get_xdata()[0] == pytest.approx((e.value - p.lower) / p.width)
-        assert line.get_markerfacecolor() == ("white" if e.std is None else LOOKS["determined"].color)
-    text = words(figure)
-    assert text.count("not determined") == 6
-    assert sum(" to " in line for line in text) == 15 + len(full.combinations)
-    assert "Identifiable combinations" in text
-
-
-def test_intervals_without_ends_are_arrows_and_words(odd: Identifiability) -> None:
-    figure = intervals(odd)
-    place, share = figure.axes
-    rows = {e.name: k for k, e in enumerate(e for e in odd.parameters if e.verdict.word != "fixed")}
-    text = words(figure)
-    assert f"{odd.model.names[-1]}" in rows
-    assert "a_B" not in rows
-    assert any(line.startswith("\N{MINUS SIGN}∞ to 0.9") and "open below" in line for line in text)
-    assert any("to unknown deg (profile, open below, failed above)" in line for line in text)
-    assert "0.573 deg (profile, at lower bound, at upper bound)" in text
-    assert any(line.endswith("(bootstrap)") for line in text)
-    bars = {round(bar.get_y() + 0.31): bar for bar in share.patches}
-    assert bars[rows["eta_C"]].get_x() + bars[rows["eta_C"]].get_width() == pytest.approx(100.0)
-    assert bars[rows["eta_A"]].get_hatch() == LOOKS["weak"].hatch
-    assert not {rows["theta_A"], rows["theta_C"], rows["a_A"]} & set(bars)
-    arrows = {(line.get_marker(), line.get_ydata()[0]) for line in place.lines if line.get_marker() in "<>"}
-    both = {("<", rows["theta_B"]), (">", rows["theta_B"])}
-    assert arrows == {("<", rows["eta_C"]), ("<", rows["theta_A"])} | both
-
-
-def test_a_parameter_without_bounds_says_so(full: Identifiability) -> None:
-    model = full.model.with_parameters({"a_A": {"lower": -np.inf, "upper": np.inf}})
-    free = replace(
-        full, parameters=tuple(replace(e, share=None) if e.name == "a_A" else e for e in full.parameters)
-    )
-
-    class Unbounded:
-        def __getattr__(self, name: str) -> Any:
-            return model if name == "model" else getattr(free, name)
-
-    figure = intervals(Unbounded())  # type: ignore[arg-type]
-    assert "no bounds" in [text.get_text() for text in figure.axes[0].texts]
-    assert len(figure.axes[1].patches) == 14
-    assert "Parameters without bounds count in their own unit." in words(spectrum(Unbounded()))  # type: ignore[arg-type]

@@ -58,30 +58,6 @@ def test_short_trace_is_drawn_sample_by_sample_and_broken_between_runs() -> None
     np.testing.assert_array_equal(y, [0, 1, 2, 3, np.nan, 4, 5, 6, 7, 8, 9])
 
 
-def test_cells_of_a_trace_have_extent_and_rms() -> None:
-    values = np.random.default_rng(4).standard_normal((2, 30_000))
-    values[1, 12_000:12_100] = np.nan
-    trace = data.Trace(2, squares=True)
-    for first in range(0, 30_000, 7000):
-        trace.add(values[:, first : first + 7000])
-    per_cell, extent, rms = trace.cells(420)
-    samples = per_cell * trace.width
-    assert extent.shape == rms.shape == (2, -(-30_000 // samples))
-    assert extent.shape[1] <= 420
-    for cell in (0, 12_000 // samples - 1, extent.shape[1] - 1):
-        part = values[:, cell * samples : (cell + 1) * samples]
-        np.testing.assert_allclose(rms[:, cell], np.sqrt(np.nanmean(part**2, axis=1)), rtol=1e-12)
-        np.testing.assert_allclose(extent[:, cell], np.nanmax(part, axis=1) - np.nanmin(part, axis=1))
-
-
-def test_a_cell_without_kept_samples_has_no_rms() -> None:
-    trace = data.Trace(1, squares=True)
-    trace.add(np.array([[3.0, 4.0, np.nan, np.nan]]))
-    _, extent, rms = trace.cells(2)
-    np.testing.assert_array_equal(extent, [[1.0, np.nan]])
-    np.testing.assert_allclose(rms, [[np.sqrt(12.5), np.nan]])
-
-
 # -- the survey of a log ---------------------------------------------------------------------------------
 
 

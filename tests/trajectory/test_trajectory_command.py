@@ -71,7 +71,7 @@ def test_everything_is_written(capsys, tmp_path):
 def test_points(capsys, tmp_path):
     rows = "".join(f"{k},{k * k}\n" for k in range(9))
     (tmp_path / "p.csv").write_text("x_um,y_um\n" + rows, encoding="utf-8")
-    text = run(capsys, tmp_path / "p.csv", "--method", "cubic", "--plots", tmp_path, "--plot-formats", "png")
+    text = run(capsys, tmp_path / "p.csv", "--method", "cubic", "--plots", tmp_path)
     assert "estimated by leaving points out" in text
     assert (tmp_path / "trajectory_curve.png").exists()
     assert "below the rounding" in run(capsys, tmp_path / "p.csv", "--tolerance", "0.01um", code=2)

@@ -145,7 +145,7 @@ def test_without_salib_one_sentence_says_what_to_install(model, somewhere, monke
 def test_the_command_prints_the_ranking_first(capsys, tmp_path):
     (tmp_path / "drawing.toml").write_text('others = "exact"\n[tolerance]\nH1x_um = 20\neta_A_percent = 2\n')
     words = ["tolerances", "--ranges", str(tmp_path / "drawing.toml"), "--samples", "32"]
-    assert main([*words, "--plots", str(tmp_path / "pictures"), "--plot-formats", "png"]) == 0
+    assert main([*words, "--plots", str(tmp_path / "pictures")]) == 0
     out = capsys.readouterr().out
     assert out.index("errors of the nominal decoder") < out.index("worth") < out.index("Sobol indices")
     rows = [line.split()[0] for line in out.splitlines() if line.startswith(("eta_A ", "H1x "))]
@@ -153,7 +153,7 @@ def test_the_command_prints_the_ranking_first(capsys, tmp_path):
     wanted = re.search(r"too wide to rank by: about --samples (\d+) brings them below 5", out)
     assert wanted
     assert int(wanted[1]) > 32
-    assert len(list((tmp_path / "pictures").glob("tolerances_*.png"))) == 3
+    assert (tmp_path / "pictures" / "tolerances.png").exists()
     assert main([*words, "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record["ranking"] == ["eta_A", "H1x"]
@@ -167,12 +167,11 @@ def test_the_command_prints_the_ranking_first(capsys, tmp_path):
 def test_a_picture_has_a_bar_per_tolerance_and_index(paper):
     from hallsym.report.figures import tolerances as draw
 
-    for quantity in ("error", "rms", "peak"):
-        figure = draw(paper, quantity)
-        for ax, indices in zip(figure.axes, paper.indices[quantity].values(), strict=True):
-            widths = sorted(bar.get_width() for bar in ax.patches)
-            assert widths == pytest.approx(sorted(100 * np.r_[indices.first, indices.total]))
-        assert [t.get_text() for t in figure.axes[0].get_yticklabels()] == list(paper.ranking)
+    figure = draw(paper)
+    for ax, indices in zip(figure.axes, paper.indices["error"].values(), strict=True):
+        widths = sorted(bar.get_width() for bar in ax.patches)
+        assert widths == pytest.approx(sorted(100 * np.r_[indices.first, indices.total]))
+    assert [t.get_text() for t in figure.axes[0].get_yticklabels()] == list(paper.ranking)
 
 
 def test_usual_tolerances_of_a_family():

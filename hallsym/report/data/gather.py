@@ -97,7 +97,7 @@ def compared(survey: Survey, fit: Fit, before: Version, after: Version) -> Surve
 
 def _errors(survey: Survey, fit: Fit, version: Version) -> tuple[Trace, ErrorTable]:
     n, at = len(fit.model.pose), {run: k for k, run in enumerate(survey.runs)}
-    trace, count = Trace(n, squares=True), np.zeros(len(at))
+    trace, count = Trace(n), np.zeros(len(at))
     squares, peak = np.zeros((len(at), n)), np.zeros((len(at), n))
     for block, errors in version.read(timed=False):
         trace.add(errors)

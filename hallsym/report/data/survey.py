@@ -81,7 +81,7 @@ class Survey:
 def look_over(log: Log, fit: Fit, keep: Weigh | None = None) -> Survey:
     """Read `log` once and return what its pictures show."""
     n = len(fit.model.pose)
-    traces = Trace(n, squares=True), Trace(n, squares=True)
+    traces = Trace(n), Trace(n)
     time, rejected = Trace(1) if "t_s" in log.columns else None, Trace(1)
     runs: dict[int, _Run] = {}
     total = 0

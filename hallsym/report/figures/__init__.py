@@ -9,65 +9,42 @@ be read. matplotlib is imported only to draw.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
-from hallsym.estimation import ErrorTable, Fit, as_read
+from hallsym.estimation import Fit, as_read
 from hallsym.log import Log, Weigh
 from hallsym.report.data import blocks, look_over
 from hallsym.report.figures.along import save_errors
 from hallsym.report.figures.by_setting import errors_by_setting
-from hallsym.report.figures.correlation import correlation
 from hallsym.report.figures.detection import detection, save_detection
-from hallsym.report.figures.diagnosis import gap, save_diagnosis, shares
-from hallsym.report.figures.effects import effects
+from hallsym.report.figures.diagnosis import gap, save_diagnosis
 from hallsym.report.figures.errors import errors_before_after
-from hallsym.report.figures.estimates import COVERAGE, parameters
+from hallsym.report.figures.estimates import parameters
 from hallsym.report.figures.evaluation import save_evaluation
-from hallsym.report.figures.intervals import intervals
-from hallsym.report.figures.layout import (
-    HEAD,
-    LABEL,
-    LATER,
-    LOW,
-    NUMBER,
-    PAGE,
-    TIGHT,
-    WIDTH,
-    WIDTHS,
-    NoRoomError,
-    laid_out,
-)
 from hallsym.report.figures.measured import measured
 from hallsym.report.figures.plan import coverage, criterion_by_runs, save_plan_pictures
-from hallsym.report.figures.profiles import ends_in_words, profiles
-from hallsym.report.figures.saving import SUFFIXES, Place, save_figures
-from hallsym.report.figures.sensitivity import drawable, save_sensitivity_pictures
+from hallsym.report.figures.saving import Place, save_figures
+from hallsym.report.figures.sensitivity import (
+    LOOKS,
+    correlation,
+    drawable,
+    effects,
+    ends_in_words,
+    profiles,
+    save_sensitivity_pictures,
+)
 from hallsym.report.figures.sorting import save_sorting
-from hallsym.report.figures.spectrum import sorts, spectrum
-from hallsym.report.figures.style import DPI, STYLE, broken, legend, panels, text_width
+from hallsym.report.figures.style import DPI, STYLE, WIDTH, broken, text_width
 from hallsym.report.figures.tolerances import save_tolerances, tolerances
 from hallsym.report.figures.uncertainty import budget_bars, save_budget_pictures, uncertainty_picture
-from hallsym.report.figures.verdicts import LOOKS
 from hallsym.report.figures.watch import control_chart, save_watch
 
 __all__ = [
-    "COVERAGE",
     "DPI",
-    "HEAD",
-    "LABEL",
-    "LATER",
     "LOOKS",
-    "LOW",
-    "NUMBER",
-    "PAGE",
     "STYLE",
-    "SUFFIXES",
-    "TIGHT",
     "WIDTH",
-    "WIDTHS",
-    "NoRoomError",
     "Place",
     "blocks",
     "broken",
@@ -83,11 +60,7 @@ __all__ = [
     "errors_before_after",
     "errors_by_setting",
     "gap",
-    "intervals",
-    "laid_out",
-    "legend",
     "measured",
-    "panels",
     "parameters",
     "profiles",
     "save_budget_pictures",
@@ -102,41 +75,26 @@ __all__ = [
     "save_sorting",
     "save_tolerances",
     "save_watch",
-    "shares",
-    "sorts",
-    "spectrum",
     "text_width",
     "tolerances",
     "uncertainty_picture",
 ]
 
 
-def save_pictures(
-    log: Log,
-    fit: Fit,
-    folder: str | Path | Place,
-    *,
-    keep: Weigh | None = None,
-    steps: Mapping[str, ErrorTable] | None = None,
-    suffixes: Sequence[str] = ("png",),
-) -> list[Path]:
+def save_pictures(log: Log, fit: Fit, folder: str | Path | Place, *, keep: Weigh | None = None) -> list[Path]:
     """Draw the pictures of `fit` on `log` into `folder` (made if missing) and return the files written.
 
-    `measured`, `errors_before_after`, `errors_by_setting` and `parameters`. `steps`: error tables of models
-    between the nominal and the fitted one, by name; they are shown by setting.
-    `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part and are marked.
-    `suffixes`: any of png, pdf, svg. The log is read twice, in blocks.
+    `measured`, `errors_before_after`, `errors_by_setting` and `parameters`. `keep(block) -> (samples,)`
+    weights; samples of weight 0 (outliers) take no part and are marked. The log is read twice, in blocks.
     """
-    steps = dict(steps or {})
     log = as_read(log, fit.model, fit.wiring)
     survey = cache(lambda: look_over(log, fit, keep))  # once, and only when the folder is there
     return save_figures(
         {
             "measured": lambda: measured(log, fit, survey(), keep),
             "errors_before_after": lambda: errors_before_after(fit, survey()),
-            "errors_by_setting": lambda: errors_by_setting(fit, survey(), steps),
+            "errors_by_setting": lambda: errors_by_setting(fit, survey()),
             "parameters": lambda: parameters(fit),
         },
         folder,
-        suffixes,
     )

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hallsym.estimation import ErrorTable, Fit
 from hallsym.report.data import MOST_SETTINGS, Group, Survey, held_out, settings
-from hallsym.report.figures.layout import layout
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -17,8 +16,6 @@ from hallsym.report.figures.style import (
     DASHED,
     FAINT,
     LINE,
-    MARKERS,
-    SERIES,
     SHADE,
     label_x,
     label_y,
@@ -33,19 +30,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PER_ROW = 6
-"""Series side by side in the legend."""
 
-
-def errors_by_setting(fit: Fit, survey: Survey, steps: Mapping[str, ErrorTable] | None = None) -> Figure:
-    """Draw rmse by vertical setting (by run where there are no settings) before, after and for `steps`."""
+def errors_by_setting(fit: Fit, survey: Survey) -> Figure:
+    """Draw rmse by vertical setting (by run where there are no settings) before and after."""
     groups, title = settings(fit, survey)
-    series = _series(fit, survey, steps or {}, groups)
+    series = _series(fit, survey, groups)
     ticks, below = _tick_words(groups)
-    coordinates = layout().share([*enumerate(fit.model.pose)])
-    n, lines = len(coordinates), -(-(len(series) + 1) // PER_ROW)
-    figure, axes = panels(n, 1, 1.35, top=LINE * lines + 0.12, bottom=below + 0.24, sharex=True)
-    for ax, (k, coordinate) in zip(axes[:, 0], coordinates, strict=True):
+    pose = fit.model.pose
+    figure, axes = panels(len(pose), 1, 1.35, top=LINE + 0.12, bottom=below + 0.24, sharex=True)
+    for k, (ax, coordinate) in enumerate(zip(axes[:, 0], pose, strict=True)):
         values = np.array([[_rmse(table, runs, k) for runs in sets] for _, table, sets, _, _ in series])
         floor = float(fit.noise_floor.get(coordinate, 0.0))
         factor, shown = scale(coordinate, largest(values), fit.model.period)
@@ -62,28 +55,24 @@ def errors_by_setting(fit: Fit, survey: Survey, steps: Mapping[str, ErrorTable] 
     _number(axes[-1, 0], groups, ticks)
     label_x(axes[-1, 0], title, below + 0.03)
     handles = axes[0, 0].get_legend_handles_labels()[0]
-    columns = -(-len(handles) // -(-len(handles) // PER_ROW))
-    legend(figure, handles, "upper center", ncols=columns, handlelength=1.8, columnspacing=1.4)
+    legend(figure, handles, "upper center", ncols=len(handles), handlelength=1.8, columnspacing=1.4)
     return figure
 
 
 def _series(
-    fit: Fit, survey: Survey, steps: Mapping[str, ErrorTable], groups: Sequence[Group]
+    fit: Fit, survey: Survey, groups: Sequence[Group]
 ) -> list[tuple[str, ErrorTable, list[list[int]], dict[str, Any], Any]]:
     """Label, error table, runs of each group, look and shift to the right of every series."""
     held, every = held_out(fit), [runs for _, runs in groups]
     used = [[r for r in runs if r not in held] for runs in every]
     holdout = [[r for r in runs if r in held] for runs in every]
     size = {"ms": 4.2 if len(groups) <= 2 * MOST_SETTINGS else 2.0}
-    looks: list[dict[str, Any]] = [{"marker": "s", "mfc": "white", "color": BEFORE}]
+    before = {"marker": "s", "mfc": "white", "color": BEFORE}
+    after = {"marker": "o", "mfc": AFTER, "color": AFTER}
     found: list[tuple[str, ErrorTable, list[list[int]], dict[str, Any], Any]] = [
-        ("nominal", survey.nominal, every, looks[0] | size, 0.0)
+        ("nominal", survey.nominal, every, before | size, 0.0),
+        ("fitted", survey.fitted, used, after | size, 0.0),
     ]
-    for k, (label, table) in enumerate(steps.items()):
-        look = {"marker": MARKERS[k % len(MARKERS)], "mfc": "white", "color": SERIES[(k + 2) % len(SERIES)]}
-        found.append((label, table, every, look | size, 0.0))
-    look = {"marker": "o", "mfc": AFTER, "color": AFTER}
-    found.append(("fitted", survey.fitted, used, look | size, 0.0))
     if any(holdout):
         look = {"marker": "D", "mfc": "white", "color": AFTER}
         aside = np.array([0.25 if u and a else 0.0 for u, a in zip(used, holdout, strict=True)])

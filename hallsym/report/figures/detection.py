@@ -6,7 +6,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hallsym.report.figures.layout import layout
 from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
@@ -35,10 +34,9 @@ def detection(found: SelfTest) -> Figure:
     The grey line is the rate of false alarms.
     """
     drawn = [e for e in found.effects if e.curve and e.curve[0].ratio is not None]
-    across = layout().across(ACROSS)
-    rows = max(1, -(-len(drawn) // across))
+    rows = max(1, -(-len(drawn) // ACROSS))
     figure, axes = panels(
-        rows, across, HEIGHT, top=0.42, bottom=0.42, gaps=(0.14, 0.34), least=None, sharex=True, sharey=True
+        rows, ACROSS, HEIGHT, top=0.42, bottom=0.42, gaps=(0.14, 0.34), sharex=True, sharey=True
     )
     for ax, effect in zip(axes.flat, drawn, strict=False):
         size = [p.ratio for p in effect.curve]

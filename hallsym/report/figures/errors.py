@@ -9,7 +9,6 @@ import numpy as np
 
 from hallsym.estimation import ErrorTable, Fit
 from hallsym.report.data import Survey, Trace, held_out
-from hallsym.report.figures.layout import layout
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -34,12 +33,6 @@ if TYPE_CHECKING:
 
 BAND = 3.0
 """Half-width of the noise band in noise floors: 99.7 % of Gaussian errors lie inside."""
-PIXELS = 420
-"""Picture columns of one panel."""
-CROWD = 40
-"""Samples per picture column from which on errors may be a solid block."""
-SOLID = 2.5
-"""Errors are a solid block when picture columns typically extend over this many rms (a sine's whole: 2.8)."""
 
 
 def errors_before_after(fit: Fit, survey: Survey, titles: tuple[str, str] | None = None) -> Figure:
@@ -47,32 +40,28 @@ def errors_before_after(fit: Fit, survey: Survey, titles: tuple[str, str] | None
 
     `titles`: what the two sides are, where they are something else.
 
-    Every sample counts: of each picture column the least and the greatest error are drawn, and where that
-    makes a solid block the local rms too. The two sides have scales of their own, and the right one says by
-    how much it is finer.
+    Every sample counts: of each picture column the least and the greatest error are drawn. The two sides have
+    scales of their own, and the right one says by how much it is finer.
     """
     model = fit.model
-    coordinates = layout().share([*enumerate(model.pose)])
-    n = len(coordinates)
+    n = len(model.pose)
     figure, axes = panels(n, 2, 1.17, top=0.45, bottom=0.62, gaps=(LEFT + 0.06, 0.28), sharex=True)
     tables, highest = (survey.nominal, survey.fitted), np.zeros((n, 2))
-    solid = False
     for column, (trace, table) in enumerate(zip(survey.errors, tables, strict=True)):
-        for row, (k, coordinate) in enumerate(coordinates):
+        for k, coordinate in enumerate(model.pose):
             floor = float(fit.noise_floor.get(coordinate, 0.0))
             peak = max(float(table.peak[:, k].max()), largest(trace.low[k]), largest(trace.high[k]))
-            highest[row, column] = max(peak, 1.15 * BAND * floor) or 1e-12
-            factor, unit = scale(coordinate, highest[row, column], model.period)
-            ax = axes[row, column]
+            highest[k, column] = max(peak, 1.15 * BAND * floor) or 1e-12
+            factor, unit = scale(coordinate, highest[k, column], model.period)
+            ax = axes[k, column]
             _campaign_axis(ax, fit, survey)
             x, y = trace.line(k, _campaign_x(survey, trace), survey.edges[1:-1])
             ax.plot(x, factor * y, color=(BEFORE, AFTER)[column], lw=(0.8, 0.5)[column], zorder=2)
-            solid |= _rms_line(ax, survey, trace, k, factor)
             band = (-BAND * factor * floor, BAND * factor * floor)
             ax.hlines(
                 band, 0, 1, transform=ax.get_yaxis_transform(), color=BLACK, lw=0.7, ls=DASHED, zorder=3
             )
-            limit = 1.08 * factor * highest[row, column]
+            limit = 1.08 * factor * highest[k, column]
             ax.ticklabel_format(axis="y", style="plain", useOffset=False)
             ax.set_ylim(-limit * (1.1 if survey.n_rejected else 1.0), limit)
             label_y(ax, f"error in {name(coordinate)} [{unit}]")
@@ -84,32 +73,12 @@ def errors_before_after(fit: Fit, survey: Survey, titles: tuple[str, str] | None
     left, right = titles or (_nominal_words(fit), "Fitted")
     for ax, title in zip(axes[0], (left, f"{right}; scales {finer} × finer"), strict=True):
         ax.set_title(f"{title}\n{ax.get_title('left')}", loc="left", linespacing=1.6)
-    _campaign_legend(figure, fit, survey, solid)
+    _campaign_legend(figure, fit, survey)
     return figure
 
 
 def _nominal_words(fit: Fit) -> str:
     return "Nominal parameters" + (", no zero deviations" if fit.model.zeros else "")
-
-
-def _rms_line(ax: Axes, survey: Survey, trace: Trace, k: int, factor: float) -> bool:
-    """Lay the local rms over errors that are a solid block, and say whether they are."""
-    if trace.count < CROWD * PIXELS:
-        return False
-    per_cell, extent, rms = trace.cells(min(PIXELS, max(PIXELS // 4, 8 * len(survey.runs))))
-    samples = per_cell * trace.width
-    if not np.isfinite(rms[k]).any():
-        return False
-    if np.sqrt(np.nanmean(extent[k] ** 2)) < SOLID * np.sqrt(np.nanmean(rms[k] ** 2)):
-        return False
-    middle = (np.arange(rms.shape[1]) + 0.5) * samples
-    x = np.interp(middle, trace.samples + 0.5, _campaign_x(survey, trace))
-    y = factor * rms[k]
-    if 4 * len(survey.runs) < len(y):
-        y[survey.edges[1:-1] // samples] = np.nan  # what lies in two runs belongs to neither
-    for color, width in (("white", 2.0), (BLACK, 0.9)):
-        ax.plot(x, y, color=color, lw=width, zorder=2.5)
-    return True
 
 
 def _error_words(table: ErrorTable, k: int, fit: Fit, holdout: Sequence[int]) -> str:
@@ -160,13 +129,11 @@ def _campaign_axis(ax: Axes, fit: Fit, survey: Survey) -> None:
     ax.set_xlim(edges[0], edges[-1])
 
 
-def _campaign_legend(figure: Figure, fit: Fit, survey: Survey, solid: bool) -> None:
+def _campaign_legend(figure: Figure, fit: Fit, survey: Survey) -> None:
     from matplotlib.patches import Patch
 
     label = f"±{BAND:g} × noise floor (99.7 % of pure noise)"
     handles: list[Any] = [key(label, color=BLACK, lw=0.7, ls=DASHED)]
-    if solid:
-        handles.append(key("local rms", color=BLACK, lw=0.9))
     if set(held_out(fit)) & set(survey.runs) and len(survey.runs) > 1:
         handles.append(Patch(facecolor=SHADE, label="held-out run"))
     if survey.n_rejected:

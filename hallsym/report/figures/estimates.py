@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hallsym.estimation import Fit
-from hallsym.report.figures.layout import layout
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -44,23 +43,20 @@ def parameters(fit: Fit) -> Figure:
     determine instead stand below.
     """
     model, n = fit.model, len(fit.model.parameters)
-    rows = layout().share(range(n))
-    words = [_number_words(fit, row) for row in rows]
+    words = [_number_words(fit, row) for row in range(n)]
     instead = [plus_minus(c.value, c.half_width, c.unit) for c in fit.combinations]
     header = "estimate ± 95 %"
     right = 0.14 + max(map(text_width, (*words, *instead, header)))
-    letters = layout().letters(84, right)
-    told = fit.combinations if layout().last else ()
-    below = [(textwrap.wrap(typeset(c.expression), letters), c) for c in told]
-    extra = sum(len(lines) for lines, _ in below) + 1.5 if below else 0.0
+    below = [textwrap.wrap(typeset(c.expression), 84) for c in fit.combinations]
+    extra = sum(map(len, below)) + 1.5 if below else 0.0
     figure, (place, sharp) = row_panels(
-        [model.names[row] for row in rows], 2, ROW, right=right, gap=0.34, top=0.4, bottom=0.52 + ROW * extra,
+        model.names, 2, ROW, right=right, gap=0.34, top=0.4, bottom=0.52 + ROW * extra,
         gridspec_kw={"width_ratios": (3, 2)},
     )  # fmt: skip
-    _values(place, sharp, fit, rows)
+    _values(place, sharp, fit)
     for row, text in enumerate(words):
-        beside(sharp, row, text)
-    beside(sharp, -1.1, header)
+        _beside(sharp, row, text)
+    _beside(sharp, -1.1, header)
     place.set_xlim(-0.04, 1.04)
     label_x(place, "position within the bounds")
     place.set_xticks((0, 0.25, 0.5, 0.75, 1), ("lower", "", "middle", "", "upper"))
@@ -71,19 +67,18 @@ def parameters(fit: Fit) -> Figure:
     return figure
 
 
-def _values(place: Axes, sharp: Axes, fit: Fit, shown: Sequence[int]) -> None:
-    """Draw nominal values, estimates and intervals of the parameters that are `shown`."""
+def _values(place: Axes, sharp: Axes, fit: Fit) -> None:
+    """Draw nominal values, estimates and intervals."""
     lower, upper = fit.model.bounds
     width = np.asarray(upper, dtype=float) - lower
-    bounded, these = np.isfinite(width) & (width > 0), np.asarray(shown)
-    for k in these[~bounded[these]]:
+    bounded = np.isfinite(width) & (width > 0)
+    for k in np.flatnonzero(~bounded):
         word = "fixed" if width[k] == 0 else "no bounds"
-        place.text(0.5, float(k - these[0]), word, ha="center", va="center_baseline", color=GREY)
-    every = these[bounded[these]]
-    rows = every - these[0]
-    nominal = (np.asarray(fit.model.nominal)[every] - lower[every]) / width[every]
-    at, known = (fit.values[every] - lower[every]) / width[every], np.asarray(fit.determined)[every]
-    edge = np.isin(np.array(fit.model.names)[every], fit.at_bound)
+        place.text(0.5, float(k), word, ha="center", va="center_baseline", color=GREY)
+    rows = np.flatnonzero(bounded)
+    nominal = (np.asarray(fit.model.nominal)[rows] - lower[rows]) / width[rows]
+    at, known = (fit.values[rows] - lower[rows]) / width[rows], np.asarray(fit.determined)[rows]
+    edge = np.isin(np.array(fit.model.names)[rows], fit.at_bound)
     drawn = np.clip(nominal, -0.03, 1.03)
     place.hlines(rows, drawn, at, color=FAINT, lw=0.8, zorder=1)
     for marker, size, pick in (
@@ -98,7 +93,7 @@ def _values(place: Axes, sharp: Axes, fit: Fit, shown: Sequence[int]) -> None:
         ("o", "white", ~known & ~edge),
     ):
         place.plot(at[pick], rows[pick], marker=marker, mfc=face, **POINT, zorder=3)
-    half = np.where(known, fit.half_width[every], np.nan) / width[every]
+    half = np.where(known, fit.half_width[rows], np.nan) / width[rows]
     ends = at[known] - half[known], at[known] + half[known]
     place.hlines(rows[known], *ends, color=AFTER, lw=1.4, zorder=2, capstyle="butt")
     sharp.plot(100 * half[half > 0], rows[half > 0], marker="o", **POINT, zorder=3)
@@ -116,18 +111,16 @@ def _number_words(fit: Fit, row: int) -> str:
     return "not identifiable, fixed" if p.name in fit.held else "not identifiable"
 
 
-def beside(ax: Axes, row: float, text: str, *, inside: bool = False) -> None:
-    """Write to the right of a row, or in it."""
-    ax.text(0.03 if inside else 1.03, row, text, transform=ax.get_yaxis_transform(), va="center_baseline")
+def _beside(ax: Axes, row: float, text: str) -> None:
+    """Write to the right of a row."""
+    ax.text(1.03, row, text, transform=ax.get_yaxis_transform(), va="center_baseline")
 
 
-def _combinations(
-    figure: Figure, below: Sequence[tuple[list[str], Any]], instead: Sequence[str], right: float
-) -> None:
+def _combinations(figure: Figure, below: Sequence[list[str]], instead: Sequence[str], right: float) -> None:
     """List the identifiable combinations, one picture row per line."""
     width, height = figure.get_size_inches()
     rows = [("Identifiable combinations", "")]
-    for (lines, _), value in zip(below, instead, strict=True):
+    for lines, value in zip(below, instead, strict=True):
         indents = (1, *[3] * (len(lines) - 1))
         rows += [(" " * i + line, "") for i, line in zip(indents, lines, strict=True)]
         rows[-1] = (rows[-1][0], value)

@@ -15,6 +15,8 @@ from hallsym.report.figures.saving import Place, save_figures
 if TYPE_CHECKING:
     from hallsym.estimation import Evaluation
 
+TITLES = "Nominal parameters", "Calibration"
+
 
 def save_evaluation(found: Evaluation, folder: str | Path | Place) -> list[Path]:
     """Draw the pictures of an evaluation into `folder` (made if missing) and return the files written.
@@ -24,11 +26,10 @@ def save_evaluation(found: Evaluation, folder: str | Path | Place) -> list[Path]
     """
     fit, log = found.applied, found.decoded
     survey = cache(lambda: look_over(log, fit))
-    titles = "Nominal parameters", "Calibration"
     return save_figures(
         {
             "measured": lambda: measured(log, fit, survey()),
-            "errors_before_after": lambda: errors_before_after(fit, survey(), titles),
+            "errors_before_after": lambda: errors_before_after(fit, survey(), TITLES),
             "errors_by_setting": lambda: errors_by_setting(fit, survey()),
         },
         folder,

@@ -10,7 +10,6 @@ import numpy as np
 from hallsym.estimation import Fit
 from hallsym.log import Log, Weigh
 from hallsym.report.data import COLUMNS, Survey, Trace, decoded, held_out, representative
-from hallsym.report.figures.layout import layout, leftmost
 from hallsym.report.figures.style import (
     AFTER,
     BLACK,
@@ -32,25 +31,20 @@ STRETCHES = tuple(2 * COLUMNS * 4**k for k in range(12))
 """Samples from the start of a run that are tried when the whole run would be a solid block."""
 SMEAR = 0.025
 """Motion can be seen while it moves less than this share of its travel within one picture column."""
-SHORT = 0.6
-"""Least height of a stacked panel [inches]: a name and its unit, upright."""
 
 
 def measured(log: Log, fit: Fit, survey: Survey, keep: Weigh | None = None) -> Figure:
     """Draw reference, decoded pose and readings of the runs in which each pose coordinate moves most."""
     model = fit.model
-    chosen = layout().share(representative(survey))
+    chosen = representative(survey)
     traces = _run_traces(log, fit, survey, chosen, keep)
     n, rows = len(model.pose), len(model.pose) + 1
-    figure, axes = panels(
-        rows, len(chosen), 1.16, top=0.42, bottom=0.62, least=SHORT, sharex="col", sharey="row"
-    )
+    figure, axes = panels(rows, len(chosen), 1.16, top=0.42, bottom=0.62, sharex="col", sharey="row")
     every = [range(1 + k, 1 + 3 * n, n) for k in range(n)] + [range(1 + 3 * n, len(traces[0].low))]
     columns = (*model.pose, model.channels[0])
     scales = [scale(c, _largest(traces, k), model.period) for c, k in zip(columns, every, strict=True)]
     for row, word, (_, unit) in zip(axes, (*map(name, model.pose), "reading"), scales, strict=True):
-        for ax in leftmost(row):
-            label_y(ax, f"{word} [{unit}]")
+        label_y(row[0], f"{word} [{unit}]")
     timed = survey.time is not None
     looks: tuple[tuple[str, dict[str, Any]], ...] = (
         ("reference", {"color": LIGHT, "lw": 3.2}),

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.report.figures.layout import HEAD, LOW, TIGHT, folded, grow, layout, stack
 from hallsym.report.words import short
 
 if TYPE_CHECKING:
@@ -18,12 +17,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
+WIDTH = 7.1  # inches: two columns of a journal page
 DPI = 300
 FONT = 8.0  # points
 LEFT = 0.64  # inches: an upright label and six digits
 LINE = 0.165  # inches: a line of text
 EDGE = 0.1  # inches: beside a caption
-TEXT = 1.2 * FONT / 72  # inches: the least from a line of text to the next, the usual line spacing
 ENTRY = 0.18  # inches: a line of a legend
 BLACK, GREY, FAINT, SHADE, STRIPE = "#000000", "#777777", "#bbbbbb", "#e6e6e6", "#f4f4f4"
 BEFORE, AFTER, LIGHT, GREEN = "#d55e00", "#0072b2", "#f0b070", "#009e73"  # Okabe and Ito's palette
@@ -66,55 +65,36 @@ def panels(
     left: float = LEFT,
     right: float = 0.08,
     gaps: tuple[float, float] = (0.12, 0.12),
-    least: float | None = LOW,
-    head: float = HEAD,
     **options: Any,
 ) -> tuple[Figure, np.ndarray]:
-    """Return a figure of `rows` x `columns` axes, each `height` high; margins and gaps in inches.
-
-    Where the layout stacks, the columns stand below each other and axes may be `least` high; where that is
-    None they stay side by side. `head`: for the title of each column then.
-    """
+    """Return a figure of `rows` x `columns` axes, each `height` high; margins and gaps in inches."""
     from matplotlib.figure import Figure
 
     across, down = gaps
     total = top + bottom + rows * height + (rows - 1) * down
-    page = layout().width
-    width = (page - left - right - (columns - 1) * across) / columns
-    stacked = layout().stacked and columns > 1 and least is not None
-    if stacked:
-        width = page - left - right
-        options = {k: v for k, v in options.items() if k != "gridspec_kw"}
-    layout().need(width, TIGHT)
+    width = (WIDTH - left - right - (columns - 1) * across) / columns
     place = {
-        "left": left / page,
-        "right": 1 - right / page,
+        "left": left / WIDTH,
+        "right": 1 - right / WIDTH,
         "top": 1 - top / total,
         "bottom": bottom / total,
         "wspace": across / width,
         "hspace": down / height,
     }
-    figure = Figure(figsize=(page, total))
+    figure = Figure(figsize=(WIDTH, total))
     axes = figure.subplots(
         rows, columns, squeeze=False, gridspec_kw=place | options.pop("gridspec_kw", {}), **options
     )
-    if stacked and least is not None:
-        margins = {"top": top, "bottom": bottom, "left": left, "right": right}
-        stack(figure, axes, height, **margins, gap=down, least=least, head=head)
     return figure, axes
 
 
 def row_panels(
-    names: Sequence[str], columns: int, row: float, *, right: float, gap: float, lines: int = 1,
-    head: float = 0.2, **options: Any,
-) -> tuple[Figure, list[Axes]]:  # fmt: skip
-    """Return a figure of `columns` axes side by side with one row per name, `row` high; inches.
-
-    `lines` of text in a row; `head`: for the title of axes that stand below others.
-    """
+    names: Sequence[str], columns: int, row: float, *, right: float, gap: float, **options: Any
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure of `columns` axes side by side with one row per name, `row` high; inches."""
     figure, axes = panels(
         1, columns, row * len(names), left=0.1 + max(map(text_width, names)), right=right, gaps=(gap, 0),
-        sharey=True, least=TEXT * lines * len(names), head=head, **options,
+        sharey=True, **options,
     )  # fmt: skip
     for ax in axes[0]:
         bands(ax, [(k - 0.5, k + 0.5) for k in range(0, len(names), 2)], STRIPE, upright=False)
@@ -132,21 +112,8 @@ def label_y(ax: Axes, text: str, margin: float = LEFT) -> None:
 
 def label_x(ax: Axes, text: str, below: float = 0.24) -> None:
     """Label the x axis `below` [inches] its line."""
-    if layout().stacked:
-        box = ax.get_position()
-        middle = 0.5 * (box.x0 + box.x1)
-        room = 2 * layout().width * min(middle, 1 - middle) - EDGE
-        lines = [part for line in text.split("\n") for part in broken(line, room, "")]
-        grow(_figure(ax), below=LINE * (len(lines) - len(text.split("\n"))))
-        text = "\n".join(lines)
     ax.set_xlabel(text)
     ax.xaxis.set_label_coords(0.5, -below / _inches(ax)[1])
-
-
-def _figure(ax: Axes) -> Figure:
-    figure = ax.get_figure(root=True)
-    assert figure is not None
-    return figure
 
 
 def _inches(ax: Axes) -> tuple[float, float]:
@@ -161,26 +128,42 @@ def legend(figure: Figure, handles: Sequence[Any], where: str, **options: Any) -
 
     Entries that have no room in a line make more lines, and the figure grows by them.
     """
-    _fold(figure, handles, where, options)
+    em = FONT / 72
+    mark = em * (options.get("handlelength", STYLE["legend.handlelength"]) + 0.8)
+    between = em * options.get("columnspacing", 2.0)
+    widths = [mark + text_width(handle.get_label()) for handle in handles]
+    asked = columns = min(options.get("ncols", 1), len(handles))
+    while columns > 1:
+        wide = sum(max(part) for part in np.array_split(np.array(widths), columns))
+        if wide + (columns - 1) * between <= WIDTH - 0.1:
+            break
+        columns -= 1
+    options["ncols"] = columns
+    lines = -(-len(handles) // columns)
+    if where.startswith("upper"):
+        _grow(figure, above=ENTRY * (lines + (-len(handles) // asked)))
+    else:
+        _grow(figure, below=ENTRY * (lines - 1))
     edge = 0.03 / figure.get_size_inches()[1]
     x, y = {"left": 0.0, "center": 0.5}[where.split()[1]], 1 - edge if where.startswith("upper") else edge
     options |= {"loc": where, "bbox_to_anchor": (x, y)}
     figure.legend(handles=handles, **options)
 
 
-def _fold(figure: Figure, handles: Sequence[Any], where: str, options: dict[str, Any]) -> None:
-    """Set the columns of a legend by their room, and make the room for its lines."""
-    em = FONT / 72
-    mark = em * (options.get("handlelength", STYLE["legend.handlelength"]) + 0.8)
-    between = em * options.get("columnspacing", 2.0)
-    widths = [mark + text_width(handle.get_label()) for handle in handles]
-    asked = min(options.get("ncols", 1), len(handles))
-    options["ncols"] = folded(widths, asked, between, layout().width - 0.1)
-    lines = -(-len(handles) // options["ncols"])
-    if where.startswith("upper"):
-        grow(figure, above=ENTRY * (lines + (-len(handles) // asked)))
-    else:
-        grow(figure, below=ENTRY * (lines - 1))
+def _grow(figure: Figure, *, above: float = 0.0, below: float = 0.0) -> None:
+    """Make a figure higher [inches]; its axes keep their size and their place from the other edge."""
+    width, old = figure.get_size_inches()
+    new = old + above + below
+    figure.set_size_inches(width, new)
+    for ax in figure.axes:
+        box = ax.get_position()
+        ax.set_position((box.x0, (box.y0 * old + below) / new, box.width, box.height * old / new))
+    for text in figure.texts:
+        x, y = text.get_position()
+        text.set_position((x, (y * old + below) / new))
+    for drawn in figure.legends:
+        box = drawn.get_bbox_to_anchor().transformed(figure.transFigure.inverted())
+        drawn.set_bbox_to_anchor((box.x0, box.y0), transform=figure.transFigure)
 
 
 def key(label: str, **look: Any) -> Line2D:
@@ -201,7 +184,7 @@ def text_width(text: str) -> float:
 
 def broken(text: str, width: float | None = None, indent: str = "    ") -> list[str]:
     """Break text into lines of at most `width` inches; what follows the first is indented."""
-    width = layout().width - 2 * EDGE if width is None else width
+    width = WIDTH - 2 * EDGE if width is None else width
     lines: list[str] = []
     for word in text.split(" "):
         longer = f"{lines[-1]} {word}" if lines else word
@@ -237,7 +220,6 @@ def log_axis(ax: Axes, which: str, values: np.ndarray) -> None:
     ax.set(**{f"{which}scale": "log", f"{which}lim": (low / margin, top * margin)})
     axis = getattr(ax, f"{which}axis")
     subs = (1, 2, 5) if decades < 1.4 else (1, 3) if decades < 2.6 else (1,)
-    most = layout().ticks(_inches(ax)[0]) if which == "x" else None
-    axis.set_major_locator(LogLocator(subs=subs, numticks=most))
+    axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter(FuncFormatter(lambda v, _: short(v)))
     axis.set_minor_formatter(NullFormatter())

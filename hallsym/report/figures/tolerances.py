@@ -17,12 +17,11 @@ if TYPE_CHECKING:
 
     from hallsym.uncertainty.tolerances import Tolerances
 
-QUANTITIES = {"error": "Error", "rms": "Rms of one machine", "peak": "Peak of one machine"}
 ROW, BAR = 0.155, 0.36
 
 
-def tolerances(found: Tolerances, quantity: str = "error") -> Figure:
-    """Draw first and total indices of a quantity ("error", "rms", "peak"), one panel per coordinate.
+def tolerances(found: Tolerances) -> Figure:
+    """Draw first and total indices of the error, one panel per coordinate.
 
     Rows are in the order of the ranking; whiskers are 95 % intervals.
     """
@@ -32,7 +31,7 @@ def tolerances(found: Tolerances, quantity: str = "error") -> Figure:
     rows = np.arange(len(order))
     figure, axes = row_panels(found.ranking, len(pose), ROW, right=0.1, gap=0.16, top=0.42, bottom=0.42)
     for ax, column in zip(axes, pose, strict=True):
-        indices = found.indices[quantity][column]
+        indices = found.indices["error"][column]
         for side, color, values, half in (
             (-0.5, AFTER, indices.first, indices.first_half),
             (0.5, LIGHT, indices.total, indices.total_half),
@@ -48,7 +47,7 @@ def tolerances(found: Tolerances, quantity: str = "error") -> Figure:
     legend(
         figure,
         [
-            Patch(color=AFTER, label=f"{QUANTITIES[quantity]}: first index"),
+            Patch(color=AFTER, label="Error: first index"),
             Patch(color=LIGHT, label="total index"),
             key("95 %", color=BLACK, lw=0.6),
         ],
@@ -59,5 +58,5 @@ def tolerances(found: Tolerances, quantity: str = "error") -> Figure:
 
 
 def save_tolerances(found: Tolerances, folder: str | Path | Place) -> list[Path]:
-    """Save one picture per quantity into `folder` (made if missing) and return the files written."""
-    return save_figures({f"tolerances_{q}": partial(tolerances, found, q) for q in QUANTITIES}, folder)
+    """Save the picture into `folder` (made if missing) and return the files written."""
+    return save_figures({"tolerances": partial(tolerances, found)}, folder)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.report.figures.layout import layout
 from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
@@ -16,10 +15,10 @@ from hallsym.report.figures.style import (
     DASHED,
     FAINT,
     LINE,
+    WIDTH,
     label_x,
     label_y,
     legend,
-    log_axis,
     panels,
     text_width,
 )
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from hallsym.trajectory import CurveCost
     from hallsym.uncertainty import AlongCurve, Budget, UncertaintyMap
 
 MOST_BARS = 12
@@ -46,20 +44,17 @@ def save_budget_pictures(
     *,
     worst: bool = False,
     along: AlongCurve | None = None,
-    cost: CurveCost | None = None,
 ) -> list[Path]:
     """Draw `budget.png`, and `uncertainty_map.png` if there is a map; returns the files written.
 
     `worst`: the budgets are those of the worst position of each coordinate, which the picture then says.
-    `along`, `cost`: of a curve, drawn as `uncertainty_along.png` and `curve_worth.png`.
+    `along`: of a curve, drawn as `uncertainty_along.png`.
     """
     draw: dict[str, Callable[[], Figure]] = {"budget": lambda: budget_bars(budgets, worst=worst)}
     if grid is not None:
         draw["uncertainty_map"] = lambda: uncertainty_picture(grid)
     if along is not None:
         draw["uncertainty_along"] = lambda: along_picture(along)
-    if cost is not None and len(cost.rows) > 1:
-        draw["curve_worth"] = lambda: worth_picture(cost)
     return save_figures(draw, folder)
 
 
@@ -84,30 +79,6 @@ def along_picture(along: AlongCurve) -> Figure:
         Line2D([], [], color=AFTER, label="with the curve"),
         Line2D([], [], color=BEFORE, ls=DASHED, label="machine alone"),
         Line2D([], [], color=FAINT, lw=6, label="worst part"),
-    ]
-    legend(figure, handles, "upper left", ncols=3)
-    return figure
-
-
-def worth_picture(cost: CurveCost) -> Figure:
-    """Draw U against the number of control points, and that of the machine alone."""
-    from matplotlib.lines import Line2D
-
-    figure, axes = panels(1, 1, 2.2, top=2.1 * LINE, bottom=0.44, right=0.14)
-    ax, (factor, unit) = axes[0, 0], fitting("m", cost.total_m)
-    many: dict[str, Any] = {"color": AFTER, "marker": "o", "ms": 3}
-    this: dict[str, Any] = {"color": AFTER, "marker": "s", "ms": 6, "mfc": "none", "ls": ""}
-    expanded = [factor * row.expanded_m for row in cost.rows]
-    ax.plot([row.control_points for row in cost.rows], expanded, **many)
-    ax.plot([cost.curve.control_points], [factor * cost.total_m], **this)
-    ax.axhline(factor * cost.machine_m, color=BEFORE, ls=DASHED)
-    log_axis(ax, "y", np.array([factor * cost.machine_m, *expanded]))
-    label_x(ax, "control points", 0.3)
-    label_y(ax, f"U [{typeset(unit)}]")
-    handles = [
-        Line2D([], [], label="with the curve", **many),
-        Line2D([], [], label="this curve", **this),
-        Line2D([], [], color=BEFORE, ls=DASHED, label="machine alone"),
     ]
     legend(figure, handles, "upper left", ncols=3)
     return figure
@@ -170,7 +141,7 @@ def uncertainty_picture(grid: UncertaintyMap) -> Figure:
     )
     level, coverage = grid.settings.level, grid.settings.coverage
     figure.text(
-        0.03 / layout().width, 1 - 0.05 / figure.get_size_inches()[1],
+        0.03 / WIDTH, 1 - 0.05 / figure.get_size_inches()[1],
         f"Expanded uncertainty U ({f'k = {coverage:g}' if level is None else f'{100 * level:g} %'}) of the "
         "decoded position" + (f" at {fixed}" if fixed != "level" else ""),
         va="top",
@@ -199,12 +170,12 @@ def _maps(grid: UncertaintyMap) -> Figure:
     scales = [scale(c, largest(grid.axes[c]), grid.turning) for c in (across, up)]
     x, y = (factor * grid.axes[c] for c, (factor, _) in zip((across, up), scales, strict=True))
     bar, gap = 0.75, 0.1
-    width = (layout().width - 0.64 - bar - gap * (len(slices) - 1)) / len(slices)
+    width = (WIDTH - 0.64 - bar - gap * (len(slices) - 1)) / len(slices)
     spread = [float(np.ptp(grid.axes[c])) for c in (across, up)]
     height = float(np.clip(width * spread[1] / spread[0] if spread[0] else width, 0.8, 1.8))
     figure, axes = panels(
         len(grid.pose), len(slices), height, top=2.3 * LINE, bottom=0.44, right=bar, gaps=(gap, 0.16),
-        least=None, sharex=True, sharey=True,
+        sharex=True, sharey=True,
     )  # fmt: skip
     for row, coordinate, U in zip(axes, grid.pose, values, strict=True):
         factor, unit = scale(coordinate, float(U.max()), grid.turning)
@@ -234,7 +205,7 @@ def _row(
             ax.contour(*plane, U, levels=levels, colors="white", linewidths=0.5)
         _inward(ax)
     box = axes[-1].get_position()
-    beside = figure.add_axes((box.x1 + 0.08 / layout().width, box.y0, 0.1 / layout().width, box.height))
+    beside = figure.add_axes((box.x1 + 0.08 / WIDTH, box.y0, 0.1 / WIDTH, box.height))
     colours = figure.colorbar(picture, cax=beside)
     colours.set_label(label, labelpad=2)
     colours.ax.yaxis.set_major_formatter(lambda v, _: short(v))

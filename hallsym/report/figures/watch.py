@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hallsym.report.figures.layout import layout
 from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import AFTER, BEFORE, DASHED, GREY, key, label_x, label_y, legend, panels
 
@@ -26,10 +25,9 @@ MOST = 12.0
 def control_chart(found: Watch) -> Figure:
     """Draw one panel per test: its score by log with the limits; a log beyond them is marked."""
     names = list(found.names())
-    across = layout().across(ACROSS)
-    rows = max(1, -(-len(names) // across))
+    rows = max(1, -(-len(names) // ACROSS))
     figure, axes = panels(
-        rows, across, HEIGHT, top=0.42, bottom=0.42, gaps=(0.14, 0.34), least=None, sharex=True, sharey=True
+        rows, ACROSS, HEIGHT, top=0.42, bottom=0.42, gaps=(0.14, 0.34), sharex=True, sharey=True
     )
     for ax, name in zip(axes.flat, names, strict=False):
         places, tests = [], []
