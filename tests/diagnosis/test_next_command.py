@@ -1,9 +1,8 @@
 """The command that a diagnosis prints fits the model that it names, and leaves the error that it states.
 
-Every simulated log of the golden results, and every case beside the project: slow. A few of them: fast.
+Every log of the golden results: slow. A few of them: fast.
 """
 
-import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "goldens"))
 
-from golden_logs import CASES, LOGS, Absent, folder_of
+from golden_logs import LOGS, folder_of
 
 import hallsym
 from hallsym.diagnosis import Diagnosis, base_of, decoded_errors, diagnose, model_on
@@ -53,9 +52,8 @@ def left(d: Diagnosis, path: Path) -> tuple[float, float]:
     return float(np.linalg.norm(weights * said)), float(np.linalg.norm(weights * fitted))
 
 
-def check(path: Path, options: tuple[str, ...] = ()) -> None:
-    log, effects = read_log(path), option(options, "--effect")
-    d = diagnose(log, model_on(log, None, effects) if effects else None)
+def check(path: Path) -> None:
+    d = diagnose(read_log(path))
     if not d.next_step or any(not e.text for e in d.effects):
         return  # nothing to fit, or faults of samples that a fit does not repair
     said, found = left(d, path)
@@ -65,24 +63,10 @@ def check(path: Path, options: tuple[str, ...] = ()) -> None:
 
 @pytest.mark.parametrize("name", QUICK)
 def test_the_command_leaves_the_error_that_is_stated(name):
-    check(folder_of(name), LOGS[name].diagnose)
+    check(folder_of(name))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [n for n in LOGS if n not in QUICK and LOGS[n].diagnosed != "never"])
+@pytest.mark.parametrize("name", [n for n in LOGS if n not in QUICK])
 def test_the_command_of_every_golden_log(name):
-    try:
-        folder = folder_of(name)
-    except Absent as absent:
-        pytest.skip(str(absent))
-    check(folder, LOGS[name].diagnose)
-
-
-NAMES = sorted(str(p.relative_to(CASES)) for f in ("dev", "more") for p in (CASES / f).glob("*_*"))
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not NAMES, reason=f"no cases in {os.fspath(CASES)}; the golden logs above always run")
-@pytest.mark.parametrize("name", NAMES)
-def test_the_command_of_every_case(name):
-    check(CASES / name)
+    check(folder_of(name))
