@@ -1,7 +1,6 @@
 """`hallsym plan`: what to record next."""
 
 from argparse import Namespace
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -47,17 +46,12 @@ def add(sub: Any) -> None:
         "  hallsym plan ranges.toml -o next.toml --runs 20\n"
         "  hallsym plan ranges.toml -o next.toml --minutes 30 --criterion max-u --values calib.json\n"
         "  hallsym plan ranges.toml -o next.toml --runs 10 --after log.parquet --plots pictures\n"
-        "  hallsym plan --like-paper -o next.toml\n"
-        "  hallsym plan ranges.toml -o next.toml --curves",
+        "  hallsym plan --like-paper -o next.toml",
     )  # fmt: skip
     parser.add_argument("ranges", metavar="TOML", nargs="?", help="ranges file (docs/plan.md)")
     parser.add_argument(
         "--like-paper", action="store_true",
         help="the ranges of the paper's campaign instead of a file: 57 runs of 1 s, 1, 2 and 3 Hz",
-    )  # fmt: skip
-    parser.add_argument(
-        "--curves", action="store_true",
-        help="try closed curves too, within the ranges and no faster than the sines, and say what they gain",
     )  # fmt: skip
     parser.add_argument("-o", "--output", metavar="TOML", help="campaign file to write")
     plots_options(parser)
@@ -127,10 +121,7 @@ def _ranges(options: Namespace) -> Ranges:
         raise InputError(
             "Give either a ranges file or --like-paper; nothing is assumed for what may be recorded."
         )
-    ranges = paper_ranges() if options.like_paper else read_ranges(options.ranges)
-    if options.curves and "curves" not in ranges.trajectories:
-        ranges = replace(ranges, trajectories=(*ranges.trajectories, "curves"))
-    return ranges
+    return paper_ranges() if options.like_paper else read_ranges(options.ranges)
 
 
 def _truth(options: Namespace, machine: Machine, log: Log | None) -> tuple[Model, dict[str, float], str]:

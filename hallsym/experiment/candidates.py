@@ -7,7 +7,6 @@ from itertools import combinations, permutations, product
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.experiment.curves import closed_curves
 from hallsym.experiment.ranges import Box, Ranges, tidy
 from hallsym.model import Model
 from hallsym.simulation import Run, Signal, multi_sine, sine, triangle
@@ -113,8 +112,6 @@ def _planar(ranges: Ranges, moving: Sequence[str]) -> Iterator[_Motion]:
         shared = {axis: list(f[k :: len(moving)]) for k, axis in enumerate(moving)}
         signals = {axis: multi_sine(reach[axis], shared[axis]) for axis in moving}
         yield _Motion("multi-sine " + ", ".join(map(_axis, moving)), signals, reach)
-    if "curves" in wanted:
-        yield from _followed(ranges, moving)
     lines = round(f[-1] / f[0])
     if "raster" in wanted and lines >= 2:
         lengths = [axis for axis in moving if si_unit(axis) == "m"]
@@ -122,16 +119,6 @@ def _planar(ranges: Ranges, moving: Sequence[str]) -> Iterator[_Motion]:
             reach = {axis: ranges.place(axis)[1] for axis in (fast, slow)}
             signals = {fast: triangle(reach[fast], f[-1]), slow: triangle(reach[slow], f[-1] / lines)}
             yield _Motion(f"raster, lines along {_axis(fast)} at {f[-1]:g} Hz", signals, reach)
-
-
-def _followed(ranges: Ranges, moving: Sequence[str]) -> Iterator[_Motion]:
-    """Closed curves over the axes that move."""
-    reach = {axis: ranges.place(axis)[1] for axis in moving}
-    for found in closed_curves(reach, ranges.seconds_per_run, ranges.frequencies_hz[-1]):
-        kind, axes = found.name.partition("_")[0], found.curve.coordinates
-        name = f"curve, {kind} of {', '.join(map(_axis, axes))}"
-        name += f", {found.times} times" if found.times > 1 else ""
-        yield _Motion(name, found.signals(), {axis: reach[axis] for axis in axes}, lifts=True)
 
 
 def _sines(ranges: Ranges, axes: Sequence[str], frequencies: Sequence[float]) -> _Motion:

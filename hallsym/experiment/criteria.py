@@ -18,20 +18,21 @@ import numpy as np
 
 CRITERIA = ("D", "A", "E", "max-u")
 SHARP = 24.0
-"""Power that stands for a maximum where E and max-u have corners: in slopes, and in a first exchange."""
+"""Power that stands for a maximum where E and max-u have corners, in slopes."""
+BETTER = 1e-6
+"""Relative gain below which an exchange is not made."""
+PASSES = 30
+TRIED, MOST_TRIED = 12, 120
+"""Candidates of largest slope that are tried first, and when none of them helps."""
 
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """`values(M)`: phi of each of (..., m, m), shape (...). `slope(M)`: G (m, m) with phi(M') <= tr(G M').
-
-    `soft`: the same criterion with its corners rounded; None where it has none.
-    """
+    """`values(M)`: phi of each of (..., m, m), shape (...). `slope(M)`: G (m, m) with phi(M') <= tr(G M')."""
 
     name: str
     values: Callable[[np.ndarray], np.ndarray]
     slope: Callable[[np.ndarray], np.ndarray]
-    soft: Callable[[np.ndarray], np.ndarray] | None = None
 
 
 def criterion(name: str, m: int, workspace: np.ndarray) -> Criterion:
@@ -67,11 +68,7 @@ def _e(m: int) -> Criterion:
         share = (size[0] / size) ** SHARP
         return (vectors * (share / share.sum())) @ vectors.T  # tr = 1, so tr(G M') >= least eigenvalue of M'
 
-    def soft(M: np.ndarray) -> np.ndarray:
-        size = np.linalg.eigvalsh(M)
-        return size[..., 0] * np.sum((size[..., :1] / size) ** SHARP, axis=-1) ** (-1 / SHARP)
-
-    return Criterion("E", lambda M: np.linalg.eigvalsh(M)[..., 0], slope, soft)
+    return Criterion("E", lambda M: np.linalg.eigvalsh(M)[..., 0], slope)
 
 
 def _max_u(workspace: np.ndarray) -> Criterion:
@@ -90,9 +87,80 @@ def _max_u(workspace: np.ndarray) -> Criterion:
         loaded = flat * np.sqrt(np.repeat(share, outputs))[:, None] @ inverse
         return loaded.T @ loaded / (share @ u2) ** 2  # the slope of 1 / sum share u2, which bounds 1 / max u2
 
-    def soft(M: np.ndarray) -> np.ndarray:
-        u2 = squares(M)
-        most = u2.max(axis=-1)
-        return np.mean((u2 / most[..., None]) ** SHARP, axis=-1) ** (-1 / SHARP) / most
+    return Criterion("max-u", lambda M: 1.0 / squares(M).max(axis=-1), slope)
 
-    return Criterion("max-u", lambda M: 1.0 / squares(M).max(axis=-1), slope, soft)
+
+# -- whole runs: greedy choice, then exchange one run for another while that helps ------------------------
+# Fedorov, Theory of Optimal Experiments, Academic Press 1972, ch. 3.
+
+
+def greedy(
+    infos: np.ndarray, base: np.ndarray, runs: int, criterion: Criterion, counts: np.ndarray | None = None
+) -> np.ndarray:
+    """Return how often each candidate is chosen, (candidates,): the best one more, until there are `runs`."""
+    counts = np.zeros(len(infos), dtype=int) if counts is None else counts.copy()
+    M = base + np.tensordot(counts, infos, axes=1)
+    while counts.sum() < runs:
+        best, _ = _best(infos, M, criterion, TRIED)
+        counts[best] += 1
+        M = M + infos[best]
+    return counts
+
+
+def _best(infos: np.ndarray, M: np.ndarray, criterion: Criterion, tried: int) -> tuple[int, float]:
+    """The candidate that adds most to M and the criterion with it, among `tried` of largest slope."""
+    if tried >= len(infos):
+        some = np.arange(len(infos))
+    else:
+        slopes = infos.reshape(len(infos), -1) @ criterion.slope(M).ravel()
+        some = np.sort(np.argpartition(-slopes, tried)[:tried])
+    values = criterion.values(M + infos[some])
+    best = int(np.argmax(values))
+    return int(some[best]), float(values[best])
+
+
+def exchange(
+    infos: np.ndarray, base: np.ndarray, counts: np.ndarray, criterion: Criterion, rng: np.random.Generator
+) -> np.ndarray:
+    """Exchange runs one for one until none helps; the order in which they are tried is random."""
+    counts, tried = counts.copy(), TRIED
+    for _ in range(PASSES):
+        better = _pass(infos, base, counts, criterion, rng, tried)
+        if not better and tried == MOST_TRIED:
+            break
+        tried = TRIED if better else MOST_TRIED
+    return counts
+
+
+def _pass(
+    infos: np.ndarray,
+    base: np.ndarray,
+    counts: np.ndarray,
+    criterion: Criterion,
+    rng: np.random.Generator,
+    tried: int,
+) -> bool:
+    """Try another candidate for each run that is chosen; changes `counts` and returns whether any did."""
+    M = base + np.tensordot(counts, infos, axes=1)
+    value, better = float(criterion.values(M)), False
+    for j in rng.permutation(np.flatnonzero(counts)):
+        best, reached = _best(infos, M - infos[j], criterion, tried)
+        if reached > value * (1.0 + BETTER):
+            counts[j] -= 1
+            counts[best] += 1
+            M = base + np.tensordot(counts, infos, axes=1)
+            value, better = float(criterion.values(M)), True
+    return better
+
+
+def choose(
+    infos: np.ndarray, base: np.ndarray, runs: int, phi: Criterion, rng: np.random.Generator
+) -> np.ndarray:
+    """Return how often each candidate is run, (candidates,).
+
+    A criterion with corners holds an exchange up where two runs would have to change at once: the choice for
+    the volume (D), which has none and is near the best for every criterion, is exchanged for `phi`.
+    """
+    d = criterion("D", len(base), np.empty(0))
+    counts = exchange(infos, base, greedy(infos, base, runs, d), d, rng)
+    return counts if phi.name == "D" else exchange(infos, base, counts, phi, rng)

@@ -1,6 +1,6 @@
 """`plan`: choose what to record next, and say what it would determine."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -9,11 +9,9 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.estimation import columns_of, cost_near, noise_of
-from hallsym.experiment.comparison import Comparison, compare
 from hallsym.experiment.criteria import CRITERIA
-from hallsym.experiment.information import Worst
 from hallsym.experiment.ranges import Ranges
-from hallsym.experiment.study import Choice, Study, study
+from hallsym.experiment.study import Choice, Outcome, Study, Worst, study
 from hallsym.families import build, default_model
 from hallsym.log import Log, Meta, Noise, check_log, check_noise_keys
 from hallsym.model import Model
@@ -24,16 +22,58 @@ from hallsym.simulation import Campaign
 FORMAT = "hallsym plan 1"
 
 
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Another campaign (`name`, `runs`, `seconds` recorded) and plans by the same criterion.
+
+    `other`: what the campaign determines, `planned`: what a plan of as many runs does; None where the
+    campaign does not determine the model. `runs_same_value`, `runs_same_std`: how many planned runs reach its
+    criterion, and its every standard uncertainty; None where more than its own.
+    """
+
+    name: str
+    runs: int
+    seconds: float
+    other: Outcome | None = None
+    planned: Outcome | None = None
+    runs_same_value: int | None = None
+    runs_same_std: int | None = None
+
+    @property
+    def factor(self) -> np.ndarray | None:
+        """How many times smaller each standard uncertainty of the plan is, (q,); None as for `other`."""
+        return self.other.std / self.planned.std if self.other and self.planned else None
+
+    def to_dict(self, names: tuple[str, ...], pose: tuple[str, ...]) -> dict[str, Any]:
+        """Return the record for JSON."""
+        record: dict[str, Any] = {"name": self.name, "runs": self.runs, "seconds": self.seconds}
+        if self.other is None or self.planned is None:
+            return record | {"determined": False}
+        for outcome, ending in ((self.other, ""), (self.planned, "_as_many")):
+            record |= {
+                f"value{ending}": outcome.value,
+                f"std{ending}": named(names, outcome.std),
+                f"position_std{ending}": named(pose, outcome.position),
+                f"worst_std{ending}": outcome.worst.std,
+            }
+        return record | {
+            "determined": True,
+            "std_factor": named(names, self.factor),
+            "runs_same_value": self.runs_same_value,
+            "runs_same_std": self.runs_same_std,
+        }
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Shown):
     """What to record next.
 
     `campaign`: the chosen runs, setting by setting. `choice`: how often each candidate of `study` is run, and
-    the criterion with its bound. `before`, `after`: the worst-determined combination without and with these
+    the criterion. `before`, `after`: the worst-determined combination without and with these
     runs (None where nothing was recorded before). `std`: (q,) standard uncertainty of each of `names`
     afterwards, SI. `position`: (n_pose,) worst standard uncertainty that the parameters leave in the decoded
     position over the ranges, SI. `comparison`: with another campaign. `recorded`: runs of the log that the
-    plan adds to. `sines`: with the best plan of as many runs without curves, None where no curve was tried.
+    plan adds to.
     """
 
     study: Study
@@ -46,7 +86,6 @@ class Plan(Shown):
     comparison: Comparison | None
     recorded: int
     seconds: float
-    sines: Comparison | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -65,11 +104,6 @@ class Plan(Shown):
         order = _order(self.study, self.choice)
         return [(int(counts[k]), found[k].setting, found[k].trajectory) for k in order]
 
-    @property
-    def curves(self) -> int:
-        """How many of the runs follow a curve."""
-        return sum(run.follows is not None for run in self.campaign.runs)
-
     def curve(self, points: int = 9) -> tuple[np.ndarray, np.ndarray]:
         """Return numbers of runs, from the least that determine the model, and the criterion of plans."""
         most = max(len(self.campaign.runs), self.comparison.runs if self.comparison else 1)
@@ -81,7 +115,7 @@ class Plan(Shown):
     def to_dict(self) -> dict[str, Any]:
         """Return the readable record that `hallsym plan --json` prints."""
         model, ranges = self.study.model, self.study.ranges
-        record = {
+        return {
             "format": FORMAT,
             "model": model.name,
             "criterion": self.study.criterion.name,
@@ -90,8 +124,6 @@ class Plan(Shown):
             "candidates": len(self.study.candidates),
             "chosen": [{"count": n, "setting": s, "trajectory": t} for n, s, t in self.groups()],
             "value": self.choice.value,
-            "bound": self.choice.bound,
-            "efficiency": self.choice.efficiency,
             "recorded_runs": self.recorded,
             "worst_before": None if self.before is None else vars(self.before),
             "worst": vars(self.after),
@@ -104,10 +136,6 @@ class Plan(Shown):
             "seed": self.study.seed,
             "seconds": self.seconds,
         }
-        if self.sines is not None:
-            sines = self.sines.to_dict(self.names, model.pose)
-            record["curves"] = {"runs_with_curves": self.curves, "sines_only": sines}
-        return record
 
 
 def plan(
@@ -147,8 +175,7 @@ def plan(
     found = study(ranges, model, dict(values or {}), sigma, criterion, recorded, seed)
     found.check(allowed)
     choice = found.choose(allowed)
-    total, plain = choice.information, found.without_curves()
-    sines = None if plain is None else _campaign(plain, plain.choose(allowed))
+    total = choice.information
     return Plan(
         study=found,
         choice=choice,
@@ -157,10 +184,9 @@ def plan(
         after=found.directions.worst(total),
         std=found.std(total),
         position=found.position(total),
-        comparison=None if against is None else compare(found, against, against_name),
+        comparison=None if against is None else _compare(found, against, against_name),
         recorded=n_recorded,
         seconds=perf_counter() - began,
-        sines=None if sines is None else compare(found, sines, "sines only"),
     )
 
 
@@ -199,3 +225,37 @@ def _order(found: Study, choice: Choice) -> list[int]:
 def _campaign(found: Study, choice: Choice) -> Campaign:
     chosen = (found.candidates[k].run for k in _order(found, choice) for _ in range(choice.counts[k]))
     return Campaign(found.ranges.step_s, tuple(chosen), noise=dict(found.noise))
+
+
+def _compare(study: Study, campaign: Campaign, name: str) -> Comparison:
+    """Compare `campaign`, recorded after what is known already, with plans of the study."""
+    information, runs = study.known + study.of(campaign), len(campaign.runs)
+    seconds = float(sum(run.duration_s for run in campaign.runs))
+    if not study.determined(information):
+        return Comparison(name, runs, seconds)
+    other = study.outcome(information)
+
+    def as_certain(n: int) -> bool:
+        found = study.choose(n).information
+        return study.determined(found) and bool(np.all(study.std(found) <= other.std * (1 + 1e-9)))
+
+    return Comparison(
+        name,
+        runs,
+        seconds,
+        other,
+        study.outcome(study.choose(runs).information),
+        _fewest(lambda n: study.choose(n).value >= other.value, runs),
+        _fewest(as_certain, runs),
+    )
+
+
+def _fewest(enough: Callable[[int], bool], most: int) -> int | None:
+    """Least n up to `most` that is enough, by bisection: more runs tell more."""
+    if not enough(most):
+        return None
+    low, high = 0, most
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if enough(middle) else (middle, high)
+    return high

@@ -11,9 +11,7 @@ from hallsym.families import axes, published
 from hallsym.simulation import MOST_SAMPLES, noise_table
 from hallsym.toml import Table, positive
 
-SINES = ("one-axis", "combined", "multi-sine", "raster")
-"""Trajectories of signals, each axis by itself: those tried where none are stated."""
-TRAJECTORIES = (*SINES, "curves")
+TRAJECTORIES = ("one-axis", "combined", "multi-sine", "raster")
 KEYS = (
     "step_s", "seconds_per_run", "runs", "minutes", "reset_s", "frequencies_hz", "levels", "trajectories",
     "vertical_motion", "range", "exclude", "noise", "reference",
@@ -39,7 +37,7 @@ class Ranges:
     step_s: float = 2e-3
     levels: int = 5
     excluded: tuple[Box, ...] = ()
-    trajectories: tuple[str, ...] = SINES
+    trajectories: tuple[str, ...] = TRAJECTORIES
     vertical_motion: bool = False
     runs: int | None = None
     minutes: float | None = None
@@ -172,7 +170,7 @@ def _box(raw: Table) -> dict[str, tuple[float, float]]:
 
 
 def _trajectories(file: Table) -> tuple[str, ...]:
-    value = file.raw.get("trajectories", list(SINES))
+    value = file.raw.get("trajectories", list(TRAJECTORIES))
     for name in value if isinstance(value, list) else [value]:
         if name not in TRAJECTORIES:
             raise InputError(

@@ -15,9 +15,7 @@ from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
     BLACK,
-    DASHED,
     FAINT,
-    GREY,
     SHADE,
     key,
     label_x,
@@ -167,22 +165,20 @@ def _coverage_legend(figure: Figure, planned: int, recorded: int, other_name: st
 def criterion_by_runs(plan: Plan) -> Figure:
     """Draw how uncertainty by the plan's criterion falls with the number of runs, the comparison marked."""
     runs, values = plan.curve()
-    bounds = np.array([plan.study.choose(int(n)).bound for n in runs])
     other = plan.comparison if plan.comparison and plan.comparison.other else None
     one = other.other.value if other and other.other else plan.choice.value
     what = other.name if other else f"{len(plan.campaign.runs)} runs"
     figure, axes = panels(1, 1, 2.4, top=0.3, bottom=0.42, right=0.2)
     ax = axes[0, 0]
     ax.axhline(1.0, color=FAINT, lw=0.8, zorder=1)
-    (limit,) = ax.plot(runs, np.sqrt(one / bounds), color=GREY, ls=DASHED, label="no plan is below")
     (line,) = ax.plot(runs, np.sqrt(one / values), color=AFTER, marker="o", ms=3.6, label="plans")
     ring: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 7.5, "mfc": "none", "color": BLACK}
     here = np.sqrt(one / plan.choice.value)
-    handles = [line, limit, *ax.plot(len(plan.campaign.runs), here, label="this plan", **ring)]
+    handles = [line, *ax.plot(len(plan.campaign.runs), here, label="this plan", **ring)]
     if other:
         handles += ax.plot(other.runs, 1.0, ls="none", marker="D", ms=5.5, color=BEFORE, label=other.name)
     log_axis(ax, "x", np.array([*runs, *([other.runs] if other else [])], dtype=float))
-    log_axis(ax, "y", np.array([*np.sqrt(one / values), *np.sqrt(one / bounds), 1.0]))
+    log_axis(ax, "y", np.array([*np.sqrt(one / values), 1.0]))
     ax.grid(color=SHADE, lw=0.5, zorder=0)
     label_x(ax, "runs", 0.3)
     label_y(ax, f"uncertainty by {plan.study.criterion.name}, {what} = 1")

@@ -6,9 +6,6 @@ from hallsym.experiment import Comparison, Plan, Worst
 from hallsym.report.tables import grid
 from hallsym.units import readable
 
-WORTH = 1.02
-"""Curves that gain less than 2 % in the criterion are not worth the trouble."""
-
 
 def plan_text(plan: Plan) -> str:
     """Return what `hallsym plan` prints: chosen runs, what they determine, the comparison."""
@@ -21,7 +18,6 @@ def plan_text(plan: Plan) -> str:
         "",
         grid([["runs", "setting", "trajectory"], *([str(k), s, t] for k, s, t in plan.groups())], left=3),
         "",
-        f"criterion: {100 * plan.choice.efficiency:.1f} % of what no plan of {runs(n)} exceeds",
     ]
     if plan.before is not None:
         lines.append(
@@ -31,8 +27,6 @@ def plan_text(plan: Plan) -> str:
     lines.append(f"worst u (1 sigma) of the position over the ranges: {_position(plan, plan.position)}")
     if study.criterion.name == "max-u":
         lines[-1] += f" (counted in {_position(plan, study.ranges.references(study.model.pose))})"
-    if plan.sines is not None:
-        lines += ["", curves_text(plan, plan.sines)]
     if plan.comparison is not None:
         lines += ["", comparison_text(plan, plan.comparison)]
     return "\n".join(lines)
@@ -48,23 +42,6 @@ def worst_text(worst: Worst) -> str:
     if worst.std is None:
         return f"{worst.text} (each over its bound width), not determined"
     return f"{worst.text} (each over its bound width), +- {100 * worst.std:.2g} % of it (1 sigma)"
-
-
-def curves_text(plan: Plan, sines: Comparison) -> str:
-    """Return whether curves are worth it, and by how much against a plan of sines only."""
-    n, name = len(plan.campaign.runs), plan.study.criterion.name
-    if sines.other is None or sines.planned is None:
-        return f"curves: {plan.curves} of {runs(n)} follow one; {runs(n)} of sines only determine less"
-    gain, times = plan.choice.value / sines.other.value, sines.other.std / sines.planned.std
-    if not plan.curves or gain < WORTH:
-        reached = f"{100 / gain:.1f} % of the same {name}"
-        return f"curves are not worth it here: {runs(n)} of sines only reach {reached}"
-    as_good = f"; the same {name} in {runs(sines.runs_same_value)}" if sines.runs_same_value else ""
-    return (
-        f"curves are worth it: {plan.curves} of {runs(n)} follow one. Against {runs(n)} of sines only {name} "
-        f"is {gain:.2f} times as large{as_good};\nstandard uncertainties are smaller by {times.min():.2f} to "
-        f"{times.max():.2f}, median {np.median(times):.2f}"
-    )
 
 
 def comparison_text(plan: Plan, c: Comparison) -> str:
