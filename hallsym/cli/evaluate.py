@@ -21,7 +21,7 @@ from hallsym.cli.common import (
 from hallsym.estimation import evaluate, load_fit
 from hallsym.log import Fault
 from hallsym.report.data.periodic import periodic_of
-from hallsym.report.text.evaluation import evaluation_text
+from hallsym.report.text.fit import evaluation_text
 
 
 def add(sub: Any) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hallsym.diagnosis import Diagnosis
-from hallsym.errors import InputError, counted
+from hallsym.errors import InputError
 from hallsym.estimation import Evaluation, Fit, as_read, load_fit
 from hallsym.experiment import Plan
 from hallsym.fleets import Fleet
@@ -17,11 +17,9 @@ from hallsym.inference import Identifiability
 from hallsym.log import Log, as_log
 from hallsym.report.page import Table as PageTable
 from hallsym.report.page import render
-from hallsym.report.tables import error_rows
 from hallsym.report.text import budget_text, plan_text
 from hallsym.report.text.diagnosis import diagnosis_text
-from hallsym.report.text.evaluation import evaluation_text
-from hallsym.report.text.fit import fit_text, labelled
+from hallsym.report.text.fit import evaluation_head, evaluation_text, fit_head, fit_text
 from hallsym.report.text.fleet import fleet_text
 from hallsym.report.text.identifiability import report_text
 from hallsym.report.text.watch import watch_text
@@ -33,16 +31,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Table = Mapping[str, list[Any]]
+FIRST = 8
+"""Lines of a result that stand for all of it."""
 
 
 @dataclass(frozen=True)
 class View:
-    """How one kind of result is shown: all of it as text, in a few lines, as columns, as a picture."""
+    """How one kind of result is shown: as text, as columns, as a picture."""
 
     summary: Callable[[Any], str]
-    brief: Callable[[Any], list[str]]
     table: Callable[[Any], Table]
     figure: Callable[[Any, Any], Figure]
+    head: Callable[[Any], list[str]] | None = None
+    """Its first lines, where all of it takes a pass over a log."""
 
 
 def summary(result: Any) -> str:
@@ -51,8 +52,10 @@ def summary(result: Any) -> str:
 
 
 def brief(result: Any) -> str:
-    """Return a result in a few lines."""
-    return "\n".join(_view(result).brief(result))
+    """Return the first lines of what the command of a result prints."""
+    view = _view(result)
+    lines = view.head(result) if view.head else view.summary(result).split("\n")[:FIRST]
+    return "\n".join([*lines, "all: print(result.summary())"])
 
 
 def table(result: Any) -> Table:
@@ -83,7 +86,7 @@ def page_of(result: Any, log: Any = None) -> str:
 def page(result: Any) -> str:
     """Return what a notebook shows of a result: its first lines, its table, and all of it to open."""
     view, columns = _view(result), _view(result).table(result)
-    first, *others = view.brief(result)
+    first, *others = brief(result).split("\n")
     rows = [[_cell(v) for v in row] for row in zip(*columns.values(), strict=True)]
     table = PageTable(list(columns), rows, type(result).__name__)
     return render("notebook.html.j2", first=first, others=others, columns=table, summary=view.summary(result))
@@ -105,24 +108,6 @@ def _view(result: Any) -> View:
 
 
 # -- a fit -----------------------------------------------------------------------------------------------
-
-
-def _fit_brief(fit: Fit) -> list[str]:
-    model = fit.model
-    known = int(fit.determined.sum())
-    where = fit.log["path"] or "arrays"
-    rows = {name: row for name, row in labelled(fit.error_rows or {}).items() if row}
-    amiss = fit.goodness and fit.goodness.sentence
-    lines = [
-        f"Fit of {model.name} to {where}: {fit.status}, {known} of"
-        f" {counted(len(model.names), 'parameter')} determined"
-    ]
-    lines += [amiss] if amiss else []
-    return [
-        *lines,
-        *error_rows(model.pose, rows, None, turning=model.period).split("\n"),
-        "all: print(fit.summary())",
-    ]
 
 
 def _fit_table(fit: Fit) -> Table:
@@ -161,14 +146,6 @@ def _log_of(fit: Fit, log: Any, call: str) -> Log:
 # -- a calibration on another log ------------------------------------------------------------------------
 
 
-def _evaluation_brief(found: Evaluation) -> list[str]:
-    rows = {"all runs": found.table.over()}
-    text = error_rows(found.model.pose, rows, None, turning=found.model.period)
-    amiss = found.goodness.sentence
-    head = f"Evaluation of {found.model.name} on {found.log_name}: {counted(len(found.table.runs), 'run')}"
-    return [head, *([amiss] if amiss else []), *text.split("\n")]
-
-
 def _evaluation_table(found: Evaluation) -> Table:
     by_run = [found.table.over([run]) for run in found.table.runs]
     columns = {
@@ -188,11 +165,6 @@ def _evaluation_figure(found: Evaluation, log: Any) -> Figure:
 
 
 # -- a diagnosis -----------------------------------------------------------------------------------------
-
-
-def _diagnosis_brief(d: Diagnosis) -> list[str]:
-    names = [f"{e.name} ({e.link}): shrinks it by {100 * e.shrinkage:.1f} %" for e in d.effects]
-    return [f"Diagnosis of {d.model}: {d.verdict}", d.sentence, *names, "all: print(diagnosis.summary())"]
 
 
 def _diagnosis_table(d: Diagnosis) -> Table:
@@ -217,21 +189,6 @@ def _diagnosis_figure(d: Diagnosis, log: Any) -> Figure:
 # -- what data determine, plans, budgets -----------------------------------------------------------------
 
 
-def _identifiability_brief(found: Identifiability) -> list[str]:
-    verdicts = [
-        f"{p.name}: {p.verdict.word}; {p.verdict.because}".removesuffix("; ")
-        for p in found.parameters
-        if p.std is None
-    ]
-    known = len(found.parameters) - len(verdicts)
-    head = f"Identifiability of {found.model.name} from {found.evidence.recorded}: {known} of "
-    more = [f"... and {len(verdicts) - 4} more"] if len(verdicts) > 4 else []
-    return [
-        f"{head}{counted(len(found.parameters), 'parameter')} determined",
-        *verdicts[:4], *more, "all: print(found.summary())",
-    ]  # fmt: skip
-
-
 def _identifiability_table(found: Identifiability) -> Table:
     entries = found.parameters
     meanings = {p.name: p.meaning for p in found.model.parameters}
@@ -254,10 +211,6 @@ def _identifiability_figure(found: Identifiability, log: Any) -> Figure:
     return effects(found)
 
 
-def _plan_brief(plan: Plan) -> list[str]:
-    return [*plan_text(plan).split("\n")[:1], "all: print(plan.summary())"]
-
-
 def _plan_table(plan: Plan) -> Table:
     groups = plan.groups()
     return {
@@ -271,11 +224,6 @@ def _plan_figure(plan: Plan, log: Any) -> Figure:
     from hallsym.report.figures import coverage
 
     return coverage(plan, None if log is None else as_log(log))
-
-
-def _budget_brief(budget: Budget) -> list[str]:
-    lines = budget_text(budget).split("\n")
-    return [lines[0], *lines[-2:], "all: print(budget.summary())"]
 
 
 def _budget_table(budget: Budget) -> Table:
@@ -299,12 +247,6 @@ def _budget_figure(budget: Budget, log: Any) -> Figure:
 # -- a watch ---------------------------------------------------------------------------------------------
 
 
-def _watch_brief(found: Watch) -> list[str]:
-    said = f"{len(found.changed)} changed, {len(found.not_judged)} not judged"
-    head = f"Watch of {found.calibration}: {counted(len(found.logs), 'log')}, {said}"
-    return [head, *(f"{log.name}: {log.sentence}" for log in found.changed)]
-
-
 def _watch_table(found: Watch) -> Table:
     rows = [(log, test) for log in found.logs for test in log.tests]
     return {
@@ -326,11 +268,6 @@ def _watch_figure(found: Watch, log: Any) -> Figure:
 # -- a fleet ---------------------------------------------------------------------------------------------
 
 
-def _fleet_brief(fleet: Fleet) -> list[str]:
-    verdicts = ", ".join(f"{len(devices)} {verdict}" for verdict, devices in fleet.verdicts.items())
-    return [f"Fleet of {counted(len(fleet.rows), 'device')}: {verdicts}", "all: print(fleet.summary())"]
-
-
 def _fleet_figure(fleet: Fleet, log: Any) -> Figure:
     from hallsym.report.figures.fleet import distributions
 
@@ -338,14 +275,12 @@ def _fleet_figure(fleet: Fleet, log: Any) -> Figure:
 
 
 VIEWS: Mapping[type, View] = {
-    Fit: View(fit_text, _fit_brief, _fit_table, _fit_figure),
-    Evaluation: View(evaluation_text, _evaluation_brief, _evaluation_table, _evaluation_figure),
-    Diagnosis: View(diagnosis_text, _diagnosis_brief, _diagnosis_table, _diagnosis_figure),
-    Identifiability: View(
-        report_text, _identifiability_brief, _identifiability_table, _identifiability_figure
-    ),
-    Plan: View(plan_text, _plan_brief, _plan_table, _plan_figure),
-    Watch: View(watch_text, _watch_brief, _watch_table, _watch_figure),
-    Fleet: View(fleet_text, _fleet_brief, Fleet.table, _fleet_figure),
-    Budget: View(budget_text, _budget_brief, _budget_table, _budget_figure),
+    Fit: View(fit_text, _fit_table, _fit_figure, fit_head),
+    Evaluation: View(evaluation_text, _evaluation_table, _evaluation_figure, evaluation_head),
+    Diagnosis: View(diagnosis_text, _diagnosis_table, _diagnosis_figure),
+    Identifiability: View(report_text, _identifiability_table, _identifiability_figure),
+    Plan: View(plan_text, _plan_table, _plan_figure),
+    Watch: View(watch_text, _watch_table, _watch_figure),
+    Fleet: View(fleet_text, Fleet.table, _fleet_figure),
+    Budget: View(budget_text, _budget_table, _budget_figure),
 }

@@ -112,10 +112,8 @@ def test_page_says_what_the_fit_says(page: str, fitted: Fit, log: Log):
         (rows["fitted"], "fitted"),
         (rows["designed"], "nominal"),
     ):
-        shown = [
-            f"{1e6 * row[what][c]:#.3g}".rstrip(".") for what in ("rmse", "peak") for c in fitted.model.pose
-        ]
-        assert f"{where} {' '.join(shown)}" in text, where
+        for size in (row[what][c] for what in ("rmse", "peak") for c in fitted.model.pose):
+            assert f"{where} {f'{1e6 * size:#.3g}'.rstrip('.')} " in text, where
     assert "runs held out 3 (2, 7, 12)" in text
     assert log.sha256 in text
     assert "hallsym report calib.json log.csv" in text
@@ -230,7 +228,7 @@ def test_another_log_is_named_as_such_and_gets_its_own_zeros(fitted: Fit, log: L
     assert "This log is not the one that was fitted" in text
     assert "held out" not in text.partition("Input")[2].partition("Parameters")[0]
     found = gather(other, fitted)  # zeros of the wrong log
-    own = re.search(r"this log ([\d.]+) ([\d.]+) ([\d.]+)", text)
+    own = re.search(r"rmse x \[µm\] .*?this log ([\d.]+)", text)
     rmse = found.survey.fitted.over()["rmse"]
     assert float(own[1]) < 1e6 * rmse["x_m"]
     assert float(own[1]) == pytest.approx(1e6 * fitted.noise_floor["x_m"], rel=0.05)

@@ -133,8 +133,8 @@ def test_everything_of_a_record_is_said():
         "61.0 % (95 % of recordings like it: 57.0 to 64.0 %). On the 5 holdout runs alone the error falls by "
         "59.3 %: 97 % of its excess above the noise floor is closed, with 11 parameters more.",
         "One number over all outputs: 2.70 µm before, 1.10 µm after, 1.00 µm floor.",
-        "before 3.00 4.50 3.60 12.0 18.0 14.4",
-        "after 1.20 1.80 1.44 4.80 7.20 5.76",
+        "before 3.00 after 1.20 rmse y [µm]",
+        "before 14.4 after 5.76",
         "vertical_gain_coupling field linear 58.0 % (54.0 to 62.0) 93 % < 1e−6",
         "time_skew clock 7.0 % (−1.0 to 12.0) 4 % < 1e−6 lag",
         "time_skew, lag : this log cannot tell them apart. Record y at 4 Hz and at 20 Hz: "

@@ -2,25 +2,39 @@
 
 from __future__ import annotations
 
+import math
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from hallsym.diagnosis import Diagnosis, noise_text
+from hallsym.diagnosis import Diagnosis, Separation, Share, Statement, noise_text
+from hallsym.errors import counted
 from hallsym.estimation import Fit, added_effects
 from hallsym.families import family_called, plain
 from hallsym.report.data import Cells, Residuals, RunSeries
-from hallsym.report.page import shared
-from hallsym.report.page.content import Facts, Heading, Headline, Item, Items, Section, Table, document
-from hallsym.report.page.diagnosis_effects import effects_section
-from hallsym.report.page.diagnosis_errors import errors_section, gaps
-from hallsym.report.page.diagnosis_places import rest_section, where_section
-from hallsym.report.page.diagnosis_words import changed, percent, typeset
-from hallsym.report.page.sketch import CAUSE, POSSIBLE, sketch
+from hallsym.report.page import pictures, shared
+from hallsym.report.page.content import (
+    Facts,
+    Figure,
+    Fold,
+    Heading,
+    Headline,
+    Item,
+    Items,
+    Section,
+    Table,
+    Words,
+    document,
+)
+from hallsym.report.page.pictures import CAUSE, POSSIBLE, sketch
+from hallsym.report.page.shared import Gap
 from hallsym.report.tables import concise
-from hallsym.report.text.diagnosis import noise_name, significance_text, units_of
-from hallsym.report.words import MINUS
+from hallsym.report.text.diagnosis import noise_name, p_text, shrinks_text, significance_text, units_of
+from hallsym.report.words import MINUS, NOT_DECODED, amount, scale, three
+from hallsym.report.words import name as named_column
+from hallsym.units import readable
 
 STATES = {"no gap": "good", "explained": "good"}
 """Verdicts after which there is nothing left to find; every other one is open."""
@@ -142,3 +156,274 @@ def _notes(d: Diagnosis) -> list[Item]:
     ]
     untested = [f"{name}: not testable, {reason}" for name, reason in d.not_testable.items()]
     return [Item(words) for words in (*smaller, *untested, *d.notes)]
+
+
+# -- numbers ---------------------------------------------------------------------------------------------
+
+
+def changed(d: Diagnosis) -> bool:
+    """Return whether there is an after that differs from before."""
+    return bool(d.effects or d.ranked)
+
+
+def percent(value: float, digits: int = 1) -> str:
+    """Return a share in per cent; nothing where it does not exist."""
+    return "" if not math.isfinite(value) else f"{100 * value:.{digits}f} %".replace("-", MINUS)
+
+
+def with_interval(value: float, interval: tuple[float, float] | None) -> str:
+    """Return a share and its interval in per cent: `61.0 % (57.0 to 64.0)`; of each what exists."""
+    if interval is None or not all(map(math.isfinite, (value, *interval))):
+        return percent(value)
+    return f"{100 * value:.1f} % ({100 * interval[0]:.1f} to {100 * interval[1]:.1f})".replace("-", MINUS)
+
+
+def p_cell(value: float | None) -> str:
+    """Return a p-value as a cell of a table, empty where there is none."""
+    return "" if value is None or math.isnan(value) else p_text(value).replace("-", MINUS)
+
+
+def typeset(text: str) -> str:
+    """Return words with the micro sign in units."""
+    return re.sub(r"(?<=\d )u(?=(m|rad)\b)", "µ", text)
+
+
+# -- errors: before and after, per output, sensor and harmonic -------------------------------------------
+
+
+def errors_section(d: Diagnosis) -> Section:
+    """Return errors on the holdout runs beside the noise floor, as picture and tables."""
+    rows = gaps(d)
+    if changed(d):
+        drawn = {when: (when, gap) for when, gap in rows.items()}
+    else:
+        drawn = {"holdout": ("after", rows["holdout"])}
+    floor = d.noise_floor
+    note = "On runs that took part in neither the fit nor the choice of effects. Dashed line: noise floor."
+    content: list[Any] = [
+        Words(f"{shrinks_text(d) if changed(d) else ''} {_metric(d)}".strip()),
+        Words(note, note=True),
+        shared.against_floor(drawn, floor.outputs),
+        *_sizes(d),
+    ]
+    for coordinate in dict.fromkeys(w.coordinate for w in d.waves):
+        content += _waves(d, coordinate)
+    title = f"{'Before and after' if changed(d) else 'Errors'}, against the noise floor"
+    return Section("errors", title, content)
+
+
+def gaps(d: Diagnosis) -> dict[str, Gap]:
+    """Return the errors before and after, or on the holdout runs, without outputs that have no number."""
+    every = {"before": asdict(d.gap_before), "after": asdict(d.gap_after)}
+    parts = [part for gap in every.values() for part in gap.values()]
+    known = [c for c in parts[0] if all(math.isfinite(part.get(c, math.nan)) for part in parts)]
+    found: dict[str, Gap] = {
+        when: {what: {c: part[c] for c in known} for what, part in gap.items()} for when, gap in every.items()
+    }
+    return found if changed(d) else {"holdout": found["before"]}
+
+
+def _metric(d: Diagnosis) -> str:
+    """Return the gap as one number over all outputs, which shrinkage is measured by."""
+    outputs = tuple(d.gap_before.rmse)
+    column = next((c for c in outputs if c.endswith("_m")), outputs[0])
+    sizes = asdict(d.metric)
+    if not changed(d):
+        sizes = {"on the holdout runs": d.metric.before, "floor": d.metric.floor}
+    return f"One number over all outputs: {', '.join(f'{amount(column, v)} {k}' for k, v in sizes.items())}."
+
+
+def _waves(d: Diagnosis, coordinate: str) -> list[Any]:
+    """Return the harmonics of the error over a periodic coordinate."""
+    factor, unit, name = readable(coordinate or next(iter(d.noise_floor.outputs)))
+    per = f"period of {name}" if coordinate else "turn"
+    rows: list[list[object]] = []
+    for w in (w for w in d.waves if w.coordinate == coordinate):
+        sizes = ["" if a is None else three(factor * a) for a in (w.designed, w.model, w.after)]
+        found = [e.name for e in d.effects if e.name in w.causes]
+        rows.append([w.per_turn, *sizes, ", ".join(found), ", ".join(w.causes)])
+    head = [
+        f"waves per {per}", f"nominal [{unit}]", f"model [{unit}]", f"with the effects [{unit}]",
+        "effects found", "causes",
+    ]  # fmt: skip
+    lost = any(w.designed is None for w in d.waves if w.coordinate == coordinate)
+    caption = (
+        f"amplitude of the error over all runs: of the nominal sensor with only its zeros fitted"
+        f"{f' (none: {NOT_DECODED})' if lost else ''}, of the model, and with the effects found"
+    )
+    return [Heading(f"By waves per {per}"), Table(head, rows, caption, wordy=(4, 5))]
+
+
+def _sizes(d: Diagnosis) -> list[Any]:
+    """Return how large the gap is per output and sensor, on fitted and on holdout runs."""
+    rows: list[list[object]] = []
+    for column, sides in d.size.rows.items():
+        factor, unit = scale(column, max(side.rms for side in sides.values()))
+        row: list[object] = [named_column(column), unit]
+        for when in ("fitted", "held_out"):
+            side = sides.get(when)
+            row += [three(factor * v) for v in (side.rms, side.noise, side.above)] if side else [""] * 3
+            row.append(percent(side.share, 0) if side and side.share is not None else "")
+        rows.append(row)
+    if not rows:
+        return []
+    head = ["of the model", "unit"]
+    for when in ("fitted", "holdout"):
+        head += [f"{what}, {when}" for what in ("rms", "noise", "above", "share")]
+    caption = (
+        f"residual error on fitted and holdout runs: rms, noise floor ({d.noise_floor.source}), the excess "
+        "above it, and its share of the excess of all outputs, or of all sensors, where the whole excess is "
+        "more than chance"
+    )
+    return [Heading("Per output and per sensor"), Table(head, rows, caption, left=2)]
+
+
+# -- effects: ranked, with what the log cannot tell apart ------------------------------------------------
+
+
+def effects_section(d: Diagnosis) -> Section:
+    """Return the ranking of the effects, and groups that the log cannot tell apart."""
+    if not (d.effects or d.groups or d.ranked):
+        none = "None. No effect of the catalogue lowers the gap by what is worth reporting."
+        return Section("effects", "Which effects", [Words(none)])
+    notes = Items([Item(e.note, e.name) for e in d.effects if e.note])
+    return Section("effects", "Which effects", [_ranking(d), _ranked(d), notes, *_groups(d)])
+
+
+def _ranking(d: Diagnosis) -> Figure | None:
+    rows = [(e.name, e.shrinkage, e.interval) for e in d.effects if math.isfinite(e.shrinkage)]
+    if not rows:
+        return None
+    how = "With the 95 % interval of each effect"
+    return Figure([pictures.shares(rows, "decrease of the gap [%]", 1)], how, look="two")
+
+
+def _ranked(d: Diagnosis) -> Table:
+    """Return the ranking as a table: effects with numbers, then names that carry evidence without them."""
+    head = [
+        "effect", "link", "form", "shrinks the gap by (95 %)", "share of the excess", "p",
+        "not told apart from",
+    ]  # fmt: skip
+    rows: list[list[Any]] = [
+        [
+            e.name,
+            e.link,
+            e.variant,
+            with_interval(e.shrinkage, e.interval),
+            percent(e.share, 0),
+            p_cell(e.p_value),
+            _others(d, e.name),
+        ]
+        for e in d.effects
+    ]
+    named = {e.name for e in d.effects}
+    rows += [[name, "", "", "", "", "", _others(d, name)] for name in d.ranked if name not in named]
+    return Table(head, rows, "effects, best first", left=3, wordy=(6,), sortable=True)
+
+
+def _others(d: Diagnosis, name: str) -> str:
+    return ", ".join(dict.fromkeys(other for g in d.groups if name in g for other in g if other != name))
+
+
+def _groups(d: Diagnosis) -> list[Any]:
+    """Return what the log cannot tell apart, and the recording that would."""
+    found = {s.group: s for s in d.separate_by}
+    lines = [_separation(group, found.get(group)) for group in dict.fromkeys([*d.groups, *found])]
+    return [Heading("Confusable effects"), Items(lines)] if lines else []
+
+
+def _separation(group: tuple[str, ...], s: Separation | None) -> Item:
+    """Return what would separate a group, and by how much."""
+    if s is None:
+        return Item("this log cannot tell them apart.", ", ".join(group))
+    now = "" if s.sigma_now is None else f" ({three(s.sigma_now)} sigma)"
+    said = f"this log cannot tell them apart{now}. Record {s.recording}"
+    if not s.simulated or s.sigma is None or s.run_s is None or not s.runs:
+        if s.factor is None or not math.isfinite(s.factor):
+            return Item(f"{said}.", s.said)
+        return Item(f"{said}: the difference must be {s.factor:.3g} times larger than here.", s.said)
+    total = f" ({s.seconds:.3g} s in all)" if s.runs > 1 and s.seconds else ""
+    once = f": simulated, one run of {s.run_s:.3g} s tells them apart by {three(s.sigma)} sigma"
+    tried = sorted(s.tried.items(), key=lambda item: -item[1])
+    rows = [[what, three(v)] for what, v in tried]
+    table = Table(["recording", "sigma per run"], rows, "recordings that were simulated") if rows else None
+    return Item(f"{said}{once}; 5 sigma take {counted(s.runs, 'run')}{total}.", s.said, table)
+
+
+# -- where the gap lies, and what no effect explains -----------------------------------------------------
+
+
+MOST = 12
+"""Statements on where the gap lies that are drawn; all of them are in the table."""
+
+
+def where_section(d: Diagnosis) -> Section:
+    """Return the statements on where the gap lies, then the share of each place alone."""
+    said = _statements(d.where, "share of the excess above the noise floor [%]")
+    if not said and d.size.rows:
+        said = [Words("The excess above the noise goes with nothing that the log holds.")]
+    return Section("where", "Where the gap lies", [*said, _alone(d.shares)])
+
+
+def _alone(shares: Sequence[Share]) -> Fold:
+    """Return the share of the excess that goes with each place alone, significant or not, folded away."""
+    rows = [
+        [
+            s.kind,
+            named_column(s.name) if s.kind in ("output", "sensor") else s.name,
+            "" if s.share is None else percent(s.share, 0),
+            p_cell(s.p_value),
+            s.text,
+        ]
+        for s in shares
+    ]
+    head = ["kind", "place", "share of the excess", "p", "remark"]
+    note = "Each place alone, so shares overlap; p above 0.01 is no evidence."
+    summary = "every place alone: coordinates, links, outputs, sensors, frequencies, runs"
+    return Fold(summary, Table(head, rows, note, left=2, wordy=(4,)))
+
+
+def rest_section(d: Diagnosis) -> Section:
+    """Return the unexplained rest: how much it is, what it goes with, and its shape."""
+    rest = d.unexplained
+    said: list[Any] = []
+    if rest:
+        share = percent(rest.share, 0)
+        said.append(Words(f"{share} of the excess above the noise floor has no known cause."))
+    if d.remaining and d.remaining != d.where:
+        said += _statements(d.remaining, "share of the unexplained excess [%]")
+    elif d.remaining:
+        said.append(Words("It goes with what the gap goes with, see above."))
+    elif rest:
+        said.append(Words(f"{typeset(rest.text).capitalize()}."))
+    if rest and rest.curve:
+        how, charts = pictures.curves(rest.curve)
+        said.append(Figure(charts, how, look="shape"))
+    return Section("rest", "What no effect explains", said)
+
+
+def _statements(statements: Sequence[Statement], title: str) -> list[Any]:
+    drawn = [s for s in statements if math.isfinite(s.share)]
+    rows = [
+        [
+            typeset(s.text),
+            "" if s.held_out is None else percent(max(s.held_out, 0.0), 0),
+            p_cell(s.p_value),
+        ]
+        for s in statements
+    ]
+    chart = (
+        [pictures.shares([(_place(s), s.share, None) for s in drawn[:MOST]], title, look="before")]
+        if drawn
+        else []
+    )
+    head = ["statement (fitted runs)", "on holdout runs", "p"]
+    found = [Figure(chart, look="two"), Table(head, rows, "statements on the places")]
+    return found if statements else []
+
+
+def _place(s: Statement) -> str:
+    """Return the label of a bar; the range of a coordinate is left to the statement under it."""
+    if s.by in ("output", "sensor"):
+        return f"{s.by} {named_column(s.at)}"
+    return f"{s.by}: {s.at}" if s.at and s.by in ("link", "run", "frequency") else s.by

@@ -12,13 +12,12 @@ import numpy as np
 
 from hallsym.errors import counted
 from hallsym.estimation import (
-    Cost,
     Fit,
     added_effects,
     as_read,
     column_spikes,
     cost_near,
-    goodness_of,
+    evaluate,
     reject_spikes,
     residuals,
 )
@@ -27,8 +26,8 @@ from hallsym.log import Log, Weigh
 from hallsym.report.data import Decoder, Gathered, gather
 from hallsym.report.page import shared
 from hallsym.report.page.content import Facts, Headline, Item, Items, Section, Words, document
+from hallsym.report.page.pictures import sketch
 from hallsym.report.page.shared import Gap
-from hallsym.report.page.sketch import sketch
 from hallsym.report.text.fit import circumstances
 from hallsym.report.words import name
 
@@ -46,8 +45,13 @@ def fit_page(log: Log, fit: Fit, *, command: str = "", calibration: str = "calib
     Raises `InputError` for a log that lacks the model's columns.
     """
     same = log.sha256 == fit.to_dict()["log"]["sha256"]
-    log = as_read(log, fit.model, fit.wiring)
-    fit = fit if same else _elsewhere(log, fit)
+    if same:
+        log = as_read(log, fit.model, fit.wiring)
+    else:
+        seen = evaluate(fit, log)
+        command_next = diagnose_command(log.path, fit.model, added_effects(fit.model))
+        goodness = replace(seen.goodness, what="The calibration", next_command=command_next)
+        log, fit = seen.decoded, replace(seen.applied, goodness=goodness)
     found = gather(log, fit, label="fitted")
     if same and _above_recorded(found, fit):
         found = gather(log, fit, label="fitted", keep=_spikes(log, fit))
@@ -202,7 +206,6 @@ def _errors(rows: Mapping[str, Gap], fit: Fit, same: bool) -> list[Any]:
     return [
         Words(note, note=True),
         shared.against_floor(drawn, floor, turning),
-        shared.gap_table(rows, floor, turning=turning),
     ]
 
 
@@ -211,7 +214,7 @@ def _notes(log: Log, fit: Fit, found: Gathered, same: bool) -> list[str]:
     if not same:
         notes.append(
             "This log is not the one that was fitted: the zero deviations of each run were estimated from "
-            "that run, and the noise floor is that of the fitted log."
+            "that run."
         )
     gone = found.survey.n_rejected
     if gone:
@@ -232,7 +235,7 @@ def _above_recorded(found: Gathered, fit: Fit) -> bool:
 
 def _spikes(log: Log, fit: Fit) -> Weigh:
     """Return what leaves out isolated spikes by the rule of the fit."""
-    model, cost = fit.model, _cost(log, fit)
+    model, cost = fit.model, cost_near(log, fit.model, fit.values, fit.noise.std)
     place = Decoder(fit)
     zeros = {
         run: place.zeros(run, state)
@@ -241,23 +244,3 @@ def _spikes(log: Log, fit: Fit) -> Weigh:
     suspects = column_spikes((*model.references, *model.channels))
     covariance = cost.at(fit.values).covariance.mean(axis=0)
     return reject_spikes(residuals(model, fit.values, zeros), covariance, suspects)
-
-
-def _cost(log: Log, fit: Fit) -> Cost:
-    return cost_near(log, fit.model, fit.values, fit.noise.std)
-
-
-def _elsewhere(log: Log, fit: Fit) -> Fit:
-    """Return the fit with the zero deviations of another log's runs; none of them is held out."""
-    cost = _cost(log, fit)
-    zeros = cost.at(fit.values).zeros
-    if zeros.shape[1]:
-        zeros = zeros * np.array([fit.model.zero_scale(fit.values, s) for s in cost.summary.first_state])
-    own = dict(zip(cost.summary.runs, zeros, strict=True))
-    columns = (*fit.model.channels, *fit.model.references)
-    goodness = goodness_of(cost.at(fit.values), 0).judged(fit.noise, columns, log.meta.gap_threshold_rel)
-    command = diagnose_command(log.path, fit.model, added_effects(fit.model))
-    goodness = replace(goodness, what="The calibration", next_command=command)
-    return replace(
-        fit, zeros=own, errors=None, log={**fit.log, "holdout": []}, source=None, goodness=goodness
-    )

@@ -6,8 +6,6 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hallsym.estimation import Fit
 from hallsym.inference.verdict import TRADED
 from hallsym.report.data import (
@@ -18,10 +16,10 @@ from hallsym.report.data import (
     correlation_of,
     parameter_rows,
 )
-from hallsym.report.page import bars, maps, residuals, series
-from hallsym.report.page.content import Facts, Figure, Fold, Heading, Planes, Section, Table, Words
+from hallsym.report.page import pictures
+from hallsym.report.page.content import Facts, Figure, Heading, Planes, Section, Table, Words
 from hallsym.report.tables import concise
-from hallsym.report.words import MINUS, amount, largest, name, scale, three
+from hallsym.report.words import MINUS, amount, name, scale, three
 
 Gap = Mapping[str, Mapping[str, float]]
 """`{"rmse": {x_m: ..}, "peak": {..}}`."""
@@ -74,33 +72,11 @@ def sizes_table(
     return Table(head, body, "size of the error against the noise floor")
 
 
-def gap_table(
-    rows: Mapping[str, Gap],
-    floor: Mapping[str, float],
-    source: str = "",
-    turning: Collection[str] | None = None,
-) -> Table:
-    """Return the numbers behind the bars: rmse and peak per output; `source`: of the noise floor."""
-    outputs = list(next(iter(rows.values()))["rmse"])
-    places = [(what, c) for what in ("rmse", "peak") for c in outputs]
-    scales = [scale(c, max(gap[what][c] for gap in rows.values()), turning) for what, c in places]
-    every = list(zip(places, scales, strict=True))
-    head = ["version", *(f"{what} {name(c)} [{unit}]" for (what, c), (_, unit) in every)]
-    body = [
-        [label, *(three(factor * gap[what][c]) for (what, c), (factor, _) in every)]
-        for label, gap in rows.items()
-    ]
-    if floor:
-        level = [three(f * floor[c]) if what == "rmse" and c in floor else "" for (what, c), (f, _) in every]
-        body.append([f"noise floor, {source}" if source else "noise floor", *level])
-    return Table(head, body, "errors of the decoded pose")
-
-
 def against_floor(
-    rows: bars.Rows, floor: Mapping[str, float], turning: Collection[str] | None = None
+    rows: pictures.Rows, floor: Mapping[str, float], turning: Collection[str] | None = None
 ) -> Figure:
     """Return the bars of rmse and peak."""
-    return Figure(bars.against_floor(rows, floor, turning))
+    return Figure(pictures.against_floor(rows, floor, turning))
 
 
 # -- where, when, and how the error is distributed ---------------------------------------------------------
@@ -123,12 +99,12 @@ def maps_section(found: Mapping[str, Sequence[Cells]], floor: Mapping[str, float
 
 
 def _planes(versions: Mapping[str, Sequence[Cells]], floor: Mapping[str, float]) -> list[Any]:
-    titles, every = maps.planes(versions, floor)
+    titles, every = pictures.planes(versions, floor)
     if not every:
         return []
     figures = [
         Figure(
-            [maps.plane(every[0], version, what, k, title) for k, title in enumerate(titles)],
+            [pictures.plane(every[0], version, what, k, title) for k, title in enumerate(titles)],
             f"{what}{f', {version}' if len(versions) > 1 else ''}",
         )
         for what in ("median", "rms")
@@ -151,42 +127,16 @@ def _profiles(
         held = " An h marks runs that were held out." if m.marked else ""
         content += [Heading(f"By {m.by}"), Words(f"{how}{held}", note=True)]
         content.append(Figure(_charts(m, a, floor), look="two"))
-        content.append(Fold(f"numbers by {m.by}", _cell_table(m, a)))
     return content
 
 
 def _charts(m: Cells, a: Cells | None, floor: Mapping[str, float]) -> list[Any]:
-    return [c for k, name_ in enumerate(m.pose) for c in maps.profiles(m, k, floor.get(name_) or 0.0, a)]
-
-
-def _cell_table(cells: Cells, after: Cells | None = None) -> Table:
-    """Return the numbers behind a picture."""
-    versions = [("", cells)] if after is None else [(" before", cells), (" after", after)]
-    scales = [scale(c, largest(r), cells.turning) for c, r in zip(cells.pose, cells.rms, strict=True)]
-    head = [cells.by, "samples"]
-    head += [
-        f"{what} {name(c)}{when} [{u}]"
-        for c, (_, u) in zip(cells.pose, scales, strict=True)
-        for when, _ in versions
-        for what in ("median", "rms")
-    ]
-    rows = []
-    for k, label in enumerate(cells.labels):
-        row: list[object] = [label + (" (held out)" if k in cells.marked else ""), f"{cells.count[k]:d}"]
-        for output, (factor, _) in enumerate(scales):
-            for _, version in versions:
-                row += [_signed(factor * v[output, k]) for v in (version.median, version.rms)]
-        rows.append(row)
-    return Table(head, rows, f"errors by {cells.by}")
-
-
-def _signed(value: float) -> str:
-    return three(value).replace("-", MINUS) if np.isfinite(value) else ""
+    return [c for k, name_ in enumerate(m.pose) for c in pictures.profiles(m, k, floor.get(name_) or 0.0, a)]
 
 
 def runs_section(found: Sequence[RunSeries]) -> Section:
     """Return the errors over time of the worst run, with those of others for the script."""
-    shown = series.runs(found)
+    shown = pictures.runs(found)
     return Section("series", "Decoded minus reference over time", [shown] if shown else [])
 
 
@@ -194,7 +144,7 @@ def residuals_section(found: Mapping[str, Residuals]) -> Section:
     """Return histogram and spectrum of the errors; `found`: by version of the model, one or two."""
     if not found:
         return Section("residuals", "Residuals", [])
-    spectra = residuals.spectra(found)
+    spectra = pictures.spectra(found)
     over = " Light: before; dark, drawn over it: after." if len(found) > 1 else ""
     content: list[Any] = [
         Words(
@@ -202,7 +152,7 @@ def residuals_section(found: Mapping[str, Residuals]) -> Section:
             f"were white.{over}",
             note=True,
         ),
-        Figure(residuals.histograms(found), "Histogram of the error"),
+        Figure(pictures.histograms(found), "Histogram of the error"),
         Figure(spectra, "Amplitude spectral density of the error"),
     ]
     if not spectra:
@@ -223,7 +173,7 @@ def parameters_of(fit: Fit) -> list[Any]:
         rows = [[c.expression, concise(c.value, c.std).replace("-", MINUS), c.unit] for c in fit.combinations]
         content.append(Heading("Identifiable combinations"))
         content.append(Table(["combination", "value", "unit"], rows, "identifiable combinations", wordy=(2,)))
-    chart = residuals.matrix(correlation_of(fit), TRADED)
+    chart = pictures.matrix(correlation_of(fit), TRADED)
     if chart is not None:
         how = (
             "The fuller the colour the stronger; a dash marks a negative one. Point at a cell for its number."
@@ -235,7 +185,7 @@ def parameters_of(fit: Fit) -> list[Any]:
 def _parameter(p: ParameterRow) -> list[Any]:
     shown = concise(p.value, p.std) if p.determined else f"({p.value:.4g})"
     bounds = "fixed" if p.fixed else f"{p.lower:.4g} to {p.upper:.4g}"
-    mark = bars.in_bounds(p.value, p.std, p.lower, p.upper, p.nominal)
+    mark = pictures.in_bounds(p.value, p.std, p.lower, p.upper, p.nominal)
     numbers_ = [n.replace("-", MINUS) for n in (shown, p.unit, f"{p.nominal:.4g}", bounds)]
     verdict = "fixed" if p.fixed else p.remark.replace("see below", "combined below") or "identifiable"
     return [p.name, *numbers_, mark or "", p.meaning, verdict]

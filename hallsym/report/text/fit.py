@@ -1,17 +1,17 @@
-"""What `hallsym fit` prints, in um and urad where SI is unwieldy."""
+"""What `hallsym fit` and `hallsym evaluate` print, in um and urad where SI is unwieldy."""
 
 from collections.abc import Mapping
 from typing import Any
 
 from hallsym.errors import counted
-from hallsym.estimation import MANY, Fit
+from hallsym.estimation import MANY, Evaluation, Fit
 from hallsym.log import Log
+from hallsym.model import Parameter
 from hallsym.report.data import parameter_rows
 from hallsym.report.data.periodic import periodic_of
 from hallsym.report.tables import concise, error_rows, grid, in_units
 from hallsym.report.text.periodic import periodic_text
-from hallsym.report.text.several import several_text
-from hallsym.units import readable
+from hallsym.units import parameter_unit, readable
 
 TOO_SMALL = 0.1
 """Cost per degree of freedom below which the noise is more than three times what is left."""
@@ -19,16 +19,8 @@ TOO_SMALL = 0.1
 
 def fit_text(fit: Fit) -> str:
     """Return what `hallsym fit` prints: errors, parameters, identifiable combinations, notes."""
-    log = fit.log
-    used = log["runs"] - len(log["holdout"])
     parts = [
-        *([fit.goodness.verdict, ""] if fit.goodness else []),
-        f"{fit.model.name} on {_logs(fit)}: {counted(log['rows'], 'sample')}, "
-        + (f"{counted(used, 'run')} fitted" if log["runs"] > 1 else "fitted")
-        + (f", {len(log['holdout'])} held out" if log["holdout"] else "")
-        + f"; {fit.status} in {fit.seconds:.2f} s",
-        "",
-        error_rows(fit.model.pose, labelled(fit.error_rows), fit.noise_floor, turning=fit.model.period),
+        *fit_head(fit),
         "",
         *([] if fit.logs else periodic_lines(fit)),
         *([*several_text(fit), ""] if fit.logs else []),
@@ -39,6 +31,21 @@ def fit_text(fit: Fit) -> str:
     parts += ["", *circumstances(fit)]
     parts += [f"note: {note}" for note in fit.notes]
     return "\n".join(parts)
+
+
+def fit_head(fit: Fit) -> list[str]:
+    """Return the verdict and the errors."""
+    log = fit.log
+    used = log["runs"] - len(log["holdout"])
+    return [
+        *([fit.goodness.verdict, ""] if fit.goodness else []),
+        f"{fit.model.name} on {_logs(fit)}: {counted(log['rows'], 'sample')}, "
+        + (f"{counted(used, 'run')} fitted" if log["runs"] > 1 else "fitted")
+        + (f", {len(log['holdout'])} held out" if log["holdout"] else "")
+        + f"; {fit.status} in {fit.seconds:.2f} s",
+        "",
+        error_rows(fit.model.pose, labelled(fit.error_rows), fit.noise_floor, turning=fit.model.period),
+    ]
 
 
 def periodic_lines(fit: Fit, log: Log | None = None) -> list[str]:
@@ -147,3 +154,65 @@ def _too_small(fit: Fit) -> str:
         f" (the noise {what} {cost**-0.5:.3g} x as large as what is left{why}; uncertainties and noise "
         "floor are too large by that)"
     )
+
+
+# -- a fit of several logs -------------------------------------------------------------------------------
+
+
+def several_text(fit: Fit) -> list[str]:
+    """Return errors by log and each log's own parameters."""
+    rows = {}
+    for log in fit.logs:
+        for kind, said in (("fitted", ""), ("holdout", ", held out")):
+            if log["errors"].get(kind):
+                rows[f"{log['name']}{said}"] = log["errors"][kind]
+    parts = [error_rows(fit.model.pose, rows, None, turning=fit.model.period).replace("errors", "by log", 1)]
+    own = list(fit.logs[0]["parameters"])
+    for name in own:
+        parts += ["", _own_text(fit, next(p for p in fit.model.parameters if p.name == name))]
+    return parts
+
+
+def _own_text(fit: Fit, parameter: Parameter) -> str:
+    """Return one parameter log by log, with how it changed since the first."""
+    factor, unit = parameter_unit(parameter.unit)
+    logs = [log for log in fit.logs if parameter.name in log["parameters"]]
+    change = fit.joint is not None
+    since = ["since the first (1 sigma)"] if change else []
+    rows = [[f"{parameter.name} by log", "value (1 sigma)", "unit", *since]]
+    for log in logs:
+        value, std = (log["parameters"][parameter.name][key] for key in ("value", "std"))
+        row = [log["name"], concise(factor * value, None if std is None else factor * std), unit]
+        if fit.joint is not None:
+            first, name = logs[0]["name"], log["name"]
+            moved, sigma = fit.joint.change(parameter.name, first, name) if name != first else (0.0, 0.0)
+            row.append(concise(factor * moved, factor * sigma) if name != first else "")
+        rows.append(row)
+    return grid(rows)
+
+
+# -- a calibration on another log ------------------------------------------------------------------------
+
+
+def evaluation_text(found: Evaluation, *, by_run: bool = False) -> str:
+    """Return the verdict, then the table of errors with the noise floor; `by_run`: with one line per run."""
+    periodic = periodic_lines(found.calibration, found.log)[:-1]
+    return "\n".join([*evaluation_head(found, by_run=by_run), *([""] if periodic else []), *periodic])
+
+
+def evaluation_head(found: Evaluation, *, by_run: bool = False) -> list[str]:
+    """Return the verdict and the errors."""
+    rows: dict[str, Any] = {"all runs" if len(found.table.runs) > 1 else "all samples": found.table.over()}
+    if by_run:
+        rows |= {f"run {run}": found.table.over([run]) for run in found.table.runs}
+    samples = int(found.table.count.sum())
+    runs = f" in {counted(len(found.table.runs), 'run')}" if len(found.table.runs) > 1 else ""
+    stated = {s.source for s in found.noise.sigmas.values()}
+    source = "" if stated == {"given"} else "estimated"
+    return [
+        found.goodness.verdict,
+        "",
+        f"{found.model.name} on {found.log_name}: {counted(samples, 'sample')}{runs}",
+        "",
+        error_rows(found.model.pose, rows, found.noise_floor, source, turning=found.model.period),
+    ]
