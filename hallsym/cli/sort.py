@@ -5,16 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import (
-    command,
-    file_options,
-    model_options,
-    plots_options,
-    plots_place,
-    progress_of,
-    say,
-    seed,
-)
+from hallsym.cli.common import FILE_OPTIONS, command, file_options, model_options, progress_of, say
 from hallsym.errors import InputError
 from hallsym.estimation import load_fit
 from hallsym.families import build
@@ -22,9 +13,8 @@ from hallsym.families.machine_file import read_machine
 from hallsym.log import Meta, parse_column_option
 from hallsym.records import named
 from hallsym.report.text.sorting import matching_text, save_table, sorting_text
-from hallsym.simulation import read_campaign
-from hallsym.sorting import METHODS, WIDTH, Matching, Sorting, match_sensors, read_readings, sort_sensors
-from hallsym.sorting.readings import NAMES
+from hallsym.sorting import WIDTH, Matching, Sorting, match_sensors, read_readings, sort_sensors
+from hallsym.sorting.readings import SENSOR
 from hallsym.units import with_unit
 
 
@@ -34,11 +24,10 @@ def add(sub: Any) -> None:
         sub,
         "sort",
         run,
-        "Sort sensors by gain, from the readings of each in two or more known fields beside a reference"
-        " sensor\nthat stays on the bench: gain with uncertainty, its bin and the probability of the wrong"
-        " one, drift of\nthe bench, repeatability, and sensors that were not seated. With --model, choose"
-        " the sets of sensors\nwhose gains disturb the decoded position least.",
-        "examples:\n  hallsym sort bench.csv -o sorted.csv --plots pictures\n  hallsym sort bench.csv"
+        "Sort sensors by gain, from the readings of each in two or more known fields: gain with uncertainty,"
+        " its bin\nand the probability of the wrong one, and the repeatability. With --model, choose the sets"
+        " of sensors whose\ngains disturb the decoded position least.",
+        "examples:\n  hallsym sort bench.csv -o sorted.csv\n  hallsym sort bench.csv"
         " --field 0mT,475mT --column reading_0_v=Zero --column reading_1_v=Field\n  hallsym sort bench.csv"
         " --model halbach --sets 12 -o sets.csv\n\na table, one row a reading (or one row a measurement:"
         " field_0_t, reading_0_v, reference_0_v, field_1_t, ...):\n "
@@ -63,20 +52,11 @@ def add(sub: Any) -> None:
         help="of one measurement (1 sigma); found from sensors that were measured again where not given",
     )
     parser.add_argument(
-        "--drift",
-        default="auto",
-        choices=("auto", *METHODS),
-        help=(
-            "how the reference takes the drift out: smoothed, by each reading, or not (default: what is best)"
-        ),
-    )
-    parser.add_argument(
         "--field",
         metavar="LIST",
         help="fields of reading_0, reading_1, ..., such as 0mT,475mT, where the table has none",
     )
     parser.add_argument("-o", "--output", metavar="FILE", help="csv: a row a sensor; json: everything")
-    plots_options(parser)
     file_options(parser, "reading the table", "reading_mv=Hall")
     _matching_options(parser)
 
@@ -94,13 +74,7 @@ def _matching_options(parser: ArgumentParser) -> None:
         metavar="N",
         help="sensors summed into each channel (default 1)",
     )
-    group.add_argument(
-        "--campaign", metavar="TOML", help="where errors count (default: a period, or the example)"
-    )
     group.add_argument("--values", metavar="JSON", help="calibration of the array (default: nominal values)")
-    group.add_argument(
-        "--seed", type=seed, default=0, help="of exchanges and of sets drawn to compare (default 0)"
-    )
 
 
 def run(options: Namespace) -> int:
@@ -108,34 +82,32 @@ def run(options: Namespace) -> int:
     _check(options)
     show = progress_of(options)
     show("reading")
-    columns = dict(_column(text) for text in options.column)
     readings = read_readings(
         options.table,
-        columns=columns,
+        columns=dict(map(_column, options.column)),
         fields=_fields(options.field),
-        format=options.format,
-        delimiter=options.delimiter,
-        decimal=options.decimal,
-        sheet=options.sheet,
+        **{name: getattr(options, name) for name in FILE_OPTIONS if name != "clock"},
     )
     show("sorting")
     found = sort_sensors(
         readings,
         width=options.bin / 100,
         nominal=options.nominal,
-        drift=options.drift,
         repeatability=None if options.repeatability is None else options.repeatability / 100,
     )
     matching = _matching(options, found) if options.model else None
-    written = _written(options, found, matching)
+    if options.output:
+        save_table(options.output, found, matching)
     record = found.to_dict() | ({"matching": matching.to_dict()} if matching else {})
     notes = [*found.notes, *(matching.notes if matching else ())]
-    say(options, record, lambda: _text(found, matching), notes=notes, wrote=written)
+    text = [sorting_text(found), *(["", matching_text(matching)] if matching else [])]
+    wrote = [options.output] if options.output else []
+    say(options, record, lambda: "\n".join(text), notes=notes, wrote=wrote)
     return OK
 
 
 def _check(options: Namespace) -> None:
-    names = ("sets", "campaign", "values", "machine", "effect", "seed")
+    names = ("sets", "values", "machine", "effect")
     given = [name for name in names if getattr(options, name)]
     given += ["per-channel"] if options.per_channel != 1 else []
     if given and not options.model:
@@ -150,12 +122,8 @@ def _check(options: Namespace) -> None:
 
 
 def _column(text: str) -> tuple[str, str]:
-    ours, _, theirs = text.partition("=")
-    return (
-        (ours.strip(), theirs.strip())
-        if ours.strip() in NAMES and theirs.strip()
-        else parse_column_option(text)
-    )
+    ours, _, theirs = (part.strip() for part in text.partition("="))
+    return (ours, theirs) if ours == SENSOR and theirs else parse_column_option(text)
 
 
 def _fields(text: str | None) -> list[float]:
@@ -184,32 +152,10 @@ def _matching(options: Namespace, found: Sorting) -> Matching:
             parameters=machine.parameters,
         )
         values = None
-    where = read_campaign(options.campaign) if options.campaign else None
     return match_sensors(
         found,
         model,
         sets=options.sets,
         members=options.per_channel,
         values=values,
-        where=where,
-        seed=options.seed,
     )
-
-
-def _written(options: Namespace, found: Sorting, matching: Matching | None) -> list[str]:
-    written = []
-    if options.output:
-        save_table(options.output, found, matching)
-        written.append(options.output)
-    if options.plots:
-        from hallsym.report.figures import save_sorting
-
-        written += [str(path) for path in save_sorting(found, matching, plots_place(options, options.table))]
-    return written
-
-
-def _text(found: Sorting, matching: Matching | None) -> str:
-    parts = [sorting_text(found)]
-    if matching:
-        parts += ["", matching_text(matching)]
-    return "\n".join(parts)

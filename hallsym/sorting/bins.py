@@ -5,10 +5,7 @@ A bin of width w holds gains within +- w / 2 of its centre 1 + k w, relative to 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
-from scipy.optimize import minimize
 from scipy.special import stdtr
 from scipy.stats import norm
 
@@ -40,18 +37,11 @@ def wrong_probability(relative: Array, std: Array, dof: float, width: float) -> 
     spread = float(1.4826 * np.median(np.abs(relative - middle)))
     before = max(spread**2 - float(np.median(std)) ** 2, 0.0) if len(std) >= LOT else np.inf
     weight = 1 / (1 + std**2 / before) if before > 0 else np.where(std > 0, 0.0, 1.0)
-    centre, scale = middle + weight * (relative - middle), std * np.sqrt(weight)
+    centre = middle + weight * (relative - middle)
+    scale = np.maximum(std * np.sqrt(weight), np.finfo(float).tiny)
     low = 1.0 + (k - 0.5) * width
-    with np.errstate(divide="ignore", invalid="ignore"):
-        below = np.where(scale > 0, (low - centre) / scale, np.where(centre >= low, -np.inf, np.inf))
-        above = np.where(
-            scale > 0, (low + width - centre) / scale, np.where(centre < low + width, np.inf, -np.inf)
-        )
-    return np.asarray(1.0 - (_t(above, dof) - _t(below, dof)))
-
-
-def _t(z: Array, dof: float) -> Array:
-    return np.asarray(stdtr(dof, z) if np.isfinite(dof) else norm.cdf(z))
+    below, above = (low - centre) / scale, (low + width - centre) / scale
+    return np.asarray(1.0 - (stdtr(dof, above) - stdtr(dof, below)))
 
 
 def change_probability(change: int, width: float, drift: float, std: float) -> float:
@@ -71,24 +61,3 @@ def change_probability(change: int, width: float, drift: float, std: float) -> f
     z = (width * np.array([change + 1, change, change - 1]) - drift) / std
     integral = std * (z * norm.cdf(z) + norm.pdf(z))
     return float(max((integral[0] - 2 * integral[1] + integral[2]) / width, 0.0))
-
-
-def fit_changes(counts: Mapping[int, int], width: float) -> tuple[float, float]:
-    """Return drift and standard deviation of greatest likelihood behind counts of changes of bin.
-
-    `counts`: number of sensors by change in bins, such as {-2: 1, -1: 144, 0: 588, 1: 66}.
-    """
-    known = {k: n for k, n in counts.items() if n}
-    if sum(n > 0 for n in known.values()) < 3:
-        raise InputError(
-            "Counts of changed bins must have three changes that occur, such as -1, 0 and 1, to give a"
-            " drift and a scatter."
-        )
-
-    def cost(x: Array) -> float:
-        chances = [change_probability(k, 1.0, x[0], float(np.exp(x[1]))) for k in known]
-        return -float(sum(n * np.log(max(p, 1e-300)) for n, p in zip(known.values(), chances, strict=True)))
-
-    start = sum(k * n for k, n in known.items()) / sum(known.values())
-    found = minimize(cost, [start, np.log(0.3)], method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-9})
-    return float(found.x[0] * width), float(np.exp(found.x[1]) * width)

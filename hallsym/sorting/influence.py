@@ -8,7 +8,7 @@ inverse of the model times that.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -157,14 +157,6 @@ def without_common(square: Array) -> tuple[Array, Array]:
     return square - np.outer(square @ ones, square @ ones) / total, weights
 
 
-def summed(square: Array, members: int) -> Array:
-    """Return the form of single sensors where `members` of them, read alike, are summed into each channel."""
-    if members < 1:
-        raise InputError(f"A channel must be the sum of 1 or more sensors; instead received {members}.")
-    spread = np.kron(np.eye(len(square)), np.full((1, members), 1 / members))
-    return np.asarray(spread.T @ square @ spread)
-
-
 def alike(square: Array) -> bool:
     """Return whether a form without common gain treats all its places alike: c (I - 1 1' / k).
 
@@ -173,10 +165,3 @@ def alike(square: Array) -> bool:
     k = len(square)
     even = (np.eye(k) - 1 / k) * np.trace(square) / max(k - 1, 1)
     return bool(np.abs(square - even).max() <= SAME * max(np.abs(square).max(), np.finfo(float).tiny) * 1e3)
-
-
-def places(channels: Sequence[str], members: int) -> tuple[str, ...]:
-    """Return the names of the places of a set: channels, or channel and number where several are summed."""
-    return (
-        tuple(channels) if members == 1 else tuple(f"{c}#{j + 1}" for c in channels for j in range(members))
-    )

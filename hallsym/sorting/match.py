@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -14,15 +14,13 @@ from hallsym.model import Model
 from hallsym.records import named
 from hallsym.simulation import Campaign
 from hallsym.sorting.bins import bins_of
-from hallsym.sorting.exchange import cost, exchanged, neighbours
-from hallsym.sorting.influence import Influence, alike, influence_of_gains, places, summed, without_common
-from hallsym.sorting.result import Sorting
-from hallsym.sorting.sort import WIDTH
+from hallsym.sorting.influence import Influence, alike, influence_of_gains, without_common
+from hallsym.sorting.sort import WIDTH, Sorting
 from hallsym.uncertainty.tolerances.workspace import Workspace
 from hallsym.units import Array
 
-NOT_FELT = 0.1
-"""Part of the error from the uncertainty of the gains below which a mismatch is not felt: .5 % of the sum."""
+MOST_ORDERED = 6
+"""Channels of a set whose every order is tried: 720 of six."""
 BLOCK = 2**16
 """Sets times poses that are decoded at once; bounds the memory."""
 
@@ -31,26 +29,20 @@ BLOCK = 2**16
 class Way:
     """Sets that one way of choosing gives: `sets` (m, k) indices of sensors, and their errors by decoding.
 
-    `rms` (m,) of the metric over the workspace, `pose_rms` and `pose_peak` (m, n_pose) of each coordinate
-    [SI], `gain` (m,) the common gain that the decoder of a set is given, over the nominal one.
+    `rms` (m,) of the metric over the workspace, `pose_peak` (m, n_pose) of each coordinate [SI], `gain` (m,)
+    the common gain that the decoder of a set is given, over the nominal one.
     """
 
     name: str
     sets: Array
     gain: Array
     rms: Array
-    pose_rms: Array
     pose_peak: Array
 
     @property
     def overall(self) -> float:
         """Root of the mean square error of all sets."""
         return float(np.sqrt(np.mean(self.rms**2))) if len(self.rms) else float("nan")
-
-    @property
-    def worst(self) -> float:
-        """Largest rms error of a set."""
-        return float(self.rms.max(initial=0.0)) if len(self.rms) else float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,20 +51,18 @@ class Matching:
 
     `sensors` (n,) names, `places` (k,) of a set; `floor`: rms error that the uncertainty of the gains alone
     makes, whatever is chosen; `optimal`: whether no other sets can have less (neighbours, where the model
-    treats all channels alike and every sensor is equally well known).
+    treats all channels alike).
     """
 
     model: Model
     influence: Influence
     sensors: tuple[str, ...]
     places: tuple[str, ...]
-    members: int
     width: float
     ways: tuple[Way, ...]
     floor: float
     optimal: bool
     notes: tuple[str, ...]
-    seconds: float
 
     @property
     def matched(self) -> Way:
@@ -117,8 +107,6 @@ class Matching:
         pose = self.model.pose
         return {
             "model": self.model.name,
-            "channels": list(self.model.channels),
-            "sensors_per_channel": self.members,
             "unit": self.unit,
             "bin_width": self.width,
             "rms_from_uncertainty": self.floor,
@@ -130,15 +118,12 @@ class Matching:
                     "sets": len(w.sets),
                     "rms": w.overall if len(w.sets) else None,
                     "expected_rms": self.expected(w) if len(w.sets) else None,
-                    "worst_rms": w.worst if len(w.sets) else None,
-                    "pose_rms": named(pose, np.sqrt((w.pose_rms**2).mean(axis=0))) if len(w.sets) else None,
                     "pose_peak": named(pose, w.pose_peak.max(axis=0)) if len(w.sets) else None,
                 }
                 for w in self.ways
             ],
             "sets": self.chosen(),
             "notes": list(self.notes),
-            "seconds": self.seconds,
         }
 
 
@@ -148,84 +133,123 @@ def match_sensors(
     *,
     sets: int | None = None,
     members: int = 1,
-    width: float | None = None,
     values: Mapping[str, float] | None = None,
     where: Campaign | Workspace | None = None,
-    seed: int = 0,
 ) -> Matching:
     """Return sets of sensors for `model` whose gain mismatch makes the least error of the pose.
 
     `inventory`: sorted sensors, or their gains by name in any unit. `sets`: how many (default: as many as
-    there are sensors for). `members`: sensors that are summed into each channel and read alike. `width`: of
-    the bins to compare with (default: those of the inventory). `values`, `where`: as in
-    `influence_of_gains`. A set's common gain is set in its decoder, so that only differences within a set
-    count. `seed`: of the exchanges and of the sets drawn for comparison.
+    there are sensors for). `members`: sensors that are summed into each channel and read alike. `values`,
+    `where`: as in `influence_of_gains`. A set's common gain is set in its decoder, so that only differences
+    within a set count. Sets are stretches of neighbours in gain, compared with sets drawn from one bin each.
 
     Raises `InputError` for too few sensors.
     """
-    started = time.perf_counter()
-    if seed < 0:
-        raise InputError(f"A seed must be a whole number, 0 or more; instead received {seed!r}.")
-    names, gain, std, width = _inventory(inventory, width)
+    names, gain, std, width = _inventory(inventory)
     influence = influence_of_gains(model, values, where)
-    square = summed(influence.square, members)
-    size = len(square)
+    channels = len(model.channels)
+    size = channels * members
     count = _count(sets, len(names), size, model, members)
-    plain, weights = without_common(square)
-    rng = np.random.default_rng(seed)
-    symmetric = alike(plain)
-    chosen = neighbours(gain, size, count)
-    if not symmetric:
-        level = float(np.mean(std**2) * np.trace(plain))
-        chosen = exchanged(chosen, gain, plain, rng, NOT_FELT**2 * level)
-    chosen = chosen[np.argsort(cost(gain[chosen], plain), kind="stable")]
-    decode = _Decoder(influence, weights, members)
-    others = {
+    plain, weights = without_common(influence.square)
+    symmetric = alike(plain) and members == 1
+    chosen = arranged(neighbours(gain, size, count), gain, plain, members)
+    errors = _channels(gain[chosen], members)
+    chosen = chosen[np.argsort(np.einsum("mi,ij,mj->m", errors, plain, errors), kind="stable")]
+    rng = np.random.default_rng(0)
+    ways = {
+        "matched": chosen,
         f"bins of {100 * width:.3g} %": _from_bins(gain, width, size, count, rng),
         "unsorted": rng.permutation(len(names))[: count * size].reshape(count, size),
     }
-    ways = tuple(decode.way(name, index, gain) for name, index in {"matched": chosen, **others}.items())
-    floor = float(np.sqrt(np.mean(std[chosen] ** 2 @ np.diag(plain))))
+    decoded = tuple(_decoded(influence, weights, members, *way, gain) for way in ways.items())
+    floor = float(np.sqrt(np.mean(_channels(std[chosen] ** 2, members) @ np.diag(plain)) / members))
     return Matching(
         influence.model,
         influence,
         names,
-        places(model.channels, members),
-        members,
+        tuple(c if members == 1 else f"{c}#{j + 1}" for c in model.channels for j in range(members)),
         width,
-        ways,
+        decoded,
         floor,
         symmetric,
-        tuple(_notes(ways, floor, count, symmetric)),
-        time.perf_counter() - started,
+        tuple(_notes(decoded, floor, count)),
     )
 
 
+def _channels(values: Array, members: int) -> Array:
+    """Mean of the summed sensors of each channel: (m, channels * members) to (m, channels)."""
+    return values.reshape(len(values), values.shape[1] // members, members).mean(axis=2)
+
+
+def neighbours(gain: Array, size: int, sets: int) -> Array:
+    """Return indices (sets, size) of disjoint stretches of the sorted gains with least variance in all.
+
+    Where a model treats all channels alike, these sets are the best ones: two that overlap lose by being put
+    apart.
+    """
+    order = np.argsort(gain, kind="stable")
+    g = gain[order] - gain.mean()
+    sums, squares = (np.r_[0.0, np.cumsum(x)] for x in (g, g * g))
+    inside = squares[size:] - squares[:-size] - (sums[size:] - sums[:-size]) ** 2 / size
+    starts = _stretches(np.maximum(inside, 0.0), size, sets)
+    return order[starts[:, None] + np.arange(size)]
+
+
+def _stretches(inside: Array, size: int, sets: int) -> Array:
+    """Starts of `sets` disjoint stretches of least total cost, where `inside` is the cost by start.
+
+    `total[k, j]`: least cost of sets 0 to k, where set k starts at k size + j, after j sensors left out.
+    """
+    spare = len(inside) - 1 - (sets - 1) * size
+    total, before = np.empty((sets, spare + 1)), np.zeros(spare + 1)
+    for k in range(sets):
+        total[k] = before + inside[k * size : k * size + spare + 1]
+        before = np.minimum.accumulate(total[k])
+    starts = np.empty(sets, int)
+    for k in reversed(range(sets)):
+        spare = int(np.argmin(total[k, : spare + 1]))
+        starts[k] = k * size + spare
+    return starts
+
+
+def arranged(index: Array, gain: Array, square: Array, members: int) -> Array:
+    """Return the sets (m, channels * members) with their sensors in the best order of channels.
+
+    Summed sensors are dealt to the channels to and fro, so that high and low ones meet; up to six channels
+    are tried in every order.
+    """
+    deal = np.arange(index.shape[1]).reshape(members, -1)
+    deal[1::2] = deal[1::2, ::-1]
+    index = index[:, deal.T.ravel()]
+    channels = len(square)
+    if channels > MOST_ORDERED:
+        return index
+    orders = np.array(list(permutations(range(channels))))
+    d = _channels(gain[index], members)[:, orders]
+    best = orders[np.einsum("moi,ij,moj->mo", d, square, d).argmin(axis=1)]
+    sets = index.reshape(len(index), channels, members)
+    return np.take_along_axis(sets, best[:, :, None], axis=1).reshape(index.shape)
+
+
 def _inventory(
-    inventory: Sorting | Mapping[str, float], width: float | None
+    inventory: Sorting | Mapping[str, float],
 ) -> tuple[tuple[str, ...], Array, Array, float]:
     """Names, relative gains and their standard uncertainties, and the width of the bins."""
     if isinstance(inventory, Sorting):
-        relative, std = inventory.relative, inventory.std / inventory.nominal
-        names, usual = inventory.sensors, inventory.width
-    else:
-        names, usual = tuple(inventory), WIDTH
-        gains = np.array([float(inventory[n]) for n in names])
-        for name, value in zip(names, gains.tolist(), strict=True):
-            if not 0 < value < np.inf:
-                raise InputError(
-                    f"The gain of sensor {name} must be a positive number; instead received {value!r}."
-                )
-        relative, std = gains / np.median(gains) if len(gains) else gains, np.zeros(len(gains))
-    if width is not None and not 0 < width < 1:
-        raise InputError(
-            "The width of a bin must be above 0 and below 100 % of the gain; instead received"
-            f" {100 * width:g} %."
-        )
-    return names, relative, std, usual if width is None else width
+        return inventory.sensors, inventory.relative, inventory.std / inventory.nominal, inventory.width
+    gains = np.array([float(gain) for gain in inventory.values()])
+    for name, value in zip(inventory, gains.tolist(), strict=True):
+        if not 0 < value < np.inf:
+            raise InputError(
+                f"The gain of sensor {name} must be a positive number; instead received {value!r}."
+            )
+    relative = gains / np.median(gains) if len(gains) else gains
+    return tuple(inventory), relative, np.zeros(len(gains)), WIDTH
 
 
 def _count(sets: int | None, sensors: int, size: int, model: Model, members: int) -> int:
+    if members < 1:
+        raise InputError(f"A channel must be the sum of 1 or more sensors; instead received {members}.")
     most = sensors // size
     each = f"{len(model.channels)} channels" + (f" of {members} sensors" if members > 1 else "")
     if sets is not None and sets < 1:
@@ -249,36 +273,21 @@ def _from_bins(gain: Array, width: float, size: int, count: int, rng: np.random.
     return np.concatenate(found)[:count]
 
 
-@dataclass(frozen=True, eq=False)
-class _Decoder:
-    """Errors of sets by the model's own decoder, which knows the common gain of a set and no other."""
-
-    influence: Influence
-    weights: Array
-    members: int
-
-    def way(self, name: str, index: Array, gain: Array) -> Way:
-        """Decode the sets (m, k) of one way of choosing."""
-        model, d = self.influence.model, gain[index] - 1.0
-        common = d @ self.weights
-        channels = (1 + d).reshape(len(d), len(model.channels), self.members).mean(axis=2) / (
-            1 + common[:, None]
-        )
-        rows = max(1, BLOCK // self.influence.where.points)
-        rms, pose_rms, peak = (
-            np.zeros(len(d)),
-            np.zeros((len(d), len(model.pose))),
-            np.zeros((len(d), len(model.pose))),
-        )
-        for at in (slice(k, k + rows) for k in range(0, len(d), rows)):
-            e = self.influence.decoded_errors(channels[at])
-            square = (e * e).mean(axis=2).T
-            rms[at], pose_rms[at] = np.sqrt(square @ self.influence.weights**2), np.sqrt(square)
-            peak[at] = np.abs(e).max(axis=2).T
-        return Way(name, index, 1 + common, rms, pose_rms, peak)
+def _decoded(influence: Influence, weights: Array, members: int, name: str, index: Array, gain: Array) -> Way:
+    """Decode the sets (m, k) of one way; the decoder knows the common gain of a set and no other."""
+    model = influence.model
+    channels = _channels(gain[index], members)
+    common = 1 + (channels - 1) @ weights
+    rows = max(1, BLOCK // influence.where.points)
+    rms, peak = np.zeros(len(index)), np.zeros((len(index), len(model.pose)))
+    for at in (slice(k, k + rows) for k in range(0, len(index), rows)):
+        e = influence.decoded_errors(channels[at] / common[at, None])
+        rms[at] = np.sqrt((e * e).mean(axis=2).T @ influence.weights**2)
+        peak[at] = np.abs(e).max(axis=2).T
+    return Way(name, index, common, rms, peak)
 
 
-def _notes(ways: Sequence[Way], floor: float, count: int, symmetric: bool) -> list[str]:
+def _notes(ways: Sequence[Way], floor: float, count: int) -> list[str]:
     notes = []
     if len(ways[1].sets) < count:
         notes.append(
@@ -288,10 +297,5 @@ def _notes(ways: Sequence[Way], floor: float, count: int, symmetric: bool) -> li
         notes.append(
             "the uncertainty of the gains makes more of the error than what matching leaves: measure each"
             " sensor more often before sorting finer."
-        )
-    if not symmetric:
-        notes.append(
-            "the model treats its channels differently: sets are improved by exchanges, and a sensor's"
-            " place in its set counts."
         )
     return notes

@@ -1,6 +1,5 @@
 """`match_sensors`: the model's own error form, sets against trying all, what is predicted happens."""
 
-import time
 from itertools import combinations, permutations
 
 import numpy as np
@@ -9,13 +8,8 @@ import pytest
 import hallsym
 from hallsym.errors import InputError
 from hallsym.model import on_arrays
-from hallsym.sorting import (
-    alike,
-    influence_of_gains,
-    match_sensors,
-    sort_sensors,
-    without_common,
-)
+from hallsym.sorting import match_sensors, sort_sensors
+from hallsym.sorting.influence import alike, influence_of_gains, without_common
 from hallsym.uncertainty.tolerances.workspace import Workspace
 from tests.sorting.benches import bench
 from tests.trial_families import LC, PLANE, array_2dof, array_6dof
@@ -101,23 +95,20 @@ def test_the_common_gain_is_the_best_one():
 
 
 def all_sets(n, size):
-    """Every way to split n sensors into sets of a size, the order within a set included."""
+    """Every way to split n sensors into sets of a size."""
     if n == ():
         yield []
         return
-    first, rest = n[0], n[1:]
-    for others in combinations(rest, size - 1):
-        left = tuple(k for k in rest if k not in others)
-        for order in permutations((first, *others)):
-            for more in all_sets(left, size):
-                yield [order, *more]
+    for others in combinations(n[1:], size - 1):
+        for more in all_sets(tuple(k for k in n[1:] if k not in others), size):
+            yield [(n[0], *others), *more]
 
 
-@pytest.mark.parametrize("model", [MODELS[0], MODELS[2]], ids=lambda m: m.name)
 @pytest.mark.parametrize("seed", range(4))
-def test_sets_are_those_of_trying_all(model, seed):
-    gains = inventory(9 if model is MODELS[0] else 6, seed)
-    found = match_sensors(gains, model)
+def test_sets_are_those_of_trying_all(seed):
+    """All 280 ways to split nine sensors into sets of three."""
+    gains = inventory(9, seed)
+    found = match_sensors(gains, MODELS[0])
     plain, _ = without_common(found.influence.square)
     g = np.array(list(gains.values()))
     g = g / np.median(g) - 1
@@ -126,10 +117,9 @@ def test_sets_are_those_of_trying_all(model, seed):
         d = g[np.array(sets)]
         return float(np.einsum("mi,ij,mj->", d, plain, d))
 
-    orders = all_sets(tuple(range(len(g))), 3)
-    best = min(map(total, orders)) if model is MODELS[2] else min(
-        total(sets) for sets in orders if all(s == tuple(sorted(s)) for s in sets)
-    )  # fmt: skip
+    every = list(all_sets(tuple(range(9)), 3))
+    assert len(every) == 280
+    best = min(map(total, every))
     assert total(found.matched.sets) <= best * (1 + 1e-9) + 1e-18
 
 
@@ -141,13 +131,19 @@ def test_left_over_sensors_are_the_ones_that_cost_most():
     assert found.optimal
 
 
-def test_a_model_with_rows_that_average_lets_high_and_low_gains_meet():
-    """Six sensors in a row a period long and again: pairs cancel, so neighbours are not the best sets."""
+def test_the_order_within_a_set_is_the_best_one():
+    found = match_sensors(inventory(30), MODELS[2])
+    plain, _ = without_common(found.influence.square)
+    g = np.array(list(inventory(30).values()))
+    d = g[found.matched.sets] / np.median(g) - 1
+    costs = [np.einsum("mi,ij,mj->m", d[:, o], plain, d[:, o]) for o in map(list, permutations(range(3)))]
+    np.testing.assert_allclose(costs[0], np.min(costs, axis=0), rtol=1e-9)
+
+
+def test_summed_sensors_are_dealt_so_that_high_and_low_gains_meet():
     gains = inventory(240, spread=0.03)
     found = match_sensors(gains, MODELS[0], members=2)
-    neighbours = match_sensors(gains, MODELS[0], members=1)
-    assert not found.optimal
-    assert found.matched.overall < 0.5 * neighbours.matched.overall
+    assert found.matched.overall < 0.7 * match_sensors(gains, MODELS[0]).matched.overall
     assert found.places[:3] == ("col_0_v#1", "col_0_v#2", "col_1_v#1")
     assert len(set(found.matched.sets.ravel().tolist())) == 240
 
@@ -178,26 +174,6 @@ def test_the_error_to_expect_is_the_error_of_the_true_gains():
     assert np.mean(bins) == pytest.approx(mean[1], rel=0.15)
 
 
-@pytest.mark.parametrize(
-    ("model", "members"),
-    [
-        (MODELS[0], 1),
-        pytest.param(MODELS[0], 12, marks=pytest.mark.slow),
-        pytest.param(MODELS[1], 1, marks=pytest.mark.slow),
-    ],
-)
-def test_a_reel_of_12700_sensors_takes_seconds(model, members):
-    started = time.process_time()
-    found = match_sensors(inventory(12_700), model, members=members)
-    assert time.process_time() - started < 10
-    assert len(found.matched.sets) == 12_700 // len(found.places)
-
-
-def test_the_same_seed_gives_the_same_sets():
-    one, two = (match_sensors(inventory(300), MODELS[1], seed=3) for _ in range(2))
-    np.testing.assert_array_equal(one.matched.sets, two.matched.sets)
-
-
 def test_other_values_and_another_workspace_count():
     model = MODELS[0]
     usual = influence_of_gains(model)
@@ -222,8 +198,6 @@ def test_other_values_and_another_workspace_count():
         (inventory(30), MODELS[0], {"sets": 0}, "1 or more"),
         (inventory(30), MODELS[0], {"members": 0}, "1 or more sensors"),
         (inventory(30) | {"bad": -1.0}, MODELS[0], {}, "sensor bad"),
-        (inventory(30), MODELS[0], {"width": 2.0}, "width of a bin"),
-        (inventory(30), MODELS[0], {"seed": -1}, "seed"),
         ({}, MODELS[0], {}, "0 were sorted"),
     ],
 )  # fmt: skip

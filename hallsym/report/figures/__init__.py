@@ -34,7 +34,6 @@ from hallsym.report.figures.sensitivity import (
     profiles,
     save_sensitivity_pictures,
 )
-from hallsym.report.figures.sorting import save_sorting
 from hallsym.report.figures.style import DPI, STYLE, WIDTH, broken, text_width
 from hallsym.report.figures.tolerances import save_tolerances, tolerances
 from hallsym.report.figures.uncertainty import budget_bars, save_budget_pictures, uncertainty_picture
@@ -72,7 +71,6 @@ __all__ = [
     "save_pictures",
     "save_plan_pictures",
     "save_sensitivity_pictures",
-    "save_sorting",
     "save_tolerances",
     "save_watch",
     "text_width",

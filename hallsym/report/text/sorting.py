@@ -14,19 +14,16 @@ from hallsym.report.tables import grid
 from hallsym.sorting import Matching, Sorting
 from hallsym.units import fitting, readable
 
-MOST_BINS, MOST_REFUSED, MOST_SETS = 40, 20, 10
+MOST_BINS, MOST_SETS = 40, 10
 """Rows that a terminal shows; files and JSON have all."""
 
 
 def sorting_text(found: Sorting) -> str:
-    """Return what `hallsym sort` prints: gains, bins, repeats, drift, refusals."""
+    """Return what `hallsym sort` prints: gains, bins, repeats."""
     number, spread = found.expected_wrong
     return "\n".join(
         [
-            (
-                f"{found.source}: {counted(len(found.sensors), 'sensor')} sorted, "
-                f"{sum(r.whole for r in found.refused)} refused; {found.seconds:.2f} s"
-            ),
+            f"{found.source}: {counted(len(found.sensors), 'sensor')} sorted",
             (
                 f"gain: median {np.median(found.gain):.6g} {found.unit}, from"
                 f" {100 * (found.relative.min() - 1):+.2f} to {100 * (found.relative.max() - 1):+.2f} % of"
@@ -40,9 +37,7 @@ def sorting_text(found: Sorting) -> str:
                 f"in a wrong bin: {number:.0f} +- {spread:.0f} (1 sigma) sensors expected"
                 f" ({100 * number / len(found.sensors):.1f} %)"
             ),
-            *_drift(found),
-            *_repeats(found),
-            *_refused(found),
+            *_bench(found),
         ]
     )
 
@@ -67,65 +62,31 @@ def bin_table(found: Sorting) -> str:
     return text + (f"\nand {counted(rest, 'bin')} with fewer sensors" if rest > 0 else "")
 
 
-def _drift(found: Sorting) -> Iterator[str]:
-    d = found.drift
-    if d.read is None:
-        return
-    how = {
-        "smooth": "the smoothed reference sensor takes it out",
-        "ratio": "each reading is divided by the reference sensor's",
-        "none": "it is left in",
-    }[d.method]
-    yield (
-        f"drift: {_percent(float(np.ptp(d.value)))} in all; the reference sensor's own noise is"
-        f" {_percent(d.noise)}; {how}"
-    )
-    if d.scatter:
-        each = ", ".join(f"{way} {_percent(value)}" for way, value in d.scatter.items())
-        yield f"  repeatability (1 sigma) with each way to take it out: {each}"
-    if d.per_kelvin:
+def _bench(found: Sorting) -> Iterator[str]:
+    if found.drift is not None:
+        yield f"drift: {_percent(float(np.ptp(found.drift)))} in all, taken out by the reference sensor"
+    if r := found.repeats:
         yield (
-            f"  the reference follows the temperature by {100 * d.per_kelvin[0]:+.3f} +-"
-            f" {100 * d.per_kelvin[1]:.3f} %/K (1 sigma)"
+            f"repeatability (1 sigma): {_percent(found.repeatability)} of one measurement;"
+            f" {counted(len(r.first), 'sensor')} measured again, {100 * r.drift:+.3f} % on average"
         )
-
-
-def _repeats(found: Sorting) -> Iterator[str]:
-    r = found.repeats
-    if r is None:
-        return
-    yield (
-        f"repeatability (1 sigma): {_percent(r.scatter.std)} of one measurement, from"
-        f" {counted(len(r.first), 'sensor')} measured again; drift between the two {100 * r.drift:+.3f} %"
-    )
-    rows = [["change of bin", "sensors", "expected"]]
-    rows += [
-        [f"{k:+d}" if k else "0", str(n), f"{e:.1f}" if np.isfinite(e) else ""]
-        for k, (n, e) in r.changes(found.width).items()
-    ]
-    yield "\n".join(["", grid(rows), ""])
-
-
-def _refused(found: Sorting) -> Iterator[str]:
-    for refusal in found.refused[:MOST_REFUSED]:
-        yield (
-            f"{'refused' if refusal.whole else 'a measurement left out of'} {refusal.sensor}:"
-            f" {refusal.reason}"
-        )
-    if len(found.refused) > MOST_REFUSED:
-        yield f"and {len(found.refused) - MOST_REFUSED} more; --json lists all"
+        rows = [["change of bin", "sensors", "expected"]]
+        rows += [
+            [f"{k:+d}" if k else "0", str(n), f"{e:.1f}" if np.isfinite(e) else ""]
+            for k, (n, e) in r.changes(found.width).items()
+        ]
+        yield "\n".join(["", grid(rows)])
+    if found.unsorted:
+        yield f"not read in two fields, and not sorted: {', '.join(found.unsorted)}"
 
 
 def matching_text(found: Matching) -> str:
     """Return the ways of choosing sets beside each other, and the first of the chosen sets."""
     size = len(found.places)
-    best = "optimal" if found.optimal else "improved by exchanges"
+    best = "; optimal" if found.optimal else ""
     return "\n".join(
         [
-            (
-                f"sets of {size} for {found.model.name}, whose decoder knows the common gain; {best};"
-                f" {found.seconds:.2f} s"
-            ),
+            f"sets of {size} for {found.model.name}, whose decoder knows the common gain{best}",
             way_table(found),
             f"the uncertainty of the gains alone makes {_amount(found, found.floor)} rms; "
             f"{_beside_bins(found)}",
@@ -139,14 +100,14 @@ def way_table(found: Matching) -> str:
     """Return rms and peak errors of the pose by way of choosing."""
     factor, unit = _unit(found, max(w.overall for w in found.ways if len(w.sets)))
     shown = [readable(c, found.model.period) for c in found.model.pose]
-    head = ["way", "sets", f"rms [{unit}]", f"expected [{unit}]", f"worst set [{unit}]"]
+    head = ["way", "sets", f"rms [{unit}]", f"expected [{unit}]"]
     rows = [[*head, *(f"peak {name} [{u}]" for _, u, name in shown)]]
     for way in found.ways:
         if not len(way.sets):
-            rows.append([way.name, "0", *[""] * (3 + len(shown))])
+            rows.append([way.name, "0", *[""] * (2 + len(shown))])
             continue
         peaks = way.pose_peak.max(axis=0)
-        cells = [f"{value * factor:.3g}" for value in (way.overall, found.expected(way), way.worst)]
+        cells = [f"{value * factor:.3g}" for value in (way.overall, found.expected(way))]
         rows.append(
             [
                 way.name,
@@ -161,7 +122,7 @@ def way_table(found: Matching) -> str:
 def set_table(found: Matching) -> str:
     """Return the first sets: sensor by place, common gain and rms error."""
     way = found.matched
-    factor, unit = _unit(found, way.worst)
+    factor, unit = _unit(found, float(way.rms.max()))
     places = found.places[:6]
     more = ["..."] if len(found.places) > len(places) else []
     rows = [["set", *places, *more, "gain", f"rms [{unit}]"]]
@@ -185,14 +146,11 @@ def save_table(path: str, found: Sorting, matching: Matching | None = None) -> N
             place |= {i: (j + 1, where) for i, where in zip(row, matching.places, strict=True)}
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    head = ("sensor", "gain", "gain_std", "offset", "offset_std", "bin", "wrong_bin_probability")
+    head = ("sensor", "gain", "gain_std", "offset", "bin", "wrong_bin_probability")
     writer.writerow([*head, *(("set", "place") if matching else ())])
-    numbers = np.column_stack([found.gain, found.std, found.offset, found.offset_std]).tolist()
-    for i, (sensor, (gain, std, offset, offset_std), k, wrong) in enumerate(
-        zip(found.sensors, numbers, found.bin.tolist(), found.wrong.tolist(), strict=True)
-    ):
-        known = f"{offset_std:.3g}" if np.isfinite(offset_std) else ""
-        cells = [sensor, f"{gain:.9g}", f"{std:.3g}", f"{offset:.9g}", known, k, f"{wrong:.4f}"]
+    columns = found.sensors, found.gain, found.std, found.offset, found.bin, found.wrong
+    for i, (sensor, gain, std, offset, k, wrong) in enumerate(zip(*columns, strict=True)):
+        cells = [sensor, f"{gain:.9g}", f"{std:.3g}", f"{offset:.9g}", k, f"{wrong:.4f}"]
         writer.writerow([*cells, *(place.get(i, ("", "")) if matching else ())])
     atomic_write(path, text.getvalue())
 
