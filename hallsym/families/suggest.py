@@ -24,8 +24,6 @@ ROWS = 50_000
 """Samples that are looked at."""
 MOVES = 0.9
 """Correlation from which a column moves as another one does: the other axes and the noise make the rest."""
-LIKE = 0.5
-"""The same of one that the readings tell: which axis of the nominal, not yet calibrated, machine it is."""
 NEAR = 3.0
 """Ratio of sizes up to which a unit fits: gains and nominal values are not exact."""
 OTHERS = ("temperature", "current", "speed")
@@ -288,56 +286,15 @@ def _turn(values: Array) -> int:
 def _by_motion(
     source: Source, data: Mapping[str, Array], model: Model, named: Sequence[Guess]
 ) -> list[Guess]:
-    """Return guesses for readings that move as the references say they should, and the other way round."""
+    """Return guesses for readings that move as the references say they should."""
     known = {g.stem: _si(data[g.theirs], g) for g in named if g.unit and g.stem != RUN}
-    taken = {g.theirs for g in named}
+    taken, stems = {g.theirs for g in named}, {g.stem for g in named}
     free = [n for n in data if n not in taken and not _own(n) and np.ptp(data[n]) > 0]
-    has = {split_unit(c)[0] for c in (*model.channels, *_measured(model), *model.references)}
-    lacking = [s for s in has if s not in {g.stem for g in named}]
-    references = [split_unit(c)[0] for c in model.references]
-    channels = [c for c in model.channels if split_unit(c)[0] in lacking]
-    if channels and any(r in known for r in references):
-        expected = {split_unit(c)[0]: _readings(model, known)[c] for c in channels}
-        round_ = {split_unit(c)[0] for c in channels if c in model.period}
-        turning = [
-            g for stem in sorted(round_) if (g := _going_round(source, data, free, stem, expected[stem]))
-        ]
-        straight = {stem: values for stem, values in expected.items() if stem not in round_}
-        return [*turning, *_matched(source, data, free, straight, model)]
-    missing = [c for c in model.references if split_unit(c)[0] in lacking]
-    if missing and all(split_unit(c)[0] in known for c in model.channels):
-        decoded = _decoded(model, known)
-        readings = np.array([known[split_unit(c)[0]] for c in model.channels])
-        told = [n for n in free if _told(data[n], readings)]
-        return _matched(source, data, told, {split_unit(c)[0]: decoded[c] for c in missing}, model, LIKE)
-    return []
-
-
-def _told(values: Array, readings: Array) -> bool:
-    """Say whether a column is a linear function of the readings, but for a small part."""
-    matrix = np.vstack([readings, np.ones(readings.shape[1])]).T
-    left = values - matrix @ np.linalg.lstsq(matrix, values, rcond=None)[0]
-    return bool(np.var(left) <= (1 - MOVES**2) * np.var(values))
-
-
-def _going_round(
-    source: Source, data: Mapping[str, Array], free: Sequence[str], stem: str, expected: Array
-) -> Guess | None:
-    """Return the column that goes round as an angle should, in the unit in which it does it best."""
-    best: tuple[float, Guess] | None = None
-    for name in free:
-        values, stated = data[name], _stated(source, name)
-        units = {"rad": 1.0, "deg": np.pi / 180} | (
-            {"count": 2 * np.pi / _turn(values)} if _whole(values) else {}
-        )
-        for unit, factor in units.items():
-            for sign in (1, -1):
-                r = float(np.abs(np.nanmean(np.exp(1j * (sign * factor * values - expected)))))
-                if stated in ("", unit) and r >= MOVES and (best is None or r > best[0]):
-                    turn = _turn(values) if unit == "count" else None
-                    why = f"goes round as {stem} should (coherence {r:.3f}); UNIT AND TURN ONLY BY THAT"
-                    best = r, Guess(stem, name, unit, why, sign, turn)
-    return best[1] if best else None
+    lacking = [c for c in model.channels if split_unit(c)[0] not in stems and c not in model.period]
+    if not lacking or not any(split_unit(c)[0] in known for c in model.references):
+        return []
+    expected = _readings(model, known)
+    return _matched(source, data, free, {split_unit(c)[0]: expected[c] for c in lacking}, model)
 
 
 def _si(values: Array, guess: Guess) -> Array:
@@ -357,34 +314,12 @@ def _readings(model: Model, known: Mapping[str, Array]) -> dict[str, Array]:
     return dict(zip(model.channels, found, strict=True))
 
 
-def _decoded(model: Model, known: Mapping[str, Array]) -> dict[str, Array]:
-    """Return where the nominal machine would be, to first order about its rest, where its readings say so."""
-    rows = len(next(iter(known.values())))
-    rest = model.rest
-    still = np.array([rest.get(c, 0.0) for c in model.pose])
-    state = np.array([rest.get(c, 0.0) for c in model.state])
-    zeros = np.zeros(len(model.zeros))
-    steps = np.array([1e-6] * len(still))
-    base = np.asarray(model.reading(model.nominal, zeros, still, state)).ravel()
-    slopes = np.stack(
-        [
-            (np.asarray(model.reading(model.nominal, zeros, still + s * e, state)).ravel() - base) / s
-            for s, e in zip(steps, np.eye(len(still)), strict=True)
-        ],
-        axis=1,
-    )
-    readings = np.array([known[split_unit(c)[0]] for c in model.channels]).reshape(-1, rows)
-    found = np.linalg.pinv(slopes) @ (readings - readings.mean(axis=1, keepdims=True))
-    return dict(zip(model.references, found, strict=True))
-
-
 def _matched(
     source: Source,
     data: Mapping[str, Array],
     free: Sequence[str],
     expected: Mapping[str, Array],
     model: Model,
-    least: float = MOVES,
 ) -> list[Guess]:
     """Return the pairs of columns and stems that move together, the surest first."""
     pairs = []
@@ -395,7 +330,7 @@ def _matched(
     found: dict[str, Guess] = {}
     taken: set[str] = set()
     for r, stem, name in sorted(pairs, key=lambda p: -abs(p[0])):
-        if abs(r) < least or stem in found or name in taken:
+        if abs(r) < MOVES or stem in found or name in taken:
             continue
         why = f"moves as {stem} should (r = {r:.3f})"
         guess = Guess(stem, name, "", why, 1 if r > 0 else -1)

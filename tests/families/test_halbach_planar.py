@@ -11,7 +11,6 @@ from hallsym.estimation import decoding_gain
 from hallsym.families.halbach import PLANAR, planar
 from hallsym.families.halbach.effects import planar_ends
 from hallsym.families.halbach.ends import strength
-from hallsym.families.halbach.error_model import harmonic_over_remanence
 from hallsym.families.halbach.layout import Array, Sensor, arrays, columns, sensors
 from hallsym.families.halbach.models import halbach
 from hallsym.model import on_arrays
@@ -296,7 +295,7 @@ def test_ends_of_the_arrays_of_a_mover_are_those_of_cuboids():
         assert np.abs(found - true).max() < 2e-3 * BR * AMPLITUDE
 
 
-AMPLITUDE = harmonic_over_remanence(1, 0.03, 0.0075) * np.exp(-2 * np.pi / 6)
+AMPLITUDE = 2 * np.sqrt(2) / np.pi * (1 - np.exp(-np.pi / 2)) * np.exp(-2 * np.pi / 6)
 """Of the first harmonic at a gap of 5 mm, over the remanence."""
 
 

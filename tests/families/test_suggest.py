@@ -66,12 +66,6 @@ def test_readings_without_a_name_are_found_by_what_they_move_with(columns: dict[
     assert made["hall_c"] == ("U5", "mm", 1)
 
 
-def test_references_without_a_name_are_found_by_the_readings(columns: dict[str, np.ndarray]) -> None:
-    names = {"x_ref_m": ("L1 [um]", 1e6), "y_ref_m": ("L2 [um]", 1e6), "rz_ref_rad": ("L3 [urad]", 1e6)}
-    made = found(guessed(columns, **names))
-    assert [made[c][0] for c in ("x_ref", "y_ref", "rz_ref")] == ["L1", "L2", "L3"]
-
-
 def test_an_angle_in_counts() -> None:
     t = np.arange(4000) * 1e-3
     angle = 2 * np.pi * 0.5 * t
@@ -133,14 +127,3 @@ def test_columns_of_ours_stay_what_they_are() -> None:
     assert set(made.rest) == {"hall_7_v", "z_ref_m"}
     text = made.to_toml("log").split("[columns]")[1]
     assert all(line.startswith("#") for line in text.strip().split("\n"))
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_an_angle_without_a_name_is_found_by_how_it_goes_round(sign: int) -> None:
-    angle = np.linspace(0, 12 * np.pi, 3000)
-    raw = np.floor(((sign * angle + 1.3) / (2 * np.pi) % 1) * 16384)
-    table = {"step_index": np.arange(3000.0), "ref_deg": np.degrees(angle), "raw": raw}
-    made = suggest(open_source(table)[2], "rotary_ideal")
-    assert found(made)["angle_ref"] == ("ref_deg", "deg", 1)
-    assert found(made)["angle"] == ("raw", "count", sign)
-    assert made.rest == ("step_index",)
