@@ -5,7 +5,7 @@ import numpy as np
 from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.run_statistics import RunStatistics, projected
 from hallsym.estimation.start import MOVED, LinearFit
-from hallsym.log.quality.responses import Products, Responses
+from hallsym.log.quality.gains import Products, Responses
 from hallsym.model.features import Features
 
 SHARE, CLEAR = 0.02, 0.1

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import IO
 
 from hallsym.errors import InputError, quoted
-from hallsym.log.arrow import array_of
+from hallsym.log.arrow import TIME, array_of, only_time, said_of_times
 from hallsym.log.extras import load
-from hallsym.log.moments import TIME, only_time, said_of_times
 from hallsym.log.table import Source, label
 from hallsym.log.text import (
     MISSING,

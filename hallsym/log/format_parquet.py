@@ -8,9 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.errors import InputError, quoted
-from hallsym.log.arrow import array_of, is_numeric
+from hallsym.log.arrow import (
+    TIME,
+    Moments,
+    array_of,
+    first_tick,
+    is_numeric,
+    is_time,
+    only_time,
+    said_of_times,
+)
 from hallsym.log.extras import load
-from hallsym.log.moments import TIME, Moments, first_tick, is_time, only_time, said_of_times
 from hallsym.log.table import IN_MEMORY_ROWS, Source, label
 from hallsym.units import Array
 

@@ -9,9 +9,17 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.arrow import array_of, is_numeric
+from hallsym.log.arrow import (
+    TIME,
+    Moments,
+    array_of,
+    first_tick,
+    is_numeric,
+    is_time,
+    only_time,
+    said_of_times,
+)
 from hallsym.log.extras import load
-from hallsym.log.moments import TIME, Moments, first_tick, is_time, only_time, said_of_times
 from hallsym.log.table import Arrays
 from hallsym.log.text.units import split_header
 from hallsym.units import Array

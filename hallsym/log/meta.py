@@ -6,11 +6,34 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from hallsym.errors import InputError, quoted
 from hallsym.reading import read_json
 from hallsym.records import schema_of, structured
+
+Positive = Annotated[float, msgspec.Meta(gt=0, le=1e100)]
+Run = Annotated[int, msgspec.Meta(ge=-(2**53), le=2**53)]
+
+
+class MetaRecord(msgspec.Struct):
+    """Facts about a campaign; everything is optional, null is absent."""
+
+    case_id: str | None = None
+    device: str | None = None
+    family: str | None = None
+    base_model: str | None = None
+    nominal: dict[str, Any] = {}
+    probes: list[dict[str, Any]] | None = None
+    validation_runs: list[Run] = []
+    gap_metric: str | None = None
+    gap_length_scale_m: Positive | None = None
+    gap_threshold_rel: Positive | None = None
+    sampling_clock_s: Positive | None = None
+    noise_1sigma: dict[str, Positive] = {}
+    counts_per_turn: Annotated[float, msgspec.Meta(ge=2, le=1e100)] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +88,7 @@ class Meta:
 
 def meta_schema() -> dict[str, Any]:
     """Return the JSON Schema of `meta.json`, from the types that are checked when a log is read."""
-    from hallsym.log.meta_file import MetaRecord
+    from hallsym.log.meta import MetaRecord
 
     return schema_of(MetaRecord, "hallsym log metadata")
 
@@ -75,14 +98,14 @@ _MISSPELT = 0.85
 
 
 def _keys() -> tuple[str, ...]:
-    from hallsym.log.meta_file import MetaRecord
+    from hallsym.log.meta import MetaRecord
 
     return MetaRecord.__struct_fields__
 
 
 def _record(raw: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Return what the keys hold, by the names of `Meta`, which keeps the file's own words besides."""
-    from hallsym.log.meta_file import MetaRecord
+    from hallsym.log.meta import MetaRecord
 
     record = structured(dict(raw), MetaRecord, where, "correct that place")
     found = {name: getattr(record, name) for name in record.__struct_fields__}

@@ -9,9 +9,8 @@ import pytest
 
 import hallsym
 from hallsym import InputError, Log, Noise, NoiseModel
-from hallsym.families.halbach import travel
 from hallsym.families.halbach.effects import ends, magnets
-from hallsym.families.halbach.ends import strength
+from hallsym.families.halbach.effects.ends import strength
 from hallsym.families.halbach.layout import Sensor, arrays, columns
 from hallsym.families.halbach.models import halbach
 from hallsym.model import on_arrays
@@ -94,7 +93,7 @@ def test_the_decoded_place_has_no_step_as_sensors_come_and_go():
     v = read_at(wide, wide.vector(values), x, np.full(len(x), 5e-3))
     found = on_arrays(wide.decoded)(wide.vector(values), [], v, [], np.ones(len(v)))[0]
     assert np.abs(found[0] - x).max() < 1e-8
-    away = travel.seen(arrays(wide.layout)["X"], 0.061)
+    away = ends.seen(arrays(wide.layout)["X"], 0.061)
     assert float(away) == 0.0
 
 

@@ -9,8 +9,7 @@ import pytest
 
 import hallsym
 from hallsym.errors import InputError
-from hallsym.families.naming import likeness, words_of
-from hallsym.families.suggest import Suggestion, suggest
+from hallsym.families.suggest import Suggestion, likeness, suggest, words_of
 from hallsym.log import open_source, read_column_file, read_log
 
 

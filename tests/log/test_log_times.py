@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 import hallsym
 from hallsym import InputError, fit, load_fit, read_log
 from hallsym.cli.main import main
+from hallsym.log.arrow import Moments, first_tick
 from hallsym.log.format_parquet import ParquetSource
-from hallsym.log.moments import Moments, first_tick
 from hallsym.log.text import Seconds
 from hallsym.log.text.times import time_form
 

@@ -12,8 +12,7 @@ from hallsym.log.drop import Drop
 from hallsym.log.limits import is_moving, is_reading, is_reference
 from hallsym.log.quality.findings import Finding, name_of, others
 from hallsym.log.quality.motion import is_noisy, stretches
-from hallsym.log.quality.sample import WHOLE_ROWS, Whole
-from hallsym.log.quality.scan import Scan, Spans
+from hallsym.log.quality.scan import WHOLE_ROWS, Scan, Spans, Whole
 
 _TWICE = "counted twice, a recording makes uncertainties too small"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,10 +12,112 @@ import numpy as np
 
 from hallsym.log.quality.explain import BEYOND, Explanation, Slopes, Units, explanations, widened
 from hallsym.log.quality.findings import Finding, name_of
-from hallsym.log.quality.responses import Responses
-from hallsym.log.quality.units import option, other_units
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
+from hallsym.units import UNITS, split_unit
+
+DEGREE = math.pi / 180
+TWICE = (1e3, 1e6, float(f"{1 / DEGREE:.12g}"))
+"""Factors of conversions that are done twice by mistake: of mm and um (mrad and urad), and of degrees."""
+
+
+def scale_of(table: Any, column: str) -> float:
+    """Return what the file's numbers of an SI column are multiplied by."""
+    bindings = getattr(table, "bindings", {})
+    return abs(bindings[column].factor) if column in bindings else 1.0
+
+
+def other_units(table: Any, column: str) -> dict[float, str]:
+    """Return the units that a column may hold instead: how much too large its values then are -> unit.
+
+    Only powers of ten and 180/pi: any other factor is a scale, which a fit and `hallsym diagnose` deal with.
+    Values that are too small because they were converted twice are in no unit: "".
+    """
+    unit = split_unit(column)[1]
+    if unit is None:
+        return {}
+    stated = scale_of(table, column)
+    alike = [u for u in UNITS.values() if u.si == unit.si and not u.offset and _plain(u.factor)]
+    found = {float(f"{stated / u.factor:.12g}"): u.name for u in alike if not math.isclose(u.factor, stated)}
+    twice = [1 / f for f in found if f in TWICE and 1 / f not in found]
+    return found | dict.fromkeys(twice, "")
+
+
+def option(table: Any, column: str, unit: str) -> str:
+    """Return the option that states the unit of a column."""
+    return f"--column {split_unit(column)[0]}_{unit}={table.source_name(column)}"
+
+
+def _plain(factor: float) -> bool:
+    decades = (math.log10(factor), math.log10(factor / DEGREE))
+    return any(abs(d - round(d)) < 1e-9 for d in decades)
+
+
+@dataclass(frozen=True, eq=False)
+class Responses:
+    """Slopes d reading / d reference of each run, by linear least squares, and what they leave.
+
+    `slopes`, `std`: (runs, n_pose, n_channels), 0 for a reference that did not move apart from others.
+    `moved`: (runs, n_pose). `together`: the slopes with all references, each of which may mean nothing alone.
+    `unexplained`: (runs, n_channels) share of a reading's variance that the references leave, 0 where a
+    channel hears only noise. `signal`: (runs, n_channels) variance of a reading over that of its noise.
+    `products`: (runs, n_pose, n_pose) of the references, `total`: (runs, n_channels) sums of squares of the
+    readings, means taken out.
+    """
+
+    model: Model
+    runs: tuple[int, ...]
+    slopes: np.ndarray
+    std: np.ndarray
+    moved: np.ndarray
+    unexplained: np.ndarray
+    signal: np.ndarray
+    products: np.ndarray
+    total: np.ndarray
+    together: np.ndarray
+
+    def misfit(self, slopes: np.ndarray) -> np.ndarray:
+        """Return what other slopes (n_pose, n_channels) leave of each run's readings, (runs, n_channels).
+
+        As a share of their variance, beside what the run's own slopes leave.
+        """
+        off = self.together - slopes
+        left = np.einsum("rjk,rjl,rlk->rk", off, self.products, off)
+        return np.asarray(left / np.maximum(self.total, 1e-300))
+
+
+@dataclass(frozen=True, eq=False)
+class Products:
+    """Products of columns by run: features (runs, f, f), with readings (runs, f, K), of readings (runs, K).
+
+    `counts`: samples (runs,). `variance`: (K,) of a residual, by the noise of readings and references;
+    `of_references`: the part of the latter.
+    """
+
+    runs: tuple[int, ...]
+    features: np.ndarray
+    readings: np.ndarray
+    squares: np.ndarray
+    counts: np.ndarray
+    variance: np.ndarray
+    of_references: np.ndarray
+
+    def coefficients(self, weights: np.ndarray) -> np.ndarray:
+        """Return least squares of weighted runs, (m, runs) -> (m, f, K)."""
+        square = np.tensordot(weights, self.features, axes=1)
+        right = np.tensordot(weights, self.readings, axes=1)
+        scale = 1.0 / np.sqrt(np.maximum(np.einsum("...jj->...j", square), 1e-300))
+        outer = scale[..., :, None] * scale[..., None, :]
+        inverse = np.linalg.pinv(square * outer, rcond=1e-10, hermitian=True)
+        return np.asarray(scale[..., :, None] * (inverse @ (scale[..., :, None] * right)))
+
+    def chi_squares(self, coefficients: np.ndarray) -> np.ndarray:
+        """Return chi-square of each run and channel, (m, f, K) -> (m, runs, K)."""
+        cross = np.einsum("mfk,rfk->mrk", coefficients, self.readings)
+        inner = self.features @ coefficients[:, None]
+        square = np.einsum("mfk,mrfk->mrk", coefficients, inner)
+        return np.maximum(self.squares - 2 * cross + square, 0.0) / self.variance
+
 
 VARIES = 0.2
 """Share of the largest slope of a reference by which slopes of one run may differ from those of the others:

@@ -12,8 +12,7 @@ from hallsym.log.limits import is_moving, is_reading, is_reference, tells
 from hallsym.log.quality.findings import Finding, others, the
 from hallsym.log.quality.motion import gains, is_noisy
 from hallsym.log.quality.runs import FEWEST_SAMPLES
-from hallsym.log.quality.sample import WHOLE_ROWS
-from hallsym.log.quality.scan import HELD_SAMPLES, Scan, Span, Spans
+from hallsym.log.quality.scan import HELD_SAMPLES, WHOLE_ROWS, Scan, Span, Spans
 from hallsym.units import Array, si_symbol
 
 _FEW_LEVELS = 8

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.log.quality.findings import Finding
-from hallsym.log.quality.gains import listed, run_finding
-from hallsym.log.quality.responses import Products
+from hallsym.log.quality.gains import Products, listed, run_finding
 from hallsym.model import Model
 
 HEALTHY = 1.25

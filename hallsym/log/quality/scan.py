@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,10 +13,134 @@ from hallsym.log.columns import RUN
 from hallsym.log.core import Log, RunOrder
 from hallsym.log.limits import is_moving, is_reading
 from hallsym.log.quality.clock import Clock
-from hallsym.log.quality.marks import Marks
-from hallsym.log.quality.sample import Sample
 from hallsym.log.table import CHUNK_ROWS, Piece
 from hallsym.units import Array
+
+MOST = 32_768
+"""Marked rows that are kept; where a log has more, every second kind of mark is forgotten."""
+_ONE_IN = 4
+"""Bits of a row's hash that must be 0 for the row to be marked: one row in 16."""
+_MIX = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: Knuth's multiplicative hashing
+FEWEST = 5
+"""Marked rows that must be met again at the same distance: about 80 rows."""
+
+
+class Marks:
+    """Hashes of the readings in the rows that the hashes themselves choose, in any pieces the same."""
+
+    def __init__(self, columns: Sequence[str]) -> None:
+        """Watch the readings among `columns`."""
+        self.columns = tuple(filter(is_reading, columns))
+        self._bits = _ONE_IN
+        self._parts: list[tuple[Array, Array]] = []
+        self._count = 0
+
+    def add(self, piece: Piece, row: int) -> None:
+        """Take a piece that begins at `row` of the log."""
+        if not self.columns:
+            return
+        hashed = np.zeros(len(piece[self.columns[0]]), np.uint64)
+        for name in self.columns:
+            hashed *= _MIX
+            hashed += piece[name].view(np.uint64)
+        hashed *= _MIX
+        at = np.flatnonzero(hashed < np.uint64(1 << (64 - self._bits)))
+        self._parts.append((hashed[at], row + at))
+        self._count += len(at)
+        while self._count > MOST:
+            self._bits += 1
+            kept = [(h, r, h < np.uint64(1 << (64 - self._bits))) for h, r in self._parts]
+            self._parts = [(h[keep], r[keep]) for h, r, keep in kept]
+            self._count = sum(len(h) for h, _ in self._parts)
+
+    def distance(self) -> int | None:
+        """Return the distance in rows at which marked rows are met again most often; None if hardly any.
+
+        Rows in which nothing moves are met again everywhere: only the next of the same hash counts, and one
+        that is not the next row.
+        """
+        if not self._parts:
+            return None
+        hashed, rows = (np.concatenate(parts) for parts in zip(*self._parts, strict=True))
+        order = np.argsort(hashed, kind="stable")
+        same = np.diff(hashed[order]) == 0
+        apart = np.diff(rows[order])[same]
+        apart = apart[apart > 1]
+        if len(apart) < FEWEST:
+            return None
+        distance, often = Counter(apart.tolist()).most_common(1)[0]
+        return int(distance) if often >= FEWEST else None
+
+
+ENOUGH = 8192
+"""Samples that are kept at least where a log has them; at most twice as many. 0.5 % of them are 40."""
+WHOLE_ROWS = 2_000_000
+"""Samples up to which a second look reads whole columns."""
+
+
+class Sample:
+    """Every n-th sample of a log, n a power of two that grows along the pass."""
+
+    def __init__(self, columns: Sequence[str]) -> None:
+        """Keep samples of `columns`."""
+        self.columns = tuple(columns)
+        self.stride = 1
+        self._parts: list[tuple[Array, Array, Array]] = []
+        self._count = 0
+
+    def add(self, piece: Piece, row: int) -> None:
+        """Take a piece that begins at `row` of the log."""
+        here = slice(-row % self.stride, None, self.stride)
+        rows = np.arange(row + here.start, row + len(piece[RUN]), self.stride)
+        values = np.array([piece[name][here] for name in self.columns]).reshape(len(self.columns), len(rows))
+        self._parts.append((rows, piece[RUN][here].copy(), values))  # a view would keep the whole piece
+        self._count += len(rows)
+        while self._count > 2 * ENOUGH:
+            self._thin()
+
+    def _thin(self) -> None:
+        self.stride *= 2
+        kept = [(part, part[0] % self.stride == 0) for part in self._parts]
+        self._parts = [(rows[keep], run[keep], values[:, keep]) for (rows, run, values), keep in kept]
+        self._count = sum(len(part[0]) for part in self._parts)
+
+    @cached_property
+    def whole(self) -> Whole:
+        """The kept samples, at the end of the pass."""
+        _, run, values = (np.concatenate(parts, axis=-1) for parts in zip(*self._parts, strict=True))
+        return Whole(run, dict(zip(self.columns, values, strict=True)))
+
+
+@dataclass(frozen=True, eq=False)
+class Whole:
+    """Columns of a log side by side, or those of its thinned copy: `run` and `data[column]`, (n,) each."""
+
+    run: Array
+    data: dict[str, Array]
+
+    @cached_property
+    def _ordered(self) -> dict[str, Array]:
+        return {}
+
+    def ordered(self, name: str) -> Array:
+        """Return the samples of a column by size, (n,)."""
+        if name not in self._ordered:
+            self._ordered[name] = np.sort(self.data[name])
+        return self._ordered[name]
+
+    @staticmethod
+    def of(log: Log, columns: Sequence[str]) -> Whole:
+        """Read whole columns of a log, of its first `WHOLE_ROWS` samples at most."""
+        parts: list[dict[str, Array]] = []
+        count = 0
+        for block in log.blocks((RUN, *columns)):
+            parts.append(block.data)
+            count += len(block.data[RUN])
+            if count >= WHOLE_ROWS:
+                break
+        data = {name: np.concatenate([part[name] for part in parts]) for name in (RUN, *columns)}
+        return Whole(data.pop(RUN).astype(np.int64), data)
+
 
 HELD_SAMPLES = 8
 _CACHE_ROWS = 32_768

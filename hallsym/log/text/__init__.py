@@ -9,11 +9,9 @@
 - `stream`: the lines of the table alone, as pyarrow reads them.
 """
 
-from hallsym.log.text.dialect import Dialect
 from hallsym.log.text.encoding import Encoded, end_of
 from hallsym.log.text.numbers import MISSING, as_float
-from hallsym.log.text.rows import stated_delimiter
-from hallsym.log.text.sniff import sniffed
+from hallsym.log.text.sniff import Dialect, sniffed, stated_delimiter
 from hallsym.log.text.stream import Cleaner, TableStream
 from hallsym.log.text.times import ORDERS, Seconds
 

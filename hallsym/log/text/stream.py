@@ -7,9 +7,9 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from hallsym.log.text.dialect import Dialect
 from hallsym.log.text.encoding import END, Encoded, whole_lines
 from hallsym.log.text.numbers import COMMA, as_float
+from hallsym.log.text.sniff import Dialect
 
 INSIDE = "\x1f"
 """Stands for a delimiter within quotes."""

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
+from hallsym.log.arrow import Onward
 from hallsym.log.extras import load
-from hallsym.log.moments import Onward
 
 _CLOCK = r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d{1,9})?"
 _ZONE = r"(?:Z|[+-]\d{2}:?\d{2})"

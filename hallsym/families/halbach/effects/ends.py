@@ -1,17 +1,177 @@
 """Effects of the ends of a Halbach array: its field fades near them, also where sensors are chosen anew."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from math import pi
 
 import casadi as ca
+import numpy as np
 
-from hallsym.families.halbach import links, travel
+from hallsym.families.halbach import links
 from hallsym.families.halbach.effects.magnets import HEIGHT, LONGER
-from hallsym.families.halbach.ends import missing, nearest
-from hallsym.families.halbach.layout import sensors
+from hallsym.families.halbach.layout import Array, Layout, sensors
 from hallsym.families.halbach.models import array_of
 from hallsym.families.mechanisms import P
 from hallsym.model import Model, Parameter, Signals, effect
 from hallsym.model.arguments import one_of
+
+HARMONICS = (1, 5, 9)
+"""Of the endless array, which its magnets less its ends make; the next is below 1e-4 of the first at 3 mm."""
+
+
+def magnets_of(array: Array) -> tuple[np.ndarray, np.ndarray]:
+    """Return the borders (n + 1,) [m] of the magnets of an array from its middle, and their numbers (n,).
+
+    The middle magnet, number 0, points to the sensors; the last ones are cut where the array ends.
+    """
+    pitch, half = array.wavelength_m / array.magnets_per_period, array.length_m / 2
+    inner = [b for i in range(round(half / pitch) + 1) if (b := (i + 0.5) * pitch) < half * (1 - 1e-9)]
+    borders = np.array([-half, *(-b for b in reversed(inner)), *inner, half])
+    return borders, np.round((borders[:-1] + borders[1:]) / 2 / pitch).astype(int)
+
+
+def strength(array: Array, h: int) -> float:
+    """Return the amplitude at the level of harmonic h of an array whose first harmonic is 1 there."""
+    n, q = array.magnets_per_period, array.wavenumber
+
+    def at_level(order: int) -> float:
+        filled = np.sin(order * pi / n) / (order * pi / n)
+        return float(filled * (1 - np.exp(-order * q * array.height)) * np.exp(-order * q * array.level_m))
+
+    return at_level(h) / at_level(1)
+
+
+def finite(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return the vertical field at u [m] from the middle of the array, of its magnets and of turned ones.
+
+    In units of the first harmonic of the endless array at its level: deep under a long array they are
+    cos k u and -sin k u times exp(-k (gap - level)), with small fifth and ninth harmonics.
+    """
+    n, q = array.magnets_per_period, array.wavenumber
+    filled = np.sin(pi / n) / (pi / n) * (1 - np.exp(-q * array.height))
+    size = float(np.exp(q * array.level_m) / filled / (2 * pi))
+    borders, numbers = magnets_of(array)
+    corners = []
+    for border in borders:
+        away = u - float(border)
+        low, high = (away**2 + g**2 for g in (gap, gap + array.height))
+        # the difference of two angles as one: it has no step where the border passes over the sensor
+        turn = -ca.atan2(away * array.height, away**2 + gap * (gap + array.height))
+        corners.append((ca.log(high / low) / 2, turn))
+    straight, quarter = ca.SX(0), ca.SX(0)
+    for j, i in enumerate(numbers):
+        re, im = (corners[j][c] - corners[j + 1][c] for c in (0, 1))
+        angle = pi / 2 - 2 * pi / n * int(i)
+        cos, sin = round(np.cos(angle), 15), round(np.sin(angle), 15)
+        straight = straight + cos * re - sin * im
+        quarter = quarter + sin * re + cos * im
+    return size * straight, size * quarter
+
+
+def endless(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return the same as `finite` of the endless array: its harmonics."""
+    q = array.wavenumber
+    terms = [(strength(array, h) * ca.exp(-h * q * (gap - array.level_m)), h * q * u) for h in HARMONICS]
+    cos, sin = (sum((a * f(t) for a, t in terms), ca.SX(0)) for f in (ca.cos, ca.sin))
+    return cos, -sin
+
+
+def missing(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return what the ends of the array take from the field of the endless one; zero far from them."""
+    own, all_ = finite(array, u, gap), endless(array, u, gap)
+    return own[0] - all_[0], own[1] - all_[1]
+
+
+def nearest(array: Array, u: ca.SX, elements: int = 1) -> ca.SX:
+    """Return the place from the middle [m] of the sensor that reads for one at u.
+
+    Of the sensors at whole wavelengths from it, a channel of several elements takes as many, those within
+    as many half wavelengths on both sides of the middle.
+    """
+    window = elements * array.wavelength_m
+    return u - window * ca.floor(u / window + 0.5)
+
+
+SEES = 1 / 3
+"""Share of the energy-weighted mean energy above which a sensor counts as under the array: half of what the
+sensors under it have on average, a squared cosine having 1/2 on average and 3/4 weighted by itself."""
+
+
+def board(layout: Layout) -> np.ndarray:
+    """Return the place of each channel along the array [m]."""
+    return np.array([sensor.middle[0] for sensor in sensors(layout)])
+
+
+def resolves(array: Array, layout: Layout) -> bool:
+    """Return whether the board is longer than the array by a wavelength, so that some sensor is not under it.
+
+    A shorter one sees the same at places a wavelength apart, but for the field of the ends.
+    """
+    return bool(np.ptp(board(layout)) >= array.length_m + array.wavelength_m)
+
+
+def seen(array: Array, away: ca.SX) -> ca.SX:
+    """Return the weight of a sensor `away` [m] from the middle: 1 under the array, 0 beyond it, smooth."""
+    depth = (array.length_m / 2 - ca.fabs(away)) / (array.wavelength_m / 2)
+    inside = ca.fmin(ca.fmax(depth, 0), 1)
+    return inside**2 * (3 - 2 * inside)
+
+
+def begin(v: ca.SX, p: Mapping[str, ca.SX], array: Array, layout: Layout) -> ca.SX:
+    """Return x and z from the readings alone: phase, then the period that the sensors see, then the gap.
+
+    Of the places that have the phase of the first harmonic, the one is taken under which the sensors see
+    most and beyond which they see least.
+    """
+    q, places = array.wavenumber, board(layout)
+    read = ca.vertsplit(v)
+    size = 2 / len(places)
+    re, im = (size * sum((r * float(f(q * x)) for r, x in zip(read, places, strict=True)), ca.SX(0))
+              for f in (np.cos, np.sin))  # fmt: skip
+    x = _resolved(array, places, read, _phase(p, re, im) / q)
+    weights = [seen(array, place - x) + NEVER for place in places]
+    re, im = _weighted(array, places, read, weights)
+    phase = _phase(p, re, im) / q
+    x = phase + array.wavelength_m * ca.floor((x - phase) / array.wavelength_m + 0.5)
+    fade = ca.log((re**2 + im**2) / (p["a1"] ** 2 + p["b1"] ** 2)) / 2
+    return ca.vertcat(x, array.level_m - fade / q)
+
+
+NEVER = 1e-6
+"""Weight of a sensor beyond the array: where none is under it the sums still have a solution."""
+
+
+def _phase(p: Mapping[str, ca.SX], re: ca.SX, im: ca.SX) -> ca.SX:
+    """Return k x from Z = (a1 - i b1) exp(i k x - ...), re + i im."""
+    return ca.atan2(im * p["a1"] + re * p["b1"], re * p["a1"] - im * p["b1"])
+
+
+def _resolved(array: Array, places: np.ndarray, read: list[ca.SX], x: ca.SX) -> ca.SX:
+    energy = [r**2 for r in read]
+    least = SEES * sum(e**2 for e in energy) / (sum(energy) + 1e-30)
+    reach = array.length_m / 2
+    first, last = (int(np.floor(end / array.wavelength_m)) for end in (places.min() - reach,
+                                                                      places.max() + reach))  # fmt: skip
+    best, found = ca.SX(-np.inf), x
+    for period in range(first, last + 2):
+        here = x + period * array.wavelength_m
+        score = sum(seen(array, at - here) * (e - least) for at, e in zip(places, energy, strict=True))
+        better = score > best
+        best, found = ca.if_else(better, score, best), ca.if_else(better, here, found)
+    return found
+
+
+def _weighted(
+    array: Array, places: np.ndarray, read: list[ca.SX], weights: list[ca.SX]
+) -> tuple[ca.SX, ca.SX]:
+    """Return real and imaginary part of Z with v_j = Re(Z exp(-i k x_j)), weighted least squares."""
+    rows = [(float(np.cos(array.wavenumber * x)), float(np.sin(array.wavenumber * x))) for x in places]
+    cc, cs, ss, cv, sv = (ca.SX(0) for _ in range(5))
+    for (c, s), r, w in zip(rows, read, weights, strict=True):
+        cc, cs, ss, cv, sv = cc + w * c * c, cs + w * c * s, ss + w * s * s, cv + w * c * r, sv + w * s * r
+    det = cc * ss - cs**2
+    return (ss * cv - cs * sv) / det, (cc * sv - cs * cv) / det
+
 
 MOST = 20.0
 """Bounds: what an array of a third of the stated length takes from the field in the middle, and more."""
@@ -52,11 +212,11 @@ def array_edges(
 
     new = Parameter("edges", 0.0, -MOST, MOST, "1", "share of what the ends of the stated array take")
     wide = model.with_step("field", step, effect="array_edges", parameters=(new,))
-    if reads == "nearest" or not travel.resolves(array_of(model.layout), model.layout):
+    if reads == "nearest" or not resolves(array_of(model.layout), model.layout):
         return wide
     return replace(
         wide,
-        begin=lambda v, p: travel.begin(v, p, array_of(model.layout), model.layout),
+        begin=lambda v, p: begin(v, p, array_of(model.layout), model.layout),
         period={}, absolute=(), onward=None,
     )  # fmt: skip
 

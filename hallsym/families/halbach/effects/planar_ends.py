@@ -4,9 +4,8 @@ from functools import cache
 
 import casadi as ca
 
-from hallsym.families.halbach.effects.ends import MOST
+from hallsym.families.halbach.effects.ends import MOST, missing
 from hallsym.families.halbach.effects.magnets import LONGER, TURNED
-from hallsym.families.halbach.ends import missing
 from hallsym.families.halbach.layout import Array
 from hallsym.families.halbach.links import Seen
 from hallsym.families.mechanisms import P
