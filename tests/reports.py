@@ -1,5 +1,6 @@
 """Reports on what data determine, of which tests draw pictures, and what holds for every picture."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -11,7 +12,9 @@ from twins import SIGMAS, TRUTH, record, with_noise
 from hallsym.estimation import fit
 from hallsym.families import build
 from hallsym.inference import Identifiability, Interval, Side, Verdict, identify
-from hallsym.report.figures import WIDTH
+from hallsym.report.data.gather import RunSeries, series_of
+from hallsym.report.data.survey import Trace
+from hallsym.report.figures.style import WIDTH
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 
 
@@ -81,6 +84,17 @@ def odd() -> Identifiability:
     std = {n: s for n, s in whole.intervals.std.items() if n != "eta_B"}
     known = replace(whole.intervals, std=std, of={**whole.intervals.of, **stated}, profiles=tuple(told))
     return replace(whole, parameters=parameters, intervals=known)
+
+
+def run_series(
+    title: str, pose: Sequence[str], time: np.ndarray | None, errors: Mapping[str, Any]
+) -> RunSeries:
+    """One run's errors, name -> (n_pose, samples) in SI, as a page shows them; `time` in s."""
+    traces = {}
+    for name, values in errors.items():
+        traces[name] = Trace(1 + len(pose))
+        traces[name].add(np.vstack([np.zeros(values.shape[1]) if time is None else time, values]))
+    return series_of(title, tuple(pose), traces, timed=time is not None)
 
 
 def inside(figure: Figure, wide: float = WIDTH) -> None:

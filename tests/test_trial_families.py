@@ -188,7 +188,7 @@ def test_a_page_of_a_fit_is_drawn(family):
 
 @one_trial
 def test_pictures_of_a_fit_are_drawn(family, tmp_path):
-    from hallsym.report.figures import save_pictures
+    from hallsym.report.figures.campaign import save_pictures
 
     log, fit = fitted(family)
     assert all(path.stat().st_size > 1000 for path in save_pictures(log, fit, tmp_path))

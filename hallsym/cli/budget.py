@@ -335,7 +335,7 @@ def _pictures(
     """Save the pictures asked for."""
     if not options.plots:
         return []
-    from hallsym.report.figures import save_budget_pictures
+    from hallsym.report.figures.uncertainty import save_budget_pictures
 
     return save_budget_pictures(plots_place(options, options.file), budgets, grid, worst=worst, along=along)
 

@@ -33,7 +33,7 @@ from hallsym.terminal import fitted
 from hallsym.toml import column_of
 
 if TYPE_CHECKING:
-    from hallsym.report.figures import Place
+    from hallsym.report.figures.saving import Place
 
 
 def command(
@@ -73,7 +73,7 @@ def plots_options(parser: Any, what: str = "save pictures") -> None:
 
 def place_of(folder: str | Path, format: str, *named: object) -> "Place":
     """Return where pictures go; `named` on each of them: file and model, those that are known."""
-    from hallsym.report.figures import Place
+    from hallsym.report.figures.saving import Place
 
     words = [str(name) for name in named if name]
     brief = ["/".join(Path(word).parts[-2:]) if Path(word).exists() else word for word in words]
@@ -293,7 +293,7 @@ def save_fit_pictures(log: Log, result: Fit, folder: str | None, format: str = "
     """Save the pictures of a fit, if a folder is given."""
     if folder is None:
         return []
-    from hallsym.report.figures import save_pictures
+    from hallsym.report.figures.campaign import save_pictures
 
     place = place_of(folder, format, log.path, result.model.name)
     return save_pictures(log, result, place, keep=result.keep)

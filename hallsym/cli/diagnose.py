@@ -28,7 +28,7 @@ from hallsym.families import default_model
 from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
 from hallsym.model import Model
-from hallsym.report.data import gather, version_of
+from hallsym.report.data.gather import gather, version_of
 from hallsym.report.page import diagnosis_page
 from hallsym.report.text.comparison import comparison_text
 from hallsym.report.text.diagnosis import diagnosis_text
@@ -116,7 +116,7 @@ def _pictures(options: Namespace, seen: Examined) -> list[Path]:
     """Save the pictures that are asked for."""
     if not options.plots:
         return []
-    from hallsym.report.figures import save_diagnosis
+    from hallsym.report.figures.campaign import save_diagnosis
 
     return save_diagnosis(seen, plots_place(options, options.log, seen.fit.model.name))
 

@@ -84,7 +84,7 @@ def run(options: Namespace) -> int:
     )
     pictures = []
     if options.plots:
-        from hallsym.report.figures import save_errors
+        from hallsym.report.figures.along import save_errors
 
         pictures = save_errors(found, plots_place(options, found.model.name))
     say(options, found.to_dict(), lambda: errors_text(found), wrote=pictures)

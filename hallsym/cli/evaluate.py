@@ -63,7 +63,7 @@ def run(options: Namespace) -> int:
         record["periodic_error"] = periodic.to_dict() if periodic else None
     wrote = []
     if options.plots:
-        from hallsym.report.figures import save_evaluation
+        from hallsym.report.figures.campaign import save_evaluation
 
         wrote = save_evaluation(found, plots_place(options, options.log, options.calibration))
     say(

@@ -101,7 +101,7 @@ def run(options: Namespace) -> int:
     if options.output:
         write_campaign(found.campaign, options.output, comment=_comment(found))
     if options.plots:
-        from hallsym.report.figures import save_plan_pictures
+        from hallsym.report.figures.plan import save_plan_pictures
 
         written += save_plan_pictures(
             found,

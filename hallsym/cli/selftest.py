@@ -116,7 +116,7 @@ def run(options: Namespace) -> int:
         atomic_write(options.output, json.dumps(found.to_dict(), indent=1, allow_nan=False) + "\n")
         wrote.append(Path(options.output))
     if options.plots:
-        from hallsym.report.figures import save_detection
+        from hallsym.report.figures.detection import save_detection
 
         wrote += save_detection(found, plots_place(options, options.log, found.model))
     say(options, found.to_dict(), lambda: selftest_text(found), wrote=wrote)

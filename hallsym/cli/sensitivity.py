@@ -159,7 +159,7 @@ def _written(options: Namespace, report: Identifiability, record: dict[str, Any]
         atomic_write(options.output, json.dumps(record, indent=1, allow_nan=False) + "\n")
         written.append(Path(options.output))
     if options.plots:
-        from hallsym.report.figures import save_sensitivity_pictures
+        from hallsym.report.figures.sensitivity import save_sensitivity_pictures
 
         written += save_sensitivity_pictures(
             report, plots_place(options, report.evidence.recorded, report.model.name)

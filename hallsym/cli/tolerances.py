@@ -70,7 +70,7 @@ def run(options: Namespace) -> int:
     found = tolerances(model, campaign_of(options), ranges=ranges, samples=options.samples, seed=options.seed)
     pictures = []
     if options.plots:
-        from hallsym.report.figures import save_tolerances
+        from hallsym.report.figures.tolerances import save_tolerances
 
         pictures = save_tolerances(found, plots_place(options, options.ranges, model.name))
     say(options, found.to_dict(), lambda: tolerances_text(found), wrote=pictures)

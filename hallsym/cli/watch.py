@@ -71,7 +71,7 @@ def run(options: Namespace) -> int:
         found.save(options.output)
         wrote.append(options.output)
     if options.plots:
-        from hallsym.report.figures import save_watch
+        from hallsym.report.figures.watch import save_watch
 
         wrote += save_watch(found, plots_place(options, options.calibration, found.model))
     say(options, found.to_dict(), lambda: watch_text(found, reading_words(options)), wrote=wrote)

@@ -104,14 +104,6 @@ class Plan(Shown):
         order = _order(self.study, self.choice)
         return [(int(counts[k]), found[k].setting, found[k].trajectory) for k in order]
 
-    def curve(self, points: int = 9) -> tuple[np.ndarray, np.ndarray]:
-        """Return numbers of runs, from the least that determine the model, and the criterion of plans."""
-        most = max(len(self.campaign.runs), self.comparison.runs if self.comparison else 1)
-        least = min(self.study.least_runs(), most)
-        spaced = np.unique(np.geomspace(least, most, points).round().astype(int))
-        runs = np.unique([*spaced, len(self.campaign.runs), most])
-        return runs, np.array([self.study.choose(int(n)).value for n in runs])
-
     def to_dict(self) -> dict[str, Any]:
         """Return the readable record that `hallsym plan --json` prints."""
         model, ranges = self.study.model, self.study.ranges

@@ -67,7 +67,7 @@ def figure(result: Any, log: Any = None) -> Figure:
     """Return the picture of a result, in the style of hallsym's pictures."""
     from matplotlib import style
 
-    from hallsym.report.figures import STYLE
+    from hallsym.report.figures.style import STYLE
 
     with style.context(["default", STYLE]):
         return _view(result).figure(result, log)
@@ -129,8 +129,8 @@ def _fit_table(fit: Fit) -> Table:
 
 
 def _fit_figure(fit: Fit, log: Any) -> Figure:
-    from hallsym.report.data import look_over
-    from hallsym.report.figures import errors_before_after
+    from hallsym.report.data.survey import look_over
+    from hallsym.report.figures.campaign import errors_before_after
 
     seen = as_read(_log_of(fit, log, "fit.plot('log.csv')"), fit.model, fit.wiring)
     return errors_before_after(fit, look_over(seen, fit, fit.keep))
@@ -157,9 +157,8 @@ def _evaluation_table(found: Evaluation) -> Table:
 
 
 def _evaluation_figure(found: Evaluation, log: Any) -> Figure:
-    from hallsym.report.data import look_over
-    from hallsym.report.figures import errors_before_after
-    from hallsym.report.figures.evaluation import TITLES
+    from hallsym.report.data.survey import look_over
+    from hallsym.report.figures.campaign import TITLES, errors_before_after
 
     return errors_before_after(found.applied, look_over(found.decoded, found.applied), TITLES)
 
@@ -181,7 +180,7 @@ def _diagnosis_table(d: Diagnosis) -> Table:
 
 
 def _diagnosis_figure(d: Diagnosis, log: Any) -> Figure:
-    from hallsym.report.figures import gap
+    from hallsym.report.figures.campaign import gap
 
     return gap(d)
 
@@ -206,7 +205,7 @@ def _identifiability_table(found: Identifiability) -> Table:
 
 
 def _identifiability_figure(found: Identifiability, log: Any) -> Figure:
-    from hallsym.report.figures import effects
+    from hallsym.report.figures.sensitivity import effects
 
     return effects(found)
 
@@ -221,7 +220,7 @@ def _plan_table(plan: Plan) -> Table:
 
 
 def _plan_figure(plan: Plan, log: Any) -> Figure:
-    from hallsym.report.figures import coverage
+    from hallsym.report.figures.plan import coverage
 
     return coverage(plan, None if log is None else as_log(log))
 
@@ -239,7 +238,7 @@ def _budget_table(budget: Budget) -> Table:
 
 
 def _budget_figure(budget: Budget, log: Any) -> Figure:
-    from hallsym.report.figures import budget_bars
+    from hallsym.report.figures.uncertainty import budget_bars
 
     return budget_bars({budget.quantity: budget})
 
@@ -260,7 +259,7 @@ def _watch_table(found: Watch) -> Table:
 
 
 def _watch_figure(found: Watch, log: Any) -> Figure:
-    from hallsym.report.figures import control_chart
+    from hallsym.report.figures.watch import control_chart
 
     return control_chart(found)
 

@@ -9,7 +9,7 @@ from twins import record, with_noise
 
 from hallsym.cli.main import main
 from hallsym.estimation import Fit, fit, load_fit
-from hallsym.report.figures import budget_bars, uncertainty_picture
+from hallsym.report.figures.uncertainty import budget_bars, uncertainty_picture
 from hallsym.uncertainty import Budget, Settings, Source, over_log, position_budget, uncertainty_map
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -40,7 +40,7 @@ from hallsym.families.halbach.models import FAMILY as HALBACH
 from hallsym.families.halbach.models import halbach
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log, Noise
-from hallsym.report.figures import save_detection
+from hallsym.report.figures.detection import save_detection
 from hallsym.report.text.selftest import selftest_text
 from hallsym.simulation import Campaign, Run, campaign_from
 

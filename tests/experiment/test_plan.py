@@ -181,8 +181,7 @@ def test_a_plan_is_smaller_than_table_6_in_as_many_runs_and_as_small_in_fewer(pl
 
 
 def test_more_runs_are_never_worse_and_the_same_seed_gives_the_same_plan(planned):
-    runs, values = planned.curve()
-    assert runs[-1] == 57
+    values = [planned.study.choose(n).value for n in (6, 9, 14, 24, 57)]
     assert np.all(np.diff(values) > 0)
     again = plan(COARSE, MODEL, TRUTH, runs=12, seed=3).choice.counts
     assert np.array_equal(again, plan(COARSE, MODEL, TRUTH, runs=12, seed=3).choice.counts)

@@ -8,12 +8,13 @@ import browser
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from reports import run_series
 from test_page import HOLDOUT
 from test_page_diagnosis import POSE, a_record, page_of
 from twins import record, with_noise
 
 from hallsym.estimation import fit
-from hallsym.report.data import gather, run_series
+from hallsym.report.data.gather import gather
 from hallsym.report.page import fit_page
 
 OVERLAPS = """JSON.stringify({

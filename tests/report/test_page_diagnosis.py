@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reports import run_series
 from test_page import Outline
 
 from hallsym.diagnosis import Diagnosis
-from hallsym.report.data import Cells, run_series
+from hallsym.report.data.gather import Cells
 from hallsym.report.page import diagnosis_page
 from hallsym.report.text.diagnosis import shrinks_text
 

@@ -9,7 +9,7 @@ from twins import SIGMAS, TRUTH, with_noise
 
 from hallsym.experiment import Ranges, paper_ranges, plan
 from hallsym.families import build
-from hallsym.report.figures import coverage, criterion_by_runs
+from hallsym.report.figures.plan import coverage
 from hallsym.simulation import paper_campaign, simulate
 
 MODEL, TABLE6 = build("stage31"), paper_campaign(0.02)
@@ -50,18 +50,6 @@ def test_coverage_shows_settings_and_motion_of_both(planned, logged):
 
 def test_a_plan_alone_has_one_entry_in_the_legend(planned):
     assert words(coverage(planned)) == ["planned, 10 runs"]
-
-
-def test_the_curve_marks_the_plan_and_the_comparison(planned):
-    figure = criterion_by_runs(planned)
-    assert words(figure) == ["plans", "this plan", "Table 6"]
-    lines = {line.get_label(): line.get_xydata() for line in figure.axes[0].lines}
-    assert np.allclose(lines["Table 6"], [(57, 1)])
-    runs, values = planned.curve()
-    assert np.allclose(lines["plans"].T, [runs, np.sqrt(planned.comparison.other.value / values)])
-    (here,) = lines["this plan"]
-    assert here[0] == 10
-    assert any(np.allclose(here, point) for point in lines["plans"])
 
 
 def test_the_path_of_a_single_coordinate_is_drawn_over_the_run():

@@ -1,17 +1,33 @@
-"""Pictures: what is drawn is what was measured and fitted, axes say their units."""
+"""Pictures: what is drawn is what was measured and fitted, in files that are whole; words are readable."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from twins import SIGMAS, record, with_noise
 
-from hallsym.estimation import Fit, coverage_factor, fit
+from hallsym.cli.main import main
+from hallsym.diagnosis import examine, prepare
+from hallsym.errors import InputError
+from hallsym.estimation import Fit, coverage_factor, evaluate, fit
 from hallsym.families import build
-from hallsym.log import Log
-from hallsym.report import data
-from hallsym.report import figures as plots
+from hallsym.log import Block, Log
+from hallsym.report.data.gather import compared, version_of
+from hallsym.report.data.survey import COLUMNS, Survey, Trace, held_out, look_over, representative, settings
+from hallsym.report.figures import campaign as plots
+from hallsym.report.figures.saving import Place, save_figures
+from hallsym.report.figures.style import DPI, STYLE, WIDTH
+from hallsym.report.words import name, plus_minus, scale
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 
+ROOT = Path(__file__).resolve().parents[2]
+CAMPAIGN = ROOT / "data" / "campaign"
+CALIBRATION = ROOT / "tests" / "golden" / "calib.json"
 HOLDOUT = (2, 7, 12)
+NAMES = ["measured", "errors_before_after", "errors_by_setting", "parameters"]
 
 
 @pytest.fixture(scope="module")
@@ -25,8 +41,8 @@ def fitted(log: Log) -> Fit:
 
 
 @pytest.fixture(scope="module")
-def survey(log: Log, fitted: Fit) -> data.Survey:
-    return data.look_over(log, fitted)
+def survey(log: Log, fitted: Fit) -> Survey:
+    return look_over(log, fitted)
 
 
 def _legends(figure) -> list[str]:
@@ -36,7 +52,7 @@ def _legends(figure) -> list[str]:
 # -- figures of a campaign -------------------------------------------------------------------------------
 
 
-def test_plotted_peak_is_the_peak_of_the_table(fitted: Fit, survey: data.Survey) -> None:
+def test_plotted_peak_is_the_peak_of_the_table(fitted: Fit, survey: Survey) -> None:
     assert survey.errors[0].width > 1, "the log shall be long enough to be decimated"
     figure = plots.errors_before_after(fitted, survey)
     tables = (survey.nominal, survey.fitted)
@@ -54,9 +70,7 @@ def test_plotted_peak_is_the_peak_of_the_table(fitted: Fit, survey: data.Survey)
     assert f"held out {1e6 * rmse:.3g}"[:12] in figure.axes[1].get_title("left")
 
 
-def test_measured_lays_the_decoded_pose_over_the_reference(
-    log: Log, fitted: Fit, survey: data.Survey
-) -> None:
+def test_measured_lays_the_decoded_pose_over_the_reference(log: Log, fitted: Fit, survey: Survey) -> None:
     figure = plots.measured(log, fitted, survey)
     assert len(figure.axes) == 12
     assert [ax.get_ylabel() for ax in figure.axes[::3]] == ["x [µm]", "y [µm]", "Rz [µrad]", "reading [µm]"]
@@ -68,7 +82,7 @@ def test_measured_lays_the_decoded_pose_over_the_reference(
     assert {"Hall A", "Hall B", "Hall C", "reference"} <= set(_legends(figure))
 
 
-def test_errors_by_setting_shows_every_series(fitted: Fit, survey: data.Survey) -> None:
+def test_errors_by_setting_shows_every_series(fitted: Fit, survey: Survey) -> None:
     figure = plots.errors_by_setting(fitted, survey)
     labels = ["nominal", "fitted", "fitted, held-out runs", "noise floor"]
     assert _legends(figure) == labels
@@ -107,8 +121,8 @@ def test_one_run_without_holdout(timed: bool) -> None:
         del columns["t_s"]
     log = with_noise(columns)
     result = fit(log, "stage15", solver="direct", loss="none")
-    survey = data.look_over(log, result)
-    assert data.settings(result, survey) == ([("0", [0])], "run")
+    survey = look_over(log, result)
+    assert settings(result, survey) == ([("0", [0])], "run")
     figure = plots.errors_before_after(result, survey)
     assert figure.axes[-1].get_xlabel() == ("time [s]" if timed else "sample")
     assert len(_legends(figure)) == 1
@@ -118,7 +132,7 @@ def test_one_run_without_holdout(timed: bool) -> None:
 
 def test_a_run_too_long_to_see_is_shown_from_its_start(fitted: Fit) -> None:
     log = with_noise(one_run(100_000, "stage31"))
-    figure = plots.measured(log, fitted, data.look_over(log, fitted))
+    figure = plots.measured(log, fitted, look_over(log, fitted))
     title = figure.axes[0].get_title("left")
     assert title.startswith("run 0, Z +100 µm, first ")
     assert title.endswith(" s")
@@ -127,11 +141,11 @@ def test_a_run_too_long_to_see_is_shown_from_its_start(fitted: Fit) -> None:
     np.testing.assert_allclose(np.nanmax(figure.axes[0].lines[0].get_xdata()), seconds, rtol=0.01)
 
 
-def test_nothing_is_drawn_beyond_the_edge(log: Log, fitted: Fit, survey: data.Survey) -> None:
+def test_nothing_is_drawn_beyond_the_edge(log: Log, fitted: Fit, survey: Survey) -> None:
     """Margins are stated in inches: everything must fit into them."""
     from matplotlib import style
 
-    with style.context(["default", plots.STYLE]):
+    with style.context(["default", STYLE]):
         figures = (
             plots.measured(log, fitted, survey),
             plots.errors_before_after(fitted, survey),
@@ -143,3 +157,284 @@ def test_nothing_is_drawn_beyond_the_edge(log: Log, fitted: Fit, survey: data.Su
             assert min(drawn.x0, drawn.y0) >= 0
             assert drawn.x1 <= width
             assert drawn.y1 <= height
+
+
+# -- files -----------------------------------------------------------------------------------------------
+
+
+def test_pictures_are_whole_files_in_their_own_style(log: Log, fitted: Fit, tmp_path: Path) -> None:
+    import matplotlib
+
+    pyplot = "matplotlib.pyplot" in sys.modules
+    with matplotlib.rc_context({"font.size": 17.0, "axes.facecolor": "red"}):
+        written = plots.save_pictures(log, fitted, tmp_path / "new" / "folder")
+        assert matplotlib.rcParams["font.size"] == 17.0
+        assert matplotlib.rcParams["axes.facecolor"] == "red"
+    assert ("matplotlib.pyplot" in sys.modules) == pyplot
+    assert [path.stem for path in written] == NAMES
+    for path in written:
+        content = path.read_bytes()
+        assert content.startswith(b"\x89PNG\r\n")
+        assert content.endswith(b"IEND\xaeB`\x82")
+        width = int.from_bytes(content[16:20], "big")
+        assert width == round(WIDTH * DPI)
+        assert 10_000 < len(content) < 1_000_000
+    assert sorted(p.name for p in (tmp_path / "new" / "folder").iterdir()) == sorted(p.name for p in written)
+
+
+def test_every_kind_of_file_names_its_source(fitted: Fit, tmp_path: Path) -> None:
+    draw = {"parameters": lambda: plots.parameters(fitted)}
+    places = [Place(tmp_path, kind, "campaign/log.parquet, stage31") for kind in ("png", "pdf", "svg")]
+    png, pdf, svg = (save_figures(draw, place)[0] for place in places)
+    assert "campaign/log.parquet, stage31" in svg.read_text(encoding="utf-8")
+    assert pdf.read_bytes().startswith(b"%PDF")
+    (bare,) = save_figures(draw, tmp_path / "bare")
+    sizes = [[int.from_bytes(p.read_bytes()[k : k + 4], "big") for k in (16, 20)] for p in (png, bare)]
+    assert sizes[0][0] == sizes[1][0] == round(WIDTH * DPI)
+    assert sizes[0][1] > sizes[1][1]  # a line of its own, nothing written over
+    assert DPI == 300
+    first = [path.read_bytes() for path in (png, pdf, svg)]
+    assert [save_figures(draw, place)[0].read_bytes() for place in places] == first
+
+
+def test_a_folder_that_cannot_be_is_one_sentence(log: Log, fitted: Fit, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(InputError, match=r"^Cannot make the folder .*file.*\.$"):
+        plots.save_pictures(log, fitted, tmp_path / "file" / "pictures")
+    with pytest.raises(InputError, match=r"^Cannot make the folder .*file.*\.$"):
+        plots.save_pictures(log, fitted, tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_no_half_written_picture(
+    log: Log, fitted: Fit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(figure: object, place: object, path: Path) -> None:
+        path.write_bytes(b"\x89PNG half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("hallsym.report.figures.saving." + "_write", full)
+    (tmp_path / "measured.png").write_bytes(b"old")
+    with pytest.raises(InputError, match=r"Cannot write .*measured\.png: the disk is full"):
+        plots.save_pictures(log, fitted, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["measured.png"]
+    assert (tmp_path / "measured.png").read_bytes() == b"old"
+
+
+def test_wiring_of_the_fit_is_applied(
+    log: Log, fitted: Fit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    a, b, c = fitted.model.channels
+    data = {name: log.array(name) for name in log.columns}
+    data |= {a: data[b], b: -data[a]}
+    swapped = with_noise(data)
+    seen: list[Log] = []
+
+    class EnoughError(Exception):
+        pass
+
+    def stop(log: Log, *_: object) -> None:
+        seen.append(log)
+        raise EnoughError
+
+    monkeypatch.setattr(plots, "look_over", stop)
+    wired = replace(fitted, wiring=((b, -1), (a, 1), (c, 1)))
+    with pytest.raises(EnoughError):
+        plots.save_pictures(swapped, wired, tmp_path)
+    np.testing.assert_array_equal(seen[0].array(a), log.array(a))
+    np.testing.assert_array_equal(seen[0].array(b), log.array(b))
+
+
+def test_what_takes_long_to_import_is_imported_only_where_it_is_used() -> None:
+    late = ("matplotlib", "scipy.stats", "scipy.optimize", "scipy.interpolate", "pyarrow", "h5py", "SALib")
+    script = "import sys, hallsym.cli.main, hallsym.report.figures; print(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=Path(__file__).parents[2],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert "hallsym.report.figures" in done.stdout.split()
+    assert not {*late} & {*done.stdout.split()}
+
+
+# -- an evaluation and a diagnosis -----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Fit:
+    return fit(with_noise(record(seed=1)), "stage31", solver="direct", loss="none")
+
+
+@pytest.fixture(scope="module")
+def other() -> Log:
+    return with_noise(record(seed=2))
+
+
+def test_errors_that_are_drawn_are_those_of_the_evaluation(calibration: Fit, other: Log) -> None:
+    """Zero deviations are those of the log that is evaluated, not of the one that was fitted."""
+    found = evaluate(calibration, other)
+    seen = look_over(found.decoded, found.applied)
+    assert seen.runs == found.table.runs
+    assert seen.fitted.squares == pytest.approx(found.table.squares, rel=1e-6)
+    assert seen.fitted.peak == pytest.approx(found.table.peak, rel=1e-6)
+    assert held_out(found.applied) == ()
+
+
+def test_the_command_draws_an_evaluation(tmp_path: Path, capsys) -> None:
+    words = ["evaluate", str(CALIBRATION), str(CAMPAIGN), "--plots", str(tmp_path), "--plot-format", "svg"]
+    assert main(words) == 0
+    names = {"measured", "errors_before_after", "errors_by_setting"}
+    assert {path.stem for path in tmp_path.iterdir()} == names
+    assert f"wrote {tmp_path / 'measured.svg'}" in capsys.readouterr().out
+    for path in tmp_path.iterdir():
+        assert "data/campaign, golden/calib.json" in path.read_text(encoding="utf-8")
+
+
+def turned(wave: float) -> Log:
+    """72 knots of a turn, whose readings have `wave` [rad] of four waves a turn."""
+    a = np.arange(72) * 2 * np.pi / 72
+    angle = a + wave * np.sin(4 * a) + np.random.default_rng(4).normal(0, 2e-4, 72)
+    return Log.from_arrays({"angle_ref_rad": a, "angle_rad": angle})
+
+
+@pytest.fixture(scope="module")
+def examined():
+    return examine(prepare(turned(4e-3), "rotary"))
+
+
+def test_errors_with_the_effects_are_those_of_the_diagnosis(examined) -> None:
+    found, first = examined.diagnosis, examined.fit
+    versions = [version_of(base, "it") for base in (examined.before, examined.after)]
+    survey = compared(look_over(examined.before.log, first, first.keep), first, *versions)
+    for table, gap in ((survey.nominal, found.gap_before), (survey.fitted, found.gap_after)):
+        assert table.over(found.validation_runs)["rmse"] == pytest.approx(gap.rmse, rel=1e-6)
+    assert np.all(survey.fitted.count == survey.nominal.count)
+
+
+def test_pictures_of_a_diagnosis(examined, tmp_path: Path) -> None:
+    written = plots.save_diagnosis(examined, Place(tmp_path, "svg", "log.csv, rotary"))
+    assert [path.stem for path in written] == ["errors_before_after", "gap"]
+    assert all("log.csv, rotary" in path.read_text(encoding="utf-8") for path in written)
+
+
+def test_a_log_without_a_gap_has_pictures_too(tmp_path: Path) -> None:
+    quiet = examine(prepare(turned(0.0), "rotary"))
+    assert quiet.after is None
+    stems = [path.stem for path in plots.save_diagnosis(quiet, tmp_path)]
+    assert stems[:2] == ["errors_before_after", "gap"]
+
+
+def test_comparing_draws_nothing(capsys) -> None:
+    assert main(["diagnose", "--compare", "a.json", "b.json", "--plots", "pictures"]) == 2
+    assert "leave --plots out" in capsys.readouterr().err
+
+
+# -- traces ----------------------------------------------------------------------------------------------
+
+
+def test_trace_keeps_every_extreme_of_a_long_log() -> None:
+    rng = np.random.default_rng(3)
+    values = rng.standard_normal((2, 50_000))
+    values[0, 31_234], values[1, 7] = 50.0, np.nan
+    trace, first = Trace(2), 0
+    for size in (1, 700, 8192, 8192, 20_000, 12_915):
+        trace.add(values[:, first : first + size])
+        first += size
+    assert first == trace.count == 50_000
+    assert COLUMNS <= trace.low.shape[1] <= 2 * COLUMNS
+    at = np.arange(50_000) // trace.width
+    for k in range(2):
+        for column in (0, 1, 976, trace.low.shape[1] - 1):
+            part = values[k, at == column]
+            assert trace.low[k, column] == np.nanmin(part)
+            assert trace.high[k, column] == np.nanmax(part)
+    assert trace.high[0, 31_234 // trace.width] == 50.0
+
+
+def test_short_trace_is_drawn_sample_by_sample_and_broken_between_runs() -> None:
+    trace = Trace(1)
+    trace.add(np.arange(10.0)[None])
+    x, y = trace.line(0, trace.samples, [4])
+    np.testing.assert_array_equal(x, [0, 1, 2, 3, 4, 4, 5, 6, 7, 8, 9])
+    np.testing.assert_array_equal(y, [0, 1, 2, 3, np.nan, 4, 5, 6, 7, 8, 9])
+
+
+# -- the survey of a log ---------------------------------------------------------------------------------
+
+
+def test_survey_has_the_error_tables_of_the_fit(fitted: Fit, survey: Survey) -> None:
+    assert fitted.errors is not None
+    for mine, theirs in ((survey.nominal, fitted.errors.designed), (survey.fitted, fitted.errors.fitted)):
+        assert mine.runs == theirs.runs
+        np.testing.assert_allclose(mine.squares, theirs.squares, rtol=1e-9)
+        np.testing.assert_allclose(mine.peak, theirs.peak, rtol=1e-9)
+
+
+def test_survey_leaves_out_what_keep_rejects(log: Log, fitted: Fit) -> None:
+    def keep(block: Block) -> np.ndarray:
+        return (np.abs(block.data["y_ref_m"]) < 400e-6).astype(float)
+
+    survey = look_over(log, fitted, keep)
+    rejected = int(np.sum(np.abs(log.array("y_ref_m")) >= 400e-6))
+    assert survey.n_rejected == rejected > 0
+    assert survey.fitted.count.sum() == log.rows - rejected
+    words = [text.get_text() for text in plots.errors_before_after(fitted, survey).legends[0].get_texts()]
+    assert f"rejected sample ({rejected})" in words
+
+
+def test_representative_runs_move_each_axis(survey: Survey) -> None:
+    assert representative(survey) == [0, 1, 2]  # Table A1: Y, X, Rz at each setting
+
+
+def test_settings_are_labelled_by_what_the_stage_does(fitted: Fit, survey: Survey) -> None:
+    groups, title = settings(fitted, survey)
+    labels = [label.replace("\N{MINUS SIGN}", "-") for label, _ in groups]
+    assert len(groups) == 19
+    assert labels[0] == "level"
+    assert {"Z -250", "Z +250", "Rx +500", "Ry -500"} <= set(labels)
+    assert sorted(run for _, runs in groups for run in runs) == list(survey.runs)
+    assert title == "vertical setting (Z in µm; Rx, Ry in µrad)"
+
+
+# -- words -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("column", "largest", "factor", "unit"),
+    [
+        ("x_ref_m", 300e-6, 1e6, "µm"),
+        ("x_m", 15e-9, 1e9, "nm"),
+        ("x_m", 0.0195, 1e6, "µm"),
+        ("x_m", 0.05, 1e3, "mm"),
+        ("x_m", 2.0, 1.0, "m"),
+        ("angle_ref_rad", 6.28, 180 / np.pi, "deg"),
+        ("angle_rad", 1e-3, 180e3 / np.pi, "mdeg"),
+        ("rz_rad", 0.1, 1e3, "mrad"),
+        ("v_sin_v", 1e-3, 1e3, "mV"),
+        ("v_sin_v", 2.5, 1.0, "V"),
+        ("temperature_degc", 60.0, 1.0, "°C"),
+        ("x_m", float("nan"), 1e6, "µm"),
+    ],
+)
+def test_units_suit_the_size(column: str, largest: float, factor: float, unit: str) -> None:
+    found, shown = scale(column, largest)
+    assert (found, shown) == (pytest.approx(factor), unit)
+
+
+def test_names_are_what_people_say() -> None:
+    assert [name(c) for c in ("rz_rad", "hall_a_m", "v_sin_v")] == ["Rz", "Hall A", "v sin"]
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "unit", "text"),
+    [
+        (0.194562, 0.00035, "m", "194.56 ± 0.35 mm"),
+        (-188.187, 1.84, "1/m", "\N{MINUS SIGN}188.2 ± 1.8 1/m"),
+        (0.86707, 0.00018, "1", "0.86707 ± 0.00018"),
+        (123.0, 0.0, "1/m", "123 1/m"),
+    ],
+)
+def test_an_interval_has_two_digits(value: float, half: float, unit: str, text: str) -> None:
+    assert plus_minus(value, half, unit) == text

@@ -165,7 +165,7 @@ def test_the_command_prints_the_ranking_first(capsys, tmp_path):
 
 
 def test_a_picture_has_a_bar_per_tolerance_and_index(paper):
-    from hallsym.report.figures import tolerances as draw
+    from hallsym.report.figures.tolerances import tolerances as draw
 
     figure = draw(paper)
     for ax, indices in zip(figure.axes, paper.indices["error"].values(), strict=True):

@@ -8,8 +8,8 @@ what the stated noise leaves.
 """
 
 import hallsym
-from hallsym.report.data import look_over
-from hallsym.report.figures import errors_by_setting
+from hallsym.report.data.survey import look_over
+from hallsym.report.figures.campaign import errors_by_setting
 
 log = hallsym.bundled_campaign()
 fit = hallsym.fit(log, "stage31", solver="direct")

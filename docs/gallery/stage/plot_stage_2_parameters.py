@@ -7,7 +7,7 @@ determines are listed with the combination that is.
 """
 
 import hallsym
-from hallsym.report.figures import parameters
+from hallsym.report.figures.campaign import parameters
 
 fit = hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct")
 figure = parameters(fit)

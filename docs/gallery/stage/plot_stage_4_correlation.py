@@ -7,7 +7,7 @@ readings.
 """
 
 import hallsym
-from hallsym.report.figures import correlation
+from hallsym.report.figures.sensitivity import correlation
 
 fit = hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct")
 figure = correlation(hallsym.identify(fit))

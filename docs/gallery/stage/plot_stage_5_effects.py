@@ -7,7 +7,7 @@ noise of one reading.
 """
 
 import hallsym
-from hallsym.report.figures import effects
+from hallsym.report.figures.sensitivity import effects
 
 fit = hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct")
 figure = effects(hallsym.identify(fit))

@@ -7,7 +7,7 @@ calibration itself.
 """
 
 import hallsym
-from hallsym.report.figures import budget_bars
+from hallsym.report.figures.uncertainty import budget_bars
 from hallsym.uncertainty import Settings, position_budget
 
 fit = hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct")

@@ -6,7 +6,7 @@ The expanded uncertainty over the workspace.
 """
 
 import hallsym
-from hallsym.report.figures import uncertainty_picture
+from hallsym.report.figures.uncertainty import uncertainty_picture
 from hallsym.uncertainty import Settings, uncertainty_map
 
 fit = hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct")

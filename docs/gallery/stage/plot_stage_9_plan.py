@@ -9,7 +9,7 @@ fewer runs.
 from dataclasses import replace
 
 import hallsym
-from hallsym.report.figures import coverage
+from hallsym.report.figures.plan import coverage
 
 noise = hallsym.table8_noise(hallsym.build("stage31")).sigma
 ranges = replace(hallsym.paper_ranges(), minutes=None, noise=noise)

@@ -1,8 +1,8 @@
-"""One more pass over a log: maps of the errors over the coordinates that matter, and series of a few runs."""
+"""One more pass over a log: maps of the errors, their spectrum, and series of a few runs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -12,17 +12,228 @@ import numpy as np
 from hallsym.estimation import ErrorTable, Fit, columns_of
 from hallsym.log import Block, Log, extended
 from hallsym.log.batches import SIZE, Weigh
-from hallsym.report.data.cells import Cells, Tally
-from hallsym.report.data.decoded import decoded
-from hallsym.report.data.residuals import Residuals, ResidualTally
-from hallsym.report.data.series import RunSeries, series_of
-from hallsym.report.data.survey import Group, Survey, held_out, look_over, settings, worst_first
-from hallsym.report.data.trace import Trace
+from hallsym.report.data.survey import (
+    Group,
+    Survey,
+    Trace,
+    decoded,
+    held_out,
+    look_over,
+    settings,
+    worst_first,
+)
 from hallsym.report.words import LEVEL, name, scale
 from hallsym.units import si_unit
 
 if TYPE_CHECKING:
     from hallsym.diagnosis import Base
+
+
+# -- median and rms of errors in cells of a coordinate ---------------------------------------------------
+
+
+STEP, HALF = 0.02, 520
+"""Bins are equally wide in arcsinh(error / fine): 2 % of a large error, `STEP` x fine of a small one; the
+outermost begin at sinh(STEP x HALF) = 16 000 x fine."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Errors of the decoded pose by cell, in SI.
+
+    `by`: what the cells are along, with the unit of `edges`. `median`, `rms`: (n_pose, cells), nan in an
+    empty cell; `count`: (cells,). Cells have `edges` (cells + 1,) or, where they are no numbers, `labels`;
+    `marked` are held out. Over two coordinates `across` holds the edges of the second, `up` its name, and
+    cell `i + columns * j` lies at column i, row j. `turning`: coordinates that go round, see
+    `hallsym.units.readable`.
+    """
+
+    by: str
+    pose: tuple[str, ...]
+    count: np.ndarray
+    median: np.ndarray
+    rms: np.ndarray
+    edges: Sequence[float] | np.ndarray = ()
+    labels: tuple[str, ...] = ()
+    marked: tuple[int, ...] = ()
+    up: str = ""
+    across: Sequence[float] | np.ndarray = ()
+    turning: Collection[str] | None = None
+
+
+class Tally:
+    """Histogram of each series in each cell, from which medians are read; memory is (series, cells, bins)."""
+
+    def __init__(self, cells: int, fine: np.ndarray) -> None:
+        """Start a tally of `cells` cells; `fine`: (series,) error [SI] that is fine enough to tell apart."""
+        self.fine = np.maximum(np.asarray(fine, dtype=float), 1e-300)
+        self.count = np.zeros(cells, dtype=np.int64)
+        self.squares = np.zeros((len(self.fine), cells))
+        self.bins = np.zeros((len(self.fine), cells, 2 * HALF), dtype=np.int32)
+
+    def bin_of(self, errors: np.ndarray) -> np.ndarray:
+        """Return the bin of each error, (series, samples); it is the same for tallies of equal `fine`."""
+        at = np.floor(np.arcsinh(errors / self.fine[:, None]) / STEP) + HALF
+        return np.clip(np.nan_to_num(at), 0, 2 * HALF - 1).astype(np.int64)
+
+    def add(self, cell: np.ndarray, errors: np.ndarray, bin_of: np.ndarray | None = None) -> None:
+        """Add samples: `cell` (samples,), negative for none of the cells; `errors` (series, samples).
+
+        An error that is nan takes no part. `bin_of(errors)` may be given where it is known.
+        """
+        at = self.bin_of(errors) if bin_of is None else bin_of
+        inside = (cell >= 0) & np.isfinite(errors).all(axis=0)
+        if not inside.all():
+            cell, errors, at = cell[inside], errors[:, inside], at[:, inside]
+        self.count += np.bincount(cell, minlength=len(self.count))
+        for squares, bins, where, error in zip(self.squares, self.bins, at, errors, strict=True):
+            squares += np.bincount(cell, weights=error**2, minlength=len(squares))
+            np.add.at(bins.reshape(-1), cell * (2 * HALF) + where, 1)
+
+    @property
+    def rms(self) -> np.ndarray:
+        """Root mean square, (series, cells); nan in an empty cell."""
+        return np.sqrt(self.squares / np.where(self.count > 0, self.count, np.nan))
+
+    @property
+    def median(self) -> np.ndarray:
+        """Median to within one bin, (series, cells); nan in an empty cell."""
+        up = np.cumsum(self.bins, axis=2)
+        half = 0.5 * self.count[:, None]
+        at = np.argmax(up >= np.maximum(half, 0.5), axis=2)
+        before = np.take_along_axis(up - self.bins, at[..., None], axis=2)[..., 0]
+        inside = np.take_along_axis(self.bins, at[..., None], axis=2)[..., 0]
+        part = (half[:, 0] - before) / np.maximum(inside, 1)
+        value = self.fine[:, None] * np.sinh(STEP * (at - HALF + part))
+        return np.where(self.count > 0, value, np.nan)
+
+
+# -- errors in frequency ---------------------------------------------------------------------------------
+
+
+SHORTEST, LONGEST = 32, 1024
+"""Samples of a segment of which a spectrum is averaged: a power of two up to half the median run."""
+EVEN = 0.05
+"""Steps of time may differ by this part of the median for a spectrum: a clock with jitter."""
+MISSING = 0.05
+"""Part of the samples of a block that may be left out for a spectrum; zero stands in their place."""
+POINTS = 90
+"""Points of a spectrum, equally far apart on a logarithmic axis."""
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Spectrum of the errors of the decoded pose over a whole log, SI.
+
+    `frequency`: (points,) in Hz, or per sample if not `timed`; `density`: (n_pose, points) amplitude spectral
+    density, one-sided, per root Hz; both are empty where the runs are too short or unevenly sampled. `white`:
+    (n_pose,) the density of white noise as large as the noise floor.
+    """
+
+    pose: tuple[str, ...]
+    frequency: np.ndarray
+    density: np.ndarray
+    white: np.ndarray
+    timed: bool
+    turning: Collection[str] | None = None
+
+
+class ResidualTally:
+    """Sums of a pass: the power of segments."""
+
+    def __init__(
+        self, pose: Sequence[str], survey: Survey, floor: np.ndarray, turning: Collection[str] | None = None
+    ) -> None:
+        """Start with what a survey of the log knows of its errors; `floor`: (n_pose,) in SI."""
+        self.pose, self.floor, self.timed, self.turning = tuple(pose), floor, survey.time is not None, turning
+        half = float(np.median(np.diff(survey.edges))) / 2
+        self.length = int(min(2 ** np.floor(np.log2(max(half, 1.0))), LONGEST))
+        self.power, self.segments, self.step = np.zeros((len(self.pose), self.length // 2 + 1)), 0, 0.0
+
+    def add(self, time: np.ndarray, errors: np.ndarray) -> None:
+        """Add a block: `time` [s] (samples,), `errors` (n_pose, samples) in SI, nan where nothing counts."""
+        missing = ~np.isfinite(errors)
+        if errors.shape[1] < self.length or self.length < SHORTEST or missing.mean() > MISSING:
+            return
+        steps = np.diff(time) if self.timed else np.ones(1)
+        step = float(np.median(steps))
+        self.step = self.step or step
+        if step <= 0 or np.abs(steps / self.step - 1.0).max() > EVEN:
+            return
+        rows = np.where(missing, 0.0, errors)
+        from scipy.signal import welch  # takes long to import
+
+        _, power = welch(rows, 1.0 / self.step, nperseg=self.length, noverlap=0, axis=1)
+        count = errors.shape[1] // self.length
+        self.power += count * power
+        self.segments += count
+
+    def found(self) -> Residuals:
+        """Return what was gathered."""
+        if not self.segments:
+            nothing = np.zeros((len(self.pose), 0))
+            return Residuals(self.pose, np.zeros(0), nothing, self.floor, self.timed, self.turning)
+        frequency = np.fft.rfftfreq(self.length, self.step)[1:-1]  # the last has half the power
+        edges = np.geomspace(frequency[0], frequency[-1] * 1.001, POINTS + 1)
+        starts = np.unique(np.searchsorted(frequency, edges[:-1]))
+        width = np.diff([*starts, len(frequency)])
+        power = np.add.reduceat(self.power[:, 1:-1], starts, axis=1) / (width * self.segments)
+        at = np.add.reduceat(frequency, starts) / width
+        white = self.floor * np.sqrt(2.0 * self.step)
+        return Residuals(self.pose, at, np.sqrt(power), white, self.timed, self.turning)
+
+
+# -- errors of one run over time, reduced to what a picture shows ----------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class RunSeries:
+    """Errors of one run: least and greatest value per column of the picture, in SI.
+
+    `time`: (columns,) in s from the run's start, or sample numbers if not `timed`. `lines`: name ->
+    (low, high), each (n_pose, columns), nan where there is nothing. `per_column`: samples in a column.
+    `turning`: coordinates that go round, see `hallsym.units.readable`.
+    """
+
+    title: str
+    pose: tuple[str, ...]
+    time: np.ndarray
+    lines: Mapping[str, tuple[np.ndarray, np.ndarray]]
+    timed: bool = True
+    per_column: int = 1
+    turning: Collection[str] | None = None
+
+    def reduced(self, columns: int) -> RunSeries:
+        """Return the series with at most so many columns: neighbours are taken together."""
+        per = -(-len(self.time) // columns)
+        if per == 1:
+            return self
+        starts = np.arange(0, len(self.time), per)
+        lines = {
+            line: (np.fmin.reduceat(low, starts, axis=1), np.fmax.reduceat(high, starts, axis=1))
+            for line, (low, high) in self.lines.items()
+        }
+        time = np.array([self.time[a : a + per].mean() for a in starts])
+        return replace(self, time=time, lines=lines, per_column=per * self.per_column)
+
+
+def series_of(
+    title: str,
+    pose: tuple[str, ...],
+    traces: Mapping[str, Trace],
+    *,
+    timed: bool,
+    turning: Collection[str] | None = None,
+) -> RunSeries:
+    """Return the series of traces by name; each holds time and the errors of every coordinate."""
+    first = next(iter(traces.values()))
+    time = 0.5 * (first.low[0] + first.high[0]) - first.low[0][0] if timed else first.samples
+    lines = {line: (trace.low[1:], trace.high[1:]) for line, trace in traces.items()}
+    return RunSeries(title, pose, time, lines, timed, first.width, turning)
+
+
+# -- one pass: maps over the coordinates that matter, and series -----------------------------------------
+
 
 ALONG, PLANE, MOST = 15, 11, 60
 """Cells along a coordinate, along each side of a map, and of runs (neighbours are taken together). As many

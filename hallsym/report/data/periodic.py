@@ -18,7 +18,7 @@ from hallsym.estimation import Fit, as_read
 from hallsym.log import Log
 from hallsym.log.batches import Weigh
 from hallsym.model import Family
-from hallsym.report.data.decoded import Decoded, decoded
+from hallsym.report.data.survey import Decoded, decoded
 
 HIGHEST = 12
 """Harmonics per period that are looked for in any case: clipping and the second harmonic of a field's third

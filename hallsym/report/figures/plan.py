@@ -1,4 +1,4 @@
-"""Pictures of a plan: what it covers beside what was recorded, and how uncertainty falls with runs."""
+"""Picture `coverage` of a plan: what it covers beside what was recorded."""
 
 from __future__ import annotations
 
@@ -14,14 +14,11 @@ from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
-    BLACK,
-    FAINT,
     SHADE,
     key,
     label_x,
     label_y,
     legend,
-    log_axis,
     panels,
 )
 from hallsym.report.words import largest, name, scale
@@ -42,17 +39,11 @@ CIRCLES = 60
 def save_plan_pictures(
     plan: Plan, folder: str | Path | Place, other: Campaign | Log | None = None, other_name: str = "recorded"
 ) -> list[Path]:
-    """Draw `coverage` and `criterion_by_runs` as PNG into `folder` (made if missing); returns the files.
+    """Draw `coverage` into `folder` (made if missing); returns the file.
 
     `other`: a campaign or a log to draw beside the plan, called `other_name`.
     """
-    return save_figures(
-        {
-            "coverage": lambda: coverage(plan, other, other_name),
-            "criterion_by_runs": lambda: criterion_by_runs(plan),
-        },
-        folder,
-    )
+    return save_figures({"coverage": lambda: coverage(plan, other, other_name)}, folder)
 
 
 def coverage(plan: Plan, other: Campaign | Log | None = None, other_name: str = "recorded") -> Figure:
@@ -160,27 +151,3 @@ def _coverage_legend(figure: Figure, planned: int, recorded: int, other_name: st
         look = dot | {"ls": "none", "mfc": "none"}
         handles.append(key(f"{other_name}, {recorded} runs", color=BEFORE, **look))
     legend(figure, handles, "upper center", ncols=2)
-
-
-def criterion_by_runs(plan: Plan) -> Figure:
-    """Draw how uncertainty by the plan's criterion falls with the number of runs, the comparison marked."""
-    runs, values = plan.curve()
-    other = plan.comparison if plan.comparison and plan.comparison.other else None
-    one = other.other.value if other and other.other else plan.choice.value
-    what = other.name if other else f"{len(plan.campaign.runs)} runs"
-    figure, axes = panels(1, 1, 2.4, top=0.3, bottom=0.42, right=0.2)
-    ax = axes[0, 0]
-    ax.axhline(1.0, color=FAINT, lw=0.8, zorder=1)
-    (line,) = ax.plot(runs, np.sqrt(one / values), color=AFTER, marker="o", ms=3.6, label="plans")
-    ring: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 7.5, "mfc": "none", "color": BLACK}
-    here = np.sqrt(one / plan.choice.value)
-    handles = [line, *ax.plot(len(plan.campaign.runs), here, label="this plan", **ring)]
-    if other:
-        handles += ax.plot(other.runs, 1.0, ls="none", marker="D", ms=5.5, color=BEFORE, label=other.name)
-    log_axis(ax, "x", np.array([*runs, *([other.runs] if other else [])], dtype=float))
-    log_axis(ax, "y", np.array([*np.sqrt(one / values), 1.0]))
-    ax.grid(color=SHADE, lw=0.5, zorder=0)
-    label_x(ax, "runs", 0.3)
-    label_y(ax, f"uncertainty by {plan.study.criterion.name}, {what} = 1")
-    legend(figure, handles, "upper center", ncols=4)
-    return figure

@@ -12,8 +12,8 @@ import numpy as np
 
 from hallsym.inference import VERDICTS
 from hallsym.inference.verdict import TRADED
-from hallsym.report.data import blocks
-from hallsym.report.figures.estimates import COVERAGE, typeset
+from hallsym.report.data.fit import blocks
+from hallsym.report.figures.campaign import COVERAGE, typeset
 from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,

@@ -13,7 +13,7 @@ from hallsym.diagnosis import Diagnosis, Separation, Share, Statement, noise_tex
 from hallsym.errors import counted
 from hallsym.estimation import Fit, added_effects
 from hallsym.families import family_called, plain
-from hallsym.report.data import Cells, Residuals, RunSeries
+from hallsym.report.data.gather import Cells, Residuals, RunSeries
 from hallsym.report.page import pictures, shared
 from hallsym.report.page.content import (
     Facts,

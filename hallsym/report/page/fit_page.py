@@ -23,7 +23,8 @@ from hallsym.estimation import (
 )
 from hallsym.estimation.goodness_of_fit import diagnose_command
 from hallsym.log import Log, Weigh
-from hallsym.report.data import Decoder, Gathered, gather
+from hallsym.report.data.gather import Gathered, gather
+from hallsym.report.data.survey import Decoder
 from hallsym.report.page import shared
 from hallsym.report.page.content import Facts, Headline, Item, Items, Section, Words, document
 from hallsym.report.page.pictures import sketch

@@ -14,7 +14,8 @@ import numpy as np
 from hallsym.diagnosis import Band, CurveShape, place_unit
 from hallsym.model import Part
 from hallsym.model import sketch as outline
-from hallsym.report.data import Cells, Correlation, Residuals, RunSeries
+from hallsym.report.data.fit import Correlation
+from hallsym.report.data.gather import Cells, Residuals, RunSeries
 from hallsym.report.page.charts import (
     HALF,
     LEFT,
@@ -347,48 +348,11 @@ def _path(time: np.ndarray, low: np.ndarray, high: np.ndarray, reach: float) -> 
     return "".join(words)
 
 
-# -- what is left: histogram and spectrum, and the correlation of the parameters -------------------------
+# -- the spectrum of the errors, and the correlation of the parameters -------------------------
 
 
 DECADE = 10.0
 """A spectrum that spans less is drawn on a linear scale."""
-
-
-def histograms(found: Mapping[str, Residuals]) -> list[Chart]:
-    """Draw how often an error is how large, one picture per output, with the normal curve of the floor."""
-    return [_histogram(found, k) for k in range(len(next(iter(found.values())).pose))]
-
-
-def _histogram(found: Mapping[str, Residuals], k: int) -> Chart:
-    first = next(iter(found.values()))
-    factor, unit = scale(first.pose[k], largest(first.edges[k]), first.turning)
-    edges, floor = factor * first.edges[k], factor * first.floor[k]
-    shares = [100 * r.counts[k] / max(r.counts[k].sum(), 1) for r in found.values()]
-    steps = np.repeat(edges, 2)[1:-1]
-    layers = [
-        area(steps, 0 * steps, np.repeat(share, 2), f"band{ending}")
-        for ending, share in zip(LOOKS[len(found)], shares, strict=True)
-    ]
-    if floor > 0:
-        shares.append(100 * np.diff([0.5 * math.erfc(-v / floor / math.sqrt(2)) for v in edges]))
-        layers.append(curve(0.5 * (edges[1:] + edges[:-1]), shares[-1], "level"))
-    said = ", ".join(
-        f"{three(factor * _spread(r, k))} {unit}{f' {version}' if len(found) > 1 else ''}"
-        for version, r in found.items()
-    )
-    what = name(first.pose[k])
-    says = f"histogram of the error in {what}: half of the samples within {said}"
-    x = Scale(edges[0], edges[-1], title=f"error [{unit}]")
-    y = Scale(0.0, 1.05 * max(map(largest, shares)) or 100.0)
-    return framed(f"{what}: share of samples [%]", says, x, y, layers)
-
-
-def _spread(residuals: Residuals, k: int) -> float:
-    """Return the size of error that half of the samples stay below, to one bin."""
-    middles = np.abs(0.5 * (residuals.edges[k][1:] + residuals.edges[k][:-1]))
-    order = np.argsort(middles, kind="stable")
-    up = np.cumsum(residuals.counts[k][order])
-    return float(middles[order][np.searchsorted(up, 0.5 * up[-1])]) if up[-1] else 0.0
 
 
 def spectra(found: Mapping[str, Residuals]) -> list[Chart]:

@@ -8,14 +8,8 @@ from typing import Any
 
 from hallsym.estimation import Fit
 from hallsym.inference.verdict import TRADED
-from hallsym.report.data import (
-    Cells,
-    ParameterRow,
-    Residuals,
-    RunSeries,
-    correlation_of,
-    parameter_rows,
-)
+from hallsym.report.data.fit import ParameterRow, correlation_of, parameter_rows
+from hallsym.report.data.gather import Cells, Residuals, RunSeries
 from hallsym.report.page import pictures
 from hallsym.report.page.content import Facts, Figure, Heading, Planes, Section, Table, Words
 from hallsym.report.tables import concise
@@ -141,23 +135,16 @@ def runs_section(found: Sequence[RunSeries]) -> Section:
 
 
 def residuals_section(found: Mapping[str, Residuals]) -> Section:
-    """Return histogram and spectrum of the errors; `found`: by version of the model, one or two."""
+    """Return the spectrum of the errors; `found`: by version of the model, one or two."""
     if not found:
-        return Section("residuals", "Residuals", [])
+        return Section("residuals", "Spectrum of the error", [])
     spectra = pictures.spectra(found)
     over = " Light: before; dark, drawn over it: after." if len(found) > 1 else ""
-    content: list[Any] = [
-        Words(
-            "All runs together. Dashed: normal noise as large as the noise floor, and its spectrum if it "
-            f"were white.{over}",
-            note=True,
-        ),
-        Figure(pictures.histograms(found), "Histogram of the error"),
-        Figure(spectra, "Amplitude spectral density of the error"),
-    ]
+    how = f"All runs together. Dashed: white noise as large as the noise floor.{over}"
     if not spectra:
-        content.append(Words("No spectrum: the runs are too short for one, or unevenly sampled.", note=True))
-    return Section("residuals", "Residuals", content)
+        how = "No spectrum: the runs are too short for one, or unevenly sampled."
+    figure = Figure(spectra, "Amplitude spectral density of the error")
+    return Section("residuals", "Spectrum of the error", [Words(how, note=True), figure])
 
 
 # -- parameters ---------------------------------------------------------------------------------------------

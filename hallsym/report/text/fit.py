@@ -7,7 +7,7 @@ from hallsym.errors import counted
 from hallsym.estimation import MANY, Evaluation, Fit
 from hallsym.log import Log
 from hallsym.model import Parameter
-from hallsym.report.data import parameter_rows
+from hallsym.report.data.fit import parameter_rows
 from hallsym.report.data.periodic import periodic_of
 from hallsym.report.tables import concise, error_rows, grid, in_units
 from hallsym.report.text.periodic import periodic_text
