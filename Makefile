@@ -27,6 +27,7 @@ install: $(INSTALLED) ## environment with hallsym, its tests and linters (again 
 
 demo: $(PLAIN) ## the guided demonstration; installs what it needs, not the tests
 	$(BIN)/python -m hallsym demo
+	@echo "next: '. $(BIN)/activate' puts hallsym on the path; then: hallsym fit data/campaign -o calib.json"
 
 tools: ## compilers, QEMU and provers that the tests of generated C use (as root on Debian, Ubuntu)
 	@command -v apt-get >/dev/null && [ "$$(id -u)" = 0 ] || exit 0; \

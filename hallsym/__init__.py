@@ -41,7 +41,9 @@ if TYPE_CHECKING:
     from hallsym.fleets import Fleet as Fleet
     from hallsym.fleets import fleet as fleet
     from hallsym.fleets import load_fleet as load_fleet
+    from hallsym.inference import Belonging as Belonging
     from hallsym.inference import Identifiability as Identifiability
+    from hallsym.inference import belonging as belonging
     from hallsym.inference import identify as identify
     from hallsym.log import Log as Log
     from hallsym.log import LogWriter as LogWriter
@@ -80,8 +82,6 @@ if TYPE_CHECKING:
     from hallsym.uncertainty.tolerances import Tolerances as Tolerances
     from hallsym.uncertainty.tolerances import read_tolerances as read_tolerances
     from hallsym.uncertainty.tolerances import tolerances as tolerances
-    from hallsym.watching import Watch as Watch
-    from hallsym.watching import watch as watch
 
 _PUBLIC = {
     "hallsym.codegen": ("Generated", "decouple", "generate"),
@@ -94,7 +94,7 @@ _PUBLIC = {
     "hallsym.experiment": ("Plan", "Ranges", "paper_ranges", "plan", "read_ranges"),
     "hallsym.families": ("build", "published"),
     "hallsym.fleets": ("Fleet", "fleet", "load_fleet"),
-    "hallsym.inference": ("Identifiability", "identify"),
+    "hallsym.inference": ("Belonging", "Identifiability", "belonging", "identify"),
     "hallsym.log": ("Log", "LogWriter", "Meta", "Noise", "meta_schema", "read_log", "write_log"),
     "hallsym.model": ("Model", "Parameter"),
     "hallsym.simulation": (
@@ -109,7 +109,6 @@ _PUBLIC = {
         "Budget", "ErrorModel", "Source", "error_model", "position_budget", "read_budget", "uncertainty_map",
     ),
     "hallsym.uncertainty.tolerances": ("Tolerances", "read_tolerances", "tolerances"),
-    "hallsym.watching": ("Watch", "watch"),
 }  # fmt: skip
 """Where each public name stands; it is imported when it is first used, so that `import hallsym` is quick."""
 shown_by(lambda: import_module("hallsym.report.views"))

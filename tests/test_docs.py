@@ -37,9 +37,9 @@ LISTED = (
     "data/encoder/README.md",
 )  # fmt: skip
 LONG = {
-    "budget", "campaign", "codegen", "concepts", "controller", "diagnose", "encoder", "fleet", "halbach",
-    "howto", "logs", "plan", "report", "rotary", "selftest", "sensitivity", "sorting", "stage", "tolerances",
-    "trajectory", "watch",
+    "budget", "campaign", "codegen", "concepts", "controller", "diagnose", "encoder", "evaluate", "fleet",
+    "halbach", "howto", "logs", "plan", "report", "rotary", "selftest", "sensitivity", "sorting", "stage",
+    "tolerances", "trajectory",
 }  # fmt: skip
 """Pages whose examples take more than a second of a processor: they run with the slow tests; what they name
 is always looked up."""
@@ -49,7 +49,6 @@ COMMANDS = (
     "fit",
     "fleet",
     "evaluate",
-    "watch",
     "diagnose",
     "selftest",
     "report",

@@ -4,8 +4,7 @@ COMMANDS = {
     "demo": "the paper's calibration on the bundled campaign",
     "fit": "calibrate a model on a log",
     "fleet": "calibrate many devices: one row a device, and how they differ",
-    "evaluate": "errors of a saved calibration on another log",
-    "watch": "whether new logs still belong to a saved calibration",
+    "evaluate": "errors of a saved calibration on other logs, and whether they belong to it",
     "diagnose": "where the gap lies, which effect makes it, how far it shrinks",
     "selftest": "what 'no gap' on this log is worth: effects injected, diagnosed blind",
     "report": "one HTML page of a saved calibration",
@@ -26,4 +25,4 @@ COMMANDS = {
 OK, CHANGED, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED, BUG, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
 NOT_DESCRIBED = NOT_DETERMINED
 """Exit codes, as `hallsym --help` explains them: 3 is done, but not to be used without a second look;
-1 is the answer of `watch` that a log does not belong to its calibration."""
+1 is the answer of `evaluate` that a log does not belong to its calibration."""

@@ -5,7 +5,7 @@ import json
 import math
 import shlex
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -320,7 +320,7 @@ def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:
     return [*words, *(["--drop-bad"] if options.drop_bad else [])]
 
 
-def noted(notes: Sequence[str]) -> list[str]:
+def noted(notes: Iterable[str]) -> list[str]:
     """Return the lines that say the notes."""
     return [f"note: {note}" for note in notes]
 

@@ -1,75 +1,163 @@
-"""`hallsym evaluate`: errors of a saved calibration on another log."""
+"""`hallsym evaluate`: errors of a saved calibration on other logs, and whether they belong to it."""
 
 import shlex
 import sys
 from argparse import Namespace
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
-from hallsym.cli import NOT_DESCRIBED, OK
+from hallsym.cli import BAD_INPUT, CHANGED, NOT_DESCRIBED, OK
 from hallsym.cli.common import (
     command,
     log_options,
+    noted,
     open_log,
     own_effects,
     own_option,
+    place_of,
     plots_options,
-    plots_place,
+    progress_of,
     reading_words,
     say,
 )
-from hallsym.estimation import evaluate, load_fit
+from hallsym.errors import InputError
+from hallsym.estimation import Evaluation, Fit, evaluate, load_fit
+from hallsym.inference import FALSE_ALARM, Belonging, belonging
 from hallsym.log import Fault
 from hallsym.report.data.periodic import periodic_of
+from hallsym.report.text.comparison import belonging_text, chart_text
 from hallsym.report.text.fit import evaluation_text
+
+Judged = tuple[Evaluation, Belonging | str]
+"""What a log leaves, and whether it belongs; or why a fit of its own, which that takes, is not possible."""
 
 
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
         sub, "evaluate", run,
-        "Decode a log with a saved calibration and tabulate the errors against its reference. The zero\n"
-        "deviations of each run are estimated from that run: a reset is a reset. Where the calibration does\n"
-        "not describe the log, the report begins with that, and the exit code is 3, as for faults of the\n"
-        "recording, which are judged as 'hallsym fit' does.",
+        "Decode logs with a saved calibration, tabulate the errors against the reference, and say of each\n"
+        "log whether it still belongs to the calibration: its residual error and each parameter that it\n"
+        "identifies, from a fit of its own, are tested. The zero deviations of each run are estimated from\n"
+        "that run: a reset is a reset. Several logs are one row each.",
+        "exit codes: 0 every log belongs; 1 one does not; 2 bad input, or a log could not be decoded; 3 the\n"
+        "calibration does not describe a log, or the recording is at fault\n\n"
+        "examples:\n"
+        "  hallsym evaluate calib.json other.csv\n"
+        "  hallsym evaluate calib.json week_*.tdms --plots pictures\n"
+        "  hallsym evaluate calib.json today.mf4 --clock Hall:linear || mail -s 'calibrate again' lab",
     )  # fmt: skip
     parser.add_argument("calibration", metavar="CALIB", help="a calibration saved by 'hallsym fit -o'")
-    parser.add_argument("log", metavar="LOG", help="log to judge on")
+    parser.add_argument("logs", metavar="LOG", nargs="+", help="logs to judge on, in the order of time")
     own_option(parser)
-    parser.add_argument("--by-run", action="store_true", help="one line per run")
+    parser.add_argument("--by-run", action="store_true", help="all errors of each log, one line per run")
     parser.add_argument(
         "--own-zero",
         action="store_true",
         help="estimate the zero of a reference that turns from each run too: it was homed or coupled anew",
     )
+    parser.add_argument(
+        "--false-alarm", type=float, default=FALSE_ALARM, metavar="P",
+        help=f"probability that a log which belongs is said not to (default {FALSE_ALARM:g})",
+    )  # fmt: skip
     plots_options(parser)
     log_options(parser)
 
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
-    known = load_fit(options.calibration, own_effects(options))
-    log = open_log(options, known=known)
-    found = evaluate(known, log, own_zero=options.own_zero, drop_bad=options.drop_bad)
-    words = ["hallsym", "diagnose", options.log, "--model", options.calibration, *reading_words(options)]
-    goodness = replace(found.goodness, next_command=shlex.join(words), what="The calibration")
-    found = replace(found, goodness=goodness)
-    record = {**found.to_dict(), "calibration": str(options.calibration), "log": str(options.log)}
-    amiss = goodness.sentence
-    faults = [note for note in found.notes if isinstance(note, Fault)]
-    then = [] if amiss or faults else ["hallsym", "codegen", options.calibration, "-o", "decoupler"]
-    if options.json:
-        periodic = periodic_of(found.calibration, found.log)
-        record["periodic_error"] = periodic.to_dict() if periodic else None
-    wrote = []
-    if options.plots:
-        from hallsym.report.figures.campaign import save_evaluation
-
-        wrote = save_evaluation(found, plots_place(options, options.log, options.calibration))
-    say(
-        options, record, lambda: evaluation_text(found, by_run=options.by_run), notes=found.notes,
-        wrote=wrote, then=then,
-    )  # fmt: skip
-    for said in (*faults, *([amiss] if amiss and options.json else [])):
+    known, show = load_fit(options.calibration, own_effects(options)), progress_of(options)
+    logs: dict[str, Judged | str] = {}
+    for k, path in enumerate(options.logs):
+        if len(options.logs) > 1:
+            show(f"log {k + 1} of {len(options.logs)}")
+        if path in logs:
+            raise InputError(f"Log {path} is given twice; give it once.")
+        try:
+            logs[path] = _judged(options, known, path)
+        except InputError as error:
+            if len(options.logs) == 1:
+                raise
+            logs[path] = str(error)
+    judged = {path: one for path, one in logs.items() if not isinstance(one, str)}
+    changed = [
+        path for path, (_, found) in judged.items() if isinstance(found, Belonging) and not found.belongs
+    ]
+    record = {
+        "calibration": options.calibration, "model": known.model.name, "false_alarm": options.false_alarm,
+        "changed": changed,
+        "logs": [_record(options, path, *one) if path in judged else {"log": path, "reason": one}
+                 for path, one in logs.items()],
+    }  # fmt: skip
+    faults = [str(n) for seen, _ in judged.values() for n in seen.notes if isinstance(n, Fault)]
+    amiss = [seen.goodness.sentence for seen, _ in judged.values() if seen.goodness.sentence]
+    wrote = [file for path, (seen, _) in judged.items() for file in _pictured(options, path, seen)]
+    then = ["hallsym", "codegen", options.calibration, "-o", "decoupler"]
+    if changed and not amiss:
+        then = _diagnose(options, changed[0])
+    elif amiss or faults or len(judged) < len(logs):
+        then = []
+    say(options, record, lambda: _text(options, known, logs), wrote=wrote, then=then)
+    for said in (*faults, *(amiss if options.json or len(logs) > 1 else [])):
         print(f"hallsym: {said}", file=sys.stderr)
+    for path, one in logs.items():
+        if isinstance(one, str):
+            print(f"hallsym: {path} could not be decoded: {one}", file=sys.stderr)
+    if changed:
+        return CHANGED
+    if len(judged) < len(logs):
+        return BAD_INPUT
     return NOT_DESCRIBED if amiss or faults else OK
+
+
+def _judged(options: Namespace, known: Fit, path: str) -> Judged:
+    log = open_log(Namespace(**{**vars(options), "log": path}), known=known)
+    seen = evaluate(known, log, own_zero=options.own_zero, drop_bad=options.drop_bad)
+    next_command = shlex.join(_diagnose(options, path))
+    seen = replace(seen, goodness=replace(seen.goodness, next_command=next_command, what="The calibration"))
+    try:
+        return seen, belonging(seen, false_alarm=options.false_alarm)
+    except InputError as error:
+        return seen, str(error)
+
+
+def _diagnose(options: Namespace, path: str) -> list[str]:
+    return ["hallsym", "diagnose", path, "--model", options.calibration, *reading_words(options)]
+
+
+def _record(options: Namespace, path: str, seen: Evaluation, found: Belonging | str) -> dict[str, Any]:
+    periodic = periodic_of(seen.calibration, seen.log) if options.json else None
+    return {
+        "log": path, **seen.to_dict(), "periodic_error": periodic.to_dict() if periodic else None,
+        "belonging": {"reason": found} if isinstance(found, str) else found.to_dict(),
+    }  # fmt: skip
+
+
+def _pictured(options: Namespace, path: str, seen: Evaluation) -> list[Path]:
+    if not options.plots:
+        return []
+    from hallsym.report.figures.campaign import save_evaluation
+
+    folder = Path(options.plots) / (Path(path).stem if len(options.logs) > 1 else "")
+    place = place_of(folder, options.plot_format, path, options.calibration)
+    return save_evaluation(seen, place)
+
+
+def _text(options: Namespace, known: Fit, logs: dict[str, Judged | str]) -> str:
+    parts = [] if len(logs) == 1 else [chart_text(logs, known.model.pose)]
+    for path, one in logs.items():
+        if isinstance(one, str):
+            continue
+        seen, found = one
+        if len(logs) == 1 or options.by_run:
+            parts.append(evaluation_text(seen, by_run=options.by_run))
+        notes = list(seen.notes)
+        if isinstance(found, str):
+            notes.append(f"Whether {path} belongs to the calibration cannot be said: {found}")
+        else:
+            notes += found.notes
+            if len(logs) == 1 or not found.belongs:
+                parts.append(belonging_text(found) if len(logs) == 1 else f"{path}: {belonging_text(found)}")
+        parts += ["\n".join(noted(dict.fromkeys(notes)))] if notes else []
+    return "\n\n".join(parts)

@@ -14,7 +14,7 @@ from hallsym.errors import nearest, one_line, quoted
 from hallsym.terminal import prose_width
 
 EPILOG = """\
-exit codes: 0 done; 1 'watch' found a log that does not belong to its calibration; 2 bad input (one
+exit codes: 0 done; 1 'evaluate' found a log that does not belong to its calibration; 2 bad input (one
 sentence says what to do); 3 done and written, but the log leaves parameters of the model undetermined or its
 recording is at fault (both are named), or the model does not describe the log (the report of 'fit' or
 'evaluate' begins with that); 4 the solver did not converge (the best so far is written); 70 a mistake in
@@ -23,8 +23,7 @@ hallsym itself (HALLSYM_DEBUG=1 shows where); 130 interrupted by Ctrl-C (nothing
 examples:
   hallsym demo                                    the paper's calibration on the bundled campaign
   hallsym fit LOG --model stage31 -o calib.json   calibrate a stage from your own log
-  hallsym evaluate calib.json OTHER_LOG           errors of that calibration on another log
-  hallsym watch calib.json NEW_LOG                does a new log still belong to that calibration
+  hallsym evaluate calib.json OTHER_LOG           its errors on another log; does that log belong to it
   hallsym diagnose LOG --model stage31            where the gap lies, why, and how far it shrinks
   hallsym report calib.json LOG -o report.html    one HTML page of a calibration
   hallsym info LOG                                what a log holds, and what is wrong with it

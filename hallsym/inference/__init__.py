@@ -5,9 +5,10 @@ be told apart, `further` what other recordings would determine. `profiles` (with
 `profile_walk`) and `bootstrap` give intervals where a normal one is not good enough, which `intervals` says.
 `verdict` judges each parameter; `workspace` says what a change of it does to the decoded pose.
 `identifiability` puts this together, `comparison` sets models side by side and `parameter_changes` two
-recordings of one sensor.
+recordings of one sensor; `belonging` tests whether a log still belongs to a calibration.
 """
 
+from hallsym.inference.belonging import FALSE_ALARM, Belonging, belonging
 from hallsym.inference.bootstrap import Bootstrap, bootstrap
 from hallsym.inference.comparison import comparison
 from hallsym.inference.further import FurtherReport, Gained
@@ -29,7 +30,9 @@ from hallsym.inference.verdict import VERDICTS, Verdict
 from hallsym.inference.workspace import Change
 
 __all__ = [
+    "FALSE_ALARM",
     "VERDICTS",
+    "Belonging",
     "Bootstrap",
     "Change",
     "CombinationReport",
@@ -49,6 +52,7 @@ __all__ = [
     "Side",
     "Tangent",
     "Verdict",
+    "belonging",
     "bootstrap",
     "changes",
     "comparison",

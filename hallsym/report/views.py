@@ -22,10 +22,8 @@ from hallsym.report.text.diagnosis import diagnosis_text
 from hallsym.report.text.fit import evaluation_head, evaluation_text, fit_head, fit_text
 from hallsym.report.text.fleet import fleet_text
 from hallsym.report.text.identifiability import report_text
-from hallsym.report.text.watch import watch_text
 from hallsym.terminal import fitted
 from hallsym.uncertainty import Budget
-from hallsym.watching import Watch
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -243,27 +241,6 @@ def _budget_figure(budget: Budget, log: Any) -> Figure:
     return budget_bars({budget.quantity: budget})
 
 
-# -- a watch ---------------------------------------------------------------------------------------------
-
-
-def _watch_table(found: Watch) -> Table:
-    rows = [(log, test) for log in found.logs for test in log.tests]
-    return {
-        "log": [log.name for log, _ in rows],
-        "test": [test.name for _, test in rows],
-        "p_value": [test.p_value for _, test in rows],
-        "score": [test.score for _, test in rows],
-        "limit": [test.limit for _, test in rows],
-        "beyond": [test.beyond for _, test in rows],
-    }
-
-
-def _watch_figure(found: Watch, log: Any) -> Figure:
-    from hallsym.report.figures.watch import control_chart
-
-    return control_chart(found)
-
-
 # -- a fleet ---------------------------------------------------------------------------------------------
 
 
@@ -279,7 +256,6 @@ VIEWS: Mapping[type, View] = {
     Diagnosis: View(diagnosis_text, _diagnosis_table, _diagnosis_figure),
     Identifiability: View(report_text, _identifiability_table, _identifiability_figure),
     Plan: View(plan_text, _plan_table, _plan_figure),
-    Watch: View(watch_text, _watch_table, _watch_figure),
     Fleet: View(fleet_text, Fleet.table, _fleet_figure),
     Budget: View(budget_text, _budget_table, _budget_figure),
 }

@@ -343,7 +343,7 @@ def test_evaluate_reproduces_the_fit_on_its_own_log(capsys, written, tmp_path):
     _, out, _ = run(capsys, "fit", log, "-o", path, "--solver", "direct", "--json")
     fitted = json.loads(out)["errors"]["fitted"]
     code, out, _ = run(capsys, "evaluate", path, log, "--json")
-    found = json.loads(out)["errors"]
+    found = json.loads(out)["logs"][0]["errors"]
     assert code == 0
     for what in ("rmse", "peak"):
         for name, value in fitted[what].items():
@@ -355,7 +355,7 @@ def test_evaluate_reads_the_channels_that_the_fit_resolved(capsys, written, tmp_
     _, out, _ = run(capsys, "fit", log, "-o", path, "--solver", "direct", "--resolve-wiring", "--json")
     fitted = json.loads(out)["errors"]["fitted"]["rmse"]
     _, out, _ = run(capsys, "evaluate", path, log, "--json")
-    assert json.loads(out)["errors"]["rmse"] == pytest.approx(fitted, rel=1e-9)
+    assert json.loads(out)["logs"][0]["errors"]["rmse"] == pytest.approx(fitted, rel=1e-9)
 
 
 def test_evaluate_by_run_lists_every_run(capsys, written, tmp_path):

@@ -345,7 +345,7 @@ def test_every_command_works_on_an_encoder(form, tmp_path, monkeypatch, capsys):
     assert set(record["errors"]["fitted"]["rmse"]) == {"angle_rad"}
     assert main(["evaluate", "calib.json", "log.csv", "--by-run", "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
-    assert record["errors"]["rmse"]["angle_rad"] < np.radians(0.03)
+    assert record["logs"][0]["errors"]["rmse"]["angle_rad"] < np.radians(0.03)
     assert main(["sensitivity", "calib.json", "log.csv", "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert main(["report", "calib.json", "log.csv", "-o", "page.html"]) == 0

@@ -1,8 +1,10 @@
-"""A comparison as a person reads it in a terminal."""
+"""Comparisons as a person reads them in a terminal: of two records, of logs with their calibration."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from hallsym.diagnosis import POLICY, Comparison, EffectChange, ParameterChange, PlaceChange, gap_unit
+from hallsym.estimation import Evaluation
+from hallsym.inference import Belonging
 from hallsym.report.tables import grid, in_units
 from hallsym.units import readable
 
@@ -67,3 +69,44 @@ def parameters_text(changes: Sequence[ParameterChange]) -> str:
 def _place(place: PlaceChange) -> str:
     before, after = (_share(s) or "none" for s in place.share)
     return f"  {place.by}{' ' + place.at if place.at else ''}: {before} -> {after}"
+
+
+SHOWN = 6
+"""Parameters without an answer that a line names."""
+
+
+def belonging_text(found: Belonging) -> str:
+    """Return whether a log belongs to its calibration, and what changed where it does not."""
+    lines = [found.sentence]
+    if not found.belongs:
+        lines += ["", parameters_text(found.changes)]
+    for why in dict.fromkeys(found.not_identified.values()):
+        names = [name for name, said in found.not_identified.items() if said == why]
+        more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+        lines.append(f"not compared, {why}: {', '.join(names[:SHOWN])}{more}")
+    return "\n".join(lines)
+
+
+def chart_text(logs: Mapping[str, tuple[Evaluation, Belonging | str] | str], pose: Sequence[str]) -> str:
+    """Return one row a log: errors, residual error, the test that is nearest to its limit, the verdict.
+
+    The reason stands in place of what is not known.
+    """
+    units = [readable(c) for c in pose]
+    head = ["log", "runs", *(f"rmse {name} [{unit}]" for _, unit, name in units), "residual/noise",
+            "largest score", "of", "limit", ""]  # fmt: skip
+    rows = [head]
+    for name, judged in logs.items():
+        if isinstance(judged, str):
+            rows.append([name, *[""] * (len(head) - 2), "not decoded"])
+            continue
+        seen, found = judged
+        errors = seen.table.over() or {"rmse": dict.fromkeys(pose, float("nan"))}
+        rmse = [f"{factor * errors['rmse'][c]:.4g}" for c, (factor, _, _) in zip(pose, units, strict=True)]
+        row = [name, str(len(seen.table.runs)), *rmse, f"{seen.goodness.residual_over_noise:.3f}"]
+        if isinstance(found, str):
+            rows.append([*row, "", "", "", "not tested"])
+            continue
+        worst, verdict = found.worst, "belongs" if found.belongs else "changed"
+        rows.append([*row, f"{worst.score:+.2f}", worst.name, f"{worst.limit:.2f}", verdict])
+    return grid(rows)

@@ -1,0 +1,301 @@
+"""Does a new log still belong to a calibration? Its residual error and each of its parameters are tested.
+
+The log is fitted anew from the calibration. What it leaves is compared with what the calibration left (F
+test), its parameters with the calibrated ones, each (Student's t) and together (Hotelling's T squared). The
+limits share one probability of a false alarm over all tests of a log (Sidak, J. Am. Stat. Assoc. 62 (1967)
+626, doi:10.1080/01621459.1967.10482935).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtrc, fdtrc, ndtri
+
+from hallsym.errors import InputError
+from hallsym.estimation import Evaluation, Fit, GoodnessOfFit, fit, noise_at
+from hallsym.estimation.calibration import coverage_factor
+from hallsym.estimation.covariance import BY_RUNS
+from hallsym.estimation.normal_equations import SINGULAR, pseudo_inverse, unit_scale
+from hallsym.inference.parameter_changes import Estimate, ParameterChange, changes, welch
+from hallsym.log import Noise, Sigma
+
+FALSE_ALARM = 1 / 500
+"""Probability that a log which belongs to the calibration is said not to: one log in 500."""
+LEAST_FALSE_ALARM, MOST_FALSE_ALARM = 1e-6, 0.5
+"""Range of that probability: below it, the tails of the distributions are not known so well."""
+SMALLEST = np.finfo(float).tiny
+"""Least p-value, so that its score is a number."""
+RESIDUAL, TOGETHER = "residual error", "parameters together"
+"""Names of the tests that are not of one parameter."""
+
+
+@dataclass(frozen=True)
+class BelongingTest:
+    """One quantity of a log against the calibration: a parameter, `RESIDUAL` or `TOGETHER`.
+
+    `score`: distance from the calibration in standard deviations of a normal distribution of the same
+    p-value, with the sign of the change: one scale for every test. `limit`: score beyond which the log does
+    not belong.
+    """
+
+    name: str
+    p_value: float
+    score: float
+    limit: float
+
+    @property
+    def two_sided(self) -> bool:
+        """Whether a score below minus the limit counts too."""
+        return self.name not in (RESIDUAL, TOGETHER)
+
+    @property
+    def distance(self) -> float:
+        """Score over its limit: above 1 the quantity has changed."""
+        return (abs(self.score) if self.two_sided else self.score) / self.limit
+
+    @property
+    def beyond(self) -> bool:
+        """Whether the quantity has changed."""
+        return self.distance > 1.0
+
+
+@dataclass(frozen=True)
+class Belonging:
+    """What `belonging` returns.
+
+    `false_alarm`: probability that a log which belongs is said not to, over all tests together. `refitted`:
+    residual error after a fit of this log, in multiples of the noise of the calibration; `floor`: of the
+    calibration itself. `tests`: what was tested, `changes`: values behind the tests of parameters.
+    `not_identified`: parameter -> why this log says nothing of it.
+    """
+
+    false_alarm: float
+    refitted: float
+    floor: float
+    tests: tuple[BelongingTest, ...]
+    changes: tuple[ParameterChange, ...]
+    not_identified: dict[str, str]
+    notes: tuple[str, ...]
+
+    @property
+    def beyond(self) -> tuple[BelongingTest, ...]:
+        """The tests that say that the log does not belong."""
+        return tuple(test for test in self.tests if test.beyond)
+
+    @property
+    def belongs(self) -> bool:
+        """Whether the log belongs to the calibration."""
+        return not self.beyond
+
+    @property
+    def worst(self) -> BelongingTest:
+        """The test that is nearest to its limit, or farthest beyond it."""
+        return max(self.tests, key=lambda test: test.distance)
+
+    @property
+    def sentence(self) -> str:
+        """Whether the log belongs, and what has changed where it does not."""
+        if self.belongs:
+            return (
+                f"The log belongs to the calibration: all {len(self.tests)} tests are inside their limits, "
+                f"the largest score is {self.worst.score:+.2f} of {self.worst.name}."
+            )
+        return f"The log does not belong to the calibration: {'; '.join(map(self._said, self.beyond))}."
+
+    def _said(self, test: BelongingTest) -> str:
+        if test.name == RESIDUAL:
+            return (
+                f"residual error {self.refitted:.3g} x the noise after a fit of its own,"
+                f" {self.floor:.3g} x at the calibration"
+            )
+        if test.name == TOGETHER:
+            return "the parameters together have moved"
+        change = next(c for c in self.changes if c.name == test.name)
+        unit = "" if change.unit == "1" else f" {change.unit}"
+        return f"{test.name} {change.before:.6g} -> {change.after:.6g}{unit}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record that `hallsym evaluate --json` prints of each log."""
+        tests = [{**asdict(test), "beyond": test.beyond} for test in self.tests]
+        return {**asdict(self), "tests": tests, "belongs": self.belongs, "sentence": self.sentence}
+
+
+@dataclass(frozen=True)
+class _Colour:
+    """What the noise of a log is beside white Gaussian noise; that of its calibration is taken to be alike.
+
+    `inflation`: variance of a mean square over that of white Gaussian noise: samples over independent ones.
+    `memory`: variance of a slow average over that of white noise, by which an uncertainty from the likelihood
+    is too small; 1 where the noise may be white. `correlation`: of neighbouring samples.
+    """
+
+    inflation: float = 1.0
+    memory: float = 1.0
+    correlation: float = 0.0
+
+
+def belonging(seen: Evaluation, *, false_alarm: float = FALSE_ALARM) -> Belonging:
+    """Say whether a log that `evaluate` decoded still belongs to the calibration, and what changed if not.
+
+    `false_alarm`: probability, over all tests of the log, that one which belongs is said not to. The noise of
+    the calibration holds for the log, unless the log states its own.
+
+    Raises `InputError` for a log that cannot be fitted.
+    """
+    if not LEAST_FALSE_ALARM <= false_alarm <= MOST_FALSE_ALARM:
+        raise InputError(
+            f"The probability of a false alarm must be {LEAST_FALSE_ALARM:g} to {MOST_FALSE_ALARM:g}; instead"
+            f" received {false_alarm!r}."
+        )
+    known = seen.calibration
+    stated = Noise({column: Sigma(s.value, "given") for column, s in known.noise.sigmas.items()})
+    after = fit(
+        replace(seen.decoded, noise=seen.decoded.noise.merged(stated)),
+        known.model.with_parameters({n: {"nominal": known.value(n)} for n in known.model.names}),
+        solver="direct",
+        holdout=(),
+        loss=known.solver["loss"],
+        start=known.values,
+    )
+    colour = _colour_of(after)
+    factors = [1.0 if f.covariance_method == BY_RUNS else colour.memory for f in (known, after)]
+    one, two, left = _estimates(known, after, factors)
+    single = [name for name in one if name in known.model.names]
+    level = 1 - (1 - false_alarm) ** (1 / (len(one) + 1 + (len(single) > 1)))
+    changed = changes(one, two, level, (_freedom(known), _freedom(after)))
+    tests = [_residual(known, after, colour, level)]
+    if len(single) > 1:
+        tests += _together(known, after, factors, single, level)
+    tests += [_test(c.name, _chance(c), level, np.sign(c.after - c.before), sides=2) for c in changed]
+    floor = 1.0 if known.goodness is None else known.goodness.residual_over_noise
+    return Belonging(
+        false_alarm, _goodness(after).residual_over_noise, floor, tuple(tests), changed, left,
+        _notes(known, colour),
+    )  # fmt: skip
+
+
+def _colour_of(found: Fit) -> _Colour:
+    """Return the colour of the noise that a fit leaves; white where the log is too short to tell."""
+    if found.likelihood is None or found.source is None:
+        return _Colour()
+    left = noise_at(found.source, found.likelihood.at(found.values), found.noise.std, found.keep)
+    if left is None:
+        return _Colour()
+    error = 2 * np.log(left.interval[1] / left.ratio) / coverage_factor(np.inf)  # relative, of the square
+    inflation = 0.5 * error**2 * left.samples * len(found.model.channels)
+    return _Colour(max(1.0, float(inflation)), 1.0 if left.white else left.memory, left.correlation)
+
+
+def _notes(known: Fit, colour: _Colour) -> tuple[str, ...]:
+    """Return what weakens the comparison."""
+    notes = []
+    if known.goodness is None:
+        notes.append(
+            "The calibration is of an earlier version and does not say what it left; residual errors are held"
+            " against its noise alone."
+        )
+    elif known.log["runs"] - len(known.log["holdout"]) == 1:
+        notes.append("The calibration is of one run, which cannot show whether its noise is white.")
+    if colour.memory > 1:
+        notes.append(
+            f"Noise of neighbouring samples is correlated ({colour.correlation:.2f}); the tests allow for it."
+        )
+    return tuple(notes)
+
+
+def _goodness(found: Fit) -> GoodnessOfFit:
+    if found.goodness is None:
+        raise InputError("A fit must say what it leaves; fit the log again.")
+    return found.goodness
+
+
+def _estimates(
+    known: Fit, after: Fit, factors: Sequence[float]
+) -> tuple[dict[str, Estimate], dict[str, Estimate], dict[str, str]]:
+    """Return what both determine, parameters and combinations, and why other parameters are not compared.
+
+    `factors`: by which the variances of the two are multiplied.
+    """
+    one, two, left = {}, {}, {}
+    more = np.sqrt(factors).tolist()
+    for k, name in enumerate(known.model.names):
+        unit = known.model.parameters[k].unit
+        if name in known.held and name in after.held and known.model.parameters[k].width == 0:
+            continue
+        if not known.determined[k]:
+            left[name] = "the calibration does not determine it"
+        elif name in after.at_bound or name in known.at_bound:
+            left[name] = "it is at a bound"
+        elif not after.determined[k]:
+            left[name] = "this log does not identify it"
+        else:
+            one[name] = Estimate(float(known.values[k]), more[0] * float(known.std[k]), unit)
+            two[name] = Estimate(float(after.values[k]), more[1] * float(after.std[k]), unit)
+    both = {c.expression for c in known.combinations} & {c.expression for c in after.combinations}
+    for found, out, factor in ((known, one, more[0]), (after, two, more[1])):
+        named = {c.expression: Estimate(c.value, factor * c.std, c.unit) for c in found.combinations}
+        out.update({name: named[name] for name in named if name in both})
+    return one, two, left
+
+
+def _freedom(found: Fit) -> dict[str, float]:
+    own = dict(zip(found.model.names, found.degrees_of_freedom.tolist(), strict=True))
+    return own | {c.expression: c.degrees_of_freedom for c in found.combinations}
+
+
+def _chance(change: ParameterChange) -> float:
+    return 1.0 if change.p_value is None else change.p_value
+
+
+def _residual(known: Fit, after: Fit, colour: _Colour, level: float) -> BelongingTest:
+    """Test whether the log leaves more than the calibration left: the ratio of two variances."""
+    new, old = _goodness(after), known.goodness
+    dof = _independent(after, new, colour)
+    if old is None:
+        p = float(chdtrc(dof, new.cost_per_degree_of_freedom * dof))
+    else:
+        ratio = new.cost_per_degree_of_freedom / max(old.cost_per_degree_of_freedom, SMALLEST)
+        p = float(fdtrc(dof, _independent(known, old, colour), ratio))
+    return _test(RESIDUAL, p, level)
+
+
+def _independent(found: Fit, left: GoodnessOfFit, colour: _Colour) -> float:
+    """Return the degrees of freedom of what a fit leaves: by its runs, or by the colour if those are fewer.
+
+    A few runs cannot show how a mean square scatters.
+    """
+    fitted = 1 - len(found.log["holdout"]) / max(found.log["runs"], 1)
+    readings = fitted * found.log["rows"] * len(found.model.channels)
+    return max(1.0, min(left.degrees_of_freedom, readings / colour.inflation))
+
+
+def _together(
+    known: Fit, after: Fit, factors: Sequence[float], names: Sequence[str], level: float
+) -> list[BelongingTest]:
+    """Test all parameters at once: a change along which they are correlated shows in none alone."""
+    at = [known.model.names.index(name) for name in names]
+    covariance = (factors[0] * known.covariance + factors[1] * after.covariance)[np.ix_(at, at)]
+    moved, scale = (after.values - known.values)[at], unit_scale(covariance)
+    distance = float(moved @ pseudo_inverse(covariance) @ moved)
+    count = int(np.linalg.matrix_rank(covariance * np.outer(scale, scale), rtol=SINGULAR, hermitian=True))
+    dof = min(
+        welch((known.std[k], after.std[k]), (known.degrees_of_freedom[k], after.degrees_of_freedom[k]))
+        for k in at
+    )
+    if not np.isfinite(dof):
+        p = float(chdtrc(count, distance))
+    elif dof > count:
+        p = float(fdtrc(count, dof - count + 1, distance * (dof - count + 1) / (dof * count)))
+    else:
+        return []
+    return [_test(TOGETHER, p, level)]
+
+
+def _test(name: str, p: float, level: float, sign: float = 1.0, sides: int = 1) -> BelongingTest:
+    """Return a test on the scale of a normal distribution; `sides`: of the distribution that count."""
+    score = float(-ndtri(max(p / sides, SMALLEST))) * float(sign or 1.0)
+    return BelongingTest(name, p, score, float(-ndtri(level / sides)))
