@@ -10,7 +10,7 @@ BENCHABLE := $(VENV)/.installed-bench
 PIP       := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 
 # What compiles, runs and proves the generated C; the tests that need them are skipped, with their name, without.
-FIRMWARE := gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck clang frama-c-base gappa cmake
+FIRMWARE := gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck clang frama-c-base cmake
 
 # Continuous integration (CI=true) runs the slow tests too, in the same run.
 SLOW := $(if $(filter true,$(CI)),-m "slow or not slow")

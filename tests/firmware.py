@@ -99,6 +99,12 @@ def made(case: str, **variant: bool | str) -> Generated:
     return hallsym.generate(CASES[case](), **variant)
 
 
+def written(code: Generated, folder: Path) -> Path:
+    """Write generated code into a folder; returns it."""
+    code.write(folder)
+    return folder
+
+
 def need(*tools: str) -> None:
     """Skip, and say why, without these tools; in continuous integration they must be there."""
     missing = [tool for tool in tools if shutil.which(tool) is None]
@@ -122,12 +128,94 @@ def ran(folder: Path, *command: str) -> str:
     return done.stdout
 
 
-def most_instructions(folder: Path) -> int:
-    """Return the instructions of the longest call on a Cortex-M0, counted by `make count`."""
-    said = ran(folder, "make", "count")
-    found = re.search(r"decoupler_step, \d+ bytes, instructions per call: (.*)", said)
-    assert found, said
-    return max(map(int, found[1].split()))
+COUNTED = """
+#include <math.h>
+#include "decoupler.h"
+#include "decoupler_params.h"
+static const decoupler_in_t in[] = {INPUTS};
+int main(void)
+{
+    decoupler_out_t out;
+    for (unsigned k = 0U; k < sizeof(in) / sizeof(in[0]); k++)
+    {
+        (void)decoupler_step(&decoupler_params, &in[k], &out);
+    }
+    return 0;
+}
+"""
+
+
+def instructions(code: Generated, folder: Path) -> list[int]:
+    """Instructions of decoupler_step() on the Cortex-M of a written folder, stepped one by one in QEMU.
+
+    One call with all inputs in range, all above, all below, above and below in turn, and all NaN of floats.
+    """
+    need("arm-none-eabi-gcc", "qemu-system-arm", "make")
+    low, high = (side[:, 0].astype(float) for side in code.backend.span)
+    above, below = high + 2 * (high - low), low - 2 * (high - low)
+    rows = [0.7 * high + 0.3 * low, above, below, np.where(np.arange(len(low)) % 2, below, above)]
+    if code.backend.type == "q31":
+        unsigned = code.backend.inputs[0].type == "uint32_t"
+        whole = [[int(v) for v in np.clip(row, -(2**31) + 1, 2**31 - 1)] for row in rows]
+        texts = [[f"{v % 2**32}U" if unsigned else str(v) for v in row] for row in whole]
+    else:
+        suffix = "F" if code.backend.type == "float" else ""
+        texts = [[f"{v!r}{suffix}" for v in row.tolist()] for row in rows] + [["NAN"] * len(low)]
+    listed = ", ".join("{" + ", ".join(row) + "}" for row in texts)
+    (folder / "count.c").write_text(COUNTED.replace("INPUTS", listed))
+    sources = "src/decoupler.c src/decoupler_check.c params/decoupler_params.c count.c"
+    stepping = "-accel tcg,one-insn-per-tb=on" if "one-insn" in _qemu_help() else "-singlestep"
+    machine = re.search(r"^MACHINE \?= (.*)$", (folder / "Makefile").read_text(), re.MULTILINE)[1]
+    qemu = f"qemu-system-arm -M {machine} -nographic -monitor none -serial none {stepping} -d exec,nochain"
+    qemu += " -D build/log -semihosting-config enable=on,target=native"
+    ran(folder, "make", "-B", "qemu", f"TESTED={sources}", f"QEMU={qemu}")
+    symbols = ran(folder, "arm-none-eabi-nm", "-S", "build/selftest.elf").splitlines()
+    place = {line.split()[-1]: line.split() for line in symbols}
+    first, caller = (int(place[name][0], 16) for name in ("decoupler_step", "main"))
+    end = caller + int(place["main"][1], 16)
+    counts: list[int] = []
+    inside = False
+    for text in re.findall(r"\[[0-9a-f]+/([0-9a-f]+)/", (folder / "build/log").read_text()):
+        at = int(text, 16)
+        if at == first and not inside:
+            inside = True
+            counts.append(0)
+        inside = inside and not caller <= at < end
+        if inside:
+            counts[-1] += 1
+    assert len(counts) == len(texts)
+    return counts
+
+
+@cache
+def _qemu_help() -> str:
+    return subprocess.run(["qemu-system-arm", "-help"], capture_output=True, text=True, check=False).stdout
+
+
+def undefined_symbols(folder: Path) -> set[str]:
+    """What the compiled code needs of others; nothing static of it may be in RAM."""
+    ran(folder, "make", "size")
+    found = [line.split()[-2:] for line in ran(folder, "arm-none-eabi-nm", "build/decoupler.o").splitlines()]
+    assert {kind for kind, _ in found} <= {"T", "t", "r", "U"}
+    return {name for kind, name in found if kind == "U"}
+
+
+TESTED = (
+    "src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c", "test/selftest.c",
+    "test/faults.c", "test/main.c",
+)  # fmt: skip
+PATHS = ("-Iinclude", "-Iparams", "-Itest")
+SANITIZED = ("-fsanitize=undefined,float-divide-by-zero,float-cast-overflow", "-fno-sanitize-recover=all")
+
+
+def passes(folder: Path, *options: str, compiler: str = "gcc") -> None:
+    """Compile a folder with warnings as errors and run its self-test: vectors, both hashes, faults, zeros."""
+    need(compiler)
+    ran(folder, compiler, *STRICT, "-pedantic", *options, *PATHS, *TESTED, "-o", "selftest")
+    said = ran(folder, "./selftest")
+    assert "table good, 0 of" in said
+    assert said.count("as stated") == 2
+    assert "0 faults of a table not found, 0 zeros wrong" in said
 
 
 def proved_by_eva(folder: Path, *, integers: bool = False) -> None:
@@ -141,6 +229,15 @@ def proved_by_eva(folder: Path, *, integers: bool = False) -> None:
     )  # fmt: skip
     assert "  0 alarms generated" in said
     assert "100% of the logical properties" in said
+
+
+def every_input(folder: Path) -> None:
+    """Every integer of every input, and every divisor, go through a folder's proof without an overflow."""
+    need("gcc")
+    overflow = ("-fsanitize=signed-integer-overflow", "-fsanitize-undefined-trap-on-error")
+    sources = ("proof/exhaustive.c", "src/decoupler_check.c", "params/decoupler_params.c")
+    ran(folder, "gcc", "-std=c99", "-O3", *overflow, *PATHS, *sources, "-o", "exhaustive")
+    assert "exhaustive: 0 of" in ran(folder, "./exhaustive")
 
 
 class Library:

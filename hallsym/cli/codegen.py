@@ -22,7 +22,7 @@ examples:
   hallsym codegen new.json -o firmware --params-only          recalibrated: the parameters alone
   hallsym codegen calib.json -o firmware --range z_um=-200:200   the box within which status is 0
   hallsym codegen angle.json -o firmware --accuracy angle_mrad=1   an encoder: the least code that is as near
-then: make -C firmware check qemu count misra prove
+then: make -C firmware check qemu misra prove
 """
 
 
@@ -67,11 +67,6 @@ def add(sub: Any) -> None:
     )
     parser.add_argument("--double", action="store_true", help="double instead of float, for hosts")
     parser.add_argument(
-        "--fma",
-        action="store_true",
-        help="fused multiply-add, where the core has it (Cortex-M4F, M7): fewer instructions and roundings",
-    )
-    parser.add_argument(
         "--jacobian", nargs="?", const="reading", metavar="KIND", type=_kinds,
         help="with slopes of the pose, for Kalman filters and observers: KIND is reading (default), state "
         "or reading,state",
@@ -113,7 +108,6 @@ def _made(fit: Fit, options: Namespace) -> Generated:
         ranges=ranges,
         double=options.double or kind == "double",
         jacobian=options.jacobian,
-        fma=options.fma,
         accuracy=_accuracy(options.accuracy, fit),
         correction=options.correction,
         allow_undetermined=allow,

@@ -12,7 +12,6 @@ from hallsym.codegen.execution import on_arrays
 from hallsym.codegen.fixed_point import Line, Program
 from hallsym.codegen.float_backend import FloatBackend
 from hallsym.codegen.float_c import DOUBLE, FLOAT
-from hallsym.codegen.fused import fused_multiply_add
 from hallsym.codegen.generation import Generated, decouple, generate
 from hallsym.codegen.integer_backend import IntegerBackend
 from hallsym.codegen.integer_c import integer_program
@@ -46,7 +45,6 @@ __all__ = [
     "decouple",
     "enclose",
     "firmware_cost",
-    "fused_multiply_add",
     "generate",
     "integer_program",
     "limits",

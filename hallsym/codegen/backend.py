@@ -194,7 +194,7 @@ class Backend(Arithmetic):
             low, high = ends(d, port.column)
             out.append({
                 **_record(k, port), "bit": bit(port.column), "mask": f"0x{d.input_bits[k]:08X}UL",
-                "low": low, "high": high, "least": of_params(low), "greatest": of_params(high),
+                "least": of_params(low), "greatest": of_params(high),
                 "lowest": f"{d.ends(port.column)[0]:.6g}", "highest": f"{d.ends(port.column)[1]:.6g}",
                 **self._of_input(port),
             })  # fmt: skip
@@ -235,8 +235,11 @@ class Backend(Arithmetic):
         }
 
     def _templates(self) -> dict[str, str]:
-        """Return the template of each file."""
-        return dict(tree(self.tree))
+        """Return the template of each file; EVA is for code whose results it can see."""
+        found = dict(tree(self.tree))
+        if not self.decoupler.evident:
+            del found["proof/eva.c"]
+        return found
 
     def fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
         """Return the fields of all templates."""
@@ -253,7 +256,6 @@ class Backend(Arithmetic):
                 i for i, port in zip(inputs, self.inputs, strict=True) if port.column in self.limited
             ],
             "out": outputs,
-            "bounded": [o for o in outputs if "outer_low" in o],
             "flag": flags,
             "entry": [{"name": e.name} for e in self.entries if not e.values.ndim],
             "model": commented(d.model.name),
@@ -266,11 +268,6 @@ class Backend(Arithmetic):
             "table_layout": f"0x{self.layout:08x}",
             "table_bytes": len(self.binary),
             "prefix": self.record.get("name", PREFIX),
-            "row_in": ", ".join(f"{port['column']} [{port['unit']}]" for port in inputs),
-            "row_out": ", ".join(f"{port['column']} [{port['unit']}]" for port in outputs),
-            "in_type": self.inputs[0].type,
-            "out_type": self.outputs[0].type,
-            "first_out": f"out.{self.outputs[0].member}",
             "type": self.type,
             "inputs": len(d.inputs),
             "pose": len(d.pose),
@@ -291,7 +288,6 @@ class Backend(Arithmetic):
             "crc": lines_of("common/fragments/crc.c", {"first_zero": self.zeros[0].name}),
             "first_zero": self.zeros[0].name,
             "values": self._values(),
-            "without_flags": f" & ~({' | '.join(status_bit(f.name) for f in d.flags)})" if d.flags else "",
             "status_or_flags": " || ".join(
                 f"status == 0x{bits:08X}" if bits else "status == 0" for bits in sorted(raised)
             ),

@@ -43,11 +43,6 @@ def angle_of(x: np.ndarray, y: np.ndarray, steps: int = STEPS) -> np.ndarray:
     return np.asarray(angle & MASK)
 
 
-def signed(angle: np.ndarray) -> np.ndarray:
-    """Return angles in 2^-31 turns, half a turn below zero to half a turn above, as `signed_of` of the C."""
-    return np.where(angle < 2**31, angle >> 1, (angle >> 1) - 2**31)
-
-
 def angle_error(least: float, steps: int = STEPS) -> float:
     """Return the bound of |angle_of - atan2| [rad] for vectors of at least that length, in units of a bit.
 

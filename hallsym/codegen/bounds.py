@@ -55,11 +55,11 @@ def _reach(d: Decoupler, symbols: Mapping[str, ca.SX], columns: Sequence[str]) -
     return most
 
 
-def pose_bounds(d: Decoupler, digits: int = 24, fused: bool = False) -> Bounds:
+def pose_bounds(d: Decoupler, digits: int = 24) -> Bounds:
     """Return the bounds of one table, by interval arithmetic on the printed expressions."""
     if d.bounded is None:
-        found = _enclosed(d, d.steps, digits, fused)[-len(d.pose) :]
-    else:  # an argument that counts every product's rounding: it holds for fused code too
+        found = _enclosed(d, d.steps, digits)[-len(d.pose) :]
+    else:
         found = list(d.bounded(digits).values())
     values = {e.name: e.value for e in d.entries}
     least = {}
@@ -76,9 +76,9 @@ def pose_bounds(d: Decoupler, digits: int = 24, fused: bool = False) -> Bounds:
     )
 
 
-def step_errors(d: Decoupler, steps: Sequence[Step], digits: int = 24, fused: bool = False) -> list[float]:
+def step_errors(d: Decoupler, steps: Sequence[Step], digits: int = 24) -> list[float]:
     """Return how far each computed step can be from its expression, over the box, table included."""
-    return [float(e.error) for e in _enclosed(d, steps, digits, fused)]
+    return [float(e.error) for e in _enclosed(d, steps, digits)]
 
 
 FOLDED = 16
@@ -93,12 +93,12 @@ def _entry(value: float, digits: int) -> Enclosure:
     return replace(stored, error=stored.error + FOLDED * 2.0**-53 * abs(value))
 
 
-def _enclosed(d: Decoupler, steps: Sequence[Step], digits: int, fused: bool) -> list[Enclosure]:
+def _enclosed(d: Decoupler, steps: Sequence[Step], digits: int) -> list[Enclosure]:
     """Return the enclosure of each step of inputs, table and earlier steps."""
     dtype = np.float32 if digits == 24 else np.float64
     given = {d.symbols[c].name(): Enclosure(*(float(dtype(v)) for v in d.ends(c))) for c in d.inputs} | {
         d.symbols[e.name].name(): _entry(e.value, digits) for e in (*d.table, *d.zeros)
     }
     for step in steps:
-        (given[step.name],) = enclose([step.expression], given, digits, fused)
+        (given[step.name],) = enclose([step.expression], given, digits)
     return [given[step.name] for step in steps]

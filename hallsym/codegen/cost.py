@@ -32,14 +32,11 @@ class Cost:
         return self.operations + self.moves
 
 
-def firmware_cost(d: Decoupler, fused: bool = False) -> Cost:
-    """Return the cost of a decoupler's arithmetic, range test and status apart.
-
-    `fused`: with fused multiply-add.
-    """
+def firmware_cost(d: Decoupler) -> Cost:
+    """Return the cost of a decoupler's arithmetic, range test and status apart."""
     operations, read = 0, set()
     for step in d.steps:
-        found = graph([step.expression], fused)
+        found = graph([step.expression])
         operations += found.count + 3 * isinstance(step, Lookup) + isinstance(step, Whole | Bits)
         read |= {o.symbol for o in found.operations if o.op == "input"}
     entries = {e.name for e in (*d.table, *d.zeros)}

@@ -133,8 +133,6 @@ class Decoupler:
     bounded: "Callable[[int], Mapping[str, Enclosure]] | None" = None
     """Digits of the significand -> range and rounding of each pose coordinate, flags clear; interval
     arithmetic on the whole of the steps where there is none."""
-    rest: tuple[float, ...] = ()
-    """Inputs at which the self-test takes a zero, for a pose near zero; any small ones if there are none."""
     listed: tuple[tuple[float, ...], ...] = ()
     """Inputs that the self-test shall list, beside its own."""
     options: Mapping[str, Any] = field(default_factory=dict)

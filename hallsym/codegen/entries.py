@@ -7,16 +7,12 @@ from hallsym.codegen.naming import identifier
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One number of the parameter table: `value` in SI, and what it means.
-
-    `like`: entries of one unit that are so called have one size, so integers give them one exponent.
-    """
+    """One number of the parameter table: `value` in SI, and what it means."""
 
     name: str
     value: float
     unit: str
     meaning: str
-    like: str = ""
 
 
 def short(column: str) -> str:

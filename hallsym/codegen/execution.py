@@ -5,28 +5,23 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from hallsym.codegen.decoupler import Bits, Decoupler, Lookup, Step, Whole
-from hallsym.codegen.fused import fused_multiply_add
 from hallsym.codegen.operations import NAMES, Graph, graph
 from hallsym.model.arrays import BINARY, UNARY
 
 OPERATIONS: Mapping[str, Callable[..., np.ndarray]] = {
-    **{NAMES[code]: run for code, run in (UNARY | BINARY).items()},
-    "fma": fused_multiply_add,
-    "fms": lambda a, b, c: fused_multiply_add(a, b, -c),
-    "fnma": lambda a, b, c: fused_multiply_add(-a, b, c),
+    NAMES[code]: run for code, run in (UNARY | BINARY).items()
 }
 """Each operation of a graph on arrays, in the type that they have."""
 
 
-def on_arrays(d: Decoupler, real: type = float, fused: bool = False) -> Callable[..., list[np.ndarray]]:
+def on_arrays(d: Decoupler, real: type = float) -> Callable[..., list[np.ndarray]]:
     """Return `run(inputs, coefficients and zeros)`: pose (n_pose, s), and what flags look at, if any.
 
-    `inputs` (n_inputs, s) and the constants (n,) or (n, 1) are of the type `real`. `fused`: a product and the
-    sum that takes it round once.
+    `inputs` (n_inputs, s) and the constants (n,) or (n, 1) are of the type `real`.
     """
     names = [*d.inputs, *(e.name for e in (*d.table, *d.zeros))]
     symbols = [d.symbols[name].name() for name in names]
-    graphs = {step.name: graph([step.expression], fused) for step in d.steps}
+    graphs = {step.name: graph([step.expression]) for step in d.steps}
     results = [step.name for step in d.steps[-len(d.pose) :]]
 
     def run(inputs: Sequence, constants: Sequence) -> list[np.ndarray]:

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.codegen import binary_angle, binary_logarithm
-from hallsym.codegen.binary_logarithm import upper
+from hallsym.codegen import binary_angle
 from hallsym.codegen.decoupler import Decoupler
 from hallsym.codegen.templates import lines_of
 
@@ -55,9 +54,10 @@ class Line:
     j: int = 0
 
 
-def wrapped(value: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Return integers within half a period of zero, as `wrapped` of the C."""
-    return np.where(value > half, value - 2 * half, np.where(value < -half, value + 2 * half, value))
+def upper(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the upper 32 bits of a product, low by at most 2: three 16-bit products, as `upper` of the C."""
+    ah, al, bh, bl = a >> 16, a & 0xFFFF, b >> 16, b & 0xFFFF
+    return np.asarray(ah * bh + ((ah * bl) >> 16) + ((al * bh) >> 16))
 
 
 def _shifted(text: str, n: int) -> str:
@@ -80,30 +80,11 @@ OPERATIONS: dict[str, tuple[Callable[..., np.ndarray], Callable[[str, str, int, 
     "look": (lambda a, b, i, j: b.at(a), lambda a, b, i, j: f"{b}_at(p, {a})"),
     "angle": (lambda a, b, i, j: binary_angle.angle_of(a, b, i), lambda a, b, i, j: f"angle_of({a}, {b})"),
     "turn": (lambda a, b, i, j: (a + b) & binary_angle.MASK, lambda a, b, i, j: f"{a} + {b}"),
-    "signed": (lambda a, b, i, j: binary_angle.signed(a), lambda a, b, i, j: f"signed_of({a})"),
-    "log": (
-        lambda a, b, i, j: binary_logarithm.logarithm_of(a, b, i, j),
-        lambda a, b, i, j: f"logarithm_of({a}, {b}, {j})",
-    ),
-    "lesser": (
-        lambda a, b, i, j: np.minimum(a >> i, b >> j),
-        lambda a, b, i, j: f"lesser({_shifted(a, i)}, {_shifted(b, j)})",
-    ),
-    "greater": (
-        lambda a, b, i, j: np.maximum(a >> i, b >> j),
-        lambda a, b, i, j: f"greater({_shifted(a, i)}, {_shifted(b, j)})",
-    ),
-    "size": (lambda a, b, i, j: np.abs(a), lambda a, b, i, j: f"magnitude({a})"),
-    "minus": (lambda a, b, i, j: -a, lambda a, b, i, j: f"-{a}"),
-    "times": (lambda a, b, i, j: a * b, lambda a, b, i, j: f"{a} * {b}"),
-    "wrap": (lambda a, b, i, j: wrapped(a, b), lambda a, b, i, j: f"wrapped({a}, {b})"),
 }
 """What a line computes of a, b and shifts i, j in 64-bit integers, and in C.
 
 `one`: 2^i - a; `look`: b is a table; `angle`: of the vector (a, b), in i steps; `turn`: counted round. The
-last two are binary angles (`hallsym.codegen.binary_angle`), which are unsigned; `signed`: of a binary angle.
-`log`: of the length of (a, b), degree i, less j / 2 of that of 2; `times`: an exact product; `wrap`: within b
-of zero.
+last two are binary angles (`hallsym.codegen.binary_angle`), which are unsigned.
 """
 
 
@@ -155,7 +136,7 @@ class Program:
         value |= {n: np.array(q, dtype=np.int64) for n, (q, _) in self.table.items()} | self.arrays
         for line in self.lines:
             compute, _ = OPERATIONS[line.operation]
-            a, b = (_literal(n) if n[-1:] == ")" else value.get(n) for n in (line.a, line.b))
+            a, b = (value.get(n) for n in (line.a, line.b))
             result = compute(a, b, line.i, line.j)
             if line.operation not in UNSIGNED and np.any(np.abs(result) > 2**31 - 1):
                 raise OverflowError(f"{line.name} overflows")
@@ -168,8 +149,7 @@ class Program:
     def shifts(self) -> bool:
         """Whether numbers with a sign are shifted right."""
         return any(
-            line.operation in ("mul", "right", "angle", "look", "log") or line.i or line.j
-            for line in self.lines
+            line.operation in ("mul", "right", "angle", "look") or line.i or line.j for line in self.lines
         )
 
     def c(self, names: Mapping[str, str]) -> list[str]:
@@ -185,46 +165,19 @@ class Program:
         return out
 
 
-HELPERS = {
-    "signed": f"{FRAGMENTS}signed_of.c", "lesser": f"{FRAGMENTS}lesser.c", "greater": f"{FRAGMENTS}greater.c",
-    "size": f"{FRAGMENTS}magnitude.c", "wrap": f"{FRAGMENTS}wrapped.c",
-}  # fmt: skip
-"""C functions of operations."""
-
-
-def _literal(text: str) -> np.ndarray:
-    """Return the integer of an operand that is a number in brackets."""
-    return np.array(int(text[1:-1]), dtype=np.int64)
-
-
 def helpers(program: Program) -> list[str]:
     """Return the C functions that the lines of a program call."""
     lines = {line.operation: line for line in program.lines}
-    called = lines_of(f"{FRAGMENTS}upper.c", {}) if {"mul", "log"} & lines.keys() else []
+    called = lines_of(f"{FRAGMENTS}upper.c", {}) if "mul" in lines else []
     if "angle" in lines:
         steps = lines["angle"].i
         angles = [f"{t}U" for t in binary_angle.ARCTANGENTS[:steps]]
         rows = [", ".join(angles[k : k + 8]) for k in range(0, steps, 8)]
         fields: dict[str, Any] = {"steps": steps, "arctangents": ",\n        ".join(rows)}
         called += lines_of(f"{FRAGMENTS}angle_of.c", fields)
-    if "log" in lines:
-        called += _logarithm(lines["log"].i)
-    called += [text for name, file in HELPERS.items() if name in lines for text in lines_of(file, {})]
     for array in program.arrays.values():
         called += _look_up(array)
     return called
-
-
-def _logarithm(degree: int) -> list[str]:
-    """The C of `binary_logarithm.logarithm_of`."""
-    first, *others = reversed(binary_logarithm.polynomial(degree))
-    fields = {
-        "degree": degree,
-        "half_log_2": binary_logarithm.HALF_LOG_2,
-        "highest": first,
-        "horner": [f"result = upper(result, way) + ({c});" for c in others],
-    }
-    return lines_of(f"{FRAGMENTS}logarithm_of.c", fields)
 
 
 def _look_up(array: binary_angle.AngleTable) -> list[str]:

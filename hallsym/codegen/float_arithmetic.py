@@ -39,7 +39,7 @@ class FloatArithmetic(Backend):
     @cached_property
     def bounds(self) -> Bounds:
         """By interval arithmetic on the printed expressions; approximations are not in it."""
-        return pose_bounds(self.decoupler, self.real.digits, self.real.fused)
+        return pose_bounds(self.decoupler, self.real.digits)
 
     @property
     def error_bound(self) -> Mapping[str, float]:
@@ -48,8 +48,7 @@ class FloatArithmetic(Backend):
 
     def summary(self) -> dict[str, Any]:
         """CRC of the table, and how near to zero gains come."""
-        fused = {"fma": True} if self.real.fused else {}
-        return {"crc32": f"0x{self.crc:08x}", **fused, "least_gain": dict(self.bounds.least_gain)}
+        return {"crc32": f"0x{self.crc:08x}", "least_gain": dict(self.bounds.least_gain)}
 
     # -- the arithmetic ------------------------------------------------------------------------------------
 
@@ -77,7 +76,7 @@ class FloatArithmetic(Backend):
 
     @cached_property
     def _run(self) -> Callable[..., list[np.ndarray]]:
-        return on_arrays(self.decoupler, self.real.dtype, self.real.fused)
+        return on_arrays(self.decoupler, self.real.dtype)
 
     def hold(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """By the bits of its size where a range is symmetric: NaN goes to the end of its sign."""

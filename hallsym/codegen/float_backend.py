@@ -2,7 +2,7 @@
 
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -16,19 +16,15 @@ from hallsym.codegen.bounds import LEAST_GAIN, spreads
 from hallsym.codegen.cost import firmware_cost
 from hallsym.codegen.entries import short, unit
 from hallsym.codegen.float_arithmetic import FloatArithmetic
-from hallsym.codegen.float_c import statements, straight
-from hallsym.codegen.gappa import gappa
-from hallsym.codegen.naming import PREFIX, commented, identifier
+from hallsym.codegen.float_c import statements
+from hallsym.codegen.naming import commented, identifier
 from hallsym.codegen.slopes import Slopes
 from hallsym.codegen.templates import lines_of
 
-M4 = ("-mcpu=cortex-m4 -mthumb", "mps2-an386")
-"""Compiler options and QEMU's machine of a Cortex-M4F."""
+M4 = "-mcpu=cortex-m4 -mthumb"
+"""Compiler options of a Cortex-M4F."""
 FPU = {4: "-mfloat-abi=hard -mfpu=fpv4-sp-d16", 8: "-mfloat-abi=soft"}
 """Compiler options of its floating-point unit by bytes of a number; it has no double."""
-M7 = ("-mcpu=cortex-m7 -mthumb", "mps2-an500")
-DOUBLE_FPU = "-mfloat-abi=hard -mfpu=fpv5-d16"
-"""Of a Cortex-M7 whose unit has double, fused multiply-add too."""
 MOST_STEPS = 20
 """Steps of the arithmetic that the report lists."""
 UNIONS = ["misra-c2012-19.2:src/decoupler.c", "misra-c2012-19.2:src/decoupler_check.c"]
@@ -41,25 +37,15 @@ class FloatBackend(FloatArithmetic):
     """Prints the files of one decoupler in float or double."""
 
     def _templates(self) -> dict[str, str]:
-        """Not all bit patterns of a double can be tried, and EVA is for code whose results it can see."""
+        """Not all bit patterns of a double can be tried."""
         found = super()._templates()
-        if not self.decoupler.evident:
-            del found["proof/eva.c"]
         if self.real.size == 8:
             del found["proof/exhaustive.c"]
         return found
 
-    def files(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, str | bytes]:
-        """Return the files; Gappa's script is for float without branches."""
-        made = super().files(errors, notes)
-        if self.real.size == 4 and straight(self.decoupler.steps):
-            made["proof/rounding.g"] = gappa(self.decoupler, self.real, self.bounds)
-        return made
-
     def _of_input(self, port: Port) -> dict[str, Any]:
         d, c = self.decoupler, port.column
-        kind = "reading" if c in d.model.channels else "measured state"
-        return {"kind": kind, "rest": self._literal(d.rest[d.inputs.index(c)]) if d.rest else "at_rest"}
+        return {"kind": "reading" if c in d.model.channels else "measured state"}
 
     def _of_output(self, port: Port) -> dict[str, Any]:
         d, c = self.decoupler, port.column
@@ -78,7 +64,7 @@ class FloatBackend(FloatArithmetic):
 
     def _fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
         d, c = self.decoupler, self.real.constant
-        work = firmware_cost(d, self.real.fused)
+        work = firmware_cost(d)
         common = {
             "real": self.type,
             **taken(d),
@@ -90,14 +76,10 @@ class FloatBackend(FloatArithmetic):
             "slope": self.slopes.records() if self.jacobian else [],
             **(self.slopes.fields() if self.jacobian else {}),
             # build files
-            "all_nan": ", all NaN",
             "deviations": self._deviations(),
-            **self._core(),
-            **self._fused(),
+            "cpu": f"{M4} {FPU[self.real.size]}",
+            "machine": "mps2-an386",
             # proofs
-            "nan_included": ", NaN and infinity included",
-            "any": self.type,
-            "any_type": self.type,
             "eva_slopes": self._if_jacobian("eva_slopes.c"),
             # report
             "notes": "\n".join(f"- {commented(note)}" for note in (*d.said, *notes)),
@@ -109,7 +91,7 @@ class FloatBackend(FloatArithmetic):
             "moves": work.moves,
             "instructions": work.instructions,
         }
-        parts = (self._header(common), self._step(common), self._check(), self._selftest(), self._count())
+        parts = (self._header(common), self._step(common), self._check(), self._selftest())
         for part in (*parts, self._range_tests(common)):
             common |= part
         return common
@@ -119,35 +101,10 @@ class FloatBackend(FloatArithmetic):
         """The slopes that `decoupler_jacobian()` gives."""
         return Slopes(self.decoupler, self.jacobian)
 
-    def _core(self) -> dict[str, str]:
-        """Return the Cortex-M that runs the self-test in QEMU."""
-        if self.real.fused and self.real.size == 8:
-            (core, machine), unit_options = M7, DOUBLE_FPU
-        else:
-            (core, machine), unit_options = M4, FPU[self.real.size]
-        return {"cpu": f"{core} {unit_options}", "machine": machine}
-
-    def _fused(self) -> dict[str, Any]:
-        """Return what is said and defined of fused multiply-add."""
-        if not self.real.fused:
-            return {"fused": [], "with_fused": "", "fused_bits": [], "libraries": "", "linked": []}
-        linked, elsewhere = "", " by double"
-        if self.real.size == 8:
-            linked, elsewhere = " -lm", " through the library of its compiler, or does not compile"
-        return {
-            "fused": lines_of(f"{FRAGMENTS}fused_{self.type}.c", {}),
-            "with_fused": " with fused multiply-add",
-            "fused_bits": lines_of(f"{FRAGMENTS}fused_bits.md", {"elsewhere": elsewhere}),
-            "libraries": linked,
-            "linked": [f"target_link_libraries({PREFIX} PUBLIC $<$<NOT:$<PLATFORM_ID:Windows>>:m>)"]
-            if linked
-            else [],
-        }
-
     def _deviations(self) -> list[str]:
         by_size = any(map(self.by_size, self.decoupler.inputs))
         step, check = UNIONS
-        return [step] * (by_size or (self.real.fused and self.real.size == 4)) + [check] * by_size
+        return [step] * by_size + [check] * by_size
 
     def _if_jacobian(self, fragment: str, fields: Mapping[str, Any] | None = None) -> list[str]:
         return lines_of(FRAGMENTS + fragment, fields or {}) if self.jacobian else []
@@ -210,7 +167,6 @@ class FloatBackend(FloatArithmetic):
         last = d.steps[-len(d.pose) :]
         results = {s.name: f"out->{identifier(c)}" for s, c in zip(last, d.pose, strict=True)}
         body = statements(d.steps, names, real, results)
-        used = [c for c in d.inputs if ca.depends_on(d.folded, d.symbols[c])]
         flags = [line for f in d.flags for line in raised(f"!({f.step} >= p->{f.least})", f.name)]
         most = {identifier(c): real.constant(d.known(c)) for c in d.pose}
         known = [f"((pose->{c} >= -{far}) && (pose->{c} <= {far}))" for c, far in most.items()]
@@ -225,7 +181,6 @@ class FloatBackend(FloatArithmetic):
         limited = lines_of(f"{FRAGMENTS}limited.c", common)
         if all(by_size):
             limited = ["#if defined(__FRAMAC__)", *limited[:-1], "#endif", ""]
-        helpers = [*(magnitude if any("MAGNITUDE(" in line for line in body) else []), *common["fused"]]
         zeros = [e.name for e in d.zeros]
         none = {"pose": len(d.pose), "no_zeros": ", ".join(real.constant(0.0) for _ in zeros)}
         iterated = {"all_held": self._held(), "at_pose": statements(d.at_pose, whole, real, {})}
@@ -241,19 +196,11 @@ class FloatBackend(FloatArithmetic):
             "zero_parameters": ", ".join(f"{self.type} {name}" for name in zeros),
             "zeros_of_table": ", ".join(f"p->{name}" for name in zeros),
             "take_zero": lines_of(FRAGMENTS + zero, {**common, **none, **iterated}),
-            "bare_includes": [],
             "magnitude": magnitude if any("MAGNITUDE(" in line for line in (*body, *within)) else [],
-            "bare_helpers": [*helpers, ""] if helpers else [],
-            "bare_body": [
-                *(f"const {self.type} {short(c)} = in->{identifier(c)};" for c in used),
-                *(f"const {self.type} {name} = p->{name};" for name in zeros),
-                *body,
-                *(f"(void){flag.step};" for flag in d.flags),
-            ],
         }
 
     def _check(self) -> dict[str, Any]:
-        d, real = self.decoupler, replace(self.real, fused=False)
+        d, real = self.decoupler, self.real
         share = real.constant(round(1 - LEAST_GAIN, 6))
         moved = [(s, m) for s, m in zip(spreads(d), d.margins, strict=True) if m.terms]
         sides = {c: ends(d, c) for c in d.inputs}
@@ -390,21 +337,6 @@ class FloatBackend(FloatArithmetic):
         if np.isinf(value):
             return f"{'' if value > 0 else '-'}{cast}INFINITY"
         return self._literal(value)
-
-    def _count(self) -> dict[str, Any]:
-        """Inputs in the box, all above, all below, above and below in turn, all NaN."""
-        low, high = (side[:, 0] for side in self.span)
-        above, below = high + 2 * np.abs(high - low), low - 2 * np.abs(high - low)
-        turn = np.where(np.arange(len(low)) % 2, below, above)
-        rows = [0.5 * (low + high) + 0.2 * (high - low), above, below, turn, np.full(len(low), np.nan)]
-        slopes = "(void)decoupler_jacobian(&decoupler_params, &in[k], &slopes);"
-        return {
-            "count_includes": ["#include <math.h>", ""],
-            "calls": len(rows),
-            "called_with": [f"{{{', '.join(self._input(float(v)) for v in row)}}}," for row in rows],
-            "count_slopes": ["decoupler_jacobian_t slopes;"] if self.jacobian else [],
-            "call_slopes": [slopes] if self.jacobian else [],
-        }
 
     def _range_tests(self, common: Mapping[str, Any]) -> dict[str, Any]:
         """The trial of every bit pattern of an input through its range test.

@@ -15,16 +15,12 @@ from hallsym.errors import InputError
 
 @dataclass(frozen=True)
 class Real:
-    """A C type of real numbers: its name, the suffix of its constants, digits of its significand.
-
-    `fused`: products and the sums that take them are computed with one rounding.
-    """
+    """A C type of real numbers: its name, the suffix of its constants, digits of its significand."""
 
     name: str
     suffix: str
     digits: int
     dtype: type
-    fused: bool = False
 
     @property
     def size(self) -> int:
@@ -35,11 +31,6 @@ class Real:
     def fabs(self) -> str:
         """The compiler's own function of a magnitude."""
         return "__builtin_fabsf" if self.size == 4 else "__builtin_fabs"
-
-    @property
-    def fma(self) -> str:
-        """The function of C that multiplies and adds with one rounding."""
-        return "fmaf" if self.size == 4 else "fma"
 
     def constant(self, value: float) -> str:
         """Return a literal that is read back as the same number."""
@@ -94,7 +85,7 @@ def _entry(step: Lookup, real: Real) -> str:
 
 def _text(step: Step, names: Mapping[str, str], real: Real) -> tuple[list[str], str]:
     """Return statements of the values that a step uses twice, and its text."""
-    found = graph([step.expression], real.fused)
+    found = graph([step.expression])
     operations = found.operations
     uses = Counter(k for o in operations for k in o.args)
     uses.update(found.results)
@@ -133,7 +124,6 @@ def straight(steps: Sequence[Step]) -> bool:
 
 
 _SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<="}
-_FUSED = {"fma": "FUSED({0}, {1}, {2})", "fms": "FUSED({0}, {1}, -{2})", "fnma": "FUSED(-{0}, {1}, {2})"}
 _CALLS = {"fmin": "lesser", "fmax": "greater"}
 
 
@@ -153,10 +143,10 @@ def _operation(op: str, a: Sequence[str], real: Real) -> str:
         "sign": f"(({{0}} > {none}) ? {one} : (({{0}} < {none}) ? -{one} : {none}))",
         "if_else_zero": f"({{0}} ? {{1}} : {none})",
         "fabs": f"MAGNITUDE({_bare(a[0])})",
-    } | _FUSED
+    }
     if op not in texts:
         raise InputError(f"Operation {op} of the model has no C without libm; write it as a polynomial.")
-    return texts[op].format(*(map(_bare, a) if op == "fma" else a))
+    return texts[op].format(*a)
 
 
 def _bare(text: str) -> str:

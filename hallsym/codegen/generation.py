@@ -1,7 +1,7 @@
 """From a calibration to the files of a decoupler."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from hallsym.codegen.float_c import DOUBLE, FLOAT, Real
 from hallsym.codegen.folder import entries_of, replace_params, write_folder
 from hallsym.codegen.folder import options_of as options_before
 from hallsym.codegen.integer_backend import IntegerBackend
-from hallsym.codegen.integer_c import integer_program
+from hallsym.codegen.integer_c import float_instead, integer_program
 from hallsym.codegen.lowering import lower, lowering_of, options_of
 from hallsym.codegen.naming import PREFIX, check_distinct, check_prefix, mapping, renamed_files
 from hallsym.codegen.slopes import kinds_of
@@ -28,11 +28,10 @@ from hallsym.estimation.calibration import Fit
 
 ARITHMETICS = ("float", "q31")
 REPLACED = (
-    "params/", "test/selftest", "test/faults.c", "test/count.c", "doc/report.md", "proof/eva.c",
-    "proof/cbmc.c",
+    "params/", "test/selftest", "test/faults.c", "doc/report.md", "proof/eva.c",
 )  # fmt: skip
 """Beginnings of the files that a recalibration replaces, in every arithmetic: numbers, what tries them."""
-REPLACED_TOO = {"float": ("proof/rounding.g",), "q31": ("proof/exhaustive.c",)}
+REPLACED_TOO = {"float": (), "q31": ("proof/exhaustive.c",)}
 UNSEEN = {"accuracy": np.pi, "correction": "series:0"}
 """Options of float code of which integers take the model and the box alone: the least there is to compute."""
 
@@ -100,7 +99,6 @@ def generate(
     ranges: Mapping[str, tuple[float, float]] | None = None,
     double: bool = False,
     jacobian: bool | str | Sequence[str] = False,
-    fma: bool = False,
     accuracy: float | None = None,
     correction: str | None = None,
     allow_undetermined: bool = False,
@@ -112,9 +110,9 @@ def generate(
 
     `arithmetic`: "float", or "q31" for 32-bit integers, where a controller has no floating-point unit.
     `ranges`: least and greatest value by column [SI] in place of what the log recorded. `double`: for hosts.
-    `jacobian`: with `decoupler_jacobian()`, by "reading" (True), "state", or "reading,state". `fma`: products
-    and the sums that take them rounded once, by an instruction where the core has it. Models of an angle:
-    `accuracy` is what the correction of it may leave besides rounding [rad], default 3e-8, of integers 1e-5;
+    `jacobian`: with `decoupler_jacobian()`, by "reading" (True), "state", or "reading,state". Models of an
+    angle: `accuracy` is what the correction of it may leave besides rounding [rad], default 3e-8, of integers
+    1e-5;
     `correction` is "series", "table", or "auto" for the one of fewer bytes. Magnet arrays: `accuracy` is what
     harmonics and polynomials may leave of a place [m]. `name`: prefix of symbols and files, so that several
     decouplers fit in one image. `like`: a generated folder whose code it shall have, for a recalibration:
@@ -139,13 +137,13 @@ def generate(
         "correction": before.get("correction") if correction is None else correction,
     }
     if arithmetic == "q31":
-        for option, unwanted in (("double", double), ("jacobian", bool(jacobian)), ("fma", fma)):
+        for option, unwanted in (("double", double), ("jacobian", bool(jacobian))):
             if unwanted:
                 raise InputError(f"--{option} belongs to --arithmetic float; leave it out, or the integers.")
         backend: Backend = _integers(fit, record, box, given, before.get("plan"), ranges or {})
     else:
         jacobian = jacobian or str(before.get("jacobian", "")) or False
-        real = replace(DOUBLE if double else FLOAT, fused=fma or bool(before.get("fma")))
+        real = DOUBLE if double else FLOAT
         backend = _floats(fit, record, box, given, real, kinds_of(jacobian, fit.model))
     errors = backend.errors()
     notes = (
@@ -178,9 +176,7 @@ def _floats(
             f"--jacobian is not generated for {found.model.name} of the family {found.model.family}, whose "
             "rounding is bounded by an argument of its own that does not cover slopes; leave it out."
         )
-    variant: dict[str, Any] = {"fma": True} if real.fused else {}
-    if jacobian:
-        variant["jacobian"] = ",".join(jacobian)
+    variant = {"jacobian": ",".join(jacobian)} if jacobian else {}
     record = {**record, **_recorded({**found.options, **variant}, given)}
     backend = FloatBackend(found, record, real, jacobian)
     check_gains(backend.bounds)
@@ -197,6 +193,8 @@ def _integers(
     plan: Sequence[int] | None,
     ranges: Collection[str],
 ) -> IntegerBackend:
+    if fit.model.family.decoder == "wave":
+        raise float_instead(fit.model)
     options = options_of(lowering_of(fit.model))
     for column in ranges:
         if column in fit.model.channels and column in fit.model.period:

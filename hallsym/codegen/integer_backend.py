@@ -16,15 +16,12 @@ from hallsym.codegen.bounds import LEAST_GAIN
 from hallsym.codegen.entries import short
 from hallsym.codegen.fixed_point import LARGEST, Reciprocal, helpers
 from hallsym.codegen.integer_arithmetic import MOST, IntegerArithmetic
-from hallsym.codegen.integer_c import half_of
 from hallsym.codegen.naming import commented, identifier
 from hallsym.codegen.templates import lines_of
 
 KNOWN = 1 << 29
 """Largest known pose, in units of its last bit, that a zero may be taken at."""
-KNOWN_BIT = "#define DECOUPLER_STATUS_KNOWN 0x80000000UL /**< decoupler_zero(): known pose beyond {} */"
-EDGE = 16
-"""Units of the last bit by which the self-test keeps a known coordinate that repeats off half its period."""
+KNOWN_BIT = "#define DECOUPLER_STATUS_KNOWN 0x80000000UL /**< decoupler_zero(): known pose beyond 2^29 */"
 STEP = "misra-c2012-8.7:src/decoupler.c"
 """Deviation: the function is external for its user, not for its library."""
 SHIFTS = "misra-c2012-10.1:src/decoupler.c"
@@ -37,50 +34,23 @@ class IntegerBackend(IntegerArithmetic):
     """Prints the files of one integer program."""
 
     def _templates(self) -> dict[str, str]:
-        """Code without reciprocals is proved as a whole, and every angle that is read is tried."""
+        """Angles are proved as a whole: no reciprocal is in them; every angle that is read is tried."""
         found = super()._templates()
-        if not self.decoupler.evident:
-            del found["proof/eva.c"]
-        elif self._whole:
+        if self.program.angles:
             found["proof/eva.c"] = f"{FRAGMENTS}eva_of_step.c"
         if self.reads_angle:
             found["proof/exhaustive.c"] = f"{FRAGMENTS}every_angle.c"
         return found
 
-    @property
-    def _whole(self) -> bool:
-        """Whether Frama-C EVA is given all of the step, which calls functions; no reciprocal is in it."""
-        return bool(self._operations & {"angle", "look", "turn", "log"}) and not self.program.reciprocals
-
-    @property
-    def _operations(self) -> set[str]:
-        return {line.operation for line in self.program.lines}
-
-    @property
-    def _turning(self) -> dict[str, str]:
-        """Coordinates that wrap, by the entry of half their period."""
-        found = {c: half_of(c) for c in self.decoupler.pose}
-        return {c: half for c, half in found.items() if half in self.program.table}
-
     def _of_input(self, port: Port) -> dict[str, Any]:
-        d, c, rest = self.decoupler, port.column, 1000
+        d, c = self.decoupler, port.column
         if c in self.program.angles:
-            return {"rest": f"{rest}U", "interval": "Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU)"}
-        if d.rest:
-            rest = round(d.rest[d.inputs.index(c)] / port.scale)
-        return {"rest": rest, "interval": f"Frama_C_interval({', '.join(map(of_params, ends(d, c)))})"}
+            return {"interval": "Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU)"}
+        return {"interval": f"Frama_C_interval({', '.join(map(of_params, ends(d, c)))})"}
 
     def _of_output(self, port: Port) -> dict[str, Any]:
         p, c = self.program, port.column
-        more: dict[str, Any] = {"line": p.outputs[c][0], "at_known": _integer(4096, c in p.angles)}
-        if not p.angles:
-            more["outer_low"], more["outer_high"] = self._integers_of(c)
-        return more
-
-    def _integers_of(self, column: str, room: int = 0) -> tuple[int, int]:
-        """Least and greatest integer of an output by its bounds."""
-        (low, high, error), e = self.program.bounds[column], self.program.outputs[column][1]
-        return floor((low - error) * 2.0**e) - room, ceil((high + error) * 2.0**e) + room
+        return {"line": p.outputs[c][0], "at_known": _integer(4096, c in p.angles)}
 
     def _fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
         p, d = self.program, self.decoupler
@@ -111,16 +81,10 @@ class IntegerBackend(IntegerArithmetic):
             "no_bits": [] if self.limited or d.flags else [""],
             "rad_per_bam": of_angles if p.angles else [],
             "said": [*lines_of(f"{FRAGMENTS}binary_angles.txt", {}), *said] if p.angles else said,
-            "known_bit": []
-            if p.angles
-            else [KNOWN_BIT.format("2^29 or half a period" if self._turning else "2^29")],
-            "turning": [{"index": d.pose.index(c), "half": half} for c, half in self._turning.items()],
+            "known_bit": [] if p.angles else [KNOWN_BIT],
             # build files
-            "all_nan": "",
             "deviations": [STEP, *([SHIFTS] if p.shifts else [])],
             "cpu": "-mcpu=cortex-m0 -mthumb",
-            "libraries": "",
-            "linked": [],
             "machine": "microbit",
             # report
             "notes": "\n".join(f"- {commented(note)}" for note in (*p.said, *notes)),
@@ -128,7 +92,7 @@ class IntegerBackend(IntegerArithmetic):
             "products": sum(line.operation == "mul" for line in p.lines),
             "pose_names": ", ".join(short(c) for c in d.pose),
         }
-        for part in (self._step(common), self._check(), self._selftest(), self._count(), self._proofs()):
+        for part in (self._step(common), self._check(), self._selftest(), self._proofs()):
             common |= part
         return common
 
@@ -150,13 +114,7 @@ class IntegerBackend(IntegerArithmetic):
             line for name, (seen, least) in p.flags.items() for line in raised(f"{seen} < p->{least}", name)
         ]
         names = {e.name: f"p->{e.name}" for e in self.numbers}
-        given = {short(port.column): f"in->{port.member}" for port in self.inputs}
-        results = [f"out->{port.member} = {p.outputs[port.column][0]};" for port in self.outputs]
-        most = {c: f"p->{self._turning[c]}" if c in self._turning else str(KNOWN) for c in d.pose}
-        known = [
-            f"(pose->{identifier(c)} >= -{far}) && (pose->{identifier(c)} <= {far})"
-            for c, far in most.items()
-        ]
+        known = [f"(pose->{identifier(c)} >= -{KNOWN}) && (pose->{identifier(c)} <= {KNOWN})" for c in d.pose]
         zero = "take_zero_of_angle.c" if p.angles else "take_zero.c"
         can_fail = bool(self.limited or d.flags)
         return {
@@ -170,9 +128,6 @@ class IntegerBackend(IntegerArithmetic):
             "take_zero": lines_of(
                 FRAGMENTS + zero, {**common, "pose": len(d.pose), "known": "\n    && ".join(known)}
             ),
-            "bare_includes": [],
-            "bare_helpers": helpers(p),
-            "bare_body": [*p.c(names | given), *results, *(f"(void){n};" for n, _ in p.flags.values())],
         }
 
     def _check(self) -> dict[str, Any]:
@@ -230,16 +185,12 @@ class IntegerBackend(IntegerArithmetic):
         """Poses at which the self-test takes a zero, and those at which none is taken."""
         p = self.program
         angles = [port.column in p.angles for port in self.outputs]
-        halves = {c: p.table[half][0] for c, half in self._turning.items()}
-        most = [halves[c] - EDGE if c in halves else KNOWN for c in self.decoupler.pose]
-        pairs = list(zip(angles, most, strict=True))
-        tried = [[0x7FFFFFFF if angle else far for angle, far in pairs]]
-        tried += [[0x80000001 if angle else -far for angle, far in pairs], [4096] * len(angles)]
+        tried = [[0x7FFFFFFF if angle else KNOWN for angle in angles]]
+        tried += [[0x80000001 if angle else -KNOWN for angle in angles], [4096] * len(angles)]
         rows = [f"{{{', '.join(map(_integer, row, angles))}}}," for row in tried]
         refused = ["decoupler_out_t pose = {0};"] if not all(angles) else []
         for port, angle in zip(self.outputs, angles, strict=True):
-            far = halves.get(port.column, KNOWN)
-            for value in () if angle else (far + 1, -far - 1):
+            for value in () if angle else (KNOWN + 1, -KNOWN - 1):
                 refused += [f"pose.{port.member} = {value};"]
                 refused += ["bad += (decoupler_zero(&table, in, &pose) == DECOUPLER_STATUS_KNOWN) ? 0U : 1U;"]
             refused += [] if angle else [f"pose.{port.member} = 0;"]
@@ -261,23 +212,6 @@ class IntegerBackend(IntegerArithmetic):
             yield from faults.of_margins(d, reach, write)
         yield from faults.of_several(d, self.limited, None, gains=not p.angles)
 
-    def _count(self) -> dict[str, Any]:
-        """Inputs in range, all above, all below, above and below in turn."""
-        d = self.decoupler
-        most = [
-            2.0**29 if self.reads_angle else max(map(abs, d.ends(i.column))) / i.scale for i in self.inputs
-        ]
-        rows = [[max(min(int(share * v), MOST), -MOST) for v in most] for share in (0.7, 3.0, -3.0)]
-        rows.append([v if k % 2 else -v for k, v in enumerate(rows[1])])
-        listed = [", ".join(f"{v % 2**32}U" if self.reads_angle else str(v) for v in row) for row in rows]
-        return {
-            "count_includes": [],
-            "calls": len(rows),
-            "called_with": [f"{{{row}}}," for row in listed],
-            "count_slopes": [],
-            "call_slopes": [],
-        }
-
     def _proofs(self) -> dict[str, Any]:
         """Every divisor through its reciprocal, and the arithmetic for Frama-C EVA.
 
@@ -298,9 +232,10 @@ class IntegerBackend(IntegerArithmetic):
             eva[r.first : r.last] = [""] * (r.last - r.first)
             eva[r.last - 1] = f"const int32_t {result} = Frama_C_interval({least}, {most});"
         for c, (name, e) in p.outputs.items():
-            low_value, high_value, _ = p.bounds[c]
+            low_value, high_value, error = p.bounds[c]
             room = ceil((high_value - low_value) * 2.0**e * 0.01) + 8  # EVA rounds each step outwards
-            least, most = self._integers_of(c, room)
+            least = floor((low_value - error) * 2.0**e) - room
+            most = ceil((high_value + error) * 2.0**e) + room
             eva.append(f"const int32_t out_{short(c)} = {name};")
             eva.append(f"//@ assert {short(c)}_bounded: {least} <= out_{short(c)} <= {most};")
         alone = "range test, all bit patterns"
@@ -312,14 +247,11 @@ class IntegerBackend(IntegerArithmetic):
             "read": self.inputs[0].member,
             "given": self.outputs[0].member,
             "shift": "decoupler_params.shift" if "shift" in p.unsigned else "0U",
-            "nan_included": "",
-            "any": "int32",
-            "any_type": "int32_t",
             "reciprocals": reciprocals,
             "divisor_tests": calls,
             "tried": read if p.angles else tried if p.reciprocals else alone,
-            "as_proved": "" if self._whole else ", reciprocals as proved",
-            "outputs_proved": "" if self._whole else ", outputs within the stated bounds",
+            "as_proved": "" if p.angles else ", reciprocals as proved",
+            "outputs_proved": "" if p.angles else ", outputs within the stated bounds",
             "upper": helpers(p),
             "eva_lines": [line for line in eva if line],
         }

@@ -15,17 +15,18 @@ value does not fit.
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from math import ceil, floor, log2
+from math import ceil, log2
 from typing import Any, cast
 
 import numpy as np
 
-from hallsym.codegen.decoupler import Decoupler, Flag, Step, Whole
+from hallsym.codegen.decoupler import Decoupler, Step
 from hallsym.codegen.entries import short, unit
 from hallsym.codegen.fixed_point import LARGEST, Fixed, Line, Program, Reciprocal
 from hallsym.codegen.float_c import straight
 from hallsym.codegen.operations import Operation, graph
 from hallsym.errors import InputError
+from hallsym.model import Model
 
 ROOM = 30
 """Bits that a value takes where its exponent is chosen: one is left for rounding and for recalibrations."""
@@ -71,17 +72,18 @@ def integer_program(d: Decoupler, plan: Sequence[int] | None = None, **options: 
     """
     if d.integers is not None:
         return cast(Program, d.integers(plan=plan, **options))
-    if d.at_pose:
-        raise InputError(
-            "--arithmetic q31 is generated for models that are linear in the pose; "
-            f"{d.model.name} is iterated; use float."
-        )
-    if not straight(d.steps):
-        raise InputError(
-            f"--arithmetic q31 is generated for models without comparisons; {d.model.name} of the family "
-            f"{d.model.family} chooses by branch: use float, which runs without a floating-point unit too."
-        )
+    if d.at_pose or not straight(d.steps):
+        raise float_instead(d.model)
     return planned(lambda given: Compiler(d, given), plan)
+
+
+def float_instead(model: Model) -> InputError:
+    """What to say of a model that has no integers."""
+    return InputError(
+        "--arithmetic q31 is generated for encoders and for stages that are linear in the pose; "
+        f"{model.name} of the family {model.family} has its C in float, which runs without a floating-point "
+        "unit too: leave the option out."
+    )
 
 
 def planned(compiler: "Callable[[Sequence[int] | None], Compiler]", plan: Sequence[int] | None) -> Program:
@@ -108,20 +110,14 @@ class Compiler:
         self._inputs()
         for c, e in p.inputs.items():
             known[short(c)] = self._checked(Fixed(short(c), e, *d.ends(c)))
-        least = {flag.least for flag in d.flags}
         for entry in d.table:
-            if entry.name in least:  # in the exponent of what it is compared with
-                continue
-            alike = max(abs(o.value) for o in d.table if (o.unit, o.like) == (entry.unit, entry.like))
+            alike = max(abs(o.value) for o in d.table if o.unit == entry.unit)
             most = alike if abs(entry.value) * LIKE >= alike else alike / LIKE
             known[entry.name] = self._constant(entry.name, entry.value, self._exponent(-most, most))
         for entry in d.zeros:
             known[entry.name] = Fixed(entry.name, 0, 0.0, 0.0)
         for step in d.steps:
-            made = self._step(step, known)
-            known[step.name] = self._whole(made) if isinstance(step, Whole) else made
-        for flag in d.flags:
-            self._flag(flag, known[flag.step])
+            known[step.name] = self._step(step, known)
         self._outputs({c: known[step.name] for c, step in zip(d.pose, d.steps[-len(d.pose) :], strict=True)})
         return p
 
@@ -159,27 +155,9 @@ class Compiler:
                 raise InputError(f"{c} {DOES_NOT_FIT}")
             p.table[f"zero_{short(c)}"] = (0, e)
             result = self._line("add", v.text, f"zero_{short(c)}", v.e - e)
-            p.outputs[c] = (self._wrapped(result, c, e), e)
+            p.outputs[c] = (result, e)
             error = v.error + self.d.left(c) + self.d.cut + (2.0**-e if v.e > e else 0.0)
             p.bounds[c] = (float(v.low), float(v.high), float(error))
-
-    def _wrapped(self, name: str, column: str, e: int) -> str:
-        """A coordinate that repeats: within half a period of zero."""
-        if column not in self.d.model.period:
-            return name
-        half = self.d.model.period[column] / 2
-        self.p.table[half_of(column)] = (round(half * 2.0**e), e)
-        return self._line("wrap", name, half_of(column))
-
-    def _flag(self, flag: Flag, seen: Fixed) -> None:
-        """Compare with the entry rounded down: what is near it raises nothing."""
-        (least,) = (entry.value for entry in self.d.table if entry.name == flag.least)
-        self.p.table[flag.least] = (floor(least * 2.0**seen.e), seen.e)
-        self.p.flags[flag.name] = (seen.text, flag.least)
-
-    def _whole(self, v: Fixed) -> Fixed:
-        """The whole part: bits below the point cut off. What it chooses between does not jump."""
-        return Fixed(self._line("right", v.text, i=v.e), 0, float(floor(v.low)), float(floor(v.high)))
 
     def _constant(self, name: str, value: float, e: int | None = None) -> Fixed:
         e = self._exponent(value, value) if e is None else e
@@ -194,10 +172,10 @@ class Compiler:
             if operation.op == "input":
                 made.append(known[operation.symbol])
                 continue
-            made.append(self._operation(operation, [made[k] for k in operation.args], step.name))
+            made.append(self._operation(operation, [made[k] for k in operation.args]))
         return made[found.results[0]]
 
-    def _operation(self, operation: Operation, args: Sequence[Fixed], step: str) -> Fixed:
+    def _operation(self, operation: Operation, args: Sequence[Fixed]) -> Fixed:
         """Return what an operation of a step gives."""
         if operation.op == "mul":
             return self._mul(*args)
@@ -207,10 +185,6 @@ class Compiler:
             return self._add(args[0], args[1], minus=operation.op == "sub")
         if operation.op == "div":
             return self._divide(*args)
-        return self._other(operation, args, step)
-
-    def _other(self, operation: Operation, args: Sequence[Fixed], step: str) -> Fixed:
-        """Return what another operation of a step gives."""
         raise InputError(f"Operation {operation.op} of the model has no integer form; use float.")
 
     def _line(self, operation: str, a: str, b: str = "", i: int = 0, j: int = 0) -> str:
@@ -320,11 +294,6 @@ class Compiler:
         if n <= 0:
             return self._checked(v)
         return self._checked(Fixed(self._line("left", v.text, i=n), v.e + n, v.low, v.high, v.error))
-
-
-def half_of(column: str) -> str:
-    """Return the entry of half the period of a pose coordinate, for integers."""
-    return f"half_{short(column)}"
 
 
 def _between(a: float, b: float) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.operations import FUSED, TESTS, Operation, graph
+from hallsym.codegen.operations import TESTS, Operation, graph
 from hallsym.errors import InputError
 
 TINY = {24: 2.0**-149, 53: 2.0**-1074}
@@ -51,15 +51,14 @@ def enclose(
     expressions: Sequence[ca.SX],
     inputs: Mapping[str, Enclosure],
     digits: int | None = 24,
-    fused: bool = False,
 ) -> list[Enclosure]:
     """Return the enclosure of each scalar expression over enclosures of its symbols, by name.
 
     `digits`: bits of the significand in which each operation is computed, the errors of the inputs going
-    before; None for the exact value alone, of functions such as sine too. `fused`: a product and the sum that
-    takes it round once. Raises `InputError` for an operation that has no range here.
+    before; None for the exact value alone, of functions such as sine too. Raises `InputError` for an
+    operation that has no range here.
     """
-    found = graph(expressions, fused)
+    found = graph(expressions)
     made: list[Enclosure] = []
     with np.errstate(all="ignore"):
         for operation in found.operations:
@@ -132,10 +131,6 @@ def _share(x: Enclosure, y: Enclosure) -> Range:
     """x / (x + y) of two comparisons that are not both false."""
     low, high = x.low / (x.low + y.high), x.high / (x.high + y.low)
     return np.where(np.isnan(low), 0.0, low), np.where(np.isnan(high), 1.0, high)
-
-
-def _with_product(combined: Callable[[Enclosure, Enclosure], Range]) -> Callable[..., Range]:
-    return lambda x, y, z: combined(Enclosure(*_product(x, y)), z)
 
 
 def _size(x: Enclosure) -> Range:
@@ -213,9 +208,6 @@ _RANGES: dict[str, Callable[..., Range]] = {
     "add": lambda x, y: (x.low + y.low, x.high + y.high),
     "sub": lambda x, y: (x.low - y.high, x.high - y.low),
     "mul": _product,
-    "fma": _with_product(lambda xy, z: (xy.low + z.low, xy.high + z.high)),
-    "fms": _with_product(lambda xy, z: (xy.low - z.high, xy.high - z.low)),
-    "fnma": _with_product(lambda xy, z: (z.low - xy.high, z.high - xy.low)),
     "div": _quotient,
     "inv": _inverse,
     "sq": _square,
@@ -244,10 +236,6 @@ def _of_quotient(x: Enclosure, y: Enclosure) -> Numbers:
 
 def _of_product(x: Enclosure, y: Enclosure) -> Numbers:
     return x.error * y.most + y.error * x.most
-
-
-def _of_fused(x: Enclosure, y: Enclosure, z: Enclosure) -> Numbers:
-    return _of_product(x, y) + z.error
 
 
 def _of_comparison(x: Enclosure, y: Enclosure) -> Numbers:
@@ -280,7 +268,6 @@ _ERRORS: dict[str, Callable[..., Numbers]] = {
     "add": lambda x, y: x.error + y.error,
     "sub": lambda x, y: x.error + y.error,
     "mul": _of_product,
-    **dict.fromkeys(FUSED, _of_fused),
     "div": _of_quotient,
     "inv": lambda x: _of_quotient(Enclosure(1.0, 1.0), x),
     "sq": lambda x: x.error * (2 * x.most + x.error),

@@ -22,9 +22,8 @@ static_cast struct switch template this thread_local throw true try typedef type
 unsigned using virtual void volatile wchar_t while xor xor_eq
 """
 _LOCAL = """
-angle_of bad bits bytes crc field found greater high in k known lesser limit limited logarithm_of
-low magnitude n negative not_finite out p pose pose_of result seen signed_of size slopes spare_bits
-status upper value within wrapped
+angle_of bad bits bytes crc field found greater high in k known limit limited low magnitude n negative
+not_finite out p pose pose_of result seen size slopes status upper value within
 """
 KEYWORDS = frozenset(_WORDS.split())
 """Words of C11 and C++20 that no identifier can be; the header is for both."""

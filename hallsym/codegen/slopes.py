@@ -105,4 +105,4 @@ class Slopes:
 
     def errors(self, real: Real) -> list[float]:
         """Return how far each computed slope can be from its expression over the box, table included."""
-        return step_errors(self.d, self.steps, real.digits, real.fused)[-len(self.expressions) :]
+        return step_errors(self.d, self.steps, real.digits)[-len(self.expressions) :]

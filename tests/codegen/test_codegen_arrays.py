@@ -5,13 +5,12 @@ vector turned into the board's axes, every sensor of every sum); the bits of a m
 counted in QEMU.
 """
 
-import re
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from firmware import STRICT, need, ran
+from firmware import SANITIZED, instructions, need, passes, ran, undefined_symbols, written
 from waves import LENGTH, SIX, calibrated, calibrated_planar
 
 import hallsym
@@ -137,24 +136,9 @@ def test_two_arrays_do_not_give_six_coordinates():
 # -- the C itself --------------------------------------------------------------------------------------------
 
 
-TESTED = (
-    "src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c", "test/selftest.c",
-    "test/faults.c", "test/main.c",
-)  # fmt: skip
-PATHS = ("-Iinclude", "-Iparams", "-Itest")
-
-
 @pytest.mark.parametrize("case", [QUICK, *LATER])
 def test_the_folder_passes_its_self_test_without_undefined_behaviour(case, tmp_path):
-    need("gcc")
-    made(case).write(tmp_path / "fw")
-    out = str(tmp_path / "selftest")
-    sanitize = ("-fsanitize=undefined,float-divide-by-zero,float-cast-overflow", "-fno-sanitize-recover=all")
-    ran(tmp_path / "fw", "gcc", *STRICT, "-pedantic", *sanitize, *PATHS, *TESTED, "-o", out)
-    said = ran(tmp_path / "fw", out)
-    assert "table good, 0 of" in said
-    assert said.count("as stated") == 2
-    assert "0 faults of a table not found, 0 zeros wrong" in said
+    passes(written(made(case), tmp_path / "fw"), *SANITIZED)
 
 
 MOST = {"closed form of 12 sums": (410, 450), "24 sums": (1400, 1500)}
@@ -163,27 +147,15 @@ MOST = {"closed form of 12 sums": (410, 450), "24 sums": (1400, 1500)}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", MOST)
-def test_instructions_on_a_cortex_m4f(case, tmp_path):
-    need("arm-none-eabi-gcc", "qemu-system-arm", "make")
-    made(case).write(tmp_path / "fw")
-    said = ran(tmp_path / "fw", "make", "count")
-    typical, *others = map(int, re.search(r"decoupler_step, \d+ bytes, .* call: (.*)", said)[1].split())
+def test_bits_and_instructions_on_a_cortex_m4f_and_no_misra_violation_that_is_not_listed(case, tmp_path):
+    need("arm-none-eabi-gcc", "qemu-system-arm", "make", "cppcheck")
+    folder = written(made(case), tmp_path / "fw")
+    assert ran(folder, "make", "qemu").count("as stated") == 2
+    ran(folder, "make", "misra")
+    typical, *others = instructions(made(case), folder)
     assert typical <= MOST[case][0]
     assert max(others) <= MOST[case][1]
-    ran(tmp_path / "fw", "make", "size")
-    symbols = ran(tmp_path / "fw", "arm-none-eabi-nm", "build/decoupler.o")
-    kinds = {line.split()[-1]: line.split()[-2] for line in symbols.splitlines()}
-    assert kinds.pop("decoupler_crc") == "U"  # src/decoupler_check.c
-    assert set(kinds.values()) == {"T"}  # nothing static, nothing of libm
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", CASES)
-def test_same_bits_on_a_cortex_m4f_and_no_misra_violation_that_is_not_listed(case, tmp_path):
-    need("arm-none-eabi-gcc", "qemu-system-arm", "make", "cppcheck")
-    made(case).write(tmp_path / "fw")
-    assert ran(tmp_path / "fw", "make", "qemu").count("as stated") == 2
-    ran(tmp_path / "fw", "make", "misra")
+    assert undefined_symbols(folder) == {"decoupler_crc"}  # nothing of libm
 
 
 @pytest.mark.slow

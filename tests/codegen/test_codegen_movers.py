@@ -4,16 +4,16 @@ Independent facts: the finite field of magnetised rectangles at a known pose, ex
 as much as the mover does, also where sensors come and go; what says the period changes nothing else.
 """
 
-import re
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from firmware import STRICT, need, ran
+from firmware import SANITIZED, instructions, need, passes, ran, written
 from waves import LENGTH, SIX, calibrated
 
 import hallsym
+from hallsym.errors import InputError
 from hallsym.families.halbach.effects.planar_ends import array_edges
 from hallsym.families.halbach.layout import Array, Sensor
 from hallsym.families.halbach.planar import halbach_planar
@@ -156,20 +156,8 @@ def test_whatever_the_bits_the_pose_is_finite():
     assert np.isfinite(found).all()
 
 
-TESTED = ("src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c", "test/selftest.c",
-          "test/faults.c", "test/main.c")  # fmt: skip
-
-
 def test_the_folder_passes_its_self_test_without_undefined_behaviour(tmp_path):
-    need("gcc")
-    made().write(tmp_path / "fw")
-    out, include = str(tmp_path / "selftest"), ("-Iinclude", "-Iparams", "-Itest")
-    sanitize = ("-fsanitize=undefined,float-divide-by-zero,float-cast-overflow", "-fno-sanitize-recover=all")
-    ran(tmp_path / "fw", "gcc", *STRICT, "-pedantic", *sanitize, *include, *TESTED, "-o", out)
-    said = ran(tmp_path / "fw", out)
-    assert "table good, 0 of" in said
-    assert said.count("as stated") == 2
-    assert "0 faults of a table not found, 0 zeros wrong" in said
+    passes(written(made(), tmp_path / "fw"), *SANITIZED)
 
 
 MOST = 4000
@@ -178,10 +166,14 @@ MOST = 4000
 
 def test_instructions_and_bits_on_a_cortex_m4f(tmp_path):
     need("arm-none-eabi-gcc", "qemu-system-arm", "make")
-    made().write(tmp_path / "fw")
-    said = ran(tmp_path / "fw", "make", "count")
-    assert max(map(int, re.search(r"decoupler_step, \d+ bytes, .* call: (.*)", said)[1].split())) <= MOST
-    assert ran(tmp_path / "fw", "make", "qemu").count("as stated") == 2
+    folder = written(made(), tmp_path / "fw")
+    assert ran(folder, "make", "qemu").count("as stated") == 2
+    assert max(instructions(made(), folder)) <= MOST
+
+
+def test_integers_are_refused():
+    with pytest.raises(InputError, match="has its C in float"):
+        hallsym.generate(fit_of(), arithmetic="q31")
 
 
 def test_arrays_that_end_beyond_all_sensors_are_decoded_as_fixed_patches():

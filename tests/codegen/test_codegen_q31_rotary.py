@@ -4,13 +4,24 @@ Independent facts: numpy's arctangent; straight lines by numpy's interpolation; 
 known angle; a binary angle wraps by itself; shifted counts are angles.
 """
 
-import ctypes
 from functools import cache
 from math import pi
 
 import numpy as np
 import pytest
-from firmware import need, proved_by_eva, ran
+from firmware import (
+    PATHS,
+    TESTED,
+    Library,
+    every_input,
+    instructions,
+    need,
+    passes,
+    proved_by_eva,
+    ran,
+    undefined_symbols,
+    written,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 from test_codegen_correction import fit_of
@@ -134,90 +145,49 @@ def test_an_encoder_that_needs_no_correction_has_no_table():
 
 @pytest.mark.parametrize(("case", "accuracy"), BUILT)
 def test_same_bits_here_and_on_a_cortex_m0(case, accuracy, tmp_path):
-    need("gcc", "make")
-    folder = tmp_path / "fw"
-    made(case, accuracy).write(folder)
-    said = ran(folder, "make", "check")
-    assert "table good, 0 of" in said
-    assert said.count("as stated") == 2
-    assert "0 faults of a table not found, 0 zeros wrong" in said
-    need("arm-none-eabi-gcc", "qemu-system-arm")
+    need("arm-none-eabi-gcc", "qemu-system-arm", "make")
+    folder = written(made(case, accuracy), tmp_path / "fw")
+    passes(folder)
     assert ran(folder, "make", "qemu").count("as stated") == 2
-    said = ran(folder, "make", "count")
-    (step,) = [line for line in said.splitlines() if line.startswith("decoupler_step, ")]
-    assert max(map(int, step.rpartition(":")[2].split())) <= MOST[case]
-    symbols = ran(folder, "arm-none-eabi-nm", "build/decoupler.o").splitlines()
-    kinds = {line.split()[-1]: line.split()[-2] for line in symbols}
-    assert kinds.pop("decoupler_crc") == "U"  # src/decoupler_check.c
-    assert set(kinds.values()) <= {"T", "t", "r"}  # nothing in RAM, nothing undefined
+    assert max(instructions(made(case, accuracy), folder)) <= MOST[case]
+    assert undefined_symbols(folder) == {"decoupler_crc"}
 
 
 def test_a_zero_is_taken_all_round_and_a_damaged_table_found(tmp_path):
     need("gcc")
-    folder = tmp_path / "fw"
-    made("meng angle").write(folder)
-    sources = ["src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c"]
-    ran(folder, "gcc", "-std=c99", "-O2", "-shared", "-fPIC", "-Iinclude", "-Iparams", *sources, "-o", "d.so")
-    library = ctypes.CDLL(str(folder / "d.so"))
-    size = len(made("meng angle").backend.binary)
-    table = np.array((ctypes.c_ubyte * size).in_dll(library, "decoupler_params"), dtype=np.uint8)
-
-    def call(name, *arrays):
-        function = getattr(library, name)
-        function.restype = ctypes.c_uint32
-        return function(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays))
-
-    assert table.tobytes() == made("meng angle").backend.binary
+    library = Library(written(made("meng angle"), tmp_path / "fw"), made("meng angle").decoupler, np.uint32)
+    assert library.table.tobytes() == made("meng angle").backend.binary
     for angle, known in np.random.default_rng(1).integers(0, 2**32, (50, 2), dtype=np.uint32):
-        given, pose, out = (np.array([v], dtype=np.uint32) for v in (angle, known, 0))
-        assert call("decoupler_zero", table, given, pose) == 0
-        assert call("decoupler_step", table, given, out) == 0
-        assert out == known
-    assert call("decoupler_check", table) == 0
-    for byte in range(16, size - 8, 7):
-        table[byte] ^= 1
-        assert call("decoupler_check", table) == 0x04
-        table[byte] ^= 1
+        assert library.zero(np.array([angle]), np.array([known])) == 0
+        assert library.step(np.array([angle])) == (known, 0)
+    assert library.check() == 0
+    for byte in range(16, len(library.table) - 8, 7):
+        library.table[byte] ^= 1
+        assert library.check() == 0x04
+        library.table[byte] ^= 1
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("case", "accuracy"), [*CASES, ("ideal angle", None), ("meng angle", 1e-6)])
-def test_eva_raises_no_alarm_and_cppcheck_lists_nothing(case, accuracy, tmp_path):
+@pytest.mark.parametrize(("case", "accuracy"), CASES)
+def test_eva_raises_no_alarm_cppcheck_lists_nothing_and_every_input_is_tried(case, accuracy, tmp_path):
     need("cppcheck", "make")
-    made(case, accuracy).write(tmp_path / "fw")
-    ran(tmp_path / "fw", "make", "misra")
-    proved_by_eva(tmp_path / "fw", integers=True)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", ["meng angle", "ellipse volts"])
-def test_every_input(case, tmp_path):
-    need("gcc")
-    made(case).write(tmp_path / "fw")
-    ran(
-        tmp_path / "fw", "gcc", "-std=c99", "-O3", "-fsanitize=signed-integer-overflow",
-        "-fsanitize-undefined-trap-on-error", "-Iinclude", "-Iparams", "proof/exhaustive.c",
-        "src/decoupler_check.c", "params/decoupler_params.c", "-o", "exhaustive",
-    )  # fmt: skip
-    assert "exhaustive: 0 of" in ran(tmp_path / "fw", "./exhaustive")
+    folder = written(made(case, accuracy), tmp_path / "fw")
+    ran(folder, "make", "misra")
+    proved_by_eva(folder, integers=True)
+    if case in ("meng angle", "ellipse volts"):
+        every_input(folder)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["meng angle", "meng volts"])
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
-def test_compilers_warn_of_nothing_and_the_self_test_runs_every_branch(case, compiler, tmp_path):
-    need(compiler, "gcov", "make")
-    folder = tmp_path / "fw"
-    made(case).write(folder)
-    assert ran(folder, "make", "check", f"CC={compiler}").count("as stated") == 2
-    if compiler == "gcc":
-        sources = [f"{n}.c" for n in ("src/decoupler", "src/decoupler_check", "params/decoupler_params",
-                                      "test/selftest", "test/faults", "test/main")]  # fmt: skip
-        include = ("-Iinclude", "-Iparams", "-Itest")
-        ran(folder, "gcc", "-std=c99", "-O0", "--coverage", *include, *sources, "-o", "covered")
-        ran(folder, "./covered")
-        said = ran(folder, "gcov", "-b", "-n", *(str(p) for p in folder.glob("*-decoupler.gcda")))
-        assert "Lines executed:100.00%" in said[said.index("decoupler.c'") :]
+def test_the_self_test_runs_every_line(case, tmp_path):
+    need("gcc", "clang", "gcov")
+    folder = written(made(case), tmp_path / "fw")
+    passes(folder, compiler="clang")
+    ran(folder, "gcc", "-std=c99", "-O0", "--coverage", *PATHS, *TESTED, "-o", "covered")
+    ran(folder, "./covered")
+    said = ran(folder, "gcov", "-b", "-n", *(str(p) for p in folder.glob("*-decoupler.gcda")))
+    assert "Lines executed:100.00%" in said[said.index("decoupler.c'") :]
 
 
 # -- options -------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from firmware import STRICT, need, ran
+from firmware import SANITIZED, need, passes, ran, written
 from waves import calibrated
 
 import hallsym
@@ -99,17 +99,7 @@ def test_what_is_not_generated_is_refused_in_one_sentence():
 
 
 def test_the_folder_passes_its_self_test_without_undefined_behaviour(tmp_path):
-    need("gcc")
-    made().write(tmp_path / "fw")
-    out, include = str(tmp_path / "selftest"), ("-Iinclude", "-Iparams", "-Itest")
-    sources = [f"{n}.c" for n in ("src/decoupler", "src/decoupler_check", "params/decoupler_params",
-                                  "test/selftest", "test/faults", "test/main")]  # fmt: skip
-    sanitize = ("-fsanitize=undefined,float-divide-by-zero,float-cast-overflow", "-fno-sanitize-recover=all")
-    ran(tmp_path / "fw", "gcc", *STRICT, "-pedantic", *sanitize, *include, *sources, "-o", out)
-    said = ran(tmp_path / "fw", out)
-    assert "table good, 0 of" in said
-    assert said.count("as stated") == 2
-    assert "0 faults of a table not found, 0 zeros wrong" in said
+    passes(written(made(), tmp_path / "fw"), *SANITIZED)
 
 
 @pytest.mark.slow

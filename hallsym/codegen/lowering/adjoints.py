@@ -7,13 +7,12 @@ result of each operation (reverse mode) multiplies that operation's rounding, an
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from hallsym.codegen.decoupler import Step, Whole
-from hallsym.codegen.intervals import TINY
+from hallsym.codegen.intervals import TINY, constant
 from hallsym.codegen.operations import Graph, Operation, graph
 
 EXACT = ("assign", "neg", "twice", "fabs", "lt", "le", "not", "if_else_zero")
@@ -36,12 +35,6 @@ _VALUES: dict[str, Callable[..., Any]] = {
     "div": lambda x, y: x / y,
     "inv": lambda x: 1 / x,
     "sq": lambda x: x * x,
-    "fmin": np.minimum,
-    "fmax": np.maximum,
-    "atan2": np.arctan2,
-    "hypot": np.hypot,
-    "log": np.log,
-    "exp": np.exp,
 }
 _SLOPES: dict[str, Callable[..., tuple]] = {
     "assign": lambda z, x: (1.0,),
@@ -58,54 +51,21 @@ _SLOPES: dict[str, Callable[..., tuple]] = {
     "div": lambda z, x, y: (1 / y, -z / y),
     "inv": lambda z, x: (-z * z,),
     "sq": lambda z, x: (2 * x,),
-    "fmin": lambda z, x, y: ((x <= y) * 1.0, (x > y) * 1.0),
-    "fmax": lambda z, x, y: ((x >= y) * 1.0, (x < y) * 1.0),
-    "atan2": lambda z, y, x: (x / (x * x + y * y), -y / (x * x + y * y)),
-    "hypot": lambda z, x, y: (x / z, y / z),
-    "log": lambda z, x: (1 / x,),
-    "exp": lambda z, x: (z,),
 }
 """Derivatives by the arguments of an operation with result z; choices are between values equal where they
 turn."""
-
-
-class Rounds(Protocol):
-    """What an arithmetic rounds by."""
-
-    def operation(self, step: str, k: int, operation: Operation, value: Any) -> Any:
-        """Return the bound of what operation k of a step is off by where its arguments are exact."""
-
-    def entry(self, name: str, value: float) -> float:
-        """Return how far a number of the table is from its value."""
-
-
-@dataclass(frozen=True)
-class Floats:
-    """Floating point of some digits of the significand."""
-
-    digits: int
-
-    def operation(self, step: str, k: int, operation: Operation, value: Any) -> Any:
-        """Of a result half a unit of its last place, of a number what it is stored as."""
-        if operation.op == "const":
-            return self.entry("", value)
-        return 0.0 if operation.op in EXACT else 2.0**-self.digits * np.abs(value) + TINY[self.digits]
-
-    def entry(self, name: str, value: float) -> float:
-        """Of how it is stored."""
-        return abs(value - float(np.float32(value))) if self.digits == 24 else 0.0
 
 
 def rounding(
     steps: Sequence[Step],
     inputs: Mapping[str, np.ndarray],
     entries: Mapping[str, float],
-    rounds: Rounds,
+    digits: int,
     last: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return values and rounding errors (last, s) of the last steps.
 
-    `inputs` (s,) by symbol, exact; `entries`: numbers of the table.
+    `inputs` (s,) by symbol, exact; `entries`: numbers of the table; `digits`: of the significand.
     """
     known: Values = {**inputs, **entries}
     graphs = [graph([step.expression]) for step in steps]
@@ -122,9 +82,9 @@ def rounding(
         total = np.zeros(count)
         for one, own, values in zip(reversed(steps), reversed(graphs), reversed(worked), strict=True):
             if one.name in adjoint and not isinstance(one, Whole):
-                total = total + _back(one.name, own, values, adjoint.pop(one.name), adjoint, rounds)
+                total = total + _back(own, values, adjoint.pop(one.name), adjoint, digits)
         for name, value in entries.items():
-            total = total + np.abs(adjoint.get(name, 0.0)) * rounds.entry(name, value)
+            total = total + np.abs(adjoint.get(name, 0.0)) * constant(value, digits).error
         errors.append(total)
     return np.array([np.broadcast_to(known[s.name], count) for s in steps[-last:]]), np.array(errors)
 
@@ -142,9 +102,7 @@ def _run(own: Graph, known: Values) -> list[Any]:
     return values
 
 
-def _back(
-    step: str, own: Graph, values: list[Any], by: np.ndarray, adjoint: Values, rounds: Rounds
-) -> np.ndarray:
+def _back(own: Graph, values: list[Any], by: np.ndarray, adjoint: Values, digits: int) -> np.ndarray:
     """Add the derivatives by the symbols of a step, whose own is `by`; returns what its operations round."""
     slopes: list[Any] = [0.0] * len(values)
     slopes[own.results[0]] = by
@@ -154,8 +112,15 @@ def _back(
         if o.op == "input":
             adjoint[o.symbol] = adjoint.get(o.symbol, 0.0) + slope
             continue
-        total = total + np.abs(slope) * rounds.operation(step, k, o, z)
+        total = total + np.abs(slope) * _rounded(o, z, digits)
         if o.op != "const":
             for j, own_slope in zip(o.args, _SLOPES[o.op](z, *(values[a] for a in o.args)), strict=True):
                 slopes[j] = slopes[j] + slope * own_slope
     return np.asarray(total)
+
+
+def _rounded(operation: Operation, value: Any, digits: int) -> Any:
+    """Bound of what an operation is off by where its arguments are exact; of a number, as it is stored."""
+    if operation.op == "const":
+        return constant(value, digits).error
+    return 0.0 if operation.op in EXACT else 2.0**-digits * np.abs(value) + TINY[digits]

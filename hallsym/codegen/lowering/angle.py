@@ -126,7 +126,6 @@ class _Assembly:
             approximation=self._left,
             cut=CUT * self.correction.slope if isinstance(self.correction, Grid) else 0.0,
             bounded=Rounding(self.curve, self.correction, WEAK),
-            rest=tuple(self.curve.readings(np.zeros(1))[:, 0].tolist()),
             listed=self._listed(),
             arrays=tuple(self.arrays),
             options={"correction": self.correction.form},

@@ -16,14 +16,12 @@ import numpy as np
 from hallsym.codegen.box import Box, limits
 from hallsym.codegen.decoupler import Decoupler, Flag, Margin
 from hallsym.codegen.entries import Entry, short, unit
-from hallsym.codegen.fixed_point import Program
 from hallsym.codegen.intervals import Enclosure
 from hallsym.codegen.lowering.arrays_bounds import Rounding
 from hallsym.codegen.lowering.arrays_fit import Arrays
 from hallsym.codegen.lowering.arrays_steps import Pieces
 from hallsym.codegen.lowering.wave_groups import groups_of
-from hallsym.codegen.lowering.wave_integers import program
-from hallsym.codegen.lowering.wave_steps import Collected, Wave, logarithm_steps, wave_of
+from hallsym.codegen.lowering.wave_steps import Wave, logarithm_steps, wave_of
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
 
@@ -33,8 +31,6 @@ SWING = 0.1
 """Share of its swing by which a reading may leave what the model gives over the box: noise, temperature."""
 NEAR = 0.3
 """Share of a period by which what says the period may be off, and trials let it be."""
-FUNCTIONS = 1 / 16
-"""Share of an accuracy that each function of integers may take: their errors add up in the pose."""
 SAFE = 1.5
 """What errors met over trial poses are multiplied by where they are stated."""
 TRIALS = 20_000
@@ -52,15 +48,7 @@ def decoupler(
     groups, level = groups_of(own, p, weight, middle, box.ends[model.pose[2]])
     half, middle = half + np.abs(level - middle), level
     found = Arrays(own, np.asarray(p, dtype=float), weight, middle, half, leaves, groups)
-    made = Assembly(found, _waves(found, aim), given=box).make()
-
-    def integers(accuracy: float = aim, plan: Sequence[int] | None = None) -> Program:
-        waves = _waves(found, accuracy, radial=False)
-        native = Assembly(found, waves, Collected(native=True), given=box)
-        share = FUNCTIONS * accuracy / max(g.phasor.lc for g in groups)
-        return program(native.make(), native.made.least, share, plan)
-
-    return replace(made, integers=integers)
+    return Assembly(found, _waves(found, aim), given=box).make()
 
 
 def ends_and_leaves(
@@ -73,7 +61,7 @@ def ends_and_leaves(
     return ends.mean(axis=1), np.diff(ends, axis=1)[:, 0] / 2, leaves
 
 
-def _waves(found: Arrays, aim: float, radial: bool = True) -> tuple[Wave, ...]:
+def _waves(found: Arrays, aim: float) -> tuple[Wave, ...]:
     """Return the wave of each array over the heights that poses of the box bring it to."""
     pose = found.poses(np.random.default_rng(2), 2000)
     out = []
@@ -85,7 +73,7 @@ def _waves(found: Arrays, aim: float, radial: bool = True) -> tuple[Wave, ...]:
                 "smaller "
                 "range of rotations or heights with --range."
             )
-        out.append(wave_of(group.phasor, (float(heights.min()), float(heights.max())), aim, radial))
+        out.append(wave_of(group.phasor, (float(heights.min()), float(heights.max())), aim))
     return tuple(out)
 
 
@@ -99,7 +87,7 @@ class Assembly(Pieces):
 
     def make(self) -> Decoupler:
         """Return the decoupler."""
-        found, made, model = self.found, self.made, self.found.model
+        made, model = self.made, self.found.model
         near = [c for c, a in (("x", 0), ("y", 1)) if self.wide(a)]
         nears = tuple(f"{short(model.pose['xy'.index(c)])}_near_m" for c in near)
         inputs = (*model.channels, *nears)
@@ -123,8 +111,7 @@ class Assembly(Pieces):
             box=ends, exact=self.exact, symbols=made.symbols,
             flags=self.flags, approximation=max(leaves.values()), leaves=leaves,
             bounded=self.bounded(values, nears),
-            rest=tuple(self.drawn(found.middle[:, None], np.zeros((2, 1)))[:, 0].tolist()),
-            drawn=self.drawn_of_box, said=self.said(leaves), evident=made.native,
+            drawn=self.drawn_of_box, said=self.said(leaves), evident=False,
         )  # fmt: skip
 
     def linear(self, nears: Sequence[str]) -> list[ca.SX]:
@@ -210,10 +197,9 @@ class Assembly(Pieces):
         pose = found.poses(np.random.default_rng(5), TRIALS)
         met = np.abs(found.decoded(found.readings(pose), pose[:2]) - pose).max(axis=1)
         n = len(found.groups)
-        native = self.made.native  # the errors of its functions are counted where they are computed
-        each = np.array([(w.left if native else w.error) * w.phasor.lc for w in self.waves])
+        each = np.array([w.error * w.phasor.lc for w in self.waves])
         turned = np.zeros(n)
-        for first, *others in () if native else found.axes.values():
+        for first, *others in found.axes.values():
             for k in others:
                 turned[k] = self.series(first, k).error * found.groups[k].phasor.lc
         functions = np.abs(found.inverse) @ np.concatenate([each + turned, each]) * SAFE

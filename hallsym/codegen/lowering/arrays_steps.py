@@ -27,8 +27,6 @@ WITHIN = 0.98
 """Share of a period that a box may span where no input says which period it is."""
 PERIODS = 1 << 12
 """Added to whole periods, so that they are no negative number."""
-ONCE = 1.01
-"""Times the largest power of a phasor where no flag is set: end of what integers hold it in."""
 LOST = 1e-12
 """Displacement [m] that is rounding of the analysis."""
 LEAST_SHARE = 1e-6
@@ -53,7 +51,7 @@ class Pieces(Turns):
         Then the place is that phase times lc: nothing to wrap, and no mean of the arrays is needed for it.
         """
         if axis not in self._unwrapped:
-            self._unwrapped[axis] = not (self.made.native or self.wide(axis)) and self._far_from_half(axis)
+            self._unwrapped[axis] = not self.wide(axis) and self._far_from_half(axis)
         return self._unwrapped[axis]
 
     def _far_from_half(self, axis: int) -> bool:
@@ -79,11 +77,6 @@ class Pieces(Turns):
     def least(self) -> str:
         """The least of these steps of all arrays."""
         made, names = self.made, self.names
-        if made.native:
-            value = made.symbols[f"inside_{names[0]}"]
-            for name in names[1:]:
-                value = made.step(f"least_to_{name}", ca.fmin(value, made.symbols[f"inside_{name}"]))
-            return f"least_to_{names[-1]}"
         value = made.symbols[f"tangent_square_{names[0]}"]
         for name in names[1:]:
             other = made.symbols[f"tangent_square_{name}"]
@@ -97,26 +90,16 @@ class Pieces(Turns):
         """Heights from those in the middle of the box, over lc and without sign: logarithms."""
         out = []
         for k, (group, seen) in enumerate(zip(self.found.groups, logs, strict=True)):
-            log = self._held(seen, self.names[k])
             at = float(self.found.at_middle[len(logs) + k, 0])
             value = group.phasor.rising * (at - group.phasor.middle) / group.phasor.lc
             if abs(value) * group.phasor.lc < LOST:
-                out.append(self.made.step(f"deep_{self.names[k]}", log))
+                out.append(self.made.step(f"deep_{self.names[k]}", seen))
                 continue
             entry = self.made.entry(
                 f"log_{self.names[k]}_middle", value, "1", "logarithm in the middle of the box"
             )
-            out.append(self.made.step(f"deep_{self.names[k]}", log - entry))
+            out.append(self.made.step(f"deep_{self.names[k]}", seen - entry))
         return out
-
-    def _held(self, log: ca.SX, name: str) -> ca.SX:
-        """A logarithm, of integers held where the flag is set."""
-        if not self.made.native:
-            return log
-        most = max(-float(np.log(w.least)) for w in self.waves)
-        return self.made.step(
-            f"held_log_{name}", self.made.held(log, "most_log", most, "1", "largest logarithm")
-        )
 
     def places(self, vectors: Sequence[Pair]) -> list[ca.SX]:
         """For each axis: the mean place [m] from the middle, then the turns of the other arrays from the
@@ -149,22 +132,19 @@ class Pieces(Turns):
             middle = made.entry(f"place_{name}_middle", at, "m", "place in the middle of the box")
             from_middle = place - middle
         from_middle = made.step(f"from_middle_{name}", from_middle)
-        if not self.wide(axis) and not made.native:
+        if not self.wide(axis):
             half = made.entry(f"half_wave_{name}", pi * lc, "m", "half the wavelength")
             beyond = made.step(f"next_{name}", from_middle - ca.if_else(from_middle < 0, -whole, whole))
             return made.step(
                 f"along_{name}", ca.if_else(ca.fabs(from_middle) <= half, from_middle, beyond), "[m]"
             )
         per = made.entry(f"per_wave_{name}", 1 / (2 * pi * lc), "1/m", "periods per metre")
-        away = -from_middle
-        if self.wide(axis):
-            center = made.entry(f"{column}_middle", float(self.found.middle[axis]), "m", "middle of the box")
-            away = (made.symbols[f"{column}_near_m"] - center) - from_middle
+        center = made.entry(f"{column}_middle", float(self.found.middle[axis]), "m", "middle of the box")
+        away = (made.symbols[f"{column}_near_m"] - center) - from_middle
         count = made.step(f"periods_{name}", away * per + (PERIODS + 0.5))
-        if not made.native:
-            most = 2.0 * PERIODS  # of readings of no pose it could be anything
-            held = ca.if_else(count < 0.0, 0.0, ca.if_else(count > most, most, count))
-            count = made.step(f"counted_{name}", held, "periods to the known place")
+        most = 2.0 * PERIODS  # of readings of no pose it could be anything
+        held = ca.if_else(count < 0.0, 0.0, ca.if_else(count > most, most, count))
+        count = made.step(f"counted_{name}", held, "periods to the known place")
         made.steps.append(Whole(f"whole_{name}", count))
         number = made.symbols.setdefault(f"whole_{name}", ca.SX.sym(f"whole_{name}"))
         return made.step(f"along_{name}", from_middle + whole * (number - float(PERIODS)), "[m]")
@@ -297,18 +277,8 @@ class Pieces(Turns):
             re, im = a * a - b * b, (a * b) + (a * b)
         else:
             c, d = powers(int(kind))
-            if made.native:
-                inverse = self._inverse(name)
-                re, im = c * inverse, -(d * inverse)
-            else:
-                held = self._held_size(name)
-                re, im = c / held, -(d / held)
-        power = 4 if kind in ("4", "6") else 0
-        most = ONCE * max(1 / w.least for w in self.waves) ** power
-        re, im = (
-            made.held(v, f"most_power_{power}", most, "1", f"length of a phasor to the {power}")
-            for v in (re, im)
-        )
+            held = self._held_size(name)
+            re, im = c / held, -(d / held)
         return made.step(f"{key}_re", re), made.step(f"{key}_im", im)
 
     def _held_size(self, name: str) -> ca.SX:
@@ -321,13 +291,6 @@ class Pieces(Turns):
             made.entry("least_size", value, "1", "least square of a phasor")
         size, least = made.symbols[f"size_{name}"], made.symbols["least_size"]
         return made.step(f"held_size_{name}", ca.if_else(size > least, size, least))
-
-    def _inverse(self, name: str) -> ca.SX:
-        """One over the square of a phasor, from its logarithm: no division."""
-        made, key = self.made, f"inverse_{name}"
-        if key in made.symbols:
-            return made.symbols[key]
-        return made.step(key, ca.exp(-2.0 * made.symbols[f"held_log_{name}"]))
 
     def _product(
         self, value: ca.SX, kind: str, side: int, turns: tuple[int, ...], k: int, rotations: dict[int, ca.SX]
@@ -365,10 +328,6 @@ class Pieces(Turns):
         most = float(((TILT * self.found.half[3:]) ** 2).sum())
         made.entry("least_turns", -most, "rad2", "less the largest sum of the squares of the rotations")
         made.step("turns", -(out[3] * out[3] + out[4] * out[4] + out[5] * out[5]))
-        if made.native:
-            for i in (3, 4, 5):
-                held = made.held(out[i], "most_turn", most**0.5, "rad", "largest rotation")
-                out[i] = made.step(f"held_{short(self.found.model.pose[i])}", held)
         return out
 
     def bent(self, linear: Sequence[ca.SX]) -> list[ca.SX]:

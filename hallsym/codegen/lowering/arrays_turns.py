@@ -39,9 +39,6 @@ class Turns:
         made, (a, b), (c, d), name = self.made, vectors[first], vectors[k], self.names[k]
         real = made.step(f"cross_real_{name}", c * a + d * b)
         imaginary = made.step(f"cross_imaginary_{name}", d * a - c * b)
-        if made.native:
-            made.least[f"turn_{name}"] = self.waves[first].least * self.waves[k].least
-            return made.step(f"turn_{name}", ca.atan2(imaginary, real), "[rad]")
         if floor := self._floor(first, k):
             least = made.entry(f"least_cross_{name}", floor, "1", "least product of two phasors of the box")
             held = made.step(f"held_cross_{name}", ca.if_else(real > least, real, least))

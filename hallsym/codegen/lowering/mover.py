@@ -13,12 +13,10 @@ import numpy as np
 from hallsym.codegen.box import Box
 from hallsym.codegen.decoupler import Decoupler, Flag, Step
 from hallsym.codegen.entries import short, unit
-from hallsym.codegen.fixed_point import Program
 from hallsym.codegen.intervals import Enclosure
-from hallsym.codegen.lowering.adjoints import Floats, rounding
+from hallsym.codegen.lowering.adjoints import rounding
 from hallsym.codegen.lowering.arrays import (
     FIELD,
-    FUNCTIONS,
     NEAR,
     SAFE,
     TILTED,
@@ -26,13 +24,12 @@ from hallsym.codegen.lowering.arrays import (
     Assembly,
     ends_and_leaves,
 )
-from hallsym.codegen.lowering.integer_ranges import program
 from hallsym.codegen.lowering.mover_fit import Mover, ends, mover_of
 from hallsym.codegen.lowering.mover_steps import MoverPieces
 from hallsym.codegen.lowering.passing import NeverEnds
 from hallsym.codegen.lowering.travel import COVERED, MARGINS
 from hallsym.codegen.lowering.wave_bounds import Values
-from hallsym.codegen.lowering.wave_steps import Collected, wave_of
+from hallsym.codegen.lowering.wave_steps import wave_of
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
 
@@ -67,18 +64,8 @@ def decoupler(
     found = _best(found)
     low, high = middle[2] - half[2], middle[2] + half[2]
     tilted = float(np.abs(np.array([row.lever for row in found.rows])).max(axis=0) @ half[3:])
-    aim = float(leaves[0])
-
-    def assembly(accuracy: float, native: bool = False) -> _Assembly:
-        wave = wave_of(found.plain, (low - tilted, high + tilted), accuracy)
-        return _Assembly(found, (wave,) * len(found.rows), Collected(native=native), given=box)
-
-    def integers(accuracy: float = aim, plan: Sequence[int] | None = None) -> Program:
-        native = assembly(accuracy, native=True)
-        made, share = native.make(), FUNCTIONS * accuracy / found.lc
-        return program(made, native.made.least, share, native.drawn_of_box, plan)
-
-    return replace(assembly(aim).make(), integers=integers)
+    wave = wave_of(found.plain, (low - tilted, high + tilted), float(leaves[0]))
+    return _Assembly(found, (wave,) * len(found.rows), given=box).make()
 
 
 def _best(found: Mover) -> Mover:
@@ -145,9 +132,7 @@ class _Assembly(MoverPieces, Assembly):
         found = self.found
         pose, readings = found.trials(5, TRIALS)
         met = np.abs(found.decoded(readings, pose[:2]) - pose).max(axis=1)
-        # of integers the errors of functions are counted where they are computed
-        error = self.waves[0].left if self.made.native else self.waves[0].error
-        each = np.full(2 * len(found.rows), error * found.lc)
+        each = np.full(2 * len(found.rows), self.waves[0].error * found.lc)
         return dict(
             zip(found.model.pose, (SAFE * (met + np.abs(found.inverse) @ each)).tolist(), strict=True)
         )
@@ -196,6 +181,6 @@ class PoseByPose:
         entries |= {f"zero_{short(c)}": 0.0 for c in model.pose}
         columns = [short(c) for c in (*model.channels, *self.nears)]
         inputs = dict(zip(columns, self.drawn(np.random.default_rng(6), BOUNDED), strict=True))
-        values, errors = rounding(self.steps, inputs, entries, Floats(digits), len(model.pose))
+        values, errors = rounding(self.steps, inputs, entries, digits, len(model.pose))
         ends = (values.min(axis=1), values.max(axis=1), ROOM * errors.max(axis=1))
         return {c: Enclosure(*map(float, e)) for c, *e in zip(model.pose, *ends, strict=True)}

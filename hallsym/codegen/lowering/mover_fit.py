@@ -125,14 +125,11 @@ class Mover(Reference):
     def first(self, r: np.ndarray, near: np.ndarray) -> np.ndarray:
         """Return places (2, s) along both axes from all sensors alike, in the period of `near` (2, s)."""
         out = []
-        for axis in self.axes:
-            out.append(self._next_to(near[axis], self.all_alike(r, axis)))
+        for axis, members in self.axes.items():
+            rows = [self.rows[k] for k in members]
+            alike = sum((row.factor[:, :1].conj() * r[list(row.channels)]).sum(axis=0) for row in rows)
+            out.append(self._next_to(near[axis], np.asarray(alike)))
         return np.array(out)
-
-    def all_alike(self, r: np.ndarray, axis: int) -> np.ndarray:
-        """Return what all sensors of an axis alike say of the phasor (s,) [V2]."""
-        rows = [self.rows[k] for k in self.axes[axis]]
-        return np.asarray(sum((row.factor[:, :1].conj() * r[list(row.channels)]).sum(axis=0) for row in rows))
 
     def _next_to(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         place = self.lc * np.angle(u)

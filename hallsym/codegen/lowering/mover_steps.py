@@ -7,28 +7,15 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Whole
 from hallsym.codegen.entries import short
-from hallsym.codegen.lowering.arrays_steps import PERIODS, Pieces
-from hallsym.codegen.lowering.choices import (
-    BEYOND,
-    HELD,
-    above_minus,
-    at_least,
-    at_most,
-    held_logarithm,
-    inverse,
-    logarithm_of_ratio,
-    period_count,
-    smooth_weight,
-)
+from hallsym.codegen.lowering.arrays_steps import Pieces
 from hallsym.codegen.lowering.mover_fit import Mover, Row
 from hallsym.codegen.lowering.travel_fit import RAMP
+from hallsym.codegen.lowering.travel_steps import place_steps, smooth_weight
 from hallsym.codegen.lowering.wave_steps import (
     AXES,
     Pair,
     Powers,
-    arctangent_steps,
     least_inside,
     logarithm_steps,
     power,
@@ -55,9 +42,9 @@ class MoverPieces(Pieces):
     def rows(self) -> list[ca.SX]:
         """Add the steps from the readings to places from the middle [m] and logarithms of all rows."""
         made, found = self.made, self.found
-        self.lc = made.entry("lc", found.lc, "m", "wavelength over 2 pi")
-        self.whole = made.entry("wavelength", found.wavelength, "m", "wavelength")
-        self.per = made.entry("per_wave", 1 / found.wavelength, "1/m", "periods per metre")
+        made.entry("lc", found.lc, "m", "wavelength over 2 pi")
+        made.entry("wavelength", found.wavelength, "m", "wavelength")
+        made.entry("per_wave", 1 / found.wavelength, "1/m", "periods per metre")
         least_inside(made, self.waves[:1])
         self.at = {axis: self._first(axis, members) for axis, members in found.axes.items()}
         for row, name in zip(found.rows, self.names, strict=True):
@@ -86,23 +73,7 @@ class MoverPieces(Pieces):
         u = self.made.total(f"cos_all_{column}", cos, "all alike"), self.made.total(f"sin_all_{column}", sin)
         made.entry(f"{column}_middle", float(self.found.middle[axis]), "m", "middle of the box")
         near = made.symbols[f"{column}_near_m" if self.wide(axis) else f"{column}_middle"]
-        return self._place(u, near, f"_{column}", self._least_of_all(axis))
-
-    def _least_of_all(self, axis: int) -> float:
-        """Length of the sum of all sensors of an axis alike, at least, of poses of the box [V2]."""
-        _, readings = self.found.trials(3, TRIALS)
-        return float(np.abs(self.found.all_alike(self.found.without_offset(readings), axis)).min()) / BEYOND
-
-    def _place(self, u: Pair, near: ca.SX, tag: str, least: float) -> ca.SX:
-        """The place of a phase in the period next to another place; `least`: length of u, of integers."""
-        made = self.made
-        phase = arctangent_steps(made, self.waves[0], u, tag, least)
-        place = made.step(f"in_wave{tag}", self.lc * phase)
-        count = made.step(f"periods{tag}", (near - place) * self.per + (PERIODS + 0.5))
-        held = period_count(made, count, tag, PERIODS)
-        made.steps.append(Whole(f"whole{tag}", held))
-        number = made.symbols.setdefault(f"whole{tag}", ca.SX.sym(f"whole{tag}"))
-        return made.step(f"place{tag}", place + self.whole * (number - float(PERIODS)), "[m]")
+        return place_steps(made, self.waves[0], u, near, f"_{column}")
 
     def _weights(self, row: Row, tag: str) -> None:
         """Weight of each sensor: 1 well under the array, 0 beyond, smooth."""
@@ -127,33 +98,20 @@ class MoverPieces(Pieces):
         for k, (row, name) in enumerate(zip(found.rows, self.names, strict=True)):
             turn = None if turns is None else turns[found.tilt_of(row)]
             u = self._vector(row, name, tag, turn)
-            log = self._logarithm(k, u, tag)
-            least = self.waves[k].least * self._covers[name][0]  # u is as many times the phasor as the cover
-            place = self._place(u, self.at[row.axis], f"_{name}{tag}", least)
+            log = logarithm_steps(made, self.waves[k], u, f"_{name}{tag}")
+            place = place_steps(made, self.waves[0], u, self.at[row.axis], f"_{name}{tag}")
             middle = made.symbols[f"{short(found.model.pose[row.axis])}_middle"]
             places[f"along_{name}"] = made.step(f"along_{name}{tag}", place - middle, "[m] from the middle")
             logs[f"deep_{name}"] = log
         return places | logs
-
-    def _logarithm(self, k: int, u: Pair, tag: str) -> ca.SX:
-        """The logarithm of a phasor, of integers from the phasor times the cover."""
-        made, name = self.made, self.names[k]
-        if not made.native:
-            return logarithm_steps(made, self.waves[k], u, f"_{name}{tag}")
-        log_cover, least = made.symbols[f"log_cover_{name}{tag}"], self.waves[k].least * self._covers[name][0]
-        names = f"log_{name}{tag}", f"inside_{name}{tag}"
-        log = logarithm_of_ratio(made, u, log_cover, least, names)
-        most = max(-float(np.log(w.least)) for w in self.waves)
-        held = made.held(log, "most_log", most, "1", "largest logarithm")
-        return made.step(f"held_log_{name}{tag}", held)
 
     def _first_turn(self, k: int, values: dict[str, ca.SX]) -> ca.SX:
         """First estimate of a rotation, within its range: of readings of no pose it could be anything."""
         made, column = self.made, short(self.found.model.pose[k])
         most = made.entry(f"most_{column}", self.most_turn, "rad", f"largest {column} that is taken out")
         turn = made.step(f"seen_{column}", self.total(k, values), "[rad] first estimate")
-        up = made.step(f"above_{column}", at_most(made, turn, most))
-        return made.step(f"first_{column}", above_minus(made, up, most))
+        up = made.step(f"above_{column}", ca.if_else(turn < most, turn, most))
+        return made.step(f"first_{column}", ca.if_else(up > -most, up, -most))
 
     @property
     def most_turn(self) -> float:
@@ -189,16 +147,11 @@ class MoverPieces(Pieces):
         cc, cs, ss = product("cos_cos", wc, cos), product("cos_sin", wc, sin), product("sin_sin", ws, sin)
         re, im = product("cos_seen", wc, field), product("sin_seen", ws, field)
         cover = made.step(f"cover_{name}{tag}", cc * ss - cs * cs, "[V4] cosine told from sine")
-        ends = self._covers[name]
         if f"least_cover_{name}" not in made.symbols:
-            made.entry(f"least_cover_{name}", ends[0], "V4", "share of the least of the box")
-        if made.native:
-            held_logarithm(made, cover, f"cover_{name}", ends, "V4", tag)
-            re, im = ss * re - cs * im, cc * im - cs * re
-            return made.step(f"wide_cos_{name}{tag}", re), made.step(f"wide_sin_{name}{tag}", im)
-        held = made.step(
-            f"held_cover_{name}{tag}", at_least(made, cover, made.symbols[f"least_cover_{name}"])
-        )
+            end = self._least_covers[name]
+            made.entry(f"least_cover_{name}", end, "V4", "share of the least of the box")
+        least = made.symbols[f"least_cover_{name}"]
+        held = made.step(f"held_cover_{name}{tag}", ca.if_else(cover > least, cover, least))
         per = made.step(f"per_cover_{name}{tag}", 1.0 / held)
         return self._held_parts((ss * re - cs * im, cc * im - cs * re), per, f"{name}{tag}")
 
@@ -206,33 +159,23 @@ class MoverPieces(Pieces):
         """A phasor, no longer than any of the box is, from what is as many times it as 1 over `per`."""
         made = self.made
         if "longest" not in made.symbols:
-            longest = (HELD if made.native else 2.0) * self.waves[0].outer
-            made.entry("longest", longest, "1", "most of a phasor")
+            made.entry("longest", 2.0 * self.waves[0].outer, "1", "most of a phasor")
         raw = [made.step(f"raw_{a}_{tag}", v * per) for a, v in zip(AXES, wide, strict=True)]
         u = [self._held_part(v, f"{a}_{tag}") for a, v in zip(AXES, raw, strict=True)]
         return u[0], u[1]
 
     def _held_part(self, v: ca.SX, name: str) -> ca.SX:
         most = self.made.symbols["longest"]
-        low = self.made.step(f"above_{name}", above_minus(self.made, v, most))
-        return self.made.step(f"held_{name}", at_most(self.made, low, most))
-
-    def _first_phasor(self, name: str) -> Pair:
-        """The phasor of the first solution."""
-        made, symbols = self.made, self.made.symbols
-        if not made.native:
-            return symbols[f"held_cos_{name}_first"], symbols[f"held_sin_{name}_first"]
-        log_cover = symbols[f"log_cover_{name}_first"]
-        per = inverse(made, log_cover, f"cover_{name}", self._covers[name], "V4")
-        wide = symbols[f"wide_cos_{name}_first"], symbols[f"wide_sin_{name}_first"]
-        return self._held_parts(wide, per, f"{name}_first")
+        low = self.made.step(f"above_{name}", ca.if_else(v > -most, v, -most))
+        return self.made.step(f"held_{name}", ca.if_else(low < most, low, most))
 
     def _without_harmonics(
         self, row: Row, name: str, field: Sequence[ca.SX], lifted: Sequence[ca.SX]
     ) -> list[ca.SX]:
         """Readings without the higher harmonics that the first solution says."""
         made, out = self.made, list(field)
-        powers = Powers(made, *self._first_phasor(name), f"_{name}_first")
+        cos, sin = (made.symbols[f"held_{axis}_{name}_first"] for axis in AXES)
+        powers = Powers(made, cos, sin, f"_{name}_first")
         known = [{1: v} for v in lifted]
         for n in self.found.harmonics:
             re, im = powers(n)
@@ -247,14 +190,13 @@ class MoverPieces(Pieces):
         return out
 
     @cached_property
-    def _covers(self) -> dict[str, tuple[float, float]]:
-        """By row: determinant of the normal matrix [V4], at least without a flag, and at most of a pose."""
+    def _least_covers(self) -> dict[str, float]:
+        """By row: determinant of the normal matrix [V4], at least without a flag."""
         pose, out = self.found.poses(np.random.default_rng(3), TRIALS), {}
         for row, name in zip(self.found.rows, self.names, strict=True):
             w, (c, s) = self.found.weights(row, pose[row.axis]), row.design()
             cc, cs, ss = ((p[:, None] * w).sum(axis=0) for p in (c * c, c * s, s * s))
-            cover = cc * ss - cs * cs
-            out[name] = COVER * float(cover.min()), BEYOND * float(cover.max())
+            out[name] = COVER * float((cc * ss - cs * cs).min())
         return out
 
     # -- the linear pose -----------------------------------------------------------------------------------
@@ -281,5 +223,7 @@ class MoverPieces(Pieces):
                 made.symbols[f"cover_{name}_first"] - made.symbols[f"least_cover_{name}"],
                 "[V4]",
             )
-            value = own if value is None else made.step(f"cover_to_{name}", at_most(made, value, own))
+            value = (
+                own if value is None else made.step(f"cover_to_{name}", ca.if_else(value < own, value, own))
+            )
         made.entry("least_cover", 0.0, "V4", "what each row must have more than its least")

@@ -7,7 +7,6 @@ of the rest and the end of the row say it. Least squares of the weighted sensors
 endless wave; how far from its ends a sensor must be to count is chosen by what ends and noise leave.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -17,12 +16,10 @@ import numpy as np
 from hallsym.codegen.box import Box, limits
 from hallsym.codegen.decoupler import Decoupler, Flag, Margin
 from hallsym.codegen.entries import Entry, short, unit
-from hallsym.codegen.fixed_point import Program
-from hallsym.codegen.lowering.integer_ranges import program
 from hallsym.codegen.lowering.travel_bounds import Rounding
 from hallsym.codegen.lowering.travel_fit import Row, row_of
 from hallsym.codegen.lowering.travel_steps import Pieces
-from hallsym.codegen.lowering.wave_steps import POLYNOMIALS, Collected, Wave, wave_of
+from hallsym.codegen.lowering.wave_steps import Collected, Wave, wave_of
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
 
@@ -54,16 +51,7 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box, accurac
             f"the array at its ends; give fewer with --range {model.pose[0]}."
         )
     row = replace(best.row, rounds=best.rounds)
-
-    def integers(accuracy: float = accuracy, plan: Sequence[int] | None = None) -> Program:
-        native = _Assembly(
-            row, wave_of(row.plain, box.ends[model.pose[1]], accuracy), box, Collected(native=True)
-        )
-        made = native.make()
-        share = POLYNOMIALS * accuracy / row.lc
-        return program(made, native.made.least, share, native.drawn, plan)
-
-    return replace(_Assembly(row, wave, box).make(), integers=integers)
+    return _Assembly(row, wave, box).make()
 
 
 class _Tried:
@@ -122,8 +110,7 @@ class _Assembly:
             ),
             approximation=max(leaves.values()), leaves=leaves,
             bounded=Rounding(self.row, self.wave, tuple(made.steps), values, self.drawn),
-            rest=tuple(self.row.readings(self.row.middle[:, None])[:, 0].tolist()),
-            drawn=self.drawn, said=self._said(leaves), evident=made.native,
+            drawn=self.drawn, said=self._said(leaves), evident=False,
         )  # fmt: skip
 
     @cached_property
@@ -145,8 +132,7 @@ class _Assembly:
         pose = self.row.poses(np.random.default_rng(5), TRIALS)
         readings = self.row.readings(pose)
         off = self.row.decoded(readings, self.row.rounds) - self.row.exact(readings)
-        # of integers the errors of functions are counted where they are computed
-        functions = (self.wave.left if self.made.native else self.wave.error) * self.row.lc
+        functions = self.wave.error * self.row.lc
         return {
             c: SAFE * (float(np.abs(v).max()) + functions)
             for c, v in zip(self.row.model.pose, off, strict=True)

@@ -2,25 +2,12 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
 from hallsym.codegen.decoupler import Whole
 from hallsym.codegen.entries import short, unit
-from hallsym.codegen.lowering.choices import (
-    BEYOND,
-    HELD,
-    above_minus,
-    at_least,
-    at_most,
-    held_logarithm,
-    inverse,
-    logarithm_of_ratio,
-    period_count,
-    smooth_weight,
-)
 from hallsym.codegen.lowering.travel_fit import RAMP, TINY, Row
 from hallsym.codegen.lowering.wave_steps import (
     AXES,
@@ -53,15 +40,15 @@ class Pieces:
         row, made = self.row, self.made
         self.names = [short(c) for c in row.model.channels]
         self.lc = made.entry("lc", row.lc, "m", "wavelength over 2 pi")
-        self.whole = made.entry("wavelength", row.wavelength, "m", "wavelength")
-        self.per = made.entry("per_wave", 1 / row.wavelength, "1/m", "periods per metre")
+        made.entry("wavelength", row.wavelength, "m", "wavelength")
+        made.entry("per_wave", 1 / row.wavelength, "1/m", "periods per metre")
         least_inside(made, (self.wave,))
         self._table()
         everything = self._all()
-        near = self._near(self._middle())
-        x = self._place(everything, near, "_first", self._least_of_all)
-        u, log = self._vector(self._weights(x))
-        place = self._place(u, x, "", self._least_wide)
+        x = place_steps(made, self.wave, everything, self._middle(), "_first")
+        u = self._vector(self._weights(x))
+        log = logarithm_steps(made, self.wave, u)
+        place = place_steps(made, self.wave, u, x)
         along, height = row.model.pose
         middle = made.entry("middle", float(row.middle[1]), "m", f"{height} at which the phasor is 1")
         level = middle + made.symbols[f"zero_{short(height)}"]
@@ -96,8 +83,7 @@ class Pieces:
         energy = [made.step(f"energy_{n}", f * f) for n, f in zip(self.names, self._fields(), strict=True)]
         total = self.made.total("energy", energy, "[V2] of all sensors")
         first = self.made.total("energy_first", [a * e for a, e in zip(self.places, energy, strict=True)])
-        divided = first * self._per_energy(total) if made.native else first / (total + TINY)
-        at = made.step("energy_middle", divided, "[m] middle of what is read, squared")
+        at = made.step("energy_middle", first / (total + TINY), "[m] middle of what is read, squared")
         low, high = row.whole
         if not low < high:
             return at
@@ -106,31 +92,10 @@ class Pieces:
             "high": made.entry("high_whole", high, "m", "greatest such place"),
         }
         up, down = (made.step(f"beyond_{n}", (at + at) - end) for n, end in ends.items())
-        upper = made.step(
-            "chosen_upper", ca.fmax(down, at) if made.native else ca.if_else(at < down, down, at)
+        upper = made.step("chosen_upper", ca.if_else(at < down, down, at))
+        return made.step(
+            "chosen_middle", ca.if_else(up < upper, up, upper), "[m] also at the ends of the board"
         )
-        return made.step("chosen_middle", at_most(made, up, upper), "[m] also at the ends of the board")
-
-    def _per_energy(self, total: ca.SX) -> ca.SX:
-        """1 over the energy of all sensors, as of poses of the box and some beyond."""
-        row = self.row
-        seen = row.readings(row.poses(np.random.default_rng(3), TRIALS)) - row.offset[:, None]
-        energy = (seen**2).sum(axis=0)
-        ends = float(energy.min()) / BEYOND, float(energy.max()) * BEYOND
-        log = held_logarithm(self.made, total, "all_energy", ends, "V2")
-        return inverse(self.made, log, "all_energy", ends, "V2")
-
-    def _place(self, u: Pair, near: ca.SX, tag: str, least: float) -> ca.SX:
-        """The place of a phase in the period next to another place; `least`: length of u, of integers."""
-        made = self.made
-        phase = arctangent_steps(made, self.wave, u, tag, least)
-        place = made.step(f"in_wave{tag}", self.lc * phase)
-        count = made.step(f"periods{tag}", (near - place) * self.per + (PERIODS + 0.5))
-        held = period_count(made, count, tag, PERIODS)
-        name = f"whole{tag}"
-        made.steps.append(Whole(name, held))
-        number = made.symbols.setdefault(name, ca.SX.sym(name))
-        return made.step(f"place{tag}", place + self.whole * (number - float(PERIODS)), "[m]")
 
     def _weights(self, x: ca.SX) -> list[ca.SX]:
         """Weight of each sensor: 1 well under the wave, 0 beyond, smooth."""
@@ -145,11 +110,8 @@ class Pieces:
             out.append(smooth_weight(made, depth, name))
         return out
 
-    def _vector(self, weights: Sequence[ca.SX]) -> tuple[Pair, ca.SX]:
-        """Weighted least squares of what the sensors read, higher harmonics taken off by rounds.
-
-        Returns the phasor, of integers times the cover, and its logarithm.
-        """
+    def _vector(self, weights: Sequence[ca.SX]) -> Pair:
+        """Weighted least squares of what the sensors read, higher harmonics taken off by rounds."""
         made, row = self.made, self.row
         wc = [made.step(f"wcos_{n}", w * c) for n, w, c in zip(self.names, weights, self.cos, strict=True)]
         ws = [made.step(f"wsin_{n}", w * s) for n, w, s in zip(self.names, weights, self.sin, strict=True)]
@@ -165,16 +127,10 @@ class Pieces:
         ss = self.made.total("sin_by_sin", [s * o for s, o in zip(ws, self.sin, strict=True)])
         seen = sums("seen", self._fields())
         cover = made.step("cover", cc * ss - cs * cs, "[V4] how well the sensors tell cosine from sine")
-        low, high = self._covers
-        least = made.entry("least_cover", low, "V4", "share of the least of the box")
-        if made.native:
-            log_cover = held_logarithm(made, cover, "held_cover", (low, high), "V4")
-            per = inverse(made, log_cover, "held_cover", (low, high), "V4")
-        else:
-            per = made.step("per_cover", 1.0 / made.step("held_cover", at_least(made, cover, least)))
+        least = made.entry("least_cover", self._least_cover, "V4", "share of the least of the box")
+        per = made.step("per_cover", 1.0 / made.step("held_cover", ca.if_else(cover > least, cover, least)))
         cross = {n: self._cross(n, sums) for n in row.harmonics} if row.rounds else {}
-        longest = (HELD if made.native else 2.0) * self.wave.outer
-        most = made.entry("longest", longest, "1", "most of a phasor")
+        most = made.entry("longest", 2.0 * self.wave.outer, "1", "most of a phasor")
 
         def solved(cos: ca.SX, sin: ca.SX) -> Pair:
             """The phasor times the cover."""
@@ -184,11 +140,12 @@ class Pieces:
             """The phasor, no longer than any of the box is."""
             re, im = (made.step(f"raw_{a}{tag}", v * per) for a, v in zip(AXES, wide, strict=True))
             low = [
-                made.step(f"held_{a}_low{tag}", above_minus(made, v, most))
+                made.step(f"held_{a}_low{tag}", ca.if_else(v > -most, v, -most))
                 for a, v in zip(AXES, (re, im), strict=True)
             ]
             re, im = (
-                made.step(f"held_{a}{tag}", at_most(made, v, most)) for a, v in zip(AXES, low, strict=True)
+                made.step(f"held_{a}{tag}", ca.if_else(v < most, v, most))
+                for a, v in zip(AXES, low, strict=True)
             )
             return re, im
 
@@ -201,11 +158,7 @@ class Pieces:
                 off = [off[0] + (a * re + b * im), off[1] + (c * re + d * im)]
             left = [made.step(f"left_{a}_{k}", s - o) for a, s, o in zip(AXES, seen, off, strict=True)]
             wide = solved(left[0], left[1])
-        if not made.native:
-            u = held(wide, f"_{row.rounds}")
-            return u, logarithm_steps(made, self.wave, u)
-        wide = made.step("wide_cos", wide[0]), made.step("wide_sin", wide[1])
-        return wide, logarithm_of_ratio(made, wide, log_cover, self._least_wide, ("log", "inside"))
+        return held(wide, f"_{row.rounds}")
 
     def _cross(self, n: int, sums: Callable[[str, Sequence[ca.SX]], Pair]) -> tuple[Pair, Pair]:
         """Weighted sums of what the sensors read of a harmonic: per cosine and sine of its power."""
@@ -220,34 +173,30 @@ class Pieces:
         (a, c), (b, d) = sums(f"by_cos_{n}", re), sums(f"by_sin_{n}", im)
         return (a, b), (c, d)
 
-    @cached_property
-    def _covers(self) -> tuple[float, float]:
-        """Determinant of the normal matrix [V4]: below it the flag is set, beyond it there is no pose."""
+    @property
+    def _least_cover(self) -> float:
+        """Determinant of the normal matrix [V4] below which the flag is set."""
         row = self.row
         w = row.weights(row.poses(np.random.default_rng(3), TRIALS)[0])
         c, s = row.factor[:, 0].real, -row.factor[:, 0].imag
         cc, cs, ss = ((p[:, None] * w).sum(axis=0) for p in (c * c, c * s, s * s))
-        cover = cc * ss - cs * cs
-        return self.covered * float(cover.min()), float(cover.max()) * BEYOND
+        return self.covered * float((cc * ss - cs * cs).min())
 
-    @property
-    def _least_wide(self) -> float:
-        """Length of the phasor times the cover, at least, where no flag is set [V4]."""
-        return self.wave.least * self._covers[0]
 
-    @property
-    def _least_of_all(self) -> float:
-        """Length of the sum of all sensors alike, at least, of poses of the box [V2]."""
-        row = self.row
-        seen = row.readings(row.poses(np.random.default_rng(3), TRIALS)) - row.offset[:, None]
-        return float(np.abs((seen * row.factor[:, :1].conj()).sum(axis=0)).min()) / BEYOND
+def smooth_weight(made: Collected, depth: ca.SX, name: str) -> ca.SX:
+    """Add the steps of w^2 (3 - 2 w), w = `depth` between 0 and 1; returns it."""
+    # 0 to 1 without a branch: its rounding is a millionth of a weight
+    share = made.step(f"share_{name}", (ca.fabs(depth) - ca.fabs(depth - 1.0) + 1.0) * 0.5)
+    return made.step(f"weight_{name}", share * share * (3.0 - (share + share)))
 
-    def _near(self, at: ca.SX) -> ca.SX:
-        """A place, of integers held where an array would be beyond all sensors."""
-        row, made = self.row, self.made
-        if not made.native:
-            return at
-        far = max(map(abs, row.board)) + row.length / 2
-        return made.step(
-            "held_middle", made.held(at, "farthest", far, "m", "place of an array beyond all sensors")
-        )
+
+def place_steps(made: Collected, wave: Wave, u: Pair, near: ca.SX, tag: str = "") -> ca.SX:
+    """Add the steps of the place [m] of a phase in the period next to another place; returns it."""
+    lc, whole, per = (made.symbols[name] for name in ("lc", "wavelength", "per_wave"))
+    place = made.step(f"in_wave{tag}", lc * arctangent_steps(made, wave, u, tag))
+    count = made.step(f"periods{tag}", (near - place) * per + (PERIODS + 0.5))
+    most = 2.0 * PERIODS  # of readings of no pose it could be anything
+    held = made.step(f"counted{tag}", ca.if_else(count < 0.0, 0.0, ca.if_else(count > most, most, count)))
+    made.steps.append(Whole(f"whole{tag}", held))
+    number = made.symbols.setdefault(f"whole{tag}", ca.SX.sym(f"whole{tag}"))
+    return made.step(f"place{tag}", place + whole * (number - float(PERIODS)), "[m]")

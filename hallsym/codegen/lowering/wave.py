@@ -6,7 +6,6 @@ polynomials with proved bounds (`lowering.wave_steps`). What they are made of is
 readings (`lowering.phasors`).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import pi
 
@@ -16,13 +15,10 @@ import numpy as np
 from hallsym.codegen.box import Box, limits
 from hallsym.codegen.decoupler import Decoupler, Flag, Margin
 from hallsym.codegen.entries import Entry, short, unit
-from hallsym.codegen.fixed_point import Program
 from hallsym.codegen.lowering import arrays, mover, travel
 from hallsym.codegen.lowering.phasors import Phasor, phasor
 from hallsym.codegen.lowering.wave_bounds import Rounding
-from hallsym.codegen.lowering.wave_integers import program
 from hallsym.codegen.lowering.wave_steps import (
-    POLYNOMIALS,
     Collected,
     Wave,
     arctangent_steps,
@@ -68,14 +64,7 @@ def decoupler(
     found = phasor(model, p, weight, along, height, box.ends[height])
     own = replace(model, period={**model.period, along: 2 * pi * found.lc})
     ends = box.ends[height]
-    made = _Assembly(own, wave_of(found, ends, aim), box, along, height).make()
-
-    def integers(accuracy: float = ENOUGH, plan: Sequence[int] | None = None) -> Program:
-        wave = wave_of(found, ends, accuracy, radial=False)
-        native = _Assembly(own, wave, box, along, height, Collected(native=True))
-        return program(native.make(), native.made.least, POLYNOMIALS * accuracy / found.lc, plan)
-
-    return replace(made, integers=integers)
+    return _Assembly(own, wave_of(found, ends, aim), box, along, height).make()
 
 
 def refuse(model: Model) -> None:
@@ -165,12 +154,11 @@ class _Assembly:
             exact=self._exact,
             symbols=made.symbols,
             flags=(Flag("FIELD", "inside", "least_inside", FLAG),),
-            approximation=found.lc * (wave.left if made.native else wave.error) + ROUNDED,
+            approximation=found.lc * wave.error + ROUNDED,
             bounded=Rounding(wave, model.pose, self.along, tuple(made.steps[:after_vector]), values),
-            rest=tuple(readings_of(found, 0.0, found.middle).tolist()),
             listed=self._listed(),
             said=self._said(),
-            evident=made.native,
+            evident=False,
         )
 
     def _pose(self, made: Collected, logarithm: ca.SX, phase: ca.SX) -> None:
@@ -179,12 +167,6 @@ class _Assembly:
         lc = made.entry("lc", found.lc, "m", "wavelength over 2 pi")
         middle = made.entry("middle", found.middle, "m", f"{self.height} at which the phasor is 1")
         least_inside(made, (wave,))
-        if made.native:  # integers wrap what repeats by themselves
-            made.step(short(self.along), lc * phase, "[m]")
-            rise = lc * logarithm
-            made.step(short(self.height), middle + rise if found.rising > 0 else middle - rise, "[m]")
-            made.keep((short(self.along), short(self.height), "inside"))
-            return
         half = made.entry("half_wave", pi * found.lc, "m", "half the wavelength")
         place = made.step("place", lc * phase + made.symbols[f"zero_{short(self.along)}"])
         beyond = place - ca.if_else(place < 0, -half, half)
@@ -214,14 +196,13 @@ class _Assembly:
     def _said(self) -> tuple[str, ...]:
         wave, lc = self.wave, self.wave.phasor.lc
         out = [f"{self.along} repeats each {2e3 * pi * lc:.6g} mm; which period it is, readings do not say."]
-        return (*out, *said_of(wave, self.made.native))
+        return (*out, *said_of(wave))
 
 
-def said_of(wave: Wave, native: bool = False) -> tuple[str, ...]:
-    """Return what is said of the approximations of a wave; `native`: without those of functions."""
+def said_of(wave: Wave) -> tuple[str, ...]:
+    """Return what is said of the approximations of a wave."""
     lc, out = wave.phasor.lc, []
-    polynomials = (("arctangent", wave.arctangent), ("logarithm", wave.logarithm))
-    for name, series in () if native else polynomials:
+    for name, series in (("arctangent", wave.arctangent), ("logarithm", wave.logarithm)):
         out.append(
             f"The {name} is a polynomial of degree {series.degree}: off by at most {series.error * lc:.2g} m "
             f"(proved)."

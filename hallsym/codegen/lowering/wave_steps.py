@@ -86,11 +86,10 @@ def _outer(phasor: Phasor, reach: float) -> float:
     return reach + NEAR * phasor.largest(reach)
 
 
-def wave_of(phasor: Phasor, ends: tuple[float, float], accuracy: float, radial: bool = True) -> Wave:
+def wave_of(phasor: Phasor, ends: tuple[float, float], accuracy: float) -> Wave:
     """Return the wave over a range of heights. Raises `InputError` where nothing converges.
 
-    `accuracy`: what rounds and polynomials may leave of place and height [m]. `radial`: whether a term of the
-    logarithm may follow the first round.
+    `accuracy`: what rounds and polynomials may leave of place and height [m].
     """
     share = accuracy / phasor.lc
     most = max(phasor.size(z) for z in ends)
@@ -113,7 +112,7 @@ def wave_of(phasor: Phasor, ends: tuple[float, float], accuracy: float, radial: 
             "give fewer with --range."
         )
     rest = (1 - NEGLIGIBLE) * share - max(logarithm.error, arctangent.error)
-    rounds, last, left = _rounds(phasor, outer, reach, rest, radial)
+    rounds, last, left = _rounds(phasor, outer, reach, rest)
     if not harmonics:
         rounds, last, left = 0, "", 0.0
     return Wave(phasor, harmonics, rounds, last, 1 / reach, logarithm, arctangent, left + out)
@@ -131,9 +130,7 @@ def _counting(phasor: Phasor, r: float, share: float) -> tuple[tuple[int, ...], 
     return tuple(n for n in phasor.harmonics if n not in out), 2 * total
 
 
-def _rounds(
-    phasor: Phasor, r: float, reach: float, share: float, with_radial: bool
-) -> tuple[int, str, float]:
+def _rounds(phasor: Phasor, r: float, reach: float, share: float) -> tuple[int, str, float]:
     """Return how many rounds, what follows the last, and what they leave of ln u: at most `share` where
     possible.
 
@@ -147,7 +144,7 @@ def _rounds(
         made = slope * before
         straight = slope * made + bend / 2 * (before + made) ** 2
         ways = [("", made), ("linear", straight)]
-        if k == 1 and with_radial:
+        if k == 1:
             radial = sum(radial_of(phasor).values()) and _not_radial(phasor, r)
             ways.insert(
                 1, ("radial", slope * made + bend / 2 * before**2 + radial + _folded(phasor, r, before))
@@ -185,14 +182,10 @@ class Collected:
     table: list[Entry] = field(default_factory=list)
     symbols: dict[str, ca.SX] = field(default_factory=dict)
     steps: list[Step] = field(default_factory=list)
-    native: bool = False
-    """Arctangents, logarithms and choices stand as what they are, for an arithmetic that has its own."""
-    least: dict[str, float] = field(default_factory=dict)
-    """Least length of the vector of each of these steps, where no flag is set."""
 
-    def entry(self, name: str, value: float, unit: str, meaning: str, like: str = "") -> ca.SX:
+    def entry(self, name: str, value: float, unit: str, meaning: str) -> ca.SX:
         """Add an entry of the table; returns its symbol."""
-        self.table.append(Entry(name, float(value), unit, meaning, like))
+        self.table.append(Entry(name, float(value), unit, meaning))
         self.symbols[name] = ca.SX.sym(name)
         return self.symbols[name]
 
@@ -211,16 +204,6 @@ class Collected:
             total = self.step(f"{name}_part_{k}", sum(rest[:TERMS], start=total))
             rest = rest[TERMS:]
         return self.step(name, sum(rest, start=total), remark)
-
-    def held(self, value: ca.SX, name: str, most: float, unit: str, meaning: str) -> ca.SX:
-        """Return a value, of integers held within +- `most`, an entry, so that they need no more room.
-
-        Beyond it a flag must be set: nothing is claimed there.
-        """
-        if not self.native:
-            return value
-        end = self.symbols[name] if name in self.symbols else self.entry(name, most, unit, meaning, name)
-        return ca.fmin(ca.fmax(value, -end), end)
 
     def keep(self, wanted: Sequence[str]) -> None:
         """Leave out the steps that none of the wanted ones needs."""
@@ -249,7 +232,6 @@ def phasor_steps(made: Collected, wave: Wave, readings: Mapping[str, ca.SX], tag
         total -= made.entry(f"{axis}_shift{tag}", shift, "1", f"{AXES[axis]} that the offsets read")
         for entry, reading in zip(entries[1:], list(readings.values())[1:], strict=True):
             total = total + entry * reading
-        total = _within(made, total, wave, tag) if wave.harmonics else total
         seen.append(made.step(f"{axis}_seen{tag}", total, "" if seen else "[1] weighted sums"))
     shares = {
         n: [
@@ -258,7 +240,6 @@ def phasor_steps(made: Collected, wave: Wave, readings: Mapping[str, ca.SX], tag
                 found.shares[n][i, j],
                 "1",
                 f"{AXES[a]} read of {AXES[b]} {n}",
-                f"harmonic {n}",
             )
             for i, a in enumerate(AXES)
             for j, b in enumerate(AXES)
@@ -285,14 +266,10 @@ def phasor_steps(made: Collected, wave: Wave, readings: Mapping[str, ca.SX], tag
             sums = _shared(shares, moved)
         about = f"[1] higher harmonics off, round {k}"
         at = (
-            made.step(f"cos_{k}{tag}", _within(made, seen[0] - sums[0], wave, tag), about),
-            made.step(f"sin_{k}{tag}", _within(made, seen[1] - sums[1], wave, tag)),
+            made.step(f"cos_{k}{tag}", seen[0] - sums[0], about),
+            made.step(f"sin_{k}{tag}", seen[1] - sums[1]),
         )
     return at
-
-
-def _within(made: Collected, value: ca.SX, wave: Wave, tag: str) -> ca.SX:
-    return made.held(value, f"longest{tag}", wave.outer, "1", "most of a phasor")
 
 
 def _shared(shares: Mapping[int, list[ca.SX]], powers: Sequence[Pair]) -> Pair:
@@ -319,10 +296,7 @@ class Powers:
     def __init__(self, made: Collected, cos: ca.SX, sin: ca.SX, tag: str, wanted: Sequence[int] = ()) -> None:
         self.made, self.tag, self.known = made, tag, {1: (cos, sin)}
         others = [n for n in wanted if n != FIFTH]
-        # of integers, whose parts of a phasor are held one by one, squares keep more bits
-        self.fifth_alone = FIFTH in wanted and not (
-            made.native or any(FIFTH - 1 in _chain(n) for n in others)
-        )
+        self.fifth_alone = FIFTH in wanted and not any(FIFTH - 1 in _chain(n) for n in others)
 
     def __call__(self, n: int) -> Pair:
         """Return real and imaginary part of the n-th power."""
@@ -365,11 +339,6 @@ def _chain(n: int) -> set[int]:
 def logarithm_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.SX:
     """Add the steps of ln |u|; returns it. The step "inside" is what the flag looks at."""
     size = made.step(f"size{tag}", u[0] * u[0] + u[1] * u[1], "[1] square of the phasor, 1 at middle height")
-    if made.native:
-        made.least[f"log{tag}"] = wave.least
-        found = made.step(f"log{tag}", ca.log(ca.hypot(u[0], u[1])), "[1] of the length of the phasor")
-        made.step(f"inside{tag}", -ca.fabs(found), "[1] from the middle height, below zero")
-        return found
     t = made.step(f"tangent{tag}", (size - 1.0) / (size + 1.0), "[1] of its logarithm, hyperbolic")
     square = made.step(f"tangent_square{tag}", t * t)
     made.step(f"inside{tag}", 1.0 - square)
@@ -404,25 +373,15 @@ def power(made: Collected, known: dict[int, ca.SX], n: int, name: str) -> ca.SX:
 
 def least_inside(made: Collected, waves: Sequence[Wave]) -> None:
     """Add the entry that the flag of the field compares with."""
-    if made.native:
-        value, about = min(np.log(w.least) for w in waves), "less the largest logarithm of the heights"
-    else:
-        value, about = min(w.least_inside for w in waves), "1 - t^2 at the ends of the heights, t as computed"
+    value, about = min(w.least_inside for w in waves), "1 - t^2 at the ends of the heights, t as computed"
     made.entry("least_inside", float(value), "1", about)
 
 
-def arctangent_steps(
-    made: Collected, wave: Wave, u: Pair, tag: str = "", least: float | None = None
-) -> ca.SX:
+def arctangent_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.SX:
     """Add the steps of the angle of u by quadrants; returns it [rad].
-
-    `least`: length of u where no flag is set, that of a phasor if it is not given.
 
     Correct rounding keeps |b - a| <= b + a of two magnitudes, so no tangent is beyond 1.
     """
-    if made.native:
-        made.least[f"phase{tag}"] = wave.least if least is None else least
-        return made.step(f"phase{tag}", ca.atan2(u[1], u[0]), "[rad] angle of the phasor")
     across, up = (made.step(f"{n}{tag}", ca.fabs(v)) for n, v in zip(("across", "up"), u, strict=True))
     t = made.step(f"turned{tag}", (up - across) / ((up + across) + TINY), "[1] tangent of the angle - pi / 4")
     square = made.step(f"turned_square{tag}", t * t)

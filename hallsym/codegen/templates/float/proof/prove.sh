@@ -23,24 +23,3 @@ if @IF_EVIDENT@command -v frama-c >/dev/null; then
 else
     echo "Frama-C EVA, inputs in the box: not run (@WHY_NO_EVA@)"
 fi
-
-if command -v cbmc >/dev/null; then
-    cbmc $include proof/cbmc.c src/decoupler.c params/decoupler_params.c >build/cbmc.log 2>&1 &&
-        echo "CBMC, any bits of any input: proved" || echo "CBMC, any bits of any input: FAILED (build/cbmc.log)"
-else
-    echo "CBMC, any bits of any input: not run (cbmc is not installed)"
-fi
-
-if command -v gappa >/dev/null && [ -f proof/rounding.g ]; then
-    timeout "${GAPPA_SECONDS:-300}" gappa proof/rounding.g >build/gappa.log 2>&1
-    result=$?
-    if [ "$result" = 0 ]; then
-        echo "Gappa, rounding bound over the box: proved"
-    elif [ "$result" = 124 ]; then
-        echo "Gappa, rounding bound over the box: not run to its end in ${GAPPA_SECONDS:-300} s (an iterated model)"
-    else
-        echo "Gappa, rounding bound over the box: FAILED (build/gappa.log)"
-    fi
-else
-    echo "Gappa, rounding bound over the box: not run (gappa is not installed, or the code is double or branches)"
-fi

@@ -11,7 +11,6 @@
 #define INLINE static inline
 #endif
 @MAGNITUDE@
-@FUSED@
 
 @LIMITED_FUNCTION@
 @WITHIN@

@@ -6,5 +6,4 @@ if (@KNOWN@)
     decoupler_out_t seen;
     status = decoupler_step(p, in, &seen);
     zeros[@out.index@] += pose->@out.member@ - seen.@out.member@;
-    zeros[@turning.index@] = wrapped(zeros[@turning.index@], p->@turning.half@);
 }

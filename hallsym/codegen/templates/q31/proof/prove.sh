@@ -25,12 +25,3 @@ if command -v frama-c >/dev/null; then
 else
     echo "Frama-C EVA, inputs in the box@AS_PROVED@: not run (frama-c is not installed)"
 fi
-
-if command -v cbmc >/dev/null; then
-    cbmc --signed-overflow-check $include proof/cbmc.c src/decoupler.c params/decoupler_params.c >build/cbmc.log 2>&1 &&
-        echo "CBMC, any bits of any input: proved" || echo "CBMC, any bits of any input: FAILED (build/cbmc.log)"
-else
-    echo "CBMC, any bits of any input: not run (cbmc is not installed)"
-fi
-
-echo "Gappa, rounding bound over the box: not run (it is for floating point; doc/report.md has the interval bound)"
