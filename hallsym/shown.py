@@ -20,7 +20,7 @@ _SHOWING: list[Callable[[], Any]] = []
 
 
 def shown_by(load: Callable[[], Any]) -> None:
-    """Say who shows results: `load()` returns what has `summary`, `brief`, `page`, `table` and `figure`."""
+    """Say who shows results: `load()` returns what has `summary`, `brief`, `table` and `figure`."""
     _SHOWING[:] = [load]
 
 
@@ -64,7 +64,3 @@ class Shown:
     def __repr__(self) -> str:
         """Return a few lines."""
         return str(_SHOWING[0]().brief(self))
-
-    def _repr_html_(self) -> str:
-        """Return what a notebook shows."""
-        return str(_SHOWING[0]().page(self))

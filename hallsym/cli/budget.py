@@ -25,7 +25,7 @@ from hallsym.cli.common import (
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, load_fit
 from hallsym.log import Noise, check_noise_keys
-from hallsym.report.text import (
+from hallsym.report.text.budget import (
     along_text,
     budget_text,
     comparison_text,

@@ -24,7 +24,7 @@ from hallsym.families.machine_file import Machine, read_machine
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.records import named
-from hallsym.report.text import plan_text
+from hallsym.report.text.plan import plan_text
 from hallsym.simulation import (
     Campaign,
     is_the_papers,

@@ -59,7 +59,6 @@ def add(sub: Any) -> None:
     own_option(parser)
     parser.add_argument("-o", "--output", metavar="JSON", help="save the report")
     plots_options(parser)
-    parser.add_argument("--zeros", action="store_true", help="list the zero deviation of every run")
     parser.add_argument(
         "--beside", action="append", default=[], metavar="MODEL",
         help="fit this model to the same log and set what it determines beside (repeat)",
@@ -93,7 +92,7 @@ def run(options: Namespace) -> int:
     written = _written(options, report, record)
 
     def text() -> str:
-        parts = [report_text(report, zeros=options.zeros)]
+        parts = [report_text(report)]
         parts += ["", comparison_text(report, others)] if others else []
         return "\n".join(parts)
 

@@ -63,7 +63,7 @@ class _Table:
         if room < 0:
             return None
         for k, wanted in enumerate(natural):
-            more = min((wanted if k < self.left else self._in_two_lines(k)) - widths[k], room)
+            more = min(wanted - widths[k], room)
             widths[k], room = widths[k] + more, room - more
         return widths
 
@@ -74,12 +74,6 @@ class _Table:
         if k < self.left:
             cells = [word for cell in cells for word in cell.split()]
         return max(map(len, [*header, *cells, ""]))
-
-    def _in_two_lines(self, k: int) -> int:
-        """Return the least width of a column whose header stands in two lines."""
-        least = self._narrowest(k)
-        header = max((row[k] for row in self.rows[: self.head]), key=len, default="")
-        return next((w for w in range(least, len(header)) if len(_fold(header, w)) <= 2), least)
 
     def _drawn(self, widths: Sequence[int]) -> list[str]:
         ruled = widths[:-1] if self.words else widths
@@ -120,8 +114,8 @@ class _Table:
         """Return the table with the prose of each row below it."""
         widths = self._widths(limit)
         if widths is None:
-            named = [[*row[: self.left], text] for row, text in zip(self.rows, words, strict=True)]
-            return [*self._blocks(limit), "", *_Table(named, self.left, self.head, True).lines(limit)]
+            named = (" ".join([*row[: self.left], text]) for row, text in zip(self.rows, words, strict=True))
+            return [*self._blocks(limit), "", *(fill(line, limit) for line in named)]
         below = [fill(text, limit, initial_indent="    ", subsequent_indent="    ") for text in words]
         lines = []
         for number, (row, text) in enumerate(zip(self.rows, below, strict=True)):

@@ -15,13 +15,12 @@ from hallsym.experiment import Plan
 from hallsym.fleets import Fleet
 from hallsym.inference import Identifiability
 from hallsym.log import Log, as_log
-from hallsym.report.page import Table as PageTable
-from hallsym.report.page import render
-from hallsym.report.text import budget_text, plan_text
+from hallsym.report.text.budget import budget_text
 from hallsym.report.text.diagnosis import diagnosis_text
 from hallsym.report.text.fit import evaluation_head, evaluation_text, fit_head, fit_text
 from hallsym.report.text.fleet import fleet_text
 from hallsym.report.text.identifiability import report_text
+from hallsym.report.text.plan import plan_text
 from hallsym.terminal import fitted
 from hallsym.uncertainty import Budget
 
@@ -79,23 +78,6 @@ def page_of(result: Any, log: Any = None) -> str:
         return diagnosis_page(result)
     fit = result if isinstance(result, Fit) else load_fit(result)
     return fit_page(_log_of(fit, log, "report(fit, 'page.html', 'log.csv')"), fit)
-
-
-def page(result: Any) -> str:
-    """Return what a notebook shows of a result: its first lines, its table, and all of it to open."""
-    view, columns = _view(result), _view(result).table(result)
-    first, *others = brief(result).split("\n")
-    rows = [[_cell(v) for v in row] for row in zip(*columns.values(), strict=True)]
-    table = PageTable(list(columns), rows, type(result).__name__)
-    return render("notebook.html.j2", first=first, others=others, columns=table, summary=view.summary(result))
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, bool | np.bool_):
-        return "yes" if value else "no"
-    if isinstance(value, float | np.floating):
-        return "" if np.isnan(value) else f"{value:.6g}"
-    return "" if value is None else str(value)
 
 
 def _view(result: Any) -> View:

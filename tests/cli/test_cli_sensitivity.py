@@ -61,12 +61,6 @@ def test_values_are_those_of_the_calibration(folder, capsys):
             assert said[name]["std"] == pytest.approx(entry["std"], rel=1e-6)
 
 
-def test_zeros_are_listed_when_asked_for(folder, capsys):
-    _, out, _ = run(capsys, folder / "calib.json", folder / "log.csv", "--zeros")
-    table = out.partition("run  delta_A [um]")[2].splitlines()
-    assert len([line for line in table[2:] if line[:3].strip().isdigit()]) == 55
-
-
 def test_another_model_stands_beside(folder, capsys):
     code, out, _ = run(
         capsys,

@@ -28,11 +28,9 @@ from hallsym.report.page import (
     ACROSS,
     UP,
     Scale,
-    Table,
     decades,
     fit_page,
     label,
-    render,
     runs,
     sketch,
     ticks,
@@ -379,20 +377,6 @@ def test_a_series_keeps_its_peaks_and_gaps():
     assert sum(map(len, run["lines"][0])) < 60_000
 
 
-def test_runs_beside_the_first_are_coarser_and_keep_their_peaks():
-    time = np.linspace(0.0, 20.0, 50_000)
-    error = 1e-6 * np.sin(time)[None]
-    peaked = error.copy()
-    peaked[0, 12_345] = -9e-6
-    several = [run_series(f"run {k}", ("x_m",), time, {"decoded": e}) for k, e in enumerate((error, peaked))]
-    fine, coarse = runs([*several, *[several[1]] * 58]).data["runs"][:2]
-    assert len(coarse["lines"][0][0]) < 0.6 * len(fine["lines"][0][0])
-    assert max(y for _, y in _points(coarse["lines"][0][0])[0]) == UP
-    assert coarse["reach"] == [9]
-    total = sum(len(run["lines"][0][0]) for run in runs([several[0]] * 60).data["runs"])
-    assert total < 700_000
-
-
 def test_a_short_series_is_drawn_sample_by_sample():
     error = np.array([[1e-6, -2e-6, 0.5e-6]])
     series = run_series("run 0", ("x_m",), np.array([0.0, 0.1, 0.2]), {"a": error})
@@ -438,18 +422,6 @@ def test_a_logarithmic_scale_has_equal_steps_per_decade():
 
 def test_labels_have_a_true_minus_and_no_exponent_where_short():
     assert [label(v) for v in (-2.5, -0.0, 12000.0, 0.002)] == ["−2.5", "0", "12000", "0.002"]
-
-
-@given(st.text())
-def test_escaped_text_has_no_markup_and_is_utf8(text):
-    words = text + "\udcff\x00‮"
-    found = render(
-        "notebook.html.j2", first=words, others=[], columns=Table(["a"], [[words]], words), summary=""
-    )
-    found.encode("utf-8")
-    assert "\x00" not in found
-    names = [name for name, _ in Outline(found).found]
-    assert names.count("p") == names.count("b") == names.count("table") == names.count("td") + 1 == 1
 
 
 def test_unknown_columns_raise_input_error(log: Log, fitted: Fit):

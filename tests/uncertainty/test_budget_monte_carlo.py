@@ -12,7 +12,7 @@ from hallsym.errors import InputError
 from hallsym.estimation import Fit, fit
 from hallsym.families.stage import models as stage
 from hallsym.log import Noise, Sigma
-from hallsym.report.text import comparison_sentence
+from hallsym.report.text.budget import comparison_sentence
 from hallsym.uncertainty import (
     Budget,
     Linear,

@@ -65,24 +65,6 @@ def _remark(fit: Fit, k: int) -> str:
     return cause + ("; fixed at nominal" if p.name in fit.held else "; see below")
 
 
-@dataclass(frozen=True, eq=False)
-class Correlation:
-    """Correlation of estimated parameters, `values` (n, n); those that hang together stand side by side."""
-
-    names: tuple[str, ...]
-    values: np.ndarray
-
-
-def correlation_of(fit: Fit) -> Correlation:
-    """Return the correlation of the free parameters that the data of a fit determine."""
-    spread = np.sqrt(np.diag(fit.covariance))
-    known = np.asarray(fit.determined) & (spread > 0)
-    scale = np.where(known, spread, np.nan)
-    every = fit.covariance / np.outer(scale, scale)
-    order = [k for group in blocks(every) for k in group]
-    return Correlation(tuple(fit.model.names[k] for k in order), every[np.ix_(order, order)])
-
-
 def blocks(correlation: np.ndarray, least: float = TRADED) -> list[list[int]]:
     """Return the estimated parameters, (n, n) correlation not nan, in groups that hang together.
 

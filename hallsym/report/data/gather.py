@@ -203,19 +203,6 @@ class RunSeries:
     per_column: int = 1
     turning: Collection[str] | None = None
 
-    def reduced(self, columns: int) -> RunSeries:
-        """Return the series with at most so many columns: neighbours are taken together."""
-        per = -(-len(self.time) // columns)
-        if per == 1:
-            return self
-        starts = np.arange(0, len(self.time), per)
-        lines = {
-            line: (np.fmin.reduceat(low, starts, axis=1), np.fmax.reduceat(high, starts, axis=1))
-            for line, (low, high) in self.lines.items()
-        }
-        time = np.array([self.time[a : a + per].mean() for a in starts])
-        return replace(self, time=time, lines=lines, per_column=per * self.per_column)
-
 
 def series_of(
     title: str,
@@ -236,13 +223,14 @@ def series_of(
 
 
 ALONG, PLANE, MOST = 15, 11, 60
-"""Cells along a coordinate, along each side of a map, and of runs (neighbours are taken together). As many
-runs have a series, those with the largest errors.
+"""Cells along a coordinate, along each side of a map, and of runs (neighbours are taken together).
 
 Odd, so that an axis at rest in the middle of its travel lies inside a cell: on an edge, the noise of its own
 reference would decide the cell, and each side would show a median that is not there.
 """
 
+RUNS = 20
+"""Runs that have a series, those with the largest errors."""
 MOST_AXES = 6
 """Coordinates that are mapped over each other, two at a time: a rigid body has six."""
 
@@ -325,7 +313,6 @@ def gather(
     *,
     label: str = "decoded",
     keep: Weigh | None = None,
-    most_runs: int = MOST,
     after: Version | None = None,
 ) -> Gathered:
     """Read `log` twice, in blocks, for maps and series of the errors of a fit, which is called `label`.
@@ -336,7 +323,7 @@ def gather(
     take no part and interrupt the series.
     """
     survey = look_over(log, fit, keep)
-    chosen, timed = worst_first(survey, fit.noise_floor, most_runs), survey.time is not None
+    chosen, timed = worst_first(survey, fit.noise_floor, RUNS), survey.time is not None
     own = ((p.block, np.where(p.kept, p.fitted - p.reference, np.nan)) for p in decoded(log, fit, keep))
     passes = {label: own} | ({} if after is None else {after.name: after.read(timed=timed)})
     places = _maps(fit, survey)

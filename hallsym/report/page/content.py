@@ -156,7 +156,7 @@ class Items:
 
 @dataclass(frozen=True)
 class Figure:
-    """Charts with a caption, side by side; `look`: "two" in a row, or one "alone" that may be wider."""
+    """Charts with a caption, side by side; `look`: "two" in a row."""
 
     kind: ClassVar[str] = "figure"
     charts: Sequence[Chart]

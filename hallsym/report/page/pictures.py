@@ -14,7 +14,6 @@ import numpy as np
 from hallsym.diagnosis import Band, CurveShape, place_unit
 from hallsym.model import Part
 from hallsym.model import sketch as outline
-from hallsym.report.data.fit import Correlation
 from hallsym.report.data.gather import Cells, Residuals, RunSeries
 from hallsym.report.page.charts import (
     HALF,
@@ -36,14 +35,13 @@ from hallsym.report.page.charts import (
     line,
     path,
     px,
-    rect,
     remark,
     rows,
     text,
     tile,
 )  # fmt: skip
 from hallsym.report.page.content import Runs
-from hallsym.report.words import MINUS, degrees_of, largest, name, scale, three
+from hallsym.report.words import degrees_of, largest, name, scale, three
 from hallsym.units import typeset
 
 # -- bars and intervals ----------------------------------------------------------------------------------
@@ -251,10 +249,6 @@ ACROSS, UP = 20_000, 5_000
 FEWEST = 200
 """Columns that are shown at least: fewer would pass for samples."""
 WIDTH = 740.0
-ROOM, POINT = 500_000, 13
-"""Bytes that all runs beside the first may take, and those of one column of a line."""
-COARSEST, FINEST = 60, 1000
-"""Columns of a run beside the first."""
 
 
 def runs(series: Sequence[RunSeries]) -> Runs | None:
@@ -268,10 +262,7 @@ def runs(series: Sequence[RunSeries]) -> Runs | None:
     first, outputs = series[0], range(len(series[0].pose))
     reach = [[_reach(s, k) for k in outputs] for s in series]
     scales = [scale(first.pose[k], max(r[k] for r in reach), first.turning) for k in outputs]
-    each = ROOM / (POINT * max(len(series) - 1, 1) * len(outputs) * len(first.lines))
-    columns = int(np.clip(each, COARSEST, FINEST))
-    shown = [first, *(s.reduced(columns) for s in series[1:])]
-    data = [_run(s, r, scales) for s, r in zip(shown, reach, strict=True)]
+    data = [_run(s, r, scales) for s, r in zip(series, reach, strict=True)]
     charts = [_panel(first, data[0], k, scales[k]) for k in outputs]
     key = "; light: " + "; dark, drawn over it: ".join(first.lines) if len(first.lines) > 1 else ""
     script = {"unit": "s" if first.timed else "samples", "runs": data}
@@ -348,7 +339,7 @@ def _path(time: np.ndarray, low: np.ndarray, high: np.ndarray, reach: float) -> 
     return "".join(words)
 
 
-# -- the spectrum of the errors, and the correlation of the parameters -------------------------
+# -- the spectrum of the errors -------------------------
 
 
 DECADE = 10.0
@@ -380,34 +371,6 @@ def _spectrum(found: Mapping[str, Residuals], k: int) -> Chart:
     y = Scale(low if log else 0.0, high, log=log, most=3)
     layers.append(level(factor * first.white[k]))
     return framed(f"{what} [{unit}/{per}]", f"spectrum of the error in {what}: most, {most}", x, y, layers)
-
-
-def matrix(found: Correlation, least: float) -> Chart | None:
-    """Draw the correlation of every two parameters: fuller is more, a dash is negative; None for fewer.
-
-    Correlations of at least `least` are read out.
-    """
-    n = len(found.names)
-    if n < 2:
-        return None
-    room = 14.0 + 6.4 * max(map(len, found.names))
-    cell = min(26.0, max(13.0, (700.0 - room) / n))
-    marks: list[Mark] = []
-    strong = []
-    for row, own in enumerate(found.names):
-        y = room + cell * row
-        marks.append(text(room - 5, y + 0.5 * cell + 4, own, "end"))
-        marks.append(text(y + 0.5 * cell + 4, room - 5, own, upright=True))
-        marks.append(rect(y, y, cell - 1, cell - 1, "band"))
-        for column, other in enumerate(found.names[:row]):
-            value = float(found.values[row, column])
-            said = f"{own} and {other} {value:.2f}".replace("-", MINUS)
-            marks += tile(room + cell * column, y, cell - 1, cell - 1, value, said)
-            strong += [said] if abs(value) >= least else []
-    says = f"correlation of parameters: {', '.join(strong) or f'none of {least:g} or more'}"
-    size = room + cell * n + 2
-    look = "matrix" if size <= 560 else "matrix wide"
-    return Chart(size, size, says, marks, {"class": look, "width": px(1.2 * size)})
 
 
 # -- the shape of what no effect explains ----------------------------------------------------------------

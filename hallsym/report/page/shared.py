@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.estimation import Fit
-from hallsym.inference.verdict import TRADED
-from hallsym.report.data.fit import ParameterRow, correlation_of, parameter_rows
+from hallsym.report.data.fit import ParameterRow, parameter_rows
 from hallsym.report.data.gather import Cells, Residuals, RunSeries
 from hallsym.report.page import pictures
 from hallsym.report.page.content import Facts, Figure, Heading, Planes, Section, Table, Words
@@ -151,7 +150,7 @@ def residuals_section(found: Mapping[str, Residuals]) -> Section:
 
 
 def parameters_of(fit: Fit) -> list[Any]:
-    """Return the parameters, what the data determine in place of some, and their correlation."""
+    """Return the parameters, and what the data determine in place of some."""
     head = ["parameter", "value (std)", "unit", "nominal", "bounds", "in its bounds", "meaning", "verdict"]
     rows = [_parameter(row) for row in parameter_rows(fit)]
     table = Table(head, rows, f"parameters of {fit.model.name}", wordy=(6, 7), sortable=True)
@@ -160,12 +159,6 @@ def parameters_of(fit: Fit) -> list[Any]:
         rows = [[c.expression, concise(c.value, c.std).replace("-", MINUS), c.unit] for c in fit.combinations]
         content.append(Heading("Identifiable combinations"))
         content.append(Table(["combination", "value", "unit"], rows, "identifiable combinations", wordy=(2,)))
-    chart = pictures.matrix(correlation_of(fit), TRADED)
-    if chart is not None:
-        how = (
-            "The fuller the colour the stronger; a dash marks a negative one. Point at a cell for its number."
-        )
-        content += [Heading("Correlation"), Words(how, note=True), Figure([chart], look="alone")]
     return content
 
 

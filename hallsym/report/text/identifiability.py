@@ -20,8 +20,8 @@ from hallsym.report.tables import concise, grid, in_units
 from hallsym.units import parameter_unit, readable
 
 
-def report_text(report: Identifiability, *, zeros: bool = False) -> str:
-    """Return the report; `zeros`: list the zero deviation of every run too."""
+def report_text(report: Identifiability) -> str:
+    """Return what `hallsym sensitivity` prints."""
     cost = report.evidence.cost
     runs, recorded = len(cost.summary.runs), report.evidence.recorded
     what = "will determine" if cost.planned else "determine" if runs > 1 else "determines"
@@ -37,7 +37,7 @@ def report_text(report: Identifiability, *, zeros: bool = False) -> str:
     parts += ["", *null_text(report.structural, report.practical)]
     parts += ["", further_text(report.further)] if report.further else []
     parts += ["", effects_text(report)]
-    parts += ["", outputs_text(report), "", *offsets_text(report.offsets, zeros)]
+    parts += ["", outputs_text(report), "", *offsets_text(report.offsets)]
     parts += [f"uncertainty: {report.intervals.method} ({report.intervals.reason})"]
     parts += [f"not computed: {sentence}" for sentence in report.partial]
     parts += [f"note: {note}" for note in report.evidence.notes if note != amiss]
@@ -195,8 +195,8 @@ def outputs_text(report: Identifiability) -> str:
     return grid(rows)
 
 
-def offsets_text(offsets: Offsets, listed: bool) -> list[str]:
-    """Return the zero deviations: summarised, and listed if asked for."""
+def offsets_text(offsets: Offsets) -> list[str]:
+    """Return the zero deviations: their sizes over all runs."""
     if not offsets.names:
         return []
     sizes = offsets.sizes()
@@ -207,13 +207,7 @@ def offsets_text(offsets: Offsets, listed: bool) -> list[str]:
     ]
     std = factor * max(z["std"] for z in sizes.values())
     each = f"each +-{std:.2g} {unit} (1 sigma)"
-    lines = [f"{offsets.values.size} zero deviations, eliminated: {'; '.join(said)}; {each}"]
-    if listed:
-        rows = [["run", *(f"{n} [{unit}]" for n in offsets.names)]]
-        for run, values, own in zip(offsets.runs, factor * offsets.values, factor * offsets.std, strict=True):
-            rows.append([str(run), *map(concise, values.tolist(), own.tolist())])
-        lines += ["", grid(rows)]
-    return lines
+    return [f"{offsets.values.size} zero deviations, eliminated: {'; '.join(said)}; {each}"]
 
 
 def comparison_text(report: Identifiability, others: Sequence[Identifiability]) -> str:
