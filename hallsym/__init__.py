@@ -79,8 +79,8 @@ if TYPE_CHECKING:
     from hallsym.uncertainty import position_budget as position_budget
     from hallsym.uncertainty import read_budget as read_budget
     from hallsym.uncertainty import uncertainty_map as uncertainty_map
+    from hallsym.uncertainty.ranges import read_tolerances as read_tolerances
     from hallsym.uncertainty.tolerances import Tolerances as Tolerances
-    from hallsym.uncertainty.tolerances import read_tolerances as read_tolerances
     from hallsym.uncertainty.tolerances import tolerances as tolerances
 
 _PUBLIC = {
@@ -108,7 +108,8 @@ _PUBLIC = {
     "hallsym.uncertainty": (
         "Budget", "ErrorModel", "Source", "error_model", "position_budget", "read_budget", "uncertainty_map",
     ),
-    "hallsym.uncertainty.tolerances": ("Tolerances", "read_tolerances", "tolerances"),
+    "hallsym.uncertainty.ranges": ("read_tolerances",),
+    "hallsym.uncertainty.tolerances": ("Tolerances", "tolerances"),
 }  # fmt: skip
 """Where each public name stands; it is imported when it is first used, so that `import hallsym` is quick."""
 shown_by(lambda: import_module("hallsym.report.views"))

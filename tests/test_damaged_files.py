@@ -12,7 +12,6 @@ READERS = {target.name: target for target in targets()}
 def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     pytest.importorskip("pyarrow")
     pytest.importorskip("h5py")
-    pytest.importorskip("SALib")
     return Workshop(tmp_path_factory.mktemp("damaged"))
 
 

@@ -57,7 +57,6 @@ COMMANDS = (
     "codegen",
     "plan",
     "tolerances",
-    "errors",
     "simulate",
     "sort",
     "trajectory",

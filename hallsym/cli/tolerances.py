@@ -1,10 +1,21 @@
-"""`hallsym tolerances`: which tolerance of a machine is worth money, before any data."""
+"""`hallsym tolerances`: which tolerance of a machine is worth money, and what known deviations make."""
 
 from argparse import Namespace
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import campaign_of, command, model_options, plots_options, plots_place, say, seed
+from hallsym.cli.common import (
+    campaign_of,
+    column_numbers,
+    column_ranges,
+    command,
+    model_options,
+    plots_options,
+    plots_place,
+    say,
+    seed,
+)
+from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
 from hallsym.log import Meta
@@ -18,12 +29,14 @@ def add(sub: Any) -> None:
         sub, "tolerances", run,
         "Draw machines with every parameter in its tolerance, read them with the nominal decoder, and say\n"
         "how much of the error each tolerance makes: fall of the rms error if it is exact or halved, Sobol\n"
-        "indices with 95 % intervals, and what a calibration would remove. Needs SALib:\n"
-        "pip install 'hallsym[sobol]'.",
+        "indices with 95 % intervals. With --along, one machine with known deviations along a coordinate:\n"
+        "the error by cause, each effect alone, then all together.",
         "examples:\n"
         "  hallsym tolerances                                 Table 1 with the ranges of Table 3\n"
         "  hallsym tolerances --model halbach                 usual tolerances of sensors and boards\n"
         "  hallsym tolerances --ranges drawing.toml --machine mystage.toml --plots pictures\n"
+        "  hallsym tolerances --along x_um=-500:500 --set theta_A_deg=0.1\n"
+        "  hallsym tolerances --model halbach --along x_m --effect gain_mismatch --set gain_0_percent=1\n"
         "\n"
         "a tolerance file:\n"
         "  [tolerance]\n"
@@ -47,16 +60,27 @@ def add(sub: Any) -> None:
         help="base samples, a power of two (default 1024)",
     )  # fmt: skip
     parser.add_argument("--seed", type=seed, default=0, help="of the machines drawn (default 0)")
-    plots_options(parser, "save a picture of the indices")
+    plots_options(parser, "save a picture of the indices, or of the errors")
     parser.set_defaults(step=None, duration=None)
+    group = parser.add_argument_group("known deviations")
+    group.add_argument(
+        "--along", metavar="COLUMN[=FROM:TO]",
+        help="coordinate that moves: x_mm=0:30, or one that repeats, over a period: x_m",
+    )  # fmt: skip
+    group.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE",
+        help="value of a parameter of the machine, in SI or with a unit in the name: --set gain_0_percent=1 "
+        "(repeat); what decodes it has the nominal values",
+    )  # fmt: skip
+    group.add_argument(
+        "--at", action="append", default=[], metavar="COLUMN=VALUE",
+        help="where another coordinate rests: z_mm=4.2 (repeat)",
+    )  # fmt: skip
     model_options(parser, DESIGNED)
 
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
-    from hallsym.report.text.tolerances import tolerances_text
-    from hallsym.uncertainty.tolerances import read_tolerances, tolerances
-
     machine = read_machine(options.machine)
 
     def made(*effects: str) -> Model:
@@ -64,6 +88,15 @@ def run(options: Namespace) -> int:
         return build(name, meta=meta, added=effects, parameters=machine.parameters)
 
     model = made(*options.effect)
+    if options.along:
+        return _along(options, model)
+    for name in ("set", "at"):
+        if getattr(options, name):
+            raise InputError(f"--{name} is for errors along a coordinate; give --along {model.pose[0]} too.")
+    from hallsym.report.text.tolerances import tolerances_text
+    from hallsym.uncertainty.ranges import read_tolerances
+    from hallsym.uncertainty.tolerances import tolerances
+
     if not options.effect and options.ranges is None:
         model = made(*filter(None, model.family.tolerances))
     ranges = None if options.ranges is None else read_tolerances(options.ranges, model)
@@ -75,3 +108,43 @@ def run(options: Namespace) -> int:
         pictures = save_tolerances(found, plots_place(options, options.ranges, model.name))
     say(options, found.to_dict(), lambda: tolerances_text(found), wrote=pictures)
     return OK
+
+
+def _along(options: Namespace, model: Model) -> int:
+    from hallsym.report.text.along import errors_text
+    from hallsym.uncertainty import error_model
+    from hallsym.uncertainty.ranges import read_value
+
+    given = {"TOML": options.campaign, "--ranges": options.ranges, "--seed": options.seed}
+    given["--samples"] = options.samples != 1024
+    for name in filter(given.get, given):
+        raise InputError(f"{name} belongs to machines that are drawn; leave it out beside --along.")
+    values = {}
+    for text in options.set:
+        name, value = read_value(model, text, "--set")
+        if name in values:
+            raise InputError(f"Parameter {name} has two values in --set; keep one.")
+        values[name] = value
+    columns = (*model.pose, *model.state)
+    if "=" in options.along:
+        ((column, (low, high)),) = column_ranges([options.along], columns, "--along").items()
+    else:
+        column, low, high = options.along, 0.0, model.period.get(options.along, 0.0)
+    if not high > low:
+        raise InputError(
+            f"{column} does not repeat: state its range, such as --along {columns[0]}=-1e-3:1e-3."
+        )
+    at = dict(_place(text, columns) for text in options.at)
+    found = error_model(model, values, over=(column, low, high), at=at)
+    pictures = []
+    if options.plots:
+        from hallsym.report.figures.along import save_errors
+
+        pictures = save_errors(found, plots_place(options, found.model.name))
+    say(options, found.to_dict(), lambda: errors_text(found), wrote=pictures)
+    return OK
+
+
+def _place(text: str, columns: tuple[str, ...]) -> tuple[str, float]:
+    column, (value,) = column_numbers(text, columns, "--at", f"{text.partition('=')[0]}=1")
+    return column, value

@@ -18,7 +18,7 @@ from hallsym.errors import InputError
 from hallsym.log import near
 from hallsym.model import Model, on_arrays
 from hallsym.simulation import Campaign, campaign_from, paper_campaign
-from hallsym.uncertainty.tolerances.workspace import Workspace, workspace_of
+from hallsym.uncertainty.tolerances import Workspace, workspace_of
 from hallsym.units import Array
 
 SAME = 1e-9

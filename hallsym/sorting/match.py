@@ -16,7 +16,7 @@ from hallsym.simulation import Campaign
 from hallsym.sorting.bins import bins_of
 from hallsym.sorting.influence import Influence, alike, influence_of_gains, without_common
 from hallsym.sorting.sort import WIDTH, Sorting
-from hallsym.uncertainty.tolerances.workspace import Workspace
+from hallsym.uncertainty.tolerances import Workspace
 from hallsym.units import Array
 
 MOST_ORDERED = 6

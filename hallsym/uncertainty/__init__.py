@@ -5,14 +5,7 @@
 is the error of known causes along a coordinate.
 """
 
-from hallsym.uncertainty.along import (
-    ErrorModel,
-    ErrorsAlong,
-    decoders,
-    error_model,
-    errors_along,
-    usual_range,
-)
+from hallsym.uncertainty.along import ErrorModel, error_model, errors_along
 from hallsym.uncertainty.files import read_budget
 from hallsym.uncertainty.following import AlongCurve, along_curve, curve_error, with_curve
 from hallsym.uncertainty.gum import DIVISORS, Budget, Source
@@ -45,7 +38,6 @@ __all__ = [
     "Candidate",
     "Comparison",
     "ErrorModel",
-    "ErrorsAlong",
     "Input",
     "Linear",
     "ModelError",
@@ -59,7 +51,6 @@ __all__ = [
     "budget_monte_carlo",
     "curve_error",
     "decoded_at_random",
-    "decoders",
     "error_model",
     "errors_along",
     "independent_inputs",
@@ -75,6 +66,5 @@ __all__ = [
     "slopes",
     "tolerance",
     "uncertainty_map",
-    "usual_range",
     "with_curve",
 ]

@@ -17,7 +17,8 @@ LEAST_SQUARES, CLOSED_FORM = "least-squares", "closed-form"
 """Decoders that every model may have, beside the formulas that it states by name."""
 NOTHING = 1e-9
 """Error [m or rad] that counts as none: a decoder that has converged rounds below it."""
-LEAST_SAMPLES, MOST_SAMPLES = 8, 1_000_000
+PLACES = 360
+"""Places along a range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +57,6 @@ def decoders(model: Model) -> tuple[str, ...]:
     return LEAST_SQUARES, *((CLOSED_FORM,) if model.begin else ()), *model.formulas
 
 
-def usual_range(model: Model) -> tuple[str, float, float] | None:
-    """Return the first coordinate that repeats and one period of it from 0; None where none repeats."""
-    return next(((c, 0.0, model.period[c]) for c in model.pose if c in model.period), None)
-
-
 def errors_along(
     model: Model,
     values: Mapping[str, float],
@@ -69,7 +65,7 @@ def errors_along(
     at: Mapping[str, float] | None = None,
     plain: Model | None = None,
     decoder: str = LEAST_SQUARES,
-    samples: int = 360,
+    samples: int = PLACES,
 ) -> ErrorsAlong:
     """Return the error that a machine with `values` of the parameters of `model` makes along a coordinate.
 
@@ -80,15 +76,9 @@ def errors_along(
     `InputError`.
     """
     plain = without_effects(model) if plain is None else plain
-    if not LEAST_SAMPLES <= samples <= MOST_SAMPLES:
-        raise InputError(
-            f"'samples' must be {LEAST_SAMPLES} to {MOST_SAMPLES}; instead received {samples!r}."
-        )
-    over = over or usual_range(model)
+    over = over or next(((c, 0.0, model.period[c]) for c in model.pose if c in model.period), None)
     if over is None:
-        raise InputError(
-            f"No coordinate of {model.name} repeats: state the range to look at, such as {model.pose[0]}."
-        )
+        raise InputError(f"No coordinate of {model.name} repeats: state the range to look at.")
     coordinate, low, high = over
     places = low + (high - low) * np.arange(samples) / samples
     true = _places(model, coordinate, places, at or {})

@@ -10,7 +10,7 @@ from hallsym.errors import InputError
 from hallsym.model import on_arrays
 from hallsym.sorting import match_sensors, sort_sensors
 from hallsym.sorting.influence import alike, influence_of_gains, without_common
-from hallsym.uncertainty.tolerances.workspace import Workspace
+from hallsym.uncertainty.tolerances import Workspace
 from tests.sorting.benches import bench
 from tests.trial_families import LC, PLANE, array_2dof, array_6dof
 

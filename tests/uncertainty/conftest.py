@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from tolerance_ranges import SMALL
 
 from hallsym.families import build
 from hallsym.uncertainty.tolerances import Tolerances, Workspace, tolerances
@@ -19,11 +18,6 @@ def somewhere() -> Workspace:
     return Workspace(
         rng.uniform(-1, 1, (3, 7)) * np.array([[3e-4], [5e-4], [3e-4]]), rng.uniform(-2e-4, 2e-4, (3, 7))
     )
-
-
-@pytest.fixture(scope="session")
-def small(model, somewhere) -> Tolerances:
-    return tolerances(model, somewhere, ranges=SMALL, samples=256, seed=1)
 
 
 @pytest.fixture(scope="session")

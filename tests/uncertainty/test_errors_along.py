@@ -48,7 +48,6 @@ def test_where_the_others_rest():
         ({"decoder": "sum"}, "no decoder 'sum'"),
         ({"over": ("w_m", 0.0, 1.0)}, "no coordinate 'w_m'"),
         ({"at": {"q_m": 1.0}}, "no coordinate 'q_m'"),
-        ({"samples": 2}, "'samples' must be"),
     ],
 )
 def test_what_cannot_be_looked_at(about, said):
@@ -66,7 +65,7 @@ def test_causes_need_values():
 
 
 def test_command(tmp_path, capsys):
-    words = ["errors", "--model", "halbach", "--set", "a1_percent=98.8"]
+    words = ["tolerances", "--along", "x_m", "--model", "halbach", "--set", "a1_percent=98.8"]
     assert main([*words, "--json"]) == 0
     (cause,) = json.loads(capsys.readouterr().out)["causes"]
     assert cause["rms"]["z_m"] == pytest.approx(57.64e-6, abs=1e-8)
@@ -80,13 +79,15 @@ def test_command(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--set", "theta_A_deg=0.1"], "state the range with --over"),
-        (["--set", "theta_A_deg=0.1", "--over", "x_um=3:-3"], "--over must go from"),
-        (["--set", "theta_A_deg=much", "--over", "x_um=-3:3"], "NAME=VALUE"),
-        (["--set", "theta_A_km=1", "--over", "x_um=-3:3"], "must end with a unit"),
-        (["--over", "x_um=-3:3"], "needs a cause"),
+        (["--along", "x_m", "--set", "theta_A_deg=0.1"], "state its range"),
+        (["--along", "x_um=3:-3", "--set", "theta_A_deg=0.1"], "--along must go from"),
+        (["--along", "x_um=-3:3", "--set", "theta_A_deg=much"], "NAME=VALUE"),
+        (["--along", "x_um=-3:3", "--set", "theta_A_km=1"], "must end with a unit"),
+        (["--along", "x_um=-3:3", "--samples", "32"], "machines that are drawn"),
+        (["--along", "x_um=-3:3"], "needs a cause"),
+        (["--set", "theta_A_deg=0.1"], "give --along"),
     ],
 )
 def test_refusals_of_the_command(words, said, capsys):
-    assert main(["errors", *words]) == 2
+    assert main(["tolerances", *words]) == 2
     assert said in capsys.readouterr().err

@@ -1,8 +1,8 @@
-"""Tolerances: indices against closed forms, against SALib, against the article's matrix typed again in numpy.
+"""Tolerances: indices against closed forms, and errors against the article's matrix typed again in numpy.
 
 Facts: a linear error has S_j = T_j = share of variance, whatever the distribution; Ishigami's function has
 published indices; probes that mirror each other have equal indices; what no reading sees has index 0; error
-and tolerance scale together; a calibration without noise leaves rounding.
+and tolerance scale together.
 """
 
 import json
@@ -11,23 +11,26 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tolerance_ranges import COUPLED, SMALL
 from twins import pm
 
 from hallsym.families import build
 from hallsym.families.stage import models as stage
 from hallsym.simulation import paper_campaign
-from hallsym.uncertainty.tolerances import (
-    Tolerances,
-    Workspace,
-    given_tolerances,
-    sobol,
-    study,
-    tolerances,
-    workspace_of,
-)
+from hallsym.uncertainty import tolerances as study
+from hallsym.uncertainty.ranges import given_tolerances
+from hallsym.uncertainty.tolerances import Tolerances, Workspace, tolerances, workspace_of
 
-pytest.importorskip("SALib")
+SMALL = {
+    **{f"H{k}{axis}_um": 100 for k in (1, 2, 3) for axis in "xy"},
+    **{f"eta_{k}_percent": 0.03 for k in "ABC"},
+    **{f"theta_{k}_mrad": 0.25 for k in "ABC"},
+}
+"""Small enough for the error to be linear in them to 1e-3."""
+
+
+@pytest.fixture(scope="module")
+def small(model, somewhere) -> Tolerances:
+    return tolerances(model, somewhere, ranges=SMALL, samples=256, seed=1)
 
 
 def error_by_hand(machines: np.ndarray, names, where: Workspace) -> np.ndarray:
@@ -61,7 +64,7 @@ def shares_by_hand(model, ranges, where: Workspace) -> tuple[np.ndarray, np.ndar
 
 def test_a_linear_error_is_shared_by_variance(model, somewhere, small):
     shares, rms = shares_by_hand(model, small.tolerances, somewhere)
-    for c, share, indices in zip(model.pose, shares, small.indices["error"].values(), strict=True):
+    for c, share, indices in zip(model.pose, shares, small.indices.values(), strict=True):
         assert np.all(np.abs(indices.first - share) <= indices.first_half + 1e-3), c
         assert np.all(np.abs(indices.total - share) <= indices.total_half + 1e-3), c
     assert small.errors.rms == pytest.approx(rms, rel=0.06)  # three standard errors
@@ -99,35 +102,32 @@ def test_ishigami():
     whole = alone.sum() + together
     first, total = alone / whole, (alone + np.array([together, 0, together])) / whole
     assert first == pytest.approx([0.3139, 0.4424, 0], abs=5e-5)
-    y = ishigami(sobol.design(3, 2048, seed=3))
-    field = sobol.moments(y[..., None], y[:, [0, -1]].mean(keepdims=True)[0])
-    for found in (sobol.scalar_indices(y, seed=3), sobol.field_indices(field, seed=3)):
-        assert np.all(np.abs(found.first - first) <= found.first_half)
-        assert np.all(np.abs(found.total - total) <= found.total_half)
-        assert found.widest < 0.1
+    y = ishigami(study.design(3, 2048, seed=3))
+    found = study.field_indices(study.moments(y[..., None], y[:, [0, -1]].mean(keepdims=True)[0]), seed=3)
+    assert np.all(np.abs(found.first - first) <= found.first_half)
+    assert np.all(np.abs(found.total - total) <= found.total_half)
+    assert found.widest < 0.1
 
 
 # -- another implementation ------------------------------------------------------------------------------
 
 
 def test_a_field_of_one_point_is_what_salib_makes_of_a_scalar():
-    from SALib.analyze.sobol import first_order, total_order
+    """Indices, intervals of two bootstraps of 200 resamples, which scatter by 5 %, and the design."""
+    pytest.importorskip("SALib")
+    from SALib.analyze.sobol import analyze
+    from SALib.sample.sobol import sample
 
-    y = np.random.default_rng(8).normal(3, 1, (64, 6))
-    mean = y[:, [0, -1]].mean()
-    found = sobol.field_indices(sobol.moments(y[..., None], np.array([mean])), seed=0)
-    A, AB, B = y[:, 0] - mean, y[:, 1:-1] - mean, y[:, -1] - mean
-    assert found.first == pytest.approx([float(first_order(A, AB[:, j], B)) for j in range(4)], rel=1e-12)
-    assert found.total == pytest.approx([float(total_order(A, AB[:, j], B)) for j in range(4)], rel=1e-12)
-
-
-def test_intervals_are_as_wide_as_salibs():
-    """Two bootstraps of the same estimator, 200 resamples each: the widths scatter by 1 / sqrt(400)."""
-    y = ishigami(sobol.design(3, 1024, seed=2))
-    field = sobol.field_indices(sobol.moments(y[..., None], np.array([y[:, [0, -1]].mean()])), seed=4)
-    salib = sobol.scalar_indices(y, seed=5)
-    assert field.first_half == pytest.approx(salib.first_half, rel=0.3)
-    assert field.total_half == pytest.approx(salib.total_half, rel=0.3)
+    problem = {"num_vars": 3, "names": list("abc"), "bounds": [[0.0, 1.0]] * 3}
+    u = study.design(3, 1024, seed=2)
+    np.testing.assert_array_equal(u.reshape(-1, 3), sample(problem, 1024, calc_second_order=False, seed=2))
+    y = ishigami(u)
+    found = study.field_indices(study.moments(y[..., None], np.array([y[:, [0, -1]].mean()])), seed=4)
+    theirs = analyze(problem, y.ravel(), calc_second_order=False, num_resamples=200, seed=5)
+    assert found.first == pytest.approx(theirs["S1"], abs=2e-3)
+    assert found.total == pytest.approx(theirs["ST"], abs=2e-3)
+    assert found.first_half == pytest.approx(theirs["S1_conf"], rel=0.3)
+    assert found.total_half == pytest.approx(theirs["ST_conf"], rel=0.3)
 
 
 def test_errors_are_those_of_the_articles_matrix(model):
@@ -141,7 +141,6 @@ def test_errors_are_those_of_the_articles_matrix(model):
         np.abs(found.errors.rms**2 - square.mean(axis=1)) < 5 * square.std(axis=1) / np.sqrt(1000 / 2)
     )
     rms = np.sqrt(square)
-    assert found.errors.rms_spread == pytest.approx(rms.std(axis=1), rel=0.15)
     assert found.errors.rms_95 == pytest.approx(np.quantile(rms, 0.95, axis=1), rel=0.1)
 
 
@@ -157,7 +156,7 @@ def test_mirrored_probes_are_worth_the_same():
     found = tolerances(stage.stage15(layout), samples=256, seed=2)
     for a, b in (("eta_A", "eta_B"), ("theta_A", "theta_B"), ("H1x", "H2x"), ("H1y", "H2y")):
         i, j = found.active.index(a), found.active.index(b)
-        for indices in found.indices["error"].values():
+        for indices in found.indices.values():
             assert abs(indices.total[i] - indices.total[j]) <= indices.total_half[i] + indices.total_half[j]
 
 
@@ -169,8 +168,7 @@ def test_what_no_reading_sees_has_no_index(model, somewhere):
     )
     for name in ("H1y", "H2y", "H3x"):
         j = found.active.index(name)
-        for quantity in found.indices.values():
-            assert all(i.first[j] == i.total[j] == 0 for i in quantity.values()), name
+        assert all(i.first[j] == i.total[j] == 0 for i in found.indices.values()), name
         assert np.all(found.worth.exact[j] == 0)
     assert not any(n.startswith("theta") for n in found.active)
 
@@ -180,17 +178,16 @@ def test_an_output_without_error_has_no_indices(model, somewhere):
         model, somewhere, ranges=given_tolerances(model, {"eta_C_percent": 1}, "exact"), samples=32
     )
     for c in ("y_m", "rz_rad"):  # probe C senses x alone
-        assert all(found.indices[q][c].total[0] < 1e-9 for q in ("error", "rms", "peak"))
-    assert found.indices["error"]["x_m"].total[0] == pytest.approx(1.0, abs=0.2)
+        assert found.indices[c].total[0] < 1e-9
+    assert found.indices["x_m"].total[0] == pytest.approx(1.0, abs=0.2)
     assert found.worth.exact[0] == pytest.approx([1, 0, 0], abs=1e-9)
 
 
 def test_first_indices_sum_to_one_at_most(paper):
-    for quantity in paper.indices.values():
-        for i in quantity.values():
-            assert i.first.sum() <= 1 + np.linalg.norm(i.first_half)
-            assert np.all(i.total >= i.first - i.first_half - i.total_half)
-            assert np.all(i.total >= 0)
+    for i in paper.indices.values():
+        assert i.first.sum() <= 1 + np.linalg.norm(i.first_half)
+        assert np.all(i.total >= i.first - i.first_half - i.total_half)
+        assert np.all(i.total >= 0)
 
 
 @settings(max_examples=6, deadline=None)
@@ -212,7 +209,7 @@ def test_error_and_tolerance_scale_together(widths, factor, seed):
     one, other = at(1.0), at(factor)
     assert other.errors.rms == pytest.approx(factor * one.errors.rms, rel=1e-9)
     for c in model.pose:
-        assert other.indices["error"][c].total == pytest.approx(one.indices["error"][c].total, abs=1e-8)
+        assert other.indices[c].total == pytest.approx(one.indices[c].total, abs=1e-8)
     assert other.worth.exact == pytest.approx(one.worth.exact, abs=1e-8)
 
 
@@ -221,7 +218,7 @@ def test_a_linear_error_asks_only_for_the_standard_uncertainty(model, somewhere,
     normal = tolerances(model, somewhere, ranges=ranges, samples=256, seed=1)
     assert normal.errors.rms == pytest.approx(small.errors.rms, rel=0.1)
     for c in model.pose:
-        a, b = normal.indices["error"][c], small.indices["error"][c]
+        a, b = normal.indices[c], small.indices[c]
         assert np.all(np.abs(a.total - b.total) <= a.total_half + b.total_half)
 
 
@@ -236,29 +233,6 @@ def test_limits_beside_the_designed_value_are_an_error_common_to_all(model, some
     assert rz < -1  # A without the shift that B keeps: their difference is what Rz is made of
 
 
-# -- what a calibration takes away -----------------------------------------------------------------------
-
-
-def test_a_calibration_leaves_rounding(paper):
-    r = paper.remainder
-    assert np.all(r.after < 1e-10 * r.before)
-    assert r.before == pytest.approx(paper.errors.rms, rel=0.4)  # 16 machines of 512
-    assert r.freedom == 3
-    assert set(r.undetermined) == {"H1x", "H1y", "H2x", "H2y", "H3x", "H3y"}
-    assert 0.5 < r.apart < 1.2  # hardly moved from the nominal value
-    assert len(r.combinations) == 3
-
-
-@pytest.mark.parametrize("name", ["stage31", "stage15+exact_rotation"])
-def test_freedom_of_other_models(name):
-    base, *added = name.split("+")
-    model = build(base, added=tuple(added))
-    ranges = COUPLED if base == "stage31" else None
-    r = tolerances(model, ranges=ranges, samples=16).remainder
-    assert r.freedom == (0 if added else 3)
-    assert np.all(r.after < 1e-8 * r.before)
-
-
 # -- the study itself ------------------------------------------------------------------------------------
 
 
@@ -266,7 +240,7 @@ def test_the_papers_ranking(paper):
     """Gains of A and B first, then their angles; probe C matters for x only."""
     assert set(paper.ranking[:4]) == {"eta_A", "eta_B", "theta_A", "theta_B"}
     assert set(paper.ranking[-3:]) == {"H1y", "H2y", "H3x"}
-    x = paper.indices["error"]["x_m"].total
+    x = paper.indices["x_m"].total
     assert paper.active[int(np.argmax(x))] == "theta_C"
 
 
@@ -290,14 +264,7 @@ def test_blocks_change_nothing(model, monkeypatch):
     other = tolerances(model, samples=32)
     assert other.errors.rms == pytest.approx(one.errors.rms, rel=1e-12)
     for c in model.pose:
-        assert other.indices["error"][c].first == pytest.approx(one.indices["error"][c].first, abs=1e-10)
-        assert other.indices["peak"][c].total == pytest.approx(one.indices["peak"][c].total, abs=1e-10)
-
-
-def test_more_samples_make_narrower_intervals(model, somewhere):
-    """Four times the samples, half the width, within what 200 resamples can tell."""
-    few, many = (tolerances(model, somewhere, samples=n, seed=3).widest for n in (128, 512))
-    assert many / few == pytest.approx(0.5, rel=0.3)
+        assert other.indices[c].first == pytest.approx(one.indices[c].first, abs=1e-10)
 
 
 def test_a_workspace_holds_the_peaks_of_the_sines(model):

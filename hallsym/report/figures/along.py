@@ -21,7 +21,7 @@ from hallsym.report.figures.style import (
     legend,
     panels,
 )
-from hallsym.report.text.errors import span
+from hallsym.report.text.along import span
 from hallsym.report.words import largest, name, scale
 from hallsym.units import typeset
 

@@ -31,7 +31,7 @@ def tolerances(found: Tolerances) -> Figure:
     rows = np.arange(len(order))
     figure, axes = row_panels(found.ranking, len(pose), ROW, right=0.1, gap=0.16, top=0.42, bottom=0.42)
     for ax, column in zip(axes, pose, strict=True):
-        indices = found.indices["error"][column]
+        indices = found.indices[column]
         for side, color, values, half in (
             (-0.5, AFTER, indices.first, indices.first_half),
             (0.5, LIGHT, indices.total, indices.total_half),

@@ -10,7 +10,7 @@ from hallsym.units import parameter_unit, readable
 
 
 def tolerances_text(found: Tolerances) -> str:
-    """Return what `hallsym tolerances` prints: errors, ranking, Sobol indices, what calibration leaves."""
+    """Return what `hallsym tolerances` prints: errors, ranking and Sobol indices."""
     machines = 2 * found.samples
     return "\n".join(
         [
@@ -79,7 +79,7 @@ def worth_table(found: Tolerances) -> str:
 
 def index_table(found: Tolerances) -> str:
     """Return first and total indices of the error, one line per tolerance, with the widest interval."""
-    indices = [found.indices["error"][c] for c in found.model.pose]
+    indices = [found.indices[c] for c in found.model.pose]
     rows = [["tolerance", *_heads(found)]]
     for j in _order(found):
         rows.append(
@@ -112,7 +112,6 @@ def _sentences(found: Tolerances) -> Iterator[str]:
     exact = [t.name for t in found.tolerances if t.width == 0]
     if exact:
         yield f"exact: {', '.join(exact)}"
-    yield from _calibration(found)
 
 
 def _sharpness(found: Tolerances) -> str:
@@ -126,27 +125,3 @@ def _sharpness(found: Tolerances) -> str:
         f"{text}, too wide to rank by: about --samples {wanted} brings them below {100 * ENOUGH:.0f} "
         "(four times the samples and the time, half the width)"
     )
-
-
-def _calibration(found: Tolerances) -> Iterator[str]:
-    r = found.remainder
-    shown = [readable(c, found.model.period) for c in found.model.pose]
-
-    def errors(values: np.ndarray) -> str:
-        return ", ".join(f"{n} {v * f:.2g} {u}" for v, (f, u, n) in zip(values, shown, strict=True))
-
-    determined = [n for n in found.active if n not in r.undetermined]
-    yield (
-        f"calibration: {r.machines} of these machines calibrated without noise over this workspace, "
-        f"rms before: {errors(r.before)}; after: {errors(r.after)}"
-    )
-    if determined:
-        yield f"  removes the error of {', '.join(determined)}: each is identifiable"
-    if r.undetermined:
-        yield (
-            f"  not identifiable from any recording: {', '.join(r.undetermined)} "
-            f"({r.freedom} directions change no reading): they stay wrong by up to "
-            f"{r.apart:.2g} of their tolerance, and that is harmless"
-        )
-        if r.combinations:
-            yield f"  identifiable combinations, and removed: {'; '.join(r.combinations)}"

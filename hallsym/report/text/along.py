@@ -8,7 +8,7 @@ from hallsym.units import fitting, parameter_unit, readable
 
 
 def errors_text(found: ErrorModel) -> str:
-    """Return what `hallsym errors` prints: errors by cause, and what makes how many waves."""
+    """Return what `hallsym tolerances --along` prints: errors by cause, and what makes how many waves."""
     return "\n".join([_first(found), "", error_table(found), *_values(found), *_waves(found)])
 
 
