@@ -18,7 +18,8 @@ from hallsym import InputError, Log, Noise, NoiseModel
 from hallsym.families import FAMILIES
 from hallsym.log import continuous, near, wrapped
 from hallsym.model import Parameter
-from hallsym.report.page import diagnosis_page, fit_page
+from hallsym.report.page.diagnosis_page import diagnosis_page
+from hallsym.report.page.fit_page import fit_page
 from hallsym.report.text.diagnosis import diagnosis_text
 from hallsym.simulation import campaign_from, paper_campaign
 

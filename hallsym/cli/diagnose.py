@@ -29,7 +29,7 @@ from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
 from hallsym.model import Model
 from hallsym.report.data.gather import gather, version_of
-from hallsym.report.page import diagnosis_page
+from hallsym.report.page.diagnosis_page import diagnosis_page
 from hallsym.report.text.comparison import comparison_text
 from hallsym.report.text.diagnosis import diagnosis_text
 

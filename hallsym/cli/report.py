@@ -18,7 +18,7 @@ from hallsym.cli.common import (
 from hallsym.estimation import as_read, load_fit, logged_columns
 from hallsym.files import atomic_write
 from hallsym.log import check_log
-from hallsym.report.page import fit_page
+from hallsym.report.page.fit_page import fit_page
 
 
 def add(sub: Any) -> None:

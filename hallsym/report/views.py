@@ -72,7 +72,8 @@ def figure(result: Any, log: Any = None) -> Figure:
 
 def page_of(result: Any, log: Any = None) -> str:
     """Return the page of a fit or a diagnosis as HTML; `log` as for `hallsym.report`."""
-    from hallsym.report.page import diagnosis_page, fit_page
+    from hallsym.report.page.diagnosis_page import diagnosis_page
+    from hallsym.report.page.fit_page import fit_page
 
     if isinstance(result, Diagnosis):
         return diagnosis_page(result)

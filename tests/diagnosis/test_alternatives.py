@@ -8,7 +8,7 @@ import pytest
 from test_diagnosis_turn import table
 
 from hallsym.diagnosis import Diagnosis, diagnose
-from hallsym.report.page import diagnosis_page
+from hallsym.report.page.diagnosis_page import diagnosis_page
 from hallsym.report.text.diagnosis import diagnosis_text
 
 ONE_AND_TWO = {1: (0.3, 0.4), 2: (0.25, 1.3)}

@@ -12,7 +12,7 @@ from gap_twins import STEP, Inject, Motion, listed, machine
 from scipy.signal import lfilter
 
 from hallsym.diagnosis import PAST, POLICY, Diagnosis, diagnose
-from hallsym.report.page import diagnosis_page
+from hallsym.report.page.diagnosis_page import diagnosis_page
 from hallsym.report.text.diagnosis import diagnosis_text
 
 

@@ -24,17 +24,9 @@ from hallsym.log import Log, read_log
 from hallsym.model import LINKS
 from hallsym.report.data.gather import ResidualTally, Tally, gather
 from hallsym.report.data.survey import Decoder, worst_first
-from hallsym.report.page import (
-    ACROSS,
-    UP,
-    Scale,
-    decades,
-    fit_page,
-    label,
-    runs,
-    sketch,
-    ticks,
-)
+from hallsym.report.page.charts import Scale, decades, label, ticks
+from hallsym.report.page.fit_page import fit_page
+from hallsym.report.page.pictures import ACROSS, UP, runs, sketch
 
 HOLDOUT = (2, 7, 12)
 VOID = {"meta", "br"}

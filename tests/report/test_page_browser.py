@@ -15,7 +15,7 @@ from twins import record, with_noise
 
 from hallsym.estimation import fit
 from hallsym.report.data.gather import gather
-from hallsym.report.page import fit_page
+from hallsym.report.page.fit_page import fit_page
 
 OVERLAPS = """JSON.stringify({
   across: document.documentElement.scrollWidth - document.documentElement.clientWidth,

@@ -12,7 +12,7 @@ from test_page import Outline
 
 from hallsym.diagnosis import Diagnosis
 from hallsym.report.data.gather import Cells
-from hallsym.report.page import diagnosis_page
+from hallsym.report.page.diagnosis_page import diagnosis_page
 from hallsym.report.text.diagnosis import shrinks_text
 
 POSE = ("x_m", "y_m", "rz_rad")

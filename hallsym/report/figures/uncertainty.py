@@ -16,6 +16,7 @@ from hallsym.report.figures.style import (
     FAINT,
     LINE,
     WIDTH,
+    key,
     label_x,
     label_y,
     legend,
@@ -60,25 +61,20 @@ def save_budget_pictures(
 
 def along_picture(along: AlongCurve) -> Figure:
     """Draw U of each pose coordinate along a curve, with its error and without, and the worst part of it."""
-    from matplotlib.lines import Line2D
-
-    figure, axes = panels(len(along.pose), 1, 1.3, top=2.1 * LINE, bottom=0.44, right=0.14, sharex=True)
     across, shown = scale("path_m", float(along.travelled_m[-1]))
-    for k, (ax, column) in enumerate(zip(axes[:, 0], along.pose, strict=True)):
-        factor, unit = scale(column, largest(along.total[k]), along.turning)
+    place, label = across * along.travelled_m, f"length of path [{shown}]"
+    figure = _lines(along.pose, along.total, place, label, along.turning, top=2.1 * LINE)
+    for k, (ax, column) in enumerate(zip(figure.axes, along.pose, strict=True)):
+        factor, _ = scale(column, largest(along.total[k]), along.turning)
         part = along.worst_part(column)
         if part is not None:
-            ax.axvspan(across * part[0], across * part[1], color=FAINT, lw=0)
-        ax.plot(across * along.travelled_m, factor * along.machine[k], color=BEFORE, ls=DASHED)
-        ax.plot(across * along.travelled_m, factor * along.total[k], color=AFTER)
-        ax.set_ylim(0.0, 1.15 * factor * along.total[k].max())
-        ax.set_xlim(0.0, across * along.travelled_m[-1])
-        label_y(ax, f"U {name(column)} [{unit}]")
-    label_x(axes[-1, 0], f"length of path [{shown}]", 0.3)
+            ax.axvspan(across * part[0], across * part[1], color=FAINT, lw=0, zorder=0)
+        ax.plot(place, factor * along.machine[k], color=BEFORE, ls=DASHED)
+        ax.set_xlim(0.0, place[-1])
     handles = [
-        Line2D([], [], color=AFTER, label="with the curve"),
-        Line2D([], [], color=BEFORE, ls=DASHED, label="machine alone"),
-        Line2D([], [], color=FAINT, lw=6, label="worst part"),
+        key("with the curve", color=AFTER),
+        key("machine alone", color=BEFORE, ls=DASHED),
+        key("worst part", color=FAINT, lw=6),
     ]
     legend(figure, handles, "upper left", ncols=3)
     return figure
@@ -135,7 +131,13 @@ def uncertainty_picture(grid: UncertaintyMap) -> Figure:
 
     Maps have a row per pose coordinate and a column per value of the third axis.
     """
-    figure = _lines(grid) if len(grid.axes) == 1 else _maps(grid)
+    column, values = next(iter(grid.axes.items()))
+    if len(grid.axes) == 1:
+        across, shown = scale(column, largest(values), grid.turning)
+        label = f"{name(column)} [{shown}]"
+        figure = _lines(grid.pose, grid.expanded, across * values, label, grid.turning, top=1.7 * LINE)
+    else:
+        figure = _maps(grid)
     fixed = setting(
         list(grid.fixed), np.array(list(grid.fixed.values())), 0.0, units=True, turning=grid.turning
     )
@@ -149,17 +151,17 @@ def uncertainty_picture(grid: UncertaintyMap) -> Figure:
     return figure
 
 
-def _lines(grid: UncertaintyMap) -> Figure:
-    """Draw U of each pose coordinate over the only axis."""
-    ((column, values),) = grid.axes.items()
-    across, shown = scale(column, largest(values), grid.turning)
-    figure, axes = panels(len(grid.pose), 1, 1.4, top=1.7 * LINE, bottom=0.44, right=0.14, sharex=True)
-    for ax, coordinate, U in zip(axes[:, 0], grid.pose, grid.expanded, strict=True):
-        factor, unit = scale(coordinate, largest(U), grid.turning)
-        ax.plot(across * values, factor * U, color=AFTER)
-        ax.set_ylim(0.0, 1.15 * factor * U.max())
+def _lines(
+    pose: Sequence[str], U: np.ndarray, place: np.ndarray, label: str, turning: Collection[str], top: float
+) -> Figure:
+    """Draw U of each pose coordinate, (n_pose, places), over a place that has a `label`."""
+    figure, axes = panels(len(pose), 1, 1.4, top=top, bottom=0.44, right=0.14, sharex=True)
+    for ax, coordinate, own in zip(axes[:, 0], pose, U, strict=True):
+        factor, unit = scale(coordinate, largest(own), turning)
+        ax.plot(place, factor * own, color=AFTER)
+        ax.set_ylim(0.0, 1.15 * factor * own.max())
         label_y(ax, f"U {name(coordinate)} [{unit}]")
-    label_x(axes[-1, 0], f"{name(column)} [{shown}]", 0.3)
+    label_x(axes[-1, 0], label, 0.3)
     return figure
 
 

@@ -9,10 +9,8 @@ from hallsym.errors import counted
 from hallsym.files import atomic_write
 from hallsym.fleets import Fleet, Spread
 from hallsym.fleets.row import VERDICTS
-from hallsym.fleets.spread import Trend
 from hallsym.report.figures.fleet import CAPTION, distribution
-from hallsym.report.tables import concise
-from hallsym.units import parameter_unit
+from hallsym.report.text.fleet import SPREAD, slope, spread_rows
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
@@ -37,12 +35,14 @@ def page_of(fleet: Fleet) -> str:
     """Return the page of a fleet."""
     model = fleet.model.name if fleet.model else "no model"
     title = f"Fleet of {counted(len(fleet.rows), 'device')}: {model}"
-    parts = [f"<h1>{escape(title)}</h1>", "<h2>Verdicts</h2>", _verdicts(fleet)]
+    parts = [f"<h1>{escape(title)}</h1>", "<h2>Verdicts</h2>"]
+    rows = [[v, str(len(devices)), VERDICTS[v]] for v, devices in fleet.verdicts.items()]
+    parts.append(_table(["verdict", "devices", "meaning"], rows, words=(2,)))
     if fleet.spreads:
-        parts += ["<h2>Spread of the parameters</h2>", _spreads(fleet)]
+        parts += ["<h2>Spread of the parameters</h2>", _table(SPREAD, spread_rows(fleet))]
         trends = [(s, t) for s in fleet.spreads for t in s.trends if t.significant]
         if trends:
-            rows = [[s.name, t.column, _slope(s, t), f"{t.chance:.1e}"] for s, t in trends]
+            rows = [[s.name, t.column, slope(s, t), f"{t.chance:.1e}"] for s, t in trends]
             parts += [
                 "<h2>Trends</h2>",
                 _table(["parameter", "follows", "per 1 of it (1 sigma)", "p of no trend"], rows),
@@ -67,31 +67,6 @@ def page_of(fleet: Fleet) -> str:
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         f"<style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
     )
-
-
-def _verdicts(fleet: Fleet) -> str:
-    rows = [[v, str(len(devices)), VERDICTS[v]] for v, devices in fleet.verdicts.items()]
-    return _table(["verdict", "devices", "meaning"], rows, words=(2,))
-
-
-def _spreads(fleet: Fleet) -> str:
-    rows = []
-    for s in fleet.spreads:
-        factor, unit = parameter_unit(s.unit)
-        low, high = (factor * v for v in s.interval)
-        rows.append([
-            s.name, concise(factor * s.mean, factor * s.mean_std), f"{factor * s.std:.3g}",
-            f"{low:.3g} .. {high:.3g}", f"{factor * s.typical_std:.2g}", unit, str(s.devices),
-            str(len(s.outlying)),
-        ])  # fmt: skip
-    head = ["parameter", "mean (1 sigma)", "spread (1 sigma)", "95 % of the spread", "1 sigma of one fit",
-            "unit", "devices", "outlying"]  # fmt: skip
-    return _table(head, rows)
-
-
-def _slope(spread: Spread, trend: Trend) -> str:
-    factor, unit = parameter_unit(spread.unit)
-    return f"{concise(factor * trend.slope, factor * trend.std)} {unit}"
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]], words: Sequence[int] = ()) -> str:

@@ -3,7 +3,7 @@
 from hallsym.errors import counted
 from hallsym.fleets import Fleet
 from hallsym.fleets.row import VERDICTS
-from hallsym.fleets.spread import Spread
+from hallsym.fleets.spread import Spread, Trend
 from hallsym.report.tables import concise, grid
 from hallsym.units import parameter_unit
 
@@ -17,11 +17,15 @@ def fleet_text(fleet: Fleet) -> str:
     parts = [f"{counted(len(fleet.rows), 'device')} of {model} in {fleet.seconds:.1f} s", ""]
     rows = [["verdict", "devices", ""]]
     rows += [[v, str(len(devices)), VERDICTS[v]] for v, devices in fleet.verdicts.items()]
-    parts.append(_with_words(rows))
+    parts.append(grid(rows, words=True))
     if fleet.spreads:
-        parts += ["", spread_text(fleet)]
-    for spread in fleet.spreads:
-        parts += [_trend(spread, k) for k, t in enumerate(spread.trends) if t.significant]
+        parts += ["", grid([SPREAD, *spread_rows(fleet)])]
+    parts += [
+        f"{s.name} follows {t.column}: {slope(s, t)} (1 sigma) per 1 of it (p = {t.chance:.1e})"
+        for s in fleet.spreads
+        for t in s.trends
+        if t.significant
+    ]
     if fleet.outlying:
         parts += ["", f"{counted(len(fleet.outlying), 'device')} to look at:"]
         named = list(fleet.outlying.items())
@@ -33,29 +37,26 @@ def fleet_text(fleet: Fleet) -> str:
     return "\n".join(parts)
 
 
-def _with_words(rows: list[list[str]]) -> str:
-    lines = grid([row[:2] for row in rows]).split("\n")
-    words = [rows[0][2], "", *(row[2] for row in rows[1:])]
-    return "\n".join(f"{line}  {word}".rstrip() for line, word in zip(lines, words, strict=True))
+SPREAD = (
+    "parameter", "mean (1 sigma)", "spread (1 sigma)", "95 % of the spread", "1 sigma of one fit", "unit",
+    "devices", "outlying",
+)  # fmt: skip
 
 
-def spread_text(fleet: Fleet) -> str:
-    """Return the table of spreads: mean, spread between devices with its interval, uncertainty of one fit."""
-    of_spread = ("spread (1 sigma)", "95 % of the spread")
-    rows = [["parameter", "mean (1 sigma)", *of_spread, "1 sigma of one fit", "unit", "devices"]]
+def spread_rows(fleet: Fleet) -> list[list[str]]:
+    """Return mean, spread between devices with its interval and uncertainty of one fit of every parameter."""
+    rows = []
     for s in fleet.spreads:
         factor, unit = parameter_unit(s.unit)
         low, high = (f"{factor * v:.3g}" for v in s.interval)
         rows.append([
             s.name, concise(factor * s.mean, factor * s.mean_std), f"{factor * s.std:.3g}",
-            f"{low} .. {high}", f"{factor * s.typical_std:.2g}", unit, str(s.devices),
+            f"{low} .. {high}", f"{factor * s.typical_std:.2g}", unit, str(s.devices), str(len(s.outlying)),
         ])  # fmt: skip
-    return grid(rows)
+    return rows
 
 
-def _trend(spread: Spread, k: int) -> str:
-    trend = spread.trends[k]
+def slope(spread: Spread, trend: Trend) -> str:
+    """Return how much a parameter changes per 1 of what it follows, with 1 sigma."""
     factor, unit = parameter_unit(spread.unit)
-    slope = concise(factor * trend.slope, factor * trend.std)
-    chance = f"p = {trend.chance:.1e}"
-    return f"{spread.name} follows {trend.column}: {slope} {unit} (1 sigma) per 1 of it ({chance})"
+    return f"{concise(factor * trend.slope, factor * trend.std)} {unit}"

@@ -2,13 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from math import inf, isclose
-from textwrap import fill
 from typing import Any
 
 from hallsym.families import effects
 from hallsym.model import LINKS, Model, Parameter
 from hallsym.report.tables import grid
-from hallsym.terminal import prose_width
 from hallsym.units import parameter_unit
 
 
@@ -67,9 +65,9 @@ def model_text(record: Mapping[str, Any]) -> str:
     ]
     if record["combinations"]:
         names = ", ".join(c["expression"] for c in record["combinations"])
-        lines += ["", _wrapped(f"combinations that may be determined where parameters are not: {names}")]
+        lines += ["", f"combinations that may be determined where parameters are not: {names}"]
     lines += ["", _table("zero of each run", record["zeros"]) if record["zeros"] else "zeros of a run: none"]
-    lines += ["", _wrapped(f"effects it can take (--effect): {', '.join(record['can_take']) or 'none'}")]
+    lines += ["", f"effects it can take (--effect): {', '.join(record['can_take']) or 'none'}"]
     return "\n".join(lines)
 
 
@@ -91,7 +89,3 @@ def _table(what: str, entries: Sequence[Mapping[str, Any]]) -> str:
 
 def _number(value: float | None, factor: float, none: str) -> str:
     return none if value is None else f"{value * factor:.6g}"
-
-
-def _wrapped(text: str) -> str:
-    return fill(text, prose_width(), subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
