@@ -6,7 +6,7 @@ from math import tau
 import numpy as np
 
 from hallsym.diagnosis.residual_table import ResidualTable, phase
-from hallsym.estimation.residual_columns import STILL
+from hallsym.estimation.residual_noise import STILL
 from hallsym.units import readable
 
 KNOTS = 9

@@ -20,7 +20,7 @@ from hallsym.diagnosis.coordinates import Coordinate, hats, knots
 from hallsym.diagnosis.regression import NIL, RIDGE, others, regression, ridge
 from hallsym.diagnosis.residual_table import PARTS, ResidualTable
 from hallsym.diagnosis.sign_flips import drawn, moments, of_products, of_sums
-from hallsym.estimation.residual_columns import MEMORIES
+from hallsym.estimation.residual_noise import MEMORIES
 from hallsym.families.play import stop_operator
 
 BENDS = (0.01, 0.3, 10.0)

@@ -18,7 +18,7 @@ import numpy as np
 from hallsym.diagnosis.derivatives import Slopes, reading_and_derivatives
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation.decoding import columns_of
-from hallsym.estimation.residual_columns import ROOM
+from hallsym.estimation.residual_noise import ROOM
 from hallsym.log import Block
 from hallsym.log.batches import Batch, batches, is_held
 from hallsym.log.derived import extended, share_windows

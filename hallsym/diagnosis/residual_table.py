@@ -13,7 +13,7 @@ from hallsym.diagnosis.normal_equations import UNITS
 from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.diagnosis.sign_flips import FEWEST_UNITS, stretch
 from hallsym.estimation.decoding import decoding_gain
-from hallsym.estimation.residual_columns import STILL
+from hallsym.estimation.residual_noise import STILL
 from hallsym.families.mechanisms import MAINS_HZ
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.model.arrays import on_arrays

@@ -10,26 +10,22 @@ The path of a fit, file by file:
 - `identifiable`: which parameters the data determine, and which are therefore held.
 - `optimum`: global search, IPOPT, Newton; `gauss_newton`: by passes over the log.
 - `outliers`, `decoding`: samples that are left out; errors of the decoded pose.
-- `residual_noise`: the noise that is left, its size and colour; `residual_columns`: what it is told from.
-- `goodness_of_fit`: what is left, in multiples of the noise; `lower_bound`: what a linear fit leaves.
-- `covariance`: standard uncertainties; `run_scatter`: those that show between runs.
-- `evaluate`: a calibration on another log.
-- `result`, `calibration`: the record that is printed and saved.
+- `residual_noise`: the noise that is left, its size and colour; `goodness_of_fit`: its size in multiples of
+  the noise; `covariance`: standard uncertainties, and those that show between runs.
+- `result`, `calibration`: the record that is printed and saved; `evaluate`: a calibration on another log.
 
-`task` puts these in order, `fit` is what users call.
+`task` puts these in order, `fit` is what users call; `several` fits logs of one device together.
 """
 
 from hallsym.estimation.calibration import (
     MANY,
     CombinationEstimate,
-    Errors,
     Fit,
     calibration_schema,
     coverage_factor,
     load_fit,
 )
-from hallsym.estimation.channel_assignment import Wiring, as_read, find_wiring, rewired
-from hallsym.estimation.coefficients import Coefficients
+from hallsym.estimation.channel_assignment import as_read, find_wiring, rewired
 from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertainty
 from hallsym.estimation.decoding import (
     ErrorTable,
@@ -40,11 +36,10 @@ from hallsym.estimation.decoding import (
     error_tables,
     logged_columns,
     nominal_variance,
-    pose_errors,
 )
 from hallsym.estimation.evaluate import Evaluation, evaluate
 from hallsym.estimation.fit import LOSSES, fit
-from hallsym.estimation.gauss_newton import Judged, cost_near, judge, judged, zeros_of
+from hallsym.estimation.gauss_newton import cost_near, judge, zeros_of
 from hallsym.estimation.goodness_of_fit import UNSTRUCTURED, GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import (
     Determination,
@@ -57,14 +52,21 @@ from hallsym.estimation.identifiable import (
     structural_null,
     structural_rank,
 )
-from hallsym.estimation.likelihood import Cost, cost_of
+from hallsym.estimation.likelihood import Coefficients, Cost, cost_of
 from hallsym.estimation.linearised import exact, summarise_at
-from hallsym.estimation.lower_bound import LowerBound, lower_bound
 from hallsym.estimation.normal_equations import eliminate, inverse, pseudo_inverse, solve
-from hallsym.estimation.optimum import BUDGET, SOLVERS, Solution, refit
+from hallsym.estimation.optimum import BUDGET, SOLVERS, refit
 from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey
-from hallsym.estimation.residual_columns import noise_at, noise_left
-from hallsym.estimation.residual_noise import KNOWN, Residual, ResidualNoise, autoregressive, residual_noise
+from hallsym.estimation.residual_noise import (
+    KNOWN,
+    Residual,
+    ResidualNoise,
+    autoregressive,
+    noise_at,
+    noise_left,
+    residual_noise,
+)
+from hallsym.estimation.result import lower_bound
 from hallsym.estimation.run_statistics import RunStatistics, summarise
 from hallsym.estimation.start import LinearFit, closed_form, linear_fit
 from hallsym.estimation.task import noise_of
@@ -82,19 +84,14 @@ __all__ = [
     "Cost",
     "Determination",
     "ErrorTable",
-    "Errors",
     "Evaluation",
     "Fit",
     "GoodnessOfFit",
-    "Judged",
     "LinearFit",
-    "LowerBound",
     "Residual",
     "ResidualNoise",
     "RunStatistics",
-    "Solution",
     "Uncertainty",
-    "Wiring",
     "added_effects",
     "as_read",
     "autoregressive",
@@ -119,7 +116,6 @@ __all__ = [
     "goodness_of",
     "inverse",
     "judge",
-    "judged",
     "least_information",
     "linear_combinations",
     "linear_fit",
@@ -131,7 +127,6 @@ __all__ = [
     "noise_left",
     "noise_of",
     "nominal_variance",
-    "pose_errors",
     "pseudo_inverse",
     "refit",
     "reject_spikes",

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, cast
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
@@ -24,14 +25,187 @@ from hallsym.reading import read_json
 from hallsym.records import schema_of, structured
 from hallsym.shown import Shown
 
-if TYPE_CHECKING:
-    from hallsym.estimation.calibration_file import CalibrationRecord
-
 FORMAT = "hallsym calibration 1"
 INTERVAL = 0.95
 """Probability that an interval holds the true value."""
 MANY = 200.0
 """Degrees of freedom from which on Student's interval is a normal one, to 1 %."""
+
+
+# -- the file: the one statement of its format, validated and published as JSON Schema --------------------
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+
+
+class _Record(msgspec.Struct, forbid_unknown_fields=True):
+    """A record in which every key is known."""
+
+
+class ParameterRecord(_Record):
+    """One parameter in SI; `std` is null where the data do not determine it, a bound where there is none."""
+
+    value: float
+    unit: str
+    std: NotNegative | None
+    determined: bool
+    held: bool
+    at_bound: bool
+    nominal: float
+    lower: float | None
+    upper: float | None
+    degrees_of_freedom: Positive | None = None
+
+
+class CombinationRecord(_Record):
+    """A combination that the data determine; `factors` by parameter, of a linear one."""
+
+    expression: str
+    value: float
+    std: float
+    unit: str
+    factors: dict[str, float] | None = None
+    degrees_of_freedom: Positive | None = None
+
+
+class NoiseRecord(_Record):
+    """One standard deviation of a column, in its SI unit."""
+
+    value: NotNegative
+    source: Literal["given", "estimated"]
+
+
+class CovarianceRecord(_Record):
+    """Covariance of the parameters in the order `parameters`, in SI."""
+
+    parameters: list[str]
+    method: str
+    reason: str
+    matrix: list[list[float]]
+
+
+class GoodnessRecord(_Record):
+    """What the fit leaves, in multiples of the noise; `by_run`, `by_channel`: rms residual over noise."""
+
+    cost_per_degree_of_freedom: float
+    degrees_of_freedom: float
+    by_run: dict[int, float]
+    by_channel: dict[str, float]
+    worst_run: int
+    worst_channel: str
+    worst: float
+    worst_least: float
+    limit: float
+    limit_anywhere: float
+    noise_estimated: bool
+    next_command: str
+    what: str
+    statement: str | None
+    material: bool
+    significant: bool
+    residual_over_noise: float
+    scatter: float
+
+
+class LowerBoundRecord(_Record):
+    """The cost that no parameters can undercut."""
+
+    cost: float
+    ratio: float
+    expected: float
+    coefficients: Count
+    near: bool
+
+
+class SolverRecord(_Record):
+    """How the optimum was found."""
+
+    name: str
+    loss: str
+    cost: float
+    cost_per_degree_of_freedom: float
+    evaluations: Count
+    starts: Count
+    share_at_optimum: float
+    seed: Count
+    lower_bound: LowerBoundRecord | None = None
+
+
+class LogRecord(_Record):
+    """The log that was fitted; `span`: least and greatest value by column."""
+
+    rows: Count = 0
+    runs: Count = 0
+    holdout: list[int] = []
+    path: str | None = None
+    sha256: str | None = None
+    span: dict[str, tuple[float, float]] = {}
+
+
+class ColumnRecord(_Record):
+    """A column of the log under the name it has in its file."""
+
+    name: str
+    scale: float = 1.0
+    counts_per_turn: Annotated[float, msgspec.Meta(ge=2, le=1e100)] | None = None
+
+
+class OwnRecord(_Record):
+    """A parameter that one log has of its own; `std` is null where the log does not determine it."""
+
+    value: float
+    std: NotNegative | None
+    unit: str
+
+
+class FittedLogRecord(_Record):
+    """One of several logs that were fitted together; `runs`: from its own run to that of the calibration."""
+
+    name: str
+    held_out: bool
+    log: LogRecord
+    runs: dict[int, int]
+    errors: dict[str, dict[str, dict[str, float | None]] | None]
+    noise: dict[str, NoiseRecord]
+    parameters: dict[str, OwnRecord]
+    residual_over_noise: float | None = None
+
+
+class CalibrationRecord(_Record):
+    """A calibration file; everything is in SI."""
+
+    format: Literal["hallsym calibration 1"]
+    model: str
+    added: list[str]
+    parameters: dict[str, ParameterRecord]
+    combinations: list[CombinationRecord]
+    errors: dict[str, dict[str, dict[str, float | None]] | None]
+    noise: dict[str, NoiseRecord]
+    noise_floor: dict[str, float | None]
+    status: str
+    message: str
+    seconds: float
+    notes: list[str]
+    undetermined_by_log: list[str]
+    structural: list[str]
+    solver: SolverRecord
+    covariance: CovarianceRecord
+    zero_bounds: dict[str, tuple[float | None, float | None]]
+    zero_deviations: dict[int, dict[str, float]]
+    wiring: list[tuple[str, int]] | None
+    layout: list[dict[str, Any]]
+    log: LogRecord
+    versions: dict[str, str]
+    columns: dict[str, ColumnRecord] = {}
+    read_with: dict[str, str] = {}
+    effects: list[str] = []
+    own_effects: list[str] = []
+    goodness_of_fit: GoodnessRecord | None = None
+    logs: list[FittedLogRecord] = []
+
+
+# -- what a fit returns ------------------------------------------------------------------------------------
 
 
 def coverage_factor(degrees_of_freedom: float | np.ndarray) -> np.ndarray:
@@ -65,34 +239,6 @@ class CombinationEstimate:
     def to_dict(self) -> dict[str, Any]:
         """Return the record; infinite degrees of freedom are None."""
         return {**vars(self), "degrees_of_freedom": _number(self.degrees_of_freedom)}
-
-
-class SolverRecord(TypedDict):
-    """How the optimum was found; `share_at_optimum`: of the starts that were refined.
-
-    `lower_bound`: the record of `lower_bound.LowerBound`, None for a model that has no exact run statistics.
-    """
-
-    name: str
-    loss: str
-    cost: float
-    cost_per_degree_of_freedom: float
-    evaluations: int
-    starts: int
-    share_at_optimum: float
-    seed: int
-    lower_bound: dict[str, Any] | None
-
-
-class LogRecord(TypedDict):
-    """The log that was fitted; `span`: least and greatest value by column of reference and state."""
-
-    path: str | None
-    sha256: str | None
-    rows: int
-    runs: int
-    holdout: list[int]
-    span: dict[str, list[float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,8 +312,10 @@ class Fit(Shown):
     noise_floor: Mapping[str, float]
     status: str
     message: str
-    solver: SolverRecord
-    log: LogRecord
+    solver: Mapping[str, Any]
+    """How the optimum was found: the entries of `SolverRecord`."""
+    log: Mapping[str, Any]
+    """The log that was fitted: the entries of `LogRecord`."""
     seconds: float
     goodness: GoodnessOfFit | None = None
     """None only for a calibration that an earlier version saved."""
@@ -289,15 +437,11 @@ def load_fit(
 
 def read_record(raw: Any, path: str | Path) -> CalibrationRecord:
     """Return the JSON data of a calibration file as a record. Raises `InputError` that names the place."""
-    from hallsym.estimation.calibration_file import CalibrationRecord
-
     return structured(raw, CalibrationRecord, f"calibration {quoted(path)}", "fit the log again")
 
 
 def calibration_schema() -> dict[str, Any]:
     """Return the JSON Schema of a calibration file, from the types that `load_fit` checks it against."""
-    from hallsym.estimation.calibration_file import CalibrationRecord
-
     return schema_of(CalibrationRecord, "hallsym calibration")
 
 
@@ -365,8 +509,8 @@ def _checked(
         status=record.status,
         message=record.message,
         goodness=None if goodness is None else GoodnessOfFit.from_dict(_plain(goodness)),
-        solver=cast(SolverRecord, _plain(record.solver)),
-        log=cast(LogRecord, _plain(record.log)),
+        solver=_plain(record.solver),
+        log=_plain(record.log),
         seconds=record.seconds,
         notes=tuple(record.notes),
         undetermined_by_log=tuple(record.undetermined_by_log),
@@ -411,8 +555,6 @@ def _same(wanted: Sequence[str], found: Iterable[str], where: str) -> None:
 
 
 def _plain(record: Any) -> dict[str, Any]:
-    import msgspec
-
     return msgspec.json.decode(msgspec.json.encode(record))
 
 

@@ -13,15 +13,38 @@ from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.channel_assignment import as_read, rewired
 from hallsym.estimation.decoding import ErrorTable, knows_rails, logged_columns
-from hallsym.estimation.gauss_newton import Shifts, judged
+from hallsym.estimation.gauss_newton import Shifts, cost_near, judged, zeros_of
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit
-from hallsym.estimation.recorded import recording_notes
-from hallsym.estimation.task import noise_of
-from hallsym.log import Log, Noise, as_log, usable
+from hallsym.estimation.lateness import lateness
+from hallsym.estimation.linearised import exact
+from hallsym.estimation.task import Task, noise_of
+from hallsym.families import plain
+from hallsym.log import Log, Noise, as_log, clean_log, usable
 from hallsym.log.phase import LISTED
 from hallsym.model import Model
 from hallsym.shown import Shown
 from hallsym.units import readable
+
+
+def recording_notes(log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float]) -> tuple[str, ...]:
+    """Return notes on units, signs, runs and delays of a log, as a fit of `model` gives them.
+
+    `log`: as the model reads it. `p`: (n,) values of the calibration. `noise`: standard deviations by column.
+    Raises `InputError` where a fit refuses the log.
+    """
+    base = model if exact(model) else plain(model)
+    if not exact(base):
+        return ()
+    free = clean_log(log, logged_columns(base)) if knows_rails(model) else log
+    task = Task(free, base, (), "direct", "none", 0, lambda _: None, None)
+    judged = task.judged(task.begin(task.summary()))
+    judged.refuse()
+    if base is not model:
+        return judged.notes
+    cost = cost_near(log, model, p, noise)
+    late = lateness(log, model, p, zeros_of(cost, p), cost)
+    return judged.notes if late is None else (*judged.notes, late)
+
 
 MOSTLY = 0.5
 """Share of the squared error from which on another zero is what to say first of it."""

@@ -15,10 +15,9 @@ from hallsym.estimation.calibration import Fit
 from hallsym.estimation.decoding import knows_rails, logged_columns
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.optimum import SOLVERS
-from hallsym.estimation.prepare import held_out, model_of, prepared
 from hallsym.estimation.result import result_of, zero_notes
 from hallsym.estimation.several import Asked, fit_several
-from hallsym.estimation.task import Progress, Task
+from hallsym.estimation.task import Progress, Task, held_out, model_of, prepared
 from hallsym.families import plain
 from hallsym.log import as_log, clean_log
 from hallsym.model import Model
@@ -108,8 +107,8 @@ def fit(
     log = as_log(log)
     model = model_of(log, model, effects, parameters, own)
     say("checking the log")
-    ready = prepared(log, model, drop_bad=drop_bad)
-    log, notes, mounted = ready.log, list(ready.notes), ready.mounted
+    log, told, mounted = prepared(log, model, drop_bad=drop_bad)
+    notes = list(told)
     held = held_out(log, log.meta.holdout if holdout is None else holdout)
     task = Task(log, model, held, solver, loss, seed, say, start, quick=quick)
     if exact(model):
@@ -130,8 +129,7 @@ def fit(
         notes += [note for note in first.notes if note not in (*zeros, *free.notes)]
     solved = task.by_passes(first)
     solved = solved.task.with_noise_left(solved)
-    told = dict.fromkeys((*mounted.notes, *notes))
-    return result_of(solved, tuple(told), mounted.wiring, began)
+    return result_of(solved, tuple(dict.fromkeys((*mounted.notes, *notes))), mounted.wiring, began)
 
 
 def _choice(name: str, known: Sequence[str], what: str) -> None:

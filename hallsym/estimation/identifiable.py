@@ -10,8 +10,7 @@ from functools import lru_cache
 import numpy as np
 import scipy
 
-from hallsym.estimation.coefficients import Coefficients
-from hallsym.estimation.likelihood import Cost, Point
+from hallsym.estimation.likelihood import Coefficients, Cost, Point
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.features import Features

@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.estimation.coefficients import Rows
+from hallsym.estimation.likelihood import Rows
 from hallsym.estimation.run_statistics import RunStatistics, summarised
 from hallsym.log import Log
 from hallsym.log.batches import Batch, Weigh

@@ -10,8 +10,7 @@ from hallsym.log import Block, Log, on_rails
 from hallsym.log.batches import Weigh
 from hallsym.log.phase import wrapped
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
-from hallsym.model.medians import median, medians
+from hallsym.model.arrays import median, medians, on_arrays
 
 WINDOW = 7
 SPIKE = 10.0

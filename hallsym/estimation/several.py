@@ -4,32 +4,613 @@ Every log is checked, summarised and judged by itself (`Task`), with one centre 
 is that of the sum of their costs (`joint_cost`). No sample is read more often than by a fit of one log.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from functools import cached_property
+from itertools import accumulate
+from pathlib import Path
+from time import perf_counter
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.estimation import outliers, start
-from hallsym.estimation.calibration import Errors, Fit
+from hallsym.estimation.calibration import CombinationEstimate, Errors, Fit, Joint
 from hallsym.estimation.channel_assignment import Wiring
-from hallsym.estimation.decoding import columns_of
+from hallsym.estimation.covariance import Uncertainty, uncertainty_at
+from hallsym.estimation.decoding import ErrorTable, columns_of
+from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import Determination, determine
-from hallsym.estimation.joint_cost import JointCost, Sharing, joint_cost, numbered, run_numbers
 from hallsym.estimation.lateness import lateness
-from hallsym.estimation.likelihood import cost_of
+from hallsym.estimation.likelihood import Coefficients, Cost, Point, cost_of
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.optimum import Solution, search
-from hallsym.estimation.prepare import held_out, prepared
-from hallsym.estimation.run_statistics import joined
-from hallsym.estimation.same_device import check_gains, check_same, labels
-from hallsym.estimation.several_result import Member, several_fit
-from hallsym.estimation.task import ROUNDS, Begun, Progress, Started, Task
-from hallsym.log import Log
+from hallsym.estimation.result import LowerBound, fit_of, lower_bound
+from hallsym.estimation.run_statistics import RunStatistics, joined
+from hallsym.estimation.task import ROUNDS, Begun, Progress, Solved, Started, Task, held_out, prepared
+from hallsym.log import Log, Noise
 from hallsym.log.batches import Weigh, remembered
 from hallsym.log.phase import nearest_turn
+from hallsym.log.quality.findings import name_of
 from hallsym.model import Model
+from hallsym.model.model import Combination, Signals, Step
+from hallsym.units import UNITS
+
+
+@dataclass(frozen=True, eq=False)
+class Sharing:
+    """Which parameters several logs share.
+
+    `model`: of one log, n parameters. `joint`: the same model with the parameters of all logs; one that a log
+    has of its own is named `gain[log]`, and its readings are those of the last log. `chosen`: per log the
+    index (n,) of its parameters among those.
+    """
+
+    model: Model
+    own: tuple[str, ...]
+    logs: tuple[str, ...]
+    joint: Model
+    chosen: tuple[np.ndarray, ...]
+
+    @staticmethod
+    def of(model: Model, own: Collection[str], logs: Sequence[str]) -> "Sharing":
+        """Return how `logs` share the parameters of `model`; each has those named `own` for itself."""
+        parameters, chosen = [], [np.zeros(len(model.names), dtype=int) for _ in logs]
+        for k, parameter in enumerate(model.parameters):
+            for g, log in enumerate(logs):
+                if parameter.name in own or g == 0:
+                    name = own_name(parameter.name, log) if parameter.name in own else parameter.name
+                    parameters.append(replace(parameter, name=name))
+                chosen[g][k] = len(parameters) - 1
+        several = replace(
+            model,
+            parameters=tuple(parameters),
+            steps=tuple((link, _with_own(step, own, logs[-1])) for link, step in model.steps),
+            combinations=tuple(c for one in model.combinations for c in _by_log(one, own, logs)),
+            period=dict(model.period)
+            | {own_name(n, log): model.period[n] for n in own if n in model.period for log in logs},
+        )
+        return Sharing(model, tuple(own), tuple(logs), several if own else model, tuple(chosen))
+
+    def of_log(self, log: int, p: np.ndarray) -> np.ndarray:
+        """Return the parameters (n,) of one log out of all."""
+        return p[self.chosen[log]]
+
+
+def own_name(parameter: str, log: str) -> str:
+    """Return what the parameter of one log is called among those of all.
+
+    >>> own_name("eta_A", "night2")
+    'eta_A[night2]'
+    """
+    return f"{parameter}[{log}]"
+
+
+def _with_own(step: Step, own: Collection[str], log: str) -> Step:
+    """Return a step that reads the parameters which one log has of its own."""
+
+    def read(signals: Signals, p: Mapping[str, ca.SX]) -> None:
+        step(signals, {**p, **{name: p[own_name(name, log)] for name in own}})
+
+    return read
+
+
+def _by_log(one: Combination, own: Collection[str], logs: Sequence[str]) -> list[Combination]:
+    """Return a combination once for each log where a log's own parameter is part of it."""
+    if not set(one.parameters) & set(own):
+        return [one]
+    return [_combination_of_log(one, own, log) for log in logs]
+
+
+def _combination_of_log(one: Combination, own: Collection[str], log: str) -> Combination:
+    named = {n: own_name(n, log) if n in own else n for n in one.parameters}
+
+    def value(p: Mapping[str, ca.SX]) -> ca.SX:
+        return one.value({**p, **{name: p[here] for name, here in named.items()}})
+
+    return replace(
+        one, expression=own_name(one.expression, log), parameters=tuple(named.values()), value=value
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class JointCost(Cost):
+    """The sum of the costs of several logs; `parts` and `chosen` as `Cost.shares` pairs them.
+
+    Its runs are those of the logs one after the other, under other numbers where two logs have the same.
+    `reading_variance` and `column_variance` are means over the samples; each part has its own.
+    """
+
+    parts: tuple[Cost, ...] = ()
+    chosen: tuple[np.ndarray, ...] = ()
+
+    @property
+    def shares(self) -> tuple[tuple[Cost, np.ndarray], ...]:
+        """The cost of each log, with the index of its parameters."""
+        return tuple(zip(self.parts, self.chosen, strict=True))
+
+    @property
+    def by_population(self) -> bool:
+        """Whether every part can."""
+        return all(part.by_population for part in self.parts)
+
+    @cached_property
+    def noise_in_features(self) -> np.ndarray:
+        """Of every run by the noise of its own log, (runs, f, f)."""
+        return np.concatenate([part.noise_in_features for part in self.parts])
+
+    def runs_of(self, log: int) -> slice:
+        """Return where the runs of a log stand among all."""
+        ends = [0, *accumulate(len(part.weights) for part in self.parts)]
+        return slice(ends[log], ends[log + 1])
+
+    def weighted(self, weights: np.ndarray) -> "JointCost":
+        """Return the same cost with other run weights."""
+        weights = np.asarray(weights, dtype=float)
+        parts = tuple(part.weighted(weights[self.runs_of(g)]) for g, part in enumerate(self.parts))
+        return replace(self, weights=weights, parts=parts)
+
+    def anchored(self, p: np.ndarray) -> "JointCost":
+        """Return a cost whose re-weightings share what has been computed at `p`."""
+        parts = tuple(part.anchored(p[chosen]) for part, chosen in self.shares)
+        return replace(self, parts=parts)
+
+    def population(self, points: np.ndarray) -> np.ndarray:
+        """Return F of whole populations, (m, n) -> (m,), of parts that are merged."""
+        return np.sum([part.population(points[:, chosen]) for part, chosen in self.shares], axis=0)
+
+    def at(self, p: np.ndarray) -> "JointPoint":
+        """Return everything the cost knows at one parameter vector."""
+        return JointPoint(self, np.asarray(p, dtype=float))
+
+
+class JointPoint(Point):
+    """The joint cost at one parameter vector: what `Point` knows, for the runs of all logs."""
+
+    def __init__(self, cost: JointCost, p: np.ndarray) -> None:
+        self.cost, self.p, self.joint = cost, p, cost
+        self.points = [part.at(p[chosen]) for part, chosen in cost.shares]
+        self.zeros = self._joined([point.zeros for point in self.points])
+        self.run_values = self._joined([point.run_values for point in self.points])
+        self.value = float(sum(point.value for point in self.points))
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance of a residual in each run, (r, K, K)."""
+        return self._joined([point.covariance for point in self.points])
+
+    @property
+    def squares(self) -> np.ndarray:
+        """Sum of the products of a run's residuals, (r, K, K)."""
+        return self._joined([point.squares for point in self.points])
+
+    @property
+    def feature_products(self) -> np.ndarray:
+        """Sum of the products of each feature with each channel's residual, (r, f, K)."""
+        return self._joined([point.feature_products for point in self.points])
+
+    @property
+    def W(self) -> np.ndarray:
+        """Inverse of `covariance`."""
+        return self._joined([point.W for point in self.points])
+
+    def keep_derivatives(self) -> None:
+        """Keep gradient and Hessian of every run."""
+        for point in self.points:
+            point.keep_derivatives()
+
+    def derivatives(self) -> tuple[float, np.ndarray, np.ndarray]:
+        """Return F, its gradient (n,) and its exact Hessian (n, n)."""
+        n = len(self.p)
+        gradient, hessian = np.zeros(n), np.zeros((n, n))
+        for point, chosen in zip(self.points, self.joint.chosen, strict=True):
+            _, part, square = point.derivatives()
+            gradient[chosen] += part
+            hessian[np.ix_(chosen, chosen)] += square
+        return self.value, gradient, hessian
+
+    @cached_property
+    def run_gradients(self) -> np.ndarray:
+        """Gradient of each run's own F, (r, n)."""
+        out = np.zeros((len(self.run_values), len(self.p)))
+        for g, (point, chosen) in enumerate(zip(self.points, self.joint.chosen, strict=True)):
+            out[self.joint.runs_of(g), chosen] = point.run_gradients
+        return out
+
+    @property
+    def run_hessians(self) -> np.ndarray:
+        """Exact Hessian of each run's own F, (r, n, n)."""
+        return self._spread([point.run_hessians for point in self.points])
+
+    def information(self, noise_factor: float = 1.0, free: np.ndarray | None = None) -> np.ndarray:
+        """Expected information of each run, (r, n, n), of the parameters `free`."""
+        whole = self._spread([point.information(noise_factor) for point in self.points])
+        return whole if free is None else np.ascontiguousarray(whole[:, free[:, None], free])
+
+    def total_information(self, noise_factor: float = 1.0) -> np.ndarray:
+        """Expected information of all runs by their weights, (n, n)."""
+        total = np.zeros((len(self.p),) * 2)
+        for point, chosen in zip(self.points, self.joint.chosen, strict=True):
+            total[np.ix_(chosen, chosen)] += point.total_information(noise_factor)
+        return total
+
+    def zero_covariance(self, covariance: np.ndarray) -> np.ndarray:
+        """Covariance of each run's zero displacements [m^2], (r, z, z)."""
+        return self._joined([
+            point.zero_covariance(covariance[np.ix_(chosen, chosen)])
+            for point, chosen in zip(self.points, self.joint.chosen, strict=True)
+        ])  # fmt: skip
+
+    def _spread(self, matrices: Sequence[np.ndarray]) -> np.ndarray:
+        """Return matrices of the parameters of each log as those of all, (r, n, n)."""
+        out = np.zeros((len(self.run_values), len(self.p), len(self.p)))
+        for g, (own, chosen) in enumerate(zip(matrices, self.joint.chosen, strict=True)):
+            out[self.joint.runs_of(g), chosen[:, None], chosen] = own
+        return out
+
+
+def joint_cost(sharing: Sharing, costs: Sequence[Cost], numbers: Sequence[dict[int, int]]) -> JointCost:
+    """Return the sum of the costs of the logs; `numbers`: of each log, run -> number among all."""
+    counts = np.array([cost.weights @ cost.summary.counts for cost in costs])
+    share = counts / max(counts.sum(), 1e-300)
+    summary = joined([numbered(cost.summary, known) for cost, known in zip(costs, numbers, strict=True)])
+    features = replace(summary.features, model=sharing.joint)
+    return JointCost(
+        replace(summary, features=features),
+        Coefficients(features, summary.centre),
+        share @ [cost.reading_variance for cost in costs],
+        share @ [cost.column_variance for cost in costs],
+        np.concatenate([cost.weights for cost in costs]),
+        parts=tuple(costs),
+        chosen=sharing.chosen,
+    )
+
+
+def numbered(summary: RunStatistics, numbers: dict[int, int]) -> RunStatistics:
+    """Return run statistics whose runs have other numbers."""
+    return replace(summary, runs=tuple(numbers[run] for run in summary.runs))
+
+
+def run_numbers(runs: Sequence[Sequence[int]]) -> tuple[dict[int, int], ...]:
+    """Return for each log run -> number among all logs: its own where no other log has it.
+
+    Else the number of the log, from 1, stands before that of the run.
+
+    >>> run_numbers([[0, 7], [7, 12]])
+    ({0: 100, 7: 107}, {7: 207, 12: 212})
+    """
+    every = [run for own in runs for run in own]
+    if len(set(every)) == len(every):
+        return tuple({run: run for run in own} for own in runs)
+    step = 10 ** len(str(max(map(abs, every))))
+    return tuple({run: step * (g + 1) + run for run in own} for g, own in enumerate(runs))
+
+
+LIKE_A_UNIT = 0.1
+"""Relative distance of a ratio of gains from that of two units within which another unit is what it shows."""
+LEAST_RATIO = 5.0
+"""Ratio of gains below which two logs of one device may differ: a repair, an air gap, a temperature."""
+
+
+def labels(logs: Sequence[Log]) -> tuple[str, ...]:
+    """Return a short name of each log: that of its file or folder, else its place, 1 first; all different."""
+    out: list[str] = []
+    for k, log in enumerate(logs):
+        path = log.path
+        name = str(k + 1) if path is None else path.parent.name if path.stem == "log" else _stem(path)
+        name = name.replace("[", "(").replace("]", ")") or str(k + 1)
+        out.append(name if name not in out else f"{name} {k + 1}")
+    return tuple(out)
+
+
+def _stem(path: Path) -> str:
+    return path.name.partition(".")[0]
+
+
+def check_same(logs: Sequence[Log], models: Sequence[Model]) -> None:
+    """Raise `InputError` where the models of two logs, or their devices by name, are not the same."""
+    first, known = logs[0], models[0]
+    for log, model in zip(logs[1:], models[1:], strict=True):
+        both = f"{name_of(first)} and {name_of(log)}"
+        if (model.name, model.effects, model.channels) != (known.name, known.effects, known.channels):
+            raise InputError(
+                f"{both} have different models, {known.name} ({', '.join(known.channels)}) and "
+                f"{model.name} ({', '.join(model.channels)}); fit those of one device, or give --model."
+            )
+        if None not in (a := (first.meta.device, log.meta.device)) and a[0] != a[1]:
+            raise InputError(
+                f"{both} are of different devices, {a[0]!r} and {a[1]!r} by their meta.json; fit each by "
+                "itself, or all with 'hallsym fleet'."
+            )
+        differ = [
+            p.name for p, q in zip(known.parameters, model.parameters, strict=True)
+            if (p.nominal, p.lower, p.upper) != (q.nominal, q.lower, q.upper)
+        ]  # fmt: skip
+        if differ or known.layout != model.layout:
+            what = f"the nominal value or bounds of {differ[0]}" if differ else "the places of the probes"
+            raise InputError(
+                f"{both} state another machine: {what} differ in their meta.json; correct one, or give "
+                "--machine, which holds for all."
+            )
+
+
+def check_gains(logs: Sequence[Log], model: Model, begun: Sequence[Begun]) -> None:
+    """Raise `InputError` where a channel of one log is that of the first one in another unit."""
+    for log, own in zip(logs[1:], begun[1:], strict=True):
+        for channel, ratio in zip(model.channels, _ratios(own, begun[0]), strict=True):
+            if (factor := unit_factor(float(ratio), channel)) is not None:
+                raise InputError(
+                    f"Units differ between files: {channel} of {name_of(log)} is {factor:.4g} times that of "
+                    f"{name_of(logs[0])}, the ratio of two units; correct the unit with --column, or fit "
+                    "each log by itself."
+                )
+
+
+def unit_factor(ratio: float, column: str) -> float | None:
+    """Return the ratio of two units of the column's kind that a ratio of gains is; None for no such ratio.
+
+    >>> unit_factor(998.0, "v_sin_v")
+    1000.0
+    """
+    if not ratio > 0 or 1 / LEAST_RATIO < ratio < LEAST_RATIO:
+        return None
+    own = column.rpartition("_")[2]
+    scales = {unit.factor for unit in UNITS.values() if unit.si == own} | {1.0}
+    factors = sorted({a / b for a in scales for b in scales if a != b}, key=lambda f: abs(np.log(ratio / f)))
+    if not factors or abs(ratio / factors[0] - 1) > LIKE_A_UNIT:
+        return None
+    return float(factors[0])
+
+
+def _ratios(begun: Begun, first: Begun) -> np.ndarray:
+    """Return each channel's linear coefficients over those of the first log, (K,), in size."""
+    merged, known = first.merged, first.linear
+    features = merged.summary.features
+    both = begun.linear.moved & known.moved
+    both &= np.array([features.label(j) != "1" for j in range(features.size)])
+    size = np.sqrt(np.einsum("jj->j", merged.grams[0]))[:, None]
+    own, other = (np.linalg.norm((one.coefficients * size)[both], axis=0) for one in (begun.linear, known))
+    return own / np.maximum(other, 1e-300)
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """One of several logs at their common optimum; `solution` is that of its own runs and parameters."""
+
+    name: str
+    task: Task
+    solution: Solution
+    errors: Errors
+    keep: Weigh | None
+    wiring: Wiring | None
+    mounted: Wiring | None
+    notes: tuple[str, ...]
+    held_out: bool = False
+
+
+def several_fit(
+    sharing: Sharing,
+    solution: Solution,
+    members: Sequence[Member],
+    judged: Sequence[Member],
+    numbers: Sequence[Mapping[int, int]],
+    began: float,
+) -> Fit:
+    """Return the fit of the logs `members`; `judged`: those held out. `numbers`: per log run -> number."""
+    point = solution.point
+    found = solution.determined
+    estimate = uncertainty_at(point, found)
+    free = int(np.count_nonzero(np.diag(estimate.covariance)))
+    bound = None if sharing.own else lower_bound(point, free)
+    fits = [
+        _of_log(member, _own(estimate, sharing, g, goodness), began)
+        for g, (member, goodness) in enumerate(zip(members, _goodness(members, free), strict=True))
+    ]
+    last = _own(estimate, sharing, len(members) - 1, estimate.goodness)
+    fits += [_of_log(m, replace(last, goodness=_judged_goodness(m)), began) for m in judged]
+    parts = [*members, *judged]
+    renumbered = [*numbers, *_further(judged, numbers)]
+    records = tuple(
+        _record(member, fit, sharing, known)
+        for member, fit, known in zip(parts, fits, renumbered, strict=True)
+    )
+    whole = _whole(fits[: len(members)], members, numbers, sharing, solution, estimate, bound, began)
+    return replace(whole, by_log=tuple(fits), logs=records)
+
+
+def _of_log(member: Member, estimate: Uncertainty, began: float) -> Fit:
+    solved = Solved(member.task, member.solution, member.errors, member.keep, member.wiring)
+    return fit_of(solved, member.solution.determination, estimate, None, member.notes, member.mounted, began)
+
+
+def _goodness(members: Sequence[Member], free: int) -> list[GoodnessOfFit]:
+    """Return what the fit leaves in each log; the parameters are shared out by samples."""
+    points = [m.solution.point for m in members]
+    counts = np.array([point.cost.summary.counts.sum() for point in points])
+    share = free * counts / max(counts.sum(), 1e-300)
+    return [goodness_of(point, round(own)) for point, own in zip(points, share.tolist(), strict=True)]
+
+
+def _judged_goodness(member: Member) -> GoodnessOfFit:
+    return goodness_of(member.solution.everywhere, 0)
+
+
+def _own(estimate: Uncertainty, sharing: Sharing, g: int, goodness: GoodnessOfFit) -> Uncertainty:
+    """Return the uncertainties of the parameters of one log."""
+    chosen = sharing.chosen[g]
+    named = {sharing.joint.names[k]: n for k, n in zip(chosen, sharing.model.names, strict=True)}
+    suffix = own_name("", sharing.logs[g])
+    combinations = [
+        _renamed(c, named, suffix) for c in estimate.combinations
+        if (set(c.factors) <= set(named) if c.factors else _of(c.expression, sharing, suffix))
+    ]  # fmt: skip
+    lost = [n for n in estimate.undetermined_by_log if n in named or _of(n, sharing, suffix)]
+    return replace(
+        estimate,
+        std=estimate.std[chosen],
+        determined=estimate.determined[chosen],
+        covariance=estimate.covariance[np.ix_(chosen, chosen)],
+        at_bound=tuple(named[n] for n in estimate.at_bound if n in named),
+        combinations=tuple(combinations),
+        undetermined_by_log=tuple(named.get(n, n.removesuffix(suffix)) for n in lost),
+        degrees_of_freedom=estimate.degrees_of_freedom[chosen],
+        goodness=goodness,
+    )
+
+
+def _of(expression: str, sharing: Sharing, suffix: str) -> bool:
+    """Whether a named combination is of the log with this suffix, or of all."""
+    others = [own_name("", log) for log in sharing.logs]
+    return expression.endswith(suffix) or not any(expression.endswith(other) for other in others)
+
+
+def _renamed(c: CombinationEstimate, named: Mapping[str, str], suffix: str) -> CombinationEstimate:
+    """Return a combination with the names that the parameters have in one log."""
+    expression, factors = c.expression.removesuffix(suffix), c.factors
+    if factors:
+        for joint, name in named.items():
+            expression = expression.replace(joint, name)
+        factors = {named[n]: value for n, value in factors.items()}
+    return replace(c, expression=expression, factors=factors)
+
+
+def _further(judged: Sequence[Member], numbers: Sequence[Mapping[int, int]]) -> list[dict[int, int]]:
+    """Return numbers for the runs of held-out logs: their own, since they stand in no table with others."""
+    return [{run: run for run in member.solution.everything.summary.runs} for member in judged]
+
+
+def _record(member: Member, fit: Fit, sharing: Sharing, numbers: Mapping[int, int]) -> dict[str, Any]:
+    """Return what is saved of one log beside the calibration."""
+    at = [fit.model.names.index(n) for n in sharing.own]
+    return {
+        "name": member.name,
+        "held_out": member.held_out,
+        "log": {**fit.log, "sha256": fit.source.sha256 if fit.source else None},
+        "runs": {str(run): number for run, number in numbers.items()},
+        "errors": dict(fit.error_rows),
+        "noise": {c: {"value": s.value, "source": s.source} for c, s in fit.noise.sigmas.items()},
+        "parameters": {
+            fit.model.names[k]: {
+                "value": float(fit.values[k]),
+                "std": float(fit.std[k]) if np.isfinite(fit.std[k]) else None,
+                "unit": fit.model.parameters[k].unit,
+            }
+            for k in at
+        },
+        "residual_over_noise": fit.goodness.residual_over_noise if fit.goodness else None,
+    }
+
+
+def _whole(
+    fits: Sequence[Fit],
+    members: Sequence[Member],
+    numbers: Sequence[Mapping[int, int]],
+    sharing: Sharing,
+    solution: Solution,
+    estimate: Uncertainty,
+    bound: LowerBound | None,
+    began: float,
+) -> Fit:
+    """Return the fit of all logs; parameters of which each log has its own are those of the last log."""
+    last = fits[-1]
+    noise = _noise(fits)
+    holdout = tuple(known[r] for m, known in zip(members, numbers, strict=True) for r in m.task.holdout)
+    errors = Errors(
+        _tables([m.errors.designed for m in members], numbers),
+        _tables([m.errors.fitted for m in members], numbers),
+        holdout,
+    )
+    counts = np.array([fit.log["rows"] for fit in fits], dtype=float)
+    floors = np.array([list(fit.noise_floor.values()) for fit in fits])
+    floor = np.sqrt(counts / counts.sum() @ floors**2)
+    solver = {
+        **last.solver,
+        "cost": solution.search.cost,
+        "cost_per_degree_of_freedom": estimate.cost_per_dof,
+        "evaluations": solution.search.evaluations,
+        "starts": solution.search.starts,
+        "share_at_optimum": solution.search.share,
+        "lower_bound": None if bound is None else bound.to_dict(),
+    }
+    worst = max(fits, key=lambda fit: fit.goodness.residual_over_noise if fit.goodness else 0.0)
+    goodness = estimate.goodness.judged(
+        noise, (*last.model.channels, *last.model.references), members[0].task.log.meta.gap_threshold_rel
+    )
+    goodness = replace(goodness, next_command=worst.goodness.next_command if worst.goodness else "")
+    names = sharing.joint.names
+    return replace(
+        last,
+        zeros={known[r]: z for fit, known in zip(fits, numbers, strict=True) for r, z in fit.zeros.items()},
+        noise=noise,
+        noise_floor=dict(zip(last.model.pose, floor.tolist(), strict=True)),
+        solver=solver,
+        log={
+            "path": ", ".join(str(f.log["path"] or m.name) for f, m in zip(fits, members, strict=True)),
+            "sha256": None,
+            "rows": sum(fit.log["rows"] for fit in fits),
+            "runs": sum(fit.log["runs"] for fit in fits),
+            "holdout": list(holdout),
+            "span": {column: list(ends) for column, ends in errors.fitted.span.items()},
+        },
+        seconds=perf_counter() - began,
+        goodness=goodness,
+        notes=_notes(fits, members, numbers, sharing),
+        errors=errors,
+        error_rows=errors.rows(),
+        keep=None,
+        source=None,
+        likelihood=None if sharing.own else solution.fitted,
+        determination=None if sharing.own else solution.determined,
+        undetermined_by_log=estimate.undetermined_by_log,
+        joint=Joint(names, solution.p, estimate.std, estimate.covariance, sharing.own, sharing.logs),
+    )
+
+
+def _noise(fits: Sequence[Fit]) -> Noise:
+    """Return the noise of every column over the samples of all logs (rms)."""
+    counts = np.array([fit.log["rows"] for fit in fits], dtype=float)
+    out = {}
+    for column, sigma in fits[-1].noise.sigmas.items():
+        own = np.array([fit.noise[column].value for fit in fits])
+        out[column] = replace(sigma, value=float(np.sqrt(counts @ own**2 / counts.sum())))
+    return Noise(out)
+
+
+def _tables(tables: Sequence[ErrorTable], numbers: Sequence[Mapping[int, int]]) -> ErrorTable:
+    """Return the error tables of several logs as one."""
+    span: dict[str, tuple[float, float]] = {}
+    for column in dict.fromkeys(c for table in tables for c in table.span):
+        ends = [table.span[column] for table in tables if column in table.span]
+        span[column] = (min(low for low, _ in ends), max(high for _, high in ends))
+    return ErrorTable(
+        tables[0].pose,
+        tuple(known[run] for table, known in zip(tables, numbers, strict=True) for run in table.runs),
+        np.concatenate([table.count for table in tables]),
+        np.concatenate([table.squares for table in tables]),
+        np.concatenate([table.peak for table in tables]),
+        span,
+    )
+
+
+def _notes(
+    fits: Sequence[Fit], members: Sequence[Member], numbers: Sequence[Mapping[int, int]], sharing: Sharing
+) -> tuple[str, ...]:
+    """Return what is to be said of the logs, each note once, with the log that it is of."""
+    out = [
+        type(note)(f"{m.name}: {note}") for fit, m in zip(fits, members, strict=True) for note in fit.notes
+    ]
+    first = next(((g, r, n) for g, own in enumerate(numbers) for r, n in own.items() if r != n), None)
+    if first is not None:
+        g, run, number = first
+        out.append(f"Runs have the number of their log before their own: {number} is run {run} of "
+                   f"{sharing.logs[g]}.")  # fmt: skip
+    if sharing.own:
+        out.append(f"{', '.join(sharing.own)}: each log has its own; the calibration holds those of "
+                   f"{sharing.logs[-1]}, the last.")  # fmt: skip
+    return tuple(dict.fromkeys(out))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,17 +707,17 @@ def _opened(logs: Sequence[Log], model: Model, fitted: int, asked: Asked) -> lis
         raise InputError(f"Held-out run {lost[0]} is in none of the {fitted} logs.")
     for k, log in enumerate(logs):
         asked.say(f"checking {log.name}")
-        ready = prepared(log, model, drop_bad=asked.drop_bad)
+        ready, said, mounted = prepared(log, model, drop_bad=asked.drop_bad)
         held = log.meta.holdout if asked.holdout is None else tuple(asked.holdout)
-        held = held_out(ready.log, [r for r in held if r in ready.log.runs]) if k < fitted else ()
-        task = Task(ready.log, model, held, asked.solver, asked.loss, asked.seed, asked.say, None,
+        held = held_out(ready, [r for r in held if r in ready.runs]) if k < fitted else ()
+        task = Task(ready, model, held, asked.solver, asked.loss, asked.seed, asked.say, None,
                     centre=centre)  # fmt: skip
         found = task.opened(asked.resolve_wiring)
         centre = found.begun.everything.summary.centre
-        notes = (*ready.notes, *found.judged.notes)
+        notes = (*said, *found.judged.notes)
         if found.judged.spiky:
             notes = (*notes, "Spikes bend the slopes by which units and signs are judged; look at the log.")
-        out.append(_Open(found.task, found.begun, notes, ready.wiring, found.wiring))
+        out.append(_Open(found.task, found.begun, notes, mounted.wiring, found.wiring))
     return out
 
 

@@ -1,6 +1,6 @@
 """One fit as it goes round: solve, tabulate errors, take outliers out, refuse what is wrong."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -9,7 +9,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.estimation import outliers, start
 from hallsym.estimation.calibration import Errors, Fit
-from hallsym.estimation.channel_assignment import Wiring, rewired, wiring_of
+from hallsym.estimation.channel_assignment import Wiring, as_read, rewired, wiring_of
 from hallsym.estimation.covariance import noise_floor
 from hallsym.estimation.decoding import (
     columns_of,
@@ -25,16 +25,57 @@ from hallsym.estimation.lateness import lateness
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.optimum import Solution, search
 from hallsym.estimation.plausible import Judgement, judge
-from hallsym.estimation.residual_columns import estimated_factor, noise_at
-from hallsym.estimation.residual_noise import KNOWN
+from hallsym.estimation.residual_noise import KNOWN, estimated_factor, noise_at
 from hallsym.estimation.run_statistics import RunStatistics, summarise
-from hallsym.log import Log, Noise, estimate_noise
+from hallsym.families import adapted, build, default_model
+from hallsym.log import Log, Noise, estimate_noise, usable
 from hallsym.log.batches import Weigh, remembered
 from hallsym.log.drop import Drop, without
 from hallsym.log.phase import continuous, designed, nearest_turn
 from hallsym.log.quality.gains import explained
-from hallsym.model import Model
+from hallsym.model import Inspection, Model
 from hallsym.terminal import Step
+
+
+def model_of(
+    log: Log,
+    model: str | Model | None,
+    effects: Sequence[str] = (),
+    parameters: Mapping[str, Mapping[str, float]] | None = None,
+    own: Mapping[str, Callable[[Model], Model]] | None = None,
+) -> Model:
+    """Return the model that is fitted to a log; arguments as for `fit`."""
+    if isinstance(model, Model):
+        return adapted(model, tuple(effects), parameters or {}, own)
+    name = model or default_model(log.meta)
+    return build(name, meta=log.meta, added=tuple(effects), parameters=parameters, own=own)
+
+
+def prepared(log: Log, model: Model, *, drop_bad: bool) -> tuple[Log, tuple[str, ...], Inspection]:
+    """Return a log that was checked, as its model reads it, what there is to say, and how it is mounted.
+
+    `drop_bad`: leave out bad samples. Raises `InputError` for logs that cannot be fitted.
+    """
+    log, notes = usable(log, logged_columns(model), drop_bad=drop_bad, rails=not knows_rails(model))
+    mounted = model.inspect(model, log) if model.inspect else Inspection()
+    notes = [*notes, *mounted.notes]
+    return as_read(log, model, mounted.wiring), tuple(notes), mounted
+
+
+def held_out(log: Log, holdout: Sequence[int]) -> tuple[int, ...]:
+    """Return held-out runs, all of them in the log and not all of the log. Raises `InputError` for others."""
+    unknown = [run for run in holdout if run not in log.runs]
+    if unknown:
+        raise InputError(f"Held-out run {unknown[0]} is not in the log; its runs are {runs_said(log.runs)}.")
+    if holdout and set(log.runs) <= set(holdout):
+        raise InputError("Every run is held out; leave at least one to fit.")
+    return tuple(holdout)
+
+
+def runs_said(runs: Sequence[int]) -> str:
+    """Return runs as words; of many the first two and the last."""
+    return ", ".join(map(str, runs)) if len(runs) <= 8 else f"{runs[0]}, {runs[1]}, ... {runs[-1]}"
+
 
 Progress = Callable[[str], None]
 LEAST_SIGMA = 1e-13

@@ -11,7 +11,7 @@ import numpy as np
 
 from hallsym.errors import InputError, one_line, summary
 from hallsym.estimation import Fit, fit
-from hallsym.estimation.prepare import model_of
+from hallsym.estimation.task import model_of
 from hallsym.fleets.sources import Device
 from hallsym.log import Fault, Log, read_log
 from hallsym.model import Model

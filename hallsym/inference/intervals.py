@@ -14,8 +14,7 @@ from hallsym.estimation.normal_equations import inverse
 from hallsym.inference.bootstrap import Bootstrap
 from hallsym.inference.bootstrap import bootstrap as resample
 from hallsym.inference.evidence import Evidence
-from hallsym.inference.profile_tangent import skewness
-from hallsym.inference.profiles import Profile, profile
+from hallsym.inference.profiles import Profile, profile, skewness
 from hallsym.model.quantities import Quantity, combination, linear, parameter
 from hallsym.terminal import Step
 

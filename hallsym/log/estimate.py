@@ -12,7 +12,7 @@ from hallsym.log.columns import RUN
 from hallsym.log.core import Log
 from hallsym.log.noise import Noise, Sigma
 from hallsym.log.phase import unwrapped
-from hallsym.model.medians import median, medians, middles
+from hallsym.model.arrays import median, medians, middles
 from hallsym.units import Array, si_unit
 
 _ORDERS = range(2, 9)

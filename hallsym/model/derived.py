@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.polynomial import legendre
 
-from hallsym.model.medians import median
+from hallsym.model.arrays import median
 
 ORDER = 5
 """Degree of the local polynomials."""

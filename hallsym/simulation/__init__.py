@@ -12,7 +12,7 @@ from hallsym.simulation.campaign import (
 from hallsym.simulation.following import Following, follow, is_closed
 from hallsym.simulation.machine import NoiseModel, scaled, simulate, simulate_blocks
 from hallsym.simulation.paper import bundled_campaign, is_the_papers, paper_campaign, table8_noise
-from hallsym.simulation.signals import AtTimes, Signal, multi_sine, ramp, sine, steps, triangle
+from hallsym.simulation.signals import AtTimes, Signal, multi_sine, sine, steps, triangle
 
 __all__ = [
     "MOST_SAMPLES",
@@ -30,7 +30,6 @@ __all__ = [
     "multi_sine",
     "noise_table",
     "paper_campaign",
-    "ramp",
     "read_campaign",
     "scaled",
     "simulate",

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from twins import HALL, SIGMAS, campaign, cost_on, true_model, truth_of, with_noise
 
 from hallsym.estimation import coverage_factor, determine, refit, uncertainty
-from hallsym.estimation.run_scatter import RunScatter
+from hallsym.estimation.covariance import RunScatter
 from hallsym.simulation import NoiseModel, simulate
 
 SETTINGS = {"57 runs": range(57), "12 runs": range(12), "6 runs": range(6)}

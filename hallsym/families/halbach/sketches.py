@@ -1,6 +1,6 @@
 """The machines as a page draws them: an array from the side, a planar mover from above."""
 
-from hallsym.model.sketch import SIGNAL, Part
+from hallsym.model.family import SIGNAL, Part
 
 REFERENCE = Part("reference", "reference", "M4 44h32v18h-32zM36 53h14", (4.0, 38.0), centred=False)
 

@@ -3,7 +3,7 @@
 from hallsym.families.rotary import models
 from hallsym.families.rotary.effects import EFFECTS, direct, short
 from hallsym.model import Example, Family, PoseMetric
-from hallsym.model.sketch import SIGNAL, Part
+from hallsym.model.family import SIGNAL, Part
 
 SKETCH = (
     Part(

@@ -3,7 +3,7 @@
 from hallsym.families.stage import models
 from hallsym.families.stage.effects import EFFECTS
 from hallsym.model import Family, PoseMetric
-from hallsym.model.sketch import SIGNAL, Part
+from hallsym.model.family import SIGNAL, Part
 
 SKETCH = (
     Part("reference", "reference", "M4 20h40v18h-40zM44 29h76v6", (4.0, 14.0), centred=False),
