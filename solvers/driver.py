@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
-from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from solvers.box import BOUNDS, require_finite_box
-from solvers.mpso import mpso
 from solvers.multistart import latin_hypercube
 from solvers.problem import (
     INTERRUPTED,
@@ -26,24 +22,31 @@ from solvers.problem import (
     misuse,
     rows,
 )
-from solvers.pso import pso
 from solvers.shtlbo import shtlbo
+from solvers.swarm import mpso, pso
 from solvers.tlbo import gbtlbo, tlbo
 
 SOLVERS: tuple[Solver, ...] = (tlbo, gbtlbo, shtlbo, pso, mpso)
-OnGeneration = Callable[[int, float, Population], None]
+COLLAPSED = 1e-10
+"""Widths of the box within which a whole class counts as one point."""
 
 
-@dataclass(frozen=True)
-class Stop:
-    """When to stop before the budget is spent.
+def reflect(x: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Fold what is outside back in, as often as it takes; what is inside stays as it is, to the bit.
 
-    target: a cost that is good enough.
-    spread: the class has collapsed, all of it within this many widths of the box in every variable.
+    The bounds act as mirrors, so a candidate any number of widths away still lands inside in one step.
+    Clipping instead piles candidates up on the faces of the box, where differences between them vanish.
     """
-
-    target: float = -np.inf
-    spread: float = 1e-10
+    outside = (x < lower) | (x > upper)
+    if not outside.any():
+        return x
+    low, high = (np.broadcast_to(bound, x.shape)[outside] for bound in (lower, upper))
+    width = high - low
+    with np.errstate(invalid="ignore"):  # a fixed variable (width 0) or an infinite candidate: clip below
+        folded = low + width - np.abs(np.mod(x[outside] - low, 2.0 * width) - width)
+    inside = x.copy()
+    inside[outside] = np.clip(np.where(np.isfinite(folded), folded, x[outside]), low, high)
+    return inside
 
 
 def minimize(
@@ -53,10 +56,7 @@ def minimize(
     seed: int | np.random.Generator,
     budget: int = 20_100,
     size: int | None = None,
-    bounds: str = "reflect",
-    stop: Stop | None = None,
     start: ArrayLike | None = None,
-    on_generation: OnGeneration | None = None,
     **options: Any,
 ) -> Result:
     """Search the whole box with a population; the same seed gives the same result, to the bit.
@@ -65,12 +65,11 @@ def minimize(
     budget: rows of `problem.cost` that may be evaluated, met exactly: the last generation is cut short.
         The default is the paper's: a class of 100, then 100 generations of two phases.
     size: rows of the population, 100 unless told.
-    bounds: "reflect" folds candidates back into the box, "clip" moves them onto its faces.
     start: `(k, dim)` points to begin with, clipped into the box; a Latin hypercube fills up the rest.
-    on_generation: called with (evaluations, best cost, population) after the first population and after
-        each generation; may raise KeyboardInterrupt. An interrupted search returns its best point so far.
-    options: those of the method, such as `p_rule` of `shtlbo`; `generations`, the number that a method plans
+    options: those of the method, such as `w_max` of `mpso`; `generations`, the number that a method plans
         for, follows from the budget unless told.
+
+    A search that is interrupted (Ctrl-C) returns its best point so far.
 
     >>> bowl = Problem(lambda x: (x**2).sum(axis=1), [-1.0, -1.0], [1.0, 2.0])
     >>> minimize(bowl, seed=1, budget=3000).cost < 1e-6
@@ -83,15 +82,14 @@ def minimize(
     size = min(100 if size is None else size, budget)
     if size < 2:
         raise misuse("size", "minimize", "at least 2", size)
-    choice(bounds, tuple(BOUNDS), "bounds", "minimize")
-    require_finite_box(problem, "minimize")
+    problem.require_finite_box("minimize")
     rng = np.random.default_rng(seed)
     if "generations" in inspect.signature(method).parameters:
         options = {"generations": max(1, (budget - size) // size)} | options
-    run = _Run(problem, budget, bounds, stop or Stop(), _first(problem, size, start, rng))
+    run = _Run(problem, budget, _first(problem, size, start, rng))
     status: Status
     try:
-        status, message = run.search(method, rng, on_generation, options)
+        status, message = run.search(method, rng, options)
     except KeyboardInterrupt:
         status, message = "interrupted", INTERRUPTED
         run.record()
@@ -112,22 +110,18 @@ def minimize(
 class _Run:
     """What the driver keeps about one search."""
 
-    def __init__(self, problem: Problem, budget: int, bounds: str, stop: Stop, first: FloatArray) -> None:
-        self.problem, self.budget, self.repair, self.stop = problem, budget, BOUNDS[bounds], stop
+    def __init__(self, problem: Problem, budget: int, first: FloatArray) -> None:
+        self.problem, self.budget = problem, budget
         self.x, self.cost, self.evaluations = (problem.lower + problem.upper) / 2.0, np.inf, 0
         self.population = Population(first, np.full(len(first), np.inf))
         self.history: list[tuple[int, float]] = []
 
-    def search(
-        self, method: Solver, rng: np.random.Generator, heard: OnGeneration | None, options: dict[str, Any]
-    ) -> tuple[Status, str]:
+    def search(self, method: Solver, rng: np.random.Generator, options: dict[str, Any]) -> tuple[Status, str]:
         """Evaluate the first population, then one generation after the other until there is an ending."""
         self.population = self.evaluate(self.population.x)
         generations = method(self.population, self.evaluate, rng, **options)
         while True:
             self.record()
-            if heard is not None:
-                heard(self.evaluations, self.cost, self.population)
             ending = self.ending()
             if ending is not None:
                 return ending
@@ -135,7 +129,7 @@ class _Run:
 
     def evaluate(self, candidates: FloatArray) -> Population:
         """Into the box, then the cost; rows beyond the budget are not evaluated and cost +inf."""
-        x = self.repair(candidates, self.problem.lower, self.problem.upper)
+        x = reflect(candidates, self.problem.lower, self.problem.upper)
         affordable = min(len(x), self.budget - self.evaluations)
         if affordable == 0:
             return Population(x, np.full(len(x), np.inf))
@@ -152,9 +146,7 @@ class _Run:
 
     def ending(self) -> tuple[Status, str] | None:
         """Why to stop now, if there is a reason."""
-        if self.cost <= self.stop.target:
-            return "converged", f"The target cost {self.stop.target:g} is reached."
-        if (np.ptp(self.population.x, axis=0) <= self.stop.spread * self.problem.width).all():
+        if (np.ptp(self.population.x, axis=0) <= COLLAPSED * self.problem.width).all():
             return "converged", "The population has collapsed to one point: refine it, or try another seed."
         if self.evaluations >= self.budget:
             return "budget", f"{self.budget} evaluations are spent: refine the best points, or raise budget."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -10,17 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from solvers.driver import SOLVERS, OnGeneration, minimize
+from solvers.driver import SOLVERS, minimize
 from solvers.ipopt import Ipopt
 from solvers.multistart import APART, best_apart
-from solvers.newton import local_result, newton
-from solvers.problem import INTERRUPTED, FloatArray, Population, Problem, Result, choice, misuse, rows
+from solvers.problem import INTERRUPTED, FloatArray, Population, Problem, Result, choice, rows
 
-Refine = Callable[[ArrayLike], Result]
-REFINERS: dict[str, Callable[[Problem], Refine]] = {
-    "ipopt": lambda problem: Ipopt(problem).solve,
-    "newton": lambda problem: lambda x0: newton(problem, x0),
-}
 EXPLORERS = (*(solver.__name__ for solver in SOLVERS), "screening")
 
 
@@ -28,13 +21,13 @@ EXPLORERS = (*(solver.__name__ for solver in SOLVERS), "screening")
 class HybridResult(Result):
     """A `Result` that also shows how it came about.
 
-    explored: the global stage, or None if there was none.
+    explored: the global stage.
     local: one result per refined start, user's starts first.
     share: fraction of the refined starts that ended at the best cost. Near 1: the optimum is easy to reach;
         a single one of many: look at the others before believing it.
     """
 
-    explored: Result | None
+    explored: Result
     local: tuple[Result, ...]
     share: float
 
@@ -44,55 +37,34 @@ def hybrid(
     *,
     seed: int | np.random.Generator,
     starts: ArrayLike | None = None,
-    refine: str = "ipopt",
     keep: int = 3,
     budget: int = 20_100,
     global_solver: str = "shtlbo",
     apart: float = APART,
     same: float = 1e-6,
-    on_generation: OnGeneration | None = None,
     **options: Any,
 ) -> HybridResult:
     """Explore the box, refine the best few points that are apart, and return the best of all.
 
     starts: `(k, dim)` points of the user; they join the global stage and are all refined themselves.
-    refine: "ipopt" or "newton"; both need derivatives or an expression in the problem.
     keep: how many points of the final population to refine at most, each `apart` from the others in widths
         of the box (root mean square). A class that has collapsed leaves one.
-    budget: evaluations of the global stage; 0 refines `starts` alone.
+    budget: evaluations of the global stage.
     global_solver: a name from `SOLVERS`, or "screening", one Latin hypercube of `budget` points.
     same: relative difference of cost within which two local results count as the same optimum.
     options: those of `minimize` and of the method.
     """
     began = perf_counter()
     choice(global_solver, EXPLORERS, "global_solver", "hybrid")
-    refiner = REFINERS[choice(refine, tuple(REFINERS), "refine", "hybrid")](problem)
+    refiner = Ipopt(problem)
     given = np.empty((0, problem.dim)) if starts is None else rows(starts, problem.dim, "starts", "hybrid")
-    if budget == 0 and len(given) == 0:
-        raise misuse("budget", "hybrid", "positive when there are no starts", budget)
-    explored = None
-    if budget > 0:
-        # a screening is a search that ends with its first population, one hypercube of the whole budget
-        method, size = ("tlbo", {"size": budget}) if global_solver == "screening" else (global_solver, {})
-        begin = given if len(given) else None
-        explored = minimize(
-            problem,
-            method,
-            seed=seed,
-            budget=budget,
-            start=begin,
-            on_generation=on_generation,
-            **(options | size),
-        )
-    queue, interrupted = given, False
-    if explored is not None:
-        queue = np.concatenate([given, best_apart(explored.population, keep, problem, apart).x])
-        interrupted = explored.status == "interrupted"
-    local, interrupted = ((), True) if interrupted else _refined(refiner, queue)
-    stages = [stage for stage in (explored, *local) if stage is not None]
-    if not stages:  # interrupted before the first of the user's starts was refined
-        x = np.clip(given[0], problem.lower, problem.upper)
-        stages = [local_result(x, np.inf, "interrupted", INTERRUPTED, [], 0.0)]
+    # a screening is a search that ends with its first population, one hypercube of the whole budget
+    method, size = ("tlbo", {"size": budget}) if global_solver == "screening" else (global_solver, {})
+    begin = given if len(given) else None
+    explored = minimize(problem, method, seed=seed, budget=budget, start=begin, **(options | size))
+    queue = np.concatenate([given, best_apart(explored.population, keep, problem, apart).x])
+    local, interrupted = ((), True) if explored.status == "interrupted" else _refined(refiner, queue)
+    stages = [explored, *local]
     best, share = _judge(stages, local, same)
     history = _joined(stages)
     return HybridResult(
@@ -110,12 +82,12 @@ def hybrid(
     )
 
 
-def _refined(refiner: Refine, queue: FloatArray) -> tuple[tuple[Result, ...], bool]:
+def _refined(refiner: Ipopt, queue: FloatArray) -> tuple[tuple[Result, ...], bool]:
     """Refine one start after the other, until done or interrupted (then the second item is true)."""
     local: list[Result] = []
     try:
         for x0 in queue:
-            local.append(refiner(x0))
+            local.append(refiner.solve(x0))
             if local[-1].status == "interrupted":
                 return tuple(local), True
     except KeyboardInterrupt:

@@ -9,6 +9,7 @@ taken for solved before it began.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from time import perf_counter
 from typing import Any
 
@@ -16,10 +17,8 @@ import casadi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from solvers.callbacks import Callbacks, Recent
-from solvers.newton import NEGLIGIBLE, inside, local_result, newton
+from solvers.newton import NEGLIGIBLE, curves_down, inside, local_result, newton, what_is_left
 from solvers.problem import INTERRUPTED, FloatArray, Problem, Result, Status
-from solvers.quadratic import curves_down, what_is_left
 
 QUIET = {"print_time": False, "show_eval_warnings": False, "error_on_fail": False}
 STRICT = {"print_level": 0, "sb": "yes", "bound_relax_factor": 0.0}  # never a step outside the bounds
@@ -29,12 +28,142 @@ SATISFIED = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_
 CTRL_C = ("NonIpopt_Exception_Thrown", "User_Requested_Stop")  # what CasADi >= 3.8 makes of it
 
 
+Buffers = Sequence[memoryview | None]
+
+
+class Recent:
+    """Value, gradient and Hessian at the last point, so that asking for each costs one call in all.
+
+    Works in `u = x / unit`. An exception in the derivatives is kept in `error`, and every later request
+    fails at once: CasADi would otherwise swallow it and IPOPT go on.
+    """
+
+    def __init__(self, problem: Problem, unit: FloatArray) -> None:
+        """Wrap the derivatives of a problem."""
+        self.derivatives, self.unit = problem.second_order, unit
+        self.lower, self.upper = problem.lower, problem.upper  # for the last bit: IPOPT stays inside
+        self.upper_triangle = np.tril_indices(len(unit))  # of H': columns of H
+        self.unit2 = unit[:, None] * unit
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: a new run begins."""
+        self.key, self.calls = b"", 0
+        self.error: BaseException | None = None
+        self.best, self.best_f = self.unit, np.inf
+
+    def at(self, u: memoryview) -> bool:
+        """Bring the point up to date; false if that failed, now or before."""
+        key = bytes(u)
+        if key == self.key and self.error is None:
+            return True
+        if self.error is not None:
+            return False
+        x = np.minimum(np.maximum(np.frombuffer(key) * self.unit, self.lower), self.upper)
+        try:
+            self.calls += 1
+            f, gradient, hessian = self.derivatives(x)
+            self.f, self.gradient = float(f), gradient * self.unit
+            self.hessian = (hessian * self.unit2).T[self.upper_triangle]
+        except BaseException as error:
+            self.error = error
+            return False
+        self.key = key
+        if self.f < self.best_f:
+            self.best, self.best_f = x, self.f
+        return True
+
+
+class _Part(casadi.Callback):
+    """One of the functions IPOPT asks for; subclasses say which."""
+
+    inputs = 2
+
+    def __init__(self, name: str, recent: Recent) -> None:
+        casadi.Callback.__init__(self)
+        self.recent, self.dim = recent, len(recent.unit)
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return self.inputs
+
+    def get_sparsity_in(self, i: int) -> casadi.Sparsity:
+        return casadi.Sparsity.dense((self.dim, 1, 1, 0)[i], 1)
+
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, given: Buffers, wanted: Buffers) -> int:
+        if given[0] is None or given[1] is None or not self.recent.at(given[0]):
+            return 1
+        scale = np.frombuffer(given[1])[0]
+        for buffer, value in zip(wanted, self.values(given), strict=True):
+            if buffer is not None:
+                np.frombuffer(buffer)[:] = scale * value
+        return 0
+
+    def values(self, given: Buffers) -> tuple[Any, ...]:
+        raise NotImplementedError
+
+
+class _Cost(_Part):
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_out(self, i: int) -> casadi.Sparsity:
+        return casadi.Sparsity.dense(1, 1)
+
+    def values(self, given: Buffers) -> tuple[Any, ...]:
+        return (self.recent.f,)
+
+
+class _Gradient(_Part):
+    def get_n_out(self) -> int:
+        return 2
+
+    def get_sparsity_out(self, i: int) -> casadi.Sparsity:
+        return casadi.Sparsity.dense((1, self.dim)[i], 1)
+
+    def values(self, given: Buffers) -> tuple[Any, ...]:
+        return self.recent.f, self.recent.gradient
+
+
+class _Hessian(_Part):
+    inputs = 4
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_out(self, i: int) -> casadi.Sparsity:
+        return casadi.Sparsity.upper(self.dim)
+
+    def values(self, given: Buffers) -> tuple[Any, ...]:
+        multiplier = 0.0 if given[2] is None else np.frombuffer(given[2])[0]
+        return (multiplier * self.recent.hessian,)
+
+
+class Callbacks:
+    """What `nlpsol` needs: keep this alive as long as the solver, CasADi holds no reference to its parts."""
+
+    def __init__(self, recent: Recent) -> None:
+        """Build the problem, `u` scaled and `p` the factor of the cost, and the options that go with it."""
+        u, scale = casadi.MX.sym("u", len(recent.unit)), casadi.MX.sym("scale")
+        self.cost = _Cost("cost", recent)
+        self.nlp = {"x": u, "p": scale, "f": self.cost(u, scale)}
+        self.options: dict[str, Any] = {
+            "grad_f": _Gradient("gradient", recent),
+            "hess_lag": _Hessian("hessian", recent),
+            "calc_lam_p": False,
+            "no_nlp_grad": True,  # the callbacks have no derivatives of their own
+        }
+
+
 def ipopt(
     problem: Problem, x0: ArrayLike, *, max_iterations: int = 200, tolerance: float = 1e-8, **options: Any
 ) -> Result:
     """Refine one point; never returns a worse one than `x0` clipped into the box.
 
-    Needs `problem.expression` or `problem.derivatives`. For many starts of one problem build `Ipopt` once.
+    Needs `problem.derivatives`. For many starts of one problem build `Ipopt` once.
     IPOPT calls a flat stretch far from any optimum solved. So its point is judged by a Newton step: where the
     Hessian is not positive definite, or the step promises more than rounding, Newton's method goes on from
     there; the message says so, and the status is what that ends with.
@@ -56,15 +185,10 @@ class Ipopt:
         self.unit = 2.0 ** np.rint(np.log2(width))  # powers of two: dividing by them is exact
         self.max_iterations = max_iterations
         inner = {"max_iter": max_iterations, "tol": tolerance} | STRICT | options
-        self.recent: Recent | None = None
-        extra: dict[str, Any] = {}
-        if problem.expression is not None:
-            nlp = _from_expression(problem.expression, self.unit)
-        else:
-            self.recent = Recent(problem, self.unit)
-            self.callbacks = Callbacks(self.recent)
-            nlp, extra = self.callbacks.nlp, self.callbacks.options
-        self.solver = casadi.nlpsol("refine", "ipopt", nlp, QUIET | extra | {"ipopt": inner})
+        self.recent = Recent(problem, self.unit)
+        self.callbacks = Callbacks(self.recent)
+        options = QUIET | self.callbacks.options | {"ipopt": inner}
+        self.solver = casadi.nlpsol("refine", "ipopt", self.callbacks.nlp, options)
         self.gradient = self.solver.get_function("nlp_grad_f")
         self.triangle = self.solver.get_function("nlp_hess_l")
 
@@ -91,8 +215,7 @@ class _Attempt:
         self.lower, self.upper, self.unit = ipopt.problem.lower, ipopt.problem.upper, ipopt.unit
         self.history: list[tuple[int, float]] = []
         self.calls = 1
-        if ipopt.recent is not None:
-            ipopt.recent.reset()
+        ipopt.recent.reset()
 
     def run(self) -> tuple[Status, str]:
         """From the start to the verdict; the best point is kept on the way.
@@ -140,8 +263,7 @@ class _Attempt:
         stats = self.ipopt.solver.stats()
         self.after_python_error()
         found = np.clip(np.array(answer["x"]).ravel() * self.unit, self.lower, self.upper)
-        recent = self.ipopt.recent
-        self.calls = recent.calls if recent is not None else self.calls + int(stats["n_call_nlp_f"])
+        self.calls = self.ipopt.recent.calls
         self.take(found, self.calls)
         if stats["return_status"] in CTRL_C:
             raise KeyboardInterrupt
@@ -162,7 +284,7 @@ class _Attempt:
     def after_python_error(self) -> None:
         """Raise what Python derivatives raised within IPOPT, after keeping the best point so far."""
         recent = self.ipopt.recent
-        if recent is not None and recent.error is not None:
+        if recent.error is not None:
             if recent.best_f < self.f:
                 self.x, self.f = recent.best, recent.best_f
                 self.history.append((recent.calls, self.f))
@@ -179,9 +301,3 @@ class _Attempt:
             return slope, left, CURVED
         negligible = rounding or abs(left) <= NEGLIGIBLE * abs(self.f)
         return slope, left, "" if negligible else f"a Newton step promises {left:.1e} less"
-
-
-def _from_expression(expression: casadi.Function, unit: FloatArray) -> dict[str, Any]:
-    kind: Any = casadi.SX if expression.is_a("SXFunction") else casadi.MX
-    u, scale = kind.sym("u", len(unit)), kind.sym("scale")
-    return {"x": u, "p": scale, "f": scale * expression(casadi.DM(unit) * u)}

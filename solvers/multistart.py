@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from solvers.box import require_finite_box
 from solvers.problem import FloatArray, Population, Problem
 
 APART = 0.05  # root mean square distance, in widths of the box
@@ -45,6 +44,6 @@ def screened_starts(
     problem: Problem, n: int, keep: int, rng: np.random.Generator, *, apart: float = APART
 ) -> Population:
     """Evaluate a Latin hypercube of `n` points at once, and keep the best `keep` that are apart."""
-    require_finite_box(problem, "screened_starts")
+    problem.require_finite_box("screened_starts")
     sample = latin_hypercube(n, problem.lower, problem.upper, rng)
     return best_apart(problem.evaluate(sample), keep, problem, apart)

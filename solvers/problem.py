@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
-import casadi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -25,10 +23,8 @@ class Problem:
     cost: a whole population at once, `(n, dim) -> (n,)`; anything that is not finite counts as +inf.
     lower, upper: `(dim,)`; finite for the global methods, infinite is fine for the local ones;
         where both are equal the variable is fixed.
-    derivatives: `x (dim,) -> (f, gradient (dim,), Hessian (dim, dim))`, exact; the local methods need it
-        or `expression`. It must describe the same function as `cost`.
-    expression: `casadi.Function` of one column `x (dim,)` to the scalar cost; IPOPT then takes its exact
-        and sparse Hessian. Goes before `derivatives` when both are given.
+    derivatives: `x (dim,) -> (f, gradient (dim,), Hessian (dim, dim))`, exact, of the same function as
+        `cost`; the local methods need it.
 
     >>> Problem(lambda x: (x**2).sum(axis=1), lower=[-1.0, -1.0], upper=[1.0, 2.0]).dim
     2
@@ -38,7 +34,6 @@ class Problem:
     lower: FloatArray
     upper: FloatArray
     derivatives: Derivatives | None = None
-    expression: casadi.Function | None = None
 
     def __post_init__(self) -> None:
         """Copy the bounds into read-only arrays, and refuse those that enclose nothing."""
@@ -66,14 +61,18 @@ class Problem:
         with np.errstate(over="ignore"):
             return self.upper - self.lower
 
-    @cached_property
+    @property
     def second_order(self) -> Derivatives:
-        """Value, gradient and Hessian, from `expression` or else `derivatives`; built once."""
-        if self.expression is not None:
-            return _SecondOrder(self.expression)
-        if self.derivatives is not None:
-            return self.derivatives
-        raise misuse("derivatives", "Problem", "given (or expression) for a local method", None)
+        """Value, gradient and Hessian; an error where the problem has none."""
+        if self.derivatives is None:
+            raise misuse("derivatives", "Problem", "given for a local method", None)
+        return self.derivatives
+
+    def require_finite_box(self, where: str) -> None:
+        """Global methods sample the box, so it must have a finite width."""
+        for name, bound in (("lower", self.lower), ("upper", self.upper), ("width", self.width)):
+            if not np.isfinite(bound).all():
+                raise misuse(name, f"Problem, in {where},", "finite", bound)
 
     def evaluate(self, x: FloatArray) -> Population:
         """Cost of every row of `x (n, dim)`; what is not finite becomes +inf."""
@@ -163,30 +162,3 @@ def rows(points: ArrayLike, dim: int, what: str, where: str) -> FloatArray:
     if x.ndim != 2 or x.shape[1] != dim or not np.isfinite(x).all():
         raise misuse(what, where, f"finite, of shape (n, {dim})", np.asarray(points))
     return x
-
-
-class _SecondOrder:
-    """Exact value, gradient and dense Hessian of a casadi function, through buffers: no DM conversion.
-
-    CasADi keeps no reference to what a buffer points to, so this object does.
-    """
-
-    def __init__(self, expression: casadi.Function) -> None:
-        x: Any = expression.sx_in(0) if expression.is_a("SXFunction") else expression.mx_in(0)
-        f = expression(x)
-        hessian, gradient = casadi.hessian(f, x)
-        dense = [casadi.densify(part) for part in (f, gradient, hessian)]
-        self.function = casadi.Function("second_order", [x], dense)
-        self.buffer: Any
-        self.buffer, self.run = self.function.buffer()
-        self.point = np.zeros(x.numel())
-        self.outputs = [np.zeros(part.shape) for part in dense]
-        self.buffer.set_arg(0, self.point.data)
-        for i, output in enumerate(self.outputs):
-            self.buffer.set_res(i, output.data)
-
-    def __call__(self, x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        self.point[:] = x
-        self.run()
-        f, gradient, hessian = self.outputs  # the Hessian is symmetric: order by column or row is the same
-        return f.item(), gradient.ravel().copy(), hessian.copy()

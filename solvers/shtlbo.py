@@ -1,8 +1,7 @@
 """Self-adaptive hybrid TLBO (SHTLBO), Chen et al., Sensors 2016, 16, 872, doi:10.3390/s16060872.
 
 Each student takes the TLBO move with probability p, else a Gaussian one around itself, in both phases; p
-follows which of the two has paid off. Rule "decline" is the paper's, (27) to (29); rule "success" counts
-successes instead, (25), after Qin & Suganthan, IEEE CEC 2005, 1785, doi:10.1109/CEC.2005.1554904.
+follows which of the two has paid off, by relative declines of the cost, (27) to (29).
 
 Where the paper is silent: p is updated once per generation from both phases together, then the counters
 start again; it stays within [.05, .95], so that neither move dies out; when the rule says 0/0 (nothing
@@ -15,8 +14,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from solvers.problem import BoolArray, Evaluate, FloatArray, Population, choice, misuse
+from solvers.problem import BoolArray, Evaluate, FloatArray, Population
 from solvers.tlbo import learn, partners, teach
+
+LOW, HIGH = 0.05, 0.95
 
 
 def teach_around(students: Population, rng: np.random.Generator) -> FloatArray:
@@ -44,41 +45,23 @@ def decline(old: FloatArray, new: FloatArray) -> FloatArray:
     return gained
 
 
-def success(old: FloatArray, new: FloatArray) -> FloatArray:
-    """1 for those that improved, else 0; shape (n,)."""
-    return (new < old).astype(float)
-
-
-P_RULES = {"decline": decline, "success": success}
-
-
 def tally(first: BoolArray, gained: FloatArray) -> FloatArray:
     """`[[v1, n1], [v2, n2]]`: what each move gained (28), and how often it was tried, n = ns + nf."""
     return np.array([[gained[own].sum(), np.count_nonzero(own)] for own in (first, ~first)])
 
 
 def updated(p: float, credit: FloatArray) -> float:
-    """The new p from a tally: (25) with counted successes, (27) with relative declines."""
+    """The new p (27) from a tally."""
     (v1, n1), (v2, n2) = credit
     below = v2 * n1 + v1 * n2
     return float(v1 * n2 / below) if below > 0.0 else p
 
 
 def shtlbo(
-    population: Population,
-    evaluate: Evaluate,
-    rng: np.random.Generator,
-    *,
-    p_rule: str = "decline",
-    p_start: float = 0.5,
-    p_limits: tuple[float, float] = (0.05, 0.95),
+    population: Population, evaluate: Evaluate, rng: np.random.Generator, *, p_start: float = 0.5
 ) -> Iterator[Population]:
-    """SHTLBO: hybrid teacher phase (23), hybrid learner phase (24), p by (27) or (25)."""
-    gain = P_RULES[choice(p_rule, tuple(P_RULES), "p_rule", "shtlbo")]
-    low, high = p_limits
-    if not 0.0 <= low <= high <= 1.0:
-        raise misuse("p_limits", "shtlbo", "a pair with 0 <= low <= high <= 1", p_limits)
-    p = min(max(p_start, low), high)
+    """SHTLBO: hybrid teacher phase (23), hybrid learner phase (24), p by (27)."""
+    p = p_start
     while True:
         credit = np.zeros((2, 2))
         for move, gaussian in ((teach, teach_around), (learn, learn_around)):
@@ -86,7 +69,7 @@ def shtlbo(
             tried = evaluate(
                 np.where(first[:, None], move(population, rng), gaussian(population, rng))  # (23), (24)
             )
-            credit += tally(first, gain(population.cost, tried.cost))
+            credit += tally(first, decline(population.cost, tried.cost))
             population = population.improved_by(tried)
-        p = min(max(updated(p, credit), low), high)
+        p = min(max(updated(p, credit), LOW), HIGH)
         yield population

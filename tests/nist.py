@@ -16,6 +16,19 @@ from solvers import Problem
 Formula = Callable[[list[ca.SX], ca.DM], ca.SX]
 
 
+def derivatives(expression: ca.Function) -> Callable[[np.ndarray], tuple[float, np.ndarray, np.ndarray]]:
+    """Value, gradient and Hessian of a CasADi function of one column."""
+    x = expression.sx_in(0)
+    hessian, gradient = ca.hessian(expression(x), x)
+    both = ca.Function("second_order", [x], [expression(x), ca.densify(gradient), ca.densify(hessian)])
+
+    def at(point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        f, g, H = both(point)
+        return float(f), np.array(g).ravel(), np.array(H)
+
+    return at
+
+
 def _polynomial(b: list[ca.SX], x: ca.DM) -> ca.SX:
     out = 0.0
     for factor in reversed(b):
@@ -106,7 +119,7 @@ class Certified:
         b, residual = self._symbols
         rss = ca.Function("rss", [b], [ca.substitute(ca.sumsqr(residual), b, ca.DM(unit) * b)])
         free = np.full(len(self.values), np.inf)
-        return Problem(lambda x: np.array(rss(x.T)).ravel(), -free, free, expression=rss)
+        return Problem(lambda x: np.array(rss(x.T)).ravel(), -free, free, derivatives(rss))
 
     def residual(self, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (m,) and their exact Jacobian (m, n)."""

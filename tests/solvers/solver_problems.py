@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import casadi
 import numpy as np
+from nist import derivatives
 
 from solvers import Problem
 
@@ -22,15 +23,8 @@ class Known:
     cost: float
     start: list[float]
 
-    def problem(self, *, derivatives: bool = False, expression: bool = False) -> Problem:
-        symbolic = Problem(self.cost_of, self.lower, self.upper, expression=self.expression)
-        return Problem(
-            self.cost_of,
-            self.lower,
-            self.upper,
-            derivatives=symbolic.second_order if derivatives else None,
-            expression=self.expression if expression else None,
-        )
+    def problem(self) -> Problem:
+        return Problem(self.cost_of, self.lower, self.upper, derivatives(self.expression))
 
     def cost_of(self, x: np.ndarray) -> np.ndarray:
         return np.array(self.expression(x.T)).ravel()
