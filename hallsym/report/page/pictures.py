@@ -13,7 +13,7 @@ import numpy as np
 
 from hallsym.diagnosis import Band, CurveShape, place_unit
 from hallsym.model import Part
-from hallsym.model import sketch as outline
+from hallsym.model import family as outline
 from hallsym.report.data.gather import Cells, Residuals, RunSeries
 from hallsym.report.page.charts import (
     HALF,
