@@ -90,8 +90,6 @@ SURE, TURNS, LEAST_DRIFT, MOST_DRIFT = 0.8, 1.9, 1.0, 30.0
 it, and how far it must drift over them for a note [deg], and to be refused."""
 ORDERED = 0.3
 """Length of the mean of exp(2 i |step|) below which rows follow no motion."""
-DEAD = 0.2
-"""Share of its variation below which a voltage does not go round."""
 MOST_LEFT = 0.5
 """Scatter about that drift [rad], at most."""
 
@@ -148,10 +146,8 @@ def _refuse(seen: Seen, log: Any, model: Model, sign: float, fitted: bool) -> No
     best = cause(seen, model) if alone < TOGETHER else None
     if best and best.turns and straight < FOLLOWS:
         raise _other_scale(name, column, _turns(best.turns), best.turns, log)
-    if gap < GAP_REFUSE:
-        _check_wraps(seen, name, model)
     astray = max(straight, alone) < (TOGETHER if gap < GAP_REFUSE else FOLLOWS)
-    if astray and (why := _unit(best, model) or _dead(seen, model)):
+    if astray and (why := _unit(best, model)):
         raise InputError(f"{why[0]} of {name} {why[1]}")
     slope = _scale(seen, sign, MOST_DRIFT)
     if slope and min(straight, alone) < TOGETHER:
@@ -212,17 +208,6 @@ def _wired(model: Model, zero: float, at: float) -> str:
     return ", or ".join(fitting) or f"a voltage or {column} is inverted there, or another run's"
 
 
-def _check_wraps(seen: Seen, name: str, model: Model) -> None:
-    """Refuse an angle that jumps back by anything but whole turns."""
-    columns = model.references if len(model.channels) == 2 else (*model.channels, *model.references)
-    for jumps, c in zip(seen.jumps[-len(columns) :], columns, strict=True):
-        if jumps.odd:
-            raise InputError(
-                f"Column {c} of {name} wraps after {jumps.odd:.3f} turns, which is no whole number: check "
-                "its unit, or its counts per turn (counts_per_turn of that column in a column file)."
-            )
-
-
 def _check_swing(seen: Seen, name: str, model: Model) -> None:
     """Refuse voltages of an amplitude that the model cannot have, or that cannot be of one sensor."""
     known = {p.name: p for p in model.parameters}
@@ -278,22 +263,6 @@ def _unit(found: Cause | None, model: Model) -> tuple[str, str] | None:
         f"Column {first}",
         f"seems to be in another unit: the encoder would follow its reference if {looks}; say so by the "
         f"ending of the name, in the file or with --column {stem}_{unit}=ITS_NAME.",
-    )
-
-
-def _dead(seen: Seen, model: Model) -> tuple[str, str] | None:
-    """Which voltage does not go round while the other does, and what to do."""
-    if len(model.channels) < 2:
-        return None
-    shares = seen.plates.shares()
-    dead, well = (int(k) for k in np.argsort(shares))
-    if not (shares[dead] < DEAD and shares[well] > FOLLOWS):
-        return None
-    return (
-        f"Column {model.channels[dead]}",
-        f"does not go round with {model.references[0]} (one wave per turn makes "
-        f"{100 * max(shares[dead], 0.0):.0f} % of its variation) while {model.channels[well]} does: check "
-        "that plate and its wiring.",
     )
 
 

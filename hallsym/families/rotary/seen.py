@@ -1,4 +1,4 @@
-"""Sums over a log that tell how an encoder follows its reference: turns, sectors, drift, waves of a plate."""
+"""Sums over a log that tell how an encoder follows its reference: turns, sectors, drift."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,8 +11,6 @@ from hallsym.model import Model
 
 BINS = 72
 """Sectors of a turn that are looked at: 5 deg each."""
-RARE, BESIDE = 0.1, 0.1
-"""Wraps per step, at most, and how far from whole turns they are [rad] at least, to say so."""
 MANY = 65536
 """Numbers of a stream that are kept, however long it is."""
 EDGE = 0.02
@@ -97,37 +95,6 @@ class Straight:
         return Line(float(rd / rr), float(rd * rd / (rr * dd)), longest, left)
 
 
-@dataclass
-class Plates:
-    """Sums for one wave per turn in each voltage, run by run."""
-
-    square: dict[int, np.ndarray] = field(default_factory=dict)
-    right: dict[int, np.ndarray] = field(default_factory=dict)
-    energy: dict[int, np.ndarray] = field(default_factory=dict)
-
-    def add(self, at: Stretches, values: np.ndarray, reference: np.ndarray) -> None:
-        """Take stretches: voltages (2, n), reference (n,) [rad]."""
-        rows = np.array([np.ones_like(reference), np.cos(reference), np.sin(reference)])
-        for kept, new in (
-            (self.square, at.sums(rows[:, None] * rows)),
-            (self.right, at.sums(rows[:, None] * values)),
-            (self.energy, at.sums(values**2)),
-        ):
-            for k, run in enumerate(at.runs):
-                kept[run] = kept.get(run, 0.0) + new[..., k]
-
-    def shares(self) -> np.ndarray:
-        """Share of each voltage's variation within runs that one wave of the reference makes, (2,)."""
-        made, whole = np.zeros(2), np.zeros(2)
-        for run, square in self.square.items():
-            right, n = self.right[run], square[0, 0]
-            found, *_ = np.linalg.lstsq(square, right, rcond=1e-9)
-            level = right[0] ** 2 / n
-            made += (found * right).sum(axis=0) - level
-            whole += self.energy[run] - level
-        return np.asarray(made / np.maximum(whole, 1e-300))
-
-
 class Some:
     """Evenly taken numbers (..., n) of a stream, at most MANY of them; `count` went by."""
 
@@ -154,42 +121,6 @@ class Some:
 
 
 @dataclass
-class Jumps:
-    """Steps of a column: those of half a turn or more, where it wraps, and the others."""
-
-    wraps: Some = field(default_factory=lambda: Some(np.empty(0)))
-    steps: Some = field(default_factory=lambda: Some(np.empty(0)))
-    apart: Some = field(default_factory=lambda: Some(np.empty((2, 0))))
-    """What angle - reference and angle + reference do where it wraps, whole turns aside."""
-
-    def add(self, values: np.ndarray, angle: np.ndarray, reference: np.ndarray, inside: np.ndarray) -> None:
-        """Take stretches (n,) [rad]; `values`: one of the other two; `inside`: steps that count (n - 1,)."""
-        size = np.abs(np.diff(values))
-        wraps = inside & (size > np.pi)
-        self.steps.add(size[inside & ~wraps])
-        if not wraps.any():
-            return
-        self.wraps.add(size[wraps])
-        both = np.array([np.diff(angle - reference), np.diff(angle + reference)])[:, wraps]
-        self.apart.add(np.abs(both - 2 * np.pi * np.round(both / (2 * np.pi))))
-
-    @property
-    def odd(self) -> float:
-        """Turns after which the column wraps, if that is always the same and no whole number; else 0.
-
-        And if the other column does not go along, as it does where parts of a turn are repeated.
-        """
-        if self.wraps.count < 2 or self.wraps.count > RARE * self.steps.count:
-            return 0.0
-        low, size, high = np.quantile(self.wraps.values, [0.25, 0.5, 0.75])
-        usual = float(np.quantile(self.steps.values, 0.9))
-        beside = abs(size - 2 * np.pi * round(size / (2 * np.pi)))
-        alone = np.median(self.apart.values, axis=1).min() > BESIDE
-        odd = high - low < 2 * usual + 0.02 and beside > 3 * usual + BESIDE
-        return float((size + usual) / (2 * np.pi)) if odd and alone else 0.0
-
-
-@dataclass
 class Seen:
     """Sums over a log. `runs[r][k]`: of exp(i (angle - k reference)) in run r, k = 1, and -1: against it."""
 
@@ -205,9 +136,6 @@ class Seen:
     even: complex = 0j
     """Sum of exp(2 i |step|) over the steps of the reference: short where they are of all lengths."""
     lines: dict[float, Straight] = field(default_factory=lambda: {1.0: Straight(), -1.0: Straight()})
-    plates: Plates = field(default_factory=Plates)
-    jumps: tuple[Jumps, Jumps] = field(default_factory=lambda: (Jumps(), Jumps()))
-    """Of angle and reference."""
     scales: list[tuple[float, float]] = field(default_factory=list)
     """Middle and half of the extent of each voltage [V]."""
 
@@ -227,8 +155,6 @@ class Seen:
             line.add(at, apart, along)
         for bins, values in ((self.reference, reference), (self.angle, angle)):
             bins[np.floor(values * (BINS / (2 * np.pi))).astype(int) % BINS] = True
-        for jumps, values in zip(self.jumps, (angle, reference), strict=True):
-            jumps.add(values, angle, reference, inside)
         moved = np.diff(along)[inside]
         twice = 2 * np.abs(moved)
         self.even += complex(np.cos(twice).sum(), np.sin(twice).sum())
@@ -259,7 +185,6 @@ def seen_of(model: Model, log: Any) -> Seen:
             values, reference = values[:, good], reference[good]
         if scales:
             y, x = ((v - middle) / half for v, (middle, half) in zip(values, scales, strict=True))
-            seen.plates.add(at, np.array([y, x]), reference)
             angle = np.arctan2(y, x)
         else:
             angle = values[0]

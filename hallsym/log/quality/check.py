@@ -16,7 +16,7 @@ from hallsym.log.quality.frozen import held
 from hallsym.log.quality.levels import dead, few_levels, stale
 from hallsym.log.quality.rails import saturated
 from hallsym.log.quality.runs import short_runs
-from hallsym.log.quality.scales import clock_unit, counts, speeds, units
+from hallsym.log.quality.scales import clock_unit, speeds, units
 from hallsym.log.quality.scan import Scan, Spans, scan
 
 
@@ -155,7 +155,6 @@ def _values(log: Log, seen: Scan) -> Iterator[Finding]:
     spans = seen.spans()
     yield from units(log, spans)
     yield from speeds(log, seen, spans)
-    yield from counts(log, spans)
     yield from dead(log, seen, spans)
     yield from copied(log, seen, spans)
     rails = Drop()

@@ -11,7 +11,7 @@ from hallsym.log.core import Block, Log
 from hallsym.log.drop import Drop
 from hallsym.log.limits import is_moving, tells
 from hallsym.log.quality.findings import Finding, the
-from hallsym.log.quality.motion import Gains, equal_by_chance, gains, noise_in_codes, stretches
+from hallsym.log.quality.motion import equal_by_chance, noise_in_codes, stretches
 from hallsym.log.quality.scan import HELD_SAMPLES, Scan, Spans
 from hallsym.units import Array, si_symbol
 
@@ -67,10 +67,7 @@ def _finding(log: Log, name: str, found: list[Stretch], rows: int) -> Finding:
 
 
 def _stretches(log: Log, seen: Scan, name: str, spans: Spans) -> list[Stretch]:
-    whole = seen.sample.whole
-    beside = tuple(c for c in whole.data if tells(c, name))
-    found_gains = gains(whole.data[name], [whole.data[c] for c in beside], np.ones(len(whole.run), bool))
-    told = found_gains if found_gains and found_gains.believed else None
+    beside = tuple(c for c in seen.sample.columns if tells(c, name))
     steady = {run for run, columns in spans.runs.items() if columns[name].min == columns[name].max}
     found: list[Stretch] = []
     row = 0
@@ -78,14 +75,13 @@ def _stretches(log: Log, seen: Scan, name: str, spans: Spans) -> list[Stretch]:
         x = block.data[name]
         if block.run not in steady:
             found += [
-                Stretch(block.run, row + a, row + b, float(x[a]))
-                for a, b in _frozen(block, name, beside, told)
+                Stretch(block.run, row + a, row + b, float(x[a])) for a, b in _frozen(block, name, beside)
             ]
         row += len(x)
     return found
 
 
-def _frozen(block: Block, name: str, beside: tuple[str, ...], told: Gains | None) -> list[tuple[int, int]]:
+def _frozen(block: Block, name: str, beside: tuple[str, ...]) -> list[tuple[int, int]]:
     """Return (start, stop) of the stretches of one value in a block that cannot be a rest."""
     x = block.data[name]
     step = np.abs(np.diff(x))
@@ -99,16 +95,10 @@ def _frozen(block: Block, name: str, beside: tuple[str, ...], told: Gains | None
     moving = step[between & (step > 0)]
     if sure := _beyond_chance(x, long):
         return sure
-    others = [block.data[c] for c in beside]
     usual = float(np.median(moving)) if len(moving) else np.inf
     again = min(0.5, _AT_A_TURN * float(np.mean(step[between] == 0))) if between.any() else 0.5
-    leaps = [_leaps(other, free) for other in others]
-    return [
-        (a, b)
-        for a, b in long
-        if (_jumps(step, a, b, usual, leaps) and _no_chance(len(x), again, b - a))
-        or (told is not None and told.moves([other[a:b] for other in others]))
-    ]
+    leaps = [_leaps(block.data[c], free) for c in beside]
+    return [(a, b) for a, b in long if _jumps(step, a, b, usual, leaps) and _no_chance(len(x), again, b - a)]
 
 
 def _beyond_chance(x: Array, long: list[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -17,8 +17,6 @@ from hallsym.units import Array, si_symbol
 
 _FEW_LEVELS = 8
 """Values of a reading that are too few to calibrate with: the step is an eighth of the travel."""
-_HIDDEN = 0.1
-"""Motion that one value hides, one sigma over the step: 0.29 where it is continuous, 0 from rest to rest."""
 _FEWEST_CHANGES = 16
 _ALIKE = 0.6
 """Share of the values that a slow logger repeats as often as the usual one."""
@@ -92,7 +90,7 @@ def few_levels(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
         coarse = (
             step * 2 * _FEW_LEVELS > widest
         )  # of a reading that hardly moves here, its converter may be fine
-        if coarse and finest > levels and _hidden(seen, name) > _HIDDEN * step:
+        if coarse and finest > levels:
             yield Finding(
                 f"{the(log, name)} takes {levels} values only, about {step:.3g} {si_symbol(name)} apart",
                 remedy="raise the gain before the converter, or log more of its digits",
@@ -102,20 +100,6 @@ def few_levels(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
 def _levels(ordered: Array) -> int:
     """Return how many different values ascending samples take."""
     return 1 + int(np.count_nonzero(ordered[1:] != ordered[:-1])) if len(ordered) else 0
-
-
-def _hidden(seen: Scan, name: str) -> float:
-    """Return how much of a reading's motion, one sigma, its levels hide, by the references."""
-    values = seen.sample.whole.data
-    x = values[name]
-    references = [v for c, v in values.items() if is_reference(c)]
-    found = gains(x, references, np.ones(len(x), bool))
-    if found is None or not found.believed:
-        return np.inf
-    predicted, _ = found.predicted(references)
-    level = np.unique(x, return_inverse=True)[1]
-    means = np.bincount(level, weights=predicted) / np.bincount(level)
-    return float(np.std(predicted - means[level]))
 
 
 def stale(log: Log, seen: Scan, spans: Spans, rails: Drop) -> Iterator[Finding]:

@@ -7,7 +7,7 @@ import statistics
 from collections.abc import Iterator, Mapping, Sequence
 
 from hallsym.log.core import Log
-from hallsym.log.limits import fastest, is_reading, is_reference, likely_units, limit_of
+from hallsym.log.limits import fastest, is_reference, likely_units, limit_of
 from hallsym.log.quality.findings import Finding, the
 from hallsym.log.quality.scan import Scan, Spans
 from hallsym.units import UNITS, si_unit, split_unit
@@ -63,24 +63,6 @@ def speeds(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
                 what = f"in run {run} {name} covers {covers:.3g} {UNITS[unit.si].symbol} in {lasts:.3g} s"
                 yield _unit(log, "t_s", what, ["s"] if log.table.source_name("t_s") != "t_s" else [])
                 return
-
-
-def counts(log: Log, spans: Spans) -> Iterator[Finding]:
-    """Readings in counts beyond what a turn has."""
-    for name, span in spans.overall.items():
-        turn = log.table.counts_per_turn(name)
-        if turn is None or not is_reading(name):
-            continue
-        low, high = (value * turn / (2 * math.pi) for value in (span.min, span.max))
-        one_sided, signed = (
-            low >= -0.5 and high <= turn + 0.5,
-            -0.5 * turn - 0.5 <= low and high <= 0.5 * turn + 0.5,
-        )
-        if not one_sided and not signed:
-            yield Finding(
-                f"{the(log, name)} holds counts from {low:.6g} to {high:.6g} where a turn has {turn:.6g}",
-                True, remedy="check --counts-per-turn, and samples that are not readings",
-            )  # fmt: skip
 
 
 def _beside(name: str, extents: Mapping[str, float], possible: Sequence[str]) -> Sequence[str]:
