@@ -5,8 +5,8 @@ from typing import Any
 
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.ranking import refitted
 from hallsym.diagnosis.scores import Screen, candidates
+from hallsym.diagnosis.selection import refitted
 from hallsym.diagnosis.setup import base_of, fitted
 from hallsym.diagnosis.survey import survey
 from hallsym.errors import InputError

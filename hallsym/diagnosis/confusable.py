@@ -11,25 +11,30 @@ from itertools import combinations
 
 import numpy as np
 
-from hallsym.diagnosis.alternatives import Alternative, alternatives
-from hallsym.diagnosis.further import added, further_recordings, recording, with_readings
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.policy import POLICY, Policy
-from hallsym.diagnosis.ranking import Exact
 from hallsym.diagnosis.record import FoundEffect, Separation, SmallerFinding
-from hallsym.diagnosis.recordings import Range, Recording, range_of, recordings
+from hallsym.diagnosis.recordings import (
+    Range,
+    Recording,
+    added,
+    further_recordings,
+    range_of,
+    recording,
+    recordings,
+    with_readings,
+)
 from hallsym.diagnosis.refit import Refitted
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import by_name
-from hallsym.diagnosis.selection import Selection
+from hallsym.diagnosis.selection import Exact, Selection
 from hallsym.diagnosis.setup import Setup
-from hallsym.diagnosis.validation import Validation
-from hallsym.diagnosis.verdict import Verdict
+from hallsym.diagnosis.validation import Validation, Verdict
 from hallsym.diagnosis.words import SHOWN
 from hallsym.errors import InputError
 from hallsym.families.faults import WIRING
 from hallsym.log import Log
-from hallsym.model import Effect, ways_text
+from hallsym.model import ways_text
 
 
 def separation(
@@ -134,19 +139,12 @@ class Confusable:
     """Models that the log does not exclude, each with everything else that was found in place."""
 
     def instead_of(self, name: str) -> list[str]:
-        """Return what the log cannot tell from an effect: others, and sets of others that act together."""
-        sides = {s.group: s.sides for s in self.separate if s.sides}
-        each = (sides.get(group) or tuple((n,) for n in group) for group in self.groups)
-        out = [" + ".join(side) for sets in each if (name,) in sets for side in sets if side != (name,)]
-        return out[:SHOWN]
+        """Return what the log cannot tell from an effect."""
+        return [other for group in self.groups if name in group for other in group if other != name][:SHOWN]
 
 
 def confusable(
-    setup: Setup,
-    selection: Selection,
-    found: Validation,
-    effects: Sequence[FoundEffect],
-    verdict: Verdict,
+    setup: Setup, found: Validation, effects: Sequence[FoundEffect], verdict: Verdict
 ) -> Confusable:
     """Return the effects that this log cannot tell apart: exact refits that leave the same residual.
 
@@ -155,44 +153,29 @@ def confusable(
     has no evidence.
     """
     inflation = found.inflation
-    alike = {h.name: _alike(setup, h.exact, inflation) for h in found.effects}
-    sets: list[Alternative] = []
-    fits: list[Refitted] = []
-    for other in alternatives(
-        setup, selection, found, {n: {a.names[0] for a in own} for n, own in alike.items()}
-    ):
-        (alike[other.instead_of[0]] if len(other.instead_of) == len(other.names) == 1 else sets).append(other)
-        fits.append(other.fit)
-    separate = []
+    separate, fits = list[Separation](), list[Refitted]()
     for held in found.effects:
-        own, rest = alike[held.name], {h.name for h in found.effects} - {held.name}
+        own, rest = _alike(setup, held.exact, inflation), {h.name for h in found.effects} - {held.name}
         fits += [a.fit for a in own if rest <= set(a.fit.base.model.effects) and a.fit not in fits]
         if own:
-            separate.append(_separation(setup, inflation, held.exact.fit, [held.exact.score.effect], own))
-    for other in sets:
-        mine = [h.exact.score.effect for h in found.effects if h.name in other.instead_of]
-        said = _separation(setup, inflation, found.fit, mine, [other])
-        separate.append(replace(said, sides=(other.instead_of, other.names)))
+            separate.append(_separation(setup, inflation, held.exact, own))
     groups = [s.group for s in separate]
     if effects and effects[0].name in WIRING and len(setup.base.model.pose) == 1:
         groups.insert(0, WIRING)  # either turns the angle round, and its zero is free
-    names = [e.name for e in effects if e.share > 0 or verdict == "partly explained"] + [
-        name for group in groups for name in group
-    ]
-    if verdict in ("explained", "behaves like", "partly explained"):
+    names = [e.name for e in effects if e.share > 0] + [name for group in groups for name in group]
+    if verdict == "explained":
         for held in found.effects:
             names += [r.name for r in _not_excluded(setup, held.exact, inflation)]
     return Confusable(tuple(groups), tuple(separate), tuple(dict.fromkeys(names)), tuple(fits))
 
 
-def _alike(setup: Setup, one: Exact, inflation: float) -> list[Alternative]:
+def _alike(setup: Setup, one: Exact, inflation: float) -> list[Exact]:
     """Return the effects that the log cannot tell from the one selected."""
     rivals = _not_excluded(setup, one, inflation)
     if setup.base.model.family.pairs:  # parameters for which the log gives no reason make no rival
         rivals = [r for r in rivals if r.bic - one.bic < 2 * setup.policy.as_good]
-    close = [Alternative((one.name,), (r.score,), r.fit, one.fit.distance(r.fit)) for r in rivals]
     limit = setup.policy.separated**2 * one.fit.variance(inflation)
-    return [a for a in close if a.distance < limit][:SHOWN]
+    return [r for r in rivals if one.fit.distance(r.fit) < limit][:SHOWN]
 
 
 def _not_excluded(setup: Setup, one: Exact, inflation: float) -> list[Exact]:
@@ -201,14 +184,12 @@ def _not_excluded(setup: Setup, one: Exact, inflation: float) -> list[Exact]:
     return [r for r in one.rivals if r.fit.cost - one.fit.cost < limit]
 
 
-def _separation(
-    setup: Setup, inflation: float, fit: Refitted, mine: Sequence[Effect], others: Sequence[Alternative]
-) -> Separation:
-    """Return the recording that would separate `others` from effects of `fit`."""
-    effects = [*mine, *(s.effect for o in others for s in o.scores)]
+def _separation(setup: Setup, inflation: float, one: Exact, others: Sequence[Exact]) -> Separation:
+    """Return the recording that would separate `others` from a selected effect."""
+    effects = [one.score.effect, *(o.score.effect for o in others)]
     advice = ways_text(way for e in effects for way in e.separate)
-    fits, closest = [fit, *(o.fit for o in others)], min(o.distance for o in others)
-    variance = fit.variance(inflation)
+    closest = min(one.fit.distance(o.fit) for o in others)
+    variance, fits = one.fit.variance(inflation), [one.fit, *(o.fit for o in others)]
     return separation([e.name for e in effects], fits, closest, variance, advice, setup.policy)
 
 
@@ -217,11 +198,11 @@ def smaller_findings(
 ) -> tuple[SmallerFinding, ...]:
     """Return the effects that are significant and worth less than the threshold.
 
-    First those that were named but are too small together (`below`), then those that do not hold on the
-    holdout runs, then those that score beside what was selected.
+    First those that were named but are too small together (`below`), then those that score beside what was
+    selected.
     """
-    out = [SmallerFinding(e.name, e.shrinkage, e.p_value) for e in below] + list(found.dropped)
-    known = {h.name for h in found.effects} | {d.name for d in found.dropped}
+    out = [SmallerFinding(e.name, e.shrinkage, e.p_value) for e in below]
+    known = {h.name for h in found.effects}
     for score in by_name(selection.last):
         p, shrinkage = score.p_value, 1 - score.ratio
         # what is worth more was judged, and not selected

@@ -5,8 +5,7 @@ import numpy as np
 from hallsym.diagnosis.coordinates import KNOTS, unit_of
 from hallsym.diagnosis.curves import MEMORIES, Curve
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.record import Statement
-from hallsym.diagnosis.remainder import Band, CurveShape
+from hallsym.diagnosis.record import Band, CurveShape, Statement
 from hallsym.diagnosis.residual_table import ResidualTable, phase
 from hallsym.diagnosis.words import percent, plain, shown
 from hallsym.estimation.calibration import coverage_factor

@@ -6,7 +6,7 @@ from typing import Any
 
 from scipy.special import betaincinv
 
-from hallsym.diagnosis.verdict import QUIET
+from hallsym.diagnosis.validation import QUIET
 from hallsym.errors import InputError, nearest
 from hallsym.estimation.calibration import INTERVAL
 

@@ -5,7 +5,6 @@ The stages lead one way, each from typed records to a typed record:
     prepare    the model fitted on the fit runs                                   -> Setup
     select     screening by scores, greedy search with exact refits               -> Selection
     validate   the selected effects on the holdout runs, faults of samples        -> Validation
-    resemble   each effect that holds against a flexible alternative in its link  -> Resemblance
     decide     the noise that is left, the verdict                                -> Verdict
     confusable effects the log cannot tell apart, recordings that separate them   -> Confusable
     report     everything of these                                                -> Diagnosis
@@ -16,17 +15,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from hallsym.diagnosis.confusable import Confusable, confusable
-from hallsym.diagnosis.findings import findings
-from hallsym.diagnosis.flexible import resemblances
 from hallsym.diagnosis.noise import noise_of_rest
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Diagnosis
-from hallsym.diagnosis.report import report
+from hallsym.diagnosis.report import findings, report
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import select
 from hallsym.diagnosis.setup import Setup, prepare
-from hallsym.diagnosis.validation import validate
-from hallsym.diagnosis.verdict import QUIET, decide
+from hallsym.diagnosis.validation import QUIET, decide, validate
 from hallsym.estimation.calibration import Fit
 from hallsym.log import as_log
 from hallsym.model import Effect, Model
@@ -78,11 +74,10 @@ def examine(setup: Setup) -> Examined:
     """Diagnose as `diagnose` does and return the fitted models too, which a page draws."""
     selection = select(setup)
     found = validate(setup, selection)
-    resembled = resemblances(setup, found)
     noise = noise_of_rest(found.counted, setup.runs)
-    verdict = decide(setup, found, resembled, noise)
-    named = findings(setup, found, resembled)
+    verdict = decide(setup, found, noise)
+    named = findings(setup, found)
     quiet = verdict in QUIET
-    alike = Confusable((), (), ()) if quiet else confusable(setup, selection, found, named, verdict)
+    alike = Confusable((), (), ()) if quiet else confusable(setup, found, named, verdict)
     diagnosis = report(setup, selection, found, named, verdict, alike, noise)
     return Examined(diagnosis, setup.fit, setup.base, found.base if diagnosis.effects else None)

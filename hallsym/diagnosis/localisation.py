@@ -17,7 +17,6 @@ from hallsym.diagnosis.coordinates import coordinates, unit_of
 from hallsym.diagnosis.curve_words import described
 from hallsym.diagnosis.curves import Curve, over, run_gains
 from hallsym.diagnosis.faults import Fault
-from hallsym.diagnosis.links import of_links
 from hallsym.diagnosis.measurement_error import WHITE, with_noise
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Share, Statement
@@ -27,6 +26,7 @@ from hallsym.diagnosis.selection import Screened
 from hallsym.diagnosis.shares import (
     clear,
     of_frequencies,
+    of_links,
     of_powers,
     of_runs,
     outputs,

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.diagnosis.derivatives import Slopes, reading_and_derivatives
+from hallsym.diagnosis.normal_equations import Slopes, reading_and_derivatives
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation.decoding import columns_of
 from hallsym.estimation.residual_noise import ROOM

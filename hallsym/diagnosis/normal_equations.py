@@ -7,22 +7,199 @@ the decoded pose (what the gap metric measures). The zeros of a run are eliminat
 matrices any set of effects can be fitted, cross-validated and judged without reading the log again.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 
-from hallsym.diagnosis.derivatives import Slopes, reading_and_derivatives
-from hallsym.diagnosis.products import NormalEquations, Products
 from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.stacked_products import stacked_products
 from hallsym.estimation import pseudo_inverse, solve
 from hallsym.estimation.decoding import columns_of, decoding_gain
 from hallsym.log.batches import Batch, batches
 from hallsym.log.derived import extended
 from hallsym.model import Model
-from hallsym.model.arrays import FEWEST
+from hallsym.model.arrays import FEWEST, on_arrays
+
+
+class Products(NamedTuple):
+    """Products of columns: `border` (..., rows, c) of the model's own ones and the residual with all columns,
+    `inner` (..., e) of each candidate's with each other, matrix by matrix.
+
+    Products between two candidates are nobody's business. The residual is the last row and column.
+    """
+
+    border: np.ndarray
+    inner: np.ndarray
+
+    def plus(self, other: "Products") -> "Products":
+        """Return the sum."""
+        return Products(self.border + other.border, self.inner + other.inner)
+
+    def block(self, k: int) -> "Products":
+        """Return the products of block k."""
+        return Products(self.border[k], self.inner[k])
+
+    def of(self, span: slice, place: slice) -> np.ndarray:
+        """Return the products (..., p, p) of own columns, those of one candidate, and the residual.
+
+        `span`: its columns, `place`: its products; both may be empty.
+        """
+        n, k = self.border.shape[-2] - 1, span.stop - span.start
+        out = np.empty((*self.border.shape[:-2], n + k + 1, n + k + 1))
+        own, here = np.array([*range(n), n + k]), slice(n, n + k)
+        out[..., own[:, None], own] = self.border[..., [*range(n), -1]]
+        out[..., own, here] = self.border[..., span]
+        out[..., here, own] = self.border[..., span].swapaxes(-1, -2)
+        out[..., here, here] = self.inner[..., place].reshape(*self.inner.shape[:-1], k, k)
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Products of the columns [parameters | effects | residual], the zeros of each run eliminated.
+
+    `whitened`, `decoded`: of each unit, weighted by the noise and mapped to the pose. `count`: (units,)
+    samples. `runs`: the runs of each unit. `span`: columns of each candidate, by its key; the base's
+    parameters are under "". `places`: of its products in `Products.inner`.
+    """
+
+    whitened: Products
+    decoded: Products
+    count: np.ndarray
+    runs: tuple[tuple[int, ...], ...]
+    span: dict[str, slice]
+    places: dict[str, slice]
+    follow: np.ndarray
+    """(runs, zeros, c): how the zeros of a run follow the other columns; none with candidates."""
+    order: tuple[int, ...]
+    """The runs of `follow`."""
+    spoiled: frozenset[str] = frozenset()
+    """Candidates whose slope is not finite somewhere; their columns are 0."""
+    offsets: np.ndarray | None = None
+    """(units, zeros, c): products with the run's own zeros, in units in which these are orthonormal.
+
+    Over a whole run they add up to 0. None where every unit is a whole run."""
+
+    @property
+    def likelihood(self) -> np.ndarray:
+        """Products (units, p, p) of the model's own columns and the residual, weighted by the noise."""
+        return self.of(None) if self.places else self.whitened.border
+
+    @property
+    def output(self) -> np.ndarray:
+        """The same mapped to the pose."""
+        return self.of(None, decoded=True) if self.places else self.decoded.border
+
+    def of(self, key: str | None, *, decoded: bool = False) -> np.ndarray:
+        """Return products (units, p, p) of the model's columns, those of a candidate, and the residual."""
+        none = slice(0, 0)
+        span, place = (self.span[key], self.places[key]) if key else (none, none)
+        return (self.decoded if decoded else self.whitened).of(span, place)
+
+    def units(self, runs: Iterable[int]) -> np.ndarray:
+        """Return the index of the units whose runs are all among `runs`."""
+        known = set(runs)
+        return np.array([k for k, unit in enumerate(self.runs) if known.issuperset(unit)], dtype=int)
+
+
+def reading_and_derivatives(model: Model) -> Callable[..., list[np.ndarray]]:
+    """Return `(p, zeros, pose, state) -> reading, its derivatives by parameters and by zeros`, on arrays."""
+
+    def made() -> Callable[..., list[np.ndarray]]:
+        s = model.symbols
+        reading = s.full(s.reading)
+        parts = [reading, ca.jacobian(reading, s.parameters), ca.jacobian(reading, s.zeros)]
+        inputs = [s.parameters, s.zeros, s.pose, s.state]
+        return on_arrays(ca.Function("base", inputs, [ca.densify(part) for part in parts]))
+
+    return model.remember("reading, derivatives", made)
+
+
+@dataclass(frozen=True, eq=False)
+class Slope:
+    """`run(p, zeros, pose, state) -> (rows, samples)`; each row has a channel and a column (parameter)."""
+
+    run: Callable[..., list[np.ndarray]]
+    model: Model
+    p: np.ndarray
+    channel: np.ndarray
+    column: np.ndarray
+
+
+def slope_of(model: Model, p: np.ndarray, new: Sequence[str]) -> Slope:
+    """Return d reading / d new parameters at the values p of `model`, rows in order of their channel."""
+    index = [model.names.index(name) for name in new]
+    at = tuple(p[index].tolist())
+    run, channel, column = model.remember(("slope", *index, *at), lambda: _rows_of(model, index, at))
+    return Slope(run, model, p, channel, column)
+
+
+def _rows_of(
+    model: Model, index: Sequence[int], at: Sequence[float]
+) -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
+    """Function, channels and columns of a `Slope` with respect to some parameters at their values."""
+    s = model.symbols
+    slope = ca.jacobian(s.full(s.reading), s.parameters[index])
+    slope = ca.sparsify(ca.substitute(slope, s.parameters[index], ca.DM(at)))
+    channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
+    order = np.lexsort((column, channel))
+    entries = slope.nonzeros()
+    rows = ca.vertcat(*(entries[k] for k in order)) if len(order) else ca.SX(0, 1)
+    function = ca.Function("slope", [s.parameters, s.zeros, s.pose, s.state], [ca.densify(rows)])
+    return on_arrays(function), channel[order], column[order]
+
+
+class Slopes:
+    """The rows of all candidates, channel by channel.
+
+    `span`: columns of each candidate, `columns` of them in all. For each channel k `column[k]` is the column
+    of each row and `parts[k]` the rows of each candidate. `spoiled`: candidates that were not finite
+    somewhere; their rows are 0 there.
+    """
+
+    def __init__(
+        self, model: Model, p: np.ndarray, candidates: Mapping[str, tuple[Model, Sequence[str]]]
+    ) -> None:
+        values = dict(zip(model.names, p.tolist(), strict=True))
+        self.channels = range(len(model.channels))
+        self.references = model.references
+        self.each: dict[str, Slope] = {}
+        self.span: dict[str, slice] = {}
+        self.columns = 0
+        self.spoiled: set[str] = set()
+        columns: list[list[np.ndarray]] = [[] for _ in self.channels]
+        self.parts: list[list[slice]] = [[] for _ in self.channels]
+        for key, (wide, new) in candidates.items():
+            slope = slope_of(wide, wide.vector(values), new)
+            self.each[key] = slope
+            self.span[key] = slice(self.columns, self.columns + len(new))
+            for k in self.channels:
+                here = slope.column[slope.channel == k] + self.columns
+                start = self.parts[k][-1].stop if self.parts[k] else 0
+                self.parts[k].append(slice(start, start + len(here)))
+                columns[k].append(here)
+            self.columns += len(new)
+        self.column = [np.concatenate([*c, np.zeros(0, dtype=int)]) for c in columns]
+
+    def rows(self, batch: Batch, zeros: np.ndarray, weights: np.ndarray | None) -> list[np.ndarray]:
+        """Return the rows of each channel, (rows, samples), times the root of the weights."""
+        out = [np.empty((len(c), len(batch))) for c in self.column]
+        pose = batch.columns(self.references)
+        for j, (key, slope) in enumerate(self.each.items()):
+            (values,) = slope.run(slope.p, zeros, pose, batch.columns(slope.model.state))
+            if not np.isfinite(values).all():
+                self.spoiled.add(key)
+                values = np.zeros_like(values)
+            for k in self.channels:
+                out[k][self.parts[k][j]] = values[slope.channel == k]
+        if weights is not None:
+            for rows in out:
+                rows *= np.sqrt(weights)
+        return out
+
 
 UNITS = 64
 """Runs whose matrices are kept one by one; beyond that neighbouring runs are pooled."""
@@ -279,3 +456,97 @@ class Accumulator:
 
 def _stacked(made: Sequence[Products]) -> Products:
     return Products(np.array([p.border for p in made]), np.array([p.inner for p in made]))
+
+
+# -- products of a batch -------------------------------------------------------------------------------------
+
+
+def stacked_products(
+    work: Any, near: np.ndarray, rows: list[np.ndarray], D: np.ndarray
+) -> tuple[Products, Products]:
+    """Return products under the precision of `work`, and mapped to the pose by D; where D is empty no others.
+
+    `work`: the `Accumulator`. `near`: (own, K, blocks, samples) of zeros, parameters and residual, `rows`:
+    (rows, blocks, samples) of each channel, `D`: (n_pose, K, blocks, samples).
+    """
+    first, blocks, precision = work.z + work.n, near.shape[2], work.precision
+    white, decoded = np.tensordot(work.whiten, near, axes=(1, 1)).swapaxes(0, 1), _decoded(D, near)
+    out = work.nil(blocks), work.nil(blocks)
+    for M, columns in zip(out, (white, decoded), strict=True):
+        M.border[:, :, work.near] = _gram(columns)
+    if not any(map(len, rows)):
+        return out
+    metric = np.tensordot(precision, near, axes=(1, 1)).swapaxes(0, 1)
+    mapped = np.einsum("ikbs,oibs->okbs", D, decoded)
+    for M, columns in zip(out, (metric, mapped), strict=True):
+        for k, block in enumerate(rows):
+            if len(block):
+                across = columns[:, k].transpose(1, 0, 2) @ block.transpose(1, 2, 0)
+                M.border[:, :, first + work.slopes.column[k]] += across
+    for c, key in enumerate(work.slopes.span):
+        _add_own(work, rows, c, precision, D, *(work.own_of(M, key) for M in out))
+    return out
+
+
+def _decoded(D: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Return (own, n_pose, blocks, samples): what the columns `near` are as an error of the pose."""
+    out = np.empty((len(near), len(D), *near.shape[2:]))
+    for k, column in enumerate(near):
+        np.einsum("ikbs,kbs->ibs", D, column, out=out[k])
+    return out
+
+
+def _gram(columns: np.ndarray) -> np.ndarray:
+    """Return the products (blocks, own, own) of columns (own, rows, blocks, samples) with each other."""
+    flat = columns.transpose(2, 0, 1, 3).reshape(columns.shape[2], len(columns), -1)
+    return np.array([own @ own.T for own in flat])
+
+
+def _add_own(
+    work: Any,
+    rows: list[np.ndarray],
+    c: int,
+    precision: np.ndarray,
+    D: np.ndarray,
+    white: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Add the products of the rows of candidate c with each other, (blocks, k, k) twice."""
+    parts = [work.slopes.parts[k][c] for k in range(len(rows))]
+    channel = np.repeat(np.arange(len(rows)), [part.stop - part.start for part in parts])
+    if not len(channel):
+        return
+    stack = np.concatenate([block[part] for block, part in zip(rows, parts, strict=True)]).swapaxes(0, 1)
+    column = np.concatenate([work.slopes.column[k][part] for k, part in enumerate(parts)])
+    known, place = np.unique(column, return_inverse=True)
+    at = known - list(work.slopes.span.values())[c].start
+    if len(channel) ** 2 > len(known) * len(rows) * (len(known) + len(rows)):
+        _add_dense(stack, channel, place, at, precision, D, white, out)
+        return
+    one = (place == np.arange(len(known))[:, None]).astype(float)  # (columns, rows)
+    gram = (stack @ stack.swapaxes(1, 2)) * precision[channel[:, None], channel]
+    white[:, at[:, None], at] += one @ gram @ one.T
+    for spread in D[:, channel].swapaxes(1, 2):
+        moved = one @ (spread * stack)
+        out[:, at[:, None], at] += moved @ moved.swapaxes(1, 2)
+
+
+def _add_dense(
+    stack: np.ndarray,
+    channel: np.ndarray,
+    place: np.ndarray,
+    at: np.ndarray,
+    precision: np.ndarray,
+    D: np.ndarray,
+    white: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Add the products of rows (blocks, rows, samples) whose parameters act on most channels each."""
+    blocks, _, samples = stack.shape
+    for b in range(blocks):
+        full = np.zeros((len(at), len(precision), samples))
+        full[place, channel] = stack[b]
+        metric = (precision @ full).reshape(len(at), -1)
+        white[b][at[:, None], at] += full.reshape(len(at), -1) @ metric.T
+        moved = np.einsum("iks,cks->cis", D[:, :, b], full, optimize=True).reshape(len(at), -1)
+        out[b][at[:, None], at] += moved @ moved.T

@@ -19,52 +19,43 @@ class Policy:
     false_alarm: float = 0.05
     """Probability of a statement about a log in which nothing is, all that was tried counted: for a
     shape without a name, a place where a gap lies, a parameter that changed between two records; half of
-    it on each side of an interval, and for an excess without a shape or a decrease on other runs.
+    it on each side of an interval, and for an excess without a shape.
 
     The usual 5 %."""
     certain: float = 0.01
-    """Corrected p-value below which an effect, a fault or a smaller finding is certain, and one shape
-    that supports an excess over a stated floor.
+    """Corrected p-value below which an effect, a fault or a smaller finding is certain.
 
     The usual 1 %."""
     beyond_doubt: float = 0.001
-    """Corrected p-value below which a flexible alternative beats an effect that is certain itself, and
-    a single run, or the excess as a whole, is named.
+    """Corrected p-value below which a single run, or the excess as a whole, is named.
 
-    A tenth of what makes an effect certain: it speaks against a cause that the log supports."""
+    A tenth of what makes an effect certain."""
     negligible: float = 0.03
-    """Share below which nothing is a finding: of what a best effect explains and a plainer one leaves,
-    and of the gap; of an excess, of the largest wave, of a noise floor; of a contribution that is a
-    function of a coordinate, which that does not make; of what selected effects explain, which a set
-    misses to first order.
+    """Share below which nothing is a finding: of what a best effect explains and a plainer one leaves, and
+    of the gap; of an excess, of the largest wave, of a noise floor.
 
     Below the 5 % that are worth reporting: what is left out is no finding. A noise floor from n samples
     is known to 1 / sqrt(2 n), which is 3 % of 560 samples at rest."""
     minor: float = 0.1
     """Share up to which a part is minor: of the excess that named effects leave open in a gap that is
-    explained, of a contribution that a flexible alternative makes otherwise, of the threshold that a
-    smaller finding is worth.
+    explained, of the threshold that a smaller finding is worth.
 
     Of a gap of twice the floor, a tenth of the excess is 14 % above the floor: a gap of its own."""
     half: float = 0.5
     """Part from which on something is the larger one: of the threshold from which on a first, certain
-    effect is taken up, that a refit must keep of its score, and that a likely shape or a line must
-    explain; of the shape that holds an effect, that it must use up; of what an effect alone makes, that
-    other parameters must leave; of the excess that effects close which explain a gap partly; of far
-    samples that have others around them.
+    effect is taken up, and that a refit must keep of its score; of what a parameter alone makes, that the
+    others must leave; of far samples that have others around them.
 
     A majority. An effect may be worth twice as much on the holdout runs, which decide."""
     mostly: float = 0.7
-    """Part of a shape that must go with an effect for the shape to hold it; of the best effect's gain, to
-    first order, from which on an effect is refitted exactly; of the best recording's separation from
-    which on the plainest one is proposed; of a curve that one sensor makes if it is named; of the usual
-    scatter of a spectrum's power, below which a line is steady.
+    """Part of the best effect's gain, to first order, from which on an effect is refitted exactly; of the
+    best recording's separation from which on the plainest one is proposed; of a curve that one sensor makes
+    if it is named; of the usual scatter of a spectrum's power, below which a line is steady.
 
-    Simulated machines: a shape of limited resolution does not hold all of an effect, nor a score all that
-    a refit gains."""
+    Simulated machines: a score does not hold all that a refit gains."""
     fewest: int = 6
     """Runs, or units of time, from which on their scatter says something: for an interval of the
-    shrinkage, a flexible alternative, signs, a single run among others, pieces of a short recording.
+    shrinkage, signs, a single run among others, pieces of a short recording.
 
     Student's t of 6 is 2.6 standard errors wide, of 4 it is 3.2, and the error is known to a factor of
     2."""
@@ -93,19 +84,17 @@ class Policy:
     most_refits: int = 6
     """Effects refitted exactly in one step. Cost: a refit takes about five passes over the log."""
     starts: int = 3
-    """Starts refitted of an effect whose numbers were searched on a grid; sets refitted in the place of an
-    effect.
+    """Starts refitted of an effect whose numbers were searched on a grid.
 
-    The score of one grid point, such as a rail, says little of where a refit ends. Most further sets only
-    exchange a member for one like it."""
+    The score of one grid point, such as a rail, says little of where a refit ends."""
     as_good: float = 10.0
     """Difference of BIC up to which a variant with as few parameters as another effect explains as
     much; at twice that, unneeded parameters make an effect no competitor of a plainer one.
 
     What Kass and Raftery (1995) call very strong."""
     unstructured: float = UNSTRUCTURED
-    """Relative excess over a stated floor above which it is a gap although nothing in it has a shape;
-    by which an estimated floor must exceed what the effects leave to be lowered to that.
+    """Relative excess of an estimated floor over what the effects leave above which it is lowered to that;
+    relative difference of two floors that a comparison notes.
 
     A choice: noise is often stated from a recording at rest and is larger in motion."""
 
@@ -116,11 +105,6 @@ class Policy:
     slow average), a coordinate varies (of its noise).
 
     The convention of 5 sigma."""
-    most_in_set: int = 3
-    """Effects that a set may have which stands beside selected effects.
-
-    An eccentricity in any direction is as many: offset, gain and angle of the axes. More explain
-    anything."""
     most_runs: int = 100
     """Runs above which a separating recording is not proposed. A choice: a day of recording."""
 

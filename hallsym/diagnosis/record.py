@@ -4,11 +4,82 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from hallsym.diagnosis.remainder import ModelLeft, Unexplained
 from hallsym.estimation import KNOWN
 from hallsym.inference import Estimate
 from hallsym.records import plain, schema_of, structured, with_nan
 from hallsym.shown import Shown
+
+
+@dataclass(frozen=True)
+class Band:
+    """A curve with its 95 % band, one number per place of the grid; `low == high`: no samples there."""
+
+    value: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class CurveShape:
+    """How the residual of each reading follows a coordinate.
+
+    `column`, `unit`: of the `grid`. `line`: whether that is a place on a line; several coordinates together,
+    a direction of motion and an acceleration are none, `grid` then counts features, which `labels` names.
+    `kind`: "offset" (in `value_unit`, the unit of the reading) or "gain" (relative change of the gain).
+    """
+
+    coordinate: str
+    line: bool
+    column: str
+    unit: str
+    kind: str
+    value_unit: str
+    grid: tuple[float, ...]
+    labels: tuple[str, ...] | None
+    readings: dict[str, Band]
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """What no effect explains: `share` of the gap above the noise floor that is left (squares).
+
+    `by`, `at`: of the first statement on it, None where it goes with nothing; `of_it`: the share of the rest
+    that goes with that. `curve`: over the coordinate that most of it goes with, None where there is none.
+    """
+
+    share: float
+    by: str | None
+    at: str | None
+    of_it: float | None
+    text: str
+    curve: CurveShape | None
+
+
+@dataclass(frozen=True)
+class NotExcluded:
+    """A model that the log does not exclude.
+
+    `effects`: as `--effect` takes them. `values`: of its parameters, by name [SI]. `weight`: its probability
+    among these models, by BIC.
+    """
+
+    effects: tuple[str, ...]
+    values: dict[str, float]
+    weight: float
+
+
+@dataclass(frozen=True)
+class ModelLeft:
+    """What the error of the model adds to the uncertainty of a position, for `hallsym budget --diagnosis`.
+
+    `rest`: standard uncertainty by output of what is left above the noise, without its shape where
+    `shape_counts`: then `unexplained.curve` holds that as a function of the pose or the state. `candidates`:
+    the named model first, then the others that the log does not exclude; none where there is no other.
+    """
+
+    rest: dict[str, float] = field(default_factory=dict)
+    shape_counts: bool = False
+    candidates: tuple[NotExcluded, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -109,20 +180,6 @@ class SmallerFinding:
 
 
 @dataclass(frozen=True)
-class Resemblance:
-    """Why the machine only behaves like an effect: a free variation of it predicts other runs better.
-
-    `by`: columns that the strength of the effect follows then; "the past" where the readings respond to the
-    past of what the effect makes. `misfit`: rms of the variation over rms of what the effect makes, on runs
-    left out. `p_value`: of no better prediction, corrected for all variations that were tried.
-    """
-
-    by: tuple[str, ...]
-    misfit: float
-    p_value: float
-
-
-@dataclass(frozen=True)
 class FoundEffect:
     """An effect that lowers the gap, with all other effects of the list in place.
 
@@ -131,9 +188,8 @@ class FoundEffect:
     the noise floor that it closes. `p_value`: of its absence, from random signs of the runs, corrected for
     everything that was tried.
     `cost`: firmware cost. `text`: what `--effect` takes to fit it, empty for a fault of the recording.
-    `at_bound`: parameters that ended at a bound; they have no uncertainty. `behaves_like`: why the machine
-    only behaves like the effect; None where no flexible alternative beats it. `note` says both in words, and
-    what to do about a fault.
+    `at_bound`: parameters that ended at a bound; they have no uncertainty. `note` says so in words, and what
+    to do about a fault.
     """
 
     name: str
@@ -148,7 +204,6 @@ class FoundEffect:
     text: str = ""
     at_bound: tuple[str, ...] = ()
     note: str = ""
-    behaves_like: Resemblance | None = None
 
 
 @dataclass(frozen=True)
@@ -194,8 +249,7 @@ class Separation:
     whether `recording` was simulated with the members' models; then one such run of `run_s` seconds adds
     `sigma` standard deviations to the `sigma_now` of this log, and `runs` of them (`seconds` in all) reach 5.
     `tried`: every simulated recording, with its sigma per run. Where no recording can be simulated, or none
-    separates, `recording` is the advice of the catalogue. `sides`: sets of effects that cannot be told apart;
-    empty where each effect of `group` stands alone.
+    separates, `recording` is the advice of the catalogue.
     """
 
     group: tuple[str, ...]
@@ -210,12 +264,6 @@ class Separation:
     runs: int | None = None
     seconds: float | None = None
     tried: dict[str, float] = field(default_factory=dict)
-    sides: tuple[tuple[str, ...], ...] = ()
-
-    @property
-    def said(self) -> str:
-        """The sets that cannot be told apart, in words."""
-        return ", ".join(" + ".join(side) for side in self.sides or [(n,) for n in self.group])
 
 
 @dataclass(frozen=True)
@@ -290,13 +338,11 @@ class LogRecord:
 class Diagnosis(Shown):
     """The answer of `diagnose`: verdict, where, which effect, how far the gap shrinks. SI units throughout.
 
-    `verdict`: "no gap", "explained", "behaves like" (what is named closes the gap, but a flexible alternative
-    beats the effect that closes most of it), "partly explained" (what is named closes most of the gap, and
-    the rest has a shape), "unexplained", or "noise larger than stated" where what exceeds the stated noise is
-    noise.
+    `verdict`: "no gap", "explained", "unexplained", or "noise larger than stated" where what exceeds the
+    stated noise is noise.
     `ranked`: names that carry evidence, best first. `groups`: names that this log cannot tell apart. `where`:
     what the gap goes with; `remaining`: what the unexplained rest goes with, only if the verdict is
-    "unexplained" or "partly explained". `unexplained`: share and shape of that rest. `model_error`: what the
+    "unexplained". `unexplained`: share and shape of that rest. `model_error`: what the
     budget of a position takes of it. `size`: the gap per output and sensor, on
     fitted and on holdout runs. `shares`: what each coordinate, link, output, sensor, frequency and run takes
     of the excess alone; empty where noise explains it. `waves`: the harmonics of the error over each periodic

@@ -6,8 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hallsym.diagnosis.normal_equations import coefficients, normal_equations
-from hallsym.diagnosis.products import NormalEquations
+from hallsym.diagnosis.normal_equations import NormalEquations, coefficients, normal_equations
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.scores import bic
 from hallsym.estimation import pseudo_inverse

@@ -3,14 +3,16 @@
 from collections.abc import Callable, Sequence
 from time import perf_counter
 
+import casadi as ca
 import numpy as np
 
+from hallsym.codegen import cost_of
+from hallsym.codegen.operations import graph
 from hallsym.diagnosis.confusable import Confusable, smaller_findings
 from hallsym.diagnosis.curve_words import shape
 from hallsym.diagnosis.decoded_errors import decoded_errors, waves
-from hallsym.diagnosis.gap import worth_reporting
+from hallsym.diagnosis.faults import Fault, wiring_p, wirings
 from hallsym.diagnosis.localisation import Located, located
-from hallsym.diagnosis.model_error import model_error
 from hallsym.diagnosis.noise import LARGER, noise_text, with_noise
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import (
@@ -19,22 +21,28 @@ from hallsym.diagnosis.record import (
     Gap,
     LogRecord,
     Metric,
+    ModelLeft,
     NoiseFinding,
     NoiseFloor,
+    NotExcluded,
     Shrinkage,
     Sizes,
+    Unexplained,
 )
-from hallsym.diagnosis.remainder import Unexplained
+from hallsym.diagnosis.refit import Refitted
 from hallsym.diagnosis.residual_table import both
 from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.shares import sizes
-from hallsym.diagnosis.validation import Validation
-from hallsym.diagnosis.verdict import QUIET, WITH_REST, Verdict, closed
-from hallsym.diagnosis.words import gap_text, gap_unit, percent
+from hallsym.diagnosis.validation import QUIET, Held, Validation, Verdict, closed, worth_reporting
+from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit
+from hallsym.errors import InputError, counted
 from hallsym.estimation.calibration import Fit
 from hallsym.families import added_effects
+from hallsym.families.faults import FAULTS
+from hallsym.inference import Estimate
 from hallsym.log.quality.gains import listed
+from hallsym.model import Model
 
 
 def report(
@@ -55,14 +63,14 @@ def report(
     after = found.before.metric if quiet else found.metric
     metric = Metric(found.before.metric, after, found.floor.metric)
     share = closed(metric.before, metric.after, metric.floor)
-    loud = noise if noise is not None and noise.larger and verdict not in WITH_REST else None
+    loud = noise if noise is not None and noise.larger and verdict != "unexplained" else None
     where, rest = _located(setup, selection, found, verdict, loud)
     left = unexplained(rest, 1 - share) if rest else None
     gap_after = found.before.gap if quiet else _gap_after(found)
     unit = gap_unit(setup.fit.model.pose)
     return Diagnosis(
         verdict=verdict,
-        sentence=sentence(verdict, named, alike.instead_of, metric, unit, setup.held_out, noise, left),
+        sentence=sentence(verdict, named, alike.instead_of, metric, unit, setup.held_out, noise),
         held_out=setup.held_out,
         noise_floor=NoiseFloor(found.floor_by_output, _source(setup.fit)),
         gap_before=found.before.gap,
@@ -160,7 +168,7 @@ def _located(
         gap = located(plain, runs, screened, found.faults, found.variance, noisy=noisy)
     else:
         gap = Located((), (), *both(plain, runs))
-    if verdict not in WITH_REST:
+    if verdict != "unexplained":
         return gap, None
     if found.base is start:
         return gap, gap
@@ -213,12 +221,10 @@ def sentence(
     unit: tuple[float, str],
     held_out: str,
     noise: NoiseFinding | None,
-    left: Unexplained | None,
 ) -> str:
     """Return the diagnosis in one or two sentences; gaps in `unit`, the factor and name a person reads.
 
-    `instead_of`: effect -> what the log cannot tell from it. `held_out`: what judges. `noise`: that is left;
-    `left`: what has no cause.
+    `instead_of`: effect -> what the log cannot tell from it. `held_out`: what judges. `noise`: that is left.
     """
     judges = f"{held_out}s"
     before, after, floor = (gap_text(v, unit) for v in (gap.before, gap.after, gap.floor))
@@ -238,21 +244,6 @@ def sentence(
     if not effects:
         return f"{said}; no known effect explains it."
     named = listed([_with_others(e.name, instead_of(e.name)) for e in effects])
-    if verdict == "behaves like":
-        first = next(e for e in effects if e.behaves_like or e.at_bound)
-        why = (
-            f"a flexible alternative predicts other {held_out.split(' ', 1)[1]}s better"
-            if first.behaves_like
-            else "parameters of it ended at their bounds"
-        )
-        return (
-            f"{said}. The machine behaves like {first.name}, but {why}, so the cause is not known. "
-            f"With {named} it falls to {after}."
-        )
-    if verdict == "partly explained" and left is not None:
-        remains = f"{percent(left.share)} of the excess over the noise has no known cause"
-        where = f"Of what is left, {left.text}" if left.by else left.text.capitalize()
-        return f"{said}. With {named} it falls to {after}; {remains}. {where}."
     rest = "" if verdict == "explained" else "; the rest has no known cause"
     open_ = closed(gap.before, gap.after, gap.floor) < 1 - POLICY.minor
     if verdict == "explained" and open_ and noise is not None and noise.larger:
@@ -281,3 +272,195 @@ def next_step(setup: Setup, found: Validation) -> tuple[str, ...]:
     if not setup.split:
         words += ["--holdout", ",".join(map(str, setup.holdout))]
     return (*words, *(["--resolve-wiring"] if setup.miswired else []))
+
+
+# -- what a budget takes -------------------------------------------------------------------------------------
+
+
+def model_error(
+    setup: Setup, found: Validation, gap: Gap, metric: float, rest: Unexplained | None, alike: Confusable
+) -> ModelLeft:
+    """Return what the model leaves beyond the noise, and the models that the log does not exclude.
+
+    `gap`, `metric`: the error that is left on the holdout runs. `rest`: its shape, where it is unexplained.
+    """
+    floor = found.floor_by_output
+    known = metric <= found.floor.metric * (1 + setup.policy.negligible)
+    above = {c: float(np.sqrt(max(v**2 - floor[c] ** 2, 0.0))) for c, v in gap.rmse.items()}
+    counts = rest is not None and _placed(setup, rest)
+    share = (rest.of_it or 0.0) if rest is not None and counts else 0.0
+    left = float(np.sqrt(max(1 - share, 0.0)))
+    return ModelLeft(
+        rest={c: 0.0 if known else v * left for c, v in above.items()},
+        shape_counts=counts,
+        candidates=_candidates(found, alike.fits),
+    )
+
+
+def _placed(setup: Setup, rest: Unexplained) -> bool:
+    """Return whether the rest goes with a coordinate that a position has: of its pose or its state."""
+    if rest.curve is None or not rest.curve.line:
+        return False
+    model = setup.base.model
+    return rest.curve.column.removeprefix("d0_") in (*model.references, *model.state)
+
+
+def _candidates(found: Validation, fits: tuple[Refitted, ...]) -> tuple[NotExcluded, ...]:
+    """Return the named model and those the log does not exclude, each with its probability by BIC."""
+    if not fits:
+        return ()
+    models = found.fit, *fits
+    bic = np.array([f.bic(len(f.base.free), found.inflation) for f in models])
+    weight = np.exp(-0.5 * (bic - bic.min()))
+    return tuple(
+        NotExcluded(tuple(added_effects(f.base.model)), f.base.values, float(w))
+        for f, w in zip(models, weight / weight.sum(), strict=True)
+    )
+
+
+# -- what was found ------------------------------------------------------------------------------------------
+
+
+def findings(setup: Setup, found: Validation) -> tuple[FoundEffect, ...]:
+    """Return what was found, by share of the excess; a wrong channel assignment wins a tie."""
+    spread = _standard_errors(found)
+    out = [_effect(found, e, spread) for e in found.effects]
+    out += [_fault(setup, found, f) for f in found.faults]
+    if setup.miswired:
+        out.insert(0, _assignment(setup, found))
+    return tuple(sorted(out, key=lambda e: -e.share))
+
+
+def _standard_errors(found: Validation) -> np.ndarray:
+    """Standard errors of all parameters, for the noise and the slow averages of what is left."""
+    noise = found.fit.variance(1.0)
+    return np.sqrt(np.maximum(np.diag(found.fit.covariance()), 0.0) * noise * found.inflation)
+
+
+def _effect(found: Validation, held: Held, spread: np.ndarray) -> FoundEffect:
+    score, fit = held.exact.score, found.fit
+    model, before = fit.base.model, held.without.base.model
+    stuck, unseen = fit.at_bound(), fit.unseen()
+    index = {n: model.names.index(n) for n in score.model.names if n in model.names and n not in before.names}
+    ended = tuple(n for n, j in index.items() if j in stuck)
+    blind = [n for n, j in index.items() if j in unseen]
+    return FoundEffect(
+        name=score.effect.name,
+        link=score.effect.link,
+        variant=score.variant.label,
+        parameters={
+            n: Estimate(
+                float(fit.base.p[j]),
+                None if j in stuck or j in unseen else float(spread[j]),
+                model.parameters[j].unit,
+            )
+            for n, j in index.items()
+        },
+        p_value=held.p_value,
+        shrinkage=held.judged.value,
+        interval=held.judged.interval(),
+        share=_share(found, held.errors.metric**2 - found.after.metric**2),
+        cost=firmware_cost(before, model, fit.base.p),
+        text=score.variant.text,
+        at_bound=ended,
+        note=_note(ended, blind),
+    )
+
+
+def _note(ended: Sequence[str], blind: Sequence[str]) -> str:
+    """Return what qualifies an effect: parameters at their bounds or unseen."""
+    said = []
+    if ended:
+        bound = "its bound" if len(ended) == 1 else "their bounds"
+        said.append(
+            f"{', '.join(ended)} ended at {bound}, so there is no interval; the intervals of other "
+            "parameters hold only if the bound is right. Either the bound is wrong for this machine, or "
+            "another effect does part of the work."
+        )
+    if blind:
+        said.append(f"No sample of this log depends on {', '.join(blind)}: fixed at the nominal value.")
+    return " ".join(said)
+
+
+def _fault(setup: Setup, found: Validation, fault: Fault) -> FoundEffect:
+    scale = found.fault_scale
+    return FoundEffect(
+        name=fault.name,
+        link=fault.record.link,
+        variant=fault.text,
+        parameters=fault.parameters,
+        p_value=min(1.0, fault.p_value * setup.tested),
+        shrinkage=1 - scale,
+        interval=None,
+        share=_share(found, (1 - scale**2) * found.after.metric**2),
+        cost="no parameter: a repair, not a model",
+        note=_repair(fault.name),
+    )
+
+
+def _share(found: Validation, squares: float) -> float:
+    """Return the share of the excess above the floor that `squares` are."""
+    excess = max(found.before.metric**2 - found.floor.metric**2, 1e-300)
+    return float(np.clip(squares / excess, 0.0, 1.0))
+
+
+def _assignment(setup: Setup, found: Validation) -> FoundEffect:
+    """Return exchanged or inverted channels."""
+    model, wiring = setup.base.model, setup.miswired or ()
+    swapped = [c for c, (source, _) in zip(model.channels, wiring, strict=True) if source != c]
+    flipped = [source for source, sign in wiring if sign < 0]
+    name = "channel_swap" if swapped else "sign_inversion"
+    drop = 1 - found.metric / found.before.metric
+    p = wiring_p(found.start.base, setup.log, setup.runs) * setup.tested * wirings(len(model.channels))
+    return FoundEffect(
+        name=name,
+        link="electronics",
+        variant=f"{' and '.join(swapped)} exchanged" if swapped else f"{' and '.join(flipped)} inverted",
+        parameters={},
+        p_value=min(1.0, p),
+        shrinkage=drop,
+        interval=None,
+        share=closed(found.before.metric, found.metric, found.floor.metric),
+        cost="no parameter: the channel assignment is corrected",
+        note=_repair(name),
+    )
+
+
+def _repair(name: str) -> str:
+    return f"{name} {FAULTS[name].refusal}"
+
+
+def operations(model: Model) -> int:
+    """Return the count of arithmetic operations of one decoded pose, common subexpressions counted once.
+
+    Each sine or division of the model's own expression is one operation: for models that have no C.
+    """
+    return graph([ca.cse(*model.decoded.call(model.decoded.sx_in()))]).count
+
+
+def firmware_cost(before: Model, after: Model, p: np.ndarray | None = None) -> str:
+    """Return in words what the step from one model to another adds: parameters, instructions, signals.
+
+    `p`: parameters of `after`, which decide how often a non-linear model is iterated; nominal by default.
+    """
+    added = counted(len(after.parameters) - len(before.parameters), "parameter")
+    signals = [c.name for c in after.computed if c.name not in before.state]
+    text = f"{added}; {_work(before, after, p)}"
+    if signals:
+        some = ", ".join(signals[:SHOWN]) + (", ..." if len(signals) > SHOWN else "")
+        text += f" and {counted(len(signals), 'signal')} to compute ({some})"
+    return text
+
+
+def _work(before: Model, after: Model, p: np.ndarray | None) -> str:
+    shared = None
+    if p is not None:
+        shared = before.vector({n: v for n, v in after.named(p).items() if n in before.names})
+    try:
+        old, new = cost_of(before, shared), cost_of(after, p)
+    except InputError:
+        return f"decoding {operations(before)} -> {operations(after)} operations, no C"
+    return (
+        f"C about {old.instructions} -> {new.instructions} instructions, "
+        f"parameter table {old.table} -> {new.table} B"
+    )

@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hallsym.diagnosis.measurement_error import shared_noise
-from hallsym.diagnosis.normal_equations import normal_equations
+from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
 from hallsym.diagnosis.policy import Policy
-from hallsym.diagnosis.products import NormalEquations
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.regression import FOLDS, NIL
 from hallsym.diagnosis.residuals import Base

@@ -1,52 +1,216 @@
 """Selection: a greedy search that screens the catalogue, refits what is promising and keeps the best."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
-from hallsym.diagnosis.derivatives import slope_of
 from hallsym.diagnosis.facts import facts_of
-from hallsym.diagnosis.faults import faults
-from hallsym.diagnosis.gap import remains, slow_share, used_up
-from hallsym.diagnosis.lack_of_fit import lack_of_fit
-from hallsym.diagnosis.policy import Policy
-from hallsym.diagnosis.ranking import Exact, plain_pairs_first, refitted
+from hallsym.diagnosis.normal_equations import slope_of
+from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.refit import Refitted, refit, with_effects, with_model
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score, Screen, by_name, candidates
 from hallsym.diagnosis.setup import Setup
-from hallsym.diagnosis.shrinkage import Judged, Nested, foreseen
+from hallsym.diagnosis.shrinkage import Nested
 from hallsym.diagnosis.sign_flips import MEMORIES, memory
 from hallsym.diagnosis.survey import memory_of_recording, survey
-from hallsym.log.phase import designed
-from hallsym.model import Facts
+from hallsym.model import Effect, Facts
 
 
-def cancelled(
-    fit: Refitted, beside: Refitted, start: Refitted, owner: Mapping[str, str], kept: float
-) -> bool:
-    """Return whether what `fit` has beyond the fit `beside` is undone by other parameters, or undoes others.
+@dataclass(frozen=True, eq=False)
+class Exact:
+    """An effect refitted exactly.
 
-    `start`: the fit without any effect, whose parameters say what the machine deviates from its design by.
-    `owner`: parameter -> the effect that it belongs to. `kept`: the least part of what an effect alone moves
-    the pose by, that this deviation must be, or its former size and the gap that goes beside another effect.
+    Of a selected one, `squares_before`: whitened squares that were left without it; `rivals`: the others that
+    were refitted for its place.
     """
-    own, known = start.base.model.names, beside.base.model.names
-    new = [n for n in fit.base.model.names if n not in known]
-    if cancels(fit, new, kept):
-        return True
-    whole = moved(start, start.base.p - designed(start.base.model, start.base.p))
-    if kept * _alone(fit, new) > np.hypot(whole, start.metric):
-        return True
-    lower = np.sqrt(max(beside.metric**2 - fit.metric**2, 0.0))
-    groups: dict[str, list[str]] = {}
-    for n in known:
-        if n not in own:
-            groups.setdefault(owner.get(n, n), []).append(n)
-    return any(kept * _alone(fit, g) > np.hypot(_alone(beside, g), lower) for g in groups.values())
+
+    score: Score
+    fit: Refitted
+    bic: float
+    squares_before: float = np.inf
+    rivals: tuple["Exact", ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.score.effect.name
+
+
+def refitted(
+    base: Base,
+    scored: Sequence[Score],
+    runs: Sequence[int],
+    facts: Facts,
+    worth: Callable[[Score], bool],
+    stands: Callable[[Exact], bool] = lambda _: True,
+    policy: Policy = POLICY,
+) -> list[Exact]:
+    """Refit the promising effects exactly and return them, best first; none if none is `worth` it.
+
+    An effect whose refit does not `stand`, or that no start brings to parameters that its cause can have, is
+    left out except for its variants with fewer parameters: those that promise as much are refitted in its
+    place. If none is worth it, effects that it had displaced are refitted.
+    """
+
+    def exact(first: Score) -> Exact | None:
+        starts = [s for s in left if s.effect is first.effect and s.gain >= policy.mostly * first.gain]
+        wanted = policy.starts if first.variant.tried > 1 else 1
+        possible: list[Exact] = []
+        for score in starts[: policy.most_refits]:
+            found = _exact(base, _finer(base, score, runs, facts, policy), runs, policy)
+            if score.effect.possible(found.fit.base.values):
+                possible.append(found)
+            if len(possible) == wanted:
+                break
+        best = min(possible, key=lambda e: e.bic, default=None)
+        return best if best is not None and stands(best) else None
+
+    left = list(scored)
+    known: dict[int, Exact | None] = {}
+    for _ in range(policy.most_refits):
+        tried = _promising(left, worth, policy)
+        known |= {id(s): exact(s) for s in tried if id(s) not in known}
+        fitted = [(s, known[id(s)]) for s in tried]
+        out = [e for _, e in fitted if e is not None]
+        fallen = {s.effect.name: s.size for s, e in fitted if e is None}
+        rest = [s for s in left if s.size < fallen.get(s.effect.name, s.size + 1)]
+        plainer = any(s.effect.name in fallen and id(s) not in known for s in _promising(rest, worth, policy))
+        if not fallen or (any(worth(e.score) for e in out) and not plainer):
+            return ordered(out, left, worth, policy)
+        left = rest
+    return []
+
+
+def _promising(scored: Sequence[Score], worth: Callable[[Score], bool], policy: Policy) -> list[Score]:
+    """Return the effects that explain nearly as much as the best one that is `worth` it.
+
+    An effect that lowers no gap in cross-validation is no competitor, whatever it explains of the runs that
+    it was fitted on.
+    """
+    named = [s for s in by_name(scored) if not s.absorbed]
+    best = max((s.gain for s in named if worth(s)), default=np.inf)
+    return [s for s in named if s.gain >= policy.mostly * best and s.ratio < 1][: policy.most_refits]
+
+
+def _finer(base: Base, score: Score, runs: Sequence[int], facts: Facts, policy: Policy) -> Score:
+    """Refine a searched number around its best value."""
+    finer = score.effect.around(score.variant)
+    if finer is None:
+        return score
+    best = min([score, *_scores(base, [finer], runs, facts, policy)], key=lambda s: s.bic)
+    return replace(best, effect=score.effect, p_value=score.p_value)
+
+
+def _exact(base: Base, score: Score, runs: Sequence[int], policy: Policy) -> Exact:
+    fit = refit(with_model(base, score.model), runs)
+    return Exact(score, fit, fit.bic(score.size, policy.inflation))
+
+
+# -- the order ---------------------------------------------------------------------------------------------
+
+
+def ordered(
+    exact: Sequence[Exact], scored: Sequence[Score], worth: Callable[[Score], bool], policy: Policy
+) -> list[Exact]:
+    """Order exact refits, best first; those that are not `worth` it behind those that are."""
+    first = _simpler_first(sorted(exact, key=lambda e: e.bic), scored, policy)
+    counted = [e for e in first if worth(e.score)]
+    return counted + [e for e in first if not worth(e.score)]
+
+
+def _simpler_first(exact: list[Exact], scored: Sequence[Score], policy: Policy) -> list[Exact]:
+    """Put an effect with fewer parameters first if it explains nearly all that the best one does.
+
+    Real machines have small imperfections of every kind. Many parameters take some of them along, which with
+    enough samples is significant and yet no evidence. The best effect stays first if it has a variant with as
+    few parameters that explains as much. Of two effects that fit the same on this log, the one with fewer
+    searched numbers goes first, then the one that comes first in the catalogue.
+    """
+    if not exact:
+        return exact
+    best = exact[0]
+    simpler = [e for e in exact[1:] if _simpler(e, best, scored, policy)]
+    if simpler:
+        return _first(min(simpler, key=lambda e: (e.score.size, e.bic)), exact)
+    same = [best, *(e for e in exact[1:] if _same(best, e))]
+    return _first(min(same, key=lambda e: (e.score.variant.tried, e.score.place)), exact)
+
+
+def _simpler(e: Exact, best: Exact, scored: Sequence[Score], policy: Policy) -> bool:
+    return (
+        e.score.size < best.score.size
+        and e.bic - best.bic <= policy.negligible * best.score.gain
+        and e.fit.metric <= best.fit.metric * (1 + policy.negligible)
+        and not any(
+            s.effect is best.score.effect
+            and s.size <= e.score.size
+            and s.gain >= (1 - policy.negligible) * e.score.gain
+            and s.bic <= e.score.bic + policy.as_good
+            for s in scored
+        )
+    )
+
+
+def _same(a: Exact, b: Exact) -> bool:
+    """Return whether two effects of one size leave the same, to less than the noise of one reading."""
+    return a.score.size == b.score.size and abs(b.fit.cost - a.fit.cost) * a.fit.readings <= a.fit.cost
+
+
+def plain_pairs_first(
+    exact: list[Exact], catalogue: Sequence[Effect], runs: Sequence[int], facts: Facts, policy: Policy
+) -> list[Exact]:
+    """Put a plain effect first if it and a second explain more than the flexible best one, by BIC.
+
+    An effect with many parameters may take small imperfections along and so explain more than the plain cause
+    does. Then the plain cause and one of the imperfections together explain as much with no more parameters,
+    and the flexible effect with a second one leaves nearly as much as these two.
+    """
+    if not exact:
+        return exact
+    best = exact[0]
+    plain = [
+        e
+        for e in exact[1:]
+        if e.score.size < best.score.size and e.score.gain >= policy.mostly * best.score.gain
+    ]
+    found: list[tuple[float, Exact, float]] = []
+    for e in plain:
+        second = _second(e, catalogue, runs, facts, policy)
+        if second is None or second.size + e.score.size > best.score.size:
+            continue
+        both = second.bic + e.score.size * float(np.log(max(e.fit.readings / policy.inflation, 2.0)))
+        if both < best.bic:
+            found.append((both, e, e.fit.cost - second.gain))
+    if not found:
+        return exact
+    _, first, left = min(found, key=lambda f: f[0])
+    second = _second(best, catalogue, runs, facts, policy)
+    if second is not None and best.fit.cost - second.gain < policy.half * left:
+        return exact
+    return _first(first, exact)
+
+
+def _second(
+    e: Exact, catalogue: Sequence[Effect], runs: Sequence[int], facts: Facts, policy: Policy
+) -> Score | None:
+    """Return the best second effect beside one, by its score."""
+    scores = _scores(e.fit.base, catalogue, runs, facts, policy)
+    return next((s for s in scores if not s.absorbed), None)
+
+
+def _scores(
+    base: Base, effects: Sequence[Effect], runs: Sequence[int], facts: Facts, policy: Policy
+) -> list[Score]:
+    tried, _ = candidates(base, effects, facts)
+    return Screen(base, tried, runs, policy.inflation).scores
+
+
+def _first(first: Exact, exact: Sequence[Exact]) -> list[Exact]:
+    return [first, *(e for e in exact if e is not first)]
 
 
 def cancels(fit: Refitted, names: Sequence[str], kept: float) -> bool:
@@ -118,13 +282,10 @@ def select(setup: Setup) -> "Selection":
     start = refit(setup.base, setup.runs)
     search = Selection(setup, start, start, Nested(setup.runs, setup.policy), {(): start})
     search.grow()
-    if search.effects:
-        search.prune()
     if len(search.effects) > 1 and search.reconsider():
         search.grow()
     if setup.base.sliced:
         search.confirm()
-    search.hold()
     return search
 
 
@@ -133,10 +294,8 @@ class Selection:
     """The greedy search on the fitted runs, and what it selected.
 
     `start`: the fit without effects; `fit`: with all `effects`. `nested`: the search without each group of
-    runs. `refits`: fits with some of the effects. `dropped`: effects that runs other than they were fitted to
-    do not hold. `not_testable`: effect -> why this log cannot show it. `screened`: every screening; `last`:
-    scores of the one that found no further effect. `owner`: parameter -> its effect. `of_values`: share of
-    the gap that the values of the readings make.
+    runs. `refits`: fits with some of the effects. `not_testable`: effect -> why this log cannot show it.
+    `screened`: every screening; `last`: scores of the one that found no further effect.
     """
 
     setup: Setup
@@ -145,12 +304,9 @@ class Selection:
     nested: Nested
     refits: dict[tuple[Exact, ...], Refitted]
     effects: list[Exact] = field(default_factory=list)
-    dropped: list[Exact] = field(default_factory=list)
     not_testable: dict[str, str] = field(default_factory=dict)
     screened: list[Screened] = field(default_factory=list)
     last: list[Score] = field(default_factory=list)
-    owner: dict[str, str] = field(default_factory=dict)
-    of_values: float = 0.0
 
     @property
     def runs(self) -> list[int]:
@@ -190,17 +346,14 @@ class Selection:
     def worth(self, score: Score, beside: int) -> bool:
         """Return whether an effect is no chance and lowers the gap enough, and `beside` others is needed.
 
-        One that leaves more than half of what others left must be certain. A first effect that is certain is
-        taken up from half the threshold on: it may be worth more on the holdout runs, which decide. What the
-        values of the readings make of the gap, as steps do, no effect can take away: it would only follow
-        their error.
+        A first effect that is certain is taken up from half the threshold on: it may be worth more on the
+        holdout runs, which decide.
         """
         policy, certain = self.policy, score.p_value < self.policy.certain
         if beside == self.setup.base.model.family.most_effects or (beside and not self.needed()):
             return False
-        likely = score.p_value < policy.false_alarm and (not beside or score.ratio <= policy.half)
         level = self.setup.threshold * (policy.half if certain and not beside else 1.0)
-        return (certain or likely) and max(score.ratio, np.sqrt(self.of_values)) <= 1 - level
+        return score.p_value < policy.false_alarm and score.ratio <= 1 - level
 
     def needed(self) -> bool:
         """Return whether what is left may hold another effect: it is above the floor, or that is unknown."""
@@ -223,8 +376,6 @@ class Selection:
         """Screen the catalogue at `at`, for noise that forgets after so many samples; None: as it seems."""
         found = survey(at.base, self.runs)
         facts = facts_of(at.base, found)
-        told = faults(at.base, found, self.setup.tested)
-        self.of_values = sum(f.power for f in told if f.record.of_values)
         tried, trouble = candidates(at.base, self.setup.catalogue, facts)
         screen = Screen(
             at.base, tried, self.runs, self.policy.inflation, colour=found.colour, remembers=remembers
@@ -238,8 +389,6 @@ class Selection:
         if at is self.start:
             absorbed = "the model's own parameters absorb it on this log"
             self.not_testable |= {s.effect.name: absorbed for s in by_name(ranked) if s.absorbed}
-        for c in tried.values():
-            self.owner |= dict.fromkeys(c.new, c.effect.name)
         return screen, facts
 
     def remembered(self, screen: Screen, colour: np.ndarray) -> np.ndarray:
@@ -259,31 +408,15 @@ class Selection:
         return beside
 
     def stands(self, exact: Exact, at: Refitted) -> bool:
-        """Return whether a refit keeps what its score promised, and other parameters do not undo it.
+        """Return whether a refit keeps what its score promised, and its parameters do not undo each other.
 
         It must keep half of the threshold, and lower BIC.
         """
         lower = exact.fit.metric <= at.metric * (1 - self.policy.half * self.setup.threshold)
+        known = at.base.model.names
+        new = [n for n in exact.fit.base.model.names if n not in known]
         keeps = lower and exact.bic < at.bic(0, self.policy.inflation)
-        return keeps and not cancelled(exact.fit, at, self.start, self.owner, self.policy.half)
-
-    def prune(self) -> None:
-        """Where a gap remains, drop effects that only resemble its cause: they leave its shape behind."""
-        rest = lack_of_fit(self.fit.base, self.runs)
-        seen = survey(self.fit.base, self.runs)
-        gap, slow = self.fit.metric, slow_share(seen.variance, seen.fast)
-        if not remains(rest, slow, gap, self.setup.floor, self.setup.threshold, self.policy):
-            return
-        resembling = []
-        for effect in self.effects:
-            without = self.without(effect)
-            before = lack_of_fit(without.base, self.runs)
-            if used_up(before, without.metric, rest, gap, self.policy) < self.policy.half:
-                resembling.append(effect)
-        if resembling:
-            self.drop(*resembling)
-            if self.effects:
-                self.prune()
+        return keeps and not cancels(exact.fit, new, self.policy.half)
 
     def reconsider(self) -> bool:
         """Hold each effect against the catalogue, the others in place; return whether any was replaced."""
@@ -316,30 +449,6 @@ class Selection:
         else:
             self.drop(*self.effects)
         self.last = self.screen(self.fit, remembers)[0].scores
-
-    def hold(self) -> None:
-        """Drop effects that do not lower the gap of runs that they were not fitted to, the weakest first.
-
-        Of two that resemble each other either may be dispensable and one be needed.
-        """
-        while self.effects:
-            after, weak = self.judges(self.fit), []
-            for effect in self.effects:
-                judged = Judged.of(self.judges(self.without(effect)), after, self.policy)
-                certain = effect.score.p_value < self.policy.certain
-                if not judged.holds and not (certain and judged.value > 0):
-                    weak.append((judged.value, effect))
-            if not weak:
-                return
-            value, weakest = min(weak, key=lambda w: w[0])
-            if value > 0:
-                self.dropped.append(weakest)
-            self.drop(weakest)
-
-    def judges(self, fit: Refitted) -> dict[tuple[int, ...], float]:
-        """Return the squares of the fitted runs, each as the others foresee them."""
-        known = set(self.runs)
-        return {r: v for r, v in foreseen(fit, self.nested.groups).items() if known.issuperset(r)}
 
     def drop(self, *effects: Exact) -> None:
         """Go on without some effects."""

@@ -15,14 +15,13 @@ from time import perf_counter
 
 import numpy as np
 
-from hallsym.diagnosis.decimation import decimated
 from hallsym.diagnosis.detection import Findable, SelfTest, Trial, curve_point
 from hallsym.diagnosis.engine import diagnose, prepare
 from hallsym.diagnosis.injection import Injection, generator, injections, sized
 from hallsym.diagnosis.record import Diagnosis
-from hallsym.diagnosis.setup import Setup
+from hallsym.diagnosis.setup import Setup, decimated
 from hallsym.diagnosis.simulated_machine import machine_of, simulated_noise
-from hallsym.diagnosis.verdict import QUIET
+from hallsym.diagnosis.validation import QUIET
 from hallsym.errors import InputError, nearest
 from hallsym.estimation.calibration import Fit
 from hallsym.families.faults import FAULTS

@@ -6,10 +6,10 @@ from time import perf_counter
 
 import numpy as np
 
-from hallsym.diagnosis import holdout_pieces
-from hallsym.diagnosis.decimation import thinned
 from hallsym.diagnosis.policy import POLICY, Policy
+from hallsym.diagnosis.regression import FOLDS
 from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.survey import SEGMENT
 from hallsym.errors import InputError, counted
 from hallsym.estimation import fit, noise_of
 from hallsym.estimation.calibration import Fit
@@ -19,9 +19,11 @@ from hallsym.estimation.gauss_newton import cost_near
 from hallsym.estimation.outliers import beside_rails
 from hallsym.families import build, default_model
 from hallsym.families.faults import FAULTS
+from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ
 from hallsym.log import Log, clean_log
 from hallsym.log.batches import HELD, remembered
 from hallsym.log.phase import continuous
+from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.model import Effect, Model
 
 Say = Callable[[str], None]
@@ -145,8 +147,8 @@ def prepare(
     held, pieces = _whole_runs(log, holdout, policy), tuple[int, ...]()
     if not held and holdout is None:
         log, pieces = _pieces(log, model)
-    if holdout_pieces.TIME not in log.columns:
-        log = holdout_pieces.counted_off(log)
+    if TIME not in log.columns:
+        log = counted_off(log)
     held, sliced = held or pieces, log.recording is not None
     if not held:
         raise _too_short(log)
@@ -185,11 +187,11 @@ def _built(log: Log, model: str | Model | Fit | None) -> Model:
 
 def _pieces(log: Log, model: Model) -> tuple[Log, tuple[int, ...]]:
     """Split a recording of too few runs if runs have no offsets; return the pieces to hold out."""
-    if log.rows < holdout_pieces.FEWEST or model.zeros or log.meta.holdout:
+    if log.rows < FEWEST or model.zeros or log.meta.holdout:
         return log, ()
     # a turn goes on from piece to piece: a short turn of the reference counts from one zero
     log = continuous(replace(log, noise=noise_of(log, model)), model)
-    return holdout_pieces.split(log, None if holdout_pieces.TIME in log.columns else _spikes(log, model))
+    return split(log, None if TIME in log.columns else _spikes(log, model))
 
 
 def _spikes(log: Log, model: Model) -> np.ndarray | None:
@@ -245,16 +247,12 @@ def _whole_runs(log: Log, holdout: Sequence[int] | None, policy: Policy) -> tupl
 def _too_short(log: Log) -> InputError:
     """Return what is wrong with a log of which nothing can be held out."""
     short, few = (
-        log.rows < holdout_pieces.FEWEST,
+        log.rows < FEWEST,
         "too few to hold any out and still choose an effect on the others",
     )
     if short and len(log.runs) == 1 and not log.timed:
-        return InputError(
-            f"{log.name} has {log.rows} samples, {few}; record at least {holdout_pieces.FEWEST}."
-        )
-    enough = (
-        f"at least {holdout_pieces.FEWEST} samples (it has {log.rows})." if short else "split a long one."
-    )
+        return InputError(f"{log.name} has {log.rows} samples, {few}; record at least {FEWEST}.")
+    enough = f"at least {FEWEST} samples (it has {log.rows})." if short else "split a long one."
     return InputError(
         f"{log.name} has {counted(len(log.runs), 'run')}, {few} (2 to fit and 1 to judge on at least); "
         f"record more runs or {enough}"
@@ -266,3 +264,174 @@ def _threshold(log: Log, threshold: float | None, policy: Policy) -> float:
     if not 0 < level < 1:
         raise InputError(f"Input threshold of diagnose must be between 0 and 1; instead received {level:g}.")
     return float(level)
+
+
+# -- pieces of a recording -----------------------------------------------------------------------------------
+
+
+FEWEST = POLICY.fewest * FEWEST_SAMPLES
+"""Samples that a recording must have to be taken to pieces."""
+BLOCK = 4
+"""Knots of a block. Every second is held out, the other ones in the next block, so that a pattern of two or
+four knots (a stepper's) is seen on both sides."""
+SLICES = 100
+"""Slices of time that a recording is taken as at most: a score of 50 scatters as Gauss has it."""
+LASTING = 40
+"""Samples of a slice at least: four memories of noise that remembers ten, so that slices are independent."""
+TIME = "t_s"
+
+
+def split(log: Log, spikes: np.ndarray | None = None) -> tuple[Log, tuple[int, ...]]:
+    """Return the log in pieces as runs, with a note that says how it was done, and the pieces to hold out.
+
+    With time, pieces are stretches of it, every second held out. Without, samples are knots: every second is
+    held out, and a counter stands for the time that the log does not have. `spikes` (samples,) are left out.
+    """
+    n, timed = log.rows, TIME in log.columns
+    at, count = np.arange(n), piece_count(n, timed)
+    piece = at * count // n if timed else knot_group(at, count)
+    held = tuple(range(1, count, 2))
+    order = np.argsort(piece, kind="stable")
+    notes = []
+    if spikes is not None and spikes.any():
+        order = order[~spikes[order]]
+        gone = int(spikes.sum())
+        are = "is an isolated spike and was" if gone == 1 else "are isolated spikes and were"
+        notes.append(f"{gone} of {n} knots {are} left out.")
+    columns = {c: log.array(c)[order] for c in log.columns if c != "run"}
+    columns = {TIME: at[: len(order)].astype(float)} | columns | {"run": piece[order]}
+    how = f"{count} {'slices of time' if timed else 'groups of single knots, each round the turn'}"
+    short = Log.from_arrays(columns, log.noise, replace(log.meta, holdout=held), log.name)
+    short = of_recording(short) if timed else short
+    what = counted(len(log.runs), "run") if timed or len(log.runs) > 1 else "A table of knots"
+    notes.append(f"{what} cannot be held out whole: taken as {how}, every other one held out.")
+    return replace(short, notes=(*log.notes, *notes), path=log.path, counted=not timed), held
+
+
+def of_recording(log: Log) -> Log:
+    """Return a log whose runs are slices of one recording, one after the other, with that recording."""
+    whole = {c: log.array(c) for c in log.columns if c != "run"} | {"run": np.zeros(log.rows, dtype=int)}
+    return replace(log, recording=Log.from_arrays(whole, log.noise, log.meta, log.name))
+
+
+def counted_off(log: Log) -> Log:
+    """Return a log without time with a counter in its place; its runs stay."""
+    columns = {TIME: np.arange(log.rows, dtype=float)} | {c: log.array(c) for c in log.columns}
+    counter = Log.from_arrays(columns, log.noise, log.meta, log.name)
+    return replace(counter, notes=log.notes, path=log.path, counted=True)
+
+
+def piece_count(n: int, timed: bool) -> int:
+    """How many pieces of `n` samples: those fitted are the folds, or as many as have the samples of a run.
+
+    With time there are up to `SLICES` of them: of a machine that rests half of the time many still say
+    something. Of knots an odd number is fitted, so that each group takes every phase of a pattern of two or
+    four; groups go round the turn, so that waves of it do not lean on another.
+    """
+    if timed and n >= 2 * FOLDS * LASTING:
+        return min(SLICES, n // LASTING // 2 * 2)
+    at = np.arange(n)
+    for count in range(2 * FOLDS, POLICY.fewest, -4):  # half of it stays odd
+        smallest = n // count if timed else int(np.bincount(knot_group(at, count), minlength=count).min())
+        if smallest >= FEWEST_SAMPLES:
+            return count
+    return POLICY.fewest
+
+
+def knot_group(at: np.ndarray, count: int) -> np.ndarray:
+    """Return the group of `count` that each knot belongs to; odd groups are held out."""
+    return 2 * (at // 2 % (count // 2)) + (at + at // BLOCK) % 2
+
+
+# -- a long log ----------------------------------------------------------------------------------------------
+
+
+PER_PERIOD = 12
+"""Samples per period of the fastest motion that is proposed, or that a decimated log keeps."""
+
+
+def thinned(base: Base, rows: int) -> tuple[Log, int]:
+    """Return every m-th sample of each run of `base.log`, and m.
+
+    They are about `rows`, or as many as motion and mains need.
+    """
+    every = _every(base, rows)
+    return _kept(base, every, base.log.rows), every
+
+
+def decimated(base: Base, rows: int) -> tuple[Log, str]:
+    """Return about `rows` samples of `base.log`; those that the fit left out are left out here too.
+
+    Samples are left out as far as motion and mains stay resolved, and then the ends of long runs. The text
+    says what was left out, "" for nothing.
+    """
+    log, every = base.log, _every(base, rows)
+    long = log.rows > rows * every
+    most = max(rows * every // len(log.runs), SEGMENT * every) if long else log.rows
+    said = [f"every {every}. sample"] if every > 1 else []
+    if long:
+        said.append(f"the first {most} samples of each run")
+    return _kept(base, every, most), " of ".join(said)
+
+
+def _kept(base: Base, every: int, most: int) -> Log:
+    """Return every so many samples of the first `most` of each run that the fit has not left out."""
+    log = base.log
+    if every == 1 and most >= log.rows and base.keep is None:
+        return log
+    seen = dict.fromkeys(log.runs, 0)
+    parts: dict[str, list[np.ndarray]] = {c: [] for c in log.columns}
+    for block in log.blocks():
+        n = len(block.data["t_s"])
+        index = seen[block.run] + np.arange(n)
+        seen[block.run] += n
+        keep = (index % every == 0) & (index < most)
+        if base.keep is not None:
+            keep &= base.keep(block) > 0
+        for column in log.columns:
+            values = np.full(n, block.run) if column == "run" else block.data[column]
+            parts[column].append(values[keep])
+    columns = {c: np.concatenate(v) for c, v in parts.items()}
+    return Log.from_arrays(columns, log.noise, log.meta, log.name)
+
+
+def _every(base: Base, rows: int) -> int:
+    """Return how many samples one stands for where `rows` are wanted."""
+    known, every = 1, -(-base.log.rows // rows)
+    beyond = every + 1
+    while beyond - known > 1:
+        known, beyond = (every, beyond) if _resolved(base, every) else (known, every)
+        every = (known + beyond) // 2
+    return known
+
+
+def _resolved(base: Base, every: int) -> bool:
+    """Return whether every so many samples show motion, turns of what turns, and mains.
+
+    A sine of `PER_PERIOD` samples a period has second differences of (2 sin(pi / PER_PERIOD))^2 of itself;
+    six times the variance of the noise is in them too.
+    """
+    model, step, count = base.model, list[float](), 0
+    moved, bent, turned = np.zeros((3, len(model.pose)))
+    period = np.array([model.period.get(c, np.inf) for c in model.pose])
+    for block in base.log.blocks(("t_s", *model.references), 1 << 16):
+        t, x = block.data["t_s"][::every], np.array([block.data[c] for c in model.references])
+        if len(t) < FEWEST_SAMPLES:
+            continue
+        x = np.array([v if np.isinf(p) else np.unwrap(v, period=p) for v, p in zip(x, period, strict=True)])
+        turned += (np.diff(x) ** 2).mean(axis=1) * len(t)  # at the full rate, where no turn is lost
+        x = x[:, ::every]
+        step.append(float(np.median(np.diff(t))))
+        moved += x.var(axis=1) * len(t)
+        bent += (np.diff(x, 2) ** 2).sum(axis=1) * len(t) / (len(t) - 2)
+        count += len(t)
+    if not count:
+        return False
+    noise = np.array([base.sigma.get(c, 0.0) ** 2 for c in model.references])
+    weights = base.pose_weights**2
+    most = (2 * np.sin(np.pi / PER_PERIOD)) ** 4
+    return bool(
+        weights @ (bent / count - 6 * noise) <= most * (weights @ (moved / count - noise).clip(0.0))
+        and (every * np.sqrt((turned / count - 2 * noise).clip(0.0)) * PER_PERIOD <= period).all()
+        and 2 * (MAINS_HZ[-1] + MAINS_REACH_HZ) * np.median(step) <= 1
+    )

@@ -77,12 +77,6 @@ class Judged:
             return 1.0
         return float(stdtr(n - 1, self.log_ratio / self.error))
 
-    @property
-    def holds(self) -> bool:
-        """Whether the decrease is no chance at 2.5 %; of too few runs, whether there is any."""
-        enough = len(self.before) >= self.policy.fewest
-        return self.p_value < self.policy.false_alarm / 2 if enough else self.log_ratio < 0
-
 
 def foreseen(fit: Refitted, groups: Sequence[frozenset[int]]) -> dict[tuple[int, ...], float]:
     """Return the squared decoded errors of each run as the other runs foresee them.

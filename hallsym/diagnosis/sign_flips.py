@@ -21,8 +21,8 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import log_ndtr, ndtri, stdtr
 
+from hallsym.diagnosis.normal_equations import NormalEquations
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.products import NormalEquations
 from hallsym.diagnosis.regression import NIL
 from hallsym.estimation import pseudo_inverse
 

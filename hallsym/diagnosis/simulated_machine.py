@@ -12,11 +12,11 @@ from types import MappingProxyType
 
 import numpy as np
 
-from hallsym.diagnosis.holdout_pieces import of_recording
 from hallsym.diagnosis.noise import noise_of_rest, noise_text
 from hallsym.diagnosis.normal_equations import coefficients, normal_equations
 from hallsym.diagnosis.residual_table import at_rest
 from hallsym.diagnosis.residuals import Base, pieces
+from hallsym.diagnosis.setup import of_recording
 from hallsym.estimation import autoregressive
 from hallsym.estimation.decoding import columns_of
 from hallsym.estimation.residual_noise import SETTLE

@@ -2,18 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
+from scipy.special import ndtri
 
 from hallsym.diagnosis.decoded_errors import DecodedErrors, decoded_errors
 from hallsym.diagnosis.faults import Fault, faults, without_tail
-from hallsym.diagnosis.gap import shaped, slow_share
 from hallsym.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
-from hallsym.diagnosis.ranking import Exact
-from hallsym.diagnosis.record import SmallerFinding
+from hallsym.diagnosis.noise import LARGER, in_outputs
+from hallsym.diagnosis.policy import Policy
+from hallsym.diagnosis.record import NoiseFinding
 from hallsym.diagnosis.refit import Refitted, refit
 from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.selection import Selection
+from hallsym.diagnosis.selection import Exact, Selection
 from hallsym.diagnosis.setup import Floor, Setup
 from hallsym.diagnosis.shrinkage import Judged, foreseen
 from hallsym.diagnosis.survey import Survey, survey
@@ -49,22 +51,19 @@ class Validation:
     """What holds on the holdout runs, and what is left with it.
 
     `start`: the fit without effects; `end`: the model with the effects that hold; `fit`: the same, fitted
-    without the samples that are faults by themselves. `dropped`: effects that do not hold and yet lower the
-    gap. Errors on the holdout runs: `before` without effects, `after` with them, `cured` also without faulty
-    samples; `metric`: the gap without any fault of samples [m or rad]. `rest`: the structure of what `end`
-    leaves. `floor_by_output`: noise of each output; `floor_was`: an estimated floor before it was lowered,
-    over what it is now, else None. `variance`: of the fitted samples' whitened residual; `slow`: decrease of
-    the metric without what neighbouring samples have in common; `fast`: that of differences of neighbouring
-    samples over that of the noise; `inflation`: variance of a slow average over
-    that of white noise; `error`: standard error of the gap of the holdout runs, over itself, by noise of this
-    memory.
+    without the samples that are faults by themselves. Errors on the holdout runs: `before` without effects,
+    `after` with them, `cured` also without faulty samples; `metric`: the gap without any fault of samples [m
+    or rad]. `rest`: the structure of what `end` leaves. `floor_by_output`: noise of each output; `floor_was`:
+    an estimated floor before it was lowered, over what it is now, else None. `variance`: of the fitted
+    samples' whitened residual; `fast`: rms of differences of neighbouring samples over that of the noise;
+    `inflation`: variance of a slow average over that of white noise; `error`:
+    standard error of the gap of the holdout runs, over itself, by noise of this memory.
     """
 
     start: Refitted
     end: Base
     fit: Refitted
     effects: tuple[Held, ...]
-    dropped: tuple[SmallerFinding, ...]
     judged: Judged | None
     before: DecodedErrors
     after: DecodedErrors
@@ -77,7 +76,6 @@ class Validation:
     faults: tuple[Fault, ...]
     miswired: bool
     variance: float
-    slow: float
     fast: float
     inflation: float
     error: float
@@ -138,7 +136,6 @@ def validate(setup: Setup, selection: Selection) -> Validation:
         end=end,
         fit=fit,
         effects=effects,
-        dropped=tuple(SmallerFinding(e.name, 1 - e.score.ratio, e.score.p_value) for e in selection.dropped),
         judged=_judged(setup, selection, selection.start) if effects else None,
         before=before,
         after=after,
@@ -151,7 +148,6 @@ def validate(setup: Setup, selection: Selection) -> Validation:
         faults=tuple(found),
         miswired=setup.miswired is not None,
         variance=whole.variance,
-        slow=slow_share(kept.variance, kept.fast),
         fast=float(np.sqrt(kept.fast)),
         inflation=kept.inflation,
         error=_error(kept, after.count * len(setup.fit.model.pose)),
@@ -218,3 +214,82 @@ def _beyond_shapes(found: Sequence[Fault], rest: LackOfFit) -> list[Fault]:
     """Return the faults that are no part of a shape, which may look like late samples here and there."""
     least = max([rest.tones, *(s.drop for s in rest.shapes)])
     return [f for f in found if f.name != "clock_jitter" and cures(f) >= least]
+
+
+# -- the verdict ---------------------------------------------------------------------------------------------
+
+
+def worth_reporting(floor: Floor, threshold: float, policy: Policy) -> float:
+    """Return the metric up to which nothing above the floor is worth reporting."""
+    return floor.metric * (1 + policy.negligible) / (1 - threshold)
+
+
+def shaped(found: LackOfFit, threshold: float, policy: Policy) -> bool:
+    """Return whether a residual has a shape, or tones, that are worth the threshold by themselves."""
+    need = 1 - (1 - threshold) / (1 + policy.negligible)
+    best = found.best(policy.false_alarm)
+    return found.tones >= need or (best is not None and best.drop >= need)
+
+
+def remains(
+    found: LackOfFit, metric: float, floor: Floor, threshold: float, policy: Policy, error: float
+) -> bool:
+    """Return whether a residual of size `metric` is a gap although no effect is named for it.
+
+    `error`: standard error of the metric, over itself, that noise of the residual's memory makes. A shape
+    that predicts other runs and is worth the threshold is a gap by itself. A residual without a shape is a
+    gap only if it is above a stated floor, by more than chance.
+    """
+    if shaped(found, threshold, policy):
+        return True
+    metric /= 1 + float(ndtri(1 - policy.false_alarm / 2)) * error
+    return floor.stated and metric > worth_reporting(floor, threshold, policy)
+
+
+Verdict = Literal["no gap", "explained", "unexplained", "noise larger than stated"]
+QUIET = ("no gap", LARGER)
+"""Verdicts that name no effect."""
+
+
+def decide(setup: Setup, found: Validation, noise: NoiseFinding | None = None) -> Verdict:
+    """Return "explained" if what is named closes the gap, "no gap" if nothing is named and nothing is left.
+
+    What is named must lower the gap by the threshold. A residual that is a gap by itself (`gap.remains`)
+    makes the verdict "unexplained", unless what is named closes nearly all of the excess above the noise
+    floor, or the excess is `noise` (of the model with what was found): then nothing is left to explain, and
+    without a name the noise is larger than stated.
+    """
+    before, after = found.before.metric, found.metric
+    named = found.named and 1 - after / before >= setup.threshold
+    base, metric = (found.base, after) if named else (found.start.base, before)
+    rest = found.rest if base is found.end else lack_of_fit(base, setup.runs)
+    loud = noise is not None and all_noise(setup, found, rest, metric, noise)
+    gap = not loud and remains(rest, metric, found.floor, setup.threshold, setup.policy, found.error)
+    if not named:
+        return "unexplained" if gap else LARGER if loud else "no gap"
+    if gap and closed(before, after, found.floor.metric) < 1 - setup.policy.minor:
+        return "unexplained"
+    return "explained"
+
+
+def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, noise: NoiseFinding) -> bool:
+    """Return whether what `metric` has above the stated floor is worth reporting, and noise explains it.
+
+    No function of the motion, the state and time may predict the threshold; nor may waves or steps between
+    levels be in it. Where differences of neighbouring samples have the stated noise in full, within what a
+    floor is known to, noise that is correlated is something on top of it.
+    """
+    floor, policy, threshold = found.floor, setup.policy, setup.threshold
+    if not (floor.stated and noise.larger) or noise.bounded:
+        return False
+    if metric <= worth_reporting(floor, threshold, policy) or shaped(rest, threshold, policy):
+        return False
+    slow_on_top = not noise.white and abs(found.fast - 1.0) < policy.negligible
+    known = replace(floor, metric=floor.metric * in_outputs(found.base, noise))
+    return not slow_on_top and metric <= worth_reporting(known, threshold, policy)
+
+
+def closed(before: float, after: float, floor: float) -> float:
+    """Return the share of the excess above the floor that is closed, in squares."""
+    excess = before**2 - floor**2
+    return float(np.clip((before**2 - after**2) / excess, 0.0, 1.0)) if excess > 0 else 0.0

@@ -14,7 +14,7 @@ QUIET = 1e-9
 
 
 def recorded(followed: float) -> tuple[hallsym.Log, float, np.ndarray]:
-    """A log whose loop follows `followed` of the noise of x in each sample; c of (S5), and the noise."""
+    """A log whose loop follows `followed` of the noise of x in each sample; c of (S10), and the noise."""
     rng = np.random.default_rng(5)
     model, truth = hallsym.build("stage15"), hallsym.published.values("table7_estimates")
     t = np.arange(SAMPLES) * STEP

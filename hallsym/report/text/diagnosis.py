@@ -8,7 +8,6 @@ from textwrap import fill
 from hallsym.diagnosis import (
     POLICY,
     QUIET,
-    WITH_REST,
     CurveShape,
     Diagnosis,
     Estimate,
@@ -85,7 +84,7 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
 
 def noise_name(d: Diagnosis) -> str:
     """Return what the noise that is left is called: where something has no cause it may be no noise."""
-    return "noise, or what follows nothing logged" if d.verdict in WITH_REST else "noise"
+    return "noise, or what follows nothing logged" if d.verdict == "unexplained" else "noise"
 
 
 def p_text(p: float | None) -> str:
@@ -247,7 +246,7 @@ def _ends(interval: tuple[float, float]) -> str:
 def separation_text(s: Separation) -> str:
     """Return what a log cannot tell apart, and the recording that would."""
     now = "" if s.sigma_now is None else f" ({s.sigma_now:.2g} sigma)"
-    text = f"This log cannot tell apart: {s.said}{now}."
+    text = f"This log cannot tell apart: {', '.join(s.group)}{now}."
     if s.simulated and s.sigma is not None and s.runs is not None and s.seconds is not None:
         many = "one such run is enough" if s.runs == 1 else f"{s.runs} such runs are enough"
         total = f", {s.seconds:.3g} s in all" if s.runs > 1 else ""
