@@ -52,11 +52,6 @@ class ErrorsAlong:
             yield float(self.error[k, at]), float(self.at[at])
 
 
-def decoders(model: Model) -> tuple[str, ...]:
-    """Return the names of the ways in which the pose of `model` can be decoded."""
-    return LEAST_SQUARES, *((CLOSED_FORM,) if model.begin else ()), *model.formulas
-
-
 def errors_along(
     model: Model,
     values: Mapping[str, float],
@@ -111,10 +106,11 @@ def _places(model: Model, coordinate: str, places: np.ndarray, at: Mapping[str, 
 
 
 def _decode(plain: Model, decoder: str, reading: np.ndarray, state: list[np.ndarray]) -> np.ndarray:
-    if decoder not in decoders(plain):
+    known = [LEAST_SQUARES, *([CLOSED_FORM] if plain.begin else []), *plain.formulas]
+    if decoder not in known:
         raise InputError(
-            f"Model {plain.name} has no decoder {decoder!r}{nearest(decoder, list(decoders(plain)))}; it has "
-            f"{', '.join(decoders(plain))}."
+            f"Model {plain.name} has no decoder {decoder!r}{nearest(decoder, known)}; it has "
+            f"{', '.join(known)}."
         )
     if decoder == LEAST_SQUARES:
         weight = np.ones(len(plain.channels))

@@ -1,24 +1,29 @@
 """An uncertainty budget by the GUM: sources, combined and expanded uncertainty, shares.
 
 JCGM 100:2008, "Evaluation of measurement data: Guide to the expression of uncertainty in measurement",
-doi:10.59161/JCGM100-2008E. Pure arithmetic: nothing here knows of sensors or files.
+doi:10.59161/JCGM100-2008E. A budget is read from TOML, one `[[source]]` table per input, the unit of a number
+in its key; a curve that the machine follows adds its error.
 
 >>> sources = (Source.rectangular("step", 0.5, "m"), Source.normal("noise", 0.3, "m"))
 >>> round(Budget("x", "m", sources).expanded, 4)
 0.8327
 """
 
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, isfinite, sqrt
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, nearest
 from hallsym.shown import Shown
+from hallsym.toml import Table, number, unit_of
+from hallsym.trajectory import Curve
 
 DIVISORS = {"rectangular": sqrt(3.0), "triangular": sqrt(6.0), "arcsine": sqrt(2.0)}
 """Half-width over standard uncertainty: JCGM 100, 4.3.7 and 4.3.9; JCGM 101, 6.4.6 (arcsine, U-shaped)."""
@@ -92,15 +97,8 @@ class Source:
         n = len(values)
         if n < 2:
             raise InputError(f"Readings of source {name!r} must be two or more to scatter; {n} given.")
-        return Source.scatter(name, float(np.std(values, ddof=1)), n, unit, **more)
-
-    @staticmethod
-    def scatter(name: str, deviation: float, n: int, unit: str, **more: Any) -> "Source":
-        """Mean of n readings whose experimental standard deviation is `deviation`: s / sqrt(n)."""
-        if n < 2:
-            raise InputError(f"Readings of source {name!r} must be two or more to scatter; {n} given.")
         more = {"degrees_of_freedom": n - 1.0, **more}
-        return Source(name, deviation / sqrt(n), unit, "student", **more)
+        return Source(name, float(np.std(values, ddof=1)) / sqrt(n), unit, "student", **more)
 
     @property
     def contribution(self) -> float:
@@ -257,3 +255,203 @@ def _check_correlation(matrix: np.ndarray, n: int, quantity: str) -> None:
 
 def _finite(value: float) -> float | None:
     return float(value) if isfinite(value) else None
+
+
+# -- a curve that the machine follows ----------------------------------------------------------------------
+
+CURVE = "curve"
+"""Name of the source that a curve is."""
+
+
+def curve_error(curve: Curve, column: str) -> float:
+    """Return the standard uncertainty that a curve adds to a coordinate [m or rad], 0 where it has none.
+
+    Raises `InputError` for a curve whose error is not known.
+    """
+    if column not in curve.coordinates:
+        return 0.0
+    error = curve.max_error_m if column.endswith("_m") else curve.source.get("max_error_rad")
+    if error is None:
+        what = "angle" if column.endswith("_rad") else "position"
+        raise InputError(
+            f"The curve does not state its error in {what}; make it with 'hallsym trajectory', which does."
+        )
+    return float(error)
+
+
+def with_curve(budget: Budget, curve: Curve, column: str | None = None) -> Budget:
+    """Return a budget with the error of a curve as one more source; of lengths where no `column` is named.
+
+    The largest error counts whole as a standard uncertainty in every length that the curve moves:
+    Micromachines 2019, 10(9), 597, Eq. (15), doi:10.3390/mi10090597.
+
+    Raises `InputError` for a budget that is not of a length.
+    """
+    if column is None and budget.unit != "m":
+        raise InputError(
+            f"A curve adds to a budget of a length; that of {budget.quantity!r} is in {budget.unit}."
+        )
+    if any(source.name == CURVE for source in budget.sources):
+        raise InputError(f"The budget of {budget.quantity!r} has a source {CURVE!r} already; rename it.")
+    error = curve_error(curve, column or next(c for c in curve.coordinates if c.endswith("_m")))
+    correlation = budget.correlation
+    if correlation is not None:
+        n = len(correlation)
+        correlation = np.block([[correlation, np.zeros((n, 1))], [np.zeros((1, n)), np.ones((1, 1))]])
+    sources = (*budget.sources, Source.normal(CURVE, error, budget.unit))
+    return replace(budget, sources=sources, correlation=correlation)
+
+
+# -- a budget file -----------------------------------------------------------------------------------------
+
+SIZES = ("std", "expanded", "half_width", "full_width", "resolution", "readings")
+"""How large a source is: exactly one of these per source, with its unit (`half_width_nm`)."""
+TOP = ("quantity", "unit", "coverage_factor", "level", "source", "correlation")
+OTHERS = ("name", "distribution", "coverage_factor", "degrees_of_freedom")
+
+
+def read_budget(path: str | Path) -> tuple[Budget, str | None]:
+    """Read a stand-alone budget; returns it in SI and the unit in which the file wants it read.
+
+    Raises `InputError` for a missing file, unknown keys, distributions and units, and impossible numbers.
+    """
+    file = Table.read(path, "Budget file", TOP)
+    made = [_source(entry) for entry in file.tables("source")]
+    if not made:
+        raise InputError(f"In {file.where} at least one [[source]] is needed; there is none.")
+    names = [source.name for source, _, _ in made]
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise InputError(f"In {file.where} two sources are called {twice[0]!r}; give each its own name.")
+    results = {result for _, result, _ in made}
+    if len(results) > 1:
+        raise InputError(
+            f"Sources of {file.where} must all act on one result; these act on "
+            f"{' and '.join(sorted(results))}: give 'sensitivity_nm_per_urad = ...' where a source has "
+            "another unit than the result."
+        )
+    coverage, level = coverage_of(file)
+    unit, asked = results.pop(), {asked for _, _, asked in made}
+    shown = file.text("unit") if "unit" in file else asked.pop() if len(asked) == 1 else None
+    if shown is not None and unit_of(shown, file.where)[0] != unit:
+        raise InputError(f"'unit' of {file.where} must be a unit of the result ({unit}); it is {shown!r}.")
+    budget = Budget(
+        quantity=file.text("quantity", Path(path).stem),
+        unit=unit,
+        sources=tuple(source for source, _, _ in made),
+        coverage=coverage,
+        level=level,
+        correlation=_correlation(file, names),
+    )
+    return budget, shown
+
+
+def _source(entry: Table) -> tuple[Source, str, str]:
+    """Return a source in SI, the SI unit of the result it acts on, and the unit its result is given in."""
+    if "name" not in entry:
+        raise InputError(f"Every [[source]] needs a 'name'; {entry.where} has none.")
+    name = entry.text("name")
+    where = f"source {name!r} ({entry.where})"
+    sizes = {key: size for key in entry.raw if (size := _size(key))}
+    slopes = [key for key in entry.raw if key.split("_")[0] == "sensitivity"]
+    others = {key: value for key, value in entry.raw.items() if key not in (*sizes, *slopes)}
+    Table(others, where, (*OTHERS, *(f"{size}_nm" for size in SIZES), "sensitivity"))
+    if len(sizes) != 1 or len(slopes) > 1:
+        what = "one sensitivity at most" if len(sizes) == 1 else f"one of {', '.join(SIZES)} with its unit"
+        raise InputError(f"A {where} must have {what}, such as half_width_nm; it has {len(sizes)} sizes.")
+    ((key, (kind, suffix)),) = sizes.items()
+    unit, factor = unit_of(suffix, where)
+    entry = Table({**others, **{k: entry.raw[k] for k in slopes}, kind: entry.raw[key]}, where)
+    slope, result, asked = _sensitivity(entry, slopes, unit, suffix)
+    more: dict[str, Any] = {"sensitivity": slope}
+    if "degrees_of_freedom" in entry:
+        more["degrees_of_freedom"] = entry.number("degrees_of_freedom")
+    return _made(entry, name, kind, factor, unit, more), result, asked
+
+
+def _size(key: str) -> tuple[str, str] | None:
+    """`half_width_nm` -> ("half_width", "nm"); `std` is a plain number; None for any other key."""
+    for kind in SIZES:
+        if key == kind or (key.startswith(f"{kind}_") and key not in SIZES):
+            return kind, key[len(kind) + 1 :]
+    return None
+
+
+def _sensitivity(entry: Table, keys: Sequence[str], unit: str, suffix: str) -> tuple[float, str, str]:
+    """Slope in SI per SI, SI unit of the result and its unit as asked for."""
+    if not keys or keys[0] == "sensitivity":
+        return entry.number("sensitivity", 1.0), unit, suffix
+    key, where = keys[0], entry.where
+    match = re.fullmatch(r"sensitivity_(\w+)_per_(\w+)", key)
+    if not match:
+        raise InputError(
+            f"{key!r} of {where} must be 'sensitivity' or 'sensitivity_RESULT_per_INPUT', "
+            "such as sensitivity_nm_per_urad."
+        )
+    (result, up), (given, down) = unit_of(match[1], where), unit_of(match[2], where)
+    if given != unit:
+        raise InputError(f"{key!r} of {where} must be per unit of the source ({unit}), not per {given}.")
+    return entry.number(key) * up / down, result, match[1]
+
+
+def _made(entry: Table, name: str, kind: str, factor: float, unit: str, more: dict[str, Any]) -> Source:
+    """Return the source whose size stands under `kind`, `factor` times SI; `more`: what every kind takes."""
+    if kind in ("std", "expanded"):
+        asked = _only(entry, ("normal", "student"), expanded=kind == "expanded")
+        if kind == "expanded" and "coverage_factor" not in entry:
+            raise InputError(f"An expanded uncertainty of {entry.where} needs its 'coverage_factor'.")
+        k, size = entry.number("coverage_factor", 1.0), entry.number(kind, least=0.0) * factor
+        if asked == "normal":
+            return Source.normal(name, size, unit, k, **more)
+        if "degrees_of_freedom" not in more:
+            raise InputError(f"Student's distribution of {entry.where} needs 'degrees_of_freedom'.")
+        return Source(name, size / k, unit, "student", **more)
+    if kind in ("half_width", "full_width", "resolution"):
+        asked = _only(entry, ("rectangular",) if kind == "resolution" else tuple(DIVISORS))
+        half = entry.number(kind, least=0.0) * factor * (1.0 if kind == "half_width" else 0.5)
+        return getattr(Source, asked)(name, half, unit, **more)
+    _only(entry, ("student",))
+    if not isinstance(entry.raw[kind], list):
+        raise InputError(
+            f"'readings' of {entry.where} must be a list of numbers; instead received {entry.raw[kind]!r}."
+        )
+    values = [number(v, kind, entry.where) * factor for v in entry.raw[kind]]
+    return Source.readings(name, values, unit, **more)
+
+
+def _only(entry: Table, distributions: Sequence[str], *, expanded: bool = False) -> str:
+    """Return the distribution; refuse one that does not belong to the size, and keys without effect."""
+    asked = entry.raw.get("distribution", distributions[0])
+    if asked not in distributions:
+        raise InputError(
+            f"'distribution' of {entry.where} must be {' or '.join(distributions)} for what is stated; "
+            f"instead received {asked!r}{nearest(str(asked), [*distributions])}."
+        )
+    if "coverage_factor" in entry and not expanded:
+        raise InputError(f"'coverage_factor' of {entry.where} has no effect there; take it out.")
+    return str(asked)
+
+
+def _correlation(file: Table, names: Sequence[str]) -> np.ndarray | None:
+    entries = file.tables("correlation", ("between", "coefficient"))
+    matrix = np.eye(len(names))
+    for entry in entries:
+        pair = entry.raw.get("between")
+        if not (isinstance(pair, list) and len(pair) == 2 and pair[0] != pair[1]):
+            raise InputError(f"'between' of {entry.where} must name two sources; instead received {pair!r}.")
+        for name in pair:
+            if name not in names:
+                raise InputError(
+                    f"{entry.where.capitalize()} names {name!r}, which is no source"
+                    f"{nearest(str(name), list(names))}."
+                )
+        i, j = (names.index(name) for name in pair)
+        matrix[i, j] = matrix[j, i] = entry.number("coefficient")
+    return matrix if entries else None
+
+
+def coverage_of(file: Table) -> tuple[float, float | None]:
+    """Return the coverage factor, 2 by default, and the level of a file that may state one of them."""
+    if "coverage_factor" in file and "level" in file:
+        raise InputError(f"In {file.where} give 'coverage_factor' or 'level', not both.")
+    return file.number("coverage_factor", 2.0), file.number("level") if "level" in file else None

@@ -18,6 +18,7 @@ from hallsym.estimation import Fit, decoder
 from hallsym.model.arrays import on_arrays
 from hallsym.uncertainty.gum import Budget
 from hallsym.uncertainty.inputs import (
+    Settings,
     check_fit,
     check_gain,
     independent_inputs,
@@ -28,7 +29,6 @@ from hallsym.uncertainty.inputs import (
     zeros_found,
 )
 from hallsym.uncertainty.position import place, position_budget
-from hallsym.uncertainty.settings import Settings
 
 BATCH = 10_000
 """Trials per batch of the adaptive procedure: JCGM 101, 7.9.4 b."""

@@ -17,8 +17,7 @@ from hallsym.log import Log, batches
 from hallsym.model import Model
 from hallsym.records import named
 from hallsym.uncertainty.gum import Budget, Source
-from hallsym.uncertainty.inputs import Slopes, check_fit, independent_inputs, model_error, slopes
-from hallsym.uncertainty.settings import Settings
+from hallsym.uncertainty.inputs import Settings, Slopes, check_fit, independent_inputs, model_error, slopes
 
 POINTS, SLICES = 41, 5
 """Points along each planar axis of a map, and how many heights it shows, where only a span is given."""
@@ -31,14 +30,11 @@ def position_budget(
     fit: Fit,
     at: Mapping[str, float] | None = None,
     settings: Settings | None = None,
-    *,
-    split: bool = False,
 ) -> dict[str, Budget]:
     """Return one budget per pose coordinate for the position decoded at a pose and vertical state.
 
     `at`: pose or state column -> value in SI, `Model.rest` where not given. The fit covariance is one source,
-    "fit"; with `split` every determined parameter is one, correlated with the others. Raises `InputError`
-    where a gain crosses zero and for a calibration without covariance.
+    "fit". Raises `InputError` where a gain crosses zero and for a calibration without covariance.
     """
     settings = settings or Settings()
     check_fit(fit)
@@ -52,47 +48,19 @@ def position_budget(
         rest = [replace(e.source, sensitivity=float(c[i])) for e, c in zip(listed, by_input, strict=True)]
         unit = column.rpartition("_")[2]
         rest += [Source.normal(n, float(np.sqrt(v[0, i])), unit) for n, v in left.items() if v[0, i] > 0]
-        first, correlation = _fit_sources(fit, column, found.parameters[0, i], split)
+        slope = found.parameters[0, i]
+        from_fit = float(np.sqrt(max(slope @ fit.covariance @ slope, 0.0)))
+        dof = float(fit_degrees_of_freedom(fit, slope))
         budgets[column] = Budget(
             quantity=column,
             unit=unit,
-            sources=(*first, *rest),
+            sources=(Source.normal("fit", from_fit, unit, degrees_of_freedom=dof), *rest),
             coverage=settings.coverage,
             level=settings.level,
-            correlation=None if correlation is None else _padded(correlation, len(rest)),
             value=float(pose[i]),
             turns=column in fit.model.period,
         )
     return budgets
-
-
-def _fit_sources(
-    fit: Fit, column: str, slope: np.ndarray, split: bool
-) -> tuple[list[Source], np.ndarray | None]:
-    """The fit covariance as one source, or parameter by parameter with their correlation."""
-    unit = column.rpartition("_")[2]
-    if not split:
-        whole = float(np.sqrt(max(slope @ fit.covariance @ slope, 0.0)))
-        dof = float(fit_degrees_of_freedom(fit, slope))
-        return [Source.normal("fit", whole, unit, degrees_of_freedom=dof)], None
-    std: np.ndarray = np.sqrt(np.diag(fit.covariance))
-    free = np.flatnonzero(std > 0)
-    sources = [
-        Source(
-            f"fit: {fit.model.names[k]}", float(std[k]), fit.model.parameters[k].unit,
-            sensitivity=float(slope[k]), degrees_of_freedom=float(fit.degrees_of_freedom[k]),
-        )
-        for k in free
-    ]  # fmt: skip
-    return sources, fit.covariance[np.ix_(free, free)] / np.outer(std[free], std[free])
-
-
-def _padded(correlation: np.ndarray, more: int) -> np.ndarray:
-    n = len(correlation)
-    padded = np.eye(n + more)
-    padded[:n, :n] = correlation
-    np.fill_diagonal(padded, 1.0)
-    return padded
 
 
 def fit_degrees_of_freedom(fit: Fit, slope: np.ndarray) -> np.ndarray:
@@ -190,17 +158,6 @@ def _spread(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) -
     return _Spread(total, from_fit, fit_degrees_of_freedom(fit, found.parameters))
 
 
-def expanded_at(
-    fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings, added: np.ndarray | float = 0.0
-) -> np.ndarray:
-    """Return U (s, n_pose) at poses (n_pose, s) and states (n_state, s).
-
-    `added`: (n_pose,) standard uncertainty that joins each coordinate, independent of the others.
-    """
-    spread = _spread(fit, pose, state, settings)
-    return replace(spread, total=spread.total + np.square(added)).expanded(settings)
-
-
 @dataclass(frozen=True, eq=False)
 class UncertaintyMap:
     """U of every pose coordinate on a grid.
@@ -276,7 +233,7 @@ def uncertainty_map(
     pose, state = (
         np.array([at[c] for c in names]).reshape(len(names), size) for names in (model.pose, model.state)
     )
-    flat = expanded_at(fit, pose, state, settings)
+    flat = _spread(fit, pose, state, settings).expanded(settings)
     others = {c: float(v) for c, v in rest.items() if c not in lines}
     U = flat.T.reshape(-1, *mesh[0].shape)
     return UncertaintyMap(model.pose, lines, others, U, settings, model.period)

@@ -94,8 +94,6 @@ def test_readings_are_students():
     source = Source.readings("r", values, "m")
     assert source.std == pytest.approx(stats.sem(values), rel=1e-12)
     assert source.degrees_of_freedom == 3
-    same = Source.scatter("r", float(np.std(values, ddof=1)), 4, "m")
-    assert same.std == pytest.approx(source.std, rel=1e-12)
     drawn = source.draw(np.random.default_rng(2), 20_000) / source.std
     assert stats.kstest(drawn, stats.t(3).cdf).pvalue > 1e-3
     low, high = stats.t.interval(0.95, 3, loc=0, scale=stats.sem(values))

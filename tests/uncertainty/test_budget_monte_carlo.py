@@ -15,17 +15,14 @@ from hallsym.log import Noise, Sigma
 from hallsym.report.text.budget import comparison_sentence
 from hallsym.uncertainty import (
     Budget,
-    Linear,
     Settings,
     Source,
     budget_monte_carlo,
-    decoded_at_random,
-    independent_inputs,
     position_budget,
     position_monte_carlo,
-    propagate,
-    tolerance,
 )
+from hallsym.uncertainty.inputs import independent_inputs
+from hallsym.uncertainty.monte_carlo import Linear, decoded_at_random, propagate, tolerance
 
 SOMEWHERE = {"x_m": 2e-4, "y_m": -3e-4, "rz_rad": 1e-4, "z_m": 2e-4, "rx_rad": -3e-4, "ry_rad": 1e-4}
 

@@ -17,16 +17,14 @@ from hallsym.errors import InputError
 from hallsym.estimation import Fit
 from hallsym.families import adapted
 from hallsym.uncertainty import (
-    Candidate,
-    ModelError,
     Settings,
-    Shape,
     over_log,
     position_budget,
     position_monte_carlo,
     read_model_error,
     uncertainty_map,
 )
+from hallsym.uncertainty.inputs import Candidate, ModelError, Shape
 
 CHANNELS = ("hall_a_m", "hall_b_m", "hall_c_m")
 AT = {"x_m": 1e-4, "y_m": -2e-4, "z_m": 1e-4}

@@ -10,7 +10,7 @@ from hallsym.cli.main import main
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.families.published import bounds
-from hallsym.uncertainty import DIVISORS
+from hallsym.uncertainty.gum import DIVISORS
 from hallsym.uncertainty.ranges import Tolerance, default_tolerances, given_tolerances, read_tolerances
 from hallsym.uncertainty.tolerances import tolerances
 

@@ -229,7 +229,6 @@ def test_limits_beside_the_designed_value_are_an_error_common_to_all(model, some
     expected = 0.15 * np.sqrt((somewhere.pose**2).mean(axis=1))
     assert found.errors.mean == pytest.approx(expected, rel=1e-3)
     rz = found.worth.exact[found.active.index("eta_A"), 2]
-    assert any("grows where" in note for note in found.notes)
     assert rz < -1  # A without the shift that B keeps: their difference is what Rz is made of
 
 
@@ -246,9 +245,7 @@ def test_the_papers_ranking(paper):
 
 def test_the_seed_decides_everything(model, somewhere):
     def numbers(seed: int) -> dict:
-        found = tolerances(model, somewhere, samples=32, seed=seed).to_dict()
-        del found["seconds"]
-        return found
+        return tolerances(model, somewhere, samples=32, seed=seed).to_dict()
 
     np.random.seed(1)  # noqa: NPY002 -- global state takes no part
     one = numbers(0)

@@ -11,15 +11,11 @@ import numpy as np
 from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
-    BEFORE,
-    DASHED,
     FAINT,
     LINE,
     WIDTH,
-    key,
     label_x,
     label_y,
-    legend,
     panels,
     text_width,
 )
@@ -30,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from hallsym.uncertainty import AlongCurve, Budget, UncertaintyMap
+    from hallsym.uncertainty import Budget, UncertaintyMap
 
 MOST_BARS = 12
 """Sources shown one by one; the others are one bar."""
@@ -44,40 +40,15 @@ def save_budget_pictures(
     grid: UncertaintyMap | None = None,
     *,
     worst: bool = False,
-    along: AlongCurve | None = None,
 ) -> list[Path]:
     """Draw `budget.png`, and `uncertainty_map.png` if there is a map; returns the files written.
 
     `worst`: the budgets are those of the worst position of each coordinate, which the picture then says.
-    `along`: of a curve, drawn as `uncertainty_along.png`.
     """
     draw: dict[str, Callable[[], Figure]] = {"budget": lambda: budget_bars(budgets, worst=worst)}
     if grid is not None:
         draw["uncertainty_map"] = lambda: uncertainty_picture(grid)
-    if along is not None:
-        draw["uncertainty_along"] = lambda: along_picture(along)
     return save_figures(draw, folder)
-
-
-def along_picture(along: AlongCurve) -> Figure:
-    """Draw U of each pose coordinate along a curve, with its error and without, and the worst part of it."""
-    across, shown = scale("path_m", float(along.travelled_m[-1]))
-    place, label = across * along.travelled_m, f"length of path [{shown}]"
-    figure = _lines(along.pose, along.total, place, label, along.turning, top=2.1 * LINE)
-    for k, (ax, column) in enumerate(zip(figure.axes, along.pose, strict=True)):
-        factor, _ = scale(column, largest(along.total[k]), along.turning)
-        part = along.worst_part(column)
-        if part is not None:
-            ax.axvspan(across * part[0], across * part[1], color=FAINT, lw=0, zorder=0)
-        ax.plot(place, factor * along.machine[k], color=BEFORE, ls=DASHED)
-        ax.set_xlim(0.0, place[-1])
-    handles = [
-        key("with the curve", color=AFTER),
-        key("machine alone", color=BEFORE, ls=DASHED),
-        key("worst part", color=FAINT, lw=6),
-    ]
-    legend(figure, handles, "upper left", ncols=3)
-    return figure
 
 
 def budget_bars(budgets: Mapping[str, Budget], *, worst: bool = False) -> Figure:

@@ -6,7 +6,7 @@ import numpy as np
 
 from hallsym.report.tables import grid
 from hallsym.trajectory import CurveCost
-from hallsym.uncertainty import AlongCurve, Budget, Comparison, Recorded, Source
+from hallsym.uncertainty import Budget, Comparison, Recorded, Source
 from hallsym.units import UNITS, fitting, readable, reading_unit
 
 _SMALL = 5e-5
@@ -122,14 +122,14 @@ def recorded_text(recorded: Recorded, title: str) -> str:
     return grid(rows, left=2)
 
 
-def curve_cost_text(cost: CurveCost, where: str = "") -> str:
-    """Return what a curve adds, and what control points are worth; `where`: the place that it is said of."""
+def curve_cost_text(cost: CurveCost) -> str:
+    """Return what a curve adds, and what control points are worth."""
     factor, unit = fitting("m", cost.total_m)
     error, kind = cost.curve.max_error_m or 0.0, cost.curve.error_kind or "stated"
     lines = [
         f"curve: {cost.curve.method}, {cost.curve.control_points} control points, error "
         f"{_length(error)} ({kind})",
-        f"it adds {_length(cost.growth_m)} to U{where}: {cost.total_m * factor:.4g} {unit} instead of "
+        f"it adds {_length(cost.growth_m)} to U: {cost.total_m * factor:.4g} {unit} instead of "
         f"{cost.machine_m * factor:.4g} {unit} (k = {cost.coverage:.3g})",
     ]
     if cost.rows:
@@ -145,19 +145,6 @@ def curve_cost_text(cost: CurveCost, where: str = "") -> str:
         lines.append(f"{found.control_points} control points are enough: the curve adds at most 2 %.")
     lines.append(f"A curve with an error of up to {_length(cost.allowed_m)} adds at most 2 %.")
     return "\n".join(lines)
-
-
-def along_text(along: AlongCurve, title: str) -> str:
-    """Return U along a curve: rms, worst, the part of the path where it is, and what the curve adds there."""
-    rows = [[title, "unit", "rms", "worst", "without curve", "worst part of the path [mm]", "at"]]
-    for row, column in enumerate(along.pose):
-        factor, unit, _ = readable(column, along.turning)
-        k, part = along.worst(column), along.worst_part(column)
-        sizes = (np.sqrt(np.mean(along.total[row] ** 2)), along.total[row, k], along.machine[row, k])
-        where = f"{1e3 * part[0]:.4g} .. {1e3 * part[1]:.4g}" if part else "alike everywhere"
-        words = position_words(along.position(k), along.turning)
-        rows.append([column, unit, *(_three(float(v) * factor) for v in sizes), where, words])
-    return "\n".join([grid(rows, left=2), f"length of path {1e3 * along.travelled_m[-1]:.4g} mm"])
 
 
 def _length(value: float) -> str:

@@ -15,7 +15,7 @@ def tolerances_text(found: Tolerances) -> str:
     return "\n".join(
         [
             f"{found.model.name}: {len(found.active)} tolerances, {found.points} points of the workspace, "
-            f"{found.samples} base samples, seed {found.seed}; {found.seconds:.1f} s",
+            f"{found.samples} base samples, seed {found.seed}",
             "",
             f"errors of the nominal decoder without calibration, {machines} machines drawn",
             error_table(found),
