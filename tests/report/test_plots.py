@@ -1,6 +1,5 @@
 """Pictures: what is drawn is what was measured and fitted, in files that are whole; words are readable."""
 
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -182,43 +181,23 @@ def test_pictures_are_whole_files_in_their_own_style(log: Log, fitted: Fit, tmp_
     assert sorted(p.name for p in (tmp_path / "new" / "folder").iterdir()) == sorted(p.name for p in written)
 
 
-def test_every_kind_of_file_names_its_source(fitted: Fit, tmp_path: Path) -> None:
-    draw = {"parameters": lambda: plots.parameters(fitted)}
-    places = [Place(tmp_path, kind, "campaign/log.parquet, stage31") for kind in ("png", "pdf", "svg")]
-    png, pdf, svg = (save_figures(draw, place)[0] for place in places)
-    assert "campaign/log.parquet, stage31" in svg.read_text(encoding="utf-8")
-    assert pdf.read_bytes().startswith(b"%PDF")
-    (bare,) = save_figures(draw, tmp_path / "bare")
-    sizes = [[int.from_bytes(p.read_bytes()[k : k + 4], "big") for k in (16, 20)] for p in (png, bare)]
-    assert sizes[0][0] == sizes[1][0] == round(WIDTH * DPI)
-    assert sizes[0][1] > sizes[1][1]  # a line of its own, nothing written over
-    assert DPI == 300
-    first = [path.read_bytes() for path in (png, pdf, svg)]
-    assert [save_figures(draw, place)[0].read_bytes() for place in places] == first
+def test_every_kind_of_file_names_its_source_and_is_the_same_every_time(fitted: Fit, tmp_path: Path) -> None:
+    for kind, start in (("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")):
+        place = Place(tmp_path, kind, "campaign/log.parquet, stage31")
+        first, again = (
+            save_figures({"parameters": lambda: plots.parameters(fitted)}, place)[0].read_bytes()
+            for _ in "ab"
+        )
+        assert first.startswith(start)
+        assert first == again
+        assert kind != "svg" or b"campaign/log.parquet, stage31" in first
 
 
 def test_a_folder_that_cannot_be_is_one_sentence(log: Log, fitted: Fit, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     with pytest.raises(InputError, match=r"^Cannot make the folder .*file.*\.$"):
         plots.save_pictures(log, fitted, tmp_path / "file" / "pictures")
-    with pytest.raises(InputError, match=r"^Cannot make the folder .*file.*\.$"):
-        plots.save_pictures(log, fitted, tmp_path / "file")
     assert (tmp_path / "file").read_text() == "mine"
-
-
-def test_no_half_written_picture(
-    log: Log, fitted: Fit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(figure: object, place: object, path: Path) -> None:
-        path.write_bytes(b"\x89PNG half")
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("hallsym.report.figures.saving." + "_write", full)
-    (tmp_path / "measured.png").write_bytes(b"old")
-    with pytest.raises(InputError, match=r"Cannot write .*measured\.png: the disk is full"):
-        plots.save_pictures(log, fitted, tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["measured.png"]
-    assert (tmp_path / "measured.png").read_bytes() == b"old"
 
 
 def test_wiring_of_the_fit_is_applied(
@@ -243,20 +222,6 @@ def test_wiring_of_the_fit_is_applied(
         plots.save_pictures(swapped, wired, tmp_path)
     np.testing.assert_array_equal(seen[0].array(a), log.array(a))
     np.testing.assert_array_equal(seen[0].array(b), log.array(b))
-
-
-def test_what_takes_long_to_import_is_imported_only_where_it_is_used() -> None:
-    late = ("matplotlib", "scipy.stats", "scipy.optimize", "scipy.interpolate", "pyarrow", "h5py", "SALib")
-    script = "import sys, hallsym.cli.main, hallsym.report.figures; print(*sys.modules)"
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        cwd=Path(__file__).parents[2],
-        check=True,
-        capture_output=True,
-        text=True,
-    )
-    assert "hallsym.report.figures" in done.stdout.split()
-    assert not {*late} & {*done.stdout.split()}
 
 
 # -- an evaluation and a diagnosis -----------------------------------------------------------------------
@@ -324,11 +289,6 @@ def test_a_log_without_a_gap_has_pictures_too(tmp_path: Path) -> None:
     assert quiet.after is None
     stems = [path.stem for path in plots.save_diagnosis(quiet, tmp_path)]
     assert stems[:2] == ["errors_before_after", "gap"]
-
-
-def test_comparing_draws_nothing(capsys) -> None:
-    assert main(["diagnose", "--compare", "a.json", "b.json", "--plots", "pictures"]) == 2
-    assert "leave --plots out" in capsys.readouterr().err
 
 
 # -- traces ----------------------------------------------------------------------------------------------

@@ -13,11 +13,10 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from hallsym.inference import VERDICTS, Identifiability
+from hallsym.inference import Identifiability
 from hallsym.report.data.fit import blocks
 from hallsym.report.figures.sensitivity import LOOKS, correlation, drawable, effects, ends_in_words, profiles
 from hallsym.report.figures.style import STYLE, broken, text_width
-from hallsym.report.words import digits
 
 
 @pytest.fixture(autouse=True)
@@ -94,26 +93,6 @@ def test_blocks_join_parameters_along_chains() -> None:
     assert blocks(r) == [[0, 3, 4], [1]]
 
 
-def test_many_parameters_are_squares_on_both_sides_without_numbers(full: Identifiability) -> None:
-    n = 48
-    model = full.model
-    many = replace(model, parameters=tuple(replace(model.parameters[0], name=f"p{k}") for k in range(n)))
-    rng = np.random.default_rng(1)
-    a = rng.standard_normal((n, n))
-    r = a @ a.T
-    r /= np.sqrt(np.outer(np.diag(r), np.diag(r)))
-
-    class Many:
-        model = many
-        correlation = r
-        parameters = tuple(replace(full.parameters[0], name=name) for name in many.names)
-
-    figure = correlation(Many())  # type: ignore[arg-type]
-    assert not figure.axes[0].texts
-    assert sum(len(c.get_paths()) for c in figure.axes[0].collections[:2]) == n * (n - 1)
-    reports.inside(figure)
-
-
 # -- effects ---------------------------------------------------------------------------------------------
 
 
@@ -145,18 +124,6 @@ def test_bars_of_effects_end_at_what_the_report_says(odd: Identifiability) -> No
         levels = [line.get_xdata()[0] for line in ax.lines if line.get_ls() == "--"]
         assert levels == pytest.approx([1e6 * floor])
     assert words(figure) == [e.verdict.word for e in rows]
-
-
-def test_a_change_too_small_to_draw_is_a_mark_at_the_edge_and_none_is_nothing(level: Identifiability) -> None:
-    figure = effects(level)
-    for ax, column in zip(figure.axes, level.model.pose, strict=True):
-        least = 1e-3 * level.outputs[column].noise_floor
-        every = [e.percent.worst[column] for e in level.parameters]
-        every += [e.sigma.worst[column] for e in level.parameters if e.sigma]
-        marks = [line for line in ax.lines if line.get_marker() == "<"]
-        assert len(marks) == sum(0 < v <= least for v in every)
-        assert len(ax.patches) == sum(v > least for v in every)
-    assert 0.0 in [e.percent.worst["x_m"] for e in level.parameters], "a, b, c do nothing at constant height"
 
 
 # -- profiles --------------------------------------------------------------------------------------------
@@ -269,11 +236,6 @@ def test_pictures_that_have_nothing_to_show_are_not_drawn() -> None:
     assert drawable(replace(plan, correlation=np.full((21, 21), np.nan))) == [effects]
 
 
-def test_every_verdict_has_a_look_of_its_own() -> None:
-    assert set(LOOKS) == set(VERDICTS)
-    assert len({look.marker + str(look.filled) for look in LOOKS.values()}) == len(LOOKS)
-
-
 def test_broken_lines_fit_and_lose_no_word() -> None:
     text = " ".join(f"parameter_{k}," for k in range(40))
     lines = broken(text, 3.0)
@@ -281,19 +243,3 @@ def test_broken_lines_fit_and_lose_no_word() -> None:
     assert max(map(text_width, lines)) <= 3.0
     assert " ".join(line.strip() for line in lines) == text
     assert broken("unbreakablylongword", 0.1) == ["unbreakablylongword"]
-
-
-@pytest.mark.parametrize(
-    ("value", "half", "text"),
-    [
-        (0.86677703, 0.0002, "0.86678"),
-        (-189.416, 1.8, "\N{MINUS SIGN}189.4"),
-        (np.inf, 1.0, "∞"),
-        (-np.inf, 0.0, "\N{MINUS SIGN}∞"),
-        (np.nan, 1.0, "unknown"),
-        (0.85, 0.0, "0.85"),
-        (12345.6, 200.0, "12346"),
-    ],
-)
-def test_numbers_have_the_digits_of_their_interval(value: float, half: float, text: str) -> None:
-    assert digits(value, half) == text

@@ -53,14 +53,6 @@ def test_a_table_fits_and_keeps_every_word(wide, width):
     assert set(words_of(text)) >= set(expected)
 
 
-def test_headers_are_folded_before_columns_are_moved(wide):
-    wide(40)
-    head = ["errors", "rmse x [um]", "rmse y [um]", "peak x [um]"]
-    lines = grid([head, ["fitted", "1.362", "1.541", "6.293"]]).split("\n")
-    assert lines[-1].split() == ["fitted", "1.362", "1.541", "6.293"]
-    assert " ".join(lines[:-2]).count("[um]") == 3
-
-
 def test_columns_that_do_not_fit_follow_in_blocks_with_the_names_of_the_rows(wide):
     wide(40)
     rows = [["run", *(f"column_{k:04d}" for k in range(9))], ["first", *map(str, range(9))]]
