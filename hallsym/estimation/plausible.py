@@ -9,13 +9,12 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.estimation.likelihood import Cost
-from hallsym.estimation.responses import coupling_of, products_of, responses_of
+from hallsym.estimation.responses import coupling_of, responses_of
 from hallsym.estimation.start import LinearFit
 from hallsym.log import Log
 from hallsym.log.quality.explain import Explanation
 from hallsym.log.quality.findings import Finding
 from hallsym.log.quality.gains import judge_gains, said
-from hallsym.log.quality.runs_against_model import judge_runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +54,7 @@ def judge(
     if seen is None:
         return Judgement()
     gains = judge_gains(log, seen, holdout, _moved(coupling_of(merged, linear), everything))
-    if gains.findings:
-        return Judgement(gains.findings, gains.whole)
-    return Judgement(tuple(judge_runs(log, seen.model, products_of(everything, merged, linear), holdout)))
+    return Judgement(gains.findings, gains.whole)
 
 
 def _moved(coupling: np.ndarray | None, everything: Cost) -> np.ndarray | float:

@@ -5,7 +5,7 @@ import numpy as np
 from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.run_statistics import RunStatistics, projected
 from hallsym.estimation.start import MOVED, LinearFit
-from hallsym.log.quality.gains import Products, Responses
+from hallsym.log.quality.gains import Responses
 from hallsym.model.features import Features
 
 SHARE, CLEAR = 0.02, 0.1
@@ -131,16 +131,3 @@ def coupled_features(features: Features) -> tuple[np.ndarray, np.ndarray] | None
                 return None
             out[j, n] = where[tuple(row.tolist())]
     return np.array(index), out
-
-
-def products_of(cost: Cost, merged: Cost, linear: LinearFit) -> Products:
-    """Return the products of columns that moved, of each run, freed of what a run has of its own."""
-    summary, inner = cost.summary, cost.summary.features.size - cost.summary.features.n_zero
-    X, Y = summary.projected[:, :, :inner][:, :, linear.moved], summary.projected[:, :, inner:]
-    C, transposed = linear.coefficients, np.swapaxes(X, 1, 2)
-    of_references = np.einsum("fk,fg,gk->k", C, merged.noise_in_features[0], C)
-    squares = np.einsum("rik,rik->rk", Y, Y)
-    return Products(
-        summary.runs, transposed @ X, transposed @ Y, squares, summary.counts,
-        cost.reading_variance + of_references, of_references,
-    )  # fmt: skip

@@ -117,15 +117,15 @@ def test_two_explanations_are_both_named_and_the_other_is_a_note_where_one_is_ta
 
 @pytest.mark.parametrize(("factor", "refused"), [(0.5, True), (0.57, False), (1.7, False), (1.9, True)])
 def test_a_gain_of_one_run_is_that_of_another_machine_beyond_a_factor(six, factor, refused):
-    """From .53 to 1.8 an effect may make it: a note; no effect makes more."""
+    """From .53 to 1.8 an effect may make it, and the fit says where it does not describe the log."""
     first = six["run"] == 0
     log = log_of(six | {"hall_a_m": np.where(first, factor, 1.0) * six["hall_a_m"]})
     if refused:
         with pytest.raises(InputError, match=r"In run 0 .* hall_a_m changes by .* where 0.873 is usual"):
             fit(log, "stage31", solver="direct")
     else:
-        notes = fit(log, "stage31", solver="direct").notes
-        assert any("In run 0 " in note and "the gain of hall_a_m differs by" in note for note in notes)
+        found = fit(log, "stage31", solver="direct").goodness
+        assert (found.material, found.worst_run, found.worst_channel) == (True, 0, "hall_a_m")
 
 
 @pytest.mark.parametrize(
@@ -144,74 +144,6 @@ def test_a_run_is_another_s_where_its_references_explain_less_than_half(six, usu
     except InputError as error:
         notes = (str(error),)
     assert any("In run 0 " in n and "explain less than half of the readings" in n for n in notes) is refused
-
-
-@pytest.fixture(scope="module")
-def campaign():
-    truth = published.values("table7_estimates")
-    return simulate(build("stage31"), truth, paper_campaign(step_s=1e-2), NoiseModel(SIGMA), seed=1)
-
-
-def gains(rows, **changes):
-    """Return what multiplies gains of channels in the runs that `rows` chooses, and adds noise [m]."""
-
-    def change(arrays):
-        here, rng = rows(arrays["run"]), np.random.default_rng(3)
-        out = {f"hall_{c}_m": np.where(here, 1 + v, 1) for c, v in changes.items() if c != "noise"}
-        out = {c: arrays[c] * v for c, v in out.items()}
-        more = here * changes.get("noise", 0.0) * rng.standard_normal(len(here))
-        return arrays | out | {"hall_a_m": out["hall_a_m"] + more}
-
-    return change
-
-
-def louder(share):
-    """Return what adds noise to all readings, whose variance is a share of the stated one."""
-
-    def change(arrays):
-        rng = np.random.default_rng(5)
-        rows = len(arrays["run"])
-        return arrays | {c: arrays[c] + np.sqrt(share) * SIGMA[c] * rng.standard_normal(rows) for c in HALL}
-
-    return change
-
-
-def both(one, other):
-    return lambda arrays: other(one(arrays))
-
-
-def at(run):
-    return lambda runs: runs == run
-
-
-def since(run):
-    return lambda runs: runs >= run
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (gains(since(30), a=0.022), None),  # a mount may slip so far
-        (gains(since(30), a=0.045), r"The gain of hall_a_m .* changes by \+4.4 % from run 30"),
-        (gains(at(0), a=0.006), None),  # by chance
-        (gains(at(0), a=0.0075), r"In run 0 .* the gain of hall_a_m differs by \+0.7\d? %"),
-        (gains(at(30), a=0.1, b=0.014), r"In run 30 .* the gain of hall_a_m differs by \+10 %"),
-        (gains(at(30), a=0.1, b=0.03), r"In run 30 .* hall_a_m and hall_b_m differ by \+10 % and \+3 %"),
-        (gains(at(30), a=0.02, noise=3e-6), r"In run 30 .* the gain of hall_a_m differs by \+1.8 %"),
-        (gains(at(30), a=0.02, noise=4e-6), None),  # its noise is another: that is for goodness of fit
-        (gains(since(30), a=0.1, b=0.045), r"The gain of hall_a_m .* changes by \+9.6 % from run 30"),
-        (gains(since(30), a=0.1, b=0.06), None),  # another channel goes along
-        (both(gains(at(12), a=0.1), gains(at(30), a=0.027)), r"In run 12 .* hall_a_m differs by \+9.8 %"),
-        (both(gains(at(12), a=0.1), gains(at(30), a=0.037)), None),  # another run does not belong either
-        (both(gains(at(0), a=0.009), louder(0.4)), r"In run 0 .* hall_a_m differs by \+0.84 %"),
-        (both(gains(at(0), a=0.009), louder(0.5)), None),  # neither do the other runs agree
-    ],
-)  # fmt: skip
-def test_a_run_that_the_others_contradict(campaign, change, says):
-    notes = fit(log_of(change(campaign)), "stage31", solver="direct", loss="none").notes
-    found = [note for note in notes if "gain" in note]
-    assert len(found) == (says is not None), notes
-    assert says is None or re.search(says, found[0])
 
 
 FULL = (300e-6, 500e-6, 300e-6)
@@ -245,50 +177,21 @@ def in_run_2(arrays, change):
     return arrays | {"hall_a_m": values}
 
 
-def with_y(arrays, size):
-    """Run 2 of hall_a_m has a part of y that its own motion does not have."""
-    y = arrays["y_ref_m"][arrays["run"] == 2]
-
-    def change(values):
-        known, other = values - values.mean(), y - y.mean()
-        return values + size * (other - known * (other @ known) / (known @ known))
-
-    return in_run_2(arrays, change)
-
-
 def buried(share):
     """Run 2 of hall_a_m has 1.5 times as much noise as motion."""
     rng = np.random.default_rng(1)
     return in_run_2(quiet(share), lambda v: v + 1.5 * v.std() * rng.standard_normal(len(v)))
 
 
-GAIN, SIGN = (
-    r"In run \d .* the gain of hall_a_m differs by",
-    r"In run 2 .* the sign of hall_a_m looks inverted",
-)
-
-
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: gains(at(2), a=0.01)(shaken(lambda _: FULL, samples=4000)), None),  # significant, and small
-        (lambda: gains(at(2), a=0.014)(shaken(lambda _: FULL, samples=4000)), GAIN),
-        (
-            lambda: gains(at(1), a=0.05)(shaken(lambda _: FULL, runs=4)),
-            None,
-        ),  # three others do not outvote it
-        (lambda: gains(at(1), a=0.05)(shaken(lambda _: FULL, runs=5)), GAIN),
-        (lambda: with_y(shaken(lambda _: FULL), 0.22), None),
-        (lambda: with_y(shaken(lambda _: FULL), 0.34), r"In run 2 .* the readings contradict the model"),
-        (lambda: in_run_2(quiet(0.06), np.negative), GAIN),  # too quiet for its slopes to say why
-        (lambda: in_run_2(quiet(0.08), np.negative), SIGN),
-        (lambda: in_run_2(quiet(0.033), np.negative), r"In run 2 .* the readings contradict the model"),
-        (lambda: in_run_2(quiet(0.05), np.negative), GAIN),
+        (lambda: in_run_2(quiet(0.08), np.negative), "In run 2 .* the sign of hall_a_m looks inverted"),
         (lambda: buried(0.09), None),
-        (lambda: buried(0.12), r"In run 2 .* explain less than half"),
+        (lambda: buried(0.12), "In run 2 .* explain less than half"),
     ],
 )
-def test_a_run_is_odd_where_it_is_heard_and_enough_others_say_so(make, says):
+def test_a_run_is_odd_where_it_is_heard(make, says):
     try:
         found = fit(log_of(make()), "stage31", solver="direct", loss="none").notes
     except InputError as error:

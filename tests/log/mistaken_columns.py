@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from mistakes import READINGS, REFERENCES, VERTICAL, Arrays, Make, Mistake, both, of_run, scale
+from mistakes import READINGS, REFERENCES, Arrays, Make, Mistake, both, of_run, scale
 
 DEGREE = 180 / np.pi
 
@@ -47,15 +47,6 @@ def resampled(columns: tuple[str, ...], source: int, to: int) -> Make:
             values, rows = arrays[name][of_run(source)(arrays)], of_run(to)(arrays)
             at = np.linspace(0.37, len(values) - 1.21, rows.stop - rows.start)
             arrays[name][rows] = np.interp(at, np.arange(len(values)), values)
-
-    return make
-
-
-def from_time(column: str, t_s: float, factor: float) -> Make:
-    """Change the gain of a channel from some moment on."""
-
-    def make(arrays: Arrays) -> None:
-        arrays[column][arrays["t_s"] >= t_s] *= factor
 
     return make
 
@@ -131,53 +122,6 @@ RUNS = (
         resampled(REFERENCES, 1, 3),
         r"In run 3 .* per \w+ where .* is usual.*correct it",
         on=("57 runs",),
-    ),
-    seen(
-        "vertical state of another run",
-        resampled(VERTICAL, 12, 3),
-        r"In run 3 .*gains of hall_a_m and hall_b_m differ by \+9.*z_m, rx_rad and ry_rad of another run",
-        "note",
-        on=("57 runs",),
-    ),
-    seen(
-        "vertical state of another run",
-        resampled(VERTICAL, 2, 4),
-        r"In run 4 .*gains of hall_a_m, .* z_m, rx_rad and ry_rad of another run",
-        "note",
-        on=("6 runs",),
-    ),
-    seen(
-        "a run of another mount",
-        in_run(3, both(scale("hall_a_m", 1.06), scale("hall_b_m", 0.94))),
-        r"In run 3 .*gains of hall_a_m and hall_b_m differ by \+\S+ % and -\S+ %.*machine or mount.*correct",
-        "note",
-    ),
-    seen(
-        "a gain that changes in a run",
-        in_run(3, scale("hall_b_m", 1.05)),
-        r"In run 3 .*the gain of hall_b_m differs by \+5 %: its range",
-        "note",
-    ),
-    seen(
-        "a gain that steps between runs",
-        from_time("hall_b_m", 60.0, 1.1),
-        r"gain of hall_b_m .*changes by \+9\.5 % from run 30 \(60 s\) on: check",
-        "note",
-        on=("57 runs",),
-    ),
-    seen(
-        "a gain that steps in a run",
-        from_time("hall_b_m", 60.5, 0.8),
-        r"gain of hall_b_m .*changes by -2\d % from run 30 \(\S* ?6[01]\S* s\) on: check",
-        "note",
-        on=("57 runs",),
-    ),
-    seen(
-        "a gain that steps",
-        from_time("hall_b_m", 6.0, 1.1),
-        r"gain of hall_b_m .*changes by \+\S+ % from run 3 \(6 s\) on: check",
-        "note",
-        on=("6 runs",),
     ),
 )
 CLOCKS = tuple(

@@ -86,39 +86,6 @@ class Responses:
         return np.asarray(left / np.maximum(self.total, 1e-300))
 
 
-@dataclass(frozen=True, eq=False)
-class Products:
-    """Products of columns by run: features (runs, f, f), with readings (runs, f, K), of readings (runs, K).
-
-    `counts`: samples (runs,). `variance`: (K,) of a residual, by the noise of readings and references;
-    `of_references`: the part of the latter.
-    """
-
-    runs: tuple[int, ...]
-    features: np.ndarray
-    readings: np.ndarray
-    squares: np.ndarray
-    counts: np.ndarray
-    variance: np.ndarray
-    of_references: np.ndarray
-
-    def coefficients(self, weights: np.ndarray) -> np.ndarray:
-        """Return least squares of weighted runs, (m, runs) -> (m, f, K)."""
-        square = np.tensordot(weights, self.features, axes=1)
-        right = np.tensordot(weights, self.readings, axes=1)
-        scale = 1.0 / np.sqrt(np.maximum(np.einsum("...jj->...j", square), 1e-300))
-        outer = scale[..., :, None] * scale[..., None, :]
-        inverse = np.linalg.pinv(square * outer, rcond=1e-10, hermitian=True)
-        return np.asarray(scale[..., :, None] * (inverse @ (scale[..., :, None] * right)))
-
-    def chi_squares(self, coefficients: np.ndarray) -> np.ndarray:
-        """Return chi-square of each run and channel, (m, f, K) -> (m, runs, K)."""
-        cross = np.einsum("mfk,rfk->mrk", coefficients, self.readings)
-        inner = self.features @ coefficients[:, None]
-        square = np.einsum("mfk,mrfk->mrk", coefficients, inner)
-        return np.maximum(self.squares - 2 * cross + square, 0.0) / self.variance
-
-
 VARIES = 0.2
 """Share of the largest slope of a reference by which slopes of one run may differ from those of the others:
 temperature and effects move gains that far, beside what the log says of its state columns."""
@@ -304,19 +271,17 @@ def _by_run(
             text = text if foreign[r] else _odd(near, model)
         groups.setdefault(text, []).append(seen.runs[r])
     for text, runs in groups.items():
-        yield run_finding(log, runs, text, holdout)
+        yield _run_finding(log, runs, text, holdout)
 
 
-def run_finding(
-    log: Any, runs: Sequence[int], text: str, holdout: Collection[int], refuse: bool = True
-) -> Finding:
+def _run_finding(log: Any, runs: Sequence[int], text: str, holdout: Collection[int]) -> Finding:
     """Return what is wrong with runs: a refusal unless all of them are held out."""
     them, used = "it" if len(runs) == 1 else "them", [run for run in runs if run not in holdout]
     leave = f"leave {them} out with --holdout {','.join(map(str, used[:NAMED]))}"
     remedy = f"correct {them}, or {leave}" if used else f"correct {them} before judging a fit by {them}"
     whole, short = (f"In {few(runs)}{of} {text}, beside the other runs" for of in (f" of {name_of(log)}", ""))
     fits = len(whole) + len(remedy) + len(": .") <= LONGEST
-    return Finding(whole if fits else short, refuse and bool(used), remedy=remedy)
+    return Finding(whole if fits else short, bool(used), remedy=remedy)
 
 
 def _near(seen: Responses, usual: Slopes, r: int, varies: np.ndarray) -> Slopes:
