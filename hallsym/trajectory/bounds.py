@@ -1,26 +1,32 @@
 """How far a curve is from the nominal one everywhere: bounded between the points, not sampled.
 
-The range is cut into parts. In each, the difference of both curves is its Taylor polynomial at the middle
-plus what that can miss, enclosed by interval arithmetic; parts that may hold the largest error are cut again.
+In a part of the range the difference of both is its Taylor polynomial at the middle plus a remainder that
+ball arithmetic (Arb, in python-flint; Johansson, IEEE Trans. Comput. 66 (2017) 1281) encloses; the part that
+may hold the largest error is cut again. The curve is the exact one of its stored numbers.
 """
 
 from __future__ import annotations
 
+import heapq
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.trajectory.curve import Curve
-from hallsym.trajectory.forms import SplineForm
-from hallsym.trajectory.intervals import Interval
+from hallsym.trajectory.curve import Curve, SplineForm
 from hallsym.trajectory.nominal import Nominal
 
 Array = np.ndarray
-ORDER = 8
-MOST_PARTS = 20_000
-ROUNDS = 12
-UNIT = 2.0**-53
+ORDER = 9
+"""Of the Taylor polynomials; python-flint computes up to this power unless told otherwise."""
+BITS = 128
+LEAST = 1e-30
+"""Errors below this [m, rad] are not told apart."""
+MOST_PARTS = 100_000
+NARROWEST = 1e-9
+"""Share of the range below which a part without a bound is not cut again."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +34,7 @@ class Bound:
     """The largest error lies between `at_least` and `at_most`; `where` is the parameter of the former.
 
     Lengths in m: distance of the two points at the same parameter, or, for a polyline, from its chord.
-    `rotation_rad`: the same bound of the largest error of an angle, None without one.
+    `rotation_rad`: upper bound of the largest error of an angle, None without one.
     """
 
     at_least: float
@@ -42,97 +48,113 @@ def bound(
 ) -> Bound:
     """Return the bound of the error of `curve` over its range, or over `span`.
 
-    `rel`: how close `at_most` shall come to `at_least`; refining ends sooner where the arithmetic of float64
-    is all that is left. Raises `InputError` if other coordinates are stated or nothing can be bounded.
+    `rel`: how close `at_most` shall come to `at_least`. Raises `InputError` if other coordinates are stated
+    or nothing can be bounded.
     """
     if curve.coordinates != nominal.coordinates:
         raise InputError(
             f"The curve gives {', '.join(curve.coordinates)}, the nominal one "
             f"{', '.join(nominal.coordinates)}."
         )
-    first, last = span or (curve.start, curve.stop)
-    edges = curve.parts(min(max(64, 4 * curve.control_points), 4096))
+    first, last = curve.inner(np.array(span or (curve.start, curve.stop))).tolist()
+    edges = curve.form.edges(64)
     edges = np.r_[first, edges[(edges > first) & (edges < last)], last]
-    low, high = edges[:-1], edges[1:]
-    best, where, settled, angle, before = 0.0, float(low[0]), 0.0, 0.0, np.inf
-    for turn in range(ROUNDS + 1):
-        upper, lower, rotation = _parts(curve, nominal, low, high)
-        k = int(np.argmax(lower))
-        if lower[k] > best:
-            best, where = float(lower[k]), float((low[k] + high[k]) / 2)
-        again = upper > max(best * (1 + rel), settled)
-        worst = float(upper.max())
-        if turn == ROUNDS or 3 * np.count_nonzero(again) > MOST_PARTS or worst > 0.95 * before:
-            again[:] = False  # smaller parts would show no more: what is left is rounding
-        before = worst if turn else np.inf
-        settled = max(settled, float(upper[~again].max(initial=0.0)))
-        angle = max(angle, float(rotation[~again].max(initial=0.0)))
-        if not again.any():
-            break
-        cuts = low[again] + np.arange(4)[:, None] / 3 * (high - low)[again]
-        cuts[3] = high[again]
-        low, high = cuts[:-1].ravel(), cuts[1:].ravel()
-    if not np.isfinite(settled):
-        raise InputError(
-            "The error between the points cannot be bounded: the curve or its nominal expression has a "
-            "pole, a corner or a root of 0 in its range."
-        )
+    parts = [_Part.of(curve, nominal, a, b) for a, b in pairwise(edges.tolist())]
+    best = max(parts, key=lambda part: part.lower)
+    tried = len(parts)
+    heapq.heapify(parts)
+    while parts[0].upper > max(best.lower * (1 + rel), LEAST):
+        worst = heapq.heappop(parts)
+        cuts = np.linspace(worst.low, worst.high, 4)
+        tried += 3
+        if worst.high - worst.low < NARROWEST * (last - first) or tried > MOST_PARTS:
+            raise InputError(
+                "The error between the points cannot be bounded: the curve or its nominal expression has a "
+                "pole, a corner or a root of 0 in its range."
+            )
+        for a, b in pairwise(cuts.tolist()):
+            part = _Part.of(curve, nominal, a, b)
+            best = max(best, part, key=lambda part: part.lower)
+            heapq.heappush(parts, part)
+    angle = max(part.rotation for part in parts)
     has_angle = len(curve.lengths) < len(curve.coordinates)
-    return Bound(best, settled, where, angle if has_angle else None)
+    where = curve.outer((best.low + best.high) / 2)
+    return Bound(best.lower, parts[0].upper, where, angle if has_angle else None)
 
 
-def _parts(curve: Curve, nominal: Nominal, low: Array, high: Array) -> tuple[Array, Array, Array]:
-    """Upper and lower bound of the largest distance in each part, and upper bound of the angles' errors."""
+@dataclass(frozen=True)
+class _Part:
+    """Part of the form's parameter, with bounds of the largest distance and of the angles' errors in it."""
+
+    low: float
+    high: float
+    upper: float
+    lower: float
+    rotation: float
+
+    def __lt__(self, other: _Part) -> bool:
+        """Order by the upper bound, the largest first."""
+        return self.upper > other.upper
+
+    @classmethod
+    def of(cls, curve: Curve, nominal: Nominal, low: float, high: float) -> _Part:
+        """Bound the difference of both curves from `low` to `high`."""
+        middle, half = _around(low, high)
+        try:
+            thin, wide = (_difference(curve, nominal, at) for at in _arguments(middle, half))
+        except (ValueError, ZeroDivisionError):  # a division by what may be 0
+            return cls(low, high, np.inf, 0.0, np.inf)
+        lengths = curve.lengths
+        turning = [k for k in range(len(thin)) if k not in lengths]
+        reach = sizes(thin, wide) @ half ** np.arange(ORDER + 1.0)
+        rotation = float(reach[turning].max(initial=0.0))
+        apart = across = [thin[k] for k in lengths], [wide[k] for k in lengths]
+        if is_polyline(curve):
+            across, within = _across(curve, middle, half, *apart)
+            apart = across if within else apart
+        upper = np.linalg.norm(sizes(*apart) @ half ** np.arange(ORDER + 1.0)) * (1 + 1e-12)
+        lower = np.linalg.norm([float(c[0].abs_lower()) for c in across[0]]) * (1 - 1e-12)
+        return cls(low, high, float(np.nan_to_num(upper, nan=np.inf)), float(np.nan_to_num(lower)), rotation)
+
+
+def _around(low: float, high: float) -> tuple[float, float]:
+    """Middle of a part, and how far its ends are from there at most."""
     middle = (low + high) / 2
-    half = np.maximum(high - middle, middle - low) * (1 + 4 * UNIT)
-    around = Interval(middle - half, middle + half)
-    thin = nominal.taylor(Interval.of(middle), ORDER - 1)
-    wide = nominal.taylor(around, ORDER)
-    inner, rate = curve.inner(middle), curve.rate
-    terms, missed = curve.form.taylor(inner, half * rate * (1 + 4 * UNIT), ORDER)
-    # the form's own parameter is rounded: that moves the point along the curve
-    shift = 6 * UNIT * np.maximum(np.abs(inner), 1.0)
-    missed = missed + shift[:, None] * np.abs(terms[1]) * 2
-    scale = rate ** np.arange(ORDER)
-    powers = half ** np.arange(ORDER)[:, None]
-    centre, radius, values = [], [], []
-    for k in range(len(curve.coordinates)):
-        rest = missed[:, k] + wide[k][ORDER].most * half**ORDER
-        differences = []
-        for j in range(ORDER):
-            own = terms[j][:, k] * scale[j]
-            low_j, high_j = thin[k][j].low - own, thin[k][j].high - own
-            differences.append((low_j + high_j) / 2)
-            rest = rest + ((high_j - low_j) / 2 + 4 * UNIT * np.abs(own)) * powers[j]
-        values.append(differences)
-        centre.append(differences[0])
-        radius.append(rest)
-    e, slack = np.array(values), np.array(radius)  # (d, ORDER, S), (d, S)
-    lengths = curve.lengths
-    turning = [k for k in range(len(e)) if k not in lengths]
-    reach = np.abs(e[:, 1:]) * powers[1:]
-    rotation = (np.abs(e[turning, 0]) + reach[turning].sum(axis=1) + slack[turning]).max(axis=0, initial=0.0)
-    if is_polyline(curve):
-        upper, lower = _from_chord(curve, middle, e[lengths], slack[lengths], powers)
-    else:
-        size = np.abs(e[lengths, 0]) + reach[lengths].sum(axis=1) + slack[lengths]
-        upper = np.sqrt(np.sum(size**2, axis=0))
-        lower = np.sqrt(np.sum(np.maximum(np.abs(e[lengths, 0]) - slack[lengths], 0.0) ** 2, axis=0))
-    return np.where(np.isnan(upper), np.inf, upper * (1 + 8 * UNIT)), np.nan_to_num(lower), rotation
+    return middle, max(high - middle, middle - low) * (1 + 1e-15)
 
 
-def chords(curve: Curve, inner: Array) -> tuple[Array, Array, Array]:
-    """Return piece of a polyline at each parameter of its form, its direction (d, len) and length."""
-    points, knots = curve.form.control[:, curve.lengths], polyline_knots(curve)
-    piece = np.clip(np.searchsorted(knots, inner, side="right") - 1, 0, len(points) - 2)
-    chord = points[piece + 1] - points[piece]
-    long = np.linalg.norm(chord, axis=1)
-    return piece, np.divide(chord, long[:, None], out=np.zeros_like(chord), where=long[:, None] > 0).T, long
+def _arguments(middle: float, half: float) -> tuple[Any, Any]:
+    """The parameter as power series: about the middle, and about any place of the part."""
+    from flint import arb, arb_series
+
+    return arb_series([arb(middle), 1]), arb_series([arb(middle, half), 1])
 
 
-def polyline_knots(curve: Curve) -> Array:
-    """Return the parameters of the corners of a polyline."""
-    return curve.form.knots[1:-1] if isinstance(curve.form, SplineForm) else np.empty(0)
+def _difference(curve: Curve, nominal: Nominal, at: Any) -> list[Any]:
+    """Power series of the curve less the nominal one, by the form's parameter."""
+    from flint import arb, ctx
+
+    with ctx.workprec(BITS):
+        a, b = map(arb, curve.form.domain)
+        t = (at - a) / (b - a) * (arb(curve.stop) - arb(curve.start)) + arb(curve.start)
+        return [p - q for p, q in zip(curve.form.series(at), nominal.series(t), strict=True)]
+
+
+def sizes(thin: list[Any], wide: list[Any]) -> Array:
+    """Upper bounds (d, ORDER + 1) of Taylor coefficients at the middle; the last holds all over the part."""
+    found = [[*(p[k] for k in range(ORDER)), q[ORDER]] for p, q in zip(thin, wide, strict=True)]
+    return np.array([[float(c.abs_upper()) for c in row] for row in found]) * (1 + 1e-15)
+
+
+def bend(curve: Curve, low: float, high: float) -> float:
+    """Return an upper bound of the second derivative of the path by the form's parameter in a part."""
+    from flint import ctx
+
+    middle, half = _around(low, high)
+    with ctx.workprec(BITS):
+        thin, wide = ([curve.form.series(at)[k] for k in curve.lengths] for at in _arguments(middle, half))
+    k = np.arange(2.0, ORDER + 1)
+    return float(np.linalg.norm(sizes(thin, wide)[:, 2:] @ (k * (k - 1) * half ** (k - 2))) * (1 + 1e-12))
 
 
 def is_polyline(curve: Curve) -> bool:
@@ -140,19 +162,28 @@ def is_polyline(curve: Curve) -> bool:
     return isinstance(curve.form, SplineForm) and curve.form.degree == 1
 
 
-def _from_chord(curve: Curve, middle: Array, e: Array, slack: Array, powers: Array) -> tuple[Array, Array]:
-    """Distance from the chord: the error across it, and along it only where it reaches beyond the ends."""
-    inner, knots = curve.inner(middle), polyline_knots(curve)
-    piece, way, long = chords(curve, inner)
-    share = (inner - knots[piece]) / (knots[piece + 1] - knots[piece])
-    slack = np.sqrt(np.sum(slack**2, axis=0)) + 16 * UNIT * np.abs(e).sum(axis=(0, 1))
-    along = np.einsum("ds,dks->ks", way, e)
-    across = e - way[:, None] * along
-    size = np.abs(across[:, 0]) + (np.abs(across[:, 1:]) * powers[1:]).sum(axis=1)
-    moved = np.abs(along[0]) + (np.abs(along[1:]) * powers[1:]).sum(axis=0) + slack
-    half_chord = powers[1] * long / 2 * 2 * curve.rate / np.maximum(knots[piece + 1] - knots[piece], 1e-300)
-    beyond = np.maximum(moved - np.minimum(share, 1 - share) * long + half_chord, 0.0)
-    beyond = np.minimum(beyond, moved)
-    upper = np.hypot(np.sqrt(np.sum(size**2, axis=0)) + slack, beyond)
-    lower = np.maximum(np.sqrt(np.sum(across[:, 0] ** 2, axis=0)) - slack, 0.0)
-    return upper, lower
+def _across(
+    curve: Curve, middle: float, half: float, thin: list[Any], wide: list[Any]
+) -> tuple[tuple[list[Any], list[Any]], bool]:
+    """Differences across the chord, and whether the nearest points surely lie between its ends."""
+    from flint import arb, ctx
+
+    form = curve.form
+    assert isinstance(form, SplineForm)
+    k = form.piece(middle)
+    left, right = form.knots[k], form.knots[k + 1]
+    with ctx.workprec(BITS):
+        chord = [arb(p) - arb(q) for p, q in form.control[[k, k - 1]][:, curve.lengths].T]
+        square = sum(c * c for c in chord)
+        along = [
+            sum((c * p for c, p in zip(chord, at, strict=True)), 0 * at[0]) / square for at in (thin, wide)
+        ]
+        found = [
+            [p - c * share for c, p in zip(chord, at, strict=True)]
+            for at, share in zip((thin, wide), along, strict=True)
+        ]
+    reach = half / (right - left) + float(
+        sizes(along[:1], along[1:])[0, 1:] @ half ** np.arange(1.0, ORDER + 1)
+    )
+    place = (middle - left) / (right - left) - float(along[0][0])
+    return (found[0], found[1]), bool(reach <= place <= 1 - reach)

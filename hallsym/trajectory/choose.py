@@ -1,165 +1,361 @@
 """Every method side by side, and the one that holds a tolerance with the fewest numbers to store.
 
-Each method gets the fewest points with which it holds, and its error is bounded over the whole range.
+Of an expression each method takes the fewest points with which it holds, and its error is bounded over the
+whole range. Of points nothing is known between them: the error is that at the points.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, nearest
 from hallsym.terminal import Step
-from hallsym.trajectory.bounds import Bound, bound
-from hallsym.trajectory.candidate import Candidate, Choice, best_of
-from hallsym.trajectory.curve import Curve
-from hallsym.trajectory.forms import RationalForm
-from hallsym.trajectory.methods import METHODS, Method, nodes_named
-from hallsym.trajectory.nominal import Nominal
-from hallsym.trajectory.notes import beyond_the_points, of_accuracy
-from hallsym.trajectory.target import Target, resolution
+from hallsym.trajectory.bounds import bound, is_polyline
+from hallsym.trajectory.curve import Curve, FgForm, Form, SplineForm
+from hallsym.trajectory.factorisation import Basis, basis_named, factorise, orthogonalise
+from hallsym.trajectory.nominal import Nominal, nominal, read_span
+from hallsym.trajectory.points import Points, points_of, read_points
 
-LINEAR_SEARCH = 64
-"""Up to so many points every count is tried; above, the least is found by bisection."""
-MOST_FITTED = 40
-"""Largest number of control points tried in least squares."""
+Array = np.ndarray
+MOST_GLOBAL, MOST_FITTED, MOST_SPLINE = 100, 40, 5000
+"""Largest number of points of one polynomial, of control points in least squares, of points of a spline."""
 FITTED_POINTS = 201
 """Points of a least-squares fit to an expression, unless stated."""
+LINEAR_SEARCH = 64
+"""Up to so many points every count is tried; above, the least is found by bisection."""
+
+# -- methods ---------------------------------------------------------------------------------------------
 
 
-def of_nominal(
-    nominal: Nominal,
+def equidistant(n: int) -> Array:
+    """Return n parameters in [0, 1], both ends included."""
+    return np.linspace(0.0, 1.0, n)
+
+
+def chebyshev_nodes(n: int) -> Array:
+    """Return the n Chebyshev nodes of the first kind on [0, 1], increasing: (1 - cos(pi (2k + 1)/(2n)))/2."""
+    return np.sin(np.pi * (2 * np.arange(n) + 1) / (4 * n)) ** 2
+
+
+@dataclass(frozen=True)
+class Method:
+    """How points become a curve: `make(u, points, control)` of parameters (N,) in [0, 1], points (N, d).
+
+    `least`, `most`: counts of points it is tried with, of control points where it is `fitted` (least
+    squares). `nodes(count)`: where points are taken of an expression.
+    """
+
+    name: str
+    words: str
+    make: Callable[[Array, Array, int], Form]
+    least: int = 2
+    most: int = MOST_GLOBAL
+    fitted: bool = False
+    nodes: Callable[[int], Array] = equidistant
+
+
+def inside(basis: Basis, u: Array) -> Array:
+    """Return parameters of the basis for shares u of its interval, the ends exactly."""
+    return np.clip(basis.start + u * (basis.stop - basis.start), basis.start, basis.stop)
+
+
+def interpolated(name: str, u: Array, points: Array, control: int = 0) -> Form:
+    """Put a curve in an fg-Bernstein basis through points, with high relative accuracy."""
+    basis = basis_named(name)
+    return FgForm(basis, factorise(basis, inside(basis, u)).solve(points))
+
+
+def fitted(name: str, u: Array, points: Array, control: int) -> Form:
+    """Fit a curve in an fg-Bernstein basis to points by least squares, with high relative accuracy."""
+    basis = basis_named(name)
+    return FgForm(basis, orthogonalise(factorise(basis, inside(basis, u), control)).solve(points))
+
+
+def by_elimination(u: Array, points: Array, control: int = 0) -> Form:
+    """Solve the same equations as `bernstein` by LU of the collocation matrix."""
+    basis = basis_named("bernstein")
+    try:
+        return FgForm(basis, np.linalg.solve(FgForm(basis, np.eye(len(u))).evaluate(u), points))
+    except np.linalg.LinAlgError:
+        raise InputError("The collocation matrix is singular in float64; LU cannot solve it.") from None
+
+
+def spline(degree: int, u: Array, points: Array, control: int = 0) -> Form:
+    """Put a spline with not-a-knot ends through points."""
+    from scipy.interpolate import make_interp_spline  # slow to load
+
+    found = make_interp_spline(u, points, k=degree)
+    return SplineForm(np.asarray(found.t, float), degree, np.asarray(found.c, float))
+
+
+METHODS = (
+    Method("bernstein", "Bernstein, HRA", partial(interpolated, "bernstein")),
+    Method(
+        "bernstein-chebyshev", "Bernstein, HRA, Chebyshev nodes", partial(interpolated, "bernstein"),
+        nodes=chebyshev_nodes,
+    ),
+    Method("trigonometric", "trigonometric, HRA", partial(interpolated, "trigonometric")),
+    Method("bernstein-lu", "Bernstein, LU", by_elimination),
+    Method(
+        "bernstein-ls", "Bernstein, least squares, HRA", partial(fitted, "bernstein"), most=MOST_FITTED,
+        fitted=True,
+    ),
+    Method(
+        "trigonometric-ls", "trigonometric, least squares, HRA", partial(fitted, "trigonometric"),
+        most=MOST_FITTED, fitted=True,
+    ),
+    Method("linear", "polyline", partial(spline, 1), most=MOST_SPLINE),
+    Method("cubic", "cubic spline", partial(spline, 3), least=4, most=MOST_SPLINE),
+    Method("quintic", "quintic spline", partial(spline, 5), least=6, most=MOST_SPLINE),
+)  # fmt: skip
+"""HRA is high relative accuracy: solved by the bidiagonal factors of the collocation matrix."""
+
+
+def method_named(name: str) -> Method:
+    """Return a method by name; raises `InputError` for an unknown one."""
+    for method in METHODS:
+        if method.name == name:
+            return method
+    known = [method.name for method in METHODS]
+    raise InputError(f"Method {name!r} is not known{nearest(name, known)}; known: {', '.join(known)}.")
+
+
+# -- what a curve is made of -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A nominal curve or points with what a search needs again and again."""
+
+    source: Nominal | Points
+
+    @cached_property
+    def grid(self) -> tuple[Array, Array]:
+        """Parameters in [0, 1] and the points there: those given, or dense ones, denser towards the ends."""
+        if isinstance(self.source, Points):
+            return self.source.shares, self.source.points
+        u = np.unique(np.r_[np.linspace(0, 1, 1501), np.sin(np.linspace(0, np.pi / 2, 801)) ** 2])
+        return u, self.at(u)
+
+    def at(self, u: Array) -> Array:
+        """Return the nominal points at shares u of the range."""
+        n = self.source
+        assert isinstance(n, Nominal)
+        return n(np.clip(n.start + u * (n.stop - n.start), n.start, n.stop))
+
+    def made(self, method: Method, count: int, control: int) -> Curve:
+        """Return the curve that a method makes of `count` points, or of those given."""
+        n = self.source
+        if isinstance(n, Points):
+            form = method.make(n.shares, n.points, control)
+            return Curve(form, float(n.t[0]), float(n.t[-1]), n.coordinates, method.name)
+        u = method.nodes(count)
+        return Curve(method.make(u, self.at(u), control), n.start, n.stop, n.coordinates, method.name)
+
+    def errors(self, curve: Curve, u: Array, points: Array) -> Array:
+        """Return differences (len(u), d) of a curve from points at shares u; of a polyline across chords."""
+        a, b = curve.form.domain
+        inner = np.clip(a + u * (b - a), a, b)
+        e = curve.form.evaluate(inner) - points
+        if is_polyline(curve):
+            way = curve.form.evaluate(inner, 1)[:, curve.lengths]
+            size = np.sum(way**2, axis=1)
+            along = np.sum(way * e[:, curve.lengths], axis=1)
+            along = np.divide(along, size, out=np.zeros_like(size), where=size > 0)
+            e[:, curve.lengths] -= along[:, None] * way
+        return e
+
+    def sampled(self, curve: Curve) -> float:
+        """Largest distance at the points compared: of an expression quick, and below the bound."""
+        u, points = self.grid
+        pieces = len(curve.form.edges(1)) - 1
+        if pieces > 150 and isinstance(self.source, Nominal):
+            u = np.linspace(0, 1, 8 * pieces + 1)
+            points = self.at(u)
+        return float(np.linalg.norm(self.errors(curve, u, points)[:, curve.lengths], axis=1).max())
+
+
+# -- the table -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One method: its curve and error, or the reason why there is none.
+
+    `error_m`: upper bound, or the error at the points; `at_least_m`: what it certainly reaches.
+    """
+
+    method: Method
+    points: int
+    curve: Curve | None
+    error_m: float = np.inf
+    at_least_m: float | None = None
+    reason: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the row as a record."""
+        made = self.curve
+        return {
+            "method": self.method.name,
+            "points": self.points,
+            "control_points": made.control_points if made else 0,
+            "numbers": made.form.numbers if made else 0,
+            "max_error_m": self.error_m if made else None,
+            "at_least_m": self.at_least_m,
+            "max_error_rad": made.source.get("max_error_rad") if made else None,
+            "reason": self.reason,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """All candidates, and the best: within the tolerance with the fewest numbers, else most exact."""
+
+    candidates: tuple[Candidate, ...]
+    best: Candidate
+    tolerance_m: float | None
+
+    @property
+    def curve(self) -> Curve:
+        """The chosen curve."""
+        assert self.best.curve is not None
+        return self.best.curve
+
+    def meets(self, candidate: Candidate) -> bool:
+        """Whether a candidate holds the tolerance; True where none is stated."""
+        return self.tolerance_m is None or candidate.error_m <= self.tolerance_m
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the choice as a record."""
+        return self.best.to_dict() | {
+            "error_kind": self.curve.error_kind,
+            "tolerance_m": self.tolerance_m,
+            "methods": [c.to_dict() for c in self.candidates],
+        }
+
+
+def choose_curve(
+    source: str | Path | Nominal | Points | Array,
     tolerance: float | None = None,
     *,
+    span: str | None = None,
+    values: Mapping[str, float] | None = None,
     points: int | None = None,
     control: int | None = None,
-    methods: Sequence[Method] = METHODS,
-    nodes: str | None = None,
+    method: str | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Choice:
-    """Return every method's curve for an expression, each with its bounded error.
+    """Return each method's curve for `source`, and the best: within `tolerance` [m], the fewest numbers.
 
-    Give `tolerance` [m], `points`, or both; `points`: the count for every method instead of the least.
-    `control`: control points of least squares, of 201 points unless stated.
+    `source`: an expression with its `span`, such as "t=0:2*pi", and `values` in SI; a CSV file of points; or
+    points (N, 2) in m. `points`: how many are taken of an expression. `control`: control points of least
+    squares. `method`: only this one; of points the cubic spline unless stated.
+
+    >>> choice = choose_curve("x = r*t; y = r*t**2", 1e-9, span="t=0:1", values={"r": 1e-3})
+    >>> choice.best.method.name, choice.curve.control_points
+    ('bernstein', 3)
     """
-    if tolerance is None and points is None and control is None:
+    if isinstance(source, str) and span is not None:
+        source = nominal(source, read_span(span), values)
+    elif isinstance(source, str | Path):
+        source = read_points(source)
+    elif isinstance(source, np.ndarray):
+        source = points_of(source)
+    if isinstance(source, Points):
+        points, method = len(source.t), method or "cubic"
+    elif tolerance is None and points is None and control is None:
         raise InputError(
             "Give a --tolerance, or the number of --points; without either there is nothing to choose."
         )
-    check_counts(points, control)
-    target = Target(nominal)
-    held = resolution(target.grid[1])
-    if tolerance is not None and tolerance < 4 * held:
+    methods: Sequence[Method] = METHODS if method is None else (method_named(method),)
+    if control is not None:
+        methods = [m for m in methods if m.fitted]
+        if not methods:
+            raise InputError("--control belongs to least squares; choose bernstein-ls or trigonometric-ls.")
+    target, rows = Target(source), []
+    _ = target.grid  # refuses an expression that is not a number somewhere
+    for k, one in enumerate(methods):
+        progress(Step(f"methods, {k + 1} of {len(methods)}: {one.words}", k / len(methods)))
+        try:
+            rows.append(_candidate(target, one, tolerance, points, control))
+        except InputError as error:
+            rows.append(Candidate(one, points or 0, None, reason=str(error)))
+    return Choice(tuple(rows), best_of(rows, tolerance), tolerance)
+
+
+def best_of(candidates: Sequence[Candidate], tolerance: float | None) -> Candidate:
+    """Return the candidate to use; raises `InputError` if none was made, or none holds `tolerance`."""
+    made = [c for c in candidates if c.curve is not None]
+    if not made:
+        raise InputError(candidates[0].reason)
+    least = min(made, key=lambda c: c.error_m)
+    if tolerance is None:
+        return least
+    held = [c for c in made if c.error_m <= tolerance]
+    if not held:
         raise InputError(
-            f"A tolerance of {1e6 * tolerance:.3g} um is below what float64 can hold of these coordinates, "
-            f"{4e6 * held:.3g} um."
+            f"No curve holds {1e6 * tolerance:.4g} um: the nearest is {least.method.name} with "
+            f"{least.points} points, {1e6 * least.error_m:.4g} um; give more points or allow a larger "
+            "tolerance."
         )
-    rows = []
-    spacings = list(_spacings(methods, nodes))
-    for k, (method, spacing) in enumerate(spacings):
-        progress(Step(f"methods, {k + 1} of {len(spacings)}: {method.words}, {spacing}", k / len(spacings)))
-        rows.append(_candidate(target, method, spacing, tolerance, points, control))
-    if control is not None and not any(method.fitted for method in methods):
-        raise InputError("--control belongs to least squares; choose bernstein-ls or trigonometric-ls.")
-    best = best_of(rows, tolerance)
-    return Choice(tuple(rows), best, tolerance, "bounded", (*beyond_the_points(best), *of_accuracy(rows)))
-
-
-def check_counts(points: int | None, control: int | None) -> None:
-    """Refuse numbers of points and control points that make no curve."""
-    for count, least, what in ((points, 2, "points"), (control, 1, "control points")):
-        if count is not None and count < least:
-            raise InputError(f"A curve needs at least {least} {what}; {count} asked for.")
-
-
-def _spacings(methods: Sequence[Method], nodes: str | None) -> Iterator[tuple[Method, str]]:
-    for method in methods:
-        if nodes is None:
-            yield from ((method, spacing) for spacing in method.nodes)
-        elif method.anywhere or nodes in method.nodes:
-            yield method, nodes
+    return min(held, key=lambda c: c.curve.form.numbers if c.curve else 0)
 
 
 def _candidate(
-    target: Target,
-    method: Method,
-    nodes: str,
-    tolerance: float | None,
-    points: int | None,
-    control: int | None,
+    target: Target, method: Method, tolerance: float | None, points: int | None, control: int | None
 ) -> Candidate:
-    try:
-        if tolerance is None or (points is not None and (control is not None or not method.fitted)):
-            count = points or FITTED_POINTS
-            if count > method.most and not method.fitted and method.name != "bernstein-lu":
-                reason = f"not tried with more than {method.most} points"
-                return Candidate(method, nodes, count, None, np.inf, reason=reason)
-            _enough(method, count)
-            size = _best_size(target, method, nodes, count) if method.fitted and control is None else control
-            return _bounded(target, method, nodes, count, size or 0)
-        return _least(target, method, nodes, tolerance, points, control)
-    except InputError as error:
-        return Candidate(method, nodes, points or 0, None, np.inf, reason=str(error))
+    """Return the candidate of a stated count, or of the fewest points (control points) that hold."""
+    what = "control points" if method.fitted else "points"
+    stated = control if method.fitted else points
+    taken = points or FITTED_POINTS
 
+    def made(count: int) -> Curve:
+        return target.made(method, taken, count) if method.fitted else target.made(method, count, 0)
 
-def _best_size(target: Target, method: Method, nodes: str, count: int) -> int:
-    """Return the number of control points with which a fit of `count` points comes nearest to the curve."""
-    errors: list[float] = []
-    for size in range(2, min(count, MOST_FITTED) + 1):
-        errors.append(target.sampled(target.made(method, nodes, count, size)))
-        if len(errors) > 5 and min(errors[-5:]) > min(errors):
-            break
-    return 2 + int(np.argmin(errors)) if errors else count
+    def known(count: int) -> Candidate:
+        return _certified(target, method, made(count), taken if method.fitted else count)
 
-
-def _enough(method: Method, count: int) -> None:
-    if count < method.least:
-        raise InputError(f"The method {method.name} needs at least {method.least} points; there are {count}.")
-
-
-def _bounded(target: Target, method: Method, nodes: str, count: int, control: int) -> Candidate:
-    curve = target.made(method, nodes, count, control)
-    if isinstance(curve.form, RationalForm) and target.sampled(curve) > np.ptp(target.grid[1], axis=0).max():
-        raise InputError("The rational function has a pole in the range.")
-    found: Bound = bound(curve, target.nominal)
-    known = Curve(
-        curve.form, curve.start, curve.stop, curve.coordinates, method.name, found.at_most, "bounded",
-        {"curve": target.nominal.text, "parameter": target.nominal.parameter,
-         "values": dict(target.nominal.values), "nodes": nodes, "points": count,
-         **({} if found.rotation_rad is None else {"max_error_rad": found.rotation_rad})},
-    )  # fmt: skip
-    between = None
-    if nodes == "interior":
-        u = nodes_named(nodes, count)[[0, -1]] * (curve.stop - curve.start) + curve.start
-        between = bound(curve, target.nominal, (float(u[0]), float(u[1]))).at_most
-    return Candidate(
-        method, nodes, count, known, found.at_most, found.at_least, "", found.rotation_rad, between
-    )  # fmt: skip
-
-
-def _least(
-    target: Target, method: Method, nodes: str, tolerance: float, points: int | None, control: int | None
-) -> Candidate:
-    """Return the candidate with the fewest points (control points of least squares) within the tolerance."""
-
-    def size(count: int) -> tuple[int, int]:
-        return (points or FITTED_POINTS, count) if method.fitted else (count, 0)
-
-    def holds(count: int) -> bool:
-        curve = target.made(method, nodes, *size(count))
-        return target.sampled(curve) <= tolerance
-
-    if method.fitted and control is not None:
-        return _bounded(target, method, nodes, points or FITTED_POINTS, control)
-    most = min(MOST_FITTED, points or FITTED_POINTS) if method.fitted else method.most
-    count = _first(holds, method.least, most)
-    for more in range(4 if count else 0):  # what is sampled may just miss the largest error
-        found = _bounded(target, method, nodes, *size(count + more))
+    if stated is not None:
+        if not method.least <= stated <= method.most:
+            raise InputError(
+                f"The method {method.name} takes {method.least} to {method.most} {what}; {stated} asked for."
+            )
+        return known(stated)
+    if tolerance is None:
+        raise InputError("Least squares needs --control or a --tolerance.")
+    most = min(method.most, taken) if method.fitted else method.most
+    first = _first(lambda count: target.sampled(made(count)) <= tolerance, method.least, most)
+    for count in range(first, first + 4 if first else 0):  # what is sampled may just miss the largest error
+        found = known(count)
         if found.error_m <= tolerance:
             return found
-    what = "control points" if method.fitted else "points"
-    raise InputError(f"not within the tolerance with up to {most} {what}.")
+    raise InputError(f"{method.name} is not within the tolerance with up to {most} {what}.")
+
+
+def _certified(target: Target, method: Method, curve: Curve, count: int) -> Candidate:
+    """Return a candidate with its error: bounded of an expression, else at the points."""
+    source = target.source
+    if isinstance(source, Points):
+        e = np.abs(target.errors(curve, source.shares, source.points))
+        worst, least, kind = target.sampled(curve), None, "at the points"
+        turning = [k for k in range(len(curve.coordinates)) if k not in curve.lengths]
+        rotation = float(e[:, turning].max()) if turning else None
+        made_of: dict[str, Any] = {"points": count, "file": source.name}
+    else:
+        found = bound(curve, source)
+        worst, least, kind, rotation = found.at_most, found.at_least, "bounded", found.rotation_rad
+        made_of = {"curve": source.text, "parameter": source.parameter, "values": dict(source.values),
+                   "points": count}  # fmt: skip
+    if rotation is not None:
+        made_of["max_error_rad"] = rotation
+    known = Curve(curve.form, curve.start, curve.stop, curve.coordinates, method.name, worst, kind, made_of)
+    return Candidate(method, count, known, worst, least)
 
 
 def _first(holds: Callable[[int], bool], least: int, most: int) -> int:

@@ -1,10 +1,14 @@
-"""`Curve`: what the machine follows, its points, derivatives, length, curvature and extent; saved as JSON."""
+"""`Curve`: what the machine follows, its points, derivatives, length and extent; saved as JSON.
+
+Its form is a curve in an fg-Bernstein basis (Micromachines 2019, 10, 597) or a B-spline.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import comb
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +17,126 @@ import numpy as np
 from hallsym.errors import InputError, quoted
 from hallsym.files import atomic_write
 from hallsym.reading import read_json, reading
-from hallsym.trajectory.basis import BASES, basis_named
-from hallsym.trajectory.corner_cutting import FgForm
-from hallsym.trajectory.forms import ChebyshevForm, RationalForm, SplineForm
+from hallsym.trajectory.factorisation import Basis, basis_named
 
 Array = np.ndarray
-Form = FgForm | SplineForm | ChebyshevForm | RationalForm
 FORMAT = "hallsym-curve-1"
+MOST_HELD = 1_000_000
+"""Numbers that evaluating holds at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class FgForm:
+    """sum_k C(n, k) f^k g^(n-k) control[k]; control points (n + 1, d)."""
+
+    basis: Basis
+    control: Array
+
+    @property
+    def domain(self) -> tuple[float, float]:
+        """Interval of the parameter."""
+        return self.basis.start, self.basis.stop
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers a controller has to store."""
+        return self.control.size
+
+    def edges(self, least: int) -> Array:
+        """Return parameters that cut the curve into at least so many smooth parts, the ends included."""
+        return np.linspace(*self.domain, least + 1)
+
+    def evaluate(self, t: Array, derivative: int = 0) -> Array:
+        """Return points (len(t), d), or their derivative by t, by de Casteljau's algorithm."""
+        control = self.control
+        for _ in range(derivative):
+            control = self._slope(control)
+        step = max(1, MOST_HELD // control.size)
+        return np.concatenate([self._points(control, t[k : k + step]) for k in range(0, len(t), step)])
+
+    def _points(self, control: Array, t: Array) -> Array:
+        f, g = self.basis.f(t)[:, None], self.basis.g(t)[:, None]
+        p = np.repeat(control[:, None], len(t), axis=1)
+        while len(p) > 1:
+            p = g * p[:-1] + f * p[1:]
+        return p[0]
+
+    def _slope(self, p: Array) -> Array:
+        """Control points of the derivative, of the same order: f' and g' are combinations of f and g."""
+        alpha, beta = self.basis.rates
+        n = len(p) - 1
+        k = np.arange(n + 1)[:, None]
+        after, before = np.vstack([p[1:], p[-1:]]), np.vstack([p[:1], p[:-1]])
+        differences = (n - k) * (after - p) + k * (p - before)
+        return alpha * differences + (beta - alpha) * ((n - k) * after - k * before)
+
+    def series(self, t: Any) -> list[Any]:
+        """Return the coordinates as power series of balls for the parameter as one (flint.arb_series)."""
+        from flint import arb
+
+        f, g = self.basis.series(t)
+        n, one = len(self.control) - 1, 0 * t + 1
+        powers = [one]
+        for _ in range(n):
+            powers.append(powers[-1] * g)
+        found = [0 * t for _ in self.control.T]
+        for k in range(n, -1, -1):
+            share = powers[n - k] * comb(n, k)
+            found = [p * f + share * arb(c) for p, c in zip(found, self.control[k].tolist(), strict=True)]
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class SplineForm:
+    """A B-spline of a degree: knots (n + degree + 2,), control points (n + 1, d). Degree 1 is a polyline."""
+
+    knots: Array
+    degree: int
+    control: Array
+
+    @property
+    def domain(self) -> tuple[float, float]:
+        """Interval of the parameter."""
+        return float(self.knots[self.degree]), float(self.knots[-self.degree - 1])
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers a controller has to store: control points and inner knots."""
+        return self.control.size + max(len(self.knots) - 2 * self.degree - 2, 0)
+
+    def edges(self, least: int) -> Array:
+        """Return parameters that cut the curve into at least so many smooth parts, the ends included."""
+        start, stop = self.domain
+        inner = self.knots[(self.knots > start) & (self.knots < stop)]
+        return np.unique(np.r_[np.linspace(start, stop, least + 1), inner])
+
+    def evaluate(self, t: Array, derivative: int = 0) -> Array:
+        """Return points (len(t), d) of the curve, or their derivative by t."""
+        from scipy.interpolate import BSpline  # slow to load
+
+        return BSpline(self.knots, self.control, self.degree)(t, derivative)
+
+    def piece(self, t: float) -> int:
+        """Return the number of the knot with which the piece at t begins."""
+        k = int(np.searchsorted(self.knots, t, side="right")) - 1
+        return min(max(k, self.degree), len(self.control) - 1)
+
+    def series(self, t: Any) -> list[Any]:
+        """Return the piece at t as power series of balls (flint.arb_series), by de Boor's algorithm."""
+        from flint import arb
+
+        p, i = self.degree, self.piece(float(t[0].mid()))
+        knots = [arb(v) for v in self.knots[i - p : i + p + 1].tolist()]
+        points = [[0 * t + arb(c) for c in row] for row in self.control[i - p : i + 1].tolist()]
+        for r in range(1, p + 1):
+            for j in range(p, r - 1, -1):
+                left, right = knots[j], knots[j + 1 + p - r]
+                share = (t - left) / (right - left)
+                points[j] = [a + share * (b - a) for a, b in zip(points[j - 1], points[j], strict=True)]
+        return points[p]
+
+
+Form = FgForm | SplineForm
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +144,7 @@ class Curve:
     """A parametric curve on [start, stop] of the user's parameter; coordinates in SI, named `x_m`, `rz_rad`.
 
     `max_error_m`: largest distance from what it stands for, None if not known; `error_kind`: "bounded" (holds
-    everywhere) or "estimated" (left-out points). `method`: how it was made.
+    everywhere) or "at the points". `method`: how it was made.
     """
 
     form: Form
@@ -55,11 +172,10 @@ class Curve:
         share = (np.asarray(t, float) - self.start) / (self.stop - self.start)
         return np.clip(a + share * (b - a), a, b)
 
-    @property
-    def rate(self) -> float:
-        """Derivative of the form's parameter by the user's."""
+    def outer(self, u: Array | float) -> Any:
+        """Return the user's parameter for that of the form."""
         a, b = self.form.domain
-        return (b - a) / (self.stop - self.start)
+        return np.clip(self.start + (u - a) / (b - a) * (self.stop - self.start), self.start, self.stop)
 
     def __call__(self, t: Array | float, derivative: int = 0) -> Array:
         """Return points (len(t), d), or the derivative by the user's parameter of that order.
@@ -68,21 +184,15 @@ class Curve:
         """
         t = np.atleast_1d(np.asarray(t, float))
         slack = 4e-16 * max(abs(self.start), abs(self.stop))
-        if not np.all((t >= self.start - slack) & (t <= self.stop + slack)):
+        outside = t[~((t >= self.start - slack) & (t <= self.stop + slack))]
+        if len(outside):
             raise InputError(
                 f"Parameters of the curve must be within {self.start:.9g} .. {self.stop:.9g}; got "
-                f"{t[~((t >= self.start) & (t <= self.stop))][0]:.9g}."
+                f"{outside[0]:.9g}."
             )
-        form = self.form
-        for _ in range(derivative):
-            form = form.derivative()
-        return form.evaluate(self.inner(t)) * self.rate**derivative
-
-    def parts(self, least: int = 64) -> Array:
-        """Return parameters that cut the curve into smooth parts, at least `least` of them."""
         a, b = self.form.domain
-        breaks = self.start + (self.form.breaks() - a) / (b - a) * (self.stop - self.start)
-        return np.unique(np.r_[np.linspace(self.start, self.stop, least + 1), breaks])
+        rate = (b - a) / (self.stop - self.start)
+        return self.form.evaluate(self.inner(t), derivative) * rate**derivative
 
     def speed(self, t: Array) -> Array:
         """Return `|dp/dt|` over the lengths (len(t),)."""
@@ -90,7 +200,7 @@ class Curve:
 
     def arc_lengths(self) -> tuple[Array, Array]:
         """Return parameters and the length of path from the start to each, by Gauss-Legendre between them."""
-        edges = self.parts(max(256, 4 * self.control_points))
+        edges = self.outer(self.form.edges(max(256, 4 * self.control_points)))
         x, w = np.polynomial.legendre.leggauss(8)
         half = np.diff(edges)[:, None] / 2
         t = edges[:-1, None] + half * (1 + x)
@@ -116,14 +226,6 @@ class Curve:
             step = np.divide(s - travelled, speed, out=np.zeros_like(t), where=speed > 0)
             t = np.clip(t + step, edges[part], edges[part + 1])
         return t
-
-    def curvature(self, t: Array | float) -> Array:
-        """Return the curvature [1/m] (len(t),); infinite at a cusp."""
-        one, two = self(t, 1)[:, self.lengths], self(t, 2)[:, self.lengths]
-        square = np.sum(one * one, axis=1)
-        area = np.sqrt(np.maximum(square * np.sum(two * two, axis=1) - np.sum(one * two, axis=1) ** 2, 0.0))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(square > 0, area / square**1.5, np.inf)
 
     def extent(self) -> dict[str, tuple[float, float]]:
         """Return least and greatest value of each coordinate: sampled, then refined where it turns."""
@@ -189,10 +291,10 @@ def curve_from_dict(raw: Mapping[str, Any]) -> Curve:
         raise ValueError("start must be less than stop")
     if form.control.ndim != 2 or form.control.shape[1] != len(names) or not names:
         raise ValueError("as many coordinates as columns of control points are needed")
-    if not isinstance(form, RationalForm) and not np.isfinite(form.control).all():
+    if not np.isfinite(form.control).all():
         raise ValueError("control points must be finite")
-    if raw["error_kind"] not in ("bounded", "estimated", None):
-        raise ValueError("error_kind must be bounded, estimated or null")
+    if raw["error_kind"] not in ("bounded", "at the points", None):
+        raise ValueError("error_kind must be bounded, at the points or null")
     if not all(name.endswith(("_m", "_rad")) for name in names):
         raise ValueError("coordinates must be in m or rad, such as x_m")
     return Curve(
@@ -203,32 +305,16 @@ def curve_from_dict(raw: Mapping[str, Any]) -> Curve:
 
 def _form_to_dict(form: Form) -> dict[str, Any]:
     if isinstance(form, FgForm):
-        if form.basis.name not in BASES:
-            raise InputError(f"A curve in the basis {form.basis.name!r} of your own cannot be saved.")
-        shape = {} if form.basis.shape is None else {"shape": form.basis.shape}
-        return {"kind": form.basis.name, **shape, "control": form.control.tolist()}
-    if isinstance(form, SplineForm):
-        knots = form.knots.tolist()
-        return {"kind": "spline", "degree": form.degree, "knots": knots, "control": form.control.tolist()}
-    if isinstance(form, ChebyshevForm):
-        return {"kind": "chebyshev", "control": form.control.tolist()}
-    parts = {"support": form.support, "values": form.values, "weights": form.weights}
-    return {"kind": "aaa", **{key: [v.tolist() for v in part] for key, part in parts.items()}}
+        return {"kind": form.basis.name, "control": form.control.tolist()}
+    knots = form.knots.tolist()
+    return {"kind": "spline", "degree": form.degree, "knots": knots, "control": form.control.tolist()}
 
 
 def _form_from_dict(raw: Mapping[str, Any]) -> Form:
-    kind = raw["kind"]
-    if kind == "aaa":
-        parts = [tuple(np.array(v, float) for v in raw[key]) for key in ("support", "values", "weights")]
-        if len({tuple(map(len, part)) for part in parts}) != 1:
-            raise ValueError("support, values and weights must have the same lengths")
-        return RationalForm(*parts)
-    control = np.array(raw["control"], float)
-    if kind == "spline":
-        knots, degree = np.array(raw["knots"], float), int(raw["degree"])
-        if degree < 1 or len(knots) != len(control) + degree + 1 or (np.diff(knots) < 0).any():
-            raise ValueError("knots must increase and be as many as control points + degree + 1")
-        return SplineForm(knots, degree, control)
-    if kind == "chebyshev":
-        return ChebyshevForm(control)
-    return FgForm(basis_named(kind, raw.get("shape")), control)
+    kind, control = raw["kind"], np.array(raw["control"], float)
+    if kind != "spline":
+        return FgForm(basis_named(kind), control)
+    knots, degree = np.array(raw["knots"], float), int(raw["degree"])
+    if degree < 1 or len(knots) != len(control) + degree + 1 or (np.diff(knots) < 0).any():
+        raise ValueError("knots must increase and be as many as control points + degree + 1")
+    return SplineForm(knots, degree, control)

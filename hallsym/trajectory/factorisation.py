@@ -1,9 +1,15 @@
-"""Bidiagonal factorisation of fg-Bernstein collocation matrices, and solving with it.
+"""fg-Bernstein bases, and their collocation matrices solved with high relative accuracy.
 
-A[i, j] = C(n, j-1) f_i^(j-1) g_i^(n-j+1) is described by the multipliers of its Neville elimination, the
-pivots, and the multipliers of the elimination of its transpose (Eq. (10)). They are products and quotients
-of f, g and W, so each has a relative error of a few n u, however ill-conditioned A is (TNBDA). Solving
-applies the elimination step by step (TNSolve): a step is one numpy sweep over all rows.
+u_k(t) = C(n, k) f(t)^k g(t)^(n-k), k = 0 .. n (Micromachines 2019, 10, 597, Eq. (7)). With f, g >= 0 and f/g
+increasing, every collocation matrix A[i, j] = C(n, j-1) f_i^(j-1) g_i^(n-j+1) is totally positive.
+
+A is described by the multipliers of its Neville elimination, the pivots, and the multipliers of the
+elimination of its transpose (Eq. (10)). They are products and quotients of f, g and the differences
+W(t, s) = f(t) g(s) - f(s) g(t), so each has a relative error of a few n u, however ill-conditioned A is
+(TNBDA). Solving applies the elimination step by step (TNSolve). QR (TNQR): the leftmost elementary factor
+[[1, 0], [x, 1]] is a rotation times U = [[r, x/r], [0, 1/r]], r = sqrt(1 + x^2). U is passed through the
+factors to its right until the diagonal takes it up, and its last entry through the upper factors. Steps add,
+multiply and divide positive numbers: R is as accurate as the factors.
 
 Products of a thousand factors leave the range of float64: mantissas and exponents are kept apart. g^n would
 multiply the rounding error of g by n: g and its powers are computed in numpy's longdouble.
@@ -11,17 +17,91 @@ multiply the rounding error of g by n: g and its powers are computed in numpy's 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError
-from hallsym.trajectory.basis import Basis, values
+from hallsym.errors import InputError, nearest
 
 Array = np.ndarray
+D = math.pi / 2
+"""Shape of the trigonometric basis: f = sin((D + t)/2), g = sin((D - t)/2) on [-D, D]."""
 MOST = 1000
 """Largest number of control points: a product of more mantissas in [0.5, 1) may underflow."""
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """A pair f, g on [start, stop] that spans, for every order n, n + 1 functions f^k g^(n-k).
+
+    `difference(t, s)`: W(t, s) for s < t, to full relative accuracy. `rates`: (alpha, beta) where
+    f' = alpha f + beta g and g' = -beta f - alpha g. `series`: f and g of a power series.
+    """
+
+    name: str
+    start: float
+    stop: float
+    f: Callable[[Array], Array]
+    g: Callable[[Array], Array]
+    difference: Callable[[Array, Array], Array]
+    rates: tuple[float, float]
+    series: Callable[[Any], tuple[Any, Any]]
+
+
+BERNSTEIN = Basis(
+    "bernstein", 0.0, 1.0, lambda t: t, lambda t: 1 - t, lambda t, s: t - s, (1.0, 1.0), lambda t: (t, 1 - t)
+)
+"""Polynomials."""
+TRIGONOMETRIC = Basis(
+    "trigonometric",
+    -D,
+    D,
+    lambda t: np.sin((D + t) / 2),
+    lambda t: np.sin((D - t) / 2),
+    lambda t, s: math.sin(D) * np.sin((t - s) / 2),
+    (0.5 / math.tan(D), 0.5 / math.sin(D)),
+    lambda t: (((D + t) / 2).sin(), ((D - t) / 2).sin()),
+)
+"""Even orders n = 2m span the trigonometric polynomials of degree m; odd orders do not contain constants."""
+BASES = {basis.name: basis for basis in (BERNSTEIN, TRIGONOMETRIC)}
+
+
+def basis_named(name: str) -> Basis:
+    """Return a basis by name; raises `InputError` for an unknown one."""
+    if name not in BASES:
+        raise InputError(f"Basis {name!r} is not known{nearest(name, [*BASES])}; known: {', '.join(BASES)}.")
+    return BASES[name]
+
+
+def check_increasing(t: Array, name: str) -> None:
+    """Refuse parameters (points,) that repeat or are out of order; `name` says of what."""
+    steps = np.diff(t)
+    if (steps <= 0).any():
+        k = int(np.argmax(steps <= 0))
+        what = "repeats" if steps[k] == 0 else "is less than"
+        raise InputError(
+            f"Parameters of {name} must increase: number {k + 2} ({t[k + 1]:.9g}) {what} number {k + 1} "
+            f"({t[k]:.9g}); sort the points and take repeated ones out."
+        )
+
+
+def check_parameters(basis: Basis, t: Array) -> Array:
+    """Return parameters (points,) that increase within the interval of the basis; refuses others."""
+    t = np.asarray(t, float)
+    if t.ndim != 1 or not len(t) or not np.isfinite(t).all():
+        raise InputError(f"Parameters of a curve must be a list of finite numbers; got shape {t.shape}.")
+    check_increasing(t, "the points")
+    if t[0] < basis.start or t[-1] > basis.stop:
+        outside = t[0] if t[0] < basis.start else t[-1]
+        raise InputError(
+            f"Parameters of the points must lie in the interval {basis.start:.9g} .. {basis.stop:.9g} of the "
+            f"{basis.name} basis; {outside:.9g} lies outside."
+        )
+    return t
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +171,8 @@ def factorise(basis: Basis, t: Array, columns: int | None = None) -> Factors:
     `columns`: number of control points, order + 1; as many as points if not given. Parameters may include the
     ends of the interval.
     """
-    v = values(basis, t)
-    points = len(v.t)
+    t = check_parameters(basis, t)
+    f, rounded, points = basis.f(t), basis.g(t), len(t)
     columns = points if columns is None else columns
     if not 1 <= columns <= points:
         raise InputError(
@@ -102,12 +182,12 @@ def factorise(basis: Basis, t: Array, columns: int | None = None) -> Factors:
     if columns > MOST:
         raise InputError(f"A curve may have at most {MOST} control points; {columns} were asked for.")
     before, valid, weights = _tables(points, columns)
-    w = basis.difference(v.t, v.t[before])
+    w = basis.difference(t, t[before])
     w[:, 0] = 1.0
-    g = basis.g(v.t.astype(np.longdouble))
-    lower = np.where(valid[:, 1:], _lower(g, v.g, w, before), 0.0)
+    g = basis.g(t.astype(np.longdouble))
+    lower = np.where(valid[:, 1:], _lower(g, rounded, w, before), 0.0)
     pivot, exponent = _pivots(g[:columns], w[:-1, :columns], valid[:-1, :columns])
-    ratio = v.f[: columns - 1] / v.g[: columns - 1]
+    ratio = f[: columns - 1] / rounded[: columns - 1]
     return Factors(lower, pivot, exponent, ratio[:, None] * weights)
 
 
@@ -154,3 +234,102 @@ def _pivots(g: Array, w: Array, valid: Array) -> tuple[Array, Array]:
     base, two = np.frexp(g)
     mantissa, power = np.frexp((mantissa * choose * base**order).astype(float))
     return mantissa, exponent + power + two * order
+
+
+# -- QR (TNQR) -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Orthogonal:
+    """A = Q [R; 0]: Q as rotations of neighbouring rows in order, R by pivots and upper multipliers."""
+
+    points: int
+    rotations: list[tuple[int, float, float]]  # rows i - 1 and i (counted from 0), cosine, sine
+    pivot: Array
+    exponent: Array
+    upper: Array
+
+    def transposed(self, right: Array) -> Array:
+        """Return Q^T right, shape (points, d)."""
+        columns = np.asarray(right, float).T.tolist()
+        for b in columns:
+            for i, c, s in self.rotations:
+                one, two = b[i - 1], b[i]
+                b[i - 1] = c * one + s * two
+                b[i] = c * two - s * one
+        return np.array(columns).T
+
+    def solve(self, right: Array) -> Array:
+        """Return the least-squares control points (columns, d) for points (points, d)."""
+        right = np.asarray(right, float)
+        if right.ndim != 2 or len(right) != self.points:
+            raise InputError(f"Least squares of {self.points} points got data of shape {right.shape}.")
+        top = self.transposed(right)[: len(self.pivot)].T
+        return np.stack([solve_upper(self.pivot, self.exponent, self.upper, b) for b in top], axis=1)
+
+
+def orthogonalise(factors: Factors) -> Orthogonal:
+    """Return Q and R of a collocation matrix with at least as many points as columns, TNQR."""
+    points, columns = factors.points, factors.columns
+    # rows[i][j]: multiplier of row i and step j, both counted from 1; padded so that neighbours exist
+    rows = np.zeros((points + 2, columns + 3))
+    rows[2 : points + 1, 1 : columns + 1] = factors.lower.T
+    table: list[list[float]] = rows.tolist()
+    upper: list[list[float]] = factors.upper.tolist()
+    diagonal, exponent = factors.pivot.tolist(), factors.exponent.tolist()
+    rotations: list[tuple[int, float, float]] = []
+    for k in range(points - 1, 0, -1):
+        for i in range(k + 1, min(k + columns, points) + 1):
+            x = table[i][i - k]
+            if x == 0.0:
+                continue
+            r = math.hypot(1.0, x)
+            rotations.append((i - 1, 1.0 / r, x / r))
+            p, q, s = _through_lower(table, i, i - k, columns, r, x / r)
+            if i - 1 > columns:
+                continue
+            first = diagonal[i - 2]
+            diagonal[i - 2] = first * p
+            if i <= columns:
+                ratio = diagonal[i - 1] / first * 2.0 ** (exponent[i - 1] - exponent[i - 2])
+                diagonal[i - 1] *= s
+                _through_upper(upper, i, columns, q / p * ratio)
+    mantissa, power = np.frexp(np.array(diagonal))
+    return Orthogonal(points, rotations, mantissa, np.array(exponent) + power, np.array(upper))
+
+
+def _through_lower(
+    table: list[list[float]], i: int, j: int, columns: int, p: float, q: float
+) -> tuple[float, float, float]:
+    """Pass U = [[p, q], [0, s]] on rows i - 1, i through the lower factors; returns it as it leaves them."""
+    above, here, below = table[i - 1], table[i], table[i + 1]
+    s = 1.0 / p
+    here[j] = 0.0
+    if j + 1 <= columns:
+        below[j + 1] /= s
+    for column in range(j + 1, min(i - 1, columns + 1) + 1):
+        above[column - 1] *= p
+        if column > columns:
+            break
+        multiplier = here[column]
+        old, p = p, p + q * multiplier
+        here[column] = s * multiplier / p
+        s = s * old / p
+        if column < columns:
+            below[column + 1] /= s
+    return p, q, s
+
+
+def _through_upper(upper: list[list[float]], i: int, columns: int, bulge: float) -> None:
+    """Take the entry `bulge` of row i - 1, column i into the upper factors (in place)."""
+    one = upper[i - 2]
+    for k in range(i - 2, columns - 1):
+        old = one[k]
+        new = old + bulge
+        one[k] = new
+        if k + 2 == columns or bulge == 0.0:
+            break
+        two = upper[i - 1]
+        second = two[k + 1]
+        two[k + 1] = second * old / new
+        bulge = bulge * second / new

@@ -1,19 +1,18 @@
-"""Points that a curve shall pass: read from CSV, with what their own digits can tell."""
+"""Points that a curve shall pass, read from CSV."""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
-import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from hallsym.errors import InputError, quoted
+from hallsym.errors import InputError
 from hallsym.reading import read_text, reading
-from hallsym.trajectory.basis import check_increasing
+from hallsym.trajectory.factorisation import check_increasing
 from hallsym.trajectory.nominal import COORDINATES
 from hallsym.units import si_name, split_unit
 
@@ -22,32 +21,23 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Points (N, d) in SI at increasing parameters t (N,); `rounding`: half a last digit [m]."""
+    """Points (N, d) in SI at increasing parameters t (N,)."""
 
     t: Array
     points: Array
     coordinates: tuple[str, ...]
-    rounding: float = 0.0
     name: str = "points"
-    notes: tuple[str, ...] = ()
-    """What has to be said about the file."""
 
     @property
     def shares(self) -> Array:
         """Parameters scaled to [0, 1]."""
         return (self.t - self.t[0]) / (self.t[-1] - self.t[0])
 
-    def distances(self, errors: Array) -> Array:
-        """Return the lengths (n,) of errors (n, d): angles do not count."""
-        lengths = [k for k, name in enumerate(self.coordinates) if name.endswith("_m")]
-        return np.linalg.norm(errors[:, lengths], axis=1)
-
 
 def points_of(
     points: Array,
     t: Array | None = None,
     coordinates: tuple[str, ...] = ("x_m", "y_m"),
-    rounding: float = 0.0,
     name: str = "points",
 ) -> Points:
     """Return points with their parameters checked; without `t` it is the length of the chords up to each.
@@ -77,7 +67,7 @@ def points_of(
             f"Parameters of {name} must be one finite number for each of its {len(points)} points."
         )
     check_increasing(t, name)
-    return Points(t, points, tuple(coordinates), rounding, name)
+    return Points(t, points, tuple(coordinates), name)
 
 
 _NO_CSV = "is not CSV text"
@@ -110,19 +100,12 @@ def read_points(path: str | Path) -> Points:
         [[_cell(row, k, number, names, path) for k in range(len(names))] for number, row in numbered]
     )
     parameter = [k for k, c in enumerate(columns) if c[0] == "t"]
-    step = max(columns[k][1] * _step([row[k] for row in rows[1:]]) for k in lengths)
-    made = points_of(
+    return points_of(
         table[:, order] * np.array([columns[k][1] for k in order]),
         table[:, parameter[0]] if parameter else None,
         tuple(columns[k][0] for k in order),
-        step / 2,
         path.name,
     )
-    torn = (
-        f"the last line of {quoted(path.name)} does not end with a newline: if the file was cut short, its "
-        "last point is wrong."
-    )
-    return made if text.endswith(("\n", "\r")) else replace(made, notes=(torn,))
 
 
 def _column(name: str, path: Path) -> tuple[str, float]:
@@ -147,13 +130,3 @@ def _cell(row: list[str], k: int, number: int, names: list[str], path: Path) -> 
             f"Point {number} of {path} must have a finite number for {names[k]}; its line is {row}."
         )
     return value
-
-
-def _step(cells: list[str]) -> float:
-    """One in the last digit that the column shows: its finest decimal place."""
-    places = []
-    for cell in cells:
-        match = re.fullmatch(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d+))?", cell.strip())
-        if match:
-            places.append(len(match[1]) - int(match[2] or 0))
-    return 10.0 ** -max(places) if places else 0.0

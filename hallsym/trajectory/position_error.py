@@ -6,41 +6,21 @@ As uncertainties the two add in squares.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, sqrt
+from math import hypot, inf, sqrt
 from typing import Any
 
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.trajectory.choose import of_nominal
+from hallsym.trajectory.choose import choose_curve, method_named
 from hallsym.trajectory.curve import Curve
-from hallsym.trajectory.methods import Method, method_named
-from hallsym.trajectory.nominal import Nominal, nominal
+from hallsym.trajectory.nominal import nominal
 
-Array = np.ndarray
 SHARE = 0.02
 """What a curve may add to the uncertainty of the machine before more control points are worth having."""
 ROWS, FEW = 8, 30
-"""How many numbers of points `worth_of` tries: one by one up to `FEW`, else from a third of its own."""
-
-
-def position_error(machine_m: Array | float, curve_m: Array | float) -> Array:
-    """Return e_position = e_machine + e_curve, Eq. (15); both with the same sign, or magnitudes."""
-    return np.asarray(machine_m, float) + np.asarray(curve_m, float)
-
-
-def expanded(machine_m: Array | float, curve_m: Array | float, coverage: float = 2.0) -> Array:
-    """Return the expanded uncertainty of a machine that follows a curve [m].
-
-    `machine_m`: expanded uncertainty of the machine with the coverage factor `coverage`; `curve_m`: standard
-    uncertainty of the curve. 500.94 nm grows by 9.9 nm for 50 nm.
-    """
-    machine, curve = np.asarray(machine_m, float), np.asarray(curve_m, float)
-    if (machine < 0).any() or (curve < 0).any() or not 0 < coverage < inf:
-        raise InputError("Uncertainties must be 0 or more, and the coverage factor positive.")
-    return np.hypot(machine, coverage * curve)
+"""How many numbers of points are tried: one by one up to `FEW`, else from a third of the curve's own."""
 
 
 @dataclass(frozen=True)
@@ -51,23 +31,6 @@ class Worth:
     error_m: float
     expanded_m: float
     gain_m: float
-
-
-def worth(
-    machine_m: float, error: Callable[[int], float], counts: Sequence[int], coverage: float = 2.0
-) -> tuple[Worth, ...]:
-    """Return the marginal value of control points: expanded uncertainty for each count, and what it saves.
-
-    `error(count)`: error of the curve with so many control points [m], taken as its standard uncertainty.
-    """
-    if not counts or list(counts) != sorted(set(counts)):
-        raise InputError("Counts of control points must increase; there must be at least one.")
-    rows: list[Worth] = []
-    for count in counts:
-        size = float(error(count))
-        total = float(expanded(machine_m, size, coverage))
-        rows.append(Worth(count, size, total, rows[-1].expanded_m - total if rows else 0.0))
-    return tuple(rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,12 +55,12 @@ class CurveCost:
     @property
     def allowed_m(self) -> float:
         """Error of a curve that adds 2 % [m]."""
-        return allowed(self.machine_m, coverage=self.coverage)
+        return self.machine_m * sqrt((1 + SHARE) ** 2 - 1) / self.coverage
 
     @property
     def enough(self) -> Worth | None:
         """The fewest control points whose curve adds at most 2 %, None where that is not known."""
-        return enough(self.rows, self.machine_m)
+        return next((row for row in self.rows if row.expanded_m <= self.machine_m * (1 + SHARE)), None)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record for JSON, SI."""
@@ -120,55 +83,40 @@ class CurveCost:
 def curve_cost(curve: Curve, machine_m: float, coverage: float = 2.0) -> CurveCost:
     """Return what a curve costs a machine of expanded uncertainty `machine_m` [m], and what points are worth.
 
-    Raises `InputError` for a curve whose error is not known.
+    The largest error of the curve counts as its standard uncertainty. Raises `InputError` for a curve whose
+    error is not known.
     """
     if curve.max_error_m is None:
         raise InputError("The curve does not state its error; make it with 'hallsym trajectory', which does.")
-    total = float(expanded(machine_m, curve.max_error_m, coverage))
-    return CurveCost(curve, machine_m, total, coverage, worth_of(curve, machine_m, coverage))
+    if not (machine_m > 0 and 0 < coverage < inf):
+        raise InputError("The uncertainty of the machine and the coverage factor must be positive.")
+    total = hypot(machine_m, coverage * curve.max_error_m)
+    rows: list[Worth] = []
+    for count, error in _errors(curve):
+        expanded = hypot(machine_m, coverage * error)
+        rows.append(Worth(count, error, expanded, rows[-1].expanded_m - expanded if rows else 0.0))
+    return CurveCost(curve, machine_m, total, coverage, tuple(rows))
 
 
-def worth_of(curve: Curve, machine_m: float, coverage: float = 2.0) -> tuple[Worth, ...]:
-    """Return the value of control points for a curve made of an expression, by its own method and nodes.
+def _errors(curve: Curve) -> list[tuple[int, float]]:
+    """Control points and error of the curve made of its expression by other counts, none of one of points.
 
-    Counts go up to its own and two further. Nothing for a curve made of points: its expression is not known.
+    Counts go up to its own and two further.
     """
-    found = remade(curve)
-    if found is None:
-        return ()
-    source, method, nodes = found
-    own = curve.control_points if method.fitted else int(curve.source["points"])
+    made_of = curve.source
+    if "curve" not in made_of:
+        return []
+    span = (str(made_of["parameter"]), repr(curve.start), repr(curve.stop))
+    source, method = nominal(made_of["curve"], span, made_of["values"]), method_named(curve.method)
+    own = curve.control_points if method.fitted else int(made_of["points"])
     least = max(own - ROWS + 3 if own <= FEW else own // 3, method.least, 3)
     counts = range(least, own) if own <= FEW else np.geomspace(least, own, ROWS - 2).round().astype(int)
     errors: dict[int, float] = {}
     for count in sorted({*map(int, counts), own, own + 1, own + 2}):
         points, control = (None, count) if method.fitted else (count, None)
         try:
-            best = of_nominal(source, points=points, control=control, methods=[method], nodes=nodes).best
+            best = choose_curve(source, points=points, control=control, method=method.name).best
         except InputError:  # a count of which the method makes no curve
             continue
-        errors[best.control_points] = best.error_m
-    return worth(machine_m, errors.__getitem__, sorted(errors), coverage) if errors else ()
-
-
-def remade(curve: Curve) -> tuple[Nominal, Method, str] | None:
-    """Return the expression, the method and the nodes that a curve was made with; None for one of points."""
-    source: Mapping = curve.source
-    if not {"curve", "values", "nodes", "points"} <= set(source):
-        return None
-    span = (str(source.get("parameter", "t")), repr(curve.start), repr(curve.stop))
-    return nominal(source["curve"], span, source["values"]), method_named(curve.method), str(source["nodes"])
-
-
-def enough(rows: Sequence[Worth], machine_m: float, share: float = SHARE) -> Worth | None:
-    """Return the first count whose curve adds at most `share` to the uncertainty of the machine, or None."""
-    if not 0 < share < inf:
-        raise InputError(f"The share that a curve may add must be positive; got {share!r}.")
-    return next((row for row in rows if row.expanded_m <= machine_m * (1 + share)), None)
-
-
-def allowed(machine_m: float, share: float = SHARE, coverage: float = 2.0) -> float:
-    """Return the error of a curve [m] that adds `share` to the expanded uncertainty of the machine."""
-    if not (machine_m > 0 and 0 < share < inf):
-        raise InputError("The uncertainty of the machine and the share must be positive.")
-    return machine_m * sqrt((1 + share) ** 2 - 1) / coverage
+        errors[best.to_dict()["control_points"]] = best.error_m
+    return sorted(errors.items())

@@ -264,7 +264,7 @@ CYCLOID = ["--curve", "x = r*(t - sin(t)); y = r*(1 - cos(t))", "--range", "t=0:
 def curve(here: Fit) -> str:
     """A cycloid of 0.05 mm through 8 points."""
     if not Path("curve.json").exists():
-        words = ["trajectory", *CYCLOID, "--value", "r=50um", "--points", "8", "--basis", "bernstein"]
+        words = ["trajectory", *CYCLOID, "--value", "r=50um", "--points", "8", "--method", "bernstein"]
         assert main([*words, "-o", "curve.json"]) == 0
     return "curve.json"
 

@@ -5,8 +5,7 @@ from functools import cache
 import numpy as np
 
 from hallsym.trajectory import Curve, Nominal, nominal
-from hallsym.trajectory.methods import method_named
-from hallsym.trajectory.target import Target
+from hallsym.trajectory.choose import Target, method_named
 
 TEXT = "x = r*(t - sin(t)); y = r*(1 - cos(t))"
 WHOLE = 2 * np.pi
@@ -19,8 +18,8 @@ def cycloid() -> Nominal:
 
 
 @cache
-def through(method: str, count: int, nodes: str = "equidistant", control: int = 0) -> Curve:
-    return Target(cycloid()).made(method_named(method), nodes, count, control)
+def through(method: str, count: int, control: int = 0) -> Curve:
+    return Target(cycloid()).made(method_named(method), count, control)
 
 
 def sampled(curve: Curve, first: float = 0.0, last: float = WHOLE, samples: int = 20001) -> float:

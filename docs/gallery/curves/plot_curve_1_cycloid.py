@@ -17,10 +17,10 @@ t = np.linspace(0, 2 * np.pi, 2001)
 cycloid = 1e-3 * np.column_stack([t - np.sin(t), 1 - np.cos(t)])
 
 figure, ax = plt.subplots(figsize=(7, 3), layout="constrained")
-met = sorted((c for c in choice.candidates if choice.meets(c)), key=lambda c: c.control_points)[:3]
+met = sorted((c for c in choice.candidates if choice.meets(c)), key=lambda c: c.curve.control_points)[:3]
 for candidate, look in zip(met, ("-", "--", ":"), strict=True):
     off = np.linalg.norm(np.asarray(candidate.curve(t))[:, :2] - cycloid, axis=1)
-    label = f"{candidate.method.words}: {candidate.control_points} control points"
+    label = f"{candidate.method.words}: {candidate.curve.control_points} control points"
     ax.semilogy(t, 1e9 * np.maximum(off, 1e-13), look, color="0.1", label=label)
 ax.axhline(50, color="C1", lw=1, label="tolerance")
 ax.set(xlabel="t", ylabel="distance [nm]", ylim=(1e-3, 1e5))

@@ -26,10 +26,8 @@ from hallsym.report.figures.style import (
     panels,
 )
 from hallsym.trajectory import Choice, Curve, Nominal, Points
-from hallsym.trajectory.candidate import Candidate
-from hallsym.trajectory.corner_cutting import FgForm
-from hallsym.trajectory.forms import SplineForm
-from hallsym.trajectory.target import Target
+from hallsym.trajectory.choose import Candidate, Target
+from hallsym.trajectory.curve import FgForm
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,8 +52,8 @@ def curve_picture(curve: Curve, data: Nominal | Points) -> Figure:
     flat = len(lengths) == 1
     across = (lambda p, u: (u, p[:, 0])) if flat else (lambda p, u: (p[:, 0], p[:, 1]))
     handles = [Line2D([], [], color=AFTER, label="curve")]
-    polygon = _polygon(curve)
-    if polygon is not None and not flat and len(polygon) <= MOST_SHOWN:
+    polygon = curve.form.control
+    if not flat and len(polygon) <= MOST_SHOWN:
         ax.plot(*(1e3 * polygon[:, lengths]).T, color=GREY, ls=DASHED, marker="s", ms=3, mfc="none", lw=0.7)
         name = (
             "control polygon" if _within_hull(curve) else "coefficients (the curve need not lie between them)"
@@ -74,12 +72,8 @@ def curve_picture(curve: Curve, data: Nominal | Points) -> Figure:
     return figure
 
 
-def _polygon(curve: Curve) -> np.ndarray | None:
-    return curve.form.control if isinstance(curve.form, FgForm | SplineForm) else None
-
-
 def _within_hull(curve: Curve) -> bool:
-    return not isinstance(curve.form, FgForm) or curve.form.basis.partition
+    return not isinstance(curve.form, FgForm) or curve.form.basis.name == "bernstein"
 
 
 def error_along(choice: Choice, target: Target) -> Figure:
@@ -92,16 +86,18 @@ def error_along(choice: Choice, target: Target) -> Figure:
     ax, u, handles, everything = axes[0, 0], np.linspace(0, 1, SAMPLES), [], []
     for k, c in enumerate(shown):
         assert c.curve is not None
-        error = np.maximum(1e6 * target.errors(c.curve, u), LEAST)
+        apart = target.errors(c.curve, u, target.at(u))[:, c.curve.lengths]
+        error = np.maximum(1e6 * np.linalg.norm(apart, axis=1), LEAST)
         everything.append(error)
         t = c.curve.start + u * (c.curve.stop - c.curve.start)
         ax.plot(t, error, color=SERIES[k % len(SERIES)], ls=DASHES[k], lw=1.3 if k == 0 else 0.8)
-        name = f"{_name(c)}: {c.control_points} control points"
+        name = f"{c.method.words}: {c.curve.control_points} control points"
         handles.append(Line2D([], [], color=SERIES[k % len(SERIES)], ls=DASHES[k], label=name))
     ax.axhline(1e6 * choice.best.error_m, color=BLACK, lw=0.6)
     handles.append(Line2D([], [], color=BLACK, lw=0.6, label=f"bound of {choice.best.method.words}"))
     log_axis(ax, "y", np.maximum(np.concatenate(everything), np.concatenate(everything).max() * 1e-6))
-    label_x(ax, target.nominal.parameter)
+    assert isinstance(target.source, Nominal)
+    label_x(ax, target.source.parameter)
     label_y(ax, "distance from the nominal curve [µm]")
     legend(figure, handles, "upper left", ncols=2)
     return figure
@@ -112,12 +108,8 @@ def error_by_points(target: Target, candidates: tuple[Candidate, ...], tolerance
     from matplotlib.lines import Line2D
 
     figure, axes = panels(1, 1, 3.4, top=_above(len(candidates) + 1), bottom=0.42, right=0.15)
-    ax, handles, seen, values = axes[0, 0], [], set(), []
-    for c in candidates:
-        if (c.method.name, c.nodes) in seen:
-            continue
-        seen.add((c.method.name, c.nodes))
-        k = len(seen) - 1
+    ax, handles, values = axes[0, 0], [], []
+    for k, c in enumerate(candidates):
         found = [(n, e) for n in COUNTS if (e := _error_with(target, c, n)) is not None]
         if not found:
             continue
@@ -127,7 +119,7 @@ def error_by_points(target: Target, candidates: tuple[Candidate, ...], tolerance
         look: dict[str, Any] = {"color": SERIES[k % len(SERIES)], "ls": DASHES[k % len(DASHES)], "lw": 0.8,
                 "marker": MARKERS[k % len(MARKERS)], "ms": 3}  # fmt: skip
         ax.plot(n, e, **look)
-        handles.append(Line2D([], [], label=_name(c), **look))
+        handles.append(Line2D([], [], label=c.method.words, **look))
     if tolerance is not None:
         ax.axhline(1e6 * tolerance, color=BLACK, lw=0.6)
         handles.append(Line2D([], [], color=BLACK, lw=0.6, label="tolerance"))
@@ -139,12 +131,6 @@ def error_by_points(target: Target, candidates: tuple[Candidate, ...], tolerance
     return figure
 
 
-def _name(c: Candidate) -> str:
-    spacing = "Chebyshev" if c.nodes == "chebyshev" else c.nodes
-    usual = c.nodes in ("equidistant", "given") or not c.method.anywhere
-    return c.method.words if usual else f"{c.method.words}, {spacing} nodes"
-
-
 def _above(entries: int) -> float:
     """Inches that a legend of two columns takes above the axes."""
     return 0.12 + 0.178 * -(-entries // 2)
@@ -152,11 +138,11 @@ def _above(entries: int) -> float:
 
 def _error_with(target: Target, c: Candidate, count: int) -> float | None:
     """Largest sampled error of a method with so many points; None where it makes no curve."""
-    if not c.method.least <= count <= (40 if c.method.fitted else max(c.method.most, 101)):
+    if not c.method.least <= count <= max(c.method.most, 101 * (not c.method.fitted)):
         return None
-    points = max(c.points, 2 * count) if c.method.fitted else count
+    taken, control = (max(c.points, 2 * count), count) if c.method.fitted else (count, 0)
     try:
-        found = target.sampled(target.made(c.method, c.nodes, points, count))
+        found = target.sampled(target.made(c.method, taken, control))
     except InputError:
         return None
     return found if np.isfinite(found) else None
