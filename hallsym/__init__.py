@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from hallsym.codegen import Generated as Generated
     from hallsym.codegen import decouple as decouple
     from hallsym.codegen import generate as generate
+    from hallsym.diagnosis import DetectionPower as DetectionPower
     from hallsym.diagnosis import Diagnosis as Diagnosis
-    from hallsym.diagnosis import SelfTest as SelfTest
+    from hallsym.diagnosis import detection_power as detection_power
     from hallsym.diagnosis import diagnose as diagnose
     from hallsym.diagnosis import diagnosis_schema as diagnosis_schema
-    from hallsym.diagnosis import selftest as selftest
     from hallsym.errors import InputError as InputError
     from hallsym.estimation import ErrorTable as ErrorTable
     from hallsym.estimation import Evaluation as Evaluation
@@ -85,7 +85,7 @@ if TYPE_CHECKING:
 
 _PUBLIC = {
     "hallsym.codegen": ("Generated", "decouple", "generate"),
-    "hallsym.diagnosis": ("Diagnosis", "SelfTest", "diagnose", "diagnosis_schema", "selftest"),
+    "hallsym.diagnosis": ("DetectionPower", "Diagnosis", "detection_power", "diagnose", "diagnosis_schema"),
     "hallsym.errors": ("InputError",),
     "hallsym.estimation": (
         "ErrorTable", "Evaluation", "Fit", "calibration_schema", "evaluate", "fit", "judge", "load_fit",

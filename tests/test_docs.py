@@ -38,7 +38,7 @@ LISTED = (
 )  # fmt: skip
 LONG = {
     "budget", "campaign", "codegen", "concepts", "controller", "diagnose", "encoder", "evaluate", "fleet",
-    "halbach", "howto", "logs", "plan", "report", "rotary", "selftest", "sensitivity", "sorting", "stage",
+    "halbach", "howto", "logs", "plan", "power", "report", "rotary", "sensitivity", "sorting", "stage",
     "tolerances", "trajectory",
 }  # fmt: skip
 """Pages whose examples take more than a second of a processor: they run with the slow tests; what they name
@@ -50,7 +50,6 @@ COMMANDS = (
     "fleet",
     "evaluate",
     "diagnose",
-    "selftest",
     "report",
     "sensitivity",
     "budget",

@@ -228,9 +228,11 @@ def test_a_tolerance_has_a_worth(family):
         hallsym.tolerances(model, campaign, samples=16)
 
 
-def test_a_self_test_finds_its_effect():
+def test_the_detection_power_finds_its_effect():
     log, fit = fitted(ARRAY)
-    found = hallsym.selftest(log, fit.model, holdout=[2], names=["second_harmonic"], ratios=[3.0], repeats=1)
+    found = hallsym.detection_power(
+        log, fit.model, holdout=[2], names=["second_harmonic"], ratios=[3.0], repeats=1
+    )
     (effect,) = found.effects
     assert effect.status == "found"
     assert found.false_alarms == 0
@@ -238,9 +240,9 @@ def test_a_self_test_finds_its_effect():
 
 @pytest.mark.slow
 @each_trial
-def test_a_self_test_tries_every_fault(family):
+def test_the_detection_power_tries_every_fault(family):
     log, fit = fitted(family)
-    found = hallsym.selftest(log, fit.model, holdout=[2], ratios=[4.0], repeats=1)
+    found = hallsym.detection_power(log, fit.model, holdout=[2], ratios=[4.0], repeats=1)
     assert found.complete
     assert found.false_alarms == 0
 

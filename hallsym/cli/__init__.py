@@ -6,7 +6,6 @@ COMMANDS = {
     "fleet": "calibrate many devices: one row a device, and how they differ",
     "evaluate": "errors of a saved calibration on other logs, and whether they belong to it",
     "diagnose": "where the gap lies, which effect makes it, how far it shrinks",
-    "selftest": "what 'no gap' on this log is worth: effects injected, diagnosed blind",
     "report": "one HTML page of a saved calibration",
     "sensitivity": "what a log, or a plan, determines of each parameter",
     "budget": "uncertainty of the decoded position, or any budget by the GUM",

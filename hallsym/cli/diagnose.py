@@ -6,7 +6,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from hallsym.cli import OK
+from hallsym.cli import INTERRUPTED, OK
 from hallsym.cli.common import (
     command,
     log_options,
@@ -21,17 +21,22 @@ from hallsym.cli.common import (
     run_numbers,
     say,
 )
-from hallsym.diagnosis import Examined, compare, examine, model_on, prepare
+from hallsym.diagnosis import REPEATS, Examined, compare, detection_power, examine, model_on, prepare
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.families import default_model
 from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
-from hallsym.model import Model
+from hallsym.log import Log
+from hallsym.model import Effect, Model
 from hallsym.report.data.gather import gather, version_of
 from hallsym.report.page.diagnosis_page import diagnosis_page
 from hallsym.report.text.comparison import comparison_text
 from hallsym.report.text.diagnosis import diagnosis_text
+from hallsym.report.text.power import power_text
+
+EVERY = "all"
+"""Word for every effect of the catalogue."""
 
 
 def add(sub: Any) -> None:
@@ -44,6 +49,7 @@ def add(sub: Any) -> None:
         "  hallsym diagnose LOG --model stage31\n"
         "  hallsym diagnose LOG --model calib.json --holdout 2,7,12 --json\n"
         "  hallsym diagnose LOG --effects my_effects.py -o report.html --plots pictures\n"
+        "  hallsym diagnose LOG --power hysteresis,time_skew      from which size on these would be found\n"
         "  hallsym diagnose --compare before.json after.json",
     )  # fmt: skip
     parser.add_argument("log", metavar="LOG", nargs="?", help="log, or a folder with log and meta.json")
@@ -51,6 +57,14 @@ def add(sub: Any) -> None:
         "--compare", nargs=2, metavar=("BEFORE", "AFTER"),
         help="instead: what changed between two saved diagnoses (or calibrations) of one machine",
     )  # fmt: skip
+    parser.add_argument(
+        "--power", nargs="?", const=EVERY, metavar="EFFECTS",
+        help="instead, after LOG: what 'no gap' is worth: inject effects (by name; all take an hour or two, "
+        "Ctrl-C keeps what was done) into its motion and noise, and diagnose each simulated log blind",
+    )  # fmt: skip
+    parser.add_argument(
+        "--repeats", type=int, default=REPEATS, help=f"trials of each size with --power (default {REPEATS})"
+    )
     parser.add_argument(
         "--holdout", metavar="RUNS", help="runs to judge on (default: the log's own, else every fifth)"
     )
@@ -90,6 +104,8 @@ def run(options: Namespace) -> int:
             holdout=holdout,
             drop_bad=options.drop_bad,
         )
+    if options.power:
+        return _power(options, log, model, holdout, tuple(own.values()))
     setup = prepare(
         log,
         model,
@@ -110,6 +126,29 @@ def run(options: Namespace) -> int:
     wrote = [*options.output, *_pictures(options, seen)]
     say(options, found.to_dict(), lambda: diagnosis_text(found, words), wrote=wrote)
     return OK
+
+
+def _power(
+    options: Namespace, log: Log, model: Model | Fit, holdout: list[int] | None, own: tuple[Effect, ...]
+) -> int:
+    """Say which effects a diagnosis of this log would find, and from which size on."""
+    if options.plots:
+        raise InputError("--power draws nothing; leave --plots out.")
+    found = detection_power(
+        log,
+        model,
+        names=None if options.power == EVERY else [n.strip() for n in options.power.split(",") if n.strip()],
+        holdout=holdout,
+        effects=own,
+        threshold=options.threshold,
+        repeats=options.repeats,
+        drop_bad=options.drop_bad,
+        on_progress=progress_of(options),
+    )
+    for path in options.output:
+        _save(path, found.to_dict())
+    say(options, found.to_dict(), lambda: power_text(found), wrote=options.output)
+    return OK if found.complete else INTERRUPTED
 
 
 def _pictures(options: Namespace, seen: Examined) -> list[Path]:

@@ -23,7 +23,7 @@ from hallsym.cli.common import (
 )
 from hallsym.errors import InputError
 from hallsym.estimation import Evaluation, Fit, evaluate, load_fit
-from hallsym.inference import FALSE_ALARM, Belonging, belonging
+from hallsym.inference import FALSE_ALARM, Belonging, belonging, check_false_alarm
 from hallsym.log import Fault
 from hallsym.report.data.periodic import periodic_of
 from hallsym.report.text.comparison import belonging_text, chart_text
@@ -67,6 +67,7 @@ def add(sub: Any) -> None:
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
+    check_false_alarm(options.false_alarm)
     known, show = load_fit(options.calibration, own_effects(options)), progress_of(options)
     logs: dict[str, Judged | str] = {}
     for k, path in enumerate(options.logs):

@@ -137,7 +137,7 @@ def prepare(
     policy: Policy = POLICY,
     on_progress: Say | None = None,
 ) -> Setup:
-    """Fit the model on the fit runs: what every stage of a diagnosis, and a self-test, starts from.
+    """Fit the model on the fit runs: what every stage of a diagnosis, and the detection power, starts from.
 
     Arguments as for `diagnose`.
     """

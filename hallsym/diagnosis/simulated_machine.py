@@ -1,4 +1,4 @@
-"""The simulated machine of a self-test: a fitted model on recorded motion, and its noise.
+"""The simulated machine of the detection power: a fitted model on recorded motion, and its noise.
 
 The recorded reference, smoothed, vertical state, time and temperature are taken as the truth. The noise is
 that of the log as it is: as large and as correlated in time as what the fit leaves

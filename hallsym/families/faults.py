@@ -1,4 +1,4 @@
-"""Faults of a recording, which no model holds: what to do instead, and how a self-test injects each."""
+"""Faults of a recording, which no model holds: what to do instead, and how each is injected."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -65,7 +65,7 @@ Inject = Callable[[Recording, Draw], Injection | str]
 class RecordingFault:
     """A fault that no effect can model. `remedy`: what to do instead.
 
-    `inject(recording, draw)`: how a self-test makes it, or why this recording cannot have it. `rare`: few
+    `inject(recording, draw)`: how it is injected, or why this recording cannot have it. `rare`: few
     samples have it, which can be left out. `of_values`: the values of the readings tell it, whatever a model
     leaves, so its error is known. `wiring`: the channels are assigned wrongly.
     """

@@ -8,7 +8,7 @@ side; `parameter_changes` compares two recordings of one sensor, `belonging` tes
 to a calibration.
 """
 
-from hallsym.inference.belonging import FALSE_ALARM, Belonging, belonging
+from hallsym.inference.belonging import FALSE_ALARM, Belonging, belonging, check_false_alarm
 from hallsym.inference.bootstrap import Bootstrap, bootstrap
 from hallsym.inference.identifiability import (
     CombinationReport,
@@ -51,6 +51,7 @@ __all__ = [
     "belonging",
     "bootstrap",
     "changes",
+    "check_false_alarm",
     "comparison",
     "identify",
     "profile",

@@ -138,6 +138,15 @@ class _Colour:
     correlation: float = 0.0
 
 
+def check_false_alarm(chance: float) -> None:
+    """Refuse a probability that the tests cannot hold."""
+    if not LEAST_FALSE_ALARM <= chance <= MOST_FALSE_ALARM:
+        raise InputError(
+            f"The probability of a false alarm must be {LEAST_FALSE_ALARM:g} to {MOST_FALSE_ALARM:g}; instead"
+            f" received {chance!r}."
+        )
+
+
 def belonging(seen: Evaluation, *, false_alarm: float = FALSE_ALARM) -> Belonging:
     """Say whether a log that `evaluate` decoded still belongs to the calibration, and what changed if not.
 
@@ -146,11 +155,7 @@ def belonging(seen: Evaluation, *, false_alarm: float = FALSE_ALARM) -> Belongin
 
     Raises `InputError` for a log that cannot be fitted.
     """
-    if not LEAST_FALSE_ALARM <= false_alarm <= MOST_FALSE_ALARM:
-        raise InputError(
-            f"The probability of a false alarm must be {LEAST_FALSE_ALARM:g} to {MOST_FALSE_ALARM:g}; instead"
-            f" received {false_alarm!r}."
-        )
+    check_false_alarm(false_alarm)
     known = seen.calibration
     stated = Noise({column: Sigma(s.value, "given") for column, s in known.noise.sigmas.items()})
     after = fit(

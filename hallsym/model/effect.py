@@ -6,7 +6,7 @@
     loop")): ...
 
 The signature is what `--effect hysteresis:half_width_m=6e-05` takes, what a calibration saves, what a
-diagnosis tries on a log and what a self-test injects. A name ends with the unit of its number. The
+diagnosis tries on a log and what the detection power injects. A name ends with the unit of its number. The
 default of a number says where its value comes from: `one_of` several choices, `searched` on a grid,
 `from_log` (a log tells it), `found` by a rule (several numbers at once), or a plain value.
 """
@@ -74,7 +74,7 @@ class Effect:
     `needs`: logged columns without which it cannot be tested. `label`: of a variant without numbers of
     its own. `unless`: effects that already contain it. `waves`: waves of error per turn that it makes, of
     a pose that turns. `possible(values)`: whether fitted parameters can belong to this cause. `inject`:
-    how a self-test makes it, where not by its parameters. `diagnosed`: whether a diagnosis tries it.
+    how it is injected, where not by its parameters. `diagnosed`: whether a diagnosis tries it.
 
     """
 

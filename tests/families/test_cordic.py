@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.diagnosis import cordic, diagnose, selftest
+from hallsym.diagnosis import cordic, detection_power, diagnose
 from hallsym.families.cordic import cordic_angle, levels, worst_of
 from hallsym.log import Log, Noise
 
@@ -124,9 +124,9 @@ def test_a_diagnosis_tells_steps_of_cordic_from_equal_ones(steps, bits, names, s
 
 
 @pytest.mark.slow
-def test_a_selftest_injects_and_finds_them():
+def test_the_detection_power_injects_and_finds_them():
     log = recorded(None, None)
-    tested = selftest(log, "rotary", names=["cordic_steps"], ratios=(2.0,))
+    tested = detection_power(log, "rotary", names=["cordic_steps"], ratios=(2.0,))
     row = tested.effect("cordic_steps")
     assert (row.status, row.link) == ("found", "electronics")
     assert row.size["error_at_most"][0] == pytest.approx(worst_of(int(row.size["steps"][0])))

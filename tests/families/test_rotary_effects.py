@@ -274,11 +274,10 @@ def test_what_is_diagnosed_on_an_encoder_is_what_is_fitted() -> None:
     assert after == pytest.approx(found.gap_after.rmse["angle_rad"], rel=0.04)
 
 
-def test_the_self_test_and_the_comparison_of_an_encoder_are_in_degrees(tmp_path: Path, capsys) -> None:
+def test_the_detection_power_and_the_comparison_of_an_encoder_are_in_degrees(tmp_path: Path, capsys) -> None:
     log = str(written(encoder(late, "angle"), tmp_path / "log.csv"))
-    words = [log, "--model", "rotary", "--effects", "reference_pole_pairs,sign_inversion", "--sizes", "2"]
-    words += ["--quick"]
-    assert main(["selftest", *words]) == 0
+    words = [log, "--model", "rotary", "--power", "reference_pole_pairs,sign_inversion", "--repeats", "1"]
+    assert main(["diagnose", *words]) == 0
     said = capsys.readouterr().out
     assert "deg" in said
     assert " um" not in said

@@ -1,8 +1,8 @@
-"""The self-test as a person reads it in a terminal."""
+"""The detection power of a diagnosis as a person reads it in a terminal."""
 
 from collections.abc import Sequence
 
-from hallsym.diagnosis import CurvePoint, Findable, SelfTest, Trial, gap_text, gap_unit
+from hallsym.diagnosis import CurvePoint, DetectionPower, Findable, Trial, gap_text, gap_unit
 from hallsym.report.tables import grid
 from hallsym.units import parameter_unit
 
@@ -11,11 +11,11 @@ READ = {"s": (1e3, "ms"), "V": (1e3, "mV")}
 """Factor and unit of parameters that are not shown as `parameter_unit` has it."""
 
 
-def selftest_text(s: SelfTest) -> str:
-    """Return what `hallsym selftest` prints: one line per effect, false alarms, what cannot be seen, why."""
+def power_text(s: DetectionPower) -> str:
+    """Return what `hallsym diagnose --power` prints: a line for each effect, and what cannot be seen."""
     quiet, unit = len(s.quiet_trials), gap_unit(s.outputs)
     parts = [
-        f"self-test of a diagnosis with {s.model}: {s.rows} samples"
+        f"detection power of a diagnosis with {s.model}: {s.rows} samples"
         + (f" ({s.thinning})" if s.thinning else "")
         + f", noise floor {gap_text(s.floor_m, unit)}, threshold {100 * s.threshold:g} %, seed {s.seed}; "
         f"{s.seconds:.0f} s" + ("" if s.complete else "; INTERRUPTED, what was done:"),
@@ -35,7 +35,7 @@ def selftest_text(s: SelfTest) -> str:
     return "\n".join([*parts, *(f"note: {note}" for note in s.notes)])
 
 
-def _table(s: SelfTest, tested: Sequence[Findable]) -> str:
+def _table(s: DetectionPower, tested: Sequence[Findable]) -> str:
     head = ["effect", *(f"{r:g} x" for r in s.ratios), "found from", "that is", "taken for"]
     rows = [head]
     for e in tested:
@@ -82,12 +82,12 @@ def size_text(e: Findable) -> str:
     return ", ".join(said)
 
 
-def _legend(s: SelfTest) -> str:
+def _legend(s: DetectionPower) -> str:
     lines = [
         f"columns {', '.join(f'{r:g} x' for r in s.ratios)}: gap over noise floor; yes: named first; "
         "group: in one group with the effect named first; second: named beside another;",
         "wrong: only another effect was named; unexplained: a gap without a name; no gap: not detected; -: "
-        "cannot be made that large here, or was not reached",
+        "cannot be made that large here, or was not tried",
         "found from: of the sizes that were tried, the smallest gap above the floor from which on it is "
         "found, and its largest parameters",
     ]

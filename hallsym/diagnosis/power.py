@@ -8,14 +8,15 @@ the real one would be, many times.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from itertools import takewhile
 from time import perf_counter
+from typing import Any
 
 import numpy as np
+from scipy.special import betaincinv
 
-from hallsym.diagnosis.detection import Findable, SelfTest, Trial, curve_point
 from hallsym.diagnosis.engine import diagnose, prepare
 from hallsym.diagnosis.injection import Injection, generator, injections, sized
 from hallsym.diagnosis.record import Diagnosis
@@ -23,7 +24,7 @@ from hallsym.diagnosis.setup import Setup, decimated
 from hallsym.diagnosis.simulated_machine import machine_of, simulated_noise
 from hallsym.diagnosis.validation import QUIET
 from hallsym.errors import InputError, nearest
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation.calibration import INTERVAL, Fit
 from hallsym.families.faults import FAULTS
 from hallsym.log import Log
 from hallsym.model import Effect, Model
@@ -36,6 +37,132 @@ REPEATS = 20
 """Trials of each size: if all find it, it is found in at least 83 % (two-sided 95 %)."""
 ROWS = 30_000
 """Samples to which a longer log is decimated: the fifth that judges knows a gap metric to 1 %."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One injection and what the blind diagnosis said.
+
+    `ratio`: gap over noise floor that was asked for, None where nothing can be scaled; `gap_m`: noise-free
+    gap metric that was reached. `size`: parameter -> (value in SI, unit). `imperfection`: the effect that is
+    present beside it, too small to report. `outcome`: "found" (named first), "group" (in one group with the
+    first), "listed" (named, not first), "other", "unexplained", "no gap", or "refused" (the diagnosis would
+    not take the log).
+    """
+
+    name: str
+    ratio: float | None
+    repeat: int
+    gap_m: float
+    size: dict[str, tuple[float, str]]
+    imperfection: str
+    outcome: str
+    verdict: str
+    named: tuple[str, ...]
+    seconds: float
+
+    @property
+    def found(self) -> bool:
+        """Whether the injected effect is named first, or in one group with the first."""
+        return self.outcome in ("found", "group")
+
+    @property
+    def noticed(self) -> bool:
+        """Whether the diagnosis said that there is a gap."""
+        return self.verdict not in QUIET
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """Detection at one size: `ratio`, gap over noise floor, None where nothing can be scaled.
+
+    `found`: share of trials in which the effect was found, with its two-sided 95 % bounds `low` and `high`;
+    `noticed`: share in which the diagnosis said that there is a gap.
+    """
+
+    ratio: float | None
+    trials: int
+    found: float
+    low: float
+    high: float
+    noticed: float
+
+
+def curve_point(ratio: float | None, found: Sequence[bool], noticed: Sequence[bool]) -> CurvePoint:
+    """Return how often something was found and noticed in trials; nil of none."""
+    n, low_high = len(found), clopper_pearson(sum(found), len(found))
+    return CurvePoint(ratio, n, sum(found) / max(n, 1), *low_high, sum(noticed) / max(n, 1))
+
+
+def clopper_pearson(count: int, trials: int) -> tuple[float, float]:
+    """Return the two-sided 95 % bounds of a rate.
+
+    C. J. Clopper, E. S. Pearson, Biometrika 26 (1934) 404, doi:10.1093/biomet/26.4.404.
+    """
+    k, n = count, trials
+    low = float(betaincinv(k, n - k + 1, 0.5 * (1 - INTERVAL))) if k else 0.0
+    return low, float(betaincinv(k + 1, n - k, 0.5 * (1 + INTERVAL))) if k < n else 1.0
+
+
+@dataclass(frozen=True)
+class Findable:
+    """The result of the trials of one effect.
+
+    `status`: "found" (from `ratio` on, in 90 % of the trials), "not found", "not testable" (`reason` says
+    why) or "not run". `form`: how it was injected. `gap_m` and `size` are those of `ratio`; `confused_with`:
+    named beside or instead of it. `curve`: how often it was found at each size.
+    """
+
+    name: str
+    link: str
+    status: str
+    reason: str = ""
+    form: str = ""
+    ratio: float | None = None
+    gap_m: float | None = None
+    size: dict[str, tuple[float, str]] = field(default_factory=dict)
+    confused_with: tuple[str, ...] = ()
+    curve: tuple[CurvePoint, ...] = ()
+    trials: tuple[Trial, ...] = ()
+
+
+@dataclass(frozen=True)
+class DetectionPower:
+    """What `detection_power` returns; `complete` is False where an interrupt ended it before all was tried.
+
+    `outputs`: names of the pose. `false_alarm_rate`: `found` is the share of logs without an effect in which
+    the diagnosis said that there is a gap. Gaps are in m, or in rad where the pose is an angle alone.
+    """
+
+    effects: tuple[Findable, ...]
+    false_alarms: int
+    false_alarm_rate: CurvePoint
+    quiet_trials: tuple[Trial, ...]
+    floor_m: float
+    threshold: float
+    ratios: tuple[float, ...]
+    repeats: int
+    seed: int
+    noise: dict[str, Any]
+    thinning: str
+    rows: int
+    model: str
+    outputs: tuple[str, ...]
+    log: dict[str, Any]
+    complete: bool
+    notes: tuple[str, ...]
+    seconds: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as plain JSON data."""
+        return asdict(self)
+
+    def effect(self, name: str) -> Findable:
+        """Return the row of one effect."""
+        known = [e.name for e in self.effects]
+        if name not in known:
+            raise InputError(f"No effect was tried that is called {name!r}{nearest(name, known)}.")
+        return self.effects[known.index(name)]
 
 
 class Bench:
@@ -137,41 +264,32 @@ def _outcome(found: Diagnosis, name: str) -> tuple[str, tuple[str, ...]]:
 
 
 def _run(
-    bench: Bench, wanted: Sequence[str], ratios: Sequence[float], repeats: int, seconds: float
-) -> tuple[list[Trial], bool, str]:
-    """Run the trials of each repeat, the largest size of every effect first, as many as `seconds` allow.
+    bench: Bench, wanted: Sequence[str], ratios: Sequence[float], repeats: int
+) -> tuple[list[Trial], bool]:
+    """Run the trials of each repeat, the largest size of every effect first.
 
-    No trial begins that would end later if it took as long as the longest one so far. Returned are the
-    trials, whether no interrupt ended them, and a note on what was not reached ("" if all were).
+    Returned are the trials, and whether no interrupt ended them.
     """
     made = bench.injections(0)
     names = [n for n in made if n in (NO_EFFECT, *wanted)]
     each = {n: ratios if made[n].sized or n == NO_EFFECT else ratios[-1:] for n in names}
     plan = [(n, r, k) for k in range(repeats) for r in reversed(ratios) for n in names if r in each[n]]
     out: list[Trial] = []
-    began, longest, left = perf_counter(), 0.0, ""
+    began, left = perf_counter(), ""
     try:
         for k, (name, ratio, repeat) in enumerate(plan):
-            spent = perf_counter() - began
-            if out and spent + longest > seconds:
-                return out, True, (
-                    f"A first look: {k} of {len(plan)} trials fitted into the time, the largest size of each "
-                    "effect first. Without --quick all are made, or name a few with --effects."
-                )  # fmt: skip
             if k:
-                minutes = min(spent / k * (len(plan) - k), seconds - spent) / 60
+                minutes = (perf_counter() - began) / k * (len(plan) - k) / 60
                 left = f", {k} of {len(plan)} trials done, about {minutes:.1f} min left"
             bench.setup.say(f"{name} at {ratio:g} x the noise floor{left}")
             trial = bench.trial(name, ratio, repeat)
-            if trial:
-                out.append(trial)
-                longest = max(longest, trial.seconds)
+            out += [trial] if trial else []
     except KeyboardInterrupt:
-        return out, False, ""
-    return out, True, ""
+        return out, False
+    return out, True
 
 
-def selftest(
+def detection_power(
     log: Log,
     model: str | Model | Fit | None = None,
     *,
@@ -183,17 +301,15 @@ def selftest(
     repeats: int = REPEATS,
     seed: int = 0,
     rows: int = ROWS,
-    seconds: float | None = None,
     drop_bad: bool = False,
     on_progress: Callable[[str], None] | None = None,
-) -> SelfTest:
+) -> DetectionPower:
     """Return which effects a diagnosis of `log` would find, and from which size on.
 
     `names`: effects and faults to try (default: all). `ratios`: gap over noise floor of the sizes, above 1.
     `repeats`: trials of each size, with other signs, instants and noise. `rows`: samples to decimate the log
-    to. `seconds`: a first look that takes about so long, one trial of each size, the largest of each effect
-    first; a note says what was not reached. `model`, `holdout`, `effects`, `threshold` as in `diagnose`. A
-    keyboard interrupt ends it early: what was done is returned with `complete` False.
+    to. `model`, `holdout`, `effects`, `threshold` as in `diagnose`. The largest size of every effect is tried
+    first; a keyboard interrupt ends it early: what was done is returned with `complete` False.
 
     Raises `InputError` for an unknown name, a ratio not above 1, and wherever `diagnose` does.
     """
@@ -201,22 +317,23 @@ def selftest(
     ratios = _ratios(ratios)
     for name, value in (("repeats", repeats), ("rows", rows)):
         if value < 1:
-            raise InputError(f"Input {name} of the self-test must be 1 or more; instead received {value}.")
+            raise InputError(
+                f"Input {name} of the detection power must be 1 or more; instead received {value}."
+            )
     setup = prepare(
         log, model, holdout=holdout, effects=effects, threshold=threshold, drop_bad=drop_bad,
         on_progress=on_progress,
     )  # fmt: skip
     wanted = _wanted(names, setup.catalogue)
     bench = Bench(setup, tuple(effects), seed, rows)
-    repeats = repeats if seconds is None else 1
-    trials, complete, note = _run(bench, wanted, ratios, repeats, np.inf if seconds is None else seconds)
+    trials, complete = _run(bench, wanted, ratios, repeats)
     quiet = tuple(t for t in trials if t.name == NO_EFFECT)
     alarms = [t.noticed for t in quiet]
     not_tested = (
         "The fitted model, with an imperfection too small to report, is the simulated machine and the "
         "recorded motion its motion: a gap that this log has is not part of the test."
     )
-    return SelfTest(
+    return DetectionPower(
         effects=tuple(_findable(bench, name, [t for t in trials if t.name == name]) for name in wanted),
         false_alarms=sum(alarms),
         false_alarm_rate=curve_point(None, alarms, alarms),
@@ -238,7 +355,7 @@ def selftest(
         outputs=setup.fit.model.pose,
         log={**setup.fit.log, "holdout": list(setup.holdout)},
         complete=complete,
-        notes=tuple(dict.fromkeys((*([note] if note else []), not_tested, *setup.fit.notes))),
+        notes=tuple(dict.fromkeys((not_tested, *setup.fit.notes))),
         seconds=perf_counter() - began,
     )
 
@@ -261,7 +378,7 @@ def _wanted(names: Sequence[str] | None, catalogue: Sequence[Effect]) -> tuple[s
 def _ratios(ratios: Sequence[float]) -> tuple[float, ...]:
     if not ratios or not all(1 < r < np.inf for r in ratios):
         raise InputError(
-            "Sizes of the self-test must be gaps over the noise floor, each a number above 1; instead "
+            "Sizes of the detection power must be gaps over the noise floor, each a number above 1; instead "
             f"received {', '.join(f'{r:g}' for r in ratios) or 'none'}."
         )
     return tuple(sorted(set(ratios)))
