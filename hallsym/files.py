@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
-import re
-import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import cache
 from pathlib import Path
 
 from hallsym.errors import InputError, quoted, summary
@@ -44,7 +41,6 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
             raise IsADirectoryError(errno.EISDIR, "is a directory")
         if target.exists() and not target.is_file():
             raise OSError(0, "it is a device or a pipe, not a file; choose a file name")
-        clean(target.parent)
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temporary
         _flush(temporary)
@@ -84,69 +80,13 @@ def reason(error: Exception, *, reading: bool = False) -> str:
     return known.get(error.errno or 0, " ".join(error.strerror.split()).rstrip("."))
 
 
-# -- temporaries -----------------------------------------------------------------------------------------
-
-_TEMPORARY = re.compile(r"\.hallsym-([0-9a-f]{8})-(\d+)-(\d+)-[0-9a-f]{8}\.tmp(\..*)?")
 _LONGEST_SUFFIX = 16
 
 
 def beside(target: Path) -> Path:
-    """Return a new name in the folder of `target`, with its suffix, that says which process it belongs to."""
-    pid = os.getpid()
+    """Return a new name in the folder of `target`, with its suffix."""
     suffix = target.suffix if len(target.suffix) <= _LONGEST_SUFFIX else ""
-    owner = f"{_machine()}-{pid}-{_started(pid) or 0}"
-    return target.with_name(f".hallsym-{owner}-{os.urandom(4).hex()}.tmp{suffix}")
-
-
-def clean(folder: Path) -> None:
-    """Remove temporary files and folders in `folder` that processes of this machine left when they died.
-
-    Those of living processes and of other machines (on a shared disk) stay. Windows cannot be asked without
-    disturbing the process, so nothing is removed there.
-    """
-    if os.name != "posix":
-        return
-    with suppress(OSError), os.scandir(folder) as entries:
-        for entry in entries:
-            match = _TEMPORARY.fullmatch(entry.name)
-            if match and match[1] == _machine() and not _lives(int(match[2]), int(match[3])):
-                with suppress(OSError):
-                    if entry.is_dir(follow_symlinks=False):
-                        import shutil  # here, because every command loads this module
-
-                        shutil.rmtree(entry.path, ignore_errors=True)
-                    else:
-                        os.unlink(entry.path)
-
-
-@cache
-def _machine() -> str:
-    """Return what tells this machine's processes from those of others: its name and its set of processes."""
-    name = os.uname().nodename if hasattr(os, "uname") else ""
-    with suppress(OSError):
-        name += os.readlink("/proc/self/ns/pid")
-    return f"{zlib.crc32(name.encode('utf-8', 'replace')):08x}"
-
-
-def _lives(pid: int, started: int) -> bool:
-    """Return whether the process with this number is still the one that started then."""
-    try:
-        os.kill(pid, 0)
-    except (ProcessLookupError, OverflowError):
-        return False
-    except OSError:
-        return True  # another user's
-    now = _started(pid)
-    return not (started and now) or started == now
-
-
-def _started(pid: int) -> int | None:
-    """Return when a process started, in clock ticks since the machine did; None where that is not known."""
-    try:
-        text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
-        return int(text.rpartition(")")[2].split()[19])  # field 22; the name of the program may hold spaces
-    except (OSError, ValueError, IndexError):
-        return None
+    return target.with_name(f".hallsym-{os.urandom(8).hex()}.tmp{suffix}")
 
 
 def _flush(path: Path) -> None:

@@ -1,10 +1,6 @@
-"""Messages of one line, temporaries that a killed process left, outputs that are inputs, records of JSON."""
+"""Messages of one line, temporaries, outputs that are inputs, records of JSON."""
 
-import os
 import pickle
-import subprocess
-import sys
-from pathlib import Path
 
 import msgspec
 import pytest
@@ -16,19 +12,6 @@ from hallsym.files import atomic_write, beside
 from hallsym.guard import announce, check_output, note_input, task
 from hallsym.reading import read_json, read_text, reading
 from hallsym.records import structured
-
-DEAD = """
-import os, sys
-from pathlib import Path
-from hallsym.files import replacing
-with replacing(sys.argv[1]) as temporary:
-    temporary.write_text("half")
-    print(temporary, flush=True)
-    if sys.argv[2] == "dies":
-        os.kill(os.getpid(), 9)
-    sys.stdin.read()
-"""
-
 
 # -- messages --------------------------------------------------------------------------------------------
 
@@ -57,32 +40,6 @@ def test_names_with_spaces_are_quoted():
 
 
 # -- temporaries -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.skipif(os.name != "posix", reason="processes cannot be asked")
-def test_temporaries_of_dead_processes_go_and_of_living_ones_stay(tmp_path):
-    words = [sys.executable, "-c", DEAD, str(tmp_path / "calib.json")]
-    dead = subprocess.run([*words, "dies"], capture_output=True, text=True, check=False)
-    left = Path(dead.stdout.strip())
-    assert left.exists()
-    alive = subprocess.Popen([*words, "waits"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    assert alive.stdout is not None
-    held = Path(alive.stdout.readline().strip())
-    other = tmp_path / ".hallsym-01234567-1-1-89abcdef.tmp.csv"  # of another machine, on a shared disk
-    mine = tmp_path / ".notes.tmp"
-    folder = left.with_name(left.name.replace(".json", ""))
-    for path in (other, mine):
-        path.write_text("")
-    folder.mkdir()
-    (folder / "main.c").write_text("")
-    atomic_write(tmp_path / "other.txt", "text")
-    assert not left.exists()
-    assert not folder.exists()
-    assert held.exists()
-    assert other.exists()
-    assert mine.exists()
-    alive.communicate("")
-    assert (tmp_path / "calib.json").read_text() == "half"
 
 
 def test_a_temporary_keeps_the_suffix_and_a_long_name_fits(tmp_path):

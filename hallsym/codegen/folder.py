@@ -17,7 +17,7 @@ from typing import Any
 from hallsym.codegen.naming import PREFIX
 from hallsym.codegen.templates import MARK
 from hallsym.errors import InputError, quoted
-from hallsym.files import beside, clean, reason, replacing
+from hallsym.files import beside, reason, replacing
 from hallsym.guard import check_output
 
 MANIFEST = "manifest.json"
@@ -210,7 +210,6 @@ def _write_new(folder: Path, files: Files) -> None:
     temporary = beside(target)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        clean(target.parent)
         temporary.mkdir()
         for name, content in files.items():
             path = temporary / name

@@ -5,11 +5,11 @@ from hallsym.simulation.campaign import (
     Campaign,
     Run,
     campaign_from,
+    follow,
     noise_table,
     read_campaign,
     write_campaign,
 )
-from hallsym.simulation.following import Following, follow, is_closed
 from hallsym.simulation.machine import NoiseModel, scaled, simulate, simulate_blocks
 from hallsym.simulation.paper import bundled_campaign, is_the_papers, paper_campaign, table8_noise
 from hallsym.simulation.signals import AtTimes, Signal, multi_sine, sine, steps, triangle
@@ -18,14 +18,12 @@ __all__ = [
     "MOST_SAMPLES",
     "AtTimes",
     "Campaign",
-    "Following",
     "NoiseModel",
     "Run",
     "Signal",
     "bundled_campaign",
     "campaign_from",
     "follow",
-    "is_closed",
     "is_the_papers",
     "multi_sine",
     "noise_table",

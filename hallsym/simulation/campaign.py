@@ -15,10 +15,10 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.families import axes
 from hallsym.files import atomic_write
-from hallsym.simulation.following import DIRECTIONS, SPEEDS, Following
 from hallsym.simulation.signals import SIGNALS, AtTimes, Signal, triangle
 from hallsym.toml import Table, number, positive
 from hallsym.trajectory import Curve, read_curve
+from hallsym.trajectory.export import at_times
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,15 +39,6 @@ class Run:
         """Return `axis` at times `t`: its setting plus its motion."""
         still = np.full(len(t), self.setting.get(axis, 0.0))
         return still + self.motion[axis](t) if axis in self.motion else still
-
-    @property
-    def follows(self) -> Following | None:
-        """The curve that this run follows, None where it follows none; refuses two."""
-        signals = [s for s in self.motion.values() if isinstance(s, Signal) and s.kind == "curve"]
-        found: list[Following] = [s.values["curve"] for s in signals]
-        if any(other != found[0] for other in found):
-            raise InputError("A run follows two curves; a campaign file holds one for each run.")
-        return found[0] if found else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +162,7 @@ def _together(entry: Table, motion: Mapping[str, Signal], folder: Path) -> dict[
 
 
 def _curve(entry: Table, folder: Path) -> Mapping[str, Signal]:
-    """`"spiral.json"` or `{file="spiral.json", direction=, speed=, times=}`; {} without one.
+    """`"spiral.json"`, or with a constant speed `{file="spiral.json", speed="constant"}`; {} without one.
 
     The file is looked for in the folder of the campaign file.
     """
@@ -184,20 +175,36 @@ def _curve(entry: Table, folder: Path) -> Mapping[str, Signal]:
             f"'curve' of {entry.where} must be a file such as \"spiral.json\", or a table with its file; "
             f"instead received {given!r}."
         )
-    raw = Table(given, f"curve in {entry.where}", ("file", "direction", "speed", "times"))
+    raw = Table(given, f"curve in {entry.where}", ("file", "speed"))
     path = folder / raw.text("file")
     curve = read_curve(path)
     beyond = [name for name in curve.coordinates if name not in axes()]
     if beyond:
         raise InputError(f"Curve {path} moves {beyond[0]}, which no run does; known are {', '.join(axes())}.")
-    return Following(
-        curve,
-        entry.positive("duration_s"),
-        raw.choice("direction", DIRECTIONS, DIRECTIONS[0]),
-        raw.choice("speed", SPEEDS, SPEEDS[0]),
-        raw.whole("times", 1),
-        path.stem,
-    ).signals()
+    return follow(curve, entry.positive("duration_s"), speed=raw.choice("speed", SPEEDS, SPEEDS[0]))
+
+
+SPEEDS = ("parameter", "constant")
+
+
+def follow(curve: Curve, duration_s: float, *, speed: str = "parameter") -> dict[str, Signal]:
+    """Return the motion of a run of `duration_s` that follows a curve: `Run(2.0, {}, follow(curve, 2.0))`.
+
+    `speed`: "parameter" (the parameter of the curve runs evenly) or "constant" (along the path).
+    """
+    if speed not in SPEEDS:
+        raise InputError(
+            f"The speed of a curve must be one of {', '.join(SPEEDS)}; instead received {speed!r}."
+        )
+
+    def along(axis: str) -> Signal:
+        def at(t: np.ndarray) -> np.ndarray:
+            share = np.clip(np.asarray(t, float) / duration_s, 0.0, 1.0)
+            return at_times(curve, share, 1.0, steady=speed == "constant")[axis]
+
+        return Signal("curve", {}, at, float("inf"))
+
+    return {axis: along(axis) for axis in curve.coordinates}
 
 
 def _raster(entry: Table) -> dict[str, Signal]:
@@ -254,56 +261,26 @@ def _value(signal: Table, key: str) -> float | list[float]:
 def write_campaign(campaign: Campaign, path: str | Path, comment: str = "") -> None:
     """Write a campaign as TOML, one [[run]] each; `read_campaign` gives the same runs back.
 
-    `comment`: text for the head of the file. Curves are saved beside it, as `NAME_CURVE.json`. Raises
-    `InputError` for a motion that is not a `Signal`.
+    `comment`: text for the head of the file. Raises `InputError` for a motion that is not a `Signal`, or is a
+    curve.
     """
-    path, curves = Path(path), _files_of(campaign, Path(path))
     head = [f"# {line}".rstrip() for line in comment.splitlines()]
     head += [f"step_s = {float(campaign.step_s)!r}", f"zero_spread_m = {float(campaign.zero_spread_m)!r}"]
     if campaign.noise:
         head += ["", "[noise]", *(f"{_key(k)} = {float(v)!r}" for k, v in campaign.noise.items())]
     for k, run in enumerate(campaign.runs):
-        head += ["", "[[run]]", *_run_lines(run, k, curves)]
-    for name, curve in curves:
-        curve.save(path.with_name(name))
+        head += ["", "[[run]]", *_run_lines(run, k)]
     atomic_write(path, "\n".join(head) + "\n")
 
 
-def _files_of(campaign: Campaign, path: Path) -> list[tuple[str, Curve]]:
-    """Name the file of each curve that a campaign follows."""
-    found: list[tuple[str, Curve]] = []
-    for following in filter(None, (run.follows for run in campaign.runs)):
-        if not any(curve.to_dict() == following.curve.to_dict() for _, curve in found):
-            names = [name for name, _ in found]
-            stem = f"{path.stem}_{following.name.removeprefix(f'{path.stem}_')}"
-            tried = [f"{stem}.json", *(f"{stem}_{k}.json" for k in range(2, len(found) + 3))]
-            found.append((next(name for name in tried if name not in names), following.curve))
-    return found
-
-
-def _curve_text(following: Following, curves: Sequence[tuple[str, Curve]]) -> str:
-    name = next(name for name, curve in curves if curve.to_dict() == following.curve.to_dict())
-    entries = [f"file = {_text(name)}"]
-    if following.direction != DIRECTIONS[0]:
-        entries.append(f"direction = {_text(following.direction)}")
-    if following.speed != SPEEDS[0]:
-        entries.append(f"speed = {_text(following.speed)}")
-    if following.times != 1:
-        entries.append(f"times = {following.times}")
-    return _text(name) if len(entries) == 1 else f"{{ {', '.join(entries)} }}"
-
-
-def _run_lines(run: Run, k: int, curves: Sequence[tuple[str, Curve]]) -> list[str]:
+def _run_lines(run: Run, k: int) -> list[str]:
     lines = [f"name = {_text(run.name)}"] if run.name else []
     lines.append(f"duration_s = {float(run.duration_s)!r}")
     if run.zeros:
         lines.append(f"zero_deviations_m = {_plain(run.zeros)}")
-    following = run.follows
-    if following is not None:
-        lines.append(f"curve = {_curve_text(following, curves)}")
     for axis in axes():
         place = run.setting.get(axis)
-        if axis in run.motion and not (following and axis in following.curve.coordinates):
+        if axis in run.motion:
             lines.append(f"{axis} = {_signal_text(run.motion[axis], place, f'{axis} in run {k}')}")
         elif place is not None:
             lines.append(f"{axis} = {float(place)!r}")
@@ -311,9 +288,9 @@ def _run_lines(run: Run, k: int, curves: Sequence[tuple[str, Curve]]) -> list[st
 
 
 def _signal_text(signal: AtTimes, about: float | None, where: str) -> str:
-    if not isinstance(signal, Signal):
+    if not isinstance(signal, Signal) or signal.kind not in SIGNALS:
         raise InputError(
-            f"The motion of {where} is a plain function, which a file cannot hold; use one of "
+            f"The motion of {where} is a function or a curve, which is not written to a file; use one of "
             f"{', '.join(SIGNALS)} of hallsym.simulation."
         )
     place = {} if about is None else {"about": about}

@@ -17,7 +17,7 @@ class Signal:
     """A position over time, `signal(t)` with t in s, and how a campaign file describes it.
 
     `kind` and `values` are what the file holds; two signals are equal when these are. `fastest_hz`: its
-    highest frequency, 0 where it does not oscillate.
+    highest frequency, 0 where it does not oscillate, infinite where it is not known.
     """
 
     kind: str

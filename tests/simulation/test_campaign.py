@@ -341,11 +341,11 @@ runs = st.builds(
 )
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     st.builds(
         Campaign,
-        st.floats(1e-6, 1.0),
+        st.floats(1e-3, 1.0),
         st.lists(runs, min_size=1, max_size=3).map(tuple),
         st.floats(0, 1e-5),
         st.dictionaries(st.sampled_from(["hall_m", "z_nm", "x ref", "ü"]), st.floats(1e-9, 1.0)),
