@@ -32,7 +32,7 @@ from hallsym.report.text.budget import (
     position_words,
     recorded_text,
 )
-from hallsym.trajectory import curve_cost, read_curve
+from hallsym.trajectory import Curve, curve_cost, read_curve
 from hallsym.uncertainty import (
     Budget,
     Recorded,
@@ -158,16 +158,17 @@ def _position(options: Namespace) -> int:
     beyond = recorded.outside(at) if recorded else []
     if beyond:
         said.append(f"{', '.join(beyond)} of the budget is outside the recorded workspace.")
-    budgets = _budgets(options, fit, at, settings)
+    curve = read_curve(options.curve) if options.curve else None
+    budgets = _budgets(fit, at, settings, curve)
     found = {}
     if options.monte_carlo is not None:
-        if options.curve:
+        if curve:
             raise InputError("--monte-carlo is for the machine alone; leave --curve out.")
         found = position_monte_carlo(fit, at, settings, rng=_rng(options), trials=options.monte_carlo or None)
     mapped = options.range or (options.plots and recorded)
     grid = _map(options, fit, settings, at, recorded) if mapped else None
     spots = recorded.where if recorded else {c: grid.worst(c)[0] for c in fit.model.pose} if grid else {}
-    worst = {c: _budgets(options, fit, spot, settings)[c] for c, spot in spots.items()}
+    worst = {c: _budgets(fit, spot, settings, curve)[c] for c, spot in spots.items()}
     record = {
         "calibration": str(options.file),
         "log": None if log is None else str(options.log),
@@ -193,18 +194,15 @@ def _position(options: Namespace) -> int:
     return NOT_DETERMINED if fit.undetermined_by_log else OK
 
 
-def _budgets(options: Namespace, fit: Fit, at: Mapping[str, float], settings: Settings) -> dict[str, Budget]:
+def _budgets(fit: Fit, at: Mapping[str, float], settings: Settings, curve: Curve | None) -> dict[str, Budget]:
     """The budget of each pose coordinate, with the error of a curve where one is given."""
     budgets = position_budget(fit, at, settings)
-    if options.curve:
-        curve = read_curve(options.curve)
-        for c in curve.coordinates:
-            if c not in budgets:
-                raise InputError(
-                    f"The curve moves {c}; a budget of {fit.model.name} is of {', '.join(budgets)}."
-                )
-            budgets[c] = with_curve(budgets[c], curve, c)
-    return budgets
+    if curve is None:
+        return budgets
+    other = [c for c in curve.coordinates if c not in budgets]
+    if other:
+        raise InputError(f"The curve moves {other[0]}, but a budget of {fit.model.name} is of its pose.")
+    return {c: with_curve(b, curve, c) if c in curve.coordinates else b for c, b in budgets.items()}
 
 
 def _with_noise(fit: Fit, given: Sequence[str]) -> Fit:
@@ -217,13 +215,9 @@ def _with_noise(fit: Fit, given: Sequence[str]) -> Fit:
 
 def _at(given: Sequence[str], fit: Fit) -> dict[str, float]:
     """`x_um=100` as column -> SI value."""
-    at: dict[str, float] = {}
-    for text in given:
-        column, (value,) = column_numbers(text, (*fit.model.pose, *fit.model.state), "--at", "x_um=100")
-        if column in at:
-            raise InputError(f"--at gives {column} twice; keep one.")
-        at[column] = value
-    return at
+    columns = (*fit.model.pose, *fit.model.state)
+    places = [column_numbers(text, columns, "--at", "x_um=100") for text in given]
+    return {column: value for column, (value,) in places}
 
 
 def _map(

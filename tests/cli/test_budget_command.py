@@ -179,7 +179,6 @@ def test_monte_carlo_of_a_position(capsys, here):
         (["calib.json", "--at", "x_um"], "such as x_um=100"),
         (["calib.json", "--at", "x=1"], "must end with a unit of 'x'"),
         (["calib.json", "--at", "q_um=1"], "known are x_m, y_m, rz_rad, z_m"),
-        (["calib.json", "--at", "x_um=1", "--at", "x_m=1"], "twice"),
         (["calib.json", "--at", "z_mm=6"], "crosses zero"),
         (["calib.json", "--range", "x_um=0:1"], "--range y_m=LOW:HIGH"),
         (["calib.json", "--range", "x_um=1:0"], "from the lesser to the greater"),

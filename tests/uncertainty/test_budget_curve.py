@@ -4,11 +4,10 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from hallsym.errors import InputError
-from hallsym.trajectory import Curve, choose_curve, curve_cost, points_of
+from hallsym.trajectory import Curve, choose_curve, curve_cost
 from hallsym.uncertainty import Budget, Source, read_budget, with_curve
 
 TABLE2 = Path(__file__).parents[2] / "data" / "micromachines2019" / "table2_budget.toml"
@@ -42,21 +41,6 @@ def test_how_many_control_points_are_worth_having():
     assert [row.control_points for row in cost.rows] == list(range(6, 14))
     assert cost.allowed_m == pytest.approx(50.3e-9, abs=0.1e-9)
     assert cost.to_dict()["enough_control_points"] == 12
-
-
-def test_least_squares_counts_its_control_points():
-    how = {"span": "t=0:2*pi", "values": {"r": 1e-3}, "method": "bernstein-ls"}
-    cost = curve_cost(choose_curve(TEXT, 5e-8, **how).curve, 500.94e-9)
-    assert cost.enough is not None
-    assert cost.enough.control_points == cost.curve.control_points == 11
-
-
-def test_of_a_curve_through_points_other_numbers_of_points_are_not_known():
-    t = np.linspace(0, 2, 40)
-    points = points_of(1e-3 * np.column_stack([t, np.sin(t)]))
-    cost = curve_cost(choose_curve(points, method="bernstein-ls", control=4).curve, 5e-7)
-    assert (cost.rows, cost.enough) == ((), None)
-    assert cost.total_m > cost.machine_m
 
 
 @pytest.mark.parametrize(

@@ -83,33 +83,21 @@ A = '[[source]]\nname = "a"\n'
     ("text", "words"),
     [
         ("", "at least one \\[\\[source\\]\\]"),
-        ("source = 3", "must be \\[\\[source\\]\\] tables"),
         ("[[source]]\nstd_nm = 3", "needs a 'name'"),
         (A, "one of std, expanded"),
         (A + "std_nm = 3\nhalf_width_nm = 3", "it has 2 sizes"),
-        (A + "std_nm = -3", "number >= 0"),
-        (A + "std_nm = nan", "finite number"),
-        (A + 'std_nm = "3"', "finite number"),
         (A + "std_nn = 3", "Unit 'nn' of source 'a'"),
-        (A + "halfwidth_nm = 3", "did you mean 'half_width_nm'"),
         (A + 'half_width_nm = 3\ndistribution = "rectangle"', "did you mean 'rectangular'"),
         (A + 'std_nm = 3\ndistribution = "rectangular"', "normal or student"),
         (A + 'std_nm = 3\ndistribution = "student"', "needs 'degrees_of_freedom'"),
         (A + "expanded_nm = 3", "needs its 'coverage_factor'"),
-        (A + "std_nm = 3\ncoverage_factor = 2", "has no effect"),
-        (A + "readings_nm = 3", "must be a list"),
-        (A + "readings_nm = [3]", "two or more"),
         (A + "std_nm = 3\nsensitivity_nm_urad = 3", "sensitivity_RESULT_per_INPUT"),
         (A + "std_nm = 3\nsensitivity_nm_per_urad = 3", "must be per unit of the source"),
         (A + 'std_nm = 3\n[[source]]\nname = "b"\nstd_urad = 3', "must all act on one result"),
-        (A + 'std_nm = 3\n[[source]]\nname = "a"\nstd_nm = 3', "two sources are called 'a'"),
-        ("levle = 0.9\n" + A + "std_nm = 3", "did you mean 'level'"),
         ("level = 0.9\ncoverage_factor = 2\n" + A + "std_nm = 3", "not both"),
         ("level = 95\n" + A + "std_nm = 3", "between 0 and 1"),
         ('unit = "urad"\n' + A + "std_nm = 3", "unit of the result"),
         (A + 'std_nm = 3\n[[correlation]]\nbetween = ["a", "c"]\ncoefficient = 0.1', "no source"),
-        (A + 'std_nm = 3\n[[correlation]]\nbetween = "a"\ncoefficient = 0.1', "name two sources"),
-        ("[[source", "not valid TOML"),
     ],
 )
 def test_a_budget_that_cannot_be(tmp_path, text, words):
@@ -158,19 +146,11 @@ def test_settings_in_si(tmp_path):
     ("text", "words"),
     [
         ("[readings]\naveraged = 4", "did you mean 'reading'"),
-        ("reading = 4", "must be a table"),
         ("[reading]\naveraged = 0", "whole number, 1 or more"),
-        ("[reading]\naveraged = 2.5", "whole number, 1 or more"),
         ("[reading]\navereged = 2", "did you mean 'averaged'"),
         ("[reading]\nadc_bits = 16", "Unknown key 'adc_bits'"),
         ("[reading]\nadc_step_urad = 1", "in the unit of a reading"),
-        ("[reading]\nadc_step_nm = -1", "number >= 0"),
-        ("[zeroing]\nx_nm = -1", "number >= 0"),
         ("[zeroing]\nx_urad = 1", "must end with a unit of 'x'"),
-        ("[zeroing]\nz_nm = 1", "known are x_m, y_m, rz_rad"),
-        ("[zeroing]\nx_nm = 1\nx_um = 1", "given twice"),
-        ("[zeroing.at]\nx = 1", "must end with a unit of 'x'"),
-        ("[state]\nx_nm = 1", "known are z_m, rx_rad, ry_rad"),
         ("[reference]\nx_ppm = 1", "did you mean 'x_scale_ppm'"),
         ("level = 0.95\ncoverage_factor = 2", "not both"),
     ],
@@ -178,10 +158,3 @@ def test_settings_in_si(tmp_path):
 def test_settings_that_cannot_be(tmp_path, text, words):
     with pytest.raises(InputError, match=words):
         settings(tmp_path, text)
-
-
-def test_a_missing_file(tmp_path):
-    with pytest.raises(InputError, match="does not exist"):
-        read_budget(tmp_path / "none.toml")
-    with pytest.raises(InputError, match="does not exist"):
-        read_settings(tmp_path / "none.toml", build("stage31"))

@@ -10,8 +10,6 @@ from twins import record, with_noise
 
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, fit
-from hallsym.families.stage import models as stage
-from hallsym.log import Noise, Sigma
 from hallsym.report.text.budget import comparison_sentence
 from hallsym.uncertainty import (
     Budget,
@@ -106,11 +104,6 @@ def test_mismatch_of_9_4(x1, linear, mean, std, shortest):
     assert found.shortest[1] - found.shortest[0] <= found.interval[1] - found.interval[0]
 
 
-def test_the_shortest_interval_of_a_symmetric_result_is_the_symmetric_one():
-    found = budget_monte_carlo(Budget("y", "1", (Source("a", 1.0, "1"),)), rng(), trials=400_000)
-    assert found.shortest == pytest.approx(found.interval, abs=0.05)
-
-
 # -- the procedure ---------------------------------------------------------------------------------------
 
 
@@ -139,11 +132,6 @@ def test_the_stated_scatter_is_that_of_repetitions():
     assert np.all((ratio > 0.40) & (ratio < 2.0)), ratio
 
 
-def test_the_same_seed_gives_the_same_result():
-    one, two = (budget_monte_carlo(rectangular(1.0), rng(5), trials=10_000) for _ in range(2))
-    assert one == two
-
-
 def test_correlated_normal_sources():
     sources = (
         Source("a", 3.0, "1", sensitivity=-1.0),
@@ -156,14 +144,6 @@ def test_correlated_normal_sources():
     shaped = (Source.rectangular("a", 3.0, "1"), *sources[1:])
     with pytest.raises(InputError, match="only where they are normal"):
         budget_monte_carlo(Budget("y", "1", shaped, correlation=correlation), rng())
-
-
-@pytest.mark.parametrize(
-    "options", [{"trials": 100}, {"trials": -1}, {"level": 95.0}, {"digits": 0}], ids=str
-)
-def test_options_that_cannot_be(options):
-    with pytest.raises(InputError):
-        budget_monte_carlo(rectangular(1.0), rng(), **options)
 
 
 # -- positions -------------------------------------------------------------------------------------------
@@ -188,26 +168,6 @@ def test_the_linear_budget_of_a_position_is_confirmed(effects, settings):
         assert c.mean == pytest.approx(SOMEWHERE[column], abs=5 * c.scatter[0] + 1e-3 * c.std)
         # second-order terms are of the order of u relative to the gain: far below 1 %
         assert c.std == pytest.approx(c.linear.std, rel=0.01)
-
-
-def test_four_probes_are_confirmed_and_know_more_than_three():
-    extra = stage.Probe("hall_d_m", (-0.2, 0.4), (1.0, 0.0))
-    model = stage.stage31((*stage.paper_layout(), extra))
-    noise = Noise({**fitted().noise.sigmas, "hall_d_m": Sigma(3e-7, "given")})
-    spread = np.array([1e-4 if p.name.startswith("eta") else 0.0 for p in model.parameters])
-    known = replace(
-        fitted(), model=model, values=model.nominal, covariance=np.diag(spread**2), noise=noise, at_bound=(),
-        degrees_of_freedom=np.full(len(spread), np.inf),
-    )  # fmt: skip
-    found = position_monte_carlo(known, SOMEWHERE, FULL, rng=rng(), trials=60_000, digits=1)
-    assert {c.verdict for c in found.values()} == {"confirmed"}
-    three = stage.stage31()
-    spread = np.array([1e-4 if p.name.startswith("eta") else 0.0 for p in three.parameters])
-    known_well = np.full(len(spread), np.inf)
-    less = replace(
-        known, model=three, values=three.nominal, covariance=np.diag(spread**2), degrees_of_freedom=known_well
-    )
-    assert position_budget(known, SOMEWHERE)["x_m"].std < position_budget(less, SOMEWHERE)["x_m"].std
 
 
 def test_each_source_alone_has_the_scatter_it_is_given():

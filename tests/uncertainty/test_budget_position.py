@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import cache
 
-import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,17 +13,14 @@ from twins import HALL, SIGMAS, phi, pm, record, true_model, with_noise
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, fit
 from hallsym.log import Log
-from hallsym.model import Family, Model, Parameter
 from hallsym.uncertainty import (
     Settings,
-    map_axes,
     notes,
     over_log,
     position_budget,
-    position_monte_carlo,
     uncertainty_map,
 )
-from hallsym.uncertainty.inputs import independent_inputs, slopes
+from hallsym.uncertainty.inputs import slopes
 
 POSE, STATE = ("x_m", "y_m", "rz_rad"), ("z_m", "rx_rad", "ry_rad")
 SOMEWHERE = {"x_m": 2e-4, "y_m": -3e-4, "rz_rad": 1e-4, "z_m": 2e-4, "rx_rad": -3e-4, "ry_rad": 1e-4}
@@ -117,12 +113,6 @@ def test_the_scale_of_the_reference_counts_from_the_zeroing():
     assert scale.contribution == pytest.approx(3e-6 * 1e-4, rel=1e-12)  # 200 um - 100 um
 
 
-def test_a_model_without_zeros_has_no_zeroing():
-    names = [s.name for s in position_budget(fitted("stage15"), SOMEWHERE, Settings())["x_m"].sources]
-    assert not [n for n in names if n.startswith("zeroing")]
-    assert "hall_a noise" in names
-
-
 # -- sums ------------------------------------------------------------------------------------------------
 
 
@@ -140,15 +130,6 @@ def test_noise_averages_and_steps_do_not(averaged, zeroed, scale):
             averages = a.name.endswith("noise") or a.name.startswith("zeroing: pose")
             factor = n**-0.5 if averages else scale if "ADC" in a.name else 1.0
             assert abs(b.contribution) == pytest.approx(factor * abs(a.contribution), rel=1e-9)
-
-
-def test_the_noise_of_the_reference_enters_only_at_the_zeroing():
-    loud = replace(fitted(), noise=with_noise(record(seed=1), {**SIGMAS, "x_ref_m": 9e-6}).noise)
-    named = {i.source.name for i in independent_inputs(loud, Settings())}
-    assert not any("ref" in name for name in named)
-    known_well = Settings(zero_pose_std=dict.fromkeys(POSE, 1e-9))
-    assert np.allclose(variance(SOMEWHERE, known_well, loud), variance(SOMEWHERE, known_well), rtol=1e-12)
-    assert variance(SOMEWHERE, Settings(), loud)[0] > 2 * variance(SOMEWHERE, Settings())[0]
 
 
 # -- many positions --------------------------------------------------------------------------------------
@@ -170,12 +151,6 @@ def test_a_map_holds_the_budgets_of_its_points(level):
     assert position_budget(known, where, settings)["y_m"].expanded == pytest.approx(worst, rel=1e-9)
 
 
-def test_two_values_are_a_span():
-    found = uncertainty_map(fitted(), {"x_m": (-1e-4, 1e-4), "y_m": (0.0, 1e-4), "z_m": (0.0, 2e-4)})
-    assert found.expanded.shape == (3, 41, 41, 5)
-    assert found.axes["z_m"] == pytest.approx([0, 5e-5, 1e-4, 1.5e-4, 2e-4])
-
-
 def test_over_a_log_is_the_budget_of_every_sample():
     data = {c: v[::97] for c, v in record(seed=1).items()}
     short = with_noise(data)
@@ -191,64 +166,7 @@ def test_over_a_log_is_the_budget_of_every_sample():
     assert found.outside({"x_m": 0.0, "z_m": 1e-3}) == ["z_m"]
 
 
-def test_farther_from_the_zeroing_the_fit_counts_more():
-    found = uncertainty_map(fitted(), {"x_m": np.linspace(0, 3e-4, 4), "y_m": [0.0], "z_m": [0.0]})
-    assert np.all(np.diff(found.expanded[0, :, 0, 0]) > 0)
-
-
 # -- other machines --------------------------------------------------------------------------------------
-
-
-def beam() -> Model:
-    """Two probes along a beam sense y + x Rz; the gain follows the height."""
-    places = {"a": 0.2, "b": -0.2}
-
-    def mechanics(s, p):
-        s["displacement"] = ca.vertcat(*(s["y_m"] + p[f"x_{k}"] * s["rz_rad"] for k in places))
-
-    def transducer(s, p):
-        s["gain"] = ca.vertcat(*(p[f"eta_{k}"] + p["a"] * s["z_m"] for k in places))
-
-    def electronics(s, p):
-        s["reading"] = s["gain"] * s["displacement"]
-
-    return Model(
-        name="beam",
-        family=Family("beam"),
-        pose=("y_m", "rz_rad"),
-        references=("y_ref_m", "rz_ref_rad"),
-        state=("z_m",),
-        channels=("hall_a_m", "hall_b_m"),
-        parameters=(
-            *(Parameter(f"x_{k}", x, x - 0.05, x + 0.05, "m") for k, x in places.items()),
-            *(Parameter(f"eta_{k}", 1.0, 0.5, 1.5, "1") for k in places),
-            Parameter("a", -100.0, -5000.0, 5000.0, "1/m"),
-        ),
-        steps=(("mechanics", mechanics), ("transducer", transducer), ("electronics", electronics)),
-    )
-
-
-def test_the_budget_knows_no_family():
-    model = beam()
-    assert map_axes(model) == ("y_m", "rz_rad", "z_m")
-    known = replace(
-        fitted(),
-        model=model,
-        values=model.nominal,
-        covariance=np.diag([0, 0, 1e-8, 1e-8, 0.0]),
-        degrees_of_freedom=np.full(5, np.inf),
-        noise=with_noise(record(seed=1)).noise,
-        at_bound=(),
-    )
-    at = {"y_m": 2e-4, "rz_rad": 0.0, "z_m": 1e-4}
-    found = position_budget(known, at)["y_m"]
-    part = {s.name: abs(s.contribution) for s in found.sources}
-    gain = 1 - 100 * 1e-4  # y = (m_a + m_b) / (2 gain)
-    assert part["hall_a noise"] == pytest.approx(SIGMAS[HALL[0]] / 2 / gain, rel=1e-9)
-    assert part["fit"] == pytest.approx(2e-4 / gain * 1e-4 / np.sqrt(2), rel=1e-9)
-    assert uncertainty_map(known, dict.fromkeys(map_axes(model), (0.0, 1e-4))).expanded.shape[0] == 2
-    checked = position_monte_carlo(known, at, rng=np.random.default_rng(1), trials=40_000, digits=1)
-    assert {c.verdict for c in checked.values()} == {"confirmed"}
 
 
 # -- refused and told ------------------------------------------------------------------------------------
@@ -257,9 +175,7 @@ def test_the_budget_knows_no_family():
 @pytest.mark.parametrize(
     ("change", "at", "words"),
     [
-        ({"covariance": np.full((21, 21), np.nan)}, {}, "values that cannot be"),
         ({"covariance": np.zeros((21, 21))}, {}, "no determined parameter"),
-        ({"values": np.full(21, np.nan)}, {}, "no numbers"),
         ({}, {"z_m": 5e-3}, "The gain of hall_b_m at z_m = 0.005.* crosses zero"),
         ({}, {"z_um": 5}, "must be given in columns"),
         ({}, {"x_m": float("inf")}, "finite number"),
@@ -270,29 +186,6 @@ def test_what_has_no_budget(change, at, words):
     with pytest.raises(InputError, match=words) as caught:
         position_budget(known, at)
     assert str(caught.value).count(". ") == 0
-
-
-def test_a_map_across_a_pole_is_refused():
-    with pytest.raises(InputError, match="crosses zero"):
-        uncertainty_map(fitted(), {"x_m": (0, 1e-4), "y_m": (0, 1e-4), "z_m": (0.0, 6e-3)})
-    with pytest.raises(InputError, match="crosses zero"):
-        position_budget(fitted(), {}, Settings(zero_at={"z_m": 5e-3}))
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        Settings(averaged=0),
-        Settings(zero_averaged=-3),
-        Settings(adc_step=-1e-9),
-        Settings(state_std={"x_m": 1e-9}),
-        Settings(scale_std={"x_m": -1e-6}),
-        Settings(zero_at={"q": 0.0}),
-    ],
-)
-def test_settings_that_cannot_be(settings):
-    with pytest.raises(InputError):
-        position_budget(fitted(), {}, settings)
 
 
 def test_notes_say_what_the_budget_does_not_hold():

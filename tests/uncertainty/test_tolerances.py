@@ -78,16 +78,6 @@ def test_tightening_a_linear_error_takes_its_share(model, somewhere, small):
         assert np.all(np.abs(fall - expected) <= small.worth.exact_half + 1e-3)
 
 
-def test_shares_of_several_tolerances_add(model, somewhere, small):
-    """Rms of 2 x 512 machines, squares as scattered as large: 1.6 % standard error, three of them."""
-    both = ("eta_A", "eta_B")
-    tight = {k: v for k, v in SMALL.items() if not k.startswith(both)} | dict.fromkeys(both, "exact")
-    less = tolerances(model, somewhere, ranges=tight, samples=512, seed=1)
-    shares, rms = shares_by_hand(model, small.tolerances, somewhere)
-    left = 1 - shares[:, [model.names.index(n) for n in both]].sum(axis=1)
-    assert less.errors.rms == pytest.approx(rms * np.sqrt(left), rel=0.05)
-
-
 def ishigami(u: np.ndarray) -> np.ndarray:
     """Ishigami and Homma 1990, with a = 7, b = 0.1."""
     x = np.pi * (2 * u - 1)
@@ -173,23 +163,6 @@ def test_what_no_reading_sees_has_no_index(model, somewhere):
     assert not any(n.startswith("theta") for n in found.active)
 
 
-def test_an_output_without_error_has_no_indices(model, somewhere):
-    found = tolerances(
-        model, somewhere, ranges=given_tolerances(model, {"eta_C_percent": 1}, "exact"), samples=32
-    )
-    for c in ("y_m", "rz_rad"):  # probe C senses x alone
-        assert found.indices[c].total[0] < 1e-9
-    assert found.indices["x_m"].total[0] == pytest.approx(1.0, abs=0.2)
-    assert found.worth.exact[0] == pytest.approx([1, 0, 0], abs=1e-9)
-
-
-def test_first_indices_sum_to_one_at_most(paper):
-    for i in paper.indices.values():
-        assert i.first.sum() <= 1 + np.linalg.norm(i.first_half)
-        assert np.all(i.total >= i.first - i.first_half - i.total_half)
-        assert np.all(i.total >= 0)
-
-
 @settings(max_examples=6, deadline=None)
 @given(
     widths=st.lists(st.floats(0.1, 10), min_size=3, max_size=3),
@@ -211,15 +184,6 @@ def test_error_and_tolerance_scale_together(widths, factor, seed):
     for c in model.pose:
         assert other.indices[c].total == pytest.approx(one.indices[c].total, abs=1e-8)
     assert other.worth.exact == pytest.approx(one.worth.exact, abs=1e-8)
-
-
-def test_a_linear_error_asks_only_for_the_standard_uncertainty(model, somewhere, small):
-    ranges = {k: {"std": v / 3**0.5} for k, v in SMALL.items()}
-    normal = tolerances(model, somewhere, ranges=ranges, samples=256, seed=1)
-    assert normal.errors.rms == pytest.approx(small.errors.rms, rel=0.1)
-    for c in model.pose:
-        a, b = normal.indices[c], small.indices[c]
-        assert np.all(np.abs(a.total - b.total) <= a.total_half + b.total_half)
 
 
 def test_limits_beside_the_designed_value_are_an_error_common_to_all(model, somewhere):
@@ -253,15 +217,6 @@ def test_the_seed_decides_everything(model, somewhere):
     assert one == numbers(0)
     assert one != numbers(1)
     json.dumps(one)
-
-
-def test_blocks_change_nothing(model, monkeypatch):
-    one = tolerances(model, samples=32)
-    monkeypatch.setattr(study, "BLOCK", 3000)
-    other = tolerances(model, samples=32)
-    assert other.errors.rms == pytest.approx(one.errors.rms, rel=1e-12)
-    for c in model.pose:
-        assert other.indices[c].first == pytest.approx(one.indices[c].first, abs=1e-10)
 
 
 def test_a_workspace_holds_the_peaks_of_the_sines(model):
