@@ -7,11 +7,11 @@ from typing import Any
 from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import column_numbers, column_ranges, command, say
 from hallsym.codegen import Generated, generate
-from hallsym.codegen.checks import sha256
+from hallsym.codegen.float_backend import KINDS
 from hallsym.codegen.folder import name_of, type_of
+from hallsym.codegen.generation import sha256
 from hallsym.codegen.lowering import CORRECTIONS
 from hallsym.codegen.naming import PREFIX
-from hallsym.codegen.slopes import KINDS
 from hallsym.errors import quoted
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.units import fitting, readable

@@ -1,20 +1,28 @@
 """C for the controller: the decoupler of a calibration, printed from the model's own expressions."""
 
-from hallsym.codegen.arithmetic import mix
-from hallsym.codegen.backend import Backend
+from hallsym.codegen.backend import Backend, mix
 from hallsym.codegen.bounds import Bounds, pose_bounds
-from hallsym.codegen.box import Box, box_of, limits
-from hallsym.codegen.checks import notes_of
+from hallsym.codegen.box import box_of
 from hallsym.codegen.cost import Cost, cost_of, firmware_cost
-from hallsym.codegen.decoupler import Array, Bits, Decoupler, Flag, Lookup, Margin, Step, Whole
-from hallsym.codegen.entries import Entry
-from hallsym.codegen.execution import on_arrays
-from hallsym.codegen.fixed_point import Line, Program
+from hallsym.codegen.decoupler import (
+    Array,
+    Bits,
+    Box,
+    Decoupler,
+    Entry,
+    Flag,
+    Lookup,
+    Margin,
+    Step,
+    Whole,
+    limits,
+    steps_on_arrays,
+)
 from hallsym.codegen.float_backend import FloatBackend
 from hallsym.codegen.float_c import DOUBLE, FLOAT
-from hallsym.codegen.generation import Generated, decouple, generate
+from hallsym.codegen.generation import Generated, decouple, generate, notes_of
 from hallsym.codegen.integer_backend import IntegerBackend
-from hallsym.codegen.integer_c import integer_program
+from hallsym.codegen.integer_c import Line, Program, integer_program
 from hallsym.codegen.intervals import Enclosure, enclose
 from hallsym.codegen.lowering import lower
 
@@ -51,6 +59,6 @@ __all__ = [
     "lower",
     "mix",
     "notes_of",
-    "on_arrays",
     "pose_bounds",
+    "steps_on_arrays",
 ]

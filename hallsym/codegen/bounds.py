@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Decoupler, Step
-from hallsym.codegen.entries import short
+from hallsym.codegen.decoupler import Decoupler, Step, short
 from hallsym.codegen.intervals import Enclosure, constant, enclose
 
 LEAST_GAIN = 0.1

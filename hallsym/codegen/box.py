@@ -1,46 +1,16 @@
 """The calibrated box: the inputs over which generated code answers with status 0."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hallsym.codegen.entries import Entry, short, unit
+from hallsym.codegen.decoupler import Box, short
 from hallsym.errors import InputError, nearest
 from hallsym.estimation.calibration import Fit
 from hallsym.log.limits import limit_of
 
 NEARLY = 0.9
 """Ends whose magnitudes differ by less than this ratio become one symmetric limit, the smaller of the two."""
-
-
-@dataclass(frozen=True)
-class Box:
-    """Least and greatest value of each column, in SI: state, pose and, where given, readings.
-
-    `alike`: whether one limit says both ends of a column, where code that is there already says so.
-    """
-
-    ends: Mapping[str, tuple[float, float]]
-    alike: Mapping[str, bool] = field(default_factory=dict)
-
-    def reach(self) -> dict[str, float]:
-        """Return the largest magnitude of each column."""
-        return {column: max(abs(low), abs(high)) for column, (low, high) in self.ends.items()}
-
-    def symmetric(self, column: str) -> bool:
-        """Whether one limit says it."""
-        low, high = self.ends[column]
-        return low == -high and self.alike.get(column, True)
-
-    def over(self, ends: Mapping[str, tuple[float, float]]) -> "Box":
-        """Return the box of these columns: a reading that has one limit gets the wider one of its ends."""
-        found = dict(ends)
-        for column in found.keys() & self.alike.keys():
-            if self.alike[column]:
-                most = max(map(abs, found[column]))
-                found[column] = (-most, most)
-        return replace(self, ends=found)
 
 
 def box_of(
@@ -138,16 +108,3 @@ def _rounded(column: str, low: float, high: float, alike: bool | None) -> tuple[
         room = max(abs(low) * 1e-3, 1e-9)
         return low - room, high + room
     return low, high
-
-
-def limits(inputs: Sequence[str], box: Box) -> tuple[Entry, ...]:
-    """Return the table entries of the ends of each input: one limit where it is symmetric."""
-    out = []
-    for column in inputs:
-        low, high = box.ends[column]
-        if box.symmetric(column):
-            out.append(Entry(f"limit_{short(column)}", high, unit(column), f"largest |{column}| of the box"))
-        else:
-            out.append(Entry(f"low_{short(column)}", low, unit(column), f"least {column} of the box"))
-            out.append(Entry(f"high_{short(column)}", high, unit(column), f"greatest {column} of the box"))
-    return tuple(out)

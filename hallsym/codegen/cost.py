@@ -4,11 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.codegen.box import Box
-from hallsym.codegen.checks import check_columns
-from hallsym.codegen.decoupler import Bits, Decoupler, Lookup, Whole
-from hallsym.codegen.entries import unit
-from hallsym.codegen.lowering import lowered
+from hallsym.codegen.decoupler import Bits, Box, Decoupler, Lookup, Whole, unit
+from hallsym.codegen.lowering import check_columns, lowered
 from hallsym.codegen.operations import graph
 from hallsym.model import Model
 

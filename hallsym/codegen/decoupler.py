@@ -4,19 +4,90 @@ A family's own file makes a `Decoupler` (`hallsym.codegen.lowering`); source, ta
 and reports are made from it.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.box import Box
-from hallsym.codegen.entries import Entry, unit
 from hallsym.codegen.intervals import Enclosure
+from hallsym.codegen.naming import identifier
+from hallsym.codegen.operations import NAMES, Graph, graph
 from hallsym.log.phase import wrapped
 from hallsym.model import Model
+from hallsym.model.arrays import BINARY, UNARY
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One number of the parameter table: `value` in SI, and what it means."""
+
+    name: str
+    value: float
+    unit: str
+    meaning: str
+
+
+def short(column: str) -> str:
+    """Return `hall_a` of `hall_a_m`, as a C identifier."""
+    return identifier(column.rpartition("_")[0] or column)
+
+
+def unit(column: str) -> str:
+    """Return the SI unit of a column."""
+    return {"m": "m", "rad": "rad", "degc": "degC", "s": "s", "v": "V"}.get(column.rpartition("_")[2], "1")
+
+
+def zeros_of(model: Model) -> tuple[Entry, ...]:
+    """Return what a reset adds to each pose coordinate."""
+    return tuple(
+        Entry(f"zero_{short(c)}", 0.0, unit(c), f"added to {c}; set by decoupler_zero()") for c in model.pose
+    )
+
+
+@dataclass(frozen=True)
+class Box:
+    """Least and greatest value of each column, in SI: state, pose and, where given, readings.
+
+    `alike`: whether one limit says both ends of a column, where code that is there already says so.
+    """
+
+    ends: Mapping[str, tuple[float, float]]
+    alike: Mapping[str, bool] = field(default_factory=dict)
+
+    def reach(self) -> dict[str, float]:
+        """Return the largest magnitude of each column."""
+        return {column: max(abs(low), abs(high)) for column, (low, high) in self.ends.items()}
+
+    def symmetric(self, column: str) -> bool:
+        """Whether one limit says it."""
+        low, high = self.ends[column]
+        return low == -high and self.alike.get(column, True)
+
+    def over(self, ends: Mapping[str, tuple[float, float]]) -> "Box":
+        """Return the box of these columns: a reading that has one limit gets the wider one of its ends."""
+        found = dict(ends)
+        for column in found.keys() & self.alike.keys():
+            if self.alike[column]:
+                most = max(map(abs, found[column]))
+                found[column] = (-most, most)
+        return replace(self, ends=found)
+
+
+def limits(inputs: Sequence[str], box: Box) -> tuple[Entry, ...]:
+    """Return the table entries of the ends of each input: one limit where it is symmetric."""
+    out = []
+    for column in inputs:
+        low, high = box.ends[column]
+        if box.symmetric(column):
+            out.append(Entry(f"limit_{short(column)}", high, unit(column), f"largest |{column}| of the box"))
+        else:
+            out.append(Entry(f"low_{short(column)}", low, unit(column), f"least {column} of the box"))
+            out.append(Entry(f"high_{short(column)}", high, unit(column), f"greatest {column} of the box"))
+    return tuple(out)
+
 
 ENOUGH = 2e-11
 """Change of the pose [m, rad] below which an iteration of a non-linear model ends."""
@@ -263,3 +334,105 @@ def _replaced(expression: ca.SX, pairs: Mapping[str, tuple[ca.SX, ca.SX]]) -> ca
     return ca.substitute(
         expression, ca.vertcat(*(a for a, _ in pairs.values())), ca.vertcat(*(b for _, b in pairs.values()))
     )
+
+
+TERMS = 3
+"""Terms of a sum that one step adds."""
+
+
+@dataclass(eq=False, kw_only=True)
+class Collected:
+    """Entries, symbols and steps of one decoupler."""
+
+    table: list[Entry] = field(default_factory=list)
+    symbols: dict[str, ca.SX] = field(default_factory=dict)
+    steps: list[Step] = field(default_factory=list)
+
+    def entry(self, name: str, value: float, unit: str, meaning: str) -> ca.SX:
+        """Add an entry of the table; returns its symbol."""
+        self.table.append(Entry(name, float(value), unit, meaning))
+        self.symbols[name] = ca.SX.sym(name)
+        return self.symbols[name]
+
+    def step(
+        self, name: str, expression: ca.SX, remark: str = "", within: tuple[float, int] | None = None
+    ) -> ca.SX:
+        """Add a step; returns its symbol. `within`: see `Step`."""
+        self.steps.append(Step(name, expression, remark, within=within))
+        return self.symbols.setdefault(name, ca.SX.sym(name))
+
+    def total(self, name: str, terms: Sequence[ca.SX], remark: str = "") -> ca.SX:
+        """Add a sum, some terms at a time: compilers take it as one, and readers can read it."""
+        total, rest, k = terms[0], list(terms[1:]), 0
+        while len(rest) > TERMS:
+            k += 1
+            total = self.step(f"{name}_part_{k}", sum(rest[:TERMS], start=total))
+            rest = rest[TERMS:]
+        return self.step(name, sum(rest, start=total), remark)
+
+    def keep(self, wanted: Sequence[str]) -> None:
+        """Leave out the steps that none of the wanted ones needs."""
+        needed, kept = set(wanted), []
+        for step in reversed(self.steps):
+            if step.name in needed:
+                kept.append(step)
+                needed |= {s.name() for s in ca.symvar(step.expression)}
+        self.steps = kept[::-1]
+
+
+# -- steps on arrays of samples, statement by statement as C runs them: so the same bits
+
+OPERATIONS: Mapping[str, Callable[..., np.ndarray]] = {
+    NAMES[code]: run for code, run in (UNARY | BINARY).items()
+}
+"""Each operation of a graph on arrays, in the type that they have."""
+
+
+def steps_on_arrays(d: Decoupler, real: type = float) -> Callable[..., list[np.ndarray]]:
+    """Return `run(inputs, coefficients and zeros)`: pose (n_pose, s), and what flags look at, if any.
+
+    `inputs` (n_inputs, s) and the constants (n,) or (n, 1) are of the type `real`.
+    """
+    names = [*d.inputs, *(e.name for e in (*d.table, *d.zeros))]
+    symbols = [d.symbols[name].name() for name in names]
+    graphs = {step.name: graph([step.expression]) for step in d.steps}
+    results = [step.name for step in d.steps[-len(d.pose) :]]
+
+    def run(inputs: Sequence, constants: Sequence) -> list[np.ndarray]:
+        values = dict(zip(symbols, (*inputs, *constants), strict=True))
+        for step in d.steps:
+            values[step.name] = _taken(step, _computed(graphs[step.name], values, real), real)
+        shape = np.broadcast_shapes(*(np.shape(row) for row in inputs))
+        groups = (results, [flag.step for flag in d.flags])
+        return [
+            np.array([np.broadcast_to(values[name], shape) for name in group], dtype=real)
+            for group in groups
+            if group
+        ]
+
+    return run
+
+
+def _computed(found: Graph, values: Mapping[str, np.ndarray], real: type) -> np.ndarray:
+    made: list[np.ndarray] = []
+    for o in found.operations:
+        if o.op == "input":
+            made.append(values[o.symbol])
+        elif o.op == "const":
+            made.append(real(o.value))
+        else:
+            made.append(OPERATIONS[o.op](*(made[k] for k in o.args)))
+    return made[found.results[0]]
+
+
+def _taken(step: Step, value: np.ndarray, real: type) -> np.ndarray:
+    """Return what a step makes of its value; whole numbers and their bits are exact in any type."""
+    if isinstance(step, Whole):
+        return np.floor(value)
+    if isinstance(step, Bits):
+        upper = np.floor(value * 2.0**-step.first)
+        return value - upper * 2.0**step.first if step.below else upper
+    if isinstance(step, Lookup):
+        entries: np.ndarray = np.array(step.array.values, dtype=real)
+        return entries[(value.astype(np.int64) + step.ahead) % len(entries)]
+    return value

@@ -7,8 +7,7 @@ limit must be found good.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from hallsym.codegen.bounds import LEAST_GAIN
-from hallsym.codegen.decoupler import Decoupler, Margin
-from hallsym.codegen.entries import short
+from hallsym.codegen.decoupler import Decoupler, Margin, short
 
 JUST = 0.02
 """How far a tried value lies on either side of a limit, relative: far above the rounding of the check."""

@@ -1,25 +1,38 @@
 """The files of a decoupler in float or double."""
 
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
+from zlib import crc32
 
 import casadi as ca
 import numpy as np
 
 from hallsym.codegen import faults
-from hallsym.codegen.arithmetic import Port
-from hallsym.codegen.backend import bit, ends, raised, status_bit, taken
-from hallsym.codegen.bounds import LEAST_GAIN, spreads
+from hallsym.codegen.backend import (
+    COUNT,
+    VERSION,
+    Backend,
+    Port,
+    Stored,
+    bit,
+    ends,
+    mix,
+    raised,
+    status_bit,
+    taken,
+)
+from hallsym.codegen.bounds import LEAST_GAIN, Bounds, pose_bounds, spreads, step_errors
 from hallsym.codegen.cost import firmware_cost
-from hallsym.codegen.entries import short, unit
-from hallsym.codegen.float_arithmetic import FloatArithmetic
-from hallsym.codegen.float_c import statements
+from hallsym.codegen.decoupler import Decoupler, Entry, Step, short, steps_on_arrays, unit
+from hallsym.codegen.float_c import Real, shared_steps, statements
 from hallsym.codegen.naming import commented, identifier
-from hallsym.codegen.slopes import Slopes
 from hallsym.codegen.templates import lines_of
+from hallsym.errors import InputError, quoted
+from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
 
 M4 = "-mcpu=cortex-m4 -mthumb"
 """Compiler options of a Cortex-M4F."""
@@ -32,9 +45,294 @@ UNIONS = ["misra-c2012-19.2:src/decoupler.c", "misra-c2012-19.2:src/decoupler_ch
 FRAGMENTS = "float/fragments/"
 
 
+KINDS = ("reading", "state")
+"""Inputs by which the pose can be differentiated."""
+
+
+def kinds_of(given: bool | str | Sequence[str], model: Model) -> tuple[str, ...]:
+    """Return the kinds of slopes that are asked for: True stands for readings, a text may list several.
+
+    Raises `InputError` for others, and for the state of a model that has none.
+    """
+    if isinstance(given, bool):
+        return KINDS[:1] if given else ()
+    wanted = [name.strip() for name in given.split(",")] if isinstance(given, str) else list(given)
+    for name in wanted:
+        if name not in KINDS:
+            raise InputError(
+                f"--jacobian takes {', '.join(KINDS)} or both with a comma between; instead received "
+                f"{quoted(name)}."
+            )
+    if "state" in wanted and not model.state:
+        raise InputError(f"--jacobian state: model {model.name} reads no state; leave it out.")
+    return tuple(kind for kind in KINDS if kind in wanted)
+
+
 @dataclass(frozen=True, eq=False)
-class FloatBackend(FloatArithmetic):
-    """Prints the files of one decoupler in float or double."""
+class Slopes:
+    """Slopes of the pose of a decoupler by the columns of some kinds of input."""
+
+    d: Decoupler
+    kinds: tuple[str, ...]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Inputs by which the pose is differentiated."""
+        by_kind = {"reading": self.d.model.channels, "state": self.d.model.state}
+        return tuple(column for kind in self.kinds for column in by_kind[kind])
+
+    @cached_property
+    def expressions(self) -> dict[str, ca.SX]:
+        """By name: `x_hall_a`, by CasADi's differentiation of the printed expressions."""
+        d, columns = self.d, self.columns
+        jacobian = ca.jacobian(d.folded, ca.vertcat(*(d.symbols[c] for c in columns)))
+        flat = [jacobian[i, k] for i in range(len(d.pose)) for k in range(len(columns))]
+        names = [f"{short(c)}_{short(m)}" for c in d.pose for m in columns]
+        return dict(zip(names, ca.vertsplit(ca.densify(ca.cse(ca.vertcat(*flat)))), strict=True))
+
+    @property
+    def whole(self) -> ca.SX:
+        """All of them (n,)."""
+        return ca.vertcat(*self.expressions.values())
+
+    @cached_property
+    def steps(self) -> list[Step]:
+        """What they share, then one step each."""
+        return shared_steps(self.whole)
+
+    @property
+    def stored(self) -> dict[str, str]:
+        """C lvalue of each step that is a slope."""
+        return {f"result_{k}": f"slopes->{name}" for k, name in enumerate(self.expressions)}
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return what templates say of each slope."""
+        pairs = [(c, m) for c in self.d.pose for m in self.columns]
+        return [
+            {"name": name, "index": k, "unit": f"{unit(c)}/{unit(m)}", "of": commented(c), "by": commented(m)}
+            for k, (name, (c, m)) in enumerate(zip(self.expressions, pairs, strict=True))
+        ]
+
+    def fields(self) -> dict[str, str]:
+        """Return what templates say of all of them."""
+        plural = {"reading": "readings", "state": "state"}
+        units = dict.fromkeys(record["unit"] for record in self.records())
+        return {
+            "quantity": self.d.quantity,
+            "by_kinds": " and ".join(f"the {plural[kind]}" for kind in self.kinds),
+            "by_kind": ", ".join(f"d {self.d.quantity} / d {kind}" for kind in self.kinds),
+            "slope_units": ", ".join(units),
+        }
+
+    def of(self, held: np.ndarray) -> np.ndarray:
+        """Return the slopes (n, s) in double of inputs (n_inputs, s) in their ranges."""
+        d = self.d
+        given = [ca.vertcat(*(d.symbols[n] for n in d.inputs))]
+        given.append(ca.vertcat(*(d.symbols[e.name] for e in (*d.table, *d.zeros))))
+        return on_arrays(ca.Function("slopes", given, [self.whole]))(list(held), d.constants)[0]
+
+    def errors(self, real: Real) -> list[float]:
+        """Return how far each computed slope can be from its expression over the box, table included."""
+        return step_errors(self.d, self.steps, real.digits)[-len(self.expressions) :]
+
+
+@dataclass(frozen=True, eq=False)
+class FloatBackend(Backend):
+    """A decoupler in float or double.
+
+    IEEE 754 leaves no freedom to +, -, *, / and comparisons that round to nearest one by one, so numpy
+    computes the same bits as C. `jacobian`: kinds of input by which the pose is differentiated, of `KINDS`.
+    """
+
+    real: Real
+    jacobian: tuple[str, ...] = ()
+
+    tree: ClassVar[str] = "float"
+    hashed: ClassVar[tuple[int, int]] = (4096, 1_000_000)
+
+    @property
+    def type(self) -> str:
+        """Float or double."""
+        return self.real.name
+
+    @cached_property
+    def bounds(self) -> Bounds:
+        """By interval arithmetic on the printed expressions; approximations are not in it."""
+        return pose_bounds(self.decoupler, self.real.digits)
+
+    @property
+    def error_bound(self) -> Mapping[str, float]:
+        """Rounding, and what series, polynomials and iterations leave."""
+        return {c: error + self.decoupler.left(c) for c, error in self.bounds.error.items()}
+
+    def summary(self) -> dict[str, Any]:
+        """CRC of the table, and how near to zero gains come."""
+        return {"crc32": f"0x{self.crc:08x}", "least_gain": dict(self.bounds.least_gain)}
+
+    # -- the arithmetic ------------------------------------------------------------------------------------
+
+    @cached_property
+    def inputs(self) -> Sequence[Port]:
+        """In SI."""
+        return [Port(c, self.type, identifier(c), unit(c)) for c in self.decoupler.inputs]
+
+    @cached_property
+    def outputs(self) -> Sequence[Port]:
+        """In SI."""
+        return [Port(c, self.type, identifier(c), unit(c)) for c in self.decoupler.pose]
+
+    @property
+    def span(self) -> tuple[np.ndarray, np.ndarray]:
+        """As they are given, not rounded."""
+        low, high = np.array([self.decoupler.ends(c) for c in self.decoupler.inputs]).T
+        return low[:, None], high[:, None]
+
+    @cached_property
+    def ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """As the table holds them."""
+        low, high = self.span
+        return low.astype(self.real.dtype), high.astype(self.real.dtype)
+
+    @cached_property
+    def _run(self) -> Callable[..., list[np.ndarray]]:
+        return steps_on_arrays(self.decoupler, self.real.dtype)
+
+    def hold(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """By the bits of its size where a range is symmetric: NaN goes to the end of its sign."""
+        held, status = super().hold(inputs)
+        below = np.isnan(inputs) & np.signbit(inputs) & self._symmetric
+        return np.where(below, self.ends[0], held), status
+
+    @cached_property
+    def _symmetric(self) -> np.ndarray:
+        return np.array([[self.decoupler.box.symmetric(c)] for c in self.decoupler.inputs])
+
+    def run(self, held: np.ndarray, zeros: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Operation by operation; `zeros` (n_pose, s) in place of those of the table."""
+        dtype = self.real.dtype
+        constants: list[np.ndarray] = [np.array([c], dtype=dtype) for c in self.decoupler.constants]
+        if zeros is not None:
+            constants[-len(zeros) :] = list(zeros)
+        with np.errstate(under="ignore"):
+            pose, *seen = self._run(held.astype(dtype), constants)
+        flags = self.decoupler.raised(seen[0], dtype) if seen else np.uint32(0)
+        return pose, np.asarray(flags)
+
+    def sample(self, numbers: np.ndarray) -> np.ndarray:
+        """Most lie in the box, every 16th has any bits at all, every 16th is four times too large."""
+        (low, high), dtype = self.ends, self.real.dtype
+        n = np.asarray(numbers, dtype=np.uint32)
+        count = np.uint32(len(self.decoupler.inputs))
+        kind = mix(n ^ np.uint32(0x9E3779B9)) & np.uint32(15)
+        raw = mix(n * count + np.arange(1, count + 1, dtype=np.uint32)[:, None])
+        share = (raw >> np.uint32(8)).astype(dtype) * dtype(2.0**-24)
+        with np.errstate(all="ignore"):
+            value = low + (high - low) * share
+            value = np.where(kind == 1, value * dtype(4), value)
+        wild = raw if self.real.size == 4 else (raw.astype(np.uint64) << np.uint64(32)) | mix(raw)
+        return np.where(kind == 0, wild.view(dtype), value).astype(dtype)
+
+    @cached_property
+    def reset(self) -> dict[str, float]:
+        """Zeros that hashed samples have: such that an angle wraps, or a fraction of a millimetre."""
+        d = self.decoupler
+        return {c: (1 - 2.0**-7) * d.known(c) if c in d.model.period else 2.0**-12 for c in d.pose}
+
+    def hashed_step(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Half of the samples have no zeros, a quarter each those of a reset at one end and at the other."""
+        kind = mix(np.asarray(numbers, dtype=np.uint32) ^ np.uint32(0x85EBCA6B)) & np.uint32(3)
+        sign: np.ndarray = np.select([kind == 2, kind == 3], [1, -1], 0).astype(self.real.dtype)
+        zeros = np.array([self.real.dtype(self.reset[c]) * sign for c in self.decoupler.pose])
+        held, status = self.hold(self.sample(numbers))
+        pose, flags = self.run(held, zeros)
+        return pose, status.astype(np.uint32) | flags.astype(np.uint32)
+
+    def _words(self, pose: np.ndarray) -> np.ndarray:
+        if self.real.size == 4:
+            return pose.view(np.uint32)
+        bits = pose.view(np.uint64)
+        return np.asarray((bits >> np.uint64(32)).astype(np.uint32) ^ mix(bits.astype(np.uint32)))
+
+    def _rounded(self, inputs: np.ndarray) -> np.ndarray:
+        return inputs.astype(self.real.dtype)
+
+    def _chosen(self) -> np.ndarray:
+        """Return corners and points of the box, and inputs that are out of range or not finite."""
+        low, high = (side[:, 0] for side in self.ends)
+        rng, dtype = np.random.default_rng(1), self.real.dtype
+        share = np.hstack([np.zeros((len(low), 1)) + 0.5, rng.random((len(low), COUNT - 1))])
+        share[:, 1:9] = rng.choice([0.0, 1.0], (len(low), 8))
+        inside = (low[:, None] + (high - low)[:, None] * share).astype(dtype)
+        if self.decoupler.drawn is not None:
+            inside = self.decoupler.drawn(rng, COUNT).astype(dtype)
+        inside = np.clip(inside, low[:, None], high[:, None])
+        bad = []
+        for k in range(len(low)):
+            for value in (np.nan, np.inf, -np.inf, 2 * low[k], 2 * high[k], np.finfo(dtype).max):
+                column = inside[:, 9 + k].copy()
+                column[k] = value
+                bad.append(column)
+        bad.append(np.full(len(low), np.nan, dtype=dtype))
+        bad += [np.array(row, dtype=dtype) for row in self.decoupler.listed]
+        return np.hstack([inside, np.array(bad, dtype=dtype).T])
+
+    # -- the table -----------------------------------------------------------------------------------------
+
+    @cached_property
+    def entries(self) -> Sequence[Stored]:
+        """Numbers in SI, or 16-bit integers in a row."""
+        d, dtype = self.decoupler, np.dtype(self.real.dtype).newbyteorder("<")
+
+        def stored(entries: Sequence[Entry]) -> list[Stored]:
+            return [
+                Stored(e.name, np.array(e.value, dtype), f"[{e.unit}] {e.meaning}", e.unit) for e in entries
+            ]
+
+        rows = [
+            Stored(
+                a.name, np.array(a.values, "<i2" if a.integers else dtype), f"[{a.unit}] {a.meaning}", a.unit
+            )
+            for a in d.arrays
+        ]
+        return [*stored((*d.table, *d.limits)), *rows, *stored(d.zeros)]
+
+    @property
+    def pad(self) -> int:
+        """A word before the zeros in double."""
+        return self.real.size - 4
+
+    @cached_property
+    def layout(self) -> int:
+        """Of names, units and statements."""
+        d = self.decoupler
+        lines = [f"{VERSION} {self.type}"]
+        lines += [f"{e.name} {e.unit}" for e in d.entries]
+        lines += [f"{a.name}[{len(a.values)}] {a.unit} {a.integers}" for a in d.arrays]
+        lines += statements([replace(step, remark="") for step in d.steps], {}, self.real, {})
+        return crc32("\n".join(lines).encode())
+
+    def _json(self) -> dict[str, Any]:
+        d = self.decoupler
+        record: dict[str, Any] = {
+            "parameters": [
+                {
+                    "name": e.name,
+                    "value": float(self.real.dtype(e.value)),
+                    "unit": e.unit,
+                    "meaning": e.meaning,
+                }
+                for e in d.entries
+            ]
+        }
+        if d.arrays:
+            record["arrays"] = [
+                {"name": a.name, "values": list(a.values), "unit": a.unit, "meaning": a.meaning}
+                for a in d.arrays
+            ]
+        return record
+
+    def _literal(self, value: Any) -> str:
+        return str(value) if isinstance(value, int) else self.real.constant(value)
 
     def _templates(self) -> dict[str, str]:
         """Not all bit patterns of a double can be tried."""

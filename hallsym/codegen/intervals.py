@@ -8,7 +8,7 @@ either, so the derivative of `fmin` at its kink is the hull of both sides.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import pi
+from math import floor, log2, pi
 from typing import Any
 
 import casadi as ca
@@ -45,6 +45,11 @@ def constant(value: float, digits: int) -> Enclosure:
     """Return the enclosure of a number as it is stored in `digits` bits of significand."""
     stored = float(np.float32(value)) if digits == 24 else value
     return Enclosure(value, value, abs(value - stored))
+
+
+def half_ulp(most: float, digits: int) -> float:
+    """Return what one rounding of a number of at most that magnitude changes."""
+    return float(2.0 ** (floor(log2(most)) - digits))
 
 
 def enclose(

@@ -29,8 +29,8 @@ from hallsym.codegen import (
     generate,
     lower,
     mix,
-    on_arrays,
     pose_bounds,
+    steps_on_arrays,
 )
 from hallsym.errors import InputError
 from hallsym.families import adapted, effects
@@ -46,7 +46,7 @@ def test_the_printed_expressions_are_the_model(case):
     fit = CASES[case]()
     d = lower(fit, box_of(fit))
     inputs = inputs_of(d)
-    folded = on_arrays(d)(inputs, d.constants)[0]
+    folded = steps_on_arrays(d)(inputs, d.constants)[0]
     linear = np.abs(folded - d.exact(inputs)).max(axis=1)
     assert linear.max() <= d.slack + 1e-16
 
@@ -113,7 +113,7 @@ def test_more_probes_than_coordinates_are_weighted_least_squares():
         weights.append(p[f"eta_{probe.label}"] / fit.noise.sigmas[probe.channel].value)
     w = np.array(weights)
     expected = np.linalg.lstsq(np.array(rows) * w[:, None], np.array(seen) * w, rcond=None)[0]
-    found = on_arrays(d)(np.concatenate([readings, state])[:, None], d.constants)[0].ravel()
+    found = steps_on_arrays(d)(np.concatenate([readings, state])[:, None], d.constants)[0].ravel()
     assert np.abs(found - expected).max() < 1e-15
 
 
@@ -320,7 +320,7 @@ def test_every_effect_without_a_history_has_its_c(name):
     fit = with_effect(effects()[name], 1e-3)
     d = lower(fit, box_of(fit))
     inputs = inputs_of(d)
-    found = on_arrays(d)(inputs, d.constants)[0]
+    found = steps_on_arrays(d)(inputs, d.constants)[0]
     assert np.abs(found - d.exact(inputs)).max() <= d.slack + 1e-16
     assert np.isfinite(list(pose_bounds(d).error.values())).all()
 

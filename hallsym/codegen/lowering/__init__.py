@@ -11,14 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.codegen.box import Box
-from hallsym.codegen.decoupler import Decoupler
+from hallsym.codegen.decoupler import Box, Decoupler
 from hallsym.codegen.lowering import angle, linear, wave
 from hallsym.codegen.lowering.correction import KINDS as CORRECTIONS
 from hallsym.codegen.lowering.correction import SIZES, Grid, Series, grid, proved, shortest_correction
-from hallsym.codegen.lowering.odd_series import Odd, shortest
+from hallsym.codegen.lowering.odd_series import (
+    ARCTANGENT,
+    SINE,
+    Odd,
+    arctangent_error,
+    shortest,
+    sine_error,
+    wrapped,
+)
 from hallsym.codegen.lowering.phase_curve import Curve
-from hallsym.codegen.lowering.trigonometry import ARCTANGENT, SINE, arctangent_error, sine_error, wrapped
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit
 from hallsym.model import Model
@@ -67,3 +73,17 @@ def lowered(model: Model, p: np.ndarray, weight: np.ndarray, box: Box, **options
             "has nothing to choose there: leave it out."
         )
     return lowering(model, p, weight, box, **given)
+
+
+def check_columns(model: Model) -> None:
+    """Refuse a model whose columns a controller does not have, or that nothing can be decoded from."""
+    for column in model.computed:
+        raise InputError(
+            f"Model {model.name} with {', '.join(model.effects)} needs {column.name}, which is computed from "
+            "a whole log and its history; a controller does not have it: generate from a calibration without "
+            "that effect."
+        )
+    if len(model.channels) < len(model.pose):
+        raise InputError(
+            f"Model {model.name} has fewer readings than pose coordinates; nothing can be decoded."
+        )

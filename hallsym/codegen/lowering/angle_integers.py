@@ -13,10 +13,8 @@ from math import asin, hypot, pi
 import numpy as np
 
 from hallsym.codegen import binary_angle
-from hallsym.codegen.decoupler import Decoupler
-from hallsym.codegen.entries import Entry, short
-from hallsym.codegen.fixed_point import Fixed, Program
-from hallsym.codegen.integer_c import DOES_NOT_FIT, Compiler, exponent, planned
+from hallsym.codegen.decoupler import Decoupler, Entry, short
+from hallsym.codegen.integer_c import DOES_NOT_FIT, Compiler, Fixed, Program, exponent, planned
 from hallsym.codegen.lowering.correction import (
     ROUNDED,
     SIZES,

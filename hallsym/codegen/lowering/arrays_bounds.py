@@ -11,10 +11,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Step, Whole
-from hallsym.codegen.entries import short
-from hallsym.codegen.intervals import Enclosure, constant, enclose
-from hallsym.codegen.lowering.angle_bounds import half_ulp
+from hallsym.codegen.decoupler import Step, Whole, short
+from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
 from hallsym.codegen.lowering.arrays_fit import Arrays
 from hallsym.codegen.lowering.wave_bounds import SHORT, Values, height_error, place_error, vector_error
 from hallsym.codegen.lowering.wave_steps import Wave
@@ -23,12 +21,12 @@ from hallsym.model.arrays import on_arrays
 
 ROOM = 1.5
 """Times what trial poses make of a step: the range in which intervals take it."""
-TRIALS = 2000
-WITHIN = ("across", "up", "turned", "turned_square", "quadrant", "beyond", "half")
+POSES = 2000
+OF_ARCTANGENT = ("across", "up", "turned", "turned_square", "quadrant", "beyond", "half")
 """Steps of an arctangent, whose bound is of the whole."""
 CROSS = ("cross_real", "cross_imaginary", "cross", "cross_square", "held_cross", "bound")
 """Steps of the turn of one phasor from another."""
-TURNED = 64
+ROUNDINGS = 64
 """Roundings of that turn, each a share of it: two products, their sums, quotient and polynomial."""
 POWERS = ((2, 0), (4, 4), (6, 4), (4, 0))
 """Of each kind of term: how often the phasor is a factor, and the power of its length."""
@@ -92,7 +90,7 @@ class Rounding:
                 step
             ) in own:  # terms of tilt take powers of the first round: as far off as the vector, at most
                 made[step.name] = Enclosure(-wave.outer, wave.outer, vector)
-            made |= {f"{step}_{name}": Enclosure(0.0, 0.0) for step in WITHIN}
+            made |= {f"{step}_{name}": Enclosure(0.0, 0.0) for step in OF_ARCTANGENT}
             made[f"log_{name}"] = Enclosure(
                 *_sides(-np.log(wave.least)), height_error(wave, vector, digits) / lc
             )
@@ -119,13 +117,13 @@ class Rounding:
                 name, first = self.names[k], self.names[members[0]]
                 low, high = ranges[f"turn_{name}"]
                 most = max(abs(low), abs(high))
-                off = 1.1 * (moved[first] + moved[name]) + TURNED * u * max(most, 1e-3)
+                off = 1.1 * (moved[first] + moved[name]) + ROUNDINGS * u * max(most, 1e-3)
                 made[f"turn_{name}"] = Enclosure(low, high, off)
                 made |= {f"{n}_{name}": Enclosure(0.0, 0.0) for n in CROSS}
         return made
 
     def _ranges(self) -> dict[str, tuple[float, float]]:
-        inputs = self.drawn(np.random.default_rng(6), TRIALS)
+        inputs = self.drawn(np.random.default_rng(6), POSES)
         columns = (*self.found.model.channels, *self.nears)
         return ranges_of(self.steps, columns, inputs, self.values, self.found.model.pose)
 

@@ -12,18 +12,37 @@ less.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.box import Box, limits
-from hallsym.codegen.decoupler import Decoupler, Margin, Step
-from hallsym.codegen.entries import Entry, per, short, unit
-from hallsym.codegen.lowering.polynomial_model import PolynomialModel
-from hallsym.codegen.lowering.polynomials import Polynomial, Row
+from hallsym.codegen.decoupler import (
+    Box,
+    Collected,
+    Decoupler,
+    Margin,
+    Step,
+    limits,
+    short,
+    unit,
+    zeros_of,
+)
+from hallsym.codegen.lowering.polynomials import Polynomial, PolynomialModel, Row
 from hallsym.errors import InputError
 from hallsym.model import Model
+
+
+def per(base: str, label: str) -> str:
+    """Unit of a coefficient: base per unit of the monomial."""
+    powers: dict[str, int] = {}
+    for column in filter(None, label.split("*")):
+        powers[unit(column)] = powers.get(unit(column), 0) + 1
+    if base in powers:
+        powers[base] -= 1
+        base = "1"
+    below = "*".join(f"{u}{n if n > 1 else ''}" for u, n in powers.items() if n)
+    return f"{base}/({below})" if "*" in below else f"{base}/{below}" if below else base
 
 
 def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Decoupler:
@@ -40,15 +59,12 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Deco
 
 
 @dataclass(eq=False)
-class _Assembly:
+class _Assembly(Collected):
     """Collects entries, symbols and steps of one calibration."""
 
     taken: PolynomialModel
     p: np.ndarray
     weight: np.ndarray
-    table: list[Entry] = field(default_factory=list)
-    symbols: dict[str, ca.SX] = field(default_factory=dict)
-    steps: list[Step] = field(default_factory=list)
 
     def make(self) -> Decoupler:
         taken, model = self.taken, self.taken.model
@@ -66,11 +82,8 @@ class _Assembly:
                     label, share = short(model.channels[k]), model.pose[own[k]]
                     about = f"{column} per share of {share} that {label} sees"
                     value = inverse[i, k] / scale[k]
-                    self._add(f"{short(column)}_{label}", value, per(unit(column), share), about)
-        zeros = tuple(
-            Entry(f"zero_{short(c)}", 0.0, unit(c), f"added to {c}; set by decoupler_zero()")
-            for c in model.pose
-        )
+                    self.entry(f"{short(column)}_{label}", value, per(unit(column), share), about)
+        zeros = zeros_of(model)
         self.symbols |= {z.name: ca.SX.sym(z.name) for z in zeros}
         at_pose = self._solve(rows, self._bends(eta * scale), monomials)
         box = taken.box.over({**taken.readings(self.p), **dict(taken.box.ends)})
@@ -101,11 +114,6 @@ class _Assembly:
 
     # -- steps -------------------------------------------------------------------------------------------
 
-    def _add(self, name: str, value: float, unit: str, meaning: str) -> ca.SX:
-        self.table.append(Entry(name, float(value), unit, meaning))
-        self.symbols[name] = ca.SX.sym(name)
-        return self.symbols[name]
-
     def _gains(
         self, scale: np.ndarray, at_rest: np.ndarray, own: list[int], monomials: "_Monomials"
     ) -> tuple[Margin, ...]:
@@ -116,9 +124,9 @@ class _Assembly:
             base, about = per("m", column), f"gain of {channel} for its share of {column}"
             terms = self._terms(poly, poly.rest, f"gain_{name}", scale[k], base, about, "at rest")
             small = self._sum(terms, monomials) if terms else None
-            rest = self._add(f"gain_{name}", at_rest[k], base, f"{about}, at rest")
+            rest = self.entry(f"gain_{name}", at_rest[k], base, f"{about}, at rest")
             total = rest if small is None else small + rest
-            self._step(f"now_{name}", total, f"[{base}] {about}")
+            self.step(f"now_{name}", total, f"[{base}] {about}")
             margins.append(Margin(channel, f"gain_{name}", tuple((t.entry, t.columns) for t in terms)))
         return tuple(margins)
 
@@ -132,11 +140,7 @@ class _Assembly:
             if terms:
                 reading = reading - self._sum(terms, monomials)
             value = reading / self.symbols[f"now_{name}"]
-            self._step(f"u_{name}", value, f"[{unit(column)}] share of {column} that {name} sees")
-
-    def _step(self, name: str, expression: ca.SX, remark: str = "") -> ca.SX:
-        self.steps.append(Step(name, expression, remark))
-        return self.symbols.setdefault(name, ca.SX.sym(name))
+            self.step(f"u_{name}", value, f"[{unit(column)}] share of {column} that {name} sees")
 
     def _terms(
         self, poly: Polynomial, rows: list[Row], name: str, scale: float, base: str, about: str, alone: str
@@ -149,7 +153,7 @@ class _Assembly:
             columns = tuple(filter(None, label.split("*")))
             key = "_".join([name, *map(short, columns)])
             said = f"{about}, per {label}" if label else f"{about}, {alone}"
-            self._add(key, scale * values[row], per(base, label), said)
+            self.entry(key, scale * values[row], per(base, label), said)
             terms.append(_Term(key, columns))
         return terms
 
@@ -202,7 +206,7 @@ class _Assembly:
         sensed = self._seen()
         for bend, label in zip(bends, sensed, strict=True):
             if bend:
-                sensed[label] = self._step(f"w_{label}{tag}", sensed[label] - self._sum(bend, monomials))
+                sensed[label] = self.step(f"w_{label}{tag}", sensed[label] - self._sum(bend, monomials))
         return sensed
 
     def _product(
@@ -215,7 +219,7 @@ class _Assembly:
             for k in rows[i]:
                 entry = self.symbols.get(f"{short(column)}_{labels[k]}")
                 terms.append(sensed[labels[k]] if entry is None else entry * sensed[labels[k]])
-            made.append(self._step(f"{short(column)}{tag}", _total(terms)))
+            made.append(self.step(f"{short(column)}{tag}", _total(terms)))
         return made
 
 

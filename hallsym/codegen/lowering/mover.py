@@ -6,15 +6,14 @@ See `lowering.mover_fit`; nothing is remembered from one sample to the next, and
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.box import Box
-from hallsym.codegen.decoupler import Decoupler, Flag, Step
-from hallsym.codegen.entries import short, unit
-from hallsym.codegen.intervals import Enclosure
-from hallsym.codegen.lowering.adjoints import rounding
+from hallsym.codegen.decoupler import Box, Decoupler, Flag, Step, Whole, short, unit
+from hallsym.codegen.intervals import TINY, Enclosure, constant
 from hallsym.codegen.lowering.arrays import (
     FIELD,
     NEAR,
@@ -24,12 +23,21 @@ from hallsym.codegen.lowering.arrays import (
     Assembly,
     ends_and_leaves,
 )
-from hallsym.codegen.lowering.mover_fit import Mover, ends, mover_of
-from hallsym.codegen.lowering.mover_steps import MoverPieces
+from hallsym.codegen.lowering.mover_fit import Mover, Row, ends, mover_of
 from hallsym.codegen.lowering.passing import NeverEnds
-from hallsym.codegen.lowering.travel import COVERED, MARGINS
+from hallsym.codegen.lowering.travel import COVERED, MARGINS, place_steps, smooth_weight
+from hallsym.codegen.lowering.travel_fit import RAMP
 from hallsym.codegen.lowering.wave_bounds import Values
-from hallsym.codegen.lowering.wave_steps import wave_of
+from hallsym.codegen.lowering.wave_steps import (
+    AXES,
+    Pair,
+    Powers,
+    least_inside,
+    logarithm_steps,
+    power,
+    wave_of,
+)
+from hallsym.codegen.operations import Graph, Operation, graph
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
 
@@ -65,7 +73,7 @@ def decoupler(
     low, high = middle[2] - half[2], middle[2] + half[2]
     tilted = float(np.abs(np.array([row.lever for row in found.rows])).max(axis=0) @ half[3:])
     wave = wave_of(found.plain, (low - tilted, high + tilted), float(leaves[0]))
-    return _Assembly(found, (wave,) * len(found.rows), given=box).make()
+    return _Assembly(found, (wave,) * len(found.rows), box).make()
 
 
 def _best(found: Mover) -> Mover:
@@ -98,8 +106,206 @@ def _left(found: Mover) -> float:
 
 
 @dataclass(eq=False)
-class _Assembly(MoverPieces, Assembly):
+class _Assembly(Assembly):
     """Collects the decoupler of one calibration over a box."""
+
+    found: Mover  # type: ignore[assignment]
+
+    # -- sums ----------------------------------------------------------------------------------------------
+
+    def _channels(self, row: Row) -> list[str]:
+        return [short(self.found.model.channels[k]) for k in row.channels]
+
+    # -- from readings to places and heights ---------------------------------------------------------------
+
+    def rows(self) -> list[ca.SX]:
+        """Add the steps from the readings to places from the middle [m] and logarithms of all rows."""
+        made, found = self.made, self.found
+        made.entry("lc", found.lc, "m", "wavelength over 2 pi")
+        made.entry("wavelength", found.wavelength, "m", "wavelength")
+        made.entry("per_wave", 1 / found.wavelength, "1/m", "periods per metre")
+        least_inside(made, self.waves[:1])
+        self.at = {axis: self._first(axis, members) for axis, members in found.axes.items()}
+        for row, name in zip(found.rows, self.names, strict=True):
+            self._weights(row, name)
+        before = self._solved("_first")
+        turns = {k: self._first_turn(k, before) for k in sorted({found.tilt_of(row) for row in found.rows})}
+        return list(self._solved("", turns).values())
+
+    def _first(self, axis: int, members: Sequence[int]) -> ca.SX:
+        """The place along an axis that all its sensors alike say, in the period that is meant."""
+        made, column, cos, sin = self.made, short(self.found.model.pose[axis]), [], []
+        for k in members:
+            row = self.found.rows[k]
+            design = row.design()
+            for j, name in enumerate(self._channels(row)):
+                offset = made.entry(f"offset_{name}", float(row.offset[j]), "V", f"offset of {name}")
+                field = made.step(
+                    f"field_{name}", made.symbols[self.found.model.channels[row.channels[j]]] - offset
+                )
+                cos.append(
+                    field * made.entry(f"cos_{name}", design[0, j], "V", f"read by {name} of the cosine")
+                )
+                sin.append(
+                    field * made.entry(f"sin_{name}", design[1, j], "V", f"read by {name} of the sine")
+                )
+        u = self.made.total(f"cos_all_{column}", cos, "all alike"), self.made.total(f"sin_all_{column}", sin)
+        made.entry(f"{column}_middle", float(self.found.middle[axis]), "m", "middle of the box")
+        near = made.symbols[f"{column}_near_m" if self.wide(axis) else f"{column}_middle"]
+        return place_steps(made, self.waves[0], u, near, f"_{column}")
+
+    def _weights(self, row: Row, tag: str) -> None:
+        """Weight of each sensor: 1 well under the array, 0 beyond, smooth."""
+        made, found = self.made, self.found
+        ramp = RAMP * found.wavelength
+        half = row.length / 2 - found.margin * found.wavelength
+        start = made.entry(
+            f"depth_{tag}", half / ramp, "1", "half of what counts of the array, over the ramp"
+        )
+        if "per_ramp" not in made.symbols:
+            made.entry("per_ramp", 1 / ramp, "1/m", "a weight goes from 0 to 1 over its inverse")
+        rate = made.symbols["per_ramp"]
+        for name, place in zip(self._channels(row), row.place, strict=True):
+            at = made.entry(f"at_{name}", float(place), "m", f"place at which the array is over {name}")
+            beside = made.step(f"beside_{name}", self.at[row.axis] - at, "[m] of the middle of the array")
+            depth = made.step(f"deep_{name}", start - ca.fabs(beside) * rate)
+            smooth_weight(made, depth, name)
+
+    def _solved(self, tag: str, turns: dict[int, ca.SX] | None = None) -> dict[str, ca.SX]:
+        """Place from the middle and logarithm of each row by label; `turns`: rotations to be taken out."""
+        found, made, places, logs = self.found, self.made, {}, {}
+        for k, (row, name) in enumerate(zip(found.rows, self.names, strict=True)):
+            turn = None if turns is None else turns[found.tilt_of(row)]
+            u = self._vector(row, name, tag, turn)
+            log = logarithm_steps(made, self.waves[k], u, f"_{name}{tag}")
+            place = place_steps(made, self.waves[0], u, self.at[row.axis], f"_{name}{tag}")
+            middle = made.symbols[f"{short(found.model.pose[row.axis])}_middle"]
+            places[f"along_{name}"] = made.step(f"along_{name}{tag}", place - middle, "[m] from the middle")
+            logs[f"deep_{name}"] = log
+        return places | logs
+
+    def _first_turn(self, k: int, values: dict[str, ca.SX]) -> ca.SX:
+        """First estimate of a rotation, within its range: of readings of no pose it could be anything."""
+        made, column = self.made, short(self.found.model.pose[k])
+        most = made.entry(f"most_{column}", self.most_turn, "rad", f"largest {column} that is taken out")
+        turn = made.step(f"seen_{column}", self.total(k, values), "[rad] first estimate")
+        up = made.step(f"above_{column}", ca.if_else(turn < most, turn, most))
+        return made.step(f"first_{column}", ca.if_else(up > -most, up, -most))
+
+    @property
+    def most_turn(self) -> float:
+        """Half more than the largest rotation of the box [rad]."""
+        return 1.5 * float(self.found.half[3:].max())
+
+    def _lifted(self, row: Row, name: str, turn: ca.SX) -> list[ca.SX]:
+        """How much stronger the field is at each sensor than at the middle of the array."""
+        made, out = self.made, []
+        lift = made.entry(f"lift_{name}", self.found.lift_of(row), "1/m", "of ln |u| per metre and rotation")
+        steep = made.step(f"steep_{name}", lift * turn)
+        for sensor in self._channels(row):
+            v = made.step(f"tilt_{sensor}", steep * made.symbols[f"beside_{sensor}"])
+            out.append(made.step(f"lifted_{sensor}", 1.0 + v * (1.0 + v * (0.5 + v * (1 / 6)))))
+        return out
+
+    def _vector(self, row: Row, name: str, tag: str, turn: ca.SX | None) -> Pair:
+        """Weighted least squares of what the sensors of a row read."""
+        made, sensors = self.made, self._channels(row)
+        field = [made.symbols[f"field_{s}"] for s in sensors]
+        cos, sin, weight = ([made.symbols[f"{n}_{s}"] for s in sensors] for n in ("cos", "sin", "weight"))
+        if turn is not None:
+            lifted = self._lifted(row, name, turn)
+            field = self._without_harmonics(row, name, field, lifted)
+            cos = [made.step(f"lifted_cos_{s}", c * v) for s, c, v in zip(sensors, cos, lifted, strict=True)]
+            sin = [made.step(f"lifted_sin_{s}", c * v) for s, c, v in zip(sensors, sin, lifted, strict=True)]
+        wc = [made.step(f"wcos_{s}{tag}", w * c) for s, w, c in zip(sensors, weight, cos, strict=True)]
+        ws = [made.step(f"wsin_{s}{tag}", w * c) for s, w, c in zip(sensors, weight, sin, strict=True)]
+
+        def product(label: str, a: Sequence[ca.SX], b: Sequence[ca.SX]) -> ca.SX:
+            return self.made.total(f"{label}_{name}{tag}", [x * y for x, y in zip(a, b, strict=True)])
+
+        cc, cs, ss = product("cos_cos", wc, cos), product("cos_sin", wc, sin), product("sin_sin", ws, sin)
+        re, im = product("cos_seen", wc, field), product("sin_seen", ws, field)
+        cover = made.step(f"cover_{name}{tag}", cc * ss - cs * cs, "[V4] cosine told from sine")
+        if f"least_cover_{name}" not in made.symbols:
+            end = self._least_covers[name]
+            made.entry(f"least_cover_{name}", end, "V4", "share of the least of the box")
+        least = made.symbols[f"least_cover_{name}"]
+        held = made.step(f"held_cover_{name}{tag}", ca.if_else(cover > least, cover, least))
+        per = made.step(f"per_cover_{name}{tag}", 1.0 / held)
+        return self._held_parts((ss * re - cs * im, cc * im - cs * re), per, f"{name}{tag}")
+
+    def _held_parts(self, wide: Pair, per: ca.SX, tag: str) -> Pair:
+        """A phasor, no longer than any of the box is, from what is as many times it as 1 over `per`."""
+        made = self.made
+        if "longest" not in made.symbols:
+            made.entry("longest", 2.0 * self.waves[0].outer, "1", "most of a phasor")
+        raw = [made.step(f"raw_{a}_{tag}", v * per) for a, v in zip(AXES, wide, strict=True)]
+        u = [self._held_part(v, f"{a}_{tag}") for a, v in zip(AXES, raw, strict=True)]
+        return u[0], u[1]
+
+    def _held_part(self, v: ca.SX, name: str) -> ca.SX:
+        most = self.made.symbols["longest"]
+        low = self.made.step(f"above_{name}", ca.if_else(v > -most, v, -most))
+        return self.made.step(f"held_{name}", ca.if_else(low < most, low, most))
+
+    def _without_harmonics(
+        self, row: Row, name: str, field: Sequence[ca.SX], lifted: Sequence[ca.SX]
+    ) -> list[ca.SX]:
+        """Readings without the higher harmonics that the first solution says."""
+        made, out = self.made, list(field)
+        cos, sin = (made.symbols[f"held_{axis}_{name}_first"] for axis in AXES)
+        powers = Powers(made, cos, sin, f"_{name}_first")
+        known = [{1: v} for v in lifted]
+        for n in self.found.harmonics:
+            re, im = powers(n)
+            design = row.design(n)
+            for k, sensor in enumerate(self._channels(row)):
+                a, b = (
+                    made.entry(f"{part}_{n}_{sensor}", design[j, k], "V", f"read by {sensor} of {part} {n}")
+                    for j, part in enumerate(("cos", "sin"))
+                )
+                strong = power(made, known[k], n, f"lifted_{sensor}")
+                out[k] = made.step(f"left_{n}_{sensor}", out[k] - (a * re + b * im) * strong)
+        return out
+
+    @cached_property
+    def _least_covers(self) -> dict[str, float]:
+        """By row: determinant of the normal matrix [V4], at least without a flag."""
+        pose, out = self.found.poses(np.random.default_rng(3), COVERS_SEEN), {}
+        for row, name in zip(self.found.rows, self.names, strict=True):
+            w, (c, s) = self.found.weights(row, pose[row.axis]), row.design()
+            cc, cs, ss = ((p[:, None] * w).sum(axis=0) for p in (c * c, c * s, s * s))
+            out[name] = COVER * float((cc * ss - cs * cs).min())
+        return out
+
+    # -- the linear pose -----------------------------------------------------------------------------------
+
+    @property
+    def labels(self) -> list[str]:
+        """Of what the pose is linear in: places, then logarithms."""
+        return [f"along_{n}" for n in self.names] + [f"deep_{n}" for n in self.names]
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Pose per label (6, labels)."""
+        n = len(self.names)
+        scale = np.array(n * [1.0] + n * [self.found.rising * self.found.lc])
+        return np.asarray(self.found.inverse * scale)
+
+    def covered(self) -> None:
+        """Add the step that the flag of the cover looks at: what the row that has least has to spare."""
+        made = self.made
+        value = None
+        for name in self.names:
+            own = made.step(
+                f"covered_{name}",
+                made.symbols[f"cover_{name}_first"] - made.symbols[f"least_cover_{name}"],
+                "[V4]",
+            )
+            value = (
+                own if value is None else made.step(f"cover_to_{name}", ca.if_else(value < own, value, own))
+            )
+        made.entry("least_cover", 0.0, "V4", "what each row must have more than its least")
 
     def linear(self, nears: Sequence[str]) -> list[ca.SX]:
         """Add the steps from the readings to the linear pose; returns its displacements from the middle."""
@@ -184,3 +390,119 @@ class PoseByPose:
         values, errors = rounding(self.steps, inputs, entries, digits, len(model.pose))
         ends = (values.min(axis=1), values.max(axis=1), ROOM * errors.max(axis=1))
         return {c: Enclosure(*map(float, e)) for c, *e in zip(model.pose, *ends, strict=True)}
+
+
+COVERS_SEEN = 2000
+COVER = 0.5
+"""Share of the least cover of the box below which the flag is set."""
+
+
+EXACT = ("assign", "neg", "twice", "fabs", "lt", "le", "not", "if_else_zero")
+"""Operations that do not round."""
+
+Numbers = dict[str, Any]
+
+_VALUES: dict[str, Callable[..., Any]] = {
+    "assign": lambda x: x,
+    "neg": lambda x: -x,
+    "twice": lambda x: 2 * x,
+    "fabs": np.abs,
+    "lt": lambda x, y: (x < y) * 1.0,
+    "le": lambda x, y: (x <= y) * 1.0,
+    "not": lambda x: (x == 0) * 1.0,
+    "if_else_zero": lambda c, x: np.where(c != 0, x, 0.0),
+    "add": lambda x, y: x + y,
+    "sub": lambda x, y: x - y,
+    "mul": lambda x, y: x * y,
+    "div": lambda x, y: x / y,
+    "inv": lambda x: 1 / x,
+    "sq": lambda x: x * x,
+}
+_SLOPES: dict[str, Callable[..., tuple]] = {
+    "assign": lambda z, x: (1.0,),
+    "neg": lambda z, x: (-1.0,),
+    "twice": lambda z, x: (2.0,),
+    "fabs": lambda z, x: (np.sign(x),),
+    "lt": lambda z, x, y: (0.0, 0.0),
+    "le": lambda z, x, y: (0.0, 0.0),
+    "not": lambda z, x: (0.0,),
+    "if_else_zero": lambda z, c, x: (0.0, (c != 0) * 1.0),
+    "add": lambda z, x, y: (1.0, 1.0),
+    "sub": lambda z, x, y: (1.0, -1.0),
+    "mul": lambda z, x, y: (y, x),
+    "div": lambda z, x, y: (1 / y, -z / y),
+    "inv": lambda z, x: (-z * z,),
+    "sq": lambda z, x: (2 * x,),
+}
+"""Derivatives by the arguments of an operation with result z; choices are between values equal where they
+turn."""
+
+
+def rounding(
+    steps: Sequence[Step],
+    inputs: Mapping[str, np.ndarray],
+    entries: Mapping[str, float],
+    digits: int,
+    last: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return values and rounding errors (last, s) of the last steps.
+
+    `inputs` (s,) by symbol, exact; `entries`: numbers of the table; `digits`: of the significand.
+    """
+    known: Numbers = {**inputs, **entries}
+    graphs = [graph([step.expression]) for step in steps]
+    worked = []
+    for step, own in zip(steps, graphs, strict=True):
+        values = _run(own, known)
+        worked.append(values)
+        result = values[own.results[0]]
+        known[step.name] = np.floor(result) if isinstance(step, Whole) else result
+    count = len(next(iter(inputs.values())))
+    errors = []
+    for step in steps[-last:]:
+        adjoint: Numbers = {step.name: np.ones(count)}
+        total = np.zeros(count)
+        for one, own, values in zip(reversed(steps), reversed(graphs), reversed(worked), strict=True):
+            if one.name in adjoint and not isinstance(one, Whole):
+                total = total + _back(own, values, adjoint.pop(one.name), adjoint, digits)
+        for name, value in entries.items():
+            total = total + np.abs(adjoint.get(name, 0.0)) * constant(value, digits).error
+        errors.append(total)
+    return np.array([np.broadcast_to(known[s.name], count) for s in steps[-last:]]), np.array(errors)
+
+
+def _run(own: Graph, known: Numbers) -> list[Any]:
+    values: list[Any] = []
+    with np.errstate(all="ignore"):
+        for o in own.operations:
+            if o.op == "input":
+                values.append(known[o.symbol])
+            elif o.op == "const":
+                values.append(o.value)
+            else:
+                values.append(_VALUES[o.op](*(values[k] for k in o.args)))
+    return values
+
+
+def _back(own: Graph, values: list[Any], by: np.ndarray, adjoint: Numbers, digits: int) -> np.ndarray:
+    """Add the derivatives by the symbols of a step, whose own is `by`; returns what its operations round."""
+    slopes: list[Any] = [0.0] * len(values)
+    slopes[own.results[0]] = by
+    total = np.zeros_like(by)
+    for k in reversed(range(len(values))):
+        o, z, slope = own.operations[k], values[k], slopes[k]
+        if o.op == "input":
+            adjoint[o.symbol] = adjoint.get(o.symbol, 0.0) + slope
+            continue
+        total = total + np.abs(slope) * _rounded(o, z, digits)
+        if o.op != "const":
+            for j, own_slope in zip(o.args, _SLOPES[o.op](z, *(values[a] for a in o.args)), strict=True):
+                slopes[j] = slopes[j] + slope * own_slope
+    return np.asarray(total)
+
+
+def _rounded(operation: Operation, value: Any, digits: int) -> Any:
+    """Bound of what an operation is off by where its arguments are exact; of a number, as it is stored."""
+    if operation.op == "const":
+        return constant(value, digits).error
+    return 0.0 if operation.op in EXACT else 2.0**-digits * np.abs(value) + TINY[digits]

@@ -17,12 +17,11 @@ from math import pi
 
 import numpy as np
 
-from hallsym.codegen.lowering.arrays_fit import SAMPLES, Terms, fewest
+from hallsym.codegen.lowering.arrays_fit import APART, SAMPLES, Terms, fewest, together
 from hallsym.codegen.lowering.passing import Pass, Window, passes, readings
 from hallsym.codegen.lowering.phasors import HARMONICS, PLACES, TURN, WIDE, Phasor, Sample
 from hallsym.codegen.lowering.reference import Reference
 from hallsym.codegen.lowering.travel_fit import COUNTS, MICRON, RAMP
-from hallsym.codegen.lowering.wave_groups import APART, together
 from hallsym.errors import InputError
 from hallsym.model import Model
 

@@ -1,16 +1,86 @@
-"""Odd minimax polynomials of as few terms as an accuracy takes, with a proved bound: arctangent and
-logarithm.
+"""Odd polynomials with a proved bound in place of functions: arctangent, sine, logarithm; angles that wrap.
 
-ln(s / m) = 2 artanh t, t = (s - m) / (s + m): one division, no comparison and no bits of the number. What a
-polynomial leaves is bounded as in `lowering.trigonometry`, on a grid and between its points.
+Coefficients are float32 numbers, so the same polynomial is computed in float and in double. Two are fixed,
+found by Remez' exchange and rounded one by one; the others are the shortest for an accuracy. ln(s / m) =
+2 artanh t, t = (s - m) / (s + m): one division, no comparison and no bits of the number. What a polynomial
+leaves is not taken on trust: `largest` bounds it from its coefficients, on a grid and between its points.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from math import pi
 
+import casadi as ca
 import numpy as np
 
-from hallsym.codegen.lowering.trigonometry import GRID
+ARCTANGENT = (
+    0.999999344, -0.333298594, 0.199465662, -0.139086291, 0.0964219719, -0.055912327, 0.0218629576,
+    -0.00405456731,
+)  # fmt: skip
+"""atan q = q (a0 + a1 q^2 + ...) for 0 <= q <= 1, degree 15: off by 6.7e-8 rad, half of what float32 rounds
+an angle near pi by (1.2e-7 rad); degree 13 would leave 2.5e-7 rad."""
+SINE = (1.0, -0.166666478, 0.00833289977, -0.000198008973, 2.59048852e-06)
+"""sin t = t (a0 + a1 t^2 + ...) for |t| <= pi / 2, degree 9: off by 3.4e-8."""
+TURN_HIGH = float(np.float32(2 * pi))
+TURN_LOW = 2 * pi - TURN_HIGH
+"""2 pi in two parts: x - TURN_HIGH is exact in float32 for pi <= x <= 4 pi (Sterbenz): one rounding."""
+HALF_PI, PI = pi / 2, pi
+GRID = 1 << 18
+
+
+def odd(coefficients: Sequence[float], x: ca.SX, square: ca.SX) -> ca.SX:
+    """Return x (a0 + a1 x^2 + ...) by Horner's rule; `square` = x^2."""
+    total: ca.SX = ca.SX(_single(coefficients[-1]))
+    for a in reversed(coefficients[:-1]):
+        total = total * square + _single(a)
+    return x * total
+
+
+@cache
+def arctangent_error() -> float:
+    """Return the bound of |polynomial - atan q| [rad] over 0 <= q <= 1."""
+    return largest(ARCTANGENT, np.arctan, 1.0)
+
+
+@cache
+def sine_error() -> float:
+    """Return the bound of |polynomial - sin t| over |t| <= pi / 2."""
+    return largest(SINE, np.sin, pi / 2)
+
+
+def largest(
+    coefficients: Sequence[float],
+    function: Callable[[np.ndarray], np.ndarray],
+    end: float,
+    bend: float = 1.0,
+    beside: float = 0.0,
+) -> float:
+    """Return a bound of |polynomial - function| over 0 .. end, of a function that grows.
+
+    Between points h apart the error e moves by at most h/2 max |e'|; (e[k+1] - e[k]) / h is a value of e'
+    within each interval, and e' moves from it by at most h max |e''|, which the coefficients and `bend`, that
+    of the function, bound. `beside`: size of other numbers whose rounding is counted with the function's.
+    """
+    a = np.array([_single(c) for c in coefficients])
+    q = np.linspace(0.0, end, GRID + 1)
+    e = np.polyval(a[::-1], q * q) * q - function(q)
+    k, h = np.arange(len(a)), end / GRID
+    bend += float((2 * k * (2 * k + 1) * np.abs(a) * end ** np.maximum(2 * k - 1, 0)).sum())
+    rounding = 8 * np.finfo(float).eps * (float(function(np.array(end))) + beside)
+    slope = (np.abs(np.diff(e)).max() + 2 * rounding) / h + h * bend
+    return float(np.abs(e).max() + rounding + h / 2 * slope)
+
+
+def _single(value: float) -> float:
+    return float(np.float32(value))
+
+
+def wrapped(x: ca.SX) -> ca.SX:
+    """Return x within -pi .. pi, for |x| <= 3 pi."""
+    above, below = (x - TURN_HIGH) - TURN_LOW, (x + TURN_HIGH) + TURN_LOW
+    return ca.if_else(x > PI, above, ca.if_else(x < -PI, below, x))
+
 
 MOST_TERMS = 16
 NODES = 400
@@ -46,7 +116,8 @@ def shortest(function: str, end: float, accuracy: float, fewest: int = 2) -> Odd
     """
     for terms in range(fewest, MOST_TERMS + 1):
         found = Odd(tuple(_minimax(function, end, terms)), end, 0.0)
-        error = _largest(function, found)
+        bend = 1.0 if function == "atan" else 2 * end / (1 - end * end) ** 2
+        error = largest(found.coefficients, FUNCTIONS[function], end, bend, 1.0)
         if error <= accuracy:
             return Odd(found.coefficients, end, error)
     return None
@@ -68,16 +139,3 @@ def _minimax(function: str, end: float, terms: int) -> list[float]:
             weight /= weight.sum()
         kept.append(float(np.float32(a[0] / end ** (2 * first + 1))))
     return kept
-
-
-def _largest(function: str, found: Odd) -> float:
-    """Return a bound of |polynomial - function| over 0 .. end (see `trigonometry.largest`)."""
-    f, a, end = FUNCTIONS[function], np.array(found.coefficients), found.end
-    t = np.linspace(0.0, end, GRID + 1)
-    e = found.at(t) - f(t)
-    k, h = np.arange(len(a)), end / GRID
-    bend = float((2 * k * (2 * k + 1) * np.abs(a) * end ** np.maximum(2 * k - 1, 0)).sum())
-    bend += 1.0 if function == "atan" else 2 * end / (1 - end * end) ** 2  # of the function itself
-    rounding = 8 * np.finfo(float).eps * float(f(end) + 1)
-    slope = (np.abs(np.diff(e)).max() + 2 * rounding) / h + h * bend
-    return float(np.abs(e).max() + rounding + h / 2 * slope)

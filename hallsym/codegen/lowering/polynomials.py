@@ -1,14 +1,18 @@
 """Polynomials of a model's columns: coefficients as expressions of the parameters, by differentiation."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import factorial
 
 import casadi as ca
 import numpy as np
 
+from hallsym.codegen.decoupler import ENOUGH, Box
+from hallsym.codegen.intervals import Enclosure, enclose
 from hallsym.errors import InputError
 from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
 
 MOST_TERMS = 200
 MOST_DEGREE = 8
@@ -120,3 +124,210 @@ def _taylor(expression: ca.SX, columns: Mapping[str, ca.SX], reach: Mapping[str,
             series = series + factor * symbol**n
         derivative = ca.jacobian(derivative, symbol)
     raise InputError(f"Derived quantity {name!r} has no short Taylor series over {of[0]} within +-{most:g}.")
+
+
+MOST_ITERATIONS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class PolynomialModel:
+    """The polynomials of one model over one box; `p` of its methods is a parameter vector."""
+
+    model: Model
+    box: Box
+
+    # -- polynomials -------------------------------------------------------------------------------------
+
+    @cached_property
+    def gain(self) -> list[Polynomial]:
+        """eta_k phi_k of each channel; does not depend on the pose."""
+        n = len(self.model.pose)
+        polys = self._polynomials(self.model.symbols.gain, "gain")
+        if any(sum(row[:n]) for poly in polys for row in poly.terms):
+            raise InputError(
+                f"C is generated for gains that do not depend on the pose; that of {self.model.name} does."
+            )
+        return polys
+
+    @cached_property
+    def displacement(self) -> list[Polynomial]:
+        """What each channel senses, without zero deviations."""
+        return self._polynomials(self.model.symbols.displacement, "displacement")
+
+    @cached_property
+    def bend(self) -> list[Polynomial]:
+        """h: the displacement without its terms linear in the pose, and without terms that count nowhere."""
+        n = len(self.model.pose)
+        return [
+            Polynomial(
+                poly.variables,
+                {row: c for row, c in poly.terms.items() if sum(row) != 1 or not sum(row[:n])},
+            )
+            for poly in self._pruned(self.displacement)
+        ]
+
+    @cached_property
+    def offset(self) -> list[Polynomial]:
+        """What the reading has beyond gain * displacement; does not depend on the pose."""
+        s, n = self.model.symbols, len(self.model.pose)
+        kept = []
+        polys = self._polynomials(s.reading - s.gain * s.displacement, "offset")
+        rng = np.random.default_rng(0)
+        nominal = self.model.nominal
+        trials = [nominal + share * rng.standard_normal(len(nominal)) for share in (0.0, 1.0, 1.0, 1.0)]
+        for poly, most in zip(polys, self._largest(polys, trials), strict=True):
+            # a difference of equal terms is zero for all parameters
+            real = {row: c for row, c in poly.terms.items() if most[row] > 1e-9}
+            if any(sum(row[:n]) for row in real):
+                raise InputError(
+                    "C is generated for readings gain * displacement + offset with an offset that does not "
+                    f"depend on the pose; those of {self.model.name} are not."
+                )
+            kept.append(Polynomial(poly.variables, real))
+        return kept
+
+    @property
+    def curved(self) -> bool:
+        """Whether the displacement is not linear in the pose."""
+        n = len(self.model.pose)
+        return any(sum(row[:n]) for poly in self.bend for row in poly.terms)
+
+    def _polynomials(self, expression: ca.SX, what: str) -> list[Polynomial]:
+        s, model = self.model.symbols, self.model
+        plain = ca.substitute(expression, s.zeros, ca.SX.zeros(s.zeros.numel()))
+        plain = without_derived(model, plain, self.box.reach())
+        symbols, names = ca.vertcat(s.pose, s.state), (*model.pose, *model.state)
+        return [
+            polynomial(plain[k], symbols, names, f"the {what} of {model.name}") for k in range(plain.numel())
+        ]
+
+    def _pruned(self, polys: Sequence[Polynomial]) -> list[Polynomial]:
+        """Leave out terms of higher degree that count nowhere in the bounds of the parameters."""
+        reach = self.box.reach()
+        lower, upper = np.nan_to_num(self.model.bounds, posinf=1.0, neginf=-1.0)
+        trials = [self.model.nominal, *np.random.default_rng(0).uniform(lower, upper, (8, len(lower)))]
+        kept = []
+        for poly, most in zip(polys, self._largest(polys, trials), strict=True):
+            most_of = [reach[c] for c in poly.variables]
+            kept.append(
+                Polynomial(
+                    poly.variables,
+                    {
+                        row: c
+                        for row, c in poly.terms.items()
+                        if sum(row) < 2 or most[row] * np.prod(np.power(most_of, row)) > NEGLIGIBLE
+                    },
+                )
+            )
+        return kept
+
+    def _largest(self, polys: Sequence[Polynomial], trials: Sequence[np.ndarray]) -> list[dict[Row, float]]:
+        found = [self.numbers(polys, p) for p in trials]
+        return [
+            {row: max(abs(trial[k][row]) for trial in found) for row in poly.terms}
+            for k, poly in enumerate(polys)
+        ]
+
+    # -- numbers -----------------------------------------------------------------------------------------
+
+    def numbers(self, polys: Sequence[Polynomial], p: np.ndarray) -> list[dict[Row, float]]:
+        """Return the coefficients at one set of parameters."""
+        flat = [c for poly in polys for c in poly.terms.values()]
+        f = ca.Function("numbers", [self.model.symbols.parameters], [ca.densify(ca.vertcat(*flat, 0))])
+        values = iter(np.asarray(f(p)).ravel().tolist())
+        return [{row: next(values) for row in poly.terms} for poly in polys]
+
+    def eta(self, p: np.ndarray) -> np.ndarray:
+        """Return the gains at rest, (n_channels,)."""
+        rest = (0,) * len(self.gain[0].variables)
+        eta = np.array([terms.get(rest, 0.0) for terms in self.numbers(self.gain, p)])
+        for channel, value in zip(self.model.channels, eta, strict=True):
+            if not abs(value) > 1e-6:
+                raise InputError(
+                    f"The gain of {channel} at rest is {value:g}: nothing can be decoded from it."
+                )
+        return eta
+
+    def matrix(self, p: np.ndarray) -> np.ndarray:
+        """Return M, the part of the displacement that is linear in the pose, (n_channels, n_pose)."""
+        rows = [tuple(int(v == i) for v in range(len(self._variables))) for i in range(len(self.model.pose))]
+        return np.array(
+            [[terms.get(row, 0.0) for row in rows] for terms in self.numbers(self.displacement, p)]
+        )
+
+    def inverse(self, p: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """Return D = (M^T W M)^-1 M^T W / eta, W = weight eta^2: the least-squares inverse at rest."""
+        matrix, eta = self.matrix(p), self.eta(p)
+        if not matrix.size or not matrix.any(axis=0).all():
+            raise InputError(
+                f"C for model {self.model.name} of family {self.model.family} cannot be generated: its "
+                "readings are not a gain times a displacement that is linear in the pose."
+            )
+        scaled = matrix.T * (weight * eta**2 / np.max(weight * eta**2))
+        return np.linalg.solve(scaled @ matrix, scaled) / eta
+
+    def readings(self, p: np.ndarray) -> dict[str, tuple[float, float]]:
+        """Return the ends of the readings over the box of pose and state, symmetric where they nearly are."""
+        model, s = self.model, self.model.symbols
+        ends = {}
+        symbol = [ca.SX.sym(c) for c in self._variables]
+        variables = {c: Enclosure(*self.box.ends[c]) for c in self._variables}
+        for k, channel in enumerate(model.channels):
+            gain, shift, offset = (
+                poly[k].of(ca.vertcat(*symbol)) for poly in (self.gain, self.displacement, self.offset)
+            )
+            value = ca.substitute(gain * shift + offset, s.parameters, ca.DM(p))
+            (found,) = enclose([value], variables, None)
+            zero = max((abs(z.upper) for z in model.zeros if np.isfinite(z.upper)), default=0.0)
+            low, high = float(f"{found.low - zero:.3g}"), float(f"{found.high + zero:.3g}")
+            most = max(abs(low), abs(high))
+            ends[channel] = (-most, most) if min(-low, high) > 0.5 * most else (low, high)
+        return ends
+
+    def iterations(self, p: np.ndarray, weight: np.ndarray) -> int:
+        """Return how often h must be taken off until the pose stands still, wherever the inputs are."""
+        model, s = self.model, self.model.symbols
+        h = ca.vertcat(*(poly.of(ca.vertcat(s.pose, s.state)) for poly in self.bend))
+        run = on_arrays(ca.Function("h", [s.parameters, s.pose, s.state], [ca.densify(h)]))
+        eta = self.eta(p)
+        inverse = self.inverse(p, weight) * eta
+        ends = {**self.readings(p), **self.box.ends}
+        low, high = np.array([ends[c] for c in (*model.channels, *model.state)]).T[:, :, None]
+        rng = np.random.default_rng(0)
+        share = np.hstack([rng.choice([0.0, 1.0], (len(low), 256)), rng.random((len(low), 256))])
+        inputs = low + (high - low) * share
+        readings, state = inputs[: len(eta)], list(inputs[len(eta) :])
+        u = readings / on_arrays(model.gain)(p, state)[0]
+        pose = inverse @ u
+        for n in range(1, MOST_ITERATIONS + 1):
+            with np.errstate(over="ignore", invalid="ignore"):  # what does not settle grows without end
+                new = inverse @ (u - run(p, list(pose), state)[0])
+                change, pose = np.abs(new - pose).max(), new
+            if not np.isfinite(change):
+                break
+            if change < ENOUGH:
+                return n - 1 or 1
+        raise InputError(
+            f"Iterations of {model.name} do not settle over the box within {MOST_ITERATIONS} rounds; "
+            "give a smaller one with --range."
+        )
+
+    def exact(self, p: np.ndarray, weight: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """Return `inputs (n_inputs, s) -> pose (n_pose, s)` by the model's own decoded form, zeros 0.
+
+        The weight of a reading is held in units of its displacement, as the table holds it.
+        """
+        model, eta = self.model, self.eta(p)
+        gain, run = on_arrays(model.gain), on_arrays(model.decoded)
+        n = len(model.channels)
+
+        def exact(inputs: np.ndarray) -> np.ndarray:
+            readings, state = list(inputs[:n]), list(inputs[n:])
+            phi = gain(p, state)[0] / eta[:, None]
+            return run(p, np.zeros(len(model.zeros)), readings, state, list(weight[:, None] / phi**2))[0]
+
+        return exact
+
+    @property
+    def _variables(self) -> tuple[str, ...]:
+        return (*self.model.pose, *self.model.state)

@@ -8,7 +8,7 @@ from math import pi
 
 import numpy as np
 
-from hallsym.codegen.box import Box
+from hallsym.codegen.decoupler import Box
 from hallsym.codegen.lowering.passing import passes
 from hallsym.codegen.lowering.phasors import HARMONICS, Phasor, Sample
 from hallsym.model import Model

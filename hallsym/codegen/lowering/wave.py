@@ -12,14 +12,21 @@ from math import pi
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.box import Box, limits
-from hallsym.codegen.decoupler import Decoupler, Flag, Margin
-from hallsym.codegen.entries import Entry, short, unit
+from hallsym.codegen.decoupler import (
+    Box,
+    Collected,
+    Decoupler,
+    Flag,
+    Margin,
+    limits,
+    short,
+    unit,
+    zeros_of,
+)
 from hallsym.codegen.lowering import arrays, mover, travel
 from hallsym.codegen.lowering.phasors import Phasor, phasor
 from hallsym.codegen.lowering.wave_bounds import Rounding
 from hallsym.codegen.lowering.wave_steps import (
-    Collected,
     Wave,
     arctangent_steps,
     least_inside,
@@ -127,10 +134,7 @@ class _Assembly:
         model, wave, made = self.model, self.wave, self.made
         found, inputs = wave.phasor, model.channels
         made.symbols |= {c: ca.SX.sym(short(c)) for c in inputs}
-        zeros = tuple(
-            Entry(f"zero_{short(c)}", 0.0, unit(c), f"added to {c}; set by decoupler_zero()")
-            for c in model.pose
-        )
+        zeros = zeros_of(model)
         made.symbols |= {z.name: ca.SX.sym(z.name) for z in zeros}
         heights = self.given.ends[self.height]
         ends = self.given.over(

@@ -13,9 +13,8 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen.decoupler import Step
-from hallsym.codegen.intervals import Enclosure, constant, enclose
-from hallsym.codegen.lowering.angle_bounds import half_ulp
-from hallsym.codegen.lowering.trigonometry import PI, odd
+from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
+from hallsym.codegen.lowering.odd_series import PI, odd
 from hallsym.codegen.lowering.wave_steps import QUARTER_PI, Wave, radial_of
 
 CELLS = 512

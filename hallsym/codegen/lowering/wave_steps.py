@@ -9,17 +9,15 @@ accuracy is taken.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import ceil, log, pi, tanh
 
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Step
-from hallsym.codegen.entries import Entry
-from hallsym.codegen.lowering.odd_series import Odd, shortest
+from hallsym.codegen.decoupler import Collected
+from hallsym.codegen.lowering.odd_series import PI, Odd, odd, shortest
 from hallsym.codegen.lowering.phasors import Phasor
-from hallsym.codegen.lowering.trigonometry import PI, odd
 from hallsym.errors import InputError
 
 ROOM = 0.05
@@ -43,8 +41,6 @@ AXES = {"cos": "cosine", "sin": "sine"}
 
 FIFTH = 5
 """The harmonic that square magnets have most of, which has a shorter form where it is alone."""
-TERMS = 3
-"""Terms of a sum that one step adds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,46 +169,6 @@ def _folded(phasor: Phasor, r: float, before: float) -> float:
     """Bound of what the radial part loses by being added to ln |u|, not to u, times r."""
     term = sum(f * r ** (2 * n - 2) for n, f in radial_of(phasor).items())
     return float(term * (NEAR * before + r * term))
-
-
-@dataclass(eq=False)
-class Collected:
-    """Entries, symbols and steps of one decoupler."""
-
-    table: list[Entry] = field(default_factory=list)
-    symbols: dict[str, ca.SX] = field(default_factory=dict)
-    steps: list[Step] = field(default_factory=list)
-
-    def entry(self, name: str, value: float, unit: str, meaning: str) -> ca.SX:
-        """Add an entry of the table; returns its symbol."""
-        self.table.append(Entry(name, float(value), unit, meaning))
-        self.symbols[name] = ca.SX.sym(name)
-        return self.symbols[name]
-
-    def step(
-        self, name: str, expression: ca.SX, remark: str = "", within: tuple[float, int] | None = None
-    ) -> ca.SX:
-        """Add a step; returns its symbol. `within`: see `Step`."""
-        self.steps.append(Step(name, expression, remark, within=within))
-        return self.symbols.setdefault(name, ca.SX.sym(name))
-
-    def total(self, name: str, terms: Sequence[ca.SX], remark: str = "") -> ca.SX:
-        """Add a sum, some terms at a time: compilers take it as one, and readers can read it."""
-        total, rest, k = terms[0], list(terms[1:]), 0
-        while len(rest) > TERMS:
-            k += 1
-            total = self.step(f"{name}_part_{k}", sum(rest[:TERMS], start=total))
-            rest = rest[TERMS:]
-        return self.step(name, sum(rest, start=total), remark)
-
-    def keep(self, wanted: Sequence[str]) -> None:
-        """Leave out the steps that none of the wanted ones needs."""
-        needed, kept = set(wanted), []
-        for step in reversed(self.steps):
-            if step.name in needed:
-                kept.append(step)
-                needed |= {s.name() for s in ca.symvar(step.expression)}
-        self.steps = kept[::-1]
 
 
 Pair = tuple[ca.SX, ca.SX]
