@@ -161,7 +161,7 @@ def lowered(model, p, weight, box):
 
     return Decoupler(
         model=model, inputs=columns, limits=limits(columns, ends), at_pose=(), box=ends,
-        exact=lambda readings: closed(list(readings))[0], rest=tuple(read.mean(axis=0)),
+        exact=lambda readings: closed(list(readings))[0],
         table=tuple(Entry(name, *value, name) for name, value in entries.items()), steps=steps,
         zeros=tuple(Entry(f"zero_{a}", 0.0, "m", f"added to {a}_m") for a in "xz"),
         margins=(Margin(columns[0], "middle"),), approximation=1e-8,

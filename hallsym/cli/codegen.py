@@ -10,7 +10,7 @@ from hallsym.codegen import Generated, generate
 from hallsym.codegen.float_backend import KINDS
 from hallsym.codegen.folder import name_of, type_of
 from hallsym.codegen.generation import sha256
-from hallsym.codegen.lowering import CORRECTIONS
+from hallsym.codegen.lowering.correction import KINDS as CORRECTIONS
 from hallsym.codegen.naming import PREFIX
 from hallsym.errors import quoted
 from hallsym.estimation.calibration import Fit, load_fit

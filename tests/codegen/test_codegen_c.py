@@ -3,7 +3,6 @@
 What is missing is skipped with its name; in continuous integration everything must be there.
 """
 
-import ctypes
 import re
 from pathlib import Path
 
@@ -30,7 +29,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hallsym.cli.main import main
-from hallsym.codegen import Generated, firmware_cost
+from hallsym.codegen import Generated
+from hallsym.codegen.cost import firmware_cost
 
 CORTEX_M0 = ("MACHINE=microbit", "CPU=-mcpu=cortex-m0 -mthumb")
 
@@ -226,23 +226,6 @@ def test_a_damaged_table_is_found(compiled):
             library.table[:] = before
     finally:
         library.table[:] = before
-
-
-def test_the_jacobian_is_the_slope_of_the_pose(tmp_path):
-    need("gcc")
-    code = made("stage31", double=True, jacobian=True)
-    d = code.decoupler
-    library = Library(written(code, tmp_path / "fw"), d, code.backend.real.dtype)
-    inputs = np.array([d.ends(c)[1] * 0.4 for c in d.inputs])
-    slopes = np.zeros((3, 3))
-    call = library.library.decoupler_jacobian
-    call.restype = ctypes.c_uint32
-    assert call(*(a.ctypes.data_as(ctypes.c_void_p) for a in (library.table, inputs, slopes))) == 0
-    for k in range(3):
-        step = np.zeros(6)
-        step[k] = 1e-7
-        difference = (library.step(inputs + step)[0] - library.step(inputs - step)[0]) / 2e-7
-        assert slopes[:, k] == pytest.approx(difference, rel=1e-7)
 
 
 # -- Cortex-M ------------------------------------------------------------------------------------------------

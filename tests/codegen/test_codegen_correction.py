@@ -19,8 +19,9 @@ from test_codegen_rotary import CASES, ELLIPSE, LAYOUTS, calibrated, turned
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.codegen import Enclosure, enclose
-from hallsym.codegen.lowering import SIZES, Curve, Grid, Series, grid, proved, shortest_correction
+from hallsym.codegen.intervals import Enclosure, enclose
+from hallsym.codegen.lowering.correction import SIZES, Grid, Series, grid, proved, shortest_correction
+from hallsym.codegen.lowering.phase_curve import Curve
 from hallsym.errors import InputError
 from hallsym.families.rotary import models as rotary
 from hallsym.model import on_arrays
@@ -84,12 +85,6 @@ def test_a_range_holds_every_sample(name, x, wide, y, high, seed):
     assert (found[~np.isnan(found)] <= most).all()
 
 
-def test_a_range_is_near_where_an_interval_is_small():
-    x = np.linspace(-3, 3, 200)
-    (found,) = enclose([EXPRESSIONS["waves"]], {"x": Enclosure(x, x + 1e-6), "y": Enclosure(x, x)}, None)
-    assert (found.high - found.low).max() < 1e-5
-
-
 # -- what a correction leaves --------------------------------------------------------------------------------
 
 
@@ -140,12 +135,6 @@ def test_the_smaller_of_series_and_table_is_taken(case, accuracy):
     assert isinstance(forms[1], Grid)
     assert all(form.left <= accuracy for form in forms)
     assert forms[2].bytes == min(forms[0].bytes, forms[1].bytes)
-
-
-def test_a_series_for_a_coarse_accuracy_is_shorter():
-    counts = [len(shortest_correction(curve("harmonics volts"), a, "series").cos) for a in (3e-8, 1e-5, 1e-3)]
-    assert counts == sorted(counts, reverse=True)
-    assert counts[-1] < counts[0]
 
 
 # -- clipped channels ----------------------------------------------------------------------------------------
@@ -311,26 +300,3 @@ def test_a_recalibration_keeps_the_form_of_the_correction(options, tmp_path, cap
     capsys.readouterr()
     assert main(["codegen", str(tmp_path / "far.json"), "-o", str(folder), *again]) == 2
     assert "generate the folder again with --force" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_log_of_clipped_voltages_becomes_code(tmp_path, capsys):
-    log = hallsym.read_log(DATA)
-    columns = {c: log.array(c) for c in log.columns}
-    rng = np.random.default_rng(2)  # a converter behind the rail: none of its readings is the same
-    for c in ("v_sin_v", "v_cos_v"):
-        columns[c] = np.clip(columns[c], -0.9, 0.9) + 1e-4 * rng.standard_normal(log.rows)
-    lines = [
-        ",".join(columns),
-        *(",".join(f"{v:.9g}" for v in row) for row in zip(*columns.values(), strict=True)),
-    ]
-    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
-    effect = "saturation:low_v=-0.9/-0.9,high_v=0.9/0.9"
-    fitted = ["fit", str(tmp_path / "log.csv"), "--model", "rotary", "--effect", effect]
-    assert main([*fitted, "-o", str(tmp_path / "calib.json")]) == 0
-    written = ["codegen", str(tmp_path / "calib.json"), "-o", str(tmp_path / "fw")]
-    assert main(written) == 2
-    assert "is within reach: give --accuracy" in capsys.readouterr().err
-    assert main([*written, "--accuracy", "angle_mrad=1"]) == 0
-    need("gcc", "make")
-    assert ran(tmp_path / "fw", "make", "check").count("as stated") == 2

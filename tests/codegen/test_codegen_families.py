@@ -14,19 +14,11 @@ from hypothesis import strategies as st
 
 import hallsym
 from hallsym import Model, Parameter
-from hallsym.codegen import (
-    Box,
-    Decoupler,
-    Enclosure,
-    Entry,
-    Margin,
-    Step,
-    box_of,
-    enclose,
-    limits,
-    lower,
-    pose_bounds,
-)
+from hallsym.codegen import Box, Decoupler, Entry, Margin, Step, limits
+from hallsym.codegen.bounds import pose_bounds
+from hallsym.codegen.box import box_of
+from hallsym.codegen.intervals import Enclosure, enclose
+from hallsym.codegen.lowering import lower
 from hallsym.log import Noise, Sigma
 from hallsym.model import Family
 

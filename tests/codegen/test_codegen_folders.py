@@ -116,20 +116,9 @@ def test_ranges_that_cannot_be(tmp_path, capsys, text, says):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (
-            lambda r: r["log"]["span"].update(z_m=[2.5e-4, -2.5e-4]),
-            "z_m was recorded from 0.00025 to -0.00025",
-        ),
-        (
-            lambda r: r["parameters"]["theta_A"].update(value=9.0),
-            "theta_A of the calibration is 9, outside its",
-        ),
+        (lambda r: r["log"]["span"].update(z_m=[2.5e-4, -2.5e-4]), "z_m was recorded from 0.00025 to"),
+        (lambda r: r["parameters"]["theta_A"].update(value=9.0), "theta_A of the calibration is 9, outside"),
         (lambda r: r["added"].append("wobble"), "Effect must be one of"),
-        (lambda r: r["added"].append("saturation:most=1"), "has no number 'most'"),
-        (
-            lambda r: [probe.update(senses=[0.0, 1.0]) for probe in r["layout"]],
-            "all sense along one direction",
-        ),
     ],
 )
 def test_a_calibration_that_cannot_be_is_refused(tmp_path, capsys, change, says):
@@ -140,12 +129,6 @@ def test_a_calibration_that_cannot_be_is_refused(tmp_path, capsys, change, says)
     assert code == 2
     assert says in err
     assert not (tmp_path / "fw").exists()
-
-
-def test_an_empty_folder_name_is_refused(capsys):
-    code, _, err = run(capsys, "codegen", GOLDEN / "calib.json", "-o", "")
-    assert code == 2
-    assert err == "hallsym: 'output' must not be empty; give a value or leave it out.\n"
 
 
 # -- recalibrations with other ranges --------------------------------------------------------------------

@@ -2,8 +2,6 @@
 
 import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +13,7 @@ from test_codegen_correction import fit_of
 
 import hallsym
 from hallsym.codegen import generate
-from hallsym.codegen.naming import KEYWORDS, TAKEN, commented, identifier, mapping, renamed
+from hallsym.codegen.naming import KEYWORDS, TAKEN, commented, identifier, mapping
 from hallsym.errors import InputError
 
 STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror", "-ffp-contract=off")
@@ -207,11 +205,6 @@ def test_a_prefix_that_c_does_not_take_is_refused(name):
         generate(calibration(), name=name)
 
 
-def test_a_prefix_renames_symbols_and_leaves_words():
-    text = 'the decoupler: decoupler_step() of "decoupler.h", DECOUPLER_H. The decoupler.'
-    assert renamed(text, "left") == 'the decoupler: left_step() of "left.h", LEFT_H. The decoupler.'
-
-
 # -- packages ------------------------------------------------------------------------------------------------
 
 
@@ -249,43 +242,6 @@ def test_packages_name_files_that_are_there(image, name):
         assert (folder / source).exists()
     assert f"CONFIG_{name.upper()}_LIB" in listed
     assert f"config {name.upper()}_LIB" in (folder / "zephyr/Kconfig").read_text()
-
-
-HOST_PLATFORM = {
-    "platform.json": json.dumps({"name": "host", "title": "host", "version": "1.0.0", "packages": {}}),
-    "platform.py": (
-        "from platformio.public import PlatformBase\n\n\nclass HostPlatform(PlatformBase):\n"
-        "    def is_embedded(self):\n        return False\n"
-    ),
-    "builder/main.py": (
-        "from SCons.Script import Default, DefaultEnvironment\n\nenv = DefaultEnvironment()\n"
-        'env.Replace(CC="gcc", CXX="g++", AR="ar", RANLIB="ranlib", PROGNAME="program")\n'
-        "Default([env.BuildProgram()])\n"
-    ),
-}
-"""PlatformIO compiles with what a platform brings; this one takes the compiler of this machine."""
-
-
-@pytest.mark.slow
-def test_platformio_builds_the_library(image, tmp_path):
-    if shutil.which("pio") is None:
-        pytest.skip("pio not installed: pip install platformio")
-    for name, text in HOST_PLATFORM.items():
-        (tmp_path / "host" / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / "host" / name).write_text(text)
-    project = tmp_path / "project"
-    shutil.copytree(image / "enc_left", project / "lib/enc_left")
-    (project / "src").mkdir()
-    (project / "platformio.ini").write_text(f"[env:host]\nplatform = file://{tmp_path / 'host'}\n")
-    (project / "src/main.c").write_text(
-        "#include <enc_left.h>\n#include <enc_left_params.h>\n"
-        "int main(void) { return (int)enc_left_check(&enc_left_params); }\n"
-    )
-    done = subprocess.run(["pio", "run", "-d", project], capture_output=True, text=True, check=False)
-    if "HTTPClientError" in done.stderr + done.stdout:
-        pytest.skip("pio cannot reach the registry that its own build tool comes from")
-    assert done.returncode == 0, done.stdout + done.stderr
-    ran(project, ".pio/build/host/program")
 
 
 ZEPHYR = """

@@ -26,7 +26,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hallsym.cli.main import main
-from hallsym.codegen import Line, Program, box_of, generate, integer_program, lower
+from hallsym.codegen import generate
+from hallsym.codegen.box import box_of
+from hallsym.codegen.integer_c import Line, Program, integer_program
+from hallsym.codegen.lowering import lower
 from hallsym.errors import InputError
 
 PRODUCT = Program(lower(calibration(), box_of(calibration())))

@@ -20,16 +20,7 @@ WARNINGS = (
 )  # fmt: skip
 UNDEFINED = ("-fsanitize=undefined", "-fsanitize-undefined-trap-on-error")
 MOST = 2147483520
-EXTREMES = [
-    (0, 1.0),
-    (1, 1e30),
-    (-1, 1e300),
-    (1, -1e30),
-    (-5, -0.5),
-    (7, 0.0),
-    (2147483647, 1e-30),
-    (-3, 1e-12),
-]
+EXTREMES = [(0, 1.0), (1, 1e30), (-1, 1e300), (1, -1e30), (-5, -0.5), (2147483647, 1e-30), (-3, 1e-12)]
 PROGRAM = """
 #include <stdio.h>
 #include "decoupler.h"
@@ -80,19 +71,8 @@ def sources(folder):
     rng = np.random.default_rng(0)
     exact = rng.integers(-MOST, MOST, 200)
     halves = rng.integers(-(2**24), 2**24, 50) + 0.5
-    ends = [
-        0.0,
-        -0.0,
-        0.49999999999999994,
-        -0.49999999999999994,
-        0.5,
-        -0.5,
-        1.5,
-        MOST,
-        MOST + 1e3,
-        -3e9,
-        1e30,
-    ]
+    below = 0.49999999999999994  # whose half more rounds to 1
+    ends = [0.0, -0.0, below, -below, 0.5, -0.5, 1.5, MOST, MOST + 1e3, -3e9, 1e30]
     values = np.concatenate([exact, exact + rng.uniform(-0.5, 0.5, 200), halves, ends]) / scale["z_m"]
     units = np.concatenate([exact, exact / 2**20, halves / 4, [8388609, 16777217, -8388609, MOST, 3e9, -3e9]])
     floats = (units / scale["rz_rad"]).astype(np.float32)
@@ -145,22 +125,6 @@ def test_a_round_trip_is_exact(folder):
     )
     ran(folder, "gcc", "-std=c99", "-O2", *WARNINGS, *UNDEFINED, "-Iinclude", "trip.c", "-o", "trip")
     ran(folder, "./trip")
-
-
-def test_conversions_compile_for_a_cortex_m0(folder):
-    need("arm-none-eabi-gcc")
-    (folder / "driver.c").write_text(
-        '#include "decoupler.h"\nint32_t reading(uint16_t count);\nint32_t state(float z);\n'
-        "int32_t reading(uint16_t count) { return DECOUPLER_HALL_A_FROM_COUNTS(count - 32768, 1.9e-8); }\n"
-        "int32_t state(float z) { return DECOUPLER_Z_FROM_SI(z); }\n"
-    )
-    cpu = ("-mcpu=cortex-m0", "-mthumb", "-ffreestanding")
-    ran(
-        folder, "arm-none-eabi-gcc", *cpu, "-std=c99", "-O2", *WARNINGS, "-Iinclude", "-c", "driver.c",
-        "-o", "driver.o",
-    )  # fmt: skip
-    symbols = ran(folder, "arm-none-eabi-nm", "driver.o")
-    assert "__aeabi_dmul" not in symbols  # the constant is computed by the compiler
 
 
 def test_angles_are_converted_round_and_round(tmp_path):

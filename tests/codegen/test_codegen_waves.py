@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from waves import LC, LENGTH, VALUES, calibrated, sums
 
 import hallsym
-from hallsym.codegen import cost_of, pose_bounds
-from hallsym.codegen.lowering import Odd, shortest
+from hallsym.codegen import cost_of
+from hallsym.codegen.lowering.odd_series import Odd, shortest
 from hallsym.errors import InputError
 from hallsym.families import halbach
 from hallsym.model import on_arrays
@@ -130,18 +130,6 @@ def test_double_leaves_what_rounds_and_polynomials_leave():
     code = made(double=True)
     assert max(code.bounds.error.values()) < 1e-14
     assert 1e-8 < max(code.errors.values()) <= code.decoupler.slack
-
-
-def test_without_higher_harmonics_no_round_is_taken():
-    names = {step.name for step in made("first harmonic alone").decoupler.steps}
-    assert not any(name.startswith("real_") for name in names)
-
-
-def test_rounding_shrinks_with_the_digits():
-    d = made().decoupler
-    single, double = pose_bounds(d, 24).error, pose_bounds(d, 53).error
-    for column in d.pose:
-        assert single[column] / double[column] == pytest.approx(2.0**29, rel=0.2)
 
 
 # -- ranges and status ---------------------------------------------------------------------------------------

@@ -119,15 +119,6 @@ def test_what_does_not_exist_is_refused_in_one_sentence():
         hallsym.generate(fit, jacobian="state", arithmetic="q31")
 
 
-def test_outputs_are_named_for_what_they_are():
-    from test_codegen_rotary import made as encoder
-
-    assert "/** Decoupled pose. */" in str(made("stage31").files["include/decoupler.h"])
-    header = str(encoder("ellipse", "volts").files["include/decoupler.h"])
-    assert "/** Corrected angle. */" in header
-    assert "to the angle of the rotary" in header
-
-
 def test_the_option_swallows_no_other_argument(tmp_path, capsys):
     calib, folder = str(GOLDEN / "calib.json"), tmp_path / "fw"
     with pytest.raises(SystemExit) as stopped:

@@ -13,27 +13,9 @@ import numpy as np
 
 from hallsym.codegen.decoupler import Box, Decoupler
 from hallsym.codegen.lowering import angle, linear, wave
-from hallsym.codegen.lowering.correction import KINDS as CORRECTIONS
-from hallsym.codegen.lowering.correction import SIZES, Grid, Series, grid, proved, shortest_correction
-from hallsym.codegen.lowering.odd_series import (
-    ARCTANGENT,
-    SINE,
-    Odd,
-    arctangent_error,
-    shortest,
-    sine_error,
-    wrapped,
-)
-from hallsym.codegen.lowering.phase_curve import Curve
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit
 from hallsym.model import Model
-
-__all__ = [
-    "ARCTANGENT", "CORRECTIONS", "KINDS", "SINE", "SIZES", "Curve", "Grid", "Lowering", "Odd", "Series",
-    "arctangent_error", "grid", "lower", "lowered", "lowering_of", "options_of", "proved",
-    "shortest", "shortest_correction", "sine_error", "wrapped",
-]  # fmt: skip
 
 Lowering = Callable[..., Decoupler]
 
