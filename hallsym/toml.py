@@ -92,13 +92,6 @@ class Table:
             raise InputError(f"'{key}' of {self.where} must be text; instead received {value!r}.")
         return value.strip()
 
-    def flag(self, key: str, default: bool) -> bool:
-        """Return true or false."""
-        value = self.raw.get(key, default)
-        if not isinstance(value, bool):
-            raise InputError(f"'{key}' of {self.where} must be true or false; instead received {value!r}.")
-        return value
-
     def choice(self, key: str, known: Sequence[str], default: str | None = None) -> str:
         """Return one of the `known` words."""
         value = self.raw.get(key, default)

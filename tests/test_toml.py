@@ -6,7 +6,7 @@ from hallsym.errors import InputError
 from hallsym.toml import Table, unit_of
 
 RAW = {
-    "n": 3, "half": 0.5, "name": " stage ", "on": True, "list": [1, 2.5], "span": [-1, 2], "inverted": [2, 1],
+    "n": 3, "half": 0.5, "name": " stage ", "list": [1, 2.5], "span": [-1, 2], "inverted": [2, 1],
     "box": {"x_um": 300, "rz_urad": 2}, "run": [{"a": 1}, {"b": 2}], "kind": "sinus",
 }  # fmt: skip
 
@@ -14,11 +14,7 @@ RAW = {
 def test_what_is_there_is_read_and_what_is_not_has_its_default():
     table = Table(RAW, "file a.toml")
     assert (table.number("half"), table.positive("missing", 2.0), table.whole("n")) == (0.5, 2.0, 3)
-    assert (table.text("name"), table.flag("on", False), table.flag("missing", False)) == (
-        "stage",
-        True,
-        False,
-    )
+    assert table.text("name") == "stage"
     assert table.numbers("list") == [1.0, 2.5]
     assert table.pair("span") == (-1.0, 2.0)
     assert [entry.where for entry in table.tables("run")] == ["a [[run]] of file a.toml"] * 2
@@ -40,7 +36,6 @@ def test_what_is_there_is_read_and_what_is_not_has_its_default():
         (lambda t: t.pair("list"), None),
         (lambda t: t.pair("inverted"), "is inverted"),
         (lambda t: t.text("n"), "must be text"),
-        (lambda t: t.flag("n", True), "must be true or false"),
         (lambda t: t.choice("kind", ("sine", "ramp")), "did you mean 'sine'"),
         (lambda t: t.table("n"), r"n must be a table \[n\]"),
         (lambda t: t.tables("box"), r"box must be \[\[box\]\] tables"),

@@ -27,29 +27,25 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """Signals by axis, how far each axis goes from the middle, and the name of the trajectory.
-
-    `lifts`: whether vertical axes can move with it, each by a frequency of its own.
-    """
+    """Signals by axis, how far each axis goes from the middle, and the name of the trajectory."""
 
     name: str
     signals: Mapping[str, Signal]
     reach: Mapping[str, float]
-    lifts: bool = False
 
 
 def candidates(ranges: Ranges, model: Model) -> tuple[Candidate, ...]:
     """Return every run of `model` that the ranges allow; raises `InputError` when there is none.
 
-    Its pose moves; its state is held at settings, and moves where vertical motion is allowed.
+    Its pose moves; its state is held at settings.
     """
     _check_axes(ranges, model)
     found: list[Candidate] = []
+    held = [axis for axis in model.state if axis in ranges.box]
     for motion in _motions(ranges, model):
-        rests = [axis for axis in model.state if axis in ranges.box and axis not in motion.signals]
-        for setting in _settings(ranges, motion, model):
+        for setting in _settings(ranges, model):
             if not any(_touches(zone, setting, motion) for zone in ranges.excluded):
-                place = {axis: value for axis, value in setting.items() if value or axis in rests}
+                place = {axis: value for axis, value in setting.items() if value or axis in held}
                 words = _words(place, motion, model)
                 run = Run(ranges.seconds_per_run, place, motion.signals, name=f"{words}; {motion.name}")
                 found.append(Candidate(run, words, motion.name))
@@ -92,13 +88,6 @@ def _check_axes(ranges: Ranges, model: Model) -> None:
 
 def _motions(ranges: Ranges, model: Model) -> Iterator[_Motion]:
     moving = [axis for axis in model.pose if ranges.place(axis)[1] > 0]
-    for motion in _planar(ranges, moving):
-        yield motion
-        if ranges.vertical_motion and motion.lifts:
-            yield from _lifted(ranges, motion, model.state)
-
-
-def _planar(ranges: Ranges, moving: Sequence[str]) -> Iterator[_Motion]:
     f, wanted = ranges.frequencies_hz, ranges.trajectories
     if "one-axis" in wanted:
         for axis in moving:
@@ -125,33 +114,17 @@ def _sines(ranges: Ranges, axes: Sequence[str], frequencies: Sequence[float]) ->
     pairs = list(zip(axes, frequencies, strict=False))
     reach = {axis: ranges.place(axis)[1] for axis in axes}
     name = ", ".join(f"{_axis(axis)} {f:g} Hz" for axis, f in pairs)
-    return _Motion(name, {axis: sine(reach[axis], f) for axis, f in pairs}, reach, lifts=True)
+    return _Motion(name, {axis: sine(reach[axis], f) for axis, f in pairs}, reach)
 
 
-def _lifted(ranges: Ranges, motion: _Motion, state: Sequence[str]) -> Iterator[_Motion]:
-    """The same motion while vertical axes move too: each alone and all of them."""
-    vertical = [axis for axis in state if ranges.place(axis)[1] > 0]
-    left = ranges.frequencies_hz[len(motion.signals) :]
-    for n in sorted({1, len(vertical)} - {0}):
-        for axes in combinations(vertical, n) if n <= len(left) else ():
-            more = _sines(ranges, axes, left)
-            yield _Motion(
-                f"{motion.name}, {more.name}",
-                {**motion.signals, **more.signals},
-                {**motion.reach, **more.reach},
-            )
-
-
-def _settings(ranges: Ranges, motion: _Motion, model: Model) -> Iterator[dict[str, float]]:
-    """Grid over the vertical axes that rest; every other axis at the middle of its range."""
-    middle = {axis: ranges.place(axis)[0] for axis in (*model.pose, *model.state)}
+def _settings(ranges: Ranges, model: Model) -> Iterator[dict[str, float]]:
+    """Grid over the vertical axes; every other axis at the middle of its range."""
+    middle = {axis: ranges.place(axis)[0] for axis in model.pose}
     levels = []
     for axis in model.state:
         centre, half = ranges.place(axis)
-        rests = axis in motion.signals or half == 0
-        levels.append(
-            [centre] if rests else [tidy(centre + half * s) for s in np.linspace(-1, 1, ranges.levels)]
-        )
+        shares = np.linspace(-1, 1, ranges.levels) if half else [0.0]
+        levels.append([tidy(centre + half * s) for s in shares])
     for place in product(*levels):
         yield middle | dict(zip(model.state, place, strict=True))
 

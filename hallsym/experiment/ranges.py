@@ -14,7 +14,7 @@ from hallsym.toml import Table, positive
 TRAJECTORIES = ("one-axis", "combined", "multi-sine", "raster")
 KEYS = (
     "step_s", "seconds_per_run", "runs", "minutes", "reset_s", "frequencies_hz", "levels", "trajectories",
-    "vertical_motion", "range", "exclude", "noise", "reference",
+    "range", "exclude", "noise", "reference",
 )  # fmt: skip
 Box = Mapping[str, tuple[float, float]]
 
@@ -25,10 +25,10 @@ class Ranges:
 
     `box`: lowest and highest position of each axis [m, rad]; an axis that is not named rests at 0.
     `excluded`: boxes that no run may touch. `levels` of each vertical axis between its ends, ends included.
-    `frequencies_hz` of the motion. `trajectories`: of `TRAJECTORIES`. `vertical_motion`: vertical axes may
-    move within a run. `runs`, `minutes`: how much may be recorded; None where it is not limited. `reset_s`:
-    time between two runs. `noise`: 1 sigma by column, may be empty. `reference`: what counts as one unit of
-    uncertainty of each pose coordinate in the criterion max-u; 1 um and 1 urad where not stated.
+    `frequencies_hz` of the motion. `trajectories`: of `TRAJECTORIES`. `runs`, `minutes`: how much may be
+    recorded; None where it is not limited. `reset_s`: time between two runs. `noise`: 1 sigma by
+    column, may be empty. `reference`: what counts as one unit of uncertainty of each pose
+    coordinate in the criterion max-u; 1 um and 1 urad where not stated.
     """
 
     box: Box
@@ -38,7 +38,6 @@ class Ranges:
     levels: int = 5
     excluded: tuple[Box, ...] = ()
     trajectories: tuple[str, ...] = TRAJECTORIES
-    vertical_motion: bool = False
     runs: int | None = None
     minutes: float | None = None
     reset_s: float | None = None
@@ -139,7 +138,6 @@ def read_ranges(path: str | Path) -> Ranges:
         levels=_levels(file),
         excluded=tuple(map(_box, file.tables("exclude"))),
         trajectories=_trajectories(file),
-        vertical_motion=file.flag("vertical_motion", False),
         runs=file.whole("runs") if "runs" in file else None,
         minutes=file.positive("minutes") if "minutes" in file else None,
         reset_s=file.number("reset_s", least=0.0) if "reset_s" in file else None,

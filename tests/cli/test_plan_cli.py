@@ -112,7 +112,7 @@ def test_units_and_defaults_of_a_ranges_file(ranges):
     found = read_ranges(ranges())
     assert found.box["ry_rad"] == (-5e-4, 5e-4)
     assert np.isclose(found.box["x_m"], (-300e-6, 300e-6), rtol=1e-12).all()
-    assert (found.levels, found.vertical_motion, found.minutes, found.reset_s) == (2, False, None, None)
+    assert (found.levels, found.minutes, found.reset_s) == (2, None, None)
     zoned = read_ranges(
         ranges(RANGES + "[[exclude]]\nz_um = [0, 250]\nrx_urad = [0, 500]\n[reference]\nx_nm = 50\n")
     )
@@ -136,7 +136,6 @@ BAD = {
     "unknown trajectory": (RANGES.replace('"combined"', '"combine"'), "did you mean 'combined'"),
     "no trajectory": (RANGES.replace('["combined"]', "[]"), "trajectories"),
     "trajectory as text": (RANGES.replace('["combined"]', '"combined"'), "list"),
-    "switch": ("vertical_motion = 1\n" + RANGES, "true or false"),
     "no frequency": (RANGES.replace("[1.0, 2.0, 3.0]", "[]"), "frequencies_hz"),
     "negative noise": (RANGES + "[noise]\nhall_m = -1e-7\n", "hall_m"),
     "not TOML": ("step_s =", "not valid TOML"),
