@@ -132,8 +132,7 @@ coefficient = 0.2
 SETTINGS = """level = 0.95
 [reading]
 averaged = 16
-adc_bits = 16
-adc_range_mm = 2
+adc_step_nm = 30
 [zeroing]
 averaged = 64
 x_nm = 100

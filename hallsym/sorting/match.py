@@ -152,7 +152,9 @@ def match_sensors(
     count = _count(sets, len(names), size, model, members)
     plain, weights = without_common(influence.square)
     symmetric = alike(plain) and members == 1
-    chosen = arranged(neighbours(gain, size, count), gain, plain, members)
+    chosen = neighbours(gain, size, count)
+    if not symmetric:
+        chosen = arranged(chosen, gain, plain, members)
     errors = _channels(gain[chosen], members)
     chosen = chosen[np.argsort(np.einsum("mi,ij,mj->m", errors, plain, errors), kind="stable")]
     rng = np.random.default_rng(0)

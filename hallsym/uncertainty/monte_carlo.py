@@ -150,12 +150,11 @@ def propagate(
     trials: int | None = None,
     level: float = 0.95,
     digits: int = 2,
-    most: int = MOST,
 ) -> list[Comparison]:
     """Return one comparison per output of `measure` with the linear results.
 
     `trials`: a fixed number, or None for the adaptive procedure of 7.9.4, which adds batches until the mean,
-    u and both ends of the interval are stable within a fifth of the tolerance, at most `most` trials.
+    u and both ends of the interval are stable within a fifth of the tolerance, at most `MOST` trials.
     """
     if not 0 < level < 1:
         raise InputError(
@@ -167,7 +166,7 @@ def propagate(
         raise InputError(f"Monte Carlo trials must be {LEAST} or more; instead received {trials}.")
     if trials is None:
         size = max(BATCH, int(np.ceil(100 / (1 - level))))
-        parts = _until_stable(measure, rng, size, level, digits, most)
+        parts = _until_stable(measure, rng, size, level, digits)
     else:
         sizes = [len(part) for part in np.array_split(np.arange(trials), max(PARTS, -(-trials // BATCH)))]
         parts = [_results(measure, rng, n) for n in sizes]
@@ -190,7 +189,7 @@ def propagate(
 
 
 def _until_stable(
-    measure: Measure, rng: np.random.Generator, size: int, level: float, digits: int, most: int
+    measure: Measure, rng: np.random.Generator, size: int, level: float, digits: int
 ) -> list[np.ndarray]:
     """Batches of the adaptive procedure, 7.9.4."""
     parts: list[np.ndarray] = []
@@ -203,7 +202,7 @@ def _until_stable(
             continue
         scatter = np.std(rows, axis=0, ddof=1) / np.sqrt(h)
         delta = np.array([tolerance(u, digits) for u in np.mean(rows, axis=0)[1]])
-        if np.all(2 * scatter <= delta / FINER) or (h + 1) * size > most:
+        if np.all(2 * scatter <= delta / FINER) or (h + 1) * size > MOST:
             return parts
 
 
@@ -273,7 +272,7 @@ def position_monte_carlo(
 ) -> dict[str, Comparison]:
     """Return one comparison per pose coordinate: decode through the model itself, parameters drawn too.
 
-    `at` and `settings` as in `position_budget`; `trials`, `level`, `digits`, `most` as in `propagate`.
+    `at` and `settings` as in `position_budget`; `trials`, `level`, `digits` as in `propagate`.
     """
     settings = settings or Settings()
     linear = [_linear(b, level) for b in position_budget(fit, at, settings).values()]

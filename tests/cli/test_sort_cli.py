@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="module")
 def table(tmp_path_factory):
-    columns, *_ = bench(n=90, repeats=40)
+    columns, _ = bench(n=90, repeats=40)
     return written(tmp_path_factory.mktemp("bench") / "bench.csv", columns)
 
 

@@ -161,7 +161,7 @@ def test_the_error_to_expect_is_the_error_of_the_true_gains():
     """Sets are chosen by measured gains and decoded with the true ones."""
     expected, seen, bins = [], [], []
     for seed in range(4):
-        table, gains, _ = bench(n=600, seed=seed, repeats=300)
+        table, gains = bench(n=600, seed=seed, repeats=300)
         found = match_sensors(sort_sensors(table), MODELS[0])
         true = np.array([gains[name] for name in found.sensors])
         plain, _ = without_common(found.influence.square)

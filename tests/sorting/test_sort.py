@@ -55,7 +55,7 @@ def test_changes_of_bin_are_what_is_drawn():
 def coverage(seeds):
     inside, total, wrong, expected, spread = 0, 0, 0, 0.0, 0.0
     for seed in seeds:
-        table, gains, _ = bench(seed=seed, n=500, repeats=200)
+        table, gains = bench(seed=seed, n=500, repeats=200)
         found = sort_sensors(table)
         true = truth(found, gains)
         inside += int(np.sum(np.abs(found.gain - true) < 1.96 * found.std))
@@ -93,7 +93,7 @@ def test_a_sorted_bin_measured_again_is_judged_as_one():
 
 
 def test_the_reference_sensor_takes_the_drift_out():
-    table, gains, _ = bench(walk=2e-4)
+    table, gains = bench(walk=2e-4)
     found = sort_sensors(table)
     blind = sort_sensors(without(table, "reference_0_v", "reference_1_v"))
     away, left = (np.std(s.gain / truth(s, gains) - 1) for s in (found, blind))
@@ -104,7 +104,7 @@ def test_the_reference_sensor_takes_the_drift_out():
 
 
 def test_a_slip_does_not_spoil_the_repeatability():
-    table, *_ = bench()
+    table, _ = bench()
     usual = sort_sensors(table).repeatability
     table["reading_1_v"] = table["reading_1_v"] * np.r_[np.ones(749), 0.9]
     found = sort_sensors(table)
@@ -113,7 +113,7 @@ def test_a_slip_does_not_spoil_the_repeatability():
 
 
 def test_a_sensor_read_in_one_field_is_not_sorted():
-    table, *_ = bench(repeats=20)
+    table, _ = bench(repeats=20)
     table["reading_1_v"][np.flatnonzero(table["sensor"] == "R1-00090")] = np.nan
     found = sort_sensors(table)
     assert found.unsorted == ("R1-00090",)
@@ -124,7 +124,7 @@ def test_a_sensor_read_in_one_field_is_not_sorted():
 
 
 def test_every_form_of_the_table_gives_the_same(tmp_path):
-    table, *_ = bench(n=120, repeats=40)
+    table, _ = bench(n=120, repeats=40)
     found = sort_sensors(table)
     columns = {"sensor": "ID", "reading_mv": "Hall", "field_mt": "B", "reference_mv": "Ref", "t_s": "time"}
     long = long_form(table)
