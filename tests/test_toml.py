@@ -6,7 +6,7 @@ from hallsym.errors import InputError
 from hallsym.toml import Table, unit_of
 
 RAW = {
-    "n": 3, "half": 0.5, "name": " stage ", "list": [1, 2.5], "span": [-1, 2], "inverted": [2, 1],
+    "n": 3, "half": 0.5, "name": " stage ", "on": True, "list": [1, 2.5], "span": [-1, 2], "inverted": [2, 1],
     "box": {"x_um": 300, "rz_urad": 2}, "run": [{"a": 1}, {"b": 2}], "kind": "sinus",
 }  # fmt: skip
 

@@ -5,7 +5,7 @@ what counts and which runs are best, `design` puts it together and sets a plan b
 """
 
 from hallsym.experiment.candidates import Candidate, candidates
-from hallsym.experiment.criteria import CRITERIA, Criterion, choose, criterion, exchange, greedy
+from hallsym.experiment.criteria import CRITERIA, Criterion, choose, criterion
 from hallsym.experiment.design import Comparison, Plan, plan
 from hallsym.experiment.ranges import Ranges, paper_ranges, read_ranges
 from hallsym.experiment.study import Outcome, Worst, planned_cost
@@ -22,8 +22,6 @@ __all__ = [
     "candidates",
     "choose",
     "criterion",
-    "exchange",
-    "greedy",
     "paper_ranges",
     "plan",
     "planned_cost",

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hallsym.experiment import CRITERIA, Criterion, choose, criterion, exchange, greedy
+from hallsym.experiment import CRITERIA, Criterion, choose, criterion
 
 NOTHING = 1e-9
 
@@ -114,31 +114,6 @@ def test_the_choice_is_the_best_of_all(name, seed):
     unit = np.eye(7, dtype=int)
     every = [value(unit[list(p)].sum(axis=0)) for p in combinations_with_replacement(range(7), 4)]
     assert value(counts) == pytest.approx(max(every), rel=1e-9)
-
-
-def test_exchange_leaves_a_bad_start():
-    infos, phi = polynomial(1, LINE), criterion("D", 2, np.eye(2)[:, None])
-    bad = np.zeros(21, dtype=int)
-    bad[10], bad[11] = 5, 5
-    counts = exchange(infos, NOTHING * np.eye(2), bad, phi, np.random.default_rng(0))
-    assert counts[0] == counts[20] == 5
-
-
-@pytest.mark.parametrize("name", CRITERIA)
-def test_each_run_that_greedy_adds_helps(name):
-    rng = np.random.default_rng(2)
-    A = rng.normal(size=(30, 5, 2))
-    infos, base, phi = (
-        A @ np.swapaxes(A, 1, 2),
-        1e-3 * np.eye(5),
-        criterion(name, 5, rng.normal(size=(9, 2, 5))),
-    )
-    values = [
-        float(phi.values(base + np.tensordot(greedy(infos, base, n, phi), infos, axes=1)))
-        for n in range(1, 12)
-    ]
-    assert np.all(np.diff(values) >= -1e-12)
-    assert values[-1] > values[0]
 
 
 def test_what_is_known_already_is_not_recorded_again():
