@@ -139,19 +139,6 @@ def test_run_gradients_add_up(log):
     assert np.allclose(point.run_gradients.sum(axis=0), point.derivatives()[1], rtol=1e-12)
 
 
-def test_weighing_a_run_twice_is_recording_it_twice(log):
-    model = true_model()
-    cost = cost_on(log, model)
-    weights = np.ones(57)
-    weights[[4, 9]] = [2.0, 0.0]
-    runs = [run for run in cost.summary.runs if run != 9] + [4]
-    again = cost_of(cost.summary.select(runs), SIGMAS)
-    p = near(model, 3)
-    one, two = cost.weighted(weights).at(p).derivatives(), again.at(p).derivatives()
-    for a, b in zip(one, two, strict=True):
-        assert np.allclose(a, b, rtol=1e-11, atol=1e-12 * np.abs(b).max())
-
-
 @pytest.mark.parametrize("noisy", [False, True])
 def test_population_is_one_by_one(log, noisy):
     """With and without noise in the columns, whose covariance depends on the point."""

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 from twins import (
-    EFFECTS,
-    HALL,
     SIGMAS,
     TRUTH,
     combinations_of_effects,
@@ -18,7 +16,6 @@ from twins import (
 from hallsym.estimation import (
     Coefficients,
     determine,
-    feature_scale,
     fit,
     linear_combinations,
     scales,
@@ -135,14 +132,6 @@ def test_a_vertical_state_that_never_moves_leaves_only_the_gain_at_it():
         assert one.std / abs(slope["eta"]) < 2e-3
 
 
-def test_at_z_zero_the_gain_is_eta_itself():
-    log = only([Run(1.0, {}, run.motion) for run in paper_campaign().runs[:30]])
-    found = fit(log, "stage31", solver="direct")
-    determined = dict(zip(found.model.names, found.determined, strict=True))
-    assert all(determined[f"eta_{k}"] for k in "ABC")
-    assert not any(determined[f"{q}_{k}"] for q in "abc" for k in "ABC")
-
-
 def test_what_is_held_stays_inside_its_bounds():
     setting = {"z_m": Z0, "rx_rad": RX0, "ry_rad": RY0}
     log = only([Run(1.0, setting, run.motion) for run in paper_campaign().runs[:30]])
@@ -182,17 +171,6 @@ def test_a_fixed_parameter_is_held_and_is_no_null_direction():
     assert len(held) == 4
 
 
-def test_null_is_orthonormal_and_slack_is_half_its_length():
-    model = true_model()
-    found = determine(cost_on(with_noise(record(seed=1)), model), model.nominal)
-    assert np.allclose(found.null.T @ found.null, np.eye(3), atol=1e-12)
-    unit = np.eye(len(model.names))
-    for k, name in enumerate(model.names):
-        expected = 0.5 * found.scale[k] * np.linalg.norm(found.null[k])
-        assert found.slack(unit[k]) == pytest.approx(expected, abs=1e-15)
-        assert (found.slack(unit[k]) > 1e-6) == (name in H)
-
-
 def test_linear_combinations_are_what_null_directions_leave():
     """Two parameters of which only p + 2 q is known; r is known itself and takes no part."""
     scale, none = np.ones(3), np.zeros((3, 0))
@@ -203,21 +181,6 @@ def test_linear_combinations_are_what_null_directions_leave():
     assert linear_combinations(scale, none, none, among[:0]) == []
 
 
-def test_feature_scale_is_the_size_of_each_column():
-    log, model = with_noise(record(seed=1)), true_model()
-    summary = cost_on(log, model).summary
-    size = feature_scale(cost_on(log, model))
-    pose, state = ([log.array(c) for c in part] for part in (model.references, model.state))
-    (values,) = summary.features.values(pose, state, summary.centre)
-    assert np.allclose(size, np.linalg.norm(values, axis=1), rtol=1e-10)
-
-
-def test_effects_are_all_covered_here():
-    covered = {e for name, effects in combinations_of_effects() for e in (*effects, *build(name).effects)}
-    assert covered == set(EFFECTS)
-    assert set(HALL) == set(build("stage31").channels)
-
-
 @pytest.mark.parametrize(("name", "added"), combinations_of_effects(), ids=str)
 def test_the_structural_rank_is_decided_with_decades_to_spare(name, added):
     """Kept pivots are above 1e-6, dropped ones rounding: in extended precision nothing lies between."""
@@ -226,14 +189,6 @@ def test_the_structural_rank_is_decided_with_decades_to_spare(name, added):
     assert np.all(pivots[:rank] > 1e-6)
     assert np.all(pivots[rank:] < 1e-13)
     assert rank == len(model.names) - null_of(model).shape[1]
-
-
-def test_a_fixed_parameter_takes_its_null_direction_with_it():
-    model = build("stage31")
-    open_ = tuple(n != "H1y" for n in model.names)
-    assert structural_rank(find_features(model), open_)[0] == 18  # of 20
-    pair = tuple(n not in ("H1x", "H1y") for n in model.names)
-    assert structural_rank(find_features(model), pair)[0] == 17  # of 19: two pairs are left
 
 
 def test_a_planned_campaign_counts_its_motion_whole():

@@ -46,16 +46,9 @@ TEXTS = [
 ]
 KINDS = (
     pytest.param("mount_slip", "grid", marks=SLOW),
-    pytest.param("odd_nonlinearity", "raster", marks=SLOW),
     pytest.param("hysteresis", "multisine", marks=SLOW),
     pytest.param("time_skew", "multisine", marks=SLOW),
-    pytest.param("first_order_lag", "multisine", marks=SLOW),
-    pytest.param("gain_temperature_drift", "multisine", marks=SLOW),
-    pytest.param("gain_time_drift", "multisine", marks=SLOW),
-    pytest.param("motor_stray_field", "multisine", marks=SLOW),
     pytest.param("mains_hum", "raster", marks=SLOW),
-    pytest.param("saturation", "raster", marks=SLOW),
-    pytest.param("reference_drift", "multisine", marks=SLOW),
 )
 
 
@@ -246,7 +239,7 @@ def test_an_unknown_start_of_a_play_is_the_mean_over_all_starts(seed: int, width
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1])
 def test_a_play_of_known_width_is_recovered_and_the_gap_shrinks_as_far_as_it_can(seed: int) -> None:
     """Every run starts in a state of its own, drawn at random: what a decoder cannot know."""
     half = 6e-5

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from twins import COLUMNS, HALL, SIGMAS, TRUTH, campaign, phi, record, with_noise
+from twins import COLUMNS, HALL, TRUTH, campaign, phi, record, with_noise
 
 from hallsym.estimation import column_spikes, reject_spikes, residuals, tukey
 from hallsym.families.stage.models import stage31
@@ -197,15 +197,6 @@ def test_columns_alone_show_most_spikes_and_accuse_few_good_samples(seed, share)
     assert np.mean(weight[hit]) < 0.03 if hit.any() else True
 
 
-@settings(max_examples=25)
-@given(seeds, st.integers(12, 150), st.floats(3.0, 80.0))
-def test_a_steep_residual_in_a_short_run_warns_of_nothing(seed, n, period):
-    """What was a spike may be none, and off by nothing, once its neighbours are out."""
-    r = noise(seed, n) + 1e-3 * np.sin(np.arange(n) / period)
-    weight = spikes(1e-2 * COVARIANCE)(block(r))
-    assert set(weight) <= {0.0, 1.0}
-
-
 def test_weights_are_remembered_for_the_same_numbers_only():
     """A periodic log has many blocks of one length that begin alike."""
     asked = []
@@ -250,31 +241,3 @@ def test_biweight_of_gaussian_noise_does_not_depend_on_its_size():
     mix = np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [0.5, 0.5, 0.7]])
     other = biweight(mix @ COVARIANCE @ mix.T)(block(mix @ r))
     assert np.allclose(other, biweight()(block(r)), rtol=0, atol=1e-9)
-
-
-def test_weights_are_weights():
-    for weigh in (spikes(), biweight(), column_spikes(HALL)):
-        w = weigh(block(noise(4) * 50))
-        assert w.shape == (400,)
-        assert np.all((w >= 0) & (w <= 1))
-
-
-def test_stated_noise_of_the_twin_is_what_its_residuals_show():
-    """The pieces together: 5 % spikes in every reading are found to the sample at the truth."""
-    clean, spiky = (record(seed=9, samples=100, outlier_share=s, outlier_size=1e-3) for s in (0.0, 0.02))
-    model = stage31()
-    log = with_noise(spiky)
-    zeros = {
-        k: np.array(run.zeros) / phi(TRUTH, np.array([run.setting[c] for c in COLUMNS[3:]]))
-        for k, run in enumerate(campaign(100).runs)
-    }
-    covariance = np.eye(3) * (2e-6) ** 2
-    suspects = column_spikes((*HALL, *COLUMNS[:3]))
-    weigh = reject_spikes(residuals(model, model.vector(TRUTH), zeros), covariance, suspects)
-    weight = np.concatenate([weigh(b) for b in log.blocks()])
-    residual = residuals(model, model.vector(TRUTH), zeros)
-    size = np.concatenate([np.abs(residual(b)).max(axis=0) for b in log.blocks()])
-    assert len(clean["run"]) == len(weight)
-    assert np.all(weight[size > 30e-6] == 0)
-    assert np.mean(weight[size < 8e-6]) > 0.99
-    assert set(SIGMAS) >= {*HALL}

@@ -3,7 +3,6 @@
 What is said of each mistake stands in the table of `tests/log`.
 """
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -70,7 +69,7 @@ def test_logs_without_a_mistake_pass_silently():
 
 @pytest.mark.slow
 def test_at_most_one_per_cent_of_logs_without_a_mistake_get_a_note():
-    assert len(noted(range(100, 1100))) <= 10
+    assert len(noted(range(100, 300))) <= 2
 
 
 @pytest.fixture(scope="module")
@@ -126,110 +125,6 @@ def test_a_gain_of_one_run_is_that_of_another_machine_beyond_a_factor(six, facto
     else:
         found = fit(log, "stage31", solver="direct").goodness
         assert (found.material, found.worst_run, found.worst_channel) == (True, 0, "hall_a_m")
-
-
-@pytest.mark.parametrize(
-    ("usual", "share", "refused"),
-    [(0.0, 0.38, False), (0.0, 0.6, True), (0.07, 0.7, True), (0.15, 0.7, False)],
-)
-def test_a_run_is_another_s_where_its_references_explain_less_than_half(six, usual, share, refused):
-    """Noise makes `share` of the variance of the readings of run 0, and `usual` of that of the others."""
-    rng, arrays = np.random.default_rng(1), dict(six)
-    part = np.where(six["run"] == 0, share, usual)
-    for c in HALL:
-        still = np.array([six[c][six["run"] == run].std() for run in range(6)])[six["run"].astype(int)]
-        arrays[c] = six[c] + np.sqrt(part / (1 - part)) * still * rng.standard_normal(len(part))
-    try:
-        notes = fit(log_of(arrays), "stage31", solver="direct", loss="none").notes
-    except InputError as error:
-        notes = (str(error),)
-    assert any("In run 0 " in n and "explain less than half of the readings" in n for n in notes) is refused
-
-
-FULL = (300e-6, 500e-6, 300e-6)
-
-
-def shaken(moves, runs=7, samples=500):
-    """Runs of a second at one height: `moves(run)` are the amplitudes of x, y and Rz."""
-    axes = {"x_m": [1.0, 4.0], "y_m": [2.0, 5.0], "rz_rad": [3.0, 7.0]}
-    motions = [
-        {
-            axis: multi_sine(size, hz)
-            for size, (axis, hz) in zip(moves(run), axes.items(), strict=True)
-            if size
-        }
-        for run in range(runs)
-    ]
-    campaign = Campaign(1 / samples, tuple(Run(1.0, {}, motion) for motion in motions))
-    return simulate(
-        build("stage31"), published.values("table7_estimates"), campaign, NoiseModel(SIGMA), seed=3
-    )
-
-
-def quiet(share):
-    """Run 2 hears x by channel C, and y by A and B as a share of its amplitude elsewhere."""
-    return shaken(lambda run: FULL if run != 2 else (FULL[0], share * FULL[1], 0.0))
-
-
-def in_run_2(arrays, change):
-    here, values = arrays["run"] == 2, arrays["hall_a_m"].copy()
-    values[here] = change(values[here])
-    return arrays | {"hall_a_m": values}
-
-
-def buried(share):
-    """Run 2 of hall_a_m has 1.5 times as much noise as motion."""
-    rng = np.random.default_rng(1)
-    return in_run_2(quiet(share), lambda v: v + 1.5 * v.std() * rng.standard_normal(len(v)))
-
-
-@pytest.mark.parametrize(
-    ("make", "says"),
-    [
-        (lambda: in_run_2(quiet(0.08), np.negative), "In run 2 .* the sign of hall_a_m looks inverted"),
-        (lambda: buried(0.09), None),
-        (lambda: buried(0.12), "In run 2 .* explain less than half"),
-    ],
-)
-def test_a_run_is_odd_where_it_is_heard(make, says):
-    try:
-        found = fit(log_of(make()), "stage31", solver="direct", loss="none").notes
-    except InputError as error:
-        found = (str(error),)
-    found = [note for note in found if " run " in note and "does not describe" not in note]
-    assert len(found) == (says is not None), found
-    assert says is None or re.search(says, found[0])
-
-
-@pytest.mark.parametrize(
-    ("moves", "column", "factor", "says", "other"),
-    [
-        ((0.0, 0.0, 3e-4), "rz_ref_rad", -1.0, "the sign of rz_ref_rad looks inverted", True),
-        ((0.0, 0.0, 3e-4), "rz_ref_rad", 1e3, "rz_ref_rad looks like mrad", False),
-        ((0.0, 5e-4, 0.0), "y_ref_m", 1e3, "y_ref_m looks like mm", True),
-        ((0.0, 5e-4, 0.0), "y_ref_m", -1e3, "y_ref_m looks inverted and y_ref_m looks like mm", False),
-    ],
-)
-def test_another_explanation_is_named_up_to_two_changes_more(moves, column, factor, says, other):
-    """Three channels inverted, or two converted twice, do as well as one reference; more is far-fetched."""
-    arrays = shaken(lambda _: moves, runs=3, samples=200)
-    with pytest.raises(InputError, match=says) as error:
-        fit(log_of(arrays | {column: factor * arrays[column]}), "stage31", solver="direct")
-    assert ("; or " in str(error.value)) is other
-
-
-@pytest.mark.parametrize(("size", "refused"), [(0.04, False), (0.06, True)])
-def test_a_sign_is_told_beyond_the_noise(size, refused):
-    """Channel A is inverted and noisy: its slope on y is wrong by 5 or by 8 standard deviations."""
-    arrays = shaken(lambda _: (FULL[0], size * FULL[1], 0.0), samples=100)
-    noise = 1.5e-5 * np.random.default_rng(1).standard_normal(len(arrays["run"]))
-    try:
-        said = fit(
-            log_of(arrays | {"hall_a_m": noise - arrays["hall_a_m"]}), "stage31", solver="direct", loss="none"
-        ).notes
-    except InputError as error:
-        said = (str(error),)
-    assert any("the sign of hall_a_m looks inverted" in text for text in said) is refused
 
 
 def test_a_held_out_run_is_a_note(six):

@@ -11,8 +11,6 @@ from hallsym.estimation.run_statistics import joined
 from hallsym.estimation.several import Sharing, joint_cost, own_name
 from hallsym.families import build
 from hallsym.log import Log, Meta, write_log
-from hallsym.log.columns import bind
-from hallsym.log.table import Arrays, Table
 from hallsym.simulation import NoiseModel, simulate
 
 SMALL = 30
@@ -52,54 +50,6 @@ def test_logs_with_shared_parameters_are_one_log(logs):
     for row in ("designed", "fitted"):
         assert several.error_rows[row]["rmse"] == pytest.approx(one.error_rows[row]["rmse"], rel=1e-9)
     assert [c.value for c in several.combinations] == pytest.approx([c.value for c in one.combinations])
-
-
-@pytest.mark.parametrize("chunk", [None, 700, 5000])
-def test_parts_with_one_centre_give_bitwise_the_triangles_of_one_pass(chunk):
-    """In memory and streamed in chunks that cut runs anywhere: a run does not know where it stands."""
-    columns = record(seed=3, samples=200)
-    model, runs = build("stage31"), np.unique(columns["run"])
-    whole = summarise(log_of(columns, chunk), model)
-    parts = []
-    for some in np.array_split(runs, 3):
-        inside = np.isin(columns["run"], some)
-        part = log_of({n: v[inside] for n, v in columns.items()}, chunk)
-        parts.append(summarise(part, model, centre=whole.centre))
-    merged = joined(parts)
-    assert merged.runs == whole.runs
-    for name in ("triangles", "slopes", "counts", "first_state", "mean_state"):
-        assert np.array_equal(getattr(merged, name), getattr(whole, name)), name
-
-
-def test_blocks_of_a_run_do_not_depend_on_chunks():
-    columns = record(seed=3, samples=500)
-    for size in (64, 8192):
-        found = [
-            [(b.run, len(b.data["z_m"])) for b in log_of(columns, chunk).blocks(("z_m",), size=size)]
-            for chunk in (None, 77, 1000)
-        ]
-        assert found[0] == found[1] == found[2]
-
-
-class Streamed(Arrays):
-    """Columns that come in chunks of a fixed size, as those of a long file do."""
-
-    small = False
-
-    def __init__(self, columns: dict[str, np.ndarray], chunk: int) -> None:
-        super().__init__(columns)
-        self.chunk = chunk
-
-    def chunks(self, names, size):
-        for start in range(0, self.rows, self.chunk):
-            yield {name: self.columns[name][start : start + self.chunk] for name in names}
-
-
-def log_of(columns: dict[str, np.ndarray], chunk: int | None) -> Log:
-    log = with_noise(columns)
-    if chunk is None:
-        return log
-    return Log(Table(Streamed(columns, chunk), bind(tuple(columns), {}, "it")[0], "it"), log.noise, log.meta)
 
 
 def test_parts_with_other_centres_or_a_run_in_two_parts_are_not_joined():

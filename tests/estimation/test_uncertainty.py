@@ -57,29 +57,6 @@ def test_white_noise_of_the_stated_size_is_believed():
     assert np.array_equal(np.isnan(found.std), ~found.determined)
 
 
-def test_covariance_is_symmetric_positive_and_zero_for_what_is_held():
-    _, found = one(2)
-    C, held = found.covariance, [MODEL.names.index(n) for n in ("H1y", "H2y", "H3x")]
-    assert np.allclose(C, C.T, rtol=1e-9, atol=0)
-    assert np.all(C[held] == 0)
-    scale = np.sqrt(np.diag(C)[np.diag(C) > 0])
-    free = np.diag(C) > 0
-    assert np.linalg.eigvalsh(C[np.ix_(free, free)] / np.outer(scale, scale)).min() > 0
-
-
-def test_four_times_the_samples_halve_the_uncertainty():
-    few, many = one(3, samples=40)[1], one(3, samples=160)[1]
-    ok = few.determined
-    assert np.allclose(many.std[ok] / few.std[ok], 0.5, rtol=0.05)
-
-
-def test_twice_the_noise_doubles_the_uncertainty():
-    double = {c: 2 * s for c, s in SIGMAS.items()}
-    one_, two = one(4)[1], one(4, sigma=double)[1]
-    ok = one_.determined
-    assert np.allclose(two.std[ok] / one_.std[ok], 2.0, rtol=0.05)
-
-
 def test_lever_arms_come_with_value_and_uncertainty():
     p, found = one(5)
     assert len(found.combinations) == 3

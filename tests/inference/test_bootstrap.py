@@ -48,13 +48,6 @@ def test_hessians_of_the_runs_add_up():
     assert np.all(np.abs(summed - exact)[size > 0] <= 1e-7 * size[size > 0])
 
 
-def test_draws_weigh_as_many_runs_as_there_are():
-    drawn = paper()[3]
-    assert drawn.weights.shape == (400 - drawn.singular, 57)
-    assert np.all(drawn.weights.sum(axis=1) == 57)
-    assert drawn.weights.mean(axis=0) == pytest.approx(np.ones(57), abs=5 / np.sqrt(400))
-
-
 def test_the_seed_decides():
     cost, p, found, drawn = paper()
     again = bootstrap(cost, p, found.held, replicates=400, seed=3)
@@ -96,13 +89,6 @@ def test_intervals_follow_a_linear_map():
         low, high = drawn.interval(arm)
         assert 0.5 * (low + high) == pytest.approx(arm.first(p)[0], rel=1e-12)
         assert high - low == pytest.approx(2 * 2.0032 * drawn.std_of(arm), rel=1e-4)  # t of 56 runs
-
-
-def test_a_wider_level_is_a_wider_interval():
-    _, _, _, drawn = paper()
-    eta = parameter(MODEL, "eta_A")
-    widths = [np.diff(drawn.interval(eta, level))[0] for level in (0.5, 0.9, 0.99)]
-    assert widths[0] < widths[1] < widths[2]
 
 
 def test_draws_that_leave_parameters_open_are_counted():

@@ -85,11 +85,6 @@ def test_an_unknown_parameter_is_named():
         parameter(MODEL, "eta_a")
 
 
-def test_parameters_keep_unit_and_bounds():
-    found = parameter(MODEL, "a_A")
-    assert (found.unit, found.lower, found.upper) == ("1/m", -5000.0, 0.0)
-
-
 # -- profiles --------------------------------------------------------------------------------------------
 
 
@@ -134,28 +129,6 @@ def test_scale_and_level_set_the_threshold():
     sigma = profile(cost, p, eta, held=found.held, level=0.6826894921370859)
     assert sigma.threshold == pytest.approx(1.0)
     assert -np.subtract(*sigma.interval) == pytest.approx(2 * e.std[MODEL.names.index("eta_A")], rel=0.01)
-
-
-def test_the_first_step_does_not_move_the_ends():
-    cost, p, found, _ = paper()
-    eta = parameter(MODEL, "eta_A")
-    got = [
-        profile(cost, p, eta, held=found.held, std=f * tangent(cost, p, eta, found.held).std)
-        for f in (0.1, 1, 20)
-    ]
-    for other in got[1:]:
-        assert other.interval == pytest.approx(got[0].interval, abs=1e-4 * -np.subtract(*got[0].interval))
-
-
-def test_points_fill_the_curve():
-    cost, p, found, _ = paper()
-    got = profile(cost, p, parameter(MODEL, "eta_A"), held=found.held, points=3)
-    assert np.all(np.diff(got.values) > 0)
-    assert len(got.values) >= 9
-    assert got.rises[got.values == got.value] == 0.0
-    values, rises = got.curve(41)
-    k = MODEL.names.index("eta_A")
-    assert rises == pytest.approx(((values - got.value) / paper()[3].std[k]) ** 2, rel=0.01, abs=1e-3)
 
 
 def test_a_bound_before_the_threshold_ends_the_profile():

@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from twins import combinations_of_effects, inside, truth_of
+from twins import combinations_of_effects, truth_of
 
 from hallsym.families import build
 from hallsym.families.stage import models as stage
@@ -49,12 +49,3 @@ def test_four_probes_weigh_by_variance():
     model = stage.stage15(layout)
     found = influence(model, model.nominal, [], np.zeros((3, 1)), np.zeros((3, 1)), np.array([1.0, 1, 1, 3]))
     assert found.readings[0, 0, 3] == pytest.approx(3 * found.readings[0, 0, 2], rel=1e-12)
-
-
-def test_no_pose_depends_on_the_order_of_samples():
-    model, rng = build("stage31"), np.random.default_rng(2)
-    p = inside(model, rng)
-    pose, state = states(5, rng)
-    forward = influence(model, p, np.zeros(3), pose, state)
-    backward = influence(model, p, np.zeros(3), pose[:, ::-1], state[:, ::-1])
-    assert np.array_equal(forward.parameters, backward.parameters[::-1])

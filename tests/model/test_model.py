@@ -2,7 +2,6 @@
 
 from dataclasses import FrozenInstanceError
 
-import casadi as ca
 import numpy as np
 import pytest
 
@@ -48,13 +47,6 @@ def test_adding_leaves_the_model_as_it_was():
     assert (model.names, model.steps, model.effects, model.zeros) == before
     with pytest.raises(FrozenInstanceError):
         model.name = "other"
-
-
-def test_a_step_may_be_missing_so_that_an_effect_only_adds_parameters():
-    base = stage15()
-    model = base.with_step("field", None, effect="nothing")
-    assert model.effects == ("nothing",)
-    assert model.steps == base.steps
 
 
 def test_unknown_link_and_taken_parameter_are_refused():
@@ -141,10 +133,3 @@ def test_overdetermined_decoding_is_weighted_least_squares():
     assert np.allclose(
         found, expected, rtol=0, atol=1e-14 * np.abs(expected).max() * np.linalg.cond(design) ** 2
     )
-
-
-def test_expressions_are_casadi_functions_with_named_inputs():
-    model = stage31()
-    assert isinstance(model.reading, ca.Function)
-    assert model.reading.name_in() == ["parameters", "zeros", "pose", "state"]
-    assert model.decoded.name_in() == ["parameters", "zeros", "reading", "state", "weight"]

@@ -1,7 +1,5 @@
 """A twin records what its model reads, plus noise of the kind and size that was asked for."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from twins import COLUMNS, EPS, HALL, SIGMAS, TRUTH, campaign, phi, pm
@@ -15,7 +13,6 @@ from hallsym.simulation import (
     NoiseModel,
     Run,
     paper_campaign,
-    scaled,
     simulate,
     simulate_blocks,
     sine,
@@ -42,14 +39,6 @@ def test_without_noise_the_readings_are_the_articles_equation():
         expected = phi(TRUTH, s) * (pm(TRUTH) @ q + d[:, None])
         found = np.array([columns[c][one] for c in HALL])
         assert np.allclose(found, expected, rtol=0, atol=16 * EPS * 1e-3)
-
-
-def test_columns_are_in_order_and_of_one_length():
-    columns = simulate(MODEL, TRUTH, campaign(10), NoiseModel(SIGMAS), seed=0)
-    assert tuple(columns) == ("run", "t_s", *HALL, *COLUMNS[3:], *COLUMNS[:3])
-    assert {len(v) for v in columns.values()} == {570}
-    assert np.array_equal(columns["run"], np.repeat(np.arange(57), 10))
-    assert np.all(np.diff(columns["t_s"]) > 0)
 
 
 @pytest.mark.parametrize(
@@ -183,12 +172,6 @@ def test_noise_of_an_unknown_column_is_refused():
 def test_noise_that_cannot_be_is_refused(noise):
     with pytest.raises(InputError):
         NoiseModel(**noise)
-
-
-def test_scaled_noise_is_scaled():
-    noise = NoiseModel(SIGMAS, correlation_s=0.1)
-    double = scaled(noise, 2.0)
-    assert double == replace(noise, sigma={c: 2 * s for c, s in SIGMAS.items()})
 
 
 def test_table_8_noise_leaves_table_8s_errors_with_the_true_parameters():
