@@ -122,12 +122,6 @@ def to_si(column: str, values: Array) -> Array:
     return scaled + unit.offset if unit.offset else scaled
 
 
-def from_si(column: str, values: Array) -> Array:
-    """Convert SI values to the unit the column's name states (float64, same shape)."""
-    unit = require_unit(column)
-    return (np.asarray(values, float) - unit.offset) / unit.factor
-
-
 def with_unit(text: str) -> tuple[float, str] | None:
     """Return the SI value and unit of `0.05um`, or of a plain number with ""; None for any other text."""
     match = re.fullmatch(rf"({_NUMBER})\s*([a-zµ]*)", text.strip())

@@ -139,8 +139,6 @@ def structural_null(
     feature_scale: np.ndarray,
     p: np.ndarray | None = None,
     open_: np.ndarray | None = None,
-    points: int = 3,
-    seed: int = 0,
 ) -> np.ndarray:
     """Directions that no recording can determine: the null space of d coefficients / d parameters at `p`.
 
@@ -153,8 +151,8 @@ def structural_null(
     open_ = np.ones(len(scale), dtype=bool) if open_ is None else open_
     if not open_.any():
         return np.zeros((len(scale), 0))
-    rank, _ = structural_rank(coefficients.features, tuple(open_.tolist()), points, seed)
-    at = _random_points(model, points, seed)[-1] if p is None else p
+    rank, _ = structural_rank(coefficients.features, tuple(open_.tolist()))
+    at = _random_points(model)[-1] if p is None else p
     rows = coefficients.features.slope_rows(np.asarray(at, dtype=float))
     if rows is None:
         slope = coefficients.first(at)[1][0] * feature_scale[:, None, None]
@@ -168,17 +166,18 @@ def structural_null(
     return null
 
 
-def _random_points(model: Model, points: int, seed: int) -> np.ndarray:
-    rng, scale, (lower, upper) = np.random.default_rng(seed), scales(model), model.bounds
+POINTS = 3
+
+
+def _random_points(model: Model) -> np.ndarray:
+    rng, scale, (lower, upper) = np.random.default_rng(0), scales(model), model.bounds
     lower = np.where(np.isfinite(lower), lower, model.nominal - scale)
     upper = np.where(np.isfinite(upper), upper, model.nominal + scale)
-    return rng.uniform(lower, upper, (points, len(scale)))
+    return rng.uniform(lower, upper, (POINTS, len(scale)))
 
 
 @lru_cache(maxsize=64)
-def structural_rank(
-    features: Features, open_: tuple[bool, ...], points: int = 3, seed: int = 0
-) -> tuple[int, np.ndarray]:
+def structural_rank(features: Features, open_: tuple[bool, ...]) -> tuple[int, np.ndarray]:
     """Rank of d coefficients / d parameters, the largest at random points, and the pivots that decided it.
 
     A tangent is asked at its own point too: at a random one a rail may cut off all of a reading, or nothing.
@@ -186,7 +185,7 @@ def structural_rank(
     to 1: a pivot that is zero comes out as rounding, some 16 decades below those that are not.
     """
     model = features.model
-    at = _random_points(model, points, seed)
+    at = _random_points(model)
     at = at if features.point is None else np.vstack([at, features.point])
     at = at.astype(np.longdouble)
     sampled = [rows for point in at if (rows := features.slope_rows(point)) is not None]
@@ -194,8 +193,8 @@ def structural_rank(
         rows = np.array(sampled) * scales(model)
     else:
         slope = on_arrays(features.expressions[0])(at.T, np.zeros(features.exponents.shape[1]))[1]
-        shape = (len(model.names), 1 + features.n_zeros, len(model.channels), features.size, points)
-        rows = slope.reshape(shape)[:, 0].reshape(len(model.names), -1, points).T * scales(model)
+        shape = (len(model.names), 1 + features.n_zeros, len(model.channels), features.size, POINTS)
+        rows = slope.reshape(shape)[:, 0].reshape(len(model.names), -1, POINTS).T * scales(model)
     tried = [_pivots(jacobian[:, np.array(open_)]) for jacobian in rows]
     ranks = [_rank(pivots, rows.shape[1]) for pivots in tried]
     best = int(np.argmax(ranks))

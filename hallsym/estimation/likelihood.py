@@ -16,7 +16,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
@@ -216,7 +216,7 @@ class Point:
         (c, dc, rows), runs = cost.coefficients.slopes(p), len(cost.weights)
         together = int(np.clip(TOGETHER * SLOPES // max(dc.size, 1), 1, TOGETHER))
         starts = range(0, max(runs, 1), together)
-        self._parts = [
+        self._parts: Sequence[Any] = [
             _Runs(cost, c, dc, rows, slice(start, min(start + together, runs))) for start in starts
         ]
         self._kept: list[Derivatives] | None = None
@@ -232,12 +232,12 @@ class Point:
     @property
     def squares(self) -> np.ndarray:
         """Sum of the products of a run's residuals, channel by channel, (r, K, K)."""
-        return self._joined([part.S for part in self._parts])
+        return self._joined([part.squares for part in self._parts])
 
     @property
     def feature_products(self) -> np.ndarray:
         """Sum of the products of each feature with each channel's residual, (r, f, K)."""
-        return self._joined([np.swapaxes(part.R_f, 1, 2) @ part.A for part in self._parts])
+        return self._joined([part.feature_products for part in self._parts])
 
     @property
     def W(self) -> np.ndarray:
@@ -338,8 +338,8 @@ class _Runs:
         at_zero = R_m - self.R_f @ base
         self.zeros = self._best_zeros(at_zero)
         self.A = at_zero - self.R_f @ np.tensordot(self.zeros, c[1:], axes=1)  # (r, m, K)
-        self.S = np.swapaxes(self.A, 1, 2) @ self.A
-        self.values = np.einsum("rkl,rlk->r", self.W, self.S)
+        self.squares = np.swapaxes(self.A, 1, 2) @ self.A
+        self.values = np.einsum("rkl,rlk->r", self.W, self.squares)
 
     def _best_zeros(self, residual: np.ndarray) -> np.ndarray:
         """Zeros that minimise F: linear least squares in each run."""
@@ -373,12 +373,17 @@ class _Runs:
 
     @cached_property
     def _WSW(self) -> np.ndarray:
-        return self.W @ self.S @ self.W
+        return self.W @ self.squares @ self.W
 
     @cached_property
     def G(self) -> np.ndarray:
         """dF / dX of each run, shape (r, f, K)."""
-        return -2.0 * (np.swapaxes(self.R_f, 1, 2) @ self.A @ self.W + self.QX @ self._WSW)
+        return -2.0 * (self.feature_products @ self.W + self.QX @ self._WSW)
+
+    @property
+    def feature_products(self) -> np.ndarray:
+        """Sum of the products of each feature with each channel's residual, (r, f, K)."""
+        return np.swapaxes(self.R_f, 1, 2) @ self.A
 
     def derivatives(self) -> Derivatives:
         """Gradient and Hessian of each run's F with its zeros eliminated, without the curvature of c."""

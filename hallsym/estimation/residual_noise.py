@@ -1,7 +1,7 @@
 """The noise that a model leaves: its size, its colour, whether it is white.
 
 What a model leaves is noise and, where it is not the machine, a function of where the machine was, how it
-moved, and when. Such functions (`hallsym.estimation.residual_noise`) are taken out first; what differs from
+moved, and when. Such functions are taken out first; what differs from
 run to run is left, and is modelled as an autoregression. Noise that is estimated from differences of
 neighbouring samples (`hallsym.log.estimate`) is 2 to 4 times too small where it is correlated: a first guess.
 
@@ -10,7 +10,7 @@ of the estimated model goes through the same elimination, and what it loses is a
 C. Gourieroux, A. Monfort, E. Renault, J. Appl. Econometrics 8 (1993) S85, doi:10.1002/jae.3950080507).
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 from types import MappingProxyType
@@ -21,13 +21,12 @@ from scipy.special import chdtrc, stdtrit
 
 from hallsym.estimation.decoding import columns_of
 from hallsym.estimation.likelihood import Point
+from hallsym.estimation.outliers import residuals
 from hallsym.families.play import stop_operator
-from hallsym.log import Log
+from hallsym.log import Block, Log
 from hallsym.log.batches import Weigh, batches
 from hallsym.log.derived import extended
-from hallsym.log.phase import wrapped
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
 
 KNOWN = 0.03
 """Relative uncertainty of a noise floor: n samples know a standard deviation to 1 / sqrt(2 n), 560 to 3 %."""
@@ -398,9 +397,9 @@ def _read(
     source = extended(log, model, sigma, model.named(p))
     left = dict.fromkeys(zeros, -(-most // max(len(zeros), 1)))
     parts: list[Data] = []
-    residuals: list[np.ndarray] = []
+    values_of: list[np.ndarray] = []
     counted: list[np.ndarray] = []
-    residual = _residual(model, p, zeros)
+    residual = residuals(model, p, zeros)
     for batch in batches(source, tuple(wanted)):
         for block, _ in batch.parts():
             n = min(left.get(block.run, 0), len(next(iter(block.data.values()))))
@@ -409,32 +408,16 @@ def _read(
             left[block.run] -= n
             data = {c: v[:n] for c, v in block.data.items()}
             parts.append(data | {"run": np.full(n, block.run)})
-            residuals.append(residual(block.run, data))
+            values_of.append(residual(Block(block.run, data)))
             counted.append(np.ones(n, bool) if keep is None else keep(block)[:n] > 0)
         if not any(left.values()):
             break
     if not parts:
         return {}, np.zeros((len(model.channels), 0)), np.zeros(0, bool)
-    values = np.hstack(residuals)
+    values = np.hstack(values_of)
     finite = np.isfinite(values).all(axis=0)
     joined = {c: np.concatenate([part[c] for part in parts]) for c in parts[0]}
     return joined, np.where(finite, values, 0.0), np.concatenate(counted) & finite
-
-
-def _residual(
-    model: Model, p: np.ndarray, zeros: Mapping[int, np.ndarray]
-) -> Callable[[int, Data], np.ndarray]:
-    read = on_arrays(model.reading)
-
-    def residual(run: int, data: Data) -> np.ndarray:
-        pose, state = ([data[c] for c in columns] for columns in (model.references, model.state))
-        left = np.array([data[c] for c in model.channels]) - read(p, zeros[run], pose, state)[0]
-        for k, c in enumerate(model.channels):
-            if c in model.period:
-                left[k] = wrapped(left[k], model.period[c])
-        return left
-
-    return residual
 
 
 NONE: Mapping[str, float] = MappingProxyType({})

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
 from itertools import accumulate
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -173,29 +172,10 @@ class JointPoint(Point):
     def __init__(self, cost: JointCost, p: np.ndarray) -> None:
         self.cost, self.p, self.joint = cost, p, cost
         self.points = [part.at(p[chosen]) for part, chosen in cost.shares]
+        self._parts = self.points
         self.zeros = self._joined([point.zeros for point in self.points])
         self.run_values = self._joined([point.run_values for point in self.points])
         self.value = float(sum(point.value for point in self.points))
-
-    @property
-    def covariance(self) -> np.ndarray:
-        """Covariance of a residual in each run, (r, K, K)."""
-        return self._joined([point.covariance for point in self.points])
-
-    @property
-    def squares(self) -> np.ndarray:
-        """Sum of the products of a run's residuals, (r, K, K)."""
-        return self._joined([point.squares for point in self.points])
-
-    @property
-    def feature_products(self) -> np.ndarray:
-        """Sum of the products of each feature with each channel's residual, (r, f, K)."""
-        return self._joined([point.feature_products for point in self.points])
-
-    @property
-    def W(self) -> np.ndarray:
-        """Inverse of `covariance`."""
-        return self._joined([point.W for point in self.points])
 
     def keep_derivatives(self) -> None:
         """Keep gradient and Hessian of every run."""
@@ -300,14 +280,16 @@ def labels(logs: Sequence[Log]) -> tuple[str, ...]:
     out: list[str] = []
     for k, log in enumerate(logs):
         path = log.path
-        name = str(k + 1) if path is None else path.parent.name if path.stem == "log" else _stem(path)
+        name = (
+            str(k + 1)
+            if path is None
+            else path.parent.name
+            if path.stem == "log"
+            else path.name.partition(".")[0]
+        )
         name = name.replace("[", "(").replace("]", ")") or str(k + 1)
         out.append(name if name not in out else f"{name} {k + 1}")
     return tuple(out)
-
-
-def _stem(path: Path) -> str:
-    return path.name.partition(".")[0]
 
 
 def check_same(logs: Sequence[Log], models: Sequence[Model]) -> None:
@@ -410,9 +392,10 @@ def several_fit(
         for g, (member, goodness) in enumerate(zip(members, _goodness(members, free), strict=True))
     ]
     last = _own(estimate, sharing, len(members) - 1, estimate.goodness)
-    fits += [_of_log(m, replace(last, goodness=_judged_goodness(m)), began) for m in judged]
+    fits += [_of_log(m, replace(last, goodness=goodness_of(m.solution.everywhere, 0)), began) for m in judged]
     parts = [*members, *judged]
-    renumbered = [*numbers, *_further(judged, numbers)]
+    # runs of held-out logs keep their numbers, since they stand in no table with others
+    renumbered = [*numbers, *({run: run for run in m.solution.everything.summary.runs} for m in judged)]
     records = tuple(
         _record(member, fit, sharing, known)
         for member, fit, known in zip(parts, fits, renumbered, strict=True)
@@ -432,10 +415,6 @@ def _goodness(members: Sequence[Member], free: int) -> list[GoodnessOfFit]:
     counts = np.array([point.cost.summary.counts.sum() for point in points])
     share = free * counts / max(counts.sum(), 1e-300)
     return [goodness_of(point, round(own)) for point, own in zip(points, share.tolist(), strict=True)]
-
-
-def _judged_goodness(member: Member) -> GoodnessOfFit:
-    return goodness_of(member.solution.everywhere, 0)
 
 
 def _own(estimate: Uncertainty, sharing: Sharing, g: int, goodness: GoodnessOfFit) -> Uncertainty:
@@ -475,11 +454,6 @@ def _renamed(c: CombinationEstimate, named: Mapping[str, str], suffix: str) -> C
             expression = expression.replace(joint, name)
         factors = {named[n]: value for n, value in factors.items()}
     return replace(c, expression=expression, factors=factors)
-
-
-def _further(judged: Sequence[Member], numbers: Sequence[Mapping[int, int]]) -> list[dict[int, int]]:
-    """Return numbers for the runs of held-out logs: their own, since they stand in no table with others."""
-    return [{run: run for run in member.solution.everything.summary.runs} for member in judged]
 
 
 def _record(member: Member, fit: Fit, sharing: Sharing, numbers: Mapping[int, int]) -> dict[str, Any]:

@@ -16,6 +16,7 @@ import scipy
 
 from hallsym.errors import InputError
 from hallsym.estimation import Cost, least_information, refit, scales
+from hallsym.estimation.calibration import INTERVAL
 from hallsym.model.quantities import Quantity
 
 CHECKED = 10
@@ -62,20 +63,14 @@ class Bootstrap:
         """
         return float(_middle(quantity.values(self.values)))
 
-    def percentiles(self, quantity: Quantity, level: float = 0.95) -> tuple[float, float]:
-        """Return the interval that holds the middle of the draws; too short when runs are few."""
-        tails = [0.5 * (1 - level), 0.5 * (1 + level)]
-        low, high = np.quantile(quantity.values(self.values), tails)
-        return float(low), float(high)
-
-    def interval(self, quantity: Quantity, level: float = 0.95) -> tuple[float, float]:
+    def interval(self, quantity: Quantity) -> tuple[float, float]:
         """Return the interval to believe: the estimate +- its standard uncertainty times Student's t.
 
         As many degrees of freedom as runs less one. Percentiles as they are and studentised draws cover less
         when few runs tell most of a parameter, because a sample of few runs does not show their tails.
         """
         value, _ = quantity.first(self.p)
-        half = float(scipy.special.stdtrit(self.runs - 1, 0.5 * (1 + level))) * self.std_of(quantity)
+        half = float(scipy.special.stdtrit(self.runs - 1, 0.5 + 0.5 * INTERVAL)) * self.std_of(quantity)
         return max(value - half, quantity.lower), min(value + half, quantity.upper)
 
 

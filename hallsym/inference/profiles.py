@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 
 import solvers
+from hallsym.estimation.calibration import INTERVAL
 from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.normal_equations import pseudo_inverse
 from hallsym.estimation.optimum import Scaled, scaled_around
@@ -98,7 +99,6 @@ def skewness(
     *,
     held: Sequence[int],
     std: float,
-    level: float = 0.95,
     scale: float = 1.0,
 ) -> Skewness:
     """Evaluate F twice to see whether the normal interval of `quantity` will do; arguments as for `profile`.
@@ -110,7 +110,7 @@ def skewness(
     lower, upper = cost.summary.model.bounds
     if not (began.std > 0 and np.isfinite(std) and std > 0):
         return Skewness(np.nan, np.nan, False)
-    aim = float(np.sqrt(scipy.special.chdtri(1, 1 - level)))
+    aim = float(np.sqrt(scipy.special.chdtri(1, 1 - INTERVAL)))
     ratios = []
     for sign in (-1.0, 1.0):
         at = began.p + sign * aim * np.sqrt(scale) * began.std * began.direction
@@ -325,14 +325,13 @@ BETTER = 1e-3
 class Profile:
     """The profile of one quantity.
 
-    `value`: at the optimum. `lower`, `upper`: the ends at `level`, where the rise is `threshold`. `values`,
-    `rises`: (k,) the points that were computed, in ascending order, the optimum among them. `better`: (n,)
-    parameters with a lower cost than the optimum, if some were met, and `drop`, how much lower F is there.
+    `value`: at the optimum. `lower`, `upper`: ends of the 95 % interval, where the rise is `threshold`.
+    `values`, `rises`: (k,) the points that were computed, in ascending order, the optimum among them.
+    `better`: (n,) parameters with a lower cost than the optimum, if any, and `drop`, how much lower F is.
     """
 
     quantity: Quantity
     value: float
-    level: float
     threshold: float
     lower: Side
     upper: Side
@@ -368,7 +367,6 @@ def profile(
     *,
     held: Sequence[int],
     std: float | None = None,
-    level: float = 0.95,
     scale: float = 1.0,
     points: int = 0,
 ) -> Profile:
@@ -380,7 +378,7 @@ def profile(
     about evenly spaced. For several quantities give `cost.anchored(p)`: what belongs to `p` is computed once.
     """
     began = tangent(cost, p, quantity, held)
-    threshold = float(scipy.special.chdtri(1, 1 - level)) * scale
+    threshold = float(scipy.special.chdtri(1, 1 - INTERVAL)) * scale
     step = float(std) / np.sqrt(scale) if std is not None and np.isfinite(std) and std > 0 else began.std
     pull = Pull(cost, began, step, threshold)
     walks = [Walk(pull, sign) for sign in (-1.0, 1.0)]
@@ -394,7 +392,6 @@ def profile(
     return Profile(
         quantity=quantity,
         value=began.value,
-        level=level,
         threshold=threshold,
         lower=lower,
         upper=upper,

@@ -145,7 +145,6 @@ class Model:
         effect: str,
         parameters: tuple[Parameter, ...] = (),
         zeros: tuple[Parameter, ...] = (),
-        combinations: tuple[Combination, ...] = (),
     ) -> "Model":
         """Return a model whose `link` ends with `step`; this is how an effect is added."""
         if link not in LINKS:
@@ -161,7 +160,6 @@ class Model:
             steps=self.steps[:split] + added + self.steps[split:],
             parameters=self.parameters + parameters,
             zeros=self.zeros + zeros,
-            combinations=self.combinations + combinations,
             effects=(*self.effects, effect),
         )
 
