@@ -191,7 +191,7 @@ zero_deviations_m = [1e-6, 0, -1e-6]
 [[run]]
 duration_s = 0.5
 rz_rad = { kind = "steps", levels = [0, 1e-4], dwell_s = 0.1, about = 1e-5 }
-curve = { file = "curve.json", times = 1, direction = "both" }
+curve = { file = "curve.json" }
 """
 RANGES = """step_s = 0.02
 seconds_per_run = 1.0
