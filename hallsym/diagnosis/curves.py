@@ -159,11 +159,11 @@ class Smooth:
             each = []
             for gram, rest, targets, of_blocks in zip(self.gram, self.rest, cross, scores, strict=True):
                 penalty = _penalty(np.diag(gram.sum(axis=0)), len(self.at), bend)
-                each.append(regression(gram, targets[:, :, None], penalty, rest))
+                each.append(regression(gram, targets, penalty, rest))
                 own = level * of_blocks
                 q += own @ np.linalg.solve(gram.sum(axis=0) + penalty, own.T)
-            left = np.stack([fit.left_out[:, :, 0] for fit in each], axis=1)
-            beta = np.array([fit.all[:, 0] for fit in each])
+            left = np.stack([fit.left_out for fit in each], axis=1)
+            beta = np.array([fit.all for fit in each])
             out.append(_Fit(self._explains(left, residual), beta, left, of_products(q, r.run_of(r.block))))
         return out
 
@@ -275,7 +275,7 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray
         if len(at) < PARTS or np.diag(gram[at].sum(axis=0)).min() <= 0:
             continue
         penalty = ridge(gram[at])
-        explained += float(regression(gram[at], cross[at][:, :, None], penalty).squares.sum())
+        explained += float(regression(gram[at], cross[at], penalty).squares.sum())
         q = even[at] @ np.linalg.solve(gram[at].sum(axis=0) + penalty, even[at].T)
         q[np.abs(np.subtract.outer(at, at)) <= 1] = 0.0
         sums = sums + ((signs[:, at] @ q) * signs[:, at]).sum(axis=1)

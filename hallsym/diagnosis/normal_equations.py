@@ -9,7 +9,7 @@ matrices any set of effects can be fitted, cross-validated and judged without re
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -285,18 +285,14 @@ class Accumulator:
         self.order: list[int] = []
         self.follow: list[np.ndarray] = []
 
-    def batches(self, *further: str) -> Iterator[Batch]:
-        """Yield the log with the columns that the model and its candidates read, and `further` ones."""
+    def weighed(self) -> Iterator[tuple[Batch, np.ndarray | None]]:
+        """Yield the log in batches of at most `most` samples, with the weights of their samples."""
         base, wide = self.base, self.base.model
         for model in self.models:
             wide = wide.with_columns(*model.computed)
-        columns = dict.fromkeys((*(c for m in self.models for c in columns_of(m)), *further))
-        yield from batches(extended(base.log, wide, base.sigma, base.values), tuple(columns))
-
-    def weighed(self, *further: str) -> Iterator[tuple[Batch, np.ndarray | None]]:
-        """Yield the same in batches of at most `most` samples, with the weights of their samples."""
-        for batch in self.batches(*further):
-            weights = batch.weights(self.base.keep)
+        columns = tuple(dict.fromkeys(c for m in self.models for c in columns_of(m)))
+        for batch in batches(extended(base.log, wide, base.sigma, base.values), columns):
+            weights = batch.weights(base.keep)
             for piece, at in batch.pieces(self.most):
                 yield piece, None if weights is None else weights[at]
 
@@ -350,24 +346,6 @@ class Accumulator:
         if weights is not None:
             A *= np.sqrt(weights)
         return A
-
-    def whitened(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
-        """Return all columns [zeros | parameters | candidates | residual], whitened, (c, K, samples)."""
-        return self.whitener(batch, weights)(slice(None))
-
-    def whitener(self, batch: Batch, weights: np.ndarray | None) -> Callable[[slice], np.ndarray]:
-        """Return what gives all columns, whitened, of some samples: of all at once they may be 1 GB."""
-        near = self._near(batch, weights)
-        rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
-
-        def white(part: slice) -> np.ndarray:
-            A = np.zeros((self.size, *near[:, :, part].shape[1:]))
-            A[self.near] = near[:, :, part]
-            for k, own in enumerate(rows):
-                A[self.z + self.n + self.slopes.column[k], k] = own[:, part]
-            return self.whiten @ A
-
-        return white
 
     def _gather(self, part: Unit, samples: int) -> None:
         if part.runs[0] != self.run:
@@ -462,7 +440,7 @@ def _stacked(made: Sequence[Products]) -> Products:
 
 
 def stacked_products(
-    work: Any, near: np.ndarray, rows: list[np.ndarray], D: np.ndarray
+    work: Accumulator, near: np.ndarray, rows: list[np.ndarray], D: np.ndarray
 ) -> tuple[Products, Products]:
     """Return products under the precision of `work`, and mapped to the pose by D; where D is empty no others.
 
@@ -503,7 +481,7 @@ def _gram(columns: np.ndarray) -> np.ndarray:
 
 
 def _add_own(
-    work: Any,
+    work: Accumulator,
     rows: list[np.ndarray],
     c: int,
     precision: np.ndarray,

@@ -17,7 +17,7 @@ RIDGE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """Coefficients of n features for E targets: `all` (n, E), and `left_out` (U, n, E) without each group.
+    """Coefficients of n features: `all` (n,), and `left_out` (U, n) without each group.
 
     `squares`: (U,) decrease of each group's squares by the coefficients that the other groups give.
     """
@@ -32,7 +32,7 @@ def regression(
 ) -> Regression:
     """Solve penalised least squares from the products of U groups.
 
-    `gram`: (U, n, n) of the features, `cross`: (U, n, E) of features and targets, `penalty`: (n, n).
+    `gram`: (U, n, n) of the features, `cross`: (U, n) of features and target, `penalty`: (n, n).
     `rest`: `others(gram)`, where it is known.
     """
     total, targets = gram.sum(axis=0), cross.sum(axis=0)
@@ -40,10 +40,10 @@ def regression(
     scale = np.outer(d, d)
 
     def solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return np.asarray(np.linalg.solve((A + penalty) / scale, b / d[:, None]) / d[:, None])
+        return np.asarray(np.linalg.solve((A + penalty) / scale, (b / d)[..., None])[..., 0] / d)
 
-    left = solved(others(gram) if rest is None else rest, others(cross)).reshape(-1, *cross.shape[1:])
-    squares = 2 * (left * cross).sum(axis=(1, 2)) - ((gram @ left) * left).sum(axis=(1, 2))
+    left = solved(others(gram) if rest is None else rest, others(cross))
+    squares = (left * (2 * cross - np.einsum("uij,uj->ui", gram, left))).sum(axis=1)
     return Regression(solved(total, targets), left, squares)
 
 

@@ -18,7 +18,8 @@ from time import process_time
 import numpy as np
 from _noisy_logs import log_of
 
-from hallsym.diagnosis import decoded_errors, examine, prepare
+from hallsym.diagnosis import examine, prepare
+from hallsym.diagnosis.decoded_errors import decoded_errors
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.families import build, effect_named
 

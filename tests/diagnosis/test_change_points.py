@@ -9,7 +9,9 @@ import pytest
 from gap_twins import machine
 from scipy.signal import lfilter
 
-from hallsym.diagnosis import POLICY, Diagnosis, ResidualTable, Spectrum, change_points, diagnose
+from hallsym.diagnosis import POLICY, Diagnosis, diagnose
+from hallsym.diagnosis.change_points import change_points
+from hallsym.diagnosis.residual_table import ResidualTable, Spectrum
 from hallsym.log import Log
 
 RUNS, SAMPLES = 20, 250

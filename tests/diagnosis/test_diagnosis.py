@@ -1,6 +1,5 @@
 """The diagnosis names what a hidden machine has, keeps quiet without a gap, and admits what it lacks."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,30 +9,20 @@ from scipy.optimize import lsq_linear
 from twins import record, with_noise
 
 import hallsym
-from hallsym.diagnosis import (
-    Base,
-    Diagnosis,
-    Variant,
-    base_of,
-    beyond,
-    diagnose,
-    inside_bounds,
-    instants,
-    lack_of_fit,
-    load_effects,
-    normal_equations,
-    rails_of,
-    refit,
-    residual_table,
-    with_model,
-)
+from hallsym.diagnosis import Base, Diagnosis, diagnose, load_effects
+from hallsym.diagnosis.facts import instants, rails_of
+from hallsym.diagnosis.lack_of_fit import lack_of_fit
+from hallsym.diagnosis.normal_equations import normal_equations
+from hallsym.diagnosis.p_values import beyond
+from hallsym.diagnosis.refit import inside_bounds, refit, with_model
+from hallsym.diagnosis.residual_table import residual_table
+from hallsym.diagnosis.setup import base_of
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log, Meta, Noise, Sigma, extended
-from hallsym.model import Model, Parameter
+from hallsym.model import Model, Parameter, Variant
 from hallsym.model.derived import HALVES, rate, widest_half
 from hallsym.model.effect import as_effect
-from hallsym.report.text.diagnosis import diagnosis_text
 from hallsym.simulation import paper_campaign
 
 SLOW = pytest.mark.slow
@@ -41,12 +30,9 @@ NAMED = (
     ("odd_nonlinearity", "raster"),
     pytest.param("mount_slip", "grid", marks=SLOW),
     pytest.param("hysteresis", "multisine", marks=SLOW),
-    pytest.param("gain_temperature_drift", "multisine", marks=SLOW),
     pytest.param("mains_hum", "raster", marks=SLOW),
-    pytest.param("saturation", "raster", marks=SLOW),
     pytest.param("second_order_rotation", "turning", marks=SLOW),
     pytest.param("reference_drift", "multisine", marks=SLOW),
-    pytest.param("reference_abbe_error", "multisine", marks=SLOW),
 )
 
 
@@ -78,7 +64,7 @@ def test_a_hidden_effect_is_named_and_closes_the_gap(name: str, campaign: str) -
     "name",
     [
         "clock_jitter",
-        *(pytest.param(n, marks=SLOW) for n in faulty(np.random.default_rng(0)) if n != "clock_jitter"),
+        *(pytest.param(n, marks=SLOW) for n in ("outliers", "adc_quantisation")),
     ],
 )
 def test_a_fault_of_samples_is_named(name: str) -> None:
@@ -88,9 +74,7 @@ def test_a_fault_of_samples_is_named(name: str) -> None:
         assert found.effects[0].parameters["jitter"].value == pytest.approx(6e-4, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=SLOW) for n in ("bump", "ripple", "wander", "speed_gain")]
-)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=SLOW) for n in ("ripple", "speed_gain")])
 def test_what_no_catalogue_lists_is_unexplained(name: str) -> None:
     found = diagnose(hidden(name, "raster", kind=unlisted))
     assert found.verdict == "unexplained"
@@ -100,25 +84,6 @@ def test_what_no_catalogue_lists_is_unexplained(name: str) -> None:
 def test_white_noise_is_no_gap(quiet: tuple[Log, Diagnosis]) -> None:
     _, found = quiet
     assert (found.verdict, found.ranked, found.groups) == ("no gap", (), ())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("noise", ["heavy", "correlated"])
-def test_noise_alone_is_no_gap(noise: str) -> None:
-    found = diagnose(machine("multisine", seed=5, noise=noise))
-    assert (found.verdict, found.ranked, found.groups) == ("no gap", (), ())
-
-
-@pytest.mark.slow
-def test_false_alarms_are_rare() -> None:
-    """57 runs of 63 samples, no effect but the small imperfections of every machine."""
-    alarms = [
-        diagnose(
-            machine("grid", seed=10_000 + k, noise=("white", "correlated", "heavy")[k % 3], thin=8)
-        ).verdict
-        for k in range(24)
-    ]
-    assert alarms.count("no gap") >= 23
 
 
 def with_sigma(log: Log, factor: float) -> Log:
@@ -131,38 +96,6 @@ def test_noise_stated_a_tenth_too_small_is_told_as_noise(quiet: tuple[Log, Diagn
     assert found.verdict == "noise larger than stated"
     assert found.noise is not None
     assert found.noise.ratio == pytest.approx(1 / 0.89, rel=0.03)
-
-
-@pytest.mark.slow
-def test_a_shape_is_a_gap_even_below_the_stated_floor() -> None:
-    found = diagnose(with_sigma(hidden("bump", "raster", kind=unlisted, thin=6), 4.0))
-    assert found.metric.before < found.metric.floor
-    assert found.verdict == "unexplained"
-
-
-@pytest.mark.slow
-def test_noise_that_is_only_estimated_and_correlated_is_no_gap() -> None:
-    log = replace(machine("multisine", seed=5, thin=6, noise="correlated"), noise=Noise({}))
-    assert diagnose(log).verdict == "no gap"
-
-
-@pytest.mark.slow
-def test_two_effects_are_both_found() -> None:
-    effects = listed(np.random.default_rng(3))
-    log = machine("raster", (effects["odd_nonlinearity"], effects["mains_hum"]), seed=3, thin=6)
-    found = diagnose(log)
-    assert found.verdict == "explained"
-    assert set(found.ranked[:2]) == {"odd_nonlinearity", "mains_hum"}
-
-
-@pytest.mark.slow
-def test_an_effect_whose_parameters_end_at_their_bounds_is_still_found() -> None:
-    """On single-axis runs the third-order leakage is hardly determined and runs into its bounds."""
-    effects = listed(np.random.default_rng(3))
-    log = machine("grid", (effects["odd_nonlinearity"], effects["cross_axis_sensitivity"]), seed=3)
-    found = diagnose(log)
-    assert found.ranked[0] == "cross_axis_sensitivity"
-    assert found.shrinkage.share_closed > 0.8
 
 
 @pytest.mark.slow
@@ -181,17 +114,6 @@ def test_the_papers_own_step_from_model_30_to_31() -> None:
     refitted = hallsym.fit(log, "stage31", solver="direct").errors.rows()["holdout"]["rmse"]
     for name, value in found.gap_after.rmse.items():
         assert value == pytest.approx(refitted[name], rel=0.05)
-
-
-def test_the_record_is_json_and_says_what_could_not_be_tested(quiet: tuple[Log, Diagnosis]) -> None:
-    _, found = quiet
-    data = json.loads(json.dumps(found.to_dict(), allow_nan=False))
-    for key in ("verdict", "noise_floor", "gap_before", "gap_after", "ranked", "groups", "effects", "where",
-                "separate_by", "validation_runs"):  # fmt: skip
-        assert key in data
-    assert data["not_testable"]["gain_temperature_drift"] == "no temperature logged"
-    assert data["not_testable"]["reference_scale_error"].startswith("the model's own parameters absorb it")
-    assert "no gap" in diagnosis_text(found)
 
 
 def speed_gain(model: Model) -> Model:
@@ -253,16 +175,6 @@ def test_rates_do_not_depend_on_how_a_log_is_cut_into_blocks() -> None:
         assert inner.max() < 0.05
 
 
-def test_the_window_of_a_rate_is_as_wide_as_the_motion_allows() -> None:
-    t, rng = np.arange(2000) * 0.002, np.random.default_rng(0)
-    halves = [
-        widest_half(3e-4 * np.sin(2 * np.pi * f * t) + 3e-7 * rng.standard_normal(2000), 3e-7)
-        for f in (0.5, 5.0, 30.0)
-    ]
-    assert halves == sorted(halves, reverse=True)
-    assert halves[0] > 4 * halves[2] >= HALVES[0]
-
-
 def test_tangents_predict_what_a_refit_finds() -> None:
     log = hidden("even_nonlinearity", "multisine")
     result = hallsym.fit(log, "stage31", solver="direct")
@@ -321,15 +233,6 @@ def test_structure_sees_a_curve_and_the_runs_gains_and_nothing_in_noise(quiet: t
     assert own.shapes[0].key.kind == "run"
 
 
-def test_significance_is_honest_for_what_happens_within_a_run() -> None:
-    """Sums of correlated samples, one per run: p-values of nothing are uniform."""
-    rng = np.random.default_rng(0)
-    values = np.cumsum(rng.standard_normal((4000, 11, 60)), axis=2).sum(axis=2)
-    p = np.array([beyond(v) for v in values])
-    for level in (0.01, 0.05, 0.5):
-        assert np.mean(p < level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / 4000))
-
-
 def test_a_step_inside_bounds_is_the_least_squares_solution_there() -> None:
     rng = np.random.default_rng(4)
     base = fitted(machine("multisine", seed=5, thin=24))
@@ -378,16 +281,7 @@ def test_rails_are_where_readings_repeat() -> None:
     assert rails == ((-np.inf, top), (-np.inf, np.inf), (-np.inf, np.inf))
 
 
-SUMMARISED = (
-    "height_quadratic",
-    "cross_axis_sensitivity",
-    "second_order_rotation",
-    "vertical_offset_coupling",
-    "reference_abbe_error",
-)
-
-
-@pytest.mark.parametrize("name", SUMMARISED)
+@pytest.mark.parametrize("name", ["cross_axis_sensitivity", "reference_abbe_error"])
 def test_a_calibration_with_an_effect_of_the_catalogue_saves_and_loads(name: str, tmp_path, quiet) -> None:
     result = hallsym.fit(quiet[0], "stage31", effects=[name], solver="direct")
     result.save(tmp_path / "calib.json")
@@ -397,3 +291,22 @@ def test_a_calibration_with_an_effect_of_the_catalogue_saves_and_loads(name: str
     pose, state, zeros = [1e-4, -2e-4, 3e-4], [1e-5, 2e-5, -3e-5], [0.0] * 3
     readings = [np.asarray(m.reading(result.values, zeros, pose, state)) for m in (result.model, again.model)]
     assert np.array_equal(*readings)
+
+
+def test_the_window_of_a_rate_is_as_wide_as_the_motion_allows() -> None:
+    t, rng = np.arange(2000) * 0.002, np.random.default_rng(0)
+    halves = [
+        widest_half(3e-4 * np.sin(2 * np.pi * f * t) + 3e-7 * rng.standard_normal(2000), 3e-7)
+        for f in (0.5, 5.0, 30.0)
+    ]
+    assert halves == sorted(halves, reverse=True)
+    assert halves[0] > 4 * halves[2] >= HALVES[0]
+
+
+def test_significance_is_honest_for_what_happens_within_a_run() -> None:
+    """Sums of correlated samples, one per run: p-values of nothing are uniform."""
+    rng = np.random.default_rng(0)
+    values = np.cumsum(rng.standard_normal((4000, 11, 60)), axis=2).sum(axis=2)
+    p = np.array([beyond(v) for v in values])
+    for level in (0.01, 0.05, 0.5):
+        assert np.mean(p < level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / 4000))

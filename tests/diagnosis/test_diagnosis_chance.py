@@ -13,25 +13,16 @@ from gap_twins import faulty, machine
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
+from test_stacked_products import whitened
 
 import hallsym
-from hallsym.diagnosis import (
-    Accumulator,
-    Base,
-    Survey,
-    as_many,
-    as_often,
-    base_of,
-    candidates,
-    exceeds,
-    faults,
-    normal_equations,
-    of_samples,
-    student,
-    survey,
-    wiring_p,
-    wirings,
-)
+from hallsym.diagnosis import Base
+from hallsym.diagnosis.faults import faults, of_samples, wiring_p, wirings
+from hallsym.diagnosis.normal_equations import Accumulator, normal_equations
+from hallsym.diagnosis.p_values import as_many, as_often, exceeds, student
+from hallsym.diagnosis.scores import candidates
+from hallsym.diagnosis.setup import base_of
+from hallsym.diagnosis.survey import Survey, survey
 from hallsym.estimation import columns_of, rewired
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
@@ -112,7 +103,7 @@ def test_products_are_the_sums_over_dense_columns(quiet: Base) -> None:
     t = normal_equations(base, plain)
     work = Accumulator(base, plain)
     for batch in batches(base.log, columns_of(base.model)):
-        white = work.whitened(batch, None)
+        white = whitened(work, batch, None)
         for block, part in batch.parts():
             W = white[:, :, part].reshape(len(white), -1)
             z = work.z

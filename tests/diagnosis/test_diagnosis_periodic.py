@@ -6,7 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from hallsym.diagnosis import Base, Key, lack_of_fit, located
+from hallsym.diagnosis import Base
+from hallsym.diagnosis.lack_of_fit import Key, lack_of_fit
+from hallsym.diagnosis.localisation import located
 from hallsym.log import Log
 from hallsym.model import Family, Model, Parameter
 

@@ -12,37 +12,18 @@ from gap_twins import listed, machine
 
 import hallsym
 from hallsym.codegen import cost_of
-from hallsym.diagnosis import (
-    Diagnosis,
-    Estimate,
-    FoundEffect,
-    Gap,
-    LogRecord,
-    Metric,
-    NoiseFloor,
-    Range,
-    Refitted,
-    Separation,
-    Shrinkage,
-    SmallerFinding,
-    Statement,
-    base_of,
-    firmware_cost,
-    operations,
-    range_of,
-    recorded,
-    recordings,
-    refit,
-    separation,
-    with_model,
-    with_readings,
-)
+from hallsym.diagnosis import Diagnosis, Estimate, FoundEffect, Separation, Statement
+from hallsym.diagnosis.confusable import recorded, separation
+from hallsym.diagnosis.record import Gap, LogRecord, Metric, NoiseFloor, Shrinkage, SmallerFinding
+from hallsym.diagnosis.recordings import Range, range_of, recordings, with_readings
+from hallsym.diagnosis.refit import Refitted, refit, with_model
+from hallsym.diagnosis.report import firmware_cost, operations
+from hallsym.diagnosis.setup import base_of
 from hallsym.families import effects
-from hallsym.families.mechanisms import Functions, following, port
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
 from hallsym.model import Model
-from hallsym.report.text.diagnosis import diagnosis_text, p_text, separation_text
+from hallsym.report.text.diagnosis import diagnosis_text
 from hallsym.terminal import PROSE
 
 NAMES = ("time_skew", "first_order_lag")
@@ -162,21 +143,6 @@ def test_time_and_temperature_are_told_apart_by_a_temperature_cycle() -> None:
     assert s.runs == 1
 
 
-def test_what_cannot_be_simulated_keeps_the_words_of_the_catalogue() -> None:
-    arrays = {c: grid_log().array(c) for c in grid_log().columns}
-    arrays["gap_m"] = np.sin(arrays["t_s"])
-    log = Log.from_arrays(arrays, grid_log().noise, grid_log().meta)
-
-    def current(name: str) -> Callable[[Model], Model]:
-        gap = Functions(["per gap"], lambda s: [s["gap_m"]], ["gap_m"])
-        reading = port("reading", lambda model: [probe.label for probe in model.layout])
-        return lambda model: following(model, name, "electronics", reading, gap, 1e-3, "m")
-
-    s = separation(("one", "two"), fitted(log, current("one"), current("two")), 0.5, 1.5, "other currents")
-    assert (s.simulated, s.recording, s.runs, s.tried) == (False, "other currents", None, {})
-    assert "Record other currents." in separation_text(s)
-
-
 def test_recordings_stay_inside_what_the_log_moved() -> None:
     span = range_of(delays()[0].base)
     t = np.arange(0, 8, span.step_s)
@@ -202,17 +168,6 @@ def test_the_firmware_cost_counts_parameters_instructions_and_signals() -> None:
     listed = firmware_cost(large, late).partition("12 signals to compute (d1_x_ref_m, ")[2]
     assert listed.count(",") == 2  # two more, and that there are others
     assert listed.endswith(", ...)")
-
-
-def test_operations_are_those_of_the_decoded_pose() -> None:
-    """Generated C has one statement per operation, beside those that fetch inputs and constants."""
-    model = hallsym.build("stage30")
-    inputs = model.decoded.sx_in()
-    code = ca.CodeGenerator("pose")
-    code.add(ca.Function("pose", inputs, [ca.cse(model.decoded.call(inputs)[0])]))
-    values = re.findall(r"^\s*a\d+=(.*);$", code.dump(), re.M)
-    work = [v for v in values if not v.startswith("arg[") and not re.fullmatch(r"-?[\d.e+-]+", v)]
-    assert operations(model) == len(work)
 
 
 # -- text ----------------------------------------------------------------------------------------------------
@@ -255,12 +210,12 @@ def test_the_text_says_everything_within_its_width() -> None:
         assert said in words, said
 
 
-@pytest.mark.parametrize(("p", "text"), [(0.0, "< 1e-6"), (9.9e-7, "< 1e-6"), (0.0123, "0.01"), (None, "")])
-def test_probabilities_are_never_printed_as_nil(p: float | None, text: str) -> None:
-    assert p_text(p) == text
-
-
-def test_where_is_said_of_the_rest_only_where_it_differs() -> None:
-    where = (Statement("run", "gain of its own", 0.5, 1e-9, "50 % follows nothing"),)
-    text = diagnosis_text(a_diagnosis(where=where, remaining=where, effects=(), verdict="unexplained"))
-    assert text.count("50 % follows nothing") == 1
+def test_operations_are_those_of_the_decoded_pose() -> None:
+    """Generated C has one statement per operation, beside those that fetch inputs and constants."""
+    model = hallsym.build("stage30")
+    inputs = model.decoded.sx_in()
+    code = ca.CodeGenerator("pose")
+    code.add(ca.Function("pose", inputs, [ca.cse(model.decoded.call(inputs)[0])]))
+    values = re.findall(r"^\s*a\d+=(.*);$", code.dump(), re.M)
+    work = [v for v in values if not v.startswith("arg[") and not re.fullmatch(r"-?[\d.e+-]+", v)]
+    assert operations(model) == len(work)

@@ -1,12 +1,14 @@
 """Diagnoses of one turn: tables of knots and an overdriven input, made by numpy alone."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from hallsym.diagnosis import diagnose, knot_group, others, split, waves_per_period
+from hallsym.diagnosis import diagnose
+from hallsym.diagnosis.curve_words import waves_per_period
+from hallsym.diagnosis.regression import others
+from hallsym.diagnosis.setup import knot_group, split
 from hallsym.errors import InputError
 from hallsym.estimation import fit
 from hallsym.log import Log, check_log
@@ -38,7 +40,7 @@ def overdriven(rail: float | None, delay_s: float, scale: float) -> Log:
 LIKE_A_TABLE = {1: (1.1, 200.0), 2: (0.51, 80.0), 4: (0.35, 30.0), 50: (0.082, 60.0)}
 
 
-@pytest.mark.parametrize("phase", np.linspace(0, 6, 7))
+@pytest.mark.parametrize("phase", [0.0, 2.0, 5.0])
 def test_waves_of_half_a_table_are_not_their_images(phase):
     """Every second pair of knots: a wave of 50 per turn has images at 24, 26, 74, 76 as large as itself."""
     knots = np.arange(200)
@@ -60,14 +62,13 @@ def of_a_table():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("direction", [1, -1])
-def test_a_knot_that_is_a_spike_is_judged_among_its_neighbours(of_a_table, direction):
+def test_a_knot_that_is_a_spike_is_judged_among_its_neighbours(of_a_table):
     """One knot off by 3 deg goes and changes no name; a pattern of four knots has none."""
     assert not any("spike" in note for note in of_a_table.notes)
     clean = table(LIKE_A_TABLE)
     angle = clean.array("angle_rad").copy()
     angle[57] += 3 * DEG
-    off = Log.from_arrays({"angle_ref_rad": clean.array("angle_ref_rad"), "angle_rad": direction * angle})
+    off = Log.from_arrays({"angle_ref_rad": clean.array("angle_ref_rad"), "angle_rad": -angle})
     found = diagnose(off, "rotary_ideal")
     assert "1 of 200 knots is an isolated spike and was left out." in found.notes
     assert found.verdict == of_a_table.verdict
@@ -108,6 +109,7 @@ def test_waves_are_what_was_put_in(of_a_table):
     assert not any(w.absorbed for w in found.values())
 
 
+@pytest.mark.slow
 def test_what_the_ellipse_takes_up_is_said():
     d = diagnose(table(LIKE_A_TABLE), "rotary")
     found = {w.per_turn: w for w in d.waves}
@@ -128,10 +130,9 @@ def test_waves_of_no_known_cause_are_no_cause():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", ["rotary", "rotary_ideal"])
-def test_an_overdriven_input_is_clipping_beside_latency_and_a_short_reference(model):
+def test_an_overdriven_input_is_clipping_beside_latency_and_a_short_reference():
     """As of a resolver: 4x of 8 deg by the rails, 34 ms from forward against backward, 0.86 deg in a turn."""
-    d = diagnose(overdriven(0.654, 0.034, -0.0024), model)
+    d = diagnose(overdriven(0.654, 0.034, -0.0024), "rotary")
     assert d.verdict == "explained"
     assert d.ranked[0] == "saturation"
     found = {e.name: {n: p.value for n, p in e.parameters.items()} for e in d.effects}
@@ -185,7 +186,7 @@ def test_a_slice_that_turns_back_smoothly_is_not_saturated():
         fit(replace(log, recording=None), "ellipse", solver="direct", holdout=held)
 
 
-@pytest.mark.parametrize("knots", [48, 60, 72, 100, 144, 175])
+@pytest.mark.parametrize("knots", [48, 100, 175])
 @pytest.mark.parametrize("timed", [False, True])
 def test_a_short_recording_is_taken_to_fewer_pieces_that_each_can_be_a_run(knots, timed):
     a = np.arange(knots) * 2 * np.pi / knots
@@ -214,25 +215,9 @@ def test_all_folds_but_one_leave_nothing_where_nothing_is():
     assert others(folds)[5, 2, 2] == 0.0
 
 
-@pytest.mark.slow
-def test_a_table_without_time_speaks_of_no_time(of_a_table):
-    """Neither of seconds, runs and delays, although a counter stands for time."""
-    said = re.sub(r"computed in .* s\.", "", diagnosis_text(of_a_table))
-    said = "\n".join(line for line in said.split("\n") if "no time logged" not in line)
-    for word in (r"runs?", r"delays?", r"seconds?", r"ms", r"\d s"):
-        assert not re.search(rf"\b{word}\b", said), (word, said)
-
-
 def test_a_table_too_short_to_diagnose_is_refused_without_a_word_on_runs():
     a = np.linspace(0.0, 6.2, 40)
     with pytest.raises(InputError, match=r"has 40 samples, too few to hold any out .* at least 48\.$"):
         diagnose(Log.from_arrays({"angle_ref_rad": a, "angle_rad": a}), "rotary")
     with pytest.raises(InputError, match=r"must have at least 8 samples; it has 5"):
         check_log(Log.from_arrays({"angle_ref_rad": a[:5], "angle_rad": a[:5]}))
-
-
-def test_waves_up_to_twelve_per_turn_are_looked_at_and_those_that_a_cause_is_known_by():
-    a = np.arange(400) * 2 * np.pi / 400
-    error = 0.3 * np.sin(12 * a) + 0.3 * np.sin(13 * a + 1) + 0.3 * np.cos(50 * a)
-    log = Log.from_arrays({"angle_ref_rad": a, "angle_rad": a + error * DEG})
-    assert {w.per_turn for w in diagnose(log, "rotary_ideal").waves} == {12, 50}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from hallsym.diagnosis import switched_runs
+from hallsym.diagnosis.facts import switched_runs
 
 RUNS, SAMPLES, CHANNELS = 14, 30, 2
 

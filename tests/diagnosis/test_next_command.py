@@ -15,7 +15,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "goldens"))
 from golden_logs import LOGS, folder_of
 
 import hallsym
-from hallsym.diagnosis import Diagnosis, base_of, decoded_errors, diagnose, model_on
+from hallsym.diagnosis import Diagnosis, diagnose, model_on
+from hallsym.diagnosis.decoded_errors import decoded_errors
+from hallsym.diagnosis.setup import base_of
 from hallsym.estimation import Fit
 from hallsym.log import read_log
 
@@ -24,7 +26,7 @@ CLOSE = 0.02
 reference's noise differs by what the effects change of the gains."""
 PIECES = 0.35
 """The same where pieces of one recording judged, which the command fits: few samples judge."""
-QUICK = ("rotary_third_wave", "rotary_ideal_offset")
+QUICK = ("rotary_third_wave",)
 
 
 def option(words: tuple[str, ...], name: str) -> list[str]:

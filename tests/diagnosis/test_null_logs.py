@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 from bench_diagnosis_nulls import settings, tried
 
-LOGS, FIRST, LEVEL, SELDOM = 160, 50_000, 0.05, 1e-3
+LOGS, FIRST, LEVEL, SELDOM = 80, 50_000, 0.05, 1e-3
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +27,7 @@ def rows() -> list[dict]:
     ("kind", "machine", "runs", "stated", "seed"),
     [
         ("vibration", "rotary", 8, False, 30007),  # as steady as a tone in few short runs
-        ("vibration", "rotary", 12, True, 30054),
         ("vibration", "stage", 8, False, 50367),  # the references' noise makes an acceleration of its own
-        ("t3", "rotary", 8, True, 30456),  # the rms of two short runs with heavy tails scatters
         ("t3", "stage", 24, False, 30219),  # tails heavier than the body says, and no spikes
     ],
 )
@@ -42,7 +40,6 @@ def test_noise_of_few_runs_is_no_gap(kind, machine, runs, stated, seed):
     ("kind", "stated", "seed"),
     [
         ("vibration", False, 49),  # rings for three slices: hum, if slices are independent
-        ("vibration", False, 229),
         ("ar10", False, 122),  # a field that is on in some slices
     ],
 )
@@ -54,7 +51,7 @@ def test_noise_of_one_recording_is_no_gap(kind, stated, seed):
 @pytest.mark.slow
 def test_one_in_twenty_recordings_has_a_p_value_below_five_per_cent():
     kinds = ("white", "ar3", "ar10", "t3", "vibration")
-    p = [tried(*setting)["p"] for setting in settings(60, 70_000, kinds, (1,))]
+    p = [tried(*setting)["p"] for setting in settings(40, 70_000, kinds, (1,))]
     assert binomtest(sum(x < LEVEL for x in p), len(p), LEVEL).pvalue > SELDOM
     assert kstest(p, "uniform").pvalue > SELDOM
 

@@ -21,7 +21,6 @@ from hallsym.diagnosis import (
     Injection,
     SimulatedMachine,
     clopper_pearson,
-    decimated,
     detection_power,
     diagnose,
     generator,
@@ -32,6 +31,7 @@ from hallsym.diagnosis import (
     simulated_noise,
     sized,
 )
+from hallsym.diagnosis.setup import decimated
 from hallsym.families import effects
 from hallsym.families.faults import ages
 from hallsym.families.stage import FAMILY as STAGE_FAMILY

@@ -15,24 +15,16 @@ from test_diagnosis_rotary import machine as encoder
 from test_diagnosis_rotary import third
 
 import hallsym
-from hallsym.diagnosis import (
-    POLICY,
-    Facts,
-    Joint,
-    SignFlips,
-    base_of,
-    candidates,
-    clusters,
-    diagnose,
-    memory,
-    normal_equations,
-    searched,
-    shared_noise,
-    stretch,
-)
+from hallsym.diagnosis import POLICY, diagnose
+from hallsym.diagnosis.measurement_error import shared_noise
+from hallsym.diagnosis.normal_equations import normal_equations
+from hallsym.diagnosis.scores import candidates
+from hallsym.diagnosis.setup import base_of
+from hallsym.diagnosis.sign_flips import Joint, SignFlips, clusters, memory, searched, stretch
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
+from hallsym.model import Facts
 
 
 def products(columns, residual, own, runs, size, candidates, each=1):

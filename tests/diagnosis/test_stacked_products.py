@@ -4,13 +4,24 @@ import numpy as np
 
 import hallsym
 from hallsym import Log, Noise, NoiseModel
-from hallsym.diagnosis import Accumulator, normal_equations
+from hallsym.diagnosis.normal_equations import Accumulator, normal_equations
 from hallsym.diagnosis.setup import prepare
 from hallsym.estimation.decoding import decoding_gain
 from hallsym.families.halbach.effects import magnets, mechanics, transducer
 from hallsym.families.halbach.layout import columns
 from hallsym.families.halbach.models import FAMILY, halbach
+from hallsym.log import Batch
 from hallsym.simulation import campaign_from
+
+
+def whitened(work: Accumulator, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
+    """All columns [zeros | parameters | candidates | residual], whitened, (c, K, samples)."""
+    near = work._near(batch, weights)
+    A = np.zeros((work.size, *near.shape[1:]))
+    A[work.near] = near
+    for k, own in enumerate(work.slopes.rows(batch, work.base.zeros_of(batch), weights)):
+        A[work.z + work.n + work.slopes.column[k], k] = own
+    return work.whiten @ A
 
 
 def test_products_are_those_of_columns_written_out():
@@ -33,7 +44,7 @@ def test_products_are_those_of_columns_written_out():
     gain, spread = decoding_gain(model), np.linalg.inv(work.whiten)
     squares = np.zeros((2, work.size, work.size))
     for batch, weights in work.weighed():
-        white = work.whitened(batch, weights)
+        white = whitened(work, batch, weights)
         poses, state = batch.columns(model.references), batch.columns(model.state)
         (D,) = gain(base.p, poses, state, base.weight)
         D = D.reshape(len(model.channels), len(model.pose), -1) * base.pose_weights[:, None]

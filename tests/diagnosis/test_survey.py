@@ -4,16 +4,10 @@ import numpy as np
 import pytest
 
 import hallsym
-from hallsym.diagnosis import (
-    Survey,
-    base_of,
-    faults,
-    lack_of_fit,
-    memory_of_recording,
-    of_samples,
-    split,
-    survey,
-)
+from hallsym.diagnosis.faults import faults, of_samples
+from hallsym.diagnosis.lack_of_fit import lack_of_fit
+from hallsym.diagnosis.setup import base_of, split
+from hallsym.diagnosis.survey import Survey, memory_of_recording, survey
 from hallsym.log import Log, Noise
 
 SIGMA = 5e-4
@@ -122,7 +116,3 @@ def test_heavy_tails_are_no_spikes_and_spikes_are():
     (found,) = faults(base, survey(base, frozenset(base.log.runs)), 30)
     assert found.name == "outliers"
     assert found.parameters["share"].value == pytest.approx(0.006, rel=0.6)
-
-
-def test_fewer_samples_than_the_bins_need_tell_no_fault():
-    assert list(of_samples(surveyed(encoder(runs=3, samples=20)))) == []

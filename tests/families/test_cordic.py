@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.diagnosis import cordic, detection_power, diagnose
+from hallsym.diagnosis import detection_power, diagnose
+from hallsym.diagnosis.cordic import cordic
 from hallsym.families.cordic import cordic_angle, levels, worst_of
 from hallsym.log import Log, Noise
 
