@@ -1,24 +1,34 @@
 """The command line: one file a command, `add(sub)` describes it and `run(options)` carries it out."""
 
-COMMANDS = {
-    "demo": "the paper's calibration on the bundled campaign",
-    "fit": "calibrate a model on a log",
-    "fleet": "calibrate many devices: one row a device, and how they differ",
-    "evaluate": "errors of a saved calibration on other logs, and whether they belong to it",
-    "diagnose": "where the gap lies, which effect makes it, how far it shrinks",
-    "report": "one HTML page of a saved calibration",
-    "sensitivity": "what a log, or a plan, determines of each parameter",
-    "budget": "uncertainty of the decoded position, or any budget by the GUM",
-    "codegen": "C for the controller",
-    "plan": "choose what to record next, within your ranges and your time",
-    "tolerances": "which tolerance of the machine is worth money, or what known deviations make",
-    "sort": "sensors by gain, in bins and in sets that an array decodes best with",
-    "trajectory": "a curve through points or of an expression, with the error it makes",
-    "simulate": "write the log a known machine would record",
-    "info": "what a log, calibration or campaign file holds, or what a model is",
+GROUPS = {
+    "calibrate": {
+        "demo": "the paper's calibration on the bundled campaign",
+        "info": "what a log, calibration or campaign file holds, or what a model is",
+        "fit": "calibrate a model on a log",
+        "fleet": "calibrate many devices: one row a device, and how they differ",
+        "sort": "sensors by gain, in bins and in sets that an array decodes best with",
+    },
+    "understand": {
+        "sensitivity": "what a log, or a plan, determines of each parameter",
+        "diagnose": "where the gap lies, which effect makes it, how far it shrinks",
+        "report": "one HTML page of a saved calibration",
+    },
+    "plan": {
+        "plan": "choose what to record next, within your ranges and your time",
+        "simulate": "write the log a known machine would record",
+        "budget": "uncertainty of the decoded position, or any budget by the GUM",
+        "tolerances": "which tolerance of the machine is worth money, or what known deviations make",
+        "trajectory": "a curve through points or of an expression, with the error it makes",
+    },
+    "use": {
+        "evaluate": "errors of a saved calibration on other logs, and whether they belong to it",
+        "codegen": "C for the controller",
+    },
+}
+"""Each command by task, as `hallsym --help` lists them; the file of one is read when it is called."""
+COMMANDS = {name: what for group in GROUPS.values() for name, what in group.items()} | {
     "completion": "the script with which bash, zsh or fish completes this command",
 }
-"""Each command and what it does, in the order of `hallsym --help`; its file is read when it is called."""
 
 OK, CHANGED, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED, BUG, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
 NOT_DESCRIBED = NOT_DETERMINED

@@ -87,6 +87,7 @@ def _actions(parser: ArgumentParser) -> Iterator[Action]:
     for action in parser._actions:
         yield action
         if isinstance(action, _SubParsersAction):
+            action.help = "command"  # what is suppressed is not completed
             for name, below in action.choices.items():
                 below.description = COMMANDS[name]  # shells show it in one line
                 yield from _actions(below)

@@ -52,8 +52,6 @@ def add(sub: Any) -> None:
     group.add_argument(
         "--diagnose", action="store_true", help="diagnose each log too; takes seconds a device"
     )
-    group.add_argument("--solver", default="direct", help="as for 'hallsym fit' (default: direct)")
-    group.add_argument("--loss", default="auto", help="as for 'hallsym fit' (default: auto)")
     group.add_argument(
         "--workers", type=int, metavar="N", help="processes that fit devices (default: one a core)"
     )
@@ -72,8 +70,6 @@ def run(options: Namespace) -> int:
         effects=options.effect,
         parameters=machine.parameters,
         machine={"probes": machine.probes, "tables": dict(machine.tables)} if options.machine else None,
-        solver=options.solver,
-        loss=options.loss,
         diagnose=options.diagnose,
         drop_bad=options.drop_bad,
         reading={key: value for key, value in reading_of(options).items() if value},

@@ -9,10 +9,11 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any, NoReturn
 
-from hallsym.cli import BAD_INPUT, COMMANDS
+from hallsym.cli import BAD_INPUT, COMMANDS, GROUPS
 from hallsym.errors import nearest, one_line, quoted
 from hallsym.terminal import prose_width
 
+DESCRIPTION = "From a log of Hall readings beside a reference to a calibrated position sensor."
 EPILOG = """\
 exit codes: 0 done; 1 'evaluate' found a log that does not belong to its calibration; 2 bad input (one
 sentence says what to do); 3 done and written, but the log leaves parameters of the model undetermined or its
@@ -34,18 +35,29 @@ def parser_of(commands: Sequence[str]) -> ArgumentParser:
     """Return the parser with the options of `commands`; the other commands are only listed."""
     parser = Parser(
         prog="hallsym",
-        description="From a log of Hall readings beside a reference to a calibrated position sensor.",
+        usage="hallsym [-h] [--version] COMMAND ...",
+        description=f"{DESCRIPTION}\n\n{_listed()}",
         epilog=EPILOG,
         formatter_class=HelpText,
     )
     parser.add_argument("--version", action="store_true", help="print the version and exit")
-    sub = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
+    sub = parser.add_subparsers(dest="command", metavar="COMMAND", prog="hallsym", help=argparse.SUPPRESS)
     for name, what in COMMANDS.items():
         if name in commands:
             import_module(f"hallsym.cli.{name}").add(sub)
         else:
             sub.add_parser(name, help=what)
     return parser
+
+
+def _listed() -> str:
+    """Return the commands by task."""
+    width, lines = prose_width() - 2, []
+    for task, commands in GROUPS.items():
+        lines += [f"{task}:"]
+        for name, what in commands.items():
+            lines += fill(what, width, initial_indent=f"  {name:<13}", subsequent_indent=" " * 15).split("\n")
+    return "\n".join(lines)
 
 
 class HelpText(argparse.HelpFormatter):

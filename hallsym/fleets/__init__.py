@@ -1,7 +1,7 @@
 """Many devices: one fit a log, spread over processes or a cluster, and what the devices have in common.
 
 `sources` lists the devices, `row` is what one device gives, `journal` keeps what is done, `fleet` puts these
-in order and spreads them over `hallsym.workers`; `spread` says how parameters differ between devices and
+in order and spreads them over `workers`; `spread` says how parameters differ between devices and
 which devices differ from the others, `batch` what to expect of the next ones.
 """
 
@@ -10,7 +10,7 @@ from hallsym.fleets.fleet import fleet
 from hallsym.fleets.result import Fleet, load_fleet
 from hallsym.fleets.sources import Device, devices_of
 from hallsym.fleets.spread import Spread, spread_of
-from hallsym.workers import Failed, completed
+from hallsym.fleets.workers import Failed, completed
 
 __all__ = [
     "Device",

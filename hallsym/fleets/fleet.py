@@ -11,10 +11,10 @@ from hallsym.fleets.journal import Journal, journal_of
 from hallsym.fleets.result import Fleet
 from hallsym.fleets.row import Job, Settings, failed, row_of
 from hallsym.fleets.sources import ORDER_COLUMN, Device, devices_of
+from hallsym.fleets.workers import Failed, completed
 from hallsym.log import Meta
 from hallsym.model import Model
 from hallsym.terminal import said_time
-from hallsym.workers import Failed, completed
 
 Progress = Callable[[str], None]
 
@@ -70,7 +70,7 @@ def fleet(
     if output is not None:
         found.save(output)
     if journal is not None:
-        journal.remove()
+        journal.path.unlink(missing_ok=True)
     return found
 
 

@@ -44,16 +44,19 @@ class Fleet(Shown):
     seconds: float = 0.0
 
     @cached_property
+    def _keys(self) -> tuple[str, ...]:
+        """Names of all columns; rows of one model have the same."""
+        return tuple(dict.fromkeys(key for keys in dict.fromkeys(map(tuple, self.rows)) for key in keys))
+
+    @cached_property
     def parameters(self) -> tuple[str, ...]:
         """Names of the parameters that were fitted."""
-        names = (key.removeprefix(VALUE) for row in self.rows for key in row if key.startswith(VALUE))
-        return tuple(dict.fromkeys(names))
+        return tuple(key.removeprefix(VALUE) for key in self._keys if key.startswith(VALUE))
 
     @cached_property
     def covariates(self) -> tuple[str, ...]:
         """Columns of the table of logs that are carried along."""
-        keys = dict.fromkeys(key for row in self.rows for key in row)
-        return tuple(k for k in keys if k not in KNOWN and not k.startswith((VALUE, STD)))
+        return tuple(k for k in self._keys if k not in KNOWN and not k.startswith((VALUE, STD)))
 
     @property
     def devices(self) -> tuple[str, ...]:
@@ -183,8 +186,7 @@ class Fleet(Shown):
 
     def table(self) -> dict[str, list[Any]]:
         """Return the table by columns: device first, each parameter as its value and 1 sigma, in SI."""
-        keys = dict.fromkeys(key for row in self.rows for key in row)
-        shown = [*FIXED, *self.covariates, *(c for c in COLUMNS if c in keys)]
+        shown = [*FIXED, *self.covariates, *(c for c in COLUMNS if c in self._keys)]
         shown += [prefix + name for name in self.parameters for prefix in (VALUE, STD)]
         return {key: [row.get(key) for row in self.rows] for key in shown}
 

@@ -162,8 +162,8 @@ def _mean(x: np.ndarray, s: np.ndarray, tau: float) -> float:
 def _inside(x: np.ndarray, s: np.ndarray, chance: float) -> tuple[np.ndarray, np.ndarray]:
     """Return which devices (m,) belong together, and how far all are from these in standard deviations (m,).
 
-    Those near the median begin, and three quarters of all; of the others the nearest joins if it is no
-    further away than a further device would be but once in 1 / `chance`, on either side.
+    Those near the median begin, and three quarters of all; others join while they are no further away
+    than a further device would be but once in 1 / `chance`, on either side.
     """
     middle = float(np.median(x))
     tau = float(np.sqrt(max((MAD * np.median(np.abs(x - middle))) ** 2 - np.median(s) ** 2, 0.0)))
@@ -171,11 +171,10 @@ def _inside(x: np.ndarray, s: np.ndarray, chance: float) -> tuple[np.ndarray, np
     inside |= np.argsort(np.argsort(np.abs(x - middle))) < max(FEWEST, MOSTLY * len(x))
     while True:
         away, probability = _away(x, s, inside)
-        others = np.flatnonzero(~inside)
-        if not len(others) or (probability[others] < chance).all():
+        joining = ~inside & (probability >= chance)
+        if not joining.any():
             return inside, away
-        inside = inside.copy()
-        inside[others[np.argmax(probability[others])]] = True
+        inside = inside | joining
 
 
 def _away(x: np.ndarray, s: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,5 +1,7 @@
 """Spread beyond the uncertainty, devices that differ, trends: on numbers that are drawn from the truth."""
 
+from time import process_time
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -130,3 +132,13 @@ def test_units_do_not_matter(pairs, factor):
     assert tau >= 0
     assert scaled == pytest.approx(factor * mean, rel=1e-4, abs=1e-4 * factor * np.abs(x).max())
     assert wide == pytest.approx(factor * tau, rel=1e-2, abs=1e-2 * factor * s.min())
+
+
+def test_fifty_thousand_devices_of_two_kinds_take_a_moment():
+    """A fifth of them apart: which belong together is found in a few passes, however many there are."""
+    values, std, names = drawn(0, 50_000)
+    values[::5] += 8 * TAU
+    began = process_time()
+    found = spread_of("gain", "1", values, std, names)
+    assert process_time() - began < 2.0
+    assert found.devices + len(found.outlying) == 50_000

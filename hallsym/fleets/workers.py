@@ -1,9 +1,8 @@
 """Work spread over processes or a cluster: the executors of `concurrent.futures`, and one loop.
 
-Locally a spawned `ProcessPoolExecutor`; on a cluster `dask.distributed.Client(address).get_executor()`. What
-an executor does of its own (queues, retries) is left to it. Only this is added: where a local process dies,
-its pool is broken and a new one goes on; work that was under way then runs alone, one after the other, and
-what ends a process twice is named instead of tried again.
+Locally a spawned `ProcessPoolExecutor`; on a cluster `dask.distributed.Client(address).get_executor()`. Only
+this is added: where a local process dies, its pool is broken and a new one goes on; work that was under way
+then runs alone, and what ends its process again is named.
 """
 
 import os
@@ -23,8 +22,6 @@ Result = TypeVar("Result")
 
 ANSWERS = 10.0
 """Time [s] within which a scheduler must answer."""
-TRIES = 2
-"""Processes that one piece of work may end when it runs alone, before it is given up."""
 ENDED = "Its process was ended twice, as by a system that is out of memory; look at this log by itself."
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables by which linear algebra takes one thread: the processes are the parallelism."""
@@ -73,7 +70,9 @@ def completed(
         # work is taken in its order: what was under way when a process died is among the first that is left
         left = [one for one in left if id(one) not in finished]
         suspects, left = left[: 2 * count + 1], left[2 * count + 1 :]
-        yield from _one_by_one(call, suspects)
+        for one in suspects:
+            with _local(1) as executor:
+                yield next(_pass(executor, call, [one]), Done(one, Failed(ENDED)))
 
 
 def _pass(
@@ -98,28 +97,6 @@ def _pass(
     finally:
         for future in futures:
             future.cancel()
-
-
-def _one_by_one(call: Callable[[Work], Result], work: Sequence[Work]) -> Iterator[Done[Work, Result]]:
-    """Yield every piece of work, each alone in a process: one that ends it twice is the cause."""
-    left, ended = list(work), 0
-    while left:
-        with _local(1) as executor:
-            while left:
-                try:
-                    result: Result | Failed = executor.submit(call, left[0]).result()
-                except BrokenProcessPool:
-                    ended += 1
-                    if ended < TRIES:
-                        break
-                    result = Failed(ENDED)
-                except Exception as error:
-                    result = Failed(_said(error))
-                yield Done(left.pop(0), result)
-                if ended == TRIES:
-                    ended = 0
-                    break
-                ended = 0
 
 
 def _said(error: Exception) -> str:
