@@ -19,9 +19,8 @@ from hallsym.log import Log, Meta, check_log, estimate_noise, open_source, spans
 from hallsym.log.limits import is_moving
 from hallsym.log.table import Source
 from hallsym.report.tables import grid
-from hallsym.report.text.effect import effect_record, effect_text, is_explained
 from hallsym.report.text.fit import fit_text
-from hallsym.report.text.model import model_record, model_text
+from hallsym.report.text.info import effect_record, effect_text, is_explained, model_record, model_text
 from hallsym.simulation import Campaign, read_campaign
 from hallsym.terminal import PROSE
 from hallsym.terminal import columns as columns_of_line

@@ -53,7 +53,7 @@ def diagnosis_page(
 ) -> str:
     """Return the page of a diagnosis as HTML.
 
-    `maps`, `after`, `series`, `residuals`: of the errors before and after, from `gather` or `run_series`.
+    `maps`, `after`, `series`, `residuals`: of the errors before and after, from `gather`.
     `fit`: the calibration that was diagnosed, for its parameter table. `command`: what was typed, `reading`:
     the part of it that says how the log is read, for the next command. The duration is not shown, so the same
     data give the same page.
