@@ -133,12 +133,6 @@ def test_gradient_and_hessian_are_derivatives(log, name, effects, weighted, seed
     assert np.abs(error).max() < 1e-7 * np.abs((hessian @ u) * width).max()
 
 
-def test_run_gradients_add_up(log):
-    model = true_model()
-    point = cost_on(log, model).at(near(model, 2))
-    assert np.allclose(point.run_gradients.sum(axis=0), point.derivatives()[1], rtol=1e-12)
-
-
 @pytest.mark.parametrize("noisy", [False, True])
 def test_population_is_one_by_one(log, noisy):
     """With and without noise in the columns, whose covariance depends on the point."""

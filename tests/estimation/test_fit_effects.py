@@ -1,8 +1,6 @@
 """Effects that a diagnosis found are fitted, saved, read back and decoded with; `--effect` names them."""
 
 import json
-import re
-import shlex
 from pathlib import Path
 
 import numpy as np
@@ -105,15 +103,6 @@ def errors_on(log: Log, known: hallsym.Fit, noise: dict[str, float], keep):
     return error_tables(log, known.model, [(known.values, zeros)], cost.reading_variance, keep, sigma=noise)[
         0
     ]
-
-
-def test_the_name_alone_finds_the_numbers_on_the_log() -> None:
-    log = hidden("mains_hum", "raster")
-    model = model_on(log, "stage31", ["mains_hum"])
-    text = model.texts["mains_hum"]
-    frequency = float(re.search(r"frequency_hz=([0-9.]+)", text)[1])
-    (drawn,) = [f for f in (50.0, 60.0) if abs(f - frequency) < 1]
-    assert abs(frequency - drawn) < 0.06  # the twin draws within 0.05 Hz of the mains
 
 
 # -- the cost of tangents is that of the model -------------------------------------------------------------
@@ -307,33 +296,6 @@ def diagnose_only(log: Log, make):
 
 
 # -- the command line --------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_the_command_that_is_printed_runs(tmp_path, capsys) -> None:
-    log = written(hidden("odd_nonlinearity", "raster", thin=24), tmp_path / "log.csv")
-    noise = ["hall_m=5e-7", "x_ref_m=3e-7", "y_ref_m=3e-7", "rz_ref_rad=5e-7"]
-    known = [word for n in noise for word in ("--noise", n)]
-    assert main(["diagnose", str(log), "--model", "stage31", *known]) == 0
-    (line,) = [row for row in capsys.readouterr().out.splitlines() if row.startswith("next: hallsym ")]
-    words = shlex.split(line.removeprefix("next: hallsym "))
-    assert words[:6] == ["fit", str(log), "--model", "stage31", "--effect", "odd_nonlinearity"]
-    calib = tmp_path / "calib.json"
-    assert main([*words, "--solver", "direct", "-o", str(calib)]) == 0
-    entry = json.loads(calib.read_text())["parameters"]["odd_nonlinearity3_A"]
-    assert entry["determined"]
-    assert entry["std"] > 0
-    capsys.readouterr()
-    assert main(["evaluate", str(calib), str(log), *known]) == 0
-    assert main(["sensitivity", str(calib), str(log), *known]) == 0
-    assert "odd_nonlinearity3_A" in capsys.readouterr().out
-    page = tmp_path / "report.html"
-    assert main(["report", str(calib), str(log), "-o", str(page), *known]) == 0
-    assert "odd_nonlinearity3_A" in page.read_text()
-    capsys.readouterr()
-    assert main(["diagnose", str(log), "--model", str(calib), *known, "--json"]) == 0
-    record = json.loads(capsys.readouterr().out)
-    assert (record["verdict"], record["next_step"]) == ("no gap", [])
 
 
 OWN = '''

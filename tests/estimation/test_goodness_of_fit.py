@@ -1,7 +1,6 @@
 """What a fit leaves is told from noise: significant is a matter of statistics, material one of size."""
 
 import json
-import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -215,35 +214,6 @@ def test_one_run_counts_although_the_whole_does_not():
     assert found.worst_run == 12
 
 
-@pytest.mark.parametrize(("times", "counts"), [(1.25, False), (1.8, True)])
-def test_a_channel_in_a_run_counts_from_twice_the_variance_on(times, counts):
-    columns = record(seed=6, samples=400)
-    cost = cost_on(with_noise(columns), MODEL)
-    usual = np.sqrt(cost.at(MODEL.nominal).covariance[12, 1, 1])
-    more = np.where(columns["run"] == 12, np.sqrt(times**2 - 1) * usual, 0.0)
-    noise = more * np.random.default_rng(1).standard_normal(len(more))
-    found = goodness(columns | {"hall_b_m": columns["hall_b_m"] + noise}, loss="none")
-    assert found.residual_over_noise < 1.1
-    assert (found.worst_run, found.worst_channel) == (12, "hall_b_m")
-    assert found.material is counts
-
-
-def test_a_short_run_is_not_worst_by_chance():
-    """Of 2,000 channels in runs of four samples some leave twice the noise."""
-    cost = cost_on(with_noise(record(seed=7, samples=50)), MODEL)
-    n, rng = 700, np.random.default_rng(2)
-    few = replace(
-        cost.summary,
-        runs=tuple(range(n)),
-        triangles=cost.summary.triangles[rng.integers(0, 57, n)],
-        slopes=cost.summary.slopes[np.zeros(n, dtype=int)],
-        counts=np.full(n, 50.0),
-    )
-    cost = replace(cost, summary=few, weights=np.ones(n))
-    found = goodness_of(cost.at(MODEL.nominal), 0)
-    assert found.worst_least < found.worst
-
-
 @pytest.mark.parametrize("model", ["stage31", "rotary_meng"])
 def test_bundled_logs_are_described_by_their_models(model):
     name = {"stage31": "campaign", "rotary_meng": "encoder"}[model]
@@ -319,10 +289,3 @@ def test_models_without_exact_statistics_have_no_bound():
     result = fit(log, "stage31", effects=("time_skew",), solver="direct")
     assert result.solver["lower_bound"] is None
     assert result.goodness.sentence is None
-
-
-def test_the_next_command_can_be_typed():
-    words = shlex.split(fit(bundled_campaign(), "stage30", solver="direct").goodness.next_command)
-    assert words[:2] == ["hallsym", "diagnose"]
-    assert Path(words[2]).exists()
-    assert words[3:] == ["--model", "stage30"]

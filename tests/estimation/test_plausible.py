@@ -3,8 +3,6 @@
 What is said of each mistake stands in the table of `tests/log`.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from twins import HALL, record, with_noise
@@ -134,20 +132,6 @@ def test_a_held_out_run_is_a_note(six):
         fit(wrong, "stage31", solver="direct")
     notes = fit(wrong, "stage31", solver="direct", holdout=(4,)).notes
     assert any("In run 4 " in note and "before judging" in note for note in notes)
-
-
-def test_references_that_go_together_in_one_run_do_not_look_like_other_units():
-    """Nearly in step, no reference has a slope of its own; the slopes of the other runs explain the run."""
-    campaign = six_runs()
-    together = {
-        "x_m": multi_sine(300e-6, [2.0, 5.0]),
-        "y_m": multi_sine(500e-6, [3.0, 2.1]),
-        "rz_rad": multi_sine(300e-6, [3.01, 2.1]),
-    }
-    runs = (*campaign.runs[:-1], replace(campaign.runs[-1], motion=together))
-    values = published.values("table7_estimates")
-    columns = simulate(build("stage31"), values, replace(campaign, runs=runs), NoiseModel(SIGMA), seed=3)
-    assert [note for note in fit(log_of(columns), "stage31").notes if "run 5" in note] == []
 
 
 def test_spikes_do_not_look_like_another_run():

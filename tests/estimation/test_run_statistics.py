@@ -59,15 +59,6 @@ def test_block_size_does_not_matter(log, model, sizes):
     assert value(pieces, p, SIGMAS) == pytest.approx(value(whole, p, SIGMAS), rel=1e-4)
 
 
-def test_order_of_samples_in_a_run_does_not_matter(log, model):
-    rng = np.random.default_rng(0)
-    columns = {c: log.array(c) for c in log.columns}
-    order = np.concatenate([rng.permutation(np.flatnonzero(columns["run"] == r)) for r in log.runs])
-    mixed = with_noise({c: v[order] for c, v in columns.items()})
-    p = model.nominal * 1.001
-    assert value(summarise(mixed, model), p) == pytest.approx(value(summarise(log, model), p), rel=SAME)
-
-
 def test_costs_add_over_logs(log, model):
     other = record(seed=4, samples=40)
     columns = {c: log.array(c) for c in other}
@@ -93,13 +84,6 @@ def test_a_metre_of_common_offset_changes_nothing(log, model):
     assert far.at(p).value == pytest.approx(near.at(p).value, rel=2e-6)
 
 
-def test_weights_of_one_half_twice_are_one_sample(log, model):
-    halves = summarise(log, model, weigh=lambda block: np.full(len(block.data["z_m"]), 0.5))
-    p = model.nominal
-    assert 2 * value(halves, p) == pytest.approx(value(summarise(log, model), p), rel=SAME)
-    assert np.all(halves.counts == 20)
-
-
 def test_weight_zero_is_a_missing_sample(log, model):
     columns = {c: log.array(c) for c in log.columns}
     keep = np.random.default_rng(1).random(log.rows) < 0.7
@@ -119,15 +103,6 @@ def test_runs_shorter_than_their_features_are_summarised(log, model):
     n = summary.features.size + 3
     assert summary.triangles.shape == (57, n, n)
     assert np.isfinite(value(summary, model.nominal))
-
-
-def test_selected_runs_are_those_of_the_log(log, model):
-    summary = summarise(log, model)
-    some = summary.select([7, 3])
-    assert some.runs == (7, 3)
-    assert value(some, model.nominal) == pytest.approx(
-        cost_of(summary, EXACT_STATE).at(model.nominal).run_values[[7, 3]].sum(), rel=SAME
-    )
 
 
 @pytest.mark.parametrize("name", ["stage15", "stage30", "stage31", "stage31_tied"])

@@ -48,14 +48,6 @@ def test_hessians_of_the_runs_add_up():
     assert np.all(np.abs(summed - exact)[size > 0] <= 1e-7 * size[size > 0])
 
 
-def test_the_seed_decides():
-    cost, p, found, drawn = paper()
-    again = bootstrap(cost, p, found.held, replicates=400, seed=3)
-    other = bootstrap(cost, p, found.held, replicates=400, seed=4)
-    assert np.array_equal(again.values, drawn.values)
-    assert not np.array_equal(other.values, drawn.values)
-
-
 def test_held_parameters_stay():
     _, p, found, drawn = paper()
     held = list(found.held)

@@ -68,18 +68,6 @@ def test_quantities_have_exact_derivatives():
     assert arm.values(np.array([p, MODEL.nominal])) == pytest.approx([value, arm.first(MODEL.nominal)[0]])
 
 
-def test_linear_quantities_read_like_what_they_are():
-    gradient = np.zeros(len(MODEL.names))
-    gradient[[0, 3]] = 1.0, -0.25
-    sum_ = linear(MODEL, gradient, "m")
-    assert sum_.name == "H1x - 0.25*H2y"
-    value, slope, bend = sum_.at(MODEL.nominal)
-    assert value == pytest.approx(gradient @ MODEL.nominal, rel=1e-15)
-    assert np.array_equal(slope, gradient)
-    assert sum_.linear
-    assert not bend.any()
-
-
 def test_an_unknown_parameter_is_named():
     with pytest.raises(InputError, match="did you mean 'eta_A'"):
         parameter(MODEL, "eta_a")
@@ -177,13 +165,6 @@ def test_bounds_of_other_parameters_leave_a_profile_open():
     assert got.upper.value == pytest.approx(p[a] + p[b] + 0.2 * (e.std[a] + e.std[b]), rel=1e-9)
     assert "bounds of other parameters" in got.upper.reason
     assert not got.ok
-
-
-def test_what_nothing_free_moves_is_open():
-    cost, p, found, _ = paper()
-    got = profile(cost, p, parameter(MODEL, "H1y"), held=found.held)
-    assert (got.lower.status, got.upper.status) == ("open", "open")
-    assert got.interval == (-np.inf, np.inf)
 
 
 def test_a_profile_that_breaks_is_failed_with_a_reason():

@@ -255,13 +255,6 @@ def test_a_bad_campaign_file_is_refused_in_one_sentence(written, what):
     assert message.endswith((".", "?"))
 
 
-def test_a_missing_campaign_file_is_refused(tmp_path):
-    with pytest.raises(InputError, match="does not exist"):
-        read_campaign(tmp_path / "none.toml")
-    with pytest.raises(InputError):
-        read_campaign(tmp_path)
-
-
 # -- single runs, and campaigns that are written ---------------------------------------------------------
 
 

@@ -156,11 +156,6 @@ def test_a_method_of_ones_own():
     assert result.cost < result.history[0, 1]
 
 
-def test_seed_may_be_a_generator():
-    one = minimize(SPHERE.problem(), seed=np.random.default_rng(8), budget=500)
-    assert np.array_equal(one.x, minimize(SPHERE.problem(), seed=8, budget=500).x)
-
-
 MISUSE = {
     "unknown solver": (
         lambda p: minimize(p, "tblo", seed=0),

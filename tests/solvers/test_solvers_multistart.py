@@ -22,11 +22,6 @@ def test_hypercube_pairs_the_dimensions_at_random():
     assert np.abs(correlation).max() < 5.0 / np.sqrt(4000)
 
 
-def test_hypercube_of_fixed_variables():
-    x = latin_hypercube(9, np.array([2.0, 0.0]), np.array([2.0, 1.0]), np.random.default_rng(0))
-    assert (x[:, 0] == 2.0).all()
-
-
 def valleys(x):
     """Three valleys on a line, ever deeper, the second variable fixed."""
     return np.cos(6.0 * np.pi * x[:, 0]) - x[:, 0]
@@ -40,17 +35,6 @@ def test_screening_finds_all_valleys_cheapest_first():
     assert starts.x[:, 0] == pytest.approx([5 / 6, 1 / 2, 1 / 6], abs=0.01)
     assert (np.diff(starts.cost) > 0).all()
     assert np.array_equal(starts.cost, valleys(starts.x))
-
-
-def test_screening_evaluates_once():
-    calls = []
-
-    def cost(x):
-        calls.append(len(x))
-        return valleys(x)
-
-    screened_starts(Problem(cost, [0.0, 7.0], [1.0, 7.0]), 50, 3, np.random.default_rng(0))
-    assert calls == [50]
 
 
 def test_kept_points_are_apart_and_none_better_was_passed_over():
@@ -73,12 +57,6 @@ def test_fewer_come_back_when_there_are_no_more():
     assert len(best_apart(collapsed, 3, LINE)) == 1
     hopeless = Population(np.full((20, 2), [0.5, 7.0]), np.full(20, np.inf))
     assert len(best_apart(hopeless, 3, LINE)) == 0
-
-
-def test_apart_zero_keeps_the_very_best():
-    x = np.column_stack([np.linspace(0.0, 1.0, 50), np.full(50, 7.0)])
-    kept = best_apart(Population(x, valleys(x)), 4, LINE, apart=0.0)
-    assert np.array_equal(kept.cost, np.sort(valleys(x))[:4])
 
 
 def test_infinite_box_is_refused():
