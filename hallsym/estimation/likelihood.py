@@ -110,6 +110,8 @@ class Coefficients:
 
     def curvature(self, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return sum of weights * d2 coefficient / dp2, shape (n, n), weights shaped as coefficients."""
+        if isinstance(self.features, Linear):
+            return np.zeros((len(p), len(p)))
         flat = np.swapaxes(weights, 1, 2).ravel()
         return self.features.expansion[1](p, self.centre, flat)
 

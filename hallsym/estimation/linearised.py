@@ -13,7 +13,6 @@ by taking the tangent again at each step (Gauss-Newton, `gauss_newton`) is that 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -156,20 +155,6 @@ class TangentFeatures(Features):
         slope = np.zeros((1 + z, len(k0) + len(k), len(p)))
         slope[0, len(k0) + np.arange(len(k)), j] = 1.0
         return value, Rows(np.append(k0, k), np.append(np.arange(len(k0)), at), slope)
-
-    @property
-    def expansion(self) -> Any:
-        """Coefficients with their derivatives as `Features.expansion` gives them: linear, so no curvature."""
-        n = len(self.model.names)
-
-        def first(p: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            value, rows = self.linear(p)
-            slope = np.zeros((*value.shape, n))
-            slope[:, rows.feature, rows.channel] = rows.slope
-            flat = np.swapaxes(value, 1, 2).reshape(len(value), -1).T
-            return flat, np.swapaxes(slope, 1, 2).reshape(-1, n)
-
-        return first, lambda p, centre, weights: np.zeros((n, n))
 
     @property
     def point(self) -> np.ndarray:
