@@ -8,7 +8,7 @@ from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import column_numbers, column_ranges, command, say
 from hallsym.codegen import Generated, generate
 from hallsym.codegen.float_backend import KINDS
-from hallsym.codegen.folder import name_of, type_of
+from hallsym.codegen.folder import name_of
 from hallsym.codegen.generation import sha256
 from hallsym.codegen.lowering.correction import KINDS as CORRECTIONS
 from hallsym.codegen.naming import PREFIX
@@ -101,12 +101,11 @@ def _made(fit: Fit, options: Namespace) -> Generated:
     ranges, allow = column_ranges(options.range, columns), options.allow_undetermined
     folder = Path(options.output)
     name = options.name or (name_of(folder) if options.params_only else PREFIX)
-    kind = type_of(folder) if options.params_only and not options.arithmetic else ""
     return generate(
         fit,
-        arithmetic=options.arithmetic or ("q31" if kind == "q31" else "float"),
+        arithmetic=options.arithmetic,
         ranges=ranges,
-        double=options.double or kind == "double",
+        double=options.double,
         jacobian=options.jacobian,
         accuracy=_accuracy(options.accuracy, fit),
         correction=options.correction,

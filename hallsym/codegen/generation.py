@@ -16,7 +16,7 @@ from hallsym.codegen.box import box_of, shortened
 from hallsym.codegen.decoupler import Box, Decoupler, short, steps_on_arrays
 from hallsym.codegen.float_backend import FloatBackend, kinds_of
 from hallsym.codegen.float_c import DOUBLE, FLOAT, Real
-from hallsym.codegen.folder import entries_of, replace_params, write_folder
+from hallsym.codegen.folder import entries_of, record_of, replace_params, write_folder
 from hallsym.codegen.folder import options_of as options_before
 from hallsym.codegen.integer_backend import IntegerBackend
 from hallsym.codegen.integer_c import float_instead, integer_program
@@ -27,10 +27,9 @@ from hallsym.estimation.calibration import Fit
 
 ARITHMETICS = ("float", "q31")
 REPLACED = (
-    "params/", "test/selftest", "test/faults.c", "doc/report.md", "proof/eva.c",
+    "params/", "test/selftest", "test/faults.c", "doc/report.md", "proof/eva.c", "proof/exhaustive.c"
 )  # fmt: skip
-"""Beginnings of the files that a recalibration replaces, in every arithmetic: numbers, what tries them."""
-REPLACED_TOO = {"float": (), "q31": ("proof/exhaustive.c",)}
+"""Beginnings of the files that a recalibration replaces: numbers, and what tries them."""
 UNSEEN = {"accuracy": np.pi, "correction": "series:0"}
 """Options of float code of which integers take the model and the box alone: the least there is to compute."""
 
@@ -61,8 +60,7 @@ class Generated:
     @property
     def params(self) -> dict[str, str | bytes]:
         """The files that a recalibration replaces."""
-        replaced = REPLACED + REPLACED_TOO[self.backend.tree]
-        return {name: content for name, content in self.files.items() if name.startswith(replaced)}
+        return {name: content for name, content in self.files.items() if name.startswith(REPLACED)}
 
     def write(self, folder: str | Path, *, force: bool = False, params_only: bool = False) -> None:
         """Write the folder, or only its parameters. Raises `InputError` before anything is written."""
@@ -94,7 +92,7 @@ class Generated:
 def generate(
     fit: Fit,
     *,
-    arithmetic: str = "float",
+    arithmetic: str | None = None,
     ranges: Mapping[str, tuple[float, float]] | None = None,
     double: bool = False,
     jacobian: bool | str | Sequence[str] = False,
@@ -107,17 +105,20 @@ def generate(
 ) -> Generated:
     """Generate the C decoupler of a calibration.
 
-    `arithmetic`: "float", or "q31" for 32-bit integers, where a controller has no floating-point unit.
-    `ranges`: least and greatest value by column [SI] in place of what the log recorded. `double`: for hosts.
-    `jacobian`: with `decoupler_jacobian()`, by "reading" (True), "state", or "reading,state". Models of an
-    angle: `accuracy` is what the correction of it may leave besides rounding [rad], default 3e-8, of integers
-    1e-5;
-    `correction` is "series", "table", or "auto" for the one of fewer bytes. Magnet arrays: `accuracy` is what
-    harmonics and polynomials may leave of a place [m]. `name`: prefix of symbols and files, so that several
-    decouplers fit in one image. `like`: a generated folder whose code it shall have, for a recalibration:
-    what was chosen there, such as exponents and the form of ranges and tables, is taken where it is not
-    given. Raises `InputError` for a calibration that cannot be trusted on a controller.
+    `arithmetic`: "float" (default), or "q31" for 32-bit integers, where a controller has no floating-point
+    unit. `ranges`: least and greatest value by column [SI] in place of what the log recorded. `double`: for
+    hosts. `jacobian`: with `decoupler_jacobian()`, by "reading" (True), "state", or "reading,state". Models
+    of an angle: `accuracy` is what the correction of it may leave besides rounding [rad], default 3e-8, of
+    integers 1e-5; `correction` is "series", "table", or "auto" for the one of fewer bytes. Magnet arrays:
+    `accuracy` is what harmonics and polynomials may leave of a place [m]. `name`: prefix of symbols and
+    files, so that several decouplers fit in one image. `like`: a generated folder whose code it shall have,
+    for a recalibration: what was chosen there is taken where it is not given. Raises `InputError` for a
+    calibration that cannot be trusted on a controller.
     """
+    before: Mapping[str, Any] = {} if like is None else record_of(Path(like))
+    if arithmetic is None:
+        kind = str(before.get("type"))
+        arithmetic, double = "q31" if kind == "q31" else "float", double or kind == "double"
     if arithmetic not in ARITHMETICS:
         raise InputError(
             f"The arithmetic is one of {', '.join(ARITHMETICS)}; instead received {arithmetic!r}."
@@ -129,19 +130,19 @@ def generate(
     check_distinct(columns, map(short, fit.model.pose), ())
     record = {"model": fit.model.name, "calibration_sha256": calibration_sha256 or digest_of(fit)}
     record |= {} if name == PREFIX else {"name": name}
-    before = {} if like is None else options_before(Path(like))
-    box = box_of(fit, ranges, () if like is None else entries_of(Path(like)))
+    chosen = options_before(before)
+    box = box_of(fit, ranges, entries_of(before))
     given: dict[str, Any] = {
-        "accuracy": before.get("accuracy") if accuracy is None else accuracy,
-        "correction": before.get("correction") if correction is None else correction,
+        "accuracy": chosen.get("accuracy") if accuracy is None else accuracy,
+        "correction": chosen.get("correction") if correction is None else correction,
     }
     if arithmetic == "q31":
         for option, unwanted in (("double", double), ("jacobian", bool(jacobian))):
             if unwanted:
                 raise InputError(f"--{option} belongs to --arithmetic float; leave it out, or the integers.")
-        backend: Backend = _integers(fit, record, box, given, before.get("plan"), ranges or {})
+        backend: Backend = _integers(fit, record, box, given, chosen.get("plan"), ranges or {})
     else:
-        jacobian = jacobian or str(before.get("jacobian", "")) or False
+        jacobian = jacobian or str(chosen.get("jacobian", "")) or False
         real = DOUBLE if double else FLOAT
         backend = _floats(fit, record, box, given, real, kinds_of(jacobian, fit.model))
     errors = backend.errors()

@@ -217,13 +217,6 @@ def test_the_folder_passes_here_and_on_a_cortex_m4f_and_eva_raises_no_alarm(case
 
 
 @pytest.mark.slow
-def test_in_double_too(tmp_path):
-    code = hallsym.generate(fit_of("clipped"), double=True, accuracy=5e-3)
-    assert code.errors["angle_rad"] <= code.decoupler.slack
-    passes(written(code, tmp_path / "fw"), compiler="clang")
-
-
-@pytest.mark.slow
 def test_a_damaged_entry_is_found(tmp_path):
     need("gcc")
     code = made("meng angle", None, "table")

@@ -188,13 +188,6 @@ def test_stated_bounds_hold_over_random_inputs(case, form):
     assert 0 < met <= code.bounds.error["angle_rad"] + code.decoupler.slack < 2 * pi / 2**20
 
 
-@pytest.mark.slow
-def test_double_leaves_what_the_polynomials_leave():
-    code = made("meng", "volts", double=True)
-    assert code.bounds.error["angle_rad"] < 1e-14
-    assert 1e-8 < code.errors["angle_rad"] <= code.decoupler.slack < 2e-7
-
-
 # -- the C itself --------------------------------------------------------------------------------------------
 
 

@@ -224,12 +224,6 @@ def test_cppcheck_finds_no_misra_violation_that_is_not_listed(folder):
     ran(folder, "make", "misra")
 
 
-def test_the_folder_says_what_was_not_proved_and_why(folder):
-    script = (folder / "proof/prove.sh").read_text()
-    assert not (folder / "proof/eva.c").exists()
-    assert "not run (it relates no two values" in script
-
-
 M3 = ("MACHINE=mps2-an385", "CPU=-mcpu=cortex-m3 -mthumb")
 M7 = ("MACHINE=mps2-an500", "CPU=-mcpu=cortex-m7 -mthumb -mfloat-abi=hard -mfpu=fpv5-sp-d16")
 
