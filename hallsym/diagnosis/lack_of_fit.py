@@ -22,18 +22,13 @@ from hallsym.estimation.decoding import decoding_gain
 
 
 @dataclass(frozen=True)
-class Key:
-    """A family of curves: `kind` says what the residual may depend on, `name` which one of that kind."""
-
-    kind: str
-    name: str = ""
-
-
-@dataclass(frozen=True)
 class Shape:
-    """How far a family of curves lowers the residual (rms) of runs it was not fitted on, and its p-value."""
+    """How far a family of curves lowers the residual (rms) of runs it was not fitted on, and its p-value.
 
-    key: Key
+    `name`: of the coordinate that the residual may depend on.
+    """
+
+    name: str
     drop: float
     p_value: float
 
@@ -59,12 +54,11 @@ def lack_of_fit(base: Base, runs: frozenset[int]) -> LackOfFit:
         return LackOfFit(())
     total = max(float(r.squares.sum()), 1e-300)
     explained, z = run_gains(r, r.residual)
-    found = [(Key("run", "gain of its own"), explained, float((z >= z[0]).mean()))]
+    found = [("gain of its own", explained, float((z >= z[0]).mean()))]
     for c in coordinates(r):
-        kind = "place" if c.fine and not c.own else c.name  # those along several axes are one shape
         curves = [each.curve(r.residual) for each in over(r, c)]
-        found += [(Key(kind, c.name), x.explained, x.p_value) for x in curves]
-    shapes = [Shape(key, 1 - float(np.sqrt(1 - np.clip(x / total, 0.0, 1.0))), p) for key, x, p in found]
+        found += [(c.name, x.explained, x.p_value) for x in curves]
+    shapes = [Shape(name, 1 - float(np.sqrt(1 - np.clip(x / total, 0.0, 1.0))), p) for name, x, p in found]
     return LackOfFit(tuple(sorted(shapes, key=lambda s: -s.drop)), tones(base, runs))
 
 

@@ -39,12 +39,6 @@ class Held:
         """Name of the effect."""
         return self.exact.name
 
-    @property
-    def added(self) -> tuple[str, ...]:
-        """Names of the parameters that the effect adds."""
-        before = self.without.base.model.names
-        return tuple(n for n in self.exact.score.model.names if n not in before)
-
 
 @dataclass(frozen=True, eq=False)
 class Validation:

@@ -228,9 +228,9 @@ def test_structure_sees_a_curve_and_the_runs_gains_and_nothing_in_noise(quiet: t
     bump = fitted(machine("raster", (unlisted(rng)["bump"],), seed=7, thin=6))
     best = lack_of_fit(bump, runs).best(0.01)
     assert best is not None
-    assert best.key.kind == "the reading itself"
+    assert best.name == "the reading itself"
     own = lack_of_fit(fitted(machine("grid", (unlisted(rng)["run_gain"],), seed=7)), range(57))
-    assert own.shapes[0].key.kind == "run"
+    assert own.shapes[0].name == "gain of its own"
 
 
 def test_a_step_inside_bounds_is_the_least_squares_solution_there() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hallsym.diagnosis import Base
-from hallsym.diagnosis.lack_of_fit import Key, lack_of_fit
+from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.localisation import located
 from hallsym.log import Log
 from hallsym.model import Family, Model, Parameter
@@ -79,5 +79,5 @@ def test_lack_of_fit_over_a_period_is_seen_with_the_coordinate() -> None:
     base = base_with("y", "y", (3,))
     best = lack_of_fit(base, base.log.runs).best(0.01)
     assert best is not None
-    assert best.key == Key("place", "place in the period of y")
+    assert best.name == "place in the period of y"
     assert lack_of_fit(base_with("y", "y", ()), base.log.runs).best(0.01) is None

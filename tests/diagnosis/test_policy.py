@@ -19,7 +19,7 @@ from test_diagnosis_turn import LIKE_A_TABLE, table
 
 from hallsym.diagnosis import POLICY, Diagnosis, compare, diagnose, prepare
 from hallsym.diagnosis.confusable import smaller_findings
-from hallsym.diagnosis.lack_of_fit import Key, LackOfFit, Shape
+from hallsym.diagnosis.lack_of_fit import LackOfFit, Shape
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.refit import refit, with_model
 from hallsym.diagnosis.scores import Score
@@ -37,8 +37,8 @@ FLOOR = Floor(1e-6, stated=True)
 CLEAN = LackOfFit(())
 
 
-def shaped(drop: float, p: float, kind: str = "place") -> LackOfFit:
-    return LackOfFit((Shape(Key(kind, "x"), drop, p),))
+def shaped(drop: float, p: float) -> LackOfFit:
+    return LackOfFit((Shape("x", drop, p),))
 
 
 # -- is what is left a gap, and the verdict ------------------------------------------------------------------
