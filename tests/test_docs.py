@@ -60,7 +60,6 @@ COMMANDS = (
     "sort",
     "trajectory",
     "info",
-    "completion",
 )
 
 
@@ -247,7 +246,8 @@ def helps() -> dict[str, str]:
 
 def test_every_command_has_help_and_is_documented():
     texts = helps()
-    found = re.findall(r"^    (\w+)(?: {2,}|\n +)\w", texts[""].partition("COMMAND\n")[2], re.M)
+    listed = texts[""].partition("calibrate:")[2].partition("options:")[0]
+    found = re.findall(r"^  (\w+) +\w", listed, re.M)
     assert sorted(found) == sorted(COMMANDS), "the list of commands in this test is out of date"
     everything = "".join(map(text_of, PAGES))
     for command in COMMANDS:
@@ -292,10 +292,10 @@ def test_python_of_the_page_names_what_exists(page):
 
 
 def test_the_table_beside_the_paper_is_what_the_demo_prints():
-    from hallsym.cli import paper
+    from hallsym.cli import demo
 
-    _, _, steps = paper.reproduce()
-    printed = paper.text(steps)
+    _, _, steps = demo.reproduce()
+    printed = demo.text(steps)
     lines = [re.split(r" {2,}", line.strip()) for line in printed.splitlines()[2:]]
     rows = re.findall(r"^\| ((?:nominal|paper|Model).*) \|$", text_of(ROOT / "docs" / "theory.md"), re.M)
     shown = [row.split(" | ") for row in rows]

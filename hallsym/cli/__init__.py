@@ -26,9 +26,7 @@ GROUPS = {
     },
 }
 """Each command by task, as `hallsym --help` lists them; the file of one is read when it is called."""
-COMMANDS = {name: what for group in GROUPS.values() for name, what in group.items()} | {
-    "completion": "the script with which bash, zsh or fish completes this command",
-}
+COMMANDS = {name: what for group in GROUPS.values() for name, what in group.items()}
 
 OK, CHANGED, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED, BUG, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
 NOT_DESCRIBED = NOT_DETERMINED
