@@ -15,6 +15,15 @@ from hallsym.experiment import Plan
 from hallsym.fleets import Fleet
 from hallsym.inference import Identifiability
 from hallsym.log import Log, as_log
+from hallsym.report.data.survey import look_over
+from hallsym.report.figures.campaign import TITLES, errors_before_after, gap
+from hallsym.report.figures.fleet import distributions
+from hallsym.report.figures.plan import coverage
+from hallsym.report.figures.sensitivity import effects
+from hallsym.report.figures.style import STYLE
+from hallsym.report.figures.uncertainty import budget_bars
+from hallsym.report.page.diagnosis_page import diagnosis_page
+from hallsym.report.page.fit_page import fit_page
 from hallsym.report.text.budget import budget_text
 from hallsym.report.text.diagnosis import diagnosis_text
 from hallsym.report.text.fit import evaluation_head, evaluation_text, fit_head, fit_text
@@ -64,17 +73,12 @@ def figure(result: Any, log: Any = None) -> Figure:
     """Return the picture of a result, in the style of hallsym's pictures."""
     from matplotlib import style
 
-    from hallsym.report.figures.style import STYLE
-
     with style.context(["default", STYLE]):
         return _view(result).figure(result, log)
 
 
 def page_of(result: Any, log: Any = None) -> str:
     """Return the page of a fit or a diagnosis as HTML; `log` as for `hallsym.report`."""
-    from hallsym.report.page.diagnosis_page import diagnosis_page
-    from hallsym.report.page.fit_page import fit_page
-
     if isinstance(result, Diagnosis):
         return diagnosis_page(result)
     fit = result if isinstance(result, Fit) else load_fit(result)
@@ -110,9 +114,6 @@ def _fit_table(fit: Fit) -> Table:
 
 
 def _fit_figure(fit: Fit, log: Any) -> Figure:
-    from hallsym.report.data.survey import look_over
-    from hallsym.report.figures.campaign import errors_before_after
-
     seen = as_read(_log_of(fit, log, "fit.plot('log.csv')"), fit.model, fit.wiring)
     return errors_before_after(fit, look_over(seen, fit, fit.keep))
 
@@ -138,9 +139,6 @@ def _evaluation_table(found: Evaluation) -> Table:
 
 
 def _evaluation_figure(found: Evaluation, log: Any) -> Figure:
-    from hallsym.report.data.survey import look_over
-    from hallsym.report.figures.campaign import TITLES, errors_before_after
-
     return errors_before_after(found.applied, look_over(found.decoded, found.applied), TITLES)
 
 
@@ -158,12 +156,6 @@ def _diagnosis_table(d: Diagnosis) -> Table:
         "p_value": [e.p_value for e in d.effects],
         "fit_with": [e.text for e in d.effects],
     }
-
-
-def _diagnosis_figure(d: Diagnosis, log: Any) -> Figure:
-    from hallsym.report.figures.campaign import gap
-
-    return gap(d)
 
 
 # -- what data determine, plans, budgets -----------------------------------------------------------------
@@ -185,12 +177,6 @@ def _identifiability_table(found: Identifiability) -> Table:
     }
 
 
-def _identifiability_figure(found: Identifiability, log: Any) -> Figure:
-    from hallsym.report.figures.sensitivity import effects
-
-    return effects(found)
-
-
 def _plan_table(plan: Plan) -> Table:
     groups = plan.groups()
     return {
@@ -198,12 +184,6 @@ def _plan_table(plan: Plan) -> Table:
         "setting": [setting for _, setting, _ in groups],
         "trajectory": [trajectory for _, _, trajectory in groups],
     }
-
-
-def _plan_figure(plan: Plan, log: Any) -> Figure:
-    from hallsym.report.figures.plan import coverage
-
-    return coverage(plan, None if log is None else as_log(log))
 
 
 def _budget_table(budget: Budget) -> Table:
@@ -218,27 +198,14 @@ def _budget_table(budget: Budget) -> Table:
     }
 
 
-def _budget_figure(budget: Budget, log: Any) -> Figure:
-    from hallsym.report.figures.uncertainty import budget_bars
-
-    return budget_bars({budget.quantity: budget})
-
-
-# -- a fleet ---------------------------------------------------------------------------------------------
-
-
-def _fleet_figure(fleet: Fleet, log: Any) -> Figure:
-    from hallsym.report.figures.fleet import distributions
-
-    return distributions(fleet)
-
-
 VIEWS: Mapping[type, View] = {
     Fit: View(fit_text, _fit_table, _fit_figure, fit_head),
     Evaluation: View(evaluation_text, _evaluation_table, _evaluation_figure, evaluation_head),
-    Diagnosis: View(diagnosis_text, _diagnosis_table, _diagnosis_figure),
-    Identifiability: View(report_text, _identifiability_table, _identifiability_figure),
-    Plan: View(plan_text, _plan_table, _plan_figure),
-    Fleet: View(fleet_text, Fleet.table, _fleet_figure),
-    Budget: View(budget_text, _budget_table, _budget_figure),
+    Diagnosis: View(diagnosis_text, _diagnosis_table, lambda d, log: gap(d)),
+    Identifiability: View(report_text, _identifiability_table, lambda found, log: effects(found)),
+    Plan: View(
+        plan_text, _plan_table, lambda plan, log: coverage(plan, None if log is None else as_log(log))
+    ),
+    Fleet: View(fleet_text, Fleet.table, lambda fleet, log: distributions(fleet)),
+    Budget: View(budget_text, _budget_table, lambda budget, log: budget_bars({budget.quantity: budget})),
 }

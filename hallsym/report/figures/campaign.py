@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,17 +77,8 @@ def save_pictures(log: Log, fit: Fit, folder: str | Path | Place, *, keep: Weigh
     `measured`, `errors_before_after`, `errors_by_setting` and `parameters`. `keep(block) -> (samples,)`
     weights; samples of weight 0 (outliers) take no part and are marked. The log is read twice, in blocks.
     """
-    log = as_read(log, fit.model, fit.wiring)
-    survey = cache(lambda: look_over(log, fit, keep))  # once, and only when the folder is there
-    return save_figures(
-        {
-            "measured": lambda: measured(log, fit, survey(), keep),
-            "errors_before_after": lambda: errors_before_after(fit, survey()),
-            "errors_by_setting": lambda: errors_by_setting(fit, survey()),
-            "parameters": lambda: parameters(fit),
-        },
-        folder,
-    )
+    found = _of_errors(as_read(log, fit.model, fit.wiring), fit, keep)
+    return save_figures(found | {"parameters": lambda: parameters(fit)}, folder)
 
 
 TITLES = "Nominal parameters", "Calibration"
@@ -99,16 +90,18 @@ def save_evaluation(found: Evaluation, folder: str | Path | Place) -> list[Path]
     `measured`, `errors_before_after` (left by nominal parameters, right by the calibration) and
     `errors_by_setting`; each as for a fit, of the log that was evaluated.
     """
-    fit, log = found.applied, found.decoded
-    survey = cache(lambda: look_over(log, fit))
-    return save_figures(
-        {
-            "measured": lambda: measured(log, fit, survey()),
-            "errors_before_after": lambda: errors_before_after(fit, survey(), TITLES),
-            "errors_by_setting": lambda: errors_by_setting(fit, survey()),
-        },
-        folder,
-    )
+    return save_figures(_of_errors(found.decoded, found.applied, titles=TITLES), folder)
+
+
+def _of_errors(
+    log: Log, fit: Fit, keep: Weigh | None = None, titles: tuple[str, str] | None = None
+) -> dict[str, Callable[[], Figure]]:
+    survey = cache(lambda: look_over(log, fit, keep))  # once, and only when the folder is there
+    return {
+        "measured": lambda: measured(log, fit, survey(), keep),
+        "errors_before_after": lambda: errors_before_after(fit, survey(), titles),
+        "errors_by_setting": lambda: errors_by_setting(fit, survey()),
+    }
 
 
 ACROSS, HEIGHT = 3, 1.4
