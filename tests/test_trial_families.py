@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 from firmware import need, ran
-from trial_families import ARRAY, PLANE, TRIALS, second_harmonic, second_harmonic_along
+from trial_families import ARRAY, PLANE, TRIALS, second_harmonic
 
 import hallsym
 from hallsym import InputError, Log, Noise, NoiseModel
@@ -19,7 +19,6 @@ from hallsym.families import FAMILIES
 from hallsym.log import continuous, near, wrapped
 from hallsym.model import Parameter
 from hallsym.report.page.diagnosis_page import diagnosis_page
-from hallsym.report.page.fit_page import fit_page
 from hallsym.report.text.diagnosis import diagnosis_text
 from hallsym.simulation import campaign_from, paper_campaign
 
@@ -171,22 +170,6 @@ def test_the_waves_of_an_error_over_x_are_counted():
     assert "waves per period of x [um]" in diagnosis_text(found)
 
 
-@pytest.mark.parametrize("axis", [pytest.param("x", marks=pytest.mark.slow), "y"])
-def test_a_wave_of_error_is_found_over_its_own_coordinate(axis):
-    """Of two periodic coordinates one has a second harmonic, by the array along it."""
-    model = PLANE.models[0]()
-    found = hallsym.diagnose(recorded(second_harmonic_along(model, axis)), model, holdout=[2])
-    assert found.verdict == "unexplained"
-    assert found.where[0].by == f"place in the period of {axis}"
-    assert ", 3 waves per period" in found.where[0].text
-
-
-@each_trial
-def test_a_page_of_a_fit_is_drawn(family):
-    log, fit = fitted(family)
-    assert fit_page(log, fit).startswith("<!doctype html>")
-
-
 @one_trial
 def test_pictures_of_a_fit_are_drawn(family, tmp_path):
     from hallsym.report.figures.campaign import save_pictures
@@ -235,15 +218,6 @@ def test_the_detection_power_finds_its_effect():
     )
     (effect,) = found.effects
     assert effect.status == "found"
-    assert found.false_alarms == 0
-
-
-@pytest.mark.slow
-@each_trial
-def test_the_detection_power_tries_every_fault(family):
-    log, fit = fitted(family)
-    found = hallsym.detection_power(log, fit.model, holdout=[2], ratios=[4.0], repeats=1)
-    assert found.complete
     assert found.false_alarms == 0
 
 

@@ -109,7 +109,7 @@ def log_options(parser: ArgumentParser) -> None:
     )  # fmt: skip
 
 
-FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet", "clock", "dates")
+FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet", "clock")
 """Options that say what a file is."""
 
 
@@ -132,9 +132,6 @@ def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
         "--decimal", metavar="SIGN", help="of its numbers: . or , where both would be possible"
     )
     group.add_argument("--sheet", help="of a workbook that has several")
-    group.add_argument(
-        "--dates", metavar="FIRST", help="day or month: which stands first in dates such as 03/04/2026"
-    )
     return group
 
 

@@ -46,13 +46,11 @@ class CsvSource(Source):
         decimal: str | None = None,
         file: Callable[[], IO[bytes]] | None = None,
         sheet: str = "",
-        dates: str | None = None,
     ) -> None:
         """Recognise what the file is."""
         self.path, self.where = path, quoted(path)
         self.file = Encoded.of(file or path)
         self.dialect: Dialect = sniffed(self.file, self.where, delimiter, decimal)
-        self.dates = dates
         self.names, self.units, self.aliases = self.dialect.names, self.dialect.units, self.dialect.aliases
         self.times = {self.names.index(name): form for name, form in self.dialect.times.items()}
         self._name_the_time()
@@ -152,7 +150,7 @@ class CsvSource(Source):
         }
         stream = TableStream(self.file, self.dialect, self.where, BLOCK)
         seconds = {
-            k: Seconds(self.times[k], self.dates, f"Column '{self.dialect.names[k]}' of {self.where}")
+            k: Seconds(self.times[k], f"Column '{self.dialect.names[k]}' of {self.where}")
             for k in indices
             if k in self.times
         }

@@ -14,9 +14,7 @@ from hallsym.log.format_csv import CsvSource
 from hallsym.log.table import Source
 
 
-def open_workbook(
-    path: Path, sheet: str | None = None, decimal: str | None = None, dates: str | None = None
-) -> Source:
+def open_workbook(path: Path, sheet: str | None = None, decimal: str | None = None) -> Source:
     """Open one sheet of a workbook: the one that holds cells, or the one that is named.
 
     Its cells are a table as one of text is, with one row a line: lines above it, a row of units and words
@@ -41,7 +39,7 @@ def open_workbook(
     chosen = sheet or next(iter(filled))
     text = "\n".join("\t".join(map(_text, row)) for row in filled[chosen]) + "\n"
     data = text.encode()
-    return CsvSource(path, "\t", decimal, lambda: io.BytesIO(data), chosen, dates)
+    return CsvSource(path, "\t", decimal, lambda: io.BytesIO(data), chosen)
 
 
 def _rows(book: Any, name: str) -> list[list[Any]]:

@@ -50,7 +50,7 @@ class Format:
 
 FORMATS = (
     Format("parquet", (".parquet", ".pq"), ParquetSource, "Parquet", ParquetWriter),
-    Format("csv", (".csv", ".txt", ".tsv"), CsvSource, "CSV", CsvWriter, ("delimiter", "decimal", "dates")),
+    Format("csv", (".csv", ".txt", ".tsv"), CsvSource, "CSV", CsvWriter, ("delimiter", "decimal")),
     Format("hdf5", (".h5", ".hdf5"), Hdf5Source, "HDF5", Hdf5Writer),
     Format("mat", (".mat",), open_mat, "MATLAB", MatWriter),
     Format(
@@ -59,7 +59,7 @@ FORMATS = (
         open_workbook,
         "workbook",
         None,
-        ("sheet", "decimal", "dates"),
+        ("sheet", "decimal"),
     ),
     Format("tdms", (".tdms",), open_tdms, "TDMS", None, ("clock",)),
     Format("mdf", (".mf4", ".mdf"), open_mdf, "MDF", None, ("clock",)),

@@ -27,7 +27,7 @@ from hallsym.log.meta import Meta
 from hallsym.log.noise import Noise, check_misspelt_noise, check_noise_keys
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
-from hallsym.log.text import ORDERS, stated_delimiter
+from hallsym.log.text import stated_delimiter
 from hallsym.reading import regular
 from hallsym.units import split_unit
 
@@ -51,7 +51,6 @@ def read_log(
     decimal: str | None = None,
     sheet: str | None = None,
     clock: str | None = None,
-    dates: str | None = None,
     drop_bad: bool = False,
     noise: Mapping[str, float] | None = None,
     counts_per_turn: float | None = None,
@@ -70,16 +69,14 @@ def read_log(
     Of a text file delimiter and decimal sign are recognised; `delimiter` ("tab" and "blank" are words for
     them) and `decimal` state them. `sheet`: of a workbook that has several. `clock`: of a file whose channel
     groups (TDMS, MDF, MCAP) have several, "Hall:linear": whose samples become the rows, and how channels of
-    other groups are read there, linear or nearest. `dates`: "day" or "month", which of them stands first in
-    dates such as 03/04/2026.
+    other groups are read there, linear or nearest.
     `remembered`: columns as an earlier log was mapped (`Fit.columns`); those that this file has, and that
     nothing else gives, are read under the same names, and a note says so.
     `read_with`: options (`decimal`, `sheet`, ...) that an earlier log was read with (`Fit.read_with`), which
     answer what this file leaves open.
     `drop_bad` leaves out the samples and runs that `check_log` would refuse.
     """
-    given = {"format": format, "delimiter": delimiter, "decimal": decimal, "sheet": sheet}
-    given |= {"clock": clock, "dates": dates}
+    given = {"format": format, "delimiter": delimiter, "decimal": decimal, "sheet": sheet, "clock": clock}
     (file, folder, source), said = _answered(path, given, read_with or {})
     where = quoted(file) if file is not None else path if isinstance(path, str) else "The table"
     meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
@@ -173,8 +170,6 @@ def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> S
             )
     if options.get("decimal", ".") not in (".", ","):
         raise InputError(f"Decimal sign must be '.' or ','; instead received {options['decimal']!r}.")
-    if options.get("dates", ORDERS[0]) not in ORDERS:
-        raise InputError(f"Option dates must be 'day' or 'month'; instead received {options['dates']!r}.")
     if "delimiter" in options:
         options["delimiter"] = stated_delimiter(options["delimiter"])
     fault = f"must be a complete {entry.kind} file; it is cut short or damaged"

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.diagnosis import detection_power, diagnose
+from hallsym.diagnosis import diagnose
 from hallsym.diagnosis.cordic import cordic
 from hallsym.families.cordic import cordic_angle, levels, worst_of
 from hallsym.log import Log, Noise
@@ -63,12 +63,6 @@ def test_equal_steps_are_no_cordic(distance, steps, count):
     # a motor that goes from step to step, read by an encoder that is off by a tenth of one
     near = np.round(a / distance) * distance + 0.1 * distance * np.sin(a)
     assert cordic(near, levels(steps).rms) is None
-
-
-def test_two_counts_must_fit_between_neighbours():
-    for steps, bits in ((12, 14), (10, 12)):
-        assert cordic(chip(steps, 1000, 1, bits), levels(steps).rms, TURN / 2**bits).levels.steps == steps
-        assert cordic(chip(steps + 1, 1000, 1, bits), levels(steps + 1).rms, TURN / 2**bits) is None
 
 
 def test_noise_after_the_computation_hides_it():
@@ -122,15 +116,6 @@ def test_a_diagnosis_tells_steps_of_cordic_from_equal_ones(steps, bits, names, s
     else:
         assert named(found) == ("explained" if names else "no gap", names)
     assert all(e.parameters["steps"].value == steps for e in found.effects if e.name == "cordic_steps")
-
-
-@pytest.mark.slow
-def test_the_detection_power_injects_and_finds_them():
-    log = recorded(None, None)
-    tested = detection_power(log, "rotary", names=["cordic_steps"], ratios=(2.0,))
-    row = tested.effect("cordic_steps")
-    assert (row.status, row.link) == ("found", "electronics")
-    assert row.size["error_at_most"][0] == pytest.approx(worst_of(int(row.size["steps"][0])))
 
 
 def test_a_simulated_chip_has_so_many_angles(tmp_path, capsys):

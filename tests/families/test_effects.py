@@ -219,29 +219,6 @@ def test_an_own_effect_has_numbers_that_are_typed_saved_and_read_back(tmp_path, 
 # -- explained ---------------------------------------------------------------------------------------------
 
 
-def test_info_explains_every_effect_and_fault(capsys) -> None:
-    for name in (*effects(), *FAULTS):
-        assert main(["info", name]) == 0
-        said = capsys.readouterr().out
-        assert name in said
-        assert main(["info", name, "--json"]) == 0
-        record = json.loads(capsys.readouterr().out)
-        if name in FAULTS:
-            assert record["remedy"] in said
-            continue
-        for family in FAMILIES:
-            if name not in effects(family):
-                continue
-            entry = record["families"][family.name]
-            assert entry["parameters"] or not entry["diagnosed"]
-            for text in entry["examples"]:
-                assert f"--effect {text}" in said
-                build(entry["parameters_of"], added=(text,))
-            for parameter in entry["parameters"].values():
-                assert set(parameter) == {"unit", "nominal", "lower", "upper", "meaning"}
-            assert effects(family)[name].meaning in said
-
-
 def test_a_bend_with_each_height_has_readings_at_nominal_slopes_of_nil() -> None:
     model = build("stage31", added=("height_quadratic:form=tied",))
     pose, state = [1e-4, -1e-4, 1e-4], [2e-4, 1e-4, -1e-4]

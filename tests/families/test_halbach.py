@@ -17,11 +17,10 @@ from hallsym.families import build
 from hallsym.families.halbach import FAMILY
 from hallsym.families.halbach.effects import field, magnets, mechanics, transducer
 from hallsym.families.halbach.effects.ends import strength
-from hallsym.families.halbach.layout import arrays, columns, part_of
+from hallsym.families.halbach.layout import arrays, columns
 from hallsym.families.halbach.models import halbach
 from hallsym.families.published import table as published
 from hallsym.log import Meta
-from hallsym.model import on_arrays
 from hallsym.simulation import campaign_from
 from hallsym.uncertainty import errors_along
 
@@ -194,44 +193,6 @@ def test_a_fit_finds_an_effect_that_was_simulated(effect, values):
         assert rmse[c] == pytest.approx(floor, rel=0.15)
 
 
-@pytest.mark.parametrize(
-    ("effect", "name", "late"),
-    [
-        pytest.param("time_skew", "delay", 8e-4, marks=pytest.mark.slow),
-        ("first_order_lag", "tau_lag", 4e-4),
-    ],
-)
-def test_readings_that_come_late(effect, name, late):
-    """A delay is the field of an earlier pose; a low-pass the mean of earlier fields, exp(-t / tau) / tau."""
-    model, values = halbach(NINE), halbach(NINE).vector(FAMILY.example.values)
-    rng, parts = np.random.default_rng(3), []
-    ages, weights = [late], [1.0]
-    if effect == "first_order_lag":
-        nodes, weights = np.polynomial.laguerre.laggauss(12)
-        ages = late * nodes
-    for run, hertz in enumerate((0.7, 1.0, 1.4)):
-        t = np.arange(0, 2, 2e-3)
-
-        def pose(t, hertz=hertz):
-            return 0.02 * np.sin(2 * np.pi * hertz * t), 5e-3 + 8e-4 * np.sin(5 * np.pi * hertz * t)
-
-        v = sum(w * read_at(model, values, *pose(t - a)) for a, w in zip(ages, weights, strict=True))
-        x, z = pose(t)
-        columns = dict(zip(model.channels, v + 1e-3 * rng.standard_normal(v.shape), strict=True))
-        parts.append({"run": np.full(len(t), run), "t_s": t + 10 * run, "x_ref_m": x, "z_ref_m": z} | columns)
-    data = {c: np.concatenate([part[c] for part in parts]) for c in parts[0]}
-    noise = dict.fromkeys(model.channels, 1e-3) | {"x_ref_m": 1e-8, "z_ref_m": 1e-8}
-    log = Log.from_arrays(data, Noise.given(noise, tuple(data)))
-    fit = hallsym.fit(log, model, effects=[effect], solver="direct")
-    std = dict(zip(fit.model.names, fit.std, strict=True))[name]
-    assert abs(fit.value(name) - late) < 5 * std < 0.05 * late
-
-
-def read_at(model, p, x, z):
-    """Readings (K, n) at arrays of x and z."""
-    return on_arrays(model.reading)(p, [], [x, z], [])[0]
-
-
 TIED = ("gain_mismatch", "sensor_position_error")
 """Effects of which the mean is the array's own amplitude or phase."""
 
@@ -301,15 +262,6 @@ def test_another_wavelength_and_a_silent_sensor_are_far_from_the_noise():
         assert fit.goodness.worst > 30 * fit.goodness.limit
 
 
-def test_layout_entries_are_checked():
-    with pytest.raises(InputError, match="A sensor must have"):
-        part_of({"channel": "col_0_v"})
-    with pytest.raises(InputError, match="it has 'wave'"):
-        part_of({"name": "X", "wave": 3})
-    with pytest.raises(InputError, match="must be a positive number"):
-        part_of({"name": "X", "wavelength_m": -0.03})
-
-
 # -- a field measured on a real magnet -----------------------------------------------------------------------
 
 MAPS = Path(__file__).parents[3] / "shared" / "real" / "halbach-fieldmaps"
@@ -328,20 +280,6 @@ def read_from_line(place, tesla, wavelength, pitch, count, stroke):
         data[sensor.channel] = np.interp(sensor.middle[0] - x, place, tesla)
     noise = dict.fromkeys(model.channels, 1e-4) | {"x_ref_m": 1e-6, "z_ref_m": 1e-6}
     return model, Log.from_arrays(data, Noise.given(noise, tuple(data)))
-
-
-def line_of_a_perfect_magnet(wavelength):
-    place = np.arange(-0.5, 0.5, 1e-4)
-    noise = 1e-5 * np.random.default_rng(0).standard_normal(len(place))
-    return place, 0.68 * np.sin(2 * np.pi * place / wavelength) + noise
-
-
-@pytest.mark.parametrize(("count", "pitch"), [(3, 0.022 / 3), (9, 0.022 / 3), (8, 0.004)])
-def test_an_array_of_any_pitch_reads_a_line(count, pitch):
-    """A magnet 64 ppm shorter than nominal: the wavelength is found, whatever the pitch."""
-    model, log = read_from_line(*line_of_a_perfect_magnet(0.022 * (1 - 64e-6)), 0.022, pitch, count, 0.3)
-    fit = hallsym.fit(log, model, effects=["wavelength_error"], solver="direct", loss="none")
-    assert fit.value("longer") == pytest.approx(-64e-6, rel=0.05)
 
 
 @pytest.mark.skipif(not MAPS.exists(), reason="../shared/real/halbach-fieldmaps is not here")

@@ -20,12 +20,6 @@ def test_sensors_under_one_array_are_recovered():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(24))
-def test_sums_under_one_array_are_recovered(seed):
-    recovered(one_array(), seed)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_sums_under_four_arrays_are_recovered(seed):
     recovered(four_arrays(), seed)

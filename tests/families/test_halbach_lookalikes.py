@@ -8,7 +8,6 @@ import hallsym
 from hallsym.families.halbach import PLANAR
 from hallsym.families.halbach.effects import magnets, mechanics, transducer
 from hallsym.families.halbach.further import half_turned
-from hallsym.families.halbach.layout import columns
 from hallsym.families.halbach.models import halbach
 from hallsym.families.halbach.planar import halbach_planar
 from hallsym.log import Log, Noise
@@ -17,19 +16,11 @@ from hallsym.simulation import NoiseModel, campaign_from
 LC_M = 0.03 / 2 / np.pi
 
 
-@pytest.mark.parametrize(
-    "cause", ["sensor_tilt", pytest.param("sensor_position_error", marks=pytest.mark.slow)]
-)
-def test_a_tilt_and_a_place_of_sensors(cause):
+@pytest.mark.slow
+def test_a_tilt_and_a_place_of_sensors():
     """1 rad of tilt is lc of place; at gaps where the fifth harmonic has faded nothing tells them apart."""
     model, tilts = halbach(), {"0": 12e-3, "2": -9e-3}
-    wide, values = {
-        "sensor_tilt": (mechanics.sensor_tilt(model), {f"tiltx_{k}": t for k, t in tilts.items()}),
-        "sensor_position_error": (
-            mechanics.sensor_position_error(model),
-            {f"dx_{k}": LC_M * t for k, t in tilts.items()},
-        ),
-    }[cause]
+    wide, values = mechanics.sensor_tilt(model), {f"tiltx_{k}": t for k, t in tilts.items()}
     found = hallsym.diagnose(swept(wide, values, (6.2e-3, 7.2e-3)), model, holdout=[1])
     assert found.verdict == "explained"
     assert [set(group) for group in found.groups] == [{"sensor_tilt", "sensor_position_error"}]
@@ -45,27 +36,6 @@ def test_a_lost_magnet_and_a_spread_of_all():
     assert [set(group) for group in found.groups] == [{"lost_magnet", "remanence_spread"}]
     assert found.separate_by[0].recording
     assert found.effects[0].parameters["lost_1"].value == pytest.approx(1.0, abs=0.02)
-
-
-@pytest.mark.slow
-def test_a_spread_of_all_magnets_is_no_lost_one():
-    model, sizes = halbach(), (1, -2, 0.5, 1.3, -0.7, 0.2, -1.4, 1.1, 0.3, -0.9, 0.6)
-    values = {f"remanence_spread_{k - 5}": 0.03 * v for k, v in enumerate(sizes)}
-    found = hallsym.diagnose(
-        swept(magnets.remanence_spread(model), values, (4.2e-3, 5.2e-3)), model, holdout=[1]
-    )
-    assert (found.verdict, found.ranked, found.groups) == ("explained", ("remanence_spread",), ())
-
-
-@pytest.mark.slow
-def test_compression_that_sensors_nearly_share_is_no_cubic_term_of_each():
-    """Scatter of a tenth: nine terms explain 6 % more, by BIC 1 %, and lower the gap by less than 1 %."""
-    model = halbach(columns(tuple(0.01 * (k - 4) for k in range(9))))
-    scatter = (0.9, -1.2, 0.4, 1.1, -0.5, -1.3, 0.2, 0.8, -0.4)
-    values = {f"odd_nonlinearity3_{k}": -8e-3 * (1 + 0.105 * v) for k, v in enumerate(scatter)}
-    log = swept(transducer.odd_nonlinearity(model), values, (4.2e-3, 5.2e-3))
-    found = hallsym.diagnose(log, model, holdout=[1])
-    assert (found.verdict, found.ranked[0]) == ("explained", "field_saturation")
 
 
 def campaign(wide, values):
@@ -99,16 +69,11 @@ def test_the_height_of_an_array_is_a_gain_of_its_patch_until_the_mover_is_turned
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cause", ["array_geometry_error", "gain_mismatch"])
-def test_the_height_of_an_array_and_the_gain_of_its_patch(cause):
+def test_the_height_of_an_array_and_the_gain_of_its_patch():
     """A common gain of the sensors under an array is exp(height / lc)."""
     model, height = halbach_planar(), 6e-5
-    gain = float(np.expm1(height / LC_M))
-    wide, values = {
-        "array_geometry_error": (mechanics.array_geometry_error(model, array="X1"), {"dz_X1": height}),
-        "gain_mismatch": (transducer.gain_mismatch(model), {f"gain_x1_col_{k}": gain for k in range(6)}),
-    }[cause]
-    found = hallsym.diagnose(campaign(wide, values), model, holdout=[1])
+    wide = mechanics.array_geometry_error(model, array="X1")
+    found = hallsym.diagnose(campaign(wide, {"dz_X1": height}), model, holdout=[1])
     assert found.verdict == "explained"
     assert {"array_geometry_error", "gain_mismatch"} in [set(group) for group in found.groups]
     assert "turned half round" in found.separate_by[0].recording

@@ -144,13 +144,6 @@ def test_a_measured_field_that_grows_off_the_axis_is_no_gap():
 
 @HERE
 @pytest.mark.slow
-def test_the_growth_is_diagnosed_as_unexplained():
-    model, log = off_the_axis(measured("02", "raw"))
-    assert hallsym.diagnose(log, model, holdout=[3]).verdict == "unexplained"
-
-
-@HERE
-@pytest.mark.slow
 def test_a_measured_field_is_diagnosed_with_its_period():
     """What is left beside the period are magnets that differ: 49 um of gap, 8 um with both."""
     model, log = read(along(measured("02", "raw"), "y"), [5e-3])
@@ -158,13 +151,3 @@ def test_a_measured_field_is_diagnosed_with_its_period():
     assert found.ranked[0] in ("wavelength_error", "reference_scale_error")
     assert {"magnetisation_angle_error", "remanence_spread"} & set(found.ranked)
     assert found.gap_after.rmse["x_m"] < found.gap_before.rmse["x_m"] / 4
-
-
-@pytest.mark.slow
-def test_a_gap_that_never_moves_is_diagnosed():
-    """A column without any noise, smoothed, is rounding: it is no coordinate."""
-    model, log = read(along(made_up("corrected"), "y"), [5e-3])
-    assert hallsym.diagnose(log, model, holdout=[1]).ranked[0] in (
-        "wavelength_error",
-        "reference_scale_error",
-    )

@@ -1,7 +1,5 @@
 """Effects of an encoder by their texts: fitted, saved, read back, evaluated and diagnosed again."""
 
-import json
-import shlex
 from functools import cache
 from pathlib import Path
 
@@ -245,24 +243,6 @@ def written(log: Log, path: Path) -> Path:
     return path
 
 
-def test_the_command_printed_for_an_encoder_runs(tmp_path: Path, capsys) -> None:
-    log = written(encoder(pattern), tmp_path / "log.csv")
-    known = [w for c in VOLTAGES for w in ("--noise", f"{c}={SIGMA}")] + ["--noise", f"angle_ref_rad={REF}"]
-    assert main(["diagnose", str(log), "--model", "rotary", *known]) == 0
-    (line,) = [row for row in capsys.readouterr().out.splitlines() if row.startswith("next: hallsym ")]
-    words = shlex.split(line.removeprefix("next: hallsym "))
-    assert words[:5] == ["fit", str(log), "--model", "rotary", "--effect"]
-    assert words[5].partition(":")[0] == "reference_pole_pairs"
-    calib = tmp_path / "calib.json"
-    assert main([*words, "--solver", "direct", "-o", str(calib)]) == 0
-    assert json.loads(calib.read_text())["parameters"]["reference_pole_pairs_50_sin"]["determined"]
-    capsys.readouterr()
-    assert main(["evaluate", str(calib), str(log), *known]) == 0
-    assert main(["diagnose", str(log), "--model", str(calib), *known, "--json"]) == 0
-    record = json.loads(capsys.readouterr().out.partition("\n{")[2].join(["{", ""]))
-    assert (record["verdict"], record["next_step"]) == ("no gap", [])
-
-
 def test_what_is_diagnosed_on_an_encoder_is_what_is_fitted() -> None:
     log = encoder(late, "angle")
     found = diagnose(log, "rotary")
@@ -272,23 +252,6 @@ def test_what_is_diagnosed_on_an_encoder_is_what_is_fitted() -> None:
     fit = hallsym.fit(log, "rotary", effects=texts, holdout=found.validation_runs, solver="direct")
     after = fit.errors.rows()["holdout"]["rmse"]["angle_rad"]
     assert after == pytest.approx(found.gap_after.rmse["angle_rad"], rel=0.04)
-
-
-def test_the_detection_power_and_the_comparison_of_an_encoder_are_in_degrees(tmp_path: Path, capsys) -> None:
-    log = str(written(encoder(late, "angle"), tmp_path / "log.csv"))
-    words = [log, "--model", "rotary", "--power", "reference_pole_pairs,sign_inversion", "--repeats", "1"]
-    assert main(["diagnose", *words]) == 0
-    said = capsys.readouterr().out
-    assert "deg" in said
-    assert " um" not in said
-    assert "sign_inversion: one channel has no wires to mix up" in said
-    assert main(["diagnose", log, "--model", "rotary", "--json"]) == 0
-    record = tmp_path / "a.json"
-    record.write_text(capsys.readouterr().out)
-    assert main(["diagnose", "--compare", str(record), str(record)]) == 0
-    said = capsys.readouterr().out
-    assert "gap [deg]" in said
-    assert " um" not in said
 
 
 # -- logs that are refused ---------------------------------------------------------------------------------
@@ -311,32 +274,11 @@ def spoilt(what: str) -> Log:
     return Log.from_arrays({k: v for k, v in c.items() if what != "no reference" or k != a})
 
 
-REFUSED = {
-    "another count of turns": "makes 2 turns while angle_ref_rad makes one",
-    "another reference": "does not follow angle_ref_rad",
-    "dead plate": "never changes",
-    "no reference": "has no column angle_ref_rad",
-}
-
-
 @pytest.fixture(scope="module")
 def calib(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("encoder") / "calib.json"
     hallsym.fit(encoder(None), "rotary", solver="direct").save(path)
     return path
-
-
-@pytest.mark.parametrize("what", REFUSED)
-@pytest.mark.parametrize("command", ["fit", "diagnose", "evaluate"])
-def test_a_wrong_log_of_an_encoder_is_refused_in_one_sentence(
-    what: str, command: str, calib: Path, tmp_path: Path, capsys
-) -> None:
-    log = str(written(spoilt(what), tmp_path / "log.csv"))
-    words = [str(calib), log] if command == "evaluate" else [log, "--model", "rotary"]
-    assert main([command, *words]) == 2
-    said = capsys.readouterr().err
-    assert REFUSED[what] in said
-    assert said.count("\n") == 1
 
 
 def test_swapped_voltages_are_said_where_a_calibration_is_judged(calib: Path, tmp_path: Path, capsys) -> None:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import hallsym
-from hallsym.cli.main import main
 from hallsym.errors import InputError
 from hallsym.log import Log, Noise, wrapped
 
@@ -93,24 +92,3 @@ def test_default_says_that_zeros_differ_or_refuses():
     )  # a mean, not a fit
     quiet = hallsym.fit(recorded(homes=(0.6,) * 4), "rotary", solver="direct")
     assert not any("differs between runs" in n for n in quiet.notes)
-
-
-def test_commands_take_it(tmp_path, capsys):
-    log, calib = tmp_path / "homed.csv", str(tmp_path / "calib.json")
-    source = recorded()
-    table = np.column_stack([source.array(c) for c in source.columns])
-    np.savetxt(log, table, delimiter=",", header=",".join(source.columns), comments="", fmt="%.9g")
-    words = ["fit", str(log), "--model", "rotary", "--effect", "zero_deviation", "--solver", "direct"]
-    assert main([*words, "-o", calib]) == 0
-    assert main(["evaluate", calib, str(log)]) == 0
-    assert main(["sensitivity", calib, str(log)]) == 0
-    said = capsys.readouterr().out
-    assert "6 zero deviations, eliminated" in said
-    assert main(["codegen", calib, "-o", str(tmp_path / "firmware")]) == 0  # the zero is set by a reset
-
-
-@pytest.mark.slow
-def test_a_diagnosis_of_a_homed_log_has_no_gap_of_its_own():
-    log = recorded()
-    found = hallsym.diagnosis.diagnose(log, fitted(log))
-    assert (found.verdict, found.effects) == ("no gap", ())

@@ -13,7 +13,6 @@ from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose
 from hallsym.errors import InputError
 from hallsym.families import build, default_model
-from hallsym.families.rotary import seen as rotary_seen
 from hallsym.log import Log, Meta, Noise, check_log, continuous, wrapped
 from hallsym.report.text.fit import circumstances
 
@@ -132,49 +131,6 @@ def test_references_that_cannot_be_used(make, reference, a, says):
     assert str(caught.value).count(". ") == 0
 
 
-def test_an_angle_that_is_in_degrees_is_said():
-    log = angle_log(V, BOTH, 1e-4)
-    for columns in (("angle_rad",), ("angle_rad", "angle_ref_rad")):
-        other = {c: np.degrees(np.mod(log.array(c), TURN)) for c in columns}
-        table = {c: log.array(c) for c in log.columns if c != "run"} | other
-        with pytest.raises(InputError, match=r"angle_rad .* if angle_rad were in degrees"):
-            fitted(Log.from_arrays(table))
-
-
-@pytest.mark.parametrize(
-    ("turn", "said"),
-    [
-        ({"angle_rad": 400.0}, "if angle_rad were in gradians; .*--column angle_grad="),
-        ({"angle_rad": 1.0}, "if angle_rad were in turns; .*--column angle_rev="),
-        ({"angle_rad": 2000 * np.pi}, "if angle_rad were in mrad"),
-        (
-            {"angle_rad": 400.0, "angle_ref_rad": 400.0},
-            "if angle_rad were in gradians and angle_ref_rad were in",
-        ),
-        (
-            {"angle_rad": 1.0, "angle_ref_rad": 360.0},
-            "angle_rad were in turns and angle_ref_rad were in degrees",
-        ),
-        ({"angle_rad": TURN / 4}, "makes 1/4 of a turn while angle_ref_rad makes one"),
-    ],
-)
-def test_an_angle_in_any_other_unit_is_said(turn, said):
-    """`turn`: what a turn is in the unit of each column."""
-    log = angle_log(V, BOTH, 1e-4)
-    table = {c: np.mod(log.array(c), TURN) / TURN * t for c, t in turn.items()}
-    with pytest.raises(InputError, match=said):
-        fitted(Log.from_arrays({c: log.array(c) for c in log.columns if c != "run"} | table))
-
-
-def test_one_run_of_the_other_direction_is_named():
-    parts = [angle_log(V, BOTH, 1e-4, seed=k) for k in range(4)]
-    columns = {c: np.concatenate([p.array(c) for p in parts]) for c in ("angle_rad", "angle_ref_rad")}
-    run = np.repeat(np.arange(4), len(BOTH))
-    columns["angle_rad"] = np.where(run == 2, TURN - columns["angle_rad"], columns["angle_rad"])
-    with pytest.raises(InputError, match=r"In run 2 .* the other way .*: angle_rad or angle_ref_rad is"):
-        fitted(Log.from_arrays({"run": run, **columns}))
-
-
 def test_a_reference_of_another_scale_is_said_and_not_called_homed():
     """Half a percent over six turns: 11 deg, which zeros of runs would differ by too."""
     rng, parts = np.random.default_rng(3), []
@@ -196,17 +152,6 @@ def test_parts_of_a_turn_may_be_repeated():
     a = np.tile(np.linspace(0, 0.8 * TURN, 200), 4)
     for make in (angle_log, voltage_log):
         assert fitted(make(V, a, 1e-4)).value("beta") == pytest.approx(V["beta"], abs=1e-3)
-
-
-def test_a_plate_that_only_hums_is_dead():
-    y, x = plates(V, BOTH)
-    rng = np.random.default_rng(2)
-    for dead in ("v_sin_v", "v_cos_v"):
-        columns = {"v_sin_v": y, "v_cos_v": x, "angle_ref_rad": BOTH} | {
-            dead: 0.3 + 2e-4 * rng.standard_normal(len(y))
-        }
-        with pytest.raises(InputError, match="does not follow angle_ref_rad"):
-            fitted(Log.from_arrays(columns))
 
 
 def test_spikes_do_not_hide_how_an_encoder_turns():
@@ -253,13 +198,6 @@ def test_one_direction_and_a_gap_are_said():
     assert not any("latency" in n for n in fit.notes)  # without time there is none
     assert any("No sample lies in 50 deg of the turn" in n for n in fit.notes)
     assert not any("direction" in n for n in fitted(angle_log(V, BOTH, 1e-4)).notes)
-
-
-def test_a_constant_channel_is_refused():
-    y, x = plates(V, BOTH)
-    for columns in ({"v_sin_v": y, "v_cos_v": 0 * x}, {"angle_rad": 0 * x + 1}):
-        with pytest.raises(InputError, match=r"never changes; .*check the probe.* wiring"):
-            fitted(Log.from_arrays({"angle_ref_rad": BOTH, **columns}))
 
 
 def counts(tmp_path: Path, text: str = "", header: str = "raw,ref") -> Path:
@@ -324,34 +262,6 @@ def test_signed_counts_are_a_turn_too():
 
 
 # -- the command line ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("form", ["voltages", pytest.param("angle", marks=pytest.mark.slow)])
-def test_every_command_works_on_an_encoder(form, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    Path("angle.toml").write_text('[[probes]]\nchannel = "angle_rad"\n')
-    machine = ["--machine", "angle.toml"] if form == "angle" else []
-    assert main(["simulate", "--model", "rotary", *machine, "-o", "log.csv", "--seed", "1"]) == 0
-    assert main(["info", "log.csv"]) == 0
-    assert "angle_ref_rad" in capsys.readouterr().out
-    drawn = ["--plots", "pictures"]
-    assert main(["fit", "log.csv", "--solver", "direct", "-o", "calib.json", *drawn]) == 0
-    text = capsys.readouterr().out
-    assert "rmse angle [deg]" in text
-    assert "pictures/measured.png" in text
-    assert main(["fit", "log.csv", "--solver", "direct", "--json"]) == 0
-    record = json.loads(capsys.readouterr().out)
-    assert record["model"] == "rotary"
-    assert set(record["errors"]["fitted"]["rmse"]) == {"angle_rad"}
-    assert main(["evaluate", "calib.json", "log.csv", "--by-run", "--json"]) == 0
-    record = json.loads(capsys.readouterr().out)
-    assert record["logs"][0]["errors"]["rmse"]["angle_rad"] < np.radians(0.03)
-    assert main(["sensitivity", "calib.json", "log.csv", "--json"]) == 0
-    record = json.loads(capsys.readouterr().out)
-    assert main(["report", "calib.json", "log.csv", "-o", "page.html"]) == 0
-    page = Path("page.html").read_text()
-    assert "mdeg" in page
-    assert "NaN" not in page.partition('"use strict"')[0]  # in nothing but the script
 
 
 def test_a_campaign_that_moves_what_a_model_lacks_is_refused():
@@ -430,23 +340,6 @@ def test_a_recorded_resolver_loads_as_it_is():
 
 
 @pytest.mark.slow
-def test_recorded_encoders_are_taken_apart_by_their_waves():
-    """The stepper's pattern is the reference's wherever it is 0.04 deg and more; nothing is above the gap."""
-    folder = BESIDE / "real" / "rotary-mechaduino-luts"
-    if not folder.is_dir():
-        pytest.skip("no folder of recorded encoders beside the repository")
-    columns = {"angle_count": "raw_count", "angle_ref_deg": "ref_angle_deg"}
-    for file in sorted(folder.glob("*.csv")):
-        log = hallsym.read_log(file, columns=columns, counts_per_turn=16384)
-        d = diagnose(log, "rotary_ideal")
-        largest = max(d.waves, key=lambda w: w.designed)
-        assert {e.name for e in d.effects} & set(largest.causes), file.name
-        steps = np.degrees(max((w.model for w in d.waves if w.per_turn in (50, 100)), default=0.0))
-        assert steps < 0.04 or "reference_pole_pairs" in d.ranked, file.name
-        assert d.metric.after < 0.4 * d.metric.before, file.name
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("model", ["rotary", "rotary_ideal"])
 def test_a_recorded_resolver_is_overdriven_late_and_its_reference_short(model):
     folder = BESIDE / "real" / "rotary-resolver-amci"
@@ -472,14 +365,3 @@ def latency(log: hallsym.Log) -> float:
     late = -np.linalg.lstsq(columns, error, rcond=None)[0][0]
     assert late == pytest.approx(0.0345, abs=5e-4)  # of the published recordings: 34 ms, 2.45 deg at 36 deg/s
     return float(late)
-
-
-def test_what_is_seen_of_a_long_log_takes_no_more_memory():
-    """Of numbers that go by in blocks of any size some are kept, evenly."""
-    some, stream = rotary_seen.Some(np.empty((2, 0))), np.arange(500_000.0)
-    for part in np.split(np.array([stream, -stream]), [7, 100_000, 100_001, 333_333], axis=1):
-        some.add(part)
-    assert some.count == 500_000
-    assert rotary_seen.MANY / 2 < some.values.shape[1] <= rotary_seen.MANY
-    assert np.array_equal(some.values[0], np.arange(0, 500_000, some.every))
-    assert np.array_equal(some.values[1], -some.values[0])

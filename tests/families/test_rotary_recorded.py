@@ -4,10 +4,8 @@ Facts used: the amplitude of both voltages leaves an arctangent alone; a table o
 runs; from which side an encoder is seen is no fault of it; a reference of another zero is the same reference.
 """
 
-import contextlib
 import os
 import re
-import shlex
 from pathlib import Path
 
 import numpy as np
@@ -31,13 +29,6 @@ KNOTS = (
     "--counts-per-turn",
     "16384",
 )
-ALONG = ("--column", "angle_ref_deg=ref_deg")
-RESOLVER = (*ALONG, "--column", "angle_deg=resolver_deg", "--column", "speed_deg_s=vel_deg_s", "--drop-bad")
-RECORDED = {
-    "rotary-mechaduino-luts": KNOTS,
-    "linear-hall-undulators": ALONG,
-    "rotary-resolver-amci": RESOLVER,
-}
 
 
 def knots(path: Path, zero: float = 1000.0, sign: int = 1, pattern: float = 0.02) -> Path:
@@ -79,46 +70,7 @@ def rmse(fit, row: str = "fitted") -> float:
     return fit.errors.rows()[row]["rmse"]["angle_rad"]
 
 
-def followed_up(capsys, log: Path, words: tuple[str, ...], folder: Path) -> str:
-    """Fit a log in a folder of its own and run each command that is the next; return what was printed."""
-    calib = folder / "calib.json"
-    folder.mkdir(exist_ok=True)
-    said = ""
-    made = [["fit", str(log), "-o", str(calib)], ["evaluate", str(calib), str(log)],
-            ["sensitivity", str(calib), str(log)], ["diagnose", str(log)]]  # fmt: skip
-    for command in ([*words_, *words] for words_ in made):
-        assert main(command) in (0, 3, 4), command
-        said += capsys.readouterr().out
-    with contextlib.chdir(folder):
-        for line in dict.fromkeys(re.findall(r"^next: hallsym (.*)$", said, flags=re.M)):
-            assert main(shlex.split(line)) in (0, 3, 4), line
-            said += capsys.readouterr().out
-    return said
-
-
 # -- commands that are printed ---------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("zero", "sign"),
-    [pytest.param(12000.0, 1, id="along"), pytest.param(1000.0, -1, id="against", marks=pytest.mark.slow)],
-)
-def test_what_is_printed_for_a_table_of_knots_can_be_followed(tmp_path, capsys, zero, sign):
-    """Counts leave their turn where they are made continuous, or inverted: that is no fault of the table."""
-    said = followed_up(capsys, knots(tmp_path / "knots.csv", zero, sign), KNOTS, tmp_path)
-    assert "next: " in said
-    assert not re.search(
-        r"\d runs?\b|holdout runs|No column 'run'|stretch", said
-    )  # it has neither runs nor time
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("folder", list(RECORDED))
-def test_what_is_printed_for_a_recorded_encoder_can_be_followed(tmp_path, capsys, folder):
-    if not (REAL / folder).is_dir():
-        pytest.skip("no folder of recorded encoders beside the repository")
-    for log in sorted((REAL / folder).glob("*.csv")):
-        followed_up(capsys, log, RECORDED[folder], tmp_path / log.stem)
 
 
 # -- amplitudes, scales, rails -----------------------------------------------------------------------------
@@ -224,21 +176,6 @@ def test_runs_of_several_zeros_are_judged_each_from_its_own(decoded):
 
 
 # -- logs without time ---------------------------------------------------------------------------------------
-
-
-def test_runs_without_time_are_held_out_as_runs():
-    log = voltages()
-    columns = {c: log.array(c) for c in log.columns if c != "t_s"}
-    many = [{**columns, "run": columns["run"] + 4 * k} for k in range(2)]
-    rng = np.random.default_rng(0)
-    joined = {c: np.concatenate([m[c] for m in many]) for c in columns}
-    for c in ("v_sin_v", "v_cos_v"):
-        joined[c] = joined[c] + 3e-4 * rng.standard_normal(len(joined[c]))
-    joined["angle_ref_rad"] = joined["angle_ref_rad"] + 1e-6 * rng.standard_normal(len(joined["run"]))
-    found = diagnose(Log.from_arrays(joined), "rotary")
-    assert found.verdict == "no gap"
-    assert found.held_out == "holdout run"
-    assert found.not_testable["time_skew"] == "no time logged"
 
 
 # -- logs beside the repository ----------------------------------------------------------------------------

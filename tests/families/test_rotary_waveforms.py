@@ -1,16 +1,14 @@
 """Signals by their value: the same as waves, as a filter in numpy, as the chain written out in numpy."""
 
-from dataclasses import replace
-
 import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hallsym.families import adapted, build
+from hallsym.families import adapted
 from hallsym.families.rotary import effects as rotary_effects
-from hallsym.families.rotary.models import angle_only, rotary, rotary_ideal
+from hallsym.families.rotary.models import angle_only, rotary
 from hallsym.families.rotary.waveforms import FEW, Waveform, waveform
 from hallsym.families.rotary.waves import Wave
 from hallsym.log import unwrapped
@@ -92,30 +90,6 @@ def test_the_angle_behind_bent_voltages_is_that_of_the_formula() -> None:
     expected = u + np.angle((x + 1j * y) * np.exp(-1j * u))
     reading = model.reading(model.vector(base | new), [], ANGLES[None], np.zeros((0, len(ANGLES))))
     assert np.allclose(np.array(reading)[0], expected, rtol=0, atol=1e-13)
-
-
-def test_effects_on_top_of_each_other_cost_what_they_cost_alone() -> None:
-    """Multiplied out, the powers of a voltage with several harmonics have some thousands of terms."""
-    texts = (
-        "third_harmonic_distortion:phase=free", "eccentricity:form=curved", "field_saturation",
-        "even_nonlinearity:order=4", "odd_nonlinearity:order=5",
-    )  # fmt: skip
-    plain = rotary_effects.direct(rotary(angle_only()))
-    count = plain.reading.n_instructions()
-    alone = [make_of(text)(plain).reading.n_instructions() - count for text in texts]
-    model = plain
-    for text in texts:
-        model = make_of(text)(model)
-    assert model.reading.n_instructions() - count <= 1.5 * sum(alone)
-
-
-def test_a_model_remembers_what_was_made_of_it() -> None:
-    model, make = build("rotary"), make_of("even_nonlinearity:order=4")
-    assert make(model) is make_of("even_nonlinearity:order=4")(model)
-    assert make(model) is not make_of("even_nonlinearity")(model)
-    assert make(replace(model)) is not make(model)
-    assert rotary_effects.direct(model) is rotary_effects.direct(model)
-    assert make(rotary_ideal()).names != make(model).names
 
 
 @given(st.lists(st.floats(-20, 20), max_size=30))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from twins import EFFECTS, EPS, MODELS, TRUTH, combinations_of_effects, inside, phi, phi_size, pm
+from twins import EPS, TRUTH, combinations_of_effects, inside, phi, phi_size, pm
 
 from hallsym.errors import InputError
 from hallsym.estimation import error_tables
@@ -26,7 +26,6 @@ from hallsym.families.stage.models import (
     stage31_tied,
     tied_vertical_coupling,
     vertical_coupling,
-    zero_deviation,
 )
 from hallsym.log import Log, Meta
 from hallsym.simulation import Campaign, NoiseModel, paper_campaign, simulate, table8_noise
@@ -371,44 +370,9 @@ def test_layouts_that_cannot_tell_x_y_and_rz_apart_are_refused(layout):
         stage15(layout)
 
 
-@pytest.mark.parametrize(
-    "effect", [zero_deviation, vertical_coupling, tied_vertical_coupling, exact_rotation]
-)
-def test_an_effect_is_added_once(effect):
-    model = effect(stage15())
-    with pytest.raises(InputError, match="already part"):
-        effect(model)
-
-
 def test_two_forms_of_one_coupling_do_not_go_together():
     with pytest.raises(InputError, match="tied_vertical_coupling"):
         tied_vertical_coupling(stage31())
-
-
-@pytest.mark.parametrize(
-    ("call", "said"),
-    [
-        (lambda: build("stage32"), "stage31"),
-        (lambda: build("nothing like it"), ", ".join(MODELS)),
-        (lambda: build("stage15", added=("zero_deviatoin",)), "did you mean 'zero_deviation'"),
-        (lambda: build("stage15", added=("qwertz",)), ", ".join(EFFECTS)),
-        (lambda: build("stage15", parameters={"H1X": {"lower": 0.1}}), "did you mean 'H1x'"),
-        (lambda: build("stage15").vector({"eta_a": 1.0}), "did you mean 'eta_A'"),
-        (lambda: build("stage15", parameters={"H1x": {"min": 0.1}}), "'min' of parameter H1x"),
-        (lambda: build("stage15", parameters={"H1x": {"lower": "low"}}), "'lower' of parameter H1x"),
-        (lambda: build("stage15", parameters={"H1x": {"lower": float("nan")}}), "'lower' of parameter H1x"),
-        (lambda: build("stage15", parameters={"H1x": {"fixed": 1}}), "'fixed' of parameter H1x"),
-    ],
-)
-def test_unknown_names_are_refused_with_the_known_ones(call, said):
-    with pytest.raises(InputError, match=r"must be|no parameter") as caught:
-        call()
-    assert said in str(caught.value)
-
-
-def test_aliases_are_the_articles_names():
-    for alias, name in {"model15": "stage15", "model30": "stage30", "model31": "stage31"}.items():
-        assert build(alias).name == name
 
 
 # -- a machine described by its log ----------------------------------------------------------------------

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bench_files import LIBRARY, WRITERS, Columns, Rates, write_tdms
+from bench_files import LIBRARY, WRITERS, Columns, Rates
 from log_samples import one_sentence, stage_arrays
 
 import hallsym
@@ -202,25 +202,6 @@ def test_an_angle_that_begins_again_is_read_the_short_way(tmp_path: Path) -> Non
     assert np.abs(off).max() < 1e-9
 
 
-@pytest.mark.parametrize("segment", [10**9, 700, 97])
-def test_long_chunks_of_tdms_are_read_in_part(
-    tmp_path: Path, segment: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("nptdms")
-    from hallsym.log import format_tdms
-
-    monkeypatch.setattr(grouped, "IN_MEMORY_ROWS", 100)
-    monkeypatch.setattr(format_tdms, "LONG", 1000)
-    arrays = {name: v for name, v in stage_arrays().items() if name != "t_s"}
-    write_tdms(tmp_path / "log.tdms", {HALL: (0.0, 500.0, arrays)}, segment)
-    log = read_log(tmp_path / "log.tdms")
-    for size in (64, 333):
-        blocks = list(log.blocks(["x_ref_m", "z_m"], size=size))
-        for name in ("x_ref_m", "z_m"):
-            found = np.concatenate([block.data[name] for block in blocks])
-            assert np.allclose(found, arrays[name], rtol=1e-14, atol=0)
-
-
 def test_groups_of_the_same_channels_are_runs(tmp_path: Path, suffix: str) -> None:
     if suffix == ".mcap":
         pytest.skip("topics are not runs")
@@ -251,14 +232,6 @@ def test_units_that_differ_between_files_are_converted_or_refused(tmp_path: Path
     assert one_sentence(str(error.value))
 
 
-@pytest.mark.parametrize("keep", [0.1, 0.5, 0.9, 0.99])
-def test_truncated_file(tmp_path: Path, suffix: str, keep: float) -> None:
-    path = written(tmp_path / f"log{suffix}", {HALL: (0.0, 500.0, stage_arrays(samples=150))})
-    data = path.read_bytes()
-    path.write_bytes(data[: int(len(data) * keep)])
-    refused(path, "must be a complete|cut short")
-
-
 def test_damaged_files_raise_nothing_else(tmp_path: Path, suffix: str) -> None:
     path = written(tmp_path / f"log{suffix}", {HALL: (0.0, 500.0, stage_arrays(runs=1, samples=60))})
     data, rng = path.read_bytes(), np.random.default_rng(1)
@@ -269,14 +242,6 @@ def test_damaged_files_raise_nothing_else(tmp_path: Path, suffix: str) -> None:
         path.write_bytes(bytes(broken))
         with suppress(InputError):
             check_log(read_log(path))
-
-
-def test_other_files_under_these_names(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"log{suffix}"
-    path.write_bytes(b"run,t_s,x_ref_m\n" * 40)
-    refused(path, "must be a complete")
-    path.write_bytes(b"")
-    refused(path, "is empty")
 
 
 def test_wrong_clocks(tmp_path: Path, suffix: str) -> None:

@@ -57,10 +57,6 @@ def test_damaged_parquet_page(tmp_path: Path) -> None:
     refused(path, "must be a complete Parquet file")
 
 
-def test_folder_without_log(tmp_path: Path) -> None:
-    refused(tmp_path, "must hold a log named log.parquet")
-
-
 def test_unknown_suffix_and_format(tmp_path: Path) -> None:
     path = tmp_path / "log.xyz"
     path.write_text("x_ref_m\n1\n")
@@ -130,23 +126,12 @@ def test_a_torn_compressed_file(tmp_path: Path, keep: float) -> None:
     refused(path, "must be a complete CSV file; it is cut short or damaged")
 
 
-def test_binary_as_csv(tmp_path: Path) -> None:
-    path = tmp_path / "log.csv"
-    path.write_bytes(bytes(range(256)) * 20)
-    refused(path, "log.csv")
-
-
 def test_text_column_in_parquet(tmp_path: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     pq.write_table(pa.table({"x_ref_m": ["1", "2"]}), tmp_path / "log.parquet")
     refused(tmp_path / "log.parquet", "Column 'x_ref_m' of .* must hold numbers; it holds string")
-
-
-def test_delimiter_for_parquet(tmp_path: Path) -> None:
-    write_log(stage_arrays(), tmp_path / "log.parquet")
-    refused(tmp_path / "log.parquet", "delimiter must be left out", delimiter=";")
 
 
 @pytest.mark.parametrize(

@@ -114,15 +114,6 @@ NOTED: list[tuple[Change, str]] = [
 ]
 
 
-@pytest.mark.parametrize(("change", "says"), NOTED, ids=[entry[1][:25] for entry in NOTED])
-def test_noted(change: Change, says: str) -> None:
-    notes = check_log(broken(change))
-    assert notes
-    for note in notes:
-        assert re.search(says, note), note
-        assert one_sentence(note)
-
-
 def quantise(column: str, step: float) -> Change:
     return lambda arrays: arrays.update({column: step * np.round(arrays[column] / step)})
 

@@ -113,12 +113,6 @@ def test_noise_that_belongs_to_no_column_is_refused(tmp_path: Path) -> None:
         read_log(tmp_path, noise={"hall_m": 0.0})
 
 
-@pytest.mark.parametrize("text", ["hall_a_um", "=HallA", "hall_a_um="])
-def test_bad_option(text: str) -> None:
-    with pytest.raises(InputError, match="OUR_NAME=ITS_NAME"):
-        parse_column_option(text)
-
-
 def test_runs_must_be_whole_and_contiguous() -> None:
     with pytest.raises(InputError, match="whole run numbers"):
         Log.from_arrays({"run": np.array([0, 0.5]), "x_ref_m": np.zeros(2)}).runs  # noqa: B018
@@ -135,14 +129,3 @@ def test_unknown_run_and_column_name_what_there_is() -> None:
         log.array("x_rf_m")
     with pytest.raises(ValueError, match="read-only"):
         log.array("x_ref_m")[0] = 1.0
-
-
-@pytest.mark.parametrize(
-    ("missing", "there"), [("angle_rad", "angle_ref_rad"), ("v_cos_v", "v_sin_v"), ("x_ref_m", "y_ref_m")]
-)
-def test_a_column_of_its_own_kind_is_not_suggested_for_another(missing, there):
-    """A reference mapped to the reading would be a perfect calibration."""
-    log = Log.from_arrays({there: np.arange(20.0)})
-    with pytest.raises(InputError, match=f"has no column {missing}; it has") as caught:
-        log.table.require((missing,))
-    assert "did you mean" not in str(caught.value)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from mangled import cells, rows, variants, with_units, write_workbook
+from mangled import rows, variants, write_workbook
 
 import hallsym
 from hallsym.errors import InputError
@@ -122,39 +120,6 @@ def test_a_mapping_says_the_unit_or_takes_that_of_the_file(tmp_path: Path) -> No
     assert "Column 'HallA' is read in mm as stated; its header says um." in other.notes
     with pytest.raises(InputError, match="must end with the unit"):
         read_log(path, columns={"x_ref": "IFM"})
-
-
-_WATCH = """
-import sys
-import pyarrow.csv, numpy
-from hallsym.log import read_log
-
-def peak():
-    line = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
-    return int(line.split()[1]) / 1024
-
-before = peak()
-log = read_log(sys.argv[1])
-rows = sum(len(block.data["x_ref_m"]) for block in log.blocks(["x_ref_m", "hall_a_m"]))
-print(rows, peak() - before, log.table.in_memory)
-"""
-
-
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from /proc")
-@pytest.mark.slow
-def test_a_large_file_is_read_in_64_MB(tmp_path: Path, columns: dict[str, np.ndarray]) -> None:
-    few = {name: 0 * values[:500] if name == "run" else values[:500] for name, values in columns.items()}
-    body = rows(["run", *with_units(few)[1:]], cells(few), ";").replace(".", ",")
-    head, _, lines = body.partition("\n")
-    with open(tmp_path / "log.csv", "w", encoding="latin-1") as file:
-        file.write(head + "\n")
-        for _ in range(2600):
-            file.write(lines)
-    command = [sys.executable, "-c", _WATCH, str(tmp_path / "log.csv")]
-    result = subprocess.run(command, capture_output=True, text=True, check=True)
-    count, megabytes, in_memory = result.stdout.split()
-    assert (int(count), in_memory) == (1_300_000, "False")
-    assert float(megabytes) < 64
 
 
 def test_a_calibration_remembers_the_names_of_its_log(

@@ -69,20 +69,12 @@ def test_a_number_for_the_time_stays_the_time(tmp_path):
     assert read_log(path, columns={"t_s": "Clock"}).array("t_s")[1] == 1.0
 
 
-def test_a_date_that_may_be_read_in_two_ways_is_asked_about_where_it_matters(tmp_path, capsys):
+def test_a_date_that_may_be_read_in_two_ways_is_refused_where_it_matters(tmp_path):
     path = written(tmp_path / "log.csv", FORMS["day first"], start=START.replace(month=2, day=3))
-    with pytest.raises(InputError, match="day may stand first or second: say which with --dates day"):
+    with pytest.raises(InputError, match="day may stand first or second: write the year first"):
         read_log(path).array("t_s")
-    assert read_log(path, dates="day").array("t_s")[-1] < 100
-    assert read_log(path, dates="month").array("t_s")[-1] > 20 * 86400
-    with pytest.raises(InputError, match="must be 'day' or 'month'"):
-        read_log(path, dates="year")
     one_day = written(tmp_path / "day.csv", FORMS["day first"], start=START.replace(month=2, day=3, hour=1))
     assert read_log(one_day).array("t_s")[1] == 0.25
-    even = np.arange(0, 25, 0.25)
-    path = written(tmp_path / "log.csv", FORMS["day first"], even, START.replace(month=2, day=3), times=1)
-    assert main(["info", str(path), "--dates", "day"]) == 0
-    assert "t_s" in capsys.readouterr().out
 
 
 def test_a_line_that_is_no_time_is_named(tmp_path):
@@ -101,8 +93,8 @@ def test_chunks_of_a_column_give_the_same_seconds(steps, size):
     for name in ("ISO 8601", "dots", "time of day"):
         cells = [FORMS[name](t) for t in at]
         form = time_form(cells)
-        whole = Seconds(form, None, "it")(pa.array(cells))
-        turned = Seconds(form, None, "it")
+        whole = Seconds(form, "it")(pa.array(cells))
+        turned = Seconds(form, "it")
         parts = [turned(pa.array(cells[k : k + size])) for k in range(0, len(cells), size)]
         assert np.concatenate(parts) == pytest.approx(whole)
 
@@ -136,32 +128,6 @@ def test_a_calibration_answers_what_the_next_file_leaves_open(tmp_path, capsys):
         words = [str(tmp_path / w) if w.endswith((".json", ".txt")) else w for w in command]
         words += ["-o", str(tmp_path / "page.html")] if command[0] == "report" else []
         assert main(words) in (0, 3), capsys.readouterr().err
-
-
-def test_what_a_file_says_itself_wins_over_the_calibration(tmp_path):
-    found = fit(
-        read_log(table(tmp_path / "a.txt", ","), columns=COLUMNS, decimal=","), "rotary", solver="direct"
-    )
-    plain = read_log(table(tmp_path / "b.txt", "."), remembered=found.columns, read_with={"decimal": ","})
-    assert plain.array("angle_rad")[1] == pytest.approx(np.radians(6.104), abs=1e-4)
-    assert not any("as the calibration's log was" in note for note in plain.notes)
-
-
-def test_a_sheet_is_remembered(tmp_path):
-    xlsx = pytest.importorskip("xlsxwriter")
-    pytest.importorskip("python_calamine")
-    for name in ("a.xlsx", "b.xlsx"):
-        book = xlsx.Workbook(tmp_path / name)
-        turn = np.radians(np.arange(0, 360, 3.0))
-        for sheet in ("Notes", "Data"):
-            page = book.add_worksheet(sheet)
-            page.write_row(0, 0, ["angle_rad", "angle_ref_rad"])
-            for k, (a, r) in enumerate(zip(turn + 0.01 * np.sin(turn), turn, strict=True)):
-                page.write_row(k + 1, 0, [a, r])
-        book.close()
-    found = fit(read_log(tmp_path / "a.xlsx", sheet="Data"), "rotary", solver="direct")
-    assert dict(found.read_with) == {"sheet": "Data"}
-    assert hallsym.evaluate(found, tmp_path / "b.xlsx").table.count.sum() == 120
 
 
 # -- columns that are typed as times ---------------------------------------------------------------------

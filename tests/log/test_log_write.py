@@ -5,8 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import stat
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -43,35 +41,6 @@ def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str,
     assert one_sentence(str(caught.value))
     assert path.read_bytes() == b"old"
     assert os.listdir(tmp_path) == [path.name]
-
-
-_LIMITED = """
-import resource, sys
-import numpy as np
-from hallsym.errors import InputError
-from hallsym.log import write_log
-resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
-x = np.random.default_rng(0).normal(size=200_000)
-for path in sys.argv[1:]:
-    try:
-        write_log({"run": np.zeros(len(x)), "x_ref_m": x}, path)
-    except InputError as error:
-        print(error)
-"""
-
-
-def test_a_real_limit_on_file_size(tmp_path: Path) -> None:
-    """The system itself refuses to extend the file: no library's own exception gets through."""
-    paths = [tmp_path / f"log{suffix}" for suffix in WRITERS]
-    for path in paths:
-        path.write_bytes(b"old")
-    command = [sys.executable, "-c", _LIMITED, *map(str, paths)]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert [line.split(":")[0] for line in result.stdout.splitlines()] == [
-        f"Cannot write {path}" for path in paths
-    ]
-    assert all(path.read_bytes() == b"old" for path in paths)
-    assert sorted(os.listdir(tmp_path)) == sorted(path.name for path in paths)
 
 
 def test_nothing_appears_before_the_end(tmp_path: Path) -> None:

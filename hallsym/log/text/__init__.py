@@ -13,11 +13,10 @@ from hallsym.log.text.encoding import Encoded, end_of
 from hallsym.log.text.numbers import MISSING, as_float
 from hallsym.log.text.sniff import Dialect, sniffed, stated_delimiter
 from hallsym.log.text.stream import Cleaner, TableStream
-from hallsym.log.text.times import ORDERS, Seconds
+from hallsym.log.text.times import Seconds
 
 __all__ = [
     "MISSING",
-    "ORDERS",
     "Cleaner",
     "Dialect",
     "Encoded",

@@ -20,9 +20,6 @@ _DATES = {
     "day.month": r"\d{1,2}\.\d{1,2}\.\d{4}",  # dots: everywhere the day stands first
     "open": r"\d{1,2}[-/]\d{1,2}[-/]\d{4}",
 }
-DAY_FIRST, MONTH_FIRST = "day", "month"
-ORDERS = (DAY_FIRST, MONTH_FIRST)
-"""What `--dates` takes: which of two numbers stands first."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +51,10 @@ def time_form(cells: Sequence[str]) -> TimeForm | None:
 class Seconds:
     """Turns chunks of one column of times into seconds from its first one, in the order of the file."""
 
-    def __init__(self, form: TimeForm, order: str | None, what: str) -> None:
-        """Begin; `order`: which number of an open date stands first, `what` names the column in messages."""
+    def __init__(self, form: TimeForm, what: str) -> None:
+        """Begin; `what` names the column in messages."""
         self.form, self.what = form, what
-        self.order = order
+        self._day_first: bool | None = None
         self._first: int | None = None
         self._onward = Onward()
         self._dates: set[str] = set()
@@ -93,25 +90,25 @@ class Seconds:
         return seconds
 
     def _decide(self, text: Any, compute: Any) -> None:
-        """Ask which number of a date is the day, where that matters: not while all dates are the same."""
-        if self.order is not None:
+        """Find which number of a date is the day, where that matters: not while all dates are the same."""
+        if self._day_first is not None:
             return
         dates = compute.unique(compute.replace_substring_regex(text, r"[-/](\d{4})\s.*$", r"/\1")).to_pylist()
         pairs = [re.split("[-/]", date)[:2] for date in dates if date]
         first, second = (max((int(pair[k]) for pair in pairs), default=0) for k in (0, 1))
         self._dates |= {date for date in dates if date}
         if max(first, second) > 12 and self._first is None:
-            self.order = DAY_FIRST if first > 12 else MONTH_FIRST
+            self._day_first = first > 12
         elif len(self._dates) > 1:
             raise InputError(
                 f"{self.what} holds dates such as {min(self._dates)}, whose day may stand first or second: "
-                "say which with --dates day or --dates month (in Python dates='day')."
+                "write the year first, 2026-04-03."
             )
 
     def _steps(self) -> list[tuple[str, str]]:
         """Return the replacements that make ISO 8601 of a time."""
         pad = (r"(^|[-/. T])(\d)([-/.:])", r"\1" + r"0\2\3")
-        day, month = (r"\2", r"\1") if self.order != DAY_FIRST else (r"\1", r"\2")
+        day, month = (r"\2", r"\1") if not self._day_first else (r"\1", r"\2")
         swaps = {
             "": [("^", "1970-01-01 ")],
             "year first": [(r"^(\d{4})[-/.](\d\d)[-/.](\d\d)", r"\1-\2-\3")],
