@@ -207,8 +207,6 @@ def test_a_tolerance_has_a_worth(family):
     found = hallsym.tolerances(model, campaign, ranges=ranges, samples=16)
     assert found.active == ("g0",)
     assert np.all(found.errors.rms > 0)
-    with pytest.raises(InputError, match="narrower tolerances"):  # any phase, gains of 0.5 to 2
-        hallsym.tolerances(model, campaign, samples=16)
 
 
 def test_the_detection_power_finds_its_effect():
