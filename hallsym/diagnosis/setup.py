@@ -13,10 +13,10 @@ from hallsym.diagnosis.survey import SEGMENT
 from hallsym.errors import InputError, counted
 from hallsym.estimation import fit, noise_of
 from hallsym.estimation.calibration import Fit
-from hallsym.estimation.channel_assignment import Wiring, as_read
 from hallsym.estimation.decoding import logged_columns
 from hallsym.estimation.gauss_newton import cost_near
 from hallsym.estimation.outliers import beside_rails
+from hallsym.estimation.plausible import Wiring, as_read
 from hallsym.families import build, default_model
 from hallsym.families.faults import FAULTS
 from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ

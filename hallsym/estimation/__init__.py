@@ -6,7 +6,7 @@ The path of a fit, file by file:
   no such statistics).
 - `likelihood`: the cost of those runs with exact derivatives; `normal_equations` eliminates each run's own
   offsets.
-- `start`, `channel_assignment`: a closed-form start, and checks that reference and channels belong together.
+- `start`, `plausible`: a closed-form start, and checks that reference and channels belong together.
 - `identifiable`: which parameters the data determine, and which are therefore held.
 - `optimum`: global search, IPOPT, Newton; `gauss_newton`: by passes over the log.
 - `outliers`, `decoding`: samples that are left out; errors of the decoded pose.
@@ -25,7 +25,6 @@ from hallsym.estimation.calibration import (
     coverage_factor,
     load_fit,
 )
-from hallsym.estimation.channel_assignment import as_read, find_wiring, rewired
 from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertainty
 from hallsym.estimation.decoding import (
     ErrorTable,
@@ -57,6 +56,7 @@ from hallsym.estimation.linearised import exact, summarise_at
 from hallsym.estimation.normal_equations import eliminate, inverse, pseudo_inverse, solve
 from hallsym.estimation.optimum import BUDGET, SOLVERS, refit
 from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey
+from hallsym.estimation.plausible import as_read, find_wiring, rewired
 from hallsym.estimation.residual_noise import (
     KNOWN,
     Residual,

@@ -11,12 +11,11 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
-from hallsym.estimation.channel_assignment import as_read, rewired
 from hallsym.estimation.decoding import ErrorTable, knows_rails, logged_columns
 from hallsym.estimation.gauss_newton import Shifts, cost_near, judged, zeros_of
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit
-from hallsym.estimation.lateness import lateness
 from hallsym.estimation.linearised import exact
+from hallsym.estimation.plausible import as_read, lateness, rewired
 from hallsym.estimation.task import Task, noise_of
 from hallsym.families import plain
 from hallsym.log import Log, Noise, as_log, clean_log, usable

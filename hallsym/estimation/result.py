@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from hallsym.estimation.calibration import Fit
-from hallsym.estimation.channel_assignment import Wiring, composed
 from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertainty_at
 from hallsym.estimation.gauss_newton import deviations_of
 from hallsym.estimation.goodness_of_fit import UNSTRUCTURED, diagnose_command
@@ -24,6 +23,7 @@ from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Point
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.normal_equations import pseudo_inverse, unit_scale
+from hallsym.estimation.plausible import Wiring, composed
 from hallsym.estimation.task import Solved
 from hallsym.families import added_effects
 from hallsym.log.phase import home_notes

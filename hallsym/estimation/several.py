@@ -18,15 +18,14 @@ import numpy as np
 from hallsym.errors import InputError, nearest
 from hallsym.estimation import outliers, start
 from hallsym.estimation.calibration import CombinationEstimate, Errors, Fit, Joint
-from hallsym.estimation.channel_assignment import Wiring
 from hallsym.estimation.covariance import Uncertainty, uncertainty_at
 from hallsym.estimation.decoding import ErrorTable, columns_of
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import Determination, determine
-from hallsym.estimation.lateness import lateness
 from hallsym.estimation.likelihood import Coefficients, Cost, Point, cost_of
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.optimum import Solution, search
+from hallsym.estimation.plausible import Wiring, lateness
 from hallsym.estimation.result import LowerBound, fit_of, lower_bound
 from hallsym.estimation.run_statistics import RunStatistics, joined
 from hallsym.estimation.task import ROUNDS, Begun, Progress, Solved, Started, Task, held_out, prepared

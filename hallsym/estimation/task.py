@@ -9,7 +9,6 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.estimation import outliers, start
 from hallsym.estimation.calibration import Errors, Fit
-from hallsym.estimation.channel_assignment import Wiring, as_read, rewired, wiring_of
 from hallsym.estimation.covariance import noise_floor
 from hallsym.estimation.decoding import (
     columns_of,
@@ -21,10 +20,9 @@ from hallsym.estimation.decoding import (
 from hallsym.estimation.gauss_newton import DROP, optimum
 from hallsym.estimation.goodness_of_fit import goodness_of
 from hallsym.estimation.identifiable import determine
-from hallsym.estimation.lateness import lateness
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.optimum import Solution, search
-from hallsym.estimation.plausible import Judgement, judge
+from hallsym.estimation.plausible import Judgement, Wiring, as_read, judge, lateness, rewired, wiring_of
 from hallsym.estimation.residual_noise import KNOWN, estimated_factor, noise_at
 from hallsym.estimation.run_statistics import RunStatistics, summarise
 from hallsym.families import adapted, build, default_model

@@ -1,31 +1,31 @@
 """What a fit is worth: what the data determine, parameter by parameter, in null directions and in the pose.
 
-`evidence` is where the numbers come from: a fit with its log, or a plan. `null_directions` names what cannot
-be told apart. `profiles` and `bootstrap` give intervals where a normal one is not good enough, which
-`intervals` says. `verdict` judges each parameter; `workspace` says what a change of it does to the decoded
-pose. `identifiability` puts this together, with what other recordings would determine and models side by
-side; `parameter_changes` compares two recordings of one sensor, `belonging` tests whether a log still belongs
-to a calibration.
+`evidence` is where the numbers come from: a fit with its log, or a plan. `profiles` and `bootstrap` give
+intervals where a normal one is not good enough, which `intervals` says. `identifiability` names what cannot
+be told apart, judges each parameter, and says what other recordings would determine; `parameter_changes`
+compares two recordings of one sensor, `belonging` tests whether a log still belongs to a calibration.
 """
 
 from hallsym.inference.belonging import FALSE_ALARM, Belonging, belonging, check_false_alarm
 from hallsym.inference.bootstrap import Bootstrap, bootstrap
+from hallsym.inference.evidence import Change
 from hallsym.inference.identifiability import (
+    VERDICTS,
     CombinationReport,
     FurtherReport,
     Gained,
     Identifiability,
+    NullDirection,
+    NullSpace,
     Offsets,
     ParameterReport,
+    Verdict,
     comparison,
     identify,
 )
 from hallsym.inference.intervals import Interval
-from hallsym.inference.null_directions import NullDirection, NullSpace
 from hallsym.inference.parameter_changes import Estimate, Freedom, ParameterChange, changes, welch
 from hallsym.inference.profiles import Profile, Side, profile, skewness, tangent
-from hallsym.inference.verdict import VERDICTS, Verdict
-from hallsym.inference.workspace import Change
 
 __all__ = [
     "FALSE_ALARM",

@@ -1,6 +1,7 @@
 """`identify`: what the data determine, parameter by parameter, and what they do not."""
 
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any
@@ -10,24 +11,220 @@ import scipy
 
 from hallsym.errors import InputError
 from hallsym.estimation import (
+    CombinationEstimate,
     Cost,
+    Determination,
     Fit,
     cost_near,
+    coverage_factor,
+    feature_scale,
     least_information,
     noise_floor,
     scales,
     structural_directions,
+    structural_null,
 )
 from hallsym.estimation.decoding import logged_columns
-from hallsym.inference.evidence import Evidence, from_fit, from_plan
+from hallsym.estimation.identifiable import MOVING, echelon
+from hallsym.inference.evidence import Change, Evidence, Slopes, from_fit, from_plan, slopes_over, visited
 from hallsym.inference.intervals import Interval, Intervals, intervals_of, profile_record
-from hallsym.inference.null_directions import NullSpace, practical, structural
-from hallsym.inference.verdict import Verdict, strongest, verdicts
-from hallsym.inference.workspace import Change, Slopes, slopes_over, visited
 from hallsym.log import Log, as_log
 from hallsym.model import Model, on_arrays
 from hallsym.shown import Shown
 from hallsym.simulation import Campaign, table8_noise
+
+NAMED = 0.05
+"""Parameters that move less than this part of the leading one along a direction that a recording leaves are
+not named with it. A structural direction names all that move: none of them is determined."""
+
+
+WIDE = 4
+"""Parameters of one direction above which what is determined of them is not said in a sentence."""
+
+
+@dataclass(frozen=True)
+class NullDirection:
+    """One direction that is not determined: its parameters, and what of them is, if anything.
+
+    `determined`: a combination that is determined although these parameters are not, with `value`, `std` and
+    `unit`; None when nothing of them is. `also`: further ones.
+    """
+
+    parameters: tuple[str, ...]
+    determined: str | None
+    value: float | None
+    std: float | None
+    unit: str | None
+    also: tuple[str, ...] = ()
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether so many parameters change together that what is determined of them takes a table."""
+        return len(self.parameters) > WIDE and bool(self.also)
+
+
+@dataclass(frozen=True)
+class NullSpace:
+    """`rank` of `of` directions are determined; `null` names the others that belong here."""
+
+    rank: int
+    of: int
+    null: tuple[NullDirection, ...]
+
+
+def structural(cost: Cost, found: Determination, combinations: Sequence[CombinationEstimate]) -> NullSpace:
+    """Return the directions no recording determines.
+
+    Their parameters are read off at a point anywhere in the bounds: at the optimum itself an angle near zero
+    would hide that a parameter belongs.
+    """
+    model = cost.summary.model
+    open_ = np.array([p.width > 0 for p in model.parameters])
+    null = structural_null(cost.coefficients, feature_scale(cost), None, open_)
+    of = int(open_.sum())
+    return NullSpace(of - found.n_structural, of, _named(null, model.names, combinations, MOVING))
+
+
+def practical(cost: Cost, found: Determination, combinations: Sequence[CombinationEstimate]) -> NullSpace:
+    """Return the directions that this recording leaves undetermined, beyond the structural ones."""
+    model = cost.summary.model
+    of = sum(p.width > 0 for p in model.parameters)
+    null = found.null[:, found.n_structural :]
+    return NullSpace(of - found.null.shape[1], of, _named(null, model.names, combinations, NAMED))
+
+
+def _named(
+    null: np.ndarray, names: Sequence[str], combinations: Sequence[CombinationEstimate], least: float
+) -> tuple[NullDirection, ...]:
+    """Sparse directions that span the columns of `null`, in the order of their first parameter.
+
+    `least`: part of the leading parameter's motion from which on another one is named.
+    """
+    if null.shape[1] == 0:
+        return ()
+    out = []
+    for row in echelon(null.T):
+        involved = tuple(names[k] for k in np.flatnonzero(np.abs(row) > least * np.abs(row).max()).tolist())
+        telling = [c for c in combinations if mentions(c.expression, involved)]
+        first = telling[0] if telling else None
+        out.append(
+            NullDirection(
+                parameters=involved,
+                determined=first.expression if first else None,
+                value=first.value if first else None,
+                std=first.std if first else None,
+                unit=first.unit if first else None,
+                also=tuple(c.expression for c in telling[1:]),
+            )
+        )
+    return tuple(sorted(out, key=lambda d: list(names).index(d.parameters[0])))
+
+
+def mentions(expression: str, parameters: Sequence[str]) -> bool:
+    """Return whether an expression holds one of some parameters."""
+    return bool(set(re.findall(r"[A-Za-z_]\w*", expression)) & set(parameters))
+
+
+VERDICTS = ("determined", "weak", "at bound", "not determined", "no effect", "fixed")
+WEAK = 1 / 3
+"""A 95 % interval wider than this part of the bounds makes a parameter weak."""
+WEAK_ALONE = 0.25
+"""The same for a parameter without finite bounds: standard uncertainty over value."""
+TRADED = 0.7
+"""Correlation from which a parameter counts as traded off against another."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """`word` is one of `VERDICTS`; `because` says why, in a few words, where that needs saying."""
+
+    word: str
+    because: str = ""
+
+
+def verdicts(
+    evidence: Evidence, structural: NullSpace, practical: NullSpace, correlation: np.ndarray
+) -> list[Verdict]:
+    """Return one verdict per parameter; `correlation` is (n, n), nan where there is none."""
+    idle = _idle(evidence)
+    return [
+        _verdict(evidence, k, bool(idle[k]), structural, practical, correlation[k])
+        for k in range(len(evidence.p))
+    ]
+
+
+def _idle(evidence: Evidence) -> np.ndarray:
+    """Which parameters may cross their whole bounds without a visible trace in these readings."""
+    return np.diag(evidence.information) * evidence.found.scale**2 < 1.0
+
+
+def _verdict(
+    evidence: Evidence,
+    k: int,
+    idle: bool,
+    structural: NullSpace,
+    practical: NullSpace,
+    correlation: np.ndarray,
+) -> Verdict:
+    parameter, names, told = evidence.model.parameters[k], evidence.model.names, evidence.uncertainty
+    if parameter.width == 0:
+        return Verdict("fixed")
+    if parameter.name in told.at_bound:
+        return Verdict("at bound", _bound(evidence, k))
+    shared = [d for d in structural.null if parameter.name in d.parameters]
+    if shared and not told.determined[k]:
+        word = "not determined" if len(shared[0].parameters) > 1 else "no effect"
+        return Verdict(word, _instead(parameter.name, *shared))
+    if idle:
+        return Verdict("no effect", "its whole range leaves no trace in these readings")
+    if not told.determined[k]:
+        lost = [d for d in practical.null if parameter.name in d.parameters]
+        cause = "by this recording" if practical.null else "by any recording"
+        return Verdict("not determined", _instead(parameter.name, *lost, cause=cause))
+    half = float(coverage_factor(told.degrees_of_freedom[k])) * told.std[k]
+    share = 2 * half / parameter.width if np.isfinite(parameter.width) else 0.0
+    alone = told.std[k] / abs(evidence.p[k]) if not share and evidence.p[k] else 0.0
+    if share > WEAK or alone > WEAK_ALONE:
+        traded = [f"{n} (r = {r:+.2f})" for n, r in strongest(correlation, names, k) if abs(r) > TRADED]
+        spans = f"its interval spans {100 * share:.0f} % of its bounds"
+        return Verdict("weak", f"traded off against {', '.join(traded)}" if traded else spans)
+    return Verdict("determined")
+
+
+def strongest(
+    correlation: np.ndarray, names: Sequence[str], k: int, most: int = 3
+) -> list[tuple[str, float]]:
+    """Return the parameters whose estimates are most correlated with parameter k, largest first."""
+    size = np.abs(np.where(np.isfinite(correlation), correlation, 0.0))
+    size[k] = 0.0
+    order = [int(j) for j in np.argsort(-size, kind="stable") if size[j] > 0][:most]
+    return [(names[j], float(correlation[j])) for j in order]
+
+
+def _bound(evidence: Evidence, k: int) -> str:
+    p = evidence.model.parameters[k]
+    side = "lower" if abs(evidence.p[k] - p.lower) < abs(p.upper - evidence.p[k]) else "upper"
+    return f"the data pull it to its {side} bound {getattr(p, side):g} {p.unit}"
+
+
+def _instead(name: str, *directions: NullDirection, cause: str = "by any recording") -> str:
+    """What is determined in the place of a parameter that is not, or what it may change together with."""
+    wide = next((d for d in directions if d.is_wide), None)
+    if wide is not None:
+        first, second, *more = (n for n in wide.parameters if n != name)
+        return f"{cause}; it may change together with {first}, {second} and {len(more)} more"
+    every = [text for d in directions if d.determined for text in (d.determined, *d.also)]
+    told = [text for text in every if mentions(text, (name,))] or every
+    if told:
+        return f"{cause}; only {_listed(dict.fromkeys(told))} determined"
+    alone = all(len(d.parameters) == 1 for d in directions)
+    return cause if alone else f"{cause}, nor a combination of it"
+
+
+def _listed(expressions: Iterable[str]) -> str:
+    *first, last = expressions
+    return f"{', '.join(first)} and {last} are" if first else f"{last} is"
+
 
 SAMPLES = 20_000
 """Samples of a log that stand for a further recording; the information of more is proportional to them."""

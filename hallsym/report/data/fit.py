@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from hallsym.estimation import Fit
-from hallsym.inference.verdict import TRADED
+from hallsym.inference.identifiability import TRADED
 from hallsym.units import parameter_unit
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hallsym.inference import VERDICTS
-from hallsym.inference.verdict import TRADED
+from hallsym.inference.identifiability import TRADED
 from hallsym.report.data.fit import blocks
 from hallsym.report.figures.campaign import COVERAGE, typeset
 from hallsym.report.figures.saving import Place, save_figures
