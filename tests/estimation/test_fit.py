@@ -111,14 +111,6 @@ def test_another_layout_and_finite_rotation_are_fitted_too():
             assert abs(result.values[k] - truth[n]) < 4.2 * result.std[k]
 
 
-def test_noise_is_estimated_where_it_is_not_stated(columns, found):
-    result = fit(Log.from_arrays(columns), "stage31", solver="direct")
-    for c in HALL:
-        assert result.noise[c].source == "estimated"
-    assert found.noise[HALL[0]].source == "given"
-    assert result.status == "converged"
-
-
 # -- solvers and seeds -----------------------------------------------------------------------------------
 
 
@@ -280,12 +272,6 @@ def test_robust_losses_bear_outliers_that_plain_least_squares_does_not(loss):
 
 
 # -- what is said ----------------------------------------------------------------------------------------
-
-
-def test_values_by_name(found):
-    assert found.value("eta_A") == pytest.approx(TRUTH["eta_A"], rel=2e-3)
-    with pytest.raises(InputError, match="no parameter"):
-        found.value("eta_Z")
 
 
 def test_the_record_says_what_was_done(found):

@@ -91,11 +91,6 @@ def test_simulated_noise_is_as_the_model_says() -> None:
     assert np.linalg.lstsq(past.T, made[:, 3:].ravel(), rcond=None)[0] == pytest.approx(phi, abs=0.02)
 
 
-def test_too_few_samples_tell_nothing() -> None:
-    few = Residual(np.ones((3, 12)), np.eye(3), np.zeros(12), np.zeros((0, 12)), np.ones(12, bool), True)
-    assert residual_noise(few, CHANNELS) is None
-
-
 # -- on logs ------------------------------------------------------------------------------------------------
 
 
