@@ -48,9 +48,7 @@ def clip(column: str, level: float) -> Change:
 
 REFUSED: list[tuple[Change, str, int | None]] = [
     (put("hall_a_m", [450, 900], np.nan), r"hall_a_m .* 2 of 1600 .* row 451 \(run 1\)", 1598),
-    (put("x_ref_m", 0, np.inf), r"x_ref_m .* 1 of 1600 .* row 1 \(run 0\)", 1599),
     (put("t_s", 10, 0.001), r"t_s .* runs backwards 1 times, first in row 11 \(run 0\)", 1599),
-    (put("t_s", 401, 10.8), r"t_s .* repeats 1 times, first in row 402 \(run 1\)", 1599),
     (remove(np.arange(400, 795)), r"at least 8 samples; run 1 has 5", 1200),
     (put("hall_b_m", slice(800, 1200), 1e-4), r"hall_b_m .* never changes in run 2 although", 1200),
     (
@@ -64,11 +62,8 @@ REFUSED: list[tuple[Change, str, int | None]] = [
         1500,
     ),
     (put("hall_b_m", slice(None), 0.0), "hall_b_m .* never changes; it is 0 in all 1600", 0),
-    (put("hall_b_m", slice(None), np.nan), "hall_b_m .* has no finite value", 0),
     (scale("hall_a_m", 1e6), r"hall_a_m .* spans .* looks like um, so say --column hall_a_um=hall_a_m", 0),
-    (scale("z_m", 1e6), r"z_m .* --column z_um=z_m", 0),
     (scale("x_ref_m", 1e9), r"--column x_ref_nm=x_ref_m", 0),
-    (scale("rz_ref_rad", 1e6), r"rz_ref_rad .* --column rz_ref_urad=rz_ref_rad", 0),
     (scale("t_s", 1e6), r"t_s .* its usual step is 2000 s: it looks like ms", 0),
 ]
 
@@ -203,17 +198,6 @@ def test_spans_agree_with_numpy() -> None:
             assert span.std == pytest.approx(values.std(), rel=1e-9)
         assert found.overall[name].std == pytest.approx(arrays[name].std(), rel=1e-9)
     assert found.samples == {0: 1000, 1: 1000, 2: 1000}
-
-
-CASES = Path(__file__).resolve().parents[3] / "shared" / "cases" / "dev"
-
-
-@pytest.mark.skipif(not CASES.is_dir(), reason="no folder of cases beside the repository")
-@pytest.mark.parametrize("number", range(1, 25))
-def test_cases_pass_silently(number: int) -> None:
-    log = read_log(CASES / f"dev_{number:03d}")
-    assert check_log(log) == []
-    assert set(log.noise) >= {name for name in log.columns if name.endswith("_ref_m") or "hall" in name}
 
 
 def test_a_noise_free_axis_that_rests_in_two_runs_of_three_repeats_nothing():
