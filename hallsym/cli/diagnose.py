@@ -3,7 +3,6 @@
 import json
 import shlex
 from argparse import Namespace
-from pathlib import Path
 from typing import Any
 
 from hallsym.cli import INTERRUPTED, OK
@@ -14,8 +13,6 @@ from hallsym.cli.common import (
     open_log,
     own_effects,
     own_option,
-    plots_options,
-    plots_place,
     progress_of,
     reading_words,
     run_numbers,
@@ -48,7 +45,7 @@ def add(sub: Any) -> None:
         "examples:\n"
         "  hallsym diagnose LOG --model stage31\n"
         "  hallsym diagnose LOG --model calib.json --holdout 2,7,12 --json\n"
-        "  hallsym diagnose LOG --effects my_effects.py -o report.html --plots pictures\n"
+        "  hallsym diagnose LOG --effects my_effects.py -o report.html\n"
         "  hallsym diagnose LOG --power hysteresis,time_skew      from which size on these would be found\n"
         "  hallsym diagnose --compare before.json after.json",
     )  # fmt: skip
@@ -76,7 +73,6 @@ def add(sub: Any) -> None:
         "-o", "--output", action="append", default=[], metavar="FILE",
         help="save the diagnosis: .html for one page to read and print, anything else for JSON (repeat)",
     )  # fmt: skip
-    plots_options(parser)
     model_options(parser, "the log's base_model, else by its columns")
     log_options(parser)
 
@@ -123,8 +119,7 @@ def run(options: Namespace) -> int:
         else:
             _save(path, found.to_dict())
     words = reading_words(options, known)
-    wrote = [*options.output, *_pictures(options, seen)]
-    say(options, found.to_dict(), lambda: diagnosis_text(found, words), wrote=wrote)
+    say(options, found.to_dict(), lambda: diagnosis_text(found, words), wrote=options.output)
     return OK
 
 
@@ -132,8 +127,6 @@ def _power(
     options: Namespace, log: Log, model: Model | Fit, holdout: list[int] | None, own: tuple[Effect, ...]
 ) -> int:
     """Say which effects a diagnosis of this log would find, and from which size on."""
-    if options.plots:
-        raise InputError("--power draws nothing; leave --plots out.")
     found = detection_power(
         log,
         model,
@@ -149,15 +142,6 @@ def _power(
         _save(path, found.to_dict())
     say(options, found.to_dict(), lambda: power_text(found), wrote=options.output)
     return OK if found.complete else INTERRUPTED
-
-
-def _pictures(options: Namespace, seen: Examined) -> list[Path]:
-    """Save the pictures that are asked for."""
-    if not options.plots:
-        return []
-    from hallsym.report.figures.campaign import save_diagnosis
-
-    return save_diagnosis(seen, plots_place(options, options.log, seen.fit.model.name))
 
 
 def _save(path: str, record: dict[str, Any]) -> None:
@@ -195,8 +179,6 @@ def _compare(options: Namespace) -> int:
         raise InputError(
             f"--compare reads saved diagnoses only; leave the log {options.log} out, or diagnose it first."
         )
-    if options.plots:
-        raise InputError("--compare draws nothing; leave --plots out, or diagnose a log with it.")
     changed = compare(*options.compare)
     for path in options.output:
         _save(path, changed.to_dict())

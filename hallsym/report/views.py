@@ -16,7 +16,7 @@ from hallsym.fleets import Fleet
 from hallsym.inference import Identifiability
 from hallsym.log import Log, as_log
 from hallsym.report.data.survey import look_over
-from hallsym.report.figures.campaign import TITLES, errors_before_after, gap
+from hallsym.report.figures.campaign import errors_by_setting, gap
 from hallsym.report.figures.fleet import distributions
 from hallsym.report.figures.plan import coverage
 from hallsym.report.figures.sensitivity import effects
@@ -115,7 +115,7 @@ def _fit_table(fit: Fit) -> Table:
 
 def _fit_figure(fit: Fit, log: Any) -> Figure:
     seen = as_read(_log_of(fit, log, "fit.plot('log.csv')"), fit.model, fit.wiring)
-    return errors_before_after(fit, look_over(seen, fit, fit.keep))
+    return errors_by_setting(fit, look_over(seen, fit, fit.keep))
 
 
 def _log_of(fit: Fit, log: Any, call: str) -> Log:
@@ -139,7 +139,7 @@ def _evaluation_table(found: Evaluation) -> Table:
 
 
 def _evaluation_figure(found: Evaluation, log: Any) -> Figure:
-    return errors_before_after(found.applied, look_over(found.decoded, found.applied), TITLES)
+    return errors_by_setting(found.applied, look_over(found.decoded, found.applied))
 
 
 # -- a diagnosis -----------------------------------------------------------------------------------------

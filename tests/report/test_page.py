@@ -429,7 +429,7 @@ def test_residuals_have_the_power_of_the_errors():
     errors = np.array([white, wave])
     rms = np.sqrt((errors**2).mean(axis=1))
     table = ErrorTable(pose, (0,), np.array([float(n)]), (errors**2).sum(axis=1)[None], rms[None])
-    survey = SimpleNamespace(fitted=table, edges=np.array([0, n]), time=True)
+    survey = SimpleNamespace(fitted=table, edges=np.array([0, n]), timed=True)
     tally = ResidualTally(pose, survey, np.array([1e-6, 0.0]))
     for part in np.array_split(np.arange(n), 4):
         tally.add(time[part], errors[:, part])

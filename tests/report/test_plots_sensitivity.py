@@ -110,7 +110,7 @@ def test_bars_of_effects_end_at_what_the_report_says(odd: Identifiability) -> No
                 if change is not None and change.worst[column] > 1e-3 * floor:
                     expected[row, side] = 1e6 * change.worst[column]
         drawn = {}
-        for bar in ax.patches:
+        for bar in (b for b in ax.patches if b.get_zorder() > 0):  # but stripes
             middle = bar.get_y() + bar.get_height() / 2
             row = round(middle)
             drawn[row, 1 if middle > row else -1] = bar.get_x() + bar.get_width()

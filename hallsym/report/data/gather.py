@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.estimation import ErrorTable, Fit, columns_of
+from hallsym.estimation import Fit, columns_of
 from hallsym.log import Block, Log, extended
 from hallsym.log.batches import SIZE, Weigh
 from hallsym.report.data.survey import (
@@ -145,7 +145,7 @@ class ResidualTally:
         self, pose: Sequence[str], survey: Survey, floor: np.ndarray, turning: Collection[str] | None = None
     ) -> None:
         """Start with what a survey of the log knows of its errors; `floor`: (n_pose,) in SI."""
-        self.pose, self.floor, self.timed, self.turning = tuple(pose), floor, survey.time is not None, turning
+        self.pose, self.floor, self.timed, self.turning = tuple(pose), floor, survey.timed, turning
         half = float(np.median(np.diff(survey.edges))) / 2
         self.length = int(min(2 ** np.floor(np.log2(max(half, 1.0))), LONGEST))
         self.power, self.segments, self.step = np.zeros((len(self.pose), self.length // 2 + 1)), 0, 0.0
@@ -263,10 +263,10 @@ class Version:
     errors: Callable[[Block], np.ndarray]
     keep: Weigh | None = None
 
-    def read(self, *, timed: bool) -> Iterator[tuple[Block, np.ndarray]]:
+    def read(self) -> Iterator[tuple[Block, np.ndarray]]:
         """Yield each block with its errors, nan where a sample does not count."""
-        columns = dict.fromkeys((*self.columns, *(("t_s",) if timed else ())))
-        for block in self.log.blocks(tuple(columns), size=SIZE):
+        timed = ("t_s",) if "t_s" in self.log.columns else ()
+        for block in self.log.blocks(tuple(dict.fromkeys((*self.columns, *timed))), size=SIZE):
             errors = self.errors(block)
             yield block, errors if self.keep is None else np.where(self.keep(block) > 0, errors, np.nan)
 
@@ -288,25 +288,6 @@ class _Map:
     place: Callable[[Block], np.ndarray]
 
 
-def compared(survey: Survey, fit: Fit, before: Version, after: Version) -> Survey:
-    """Return a survey whose errors are those of one version of the model, then those of another."""
-    (left, nominal), (right, fitted) = (_errors(survey, fit, version) for version in (before, after))
-    return replace(survey, errors=(left, right), nominal=nominal, fitted=fitted)
-
-
-def _errors(survey: Survey, fit: Fit, version: Version) -> tuple[Trace, ErrorTable]:
-    n, at = len(fit.model.pose), {run: k for k, run in enumerate(survey.runs)}
-    trace, count = Trace(n), np.zeros(len(at))
-    squares, peak = np.zeros((len(at), n)), np.zeros((len(at), n))
-    for block, errors in version.read(timed=False):
-        trace.add(errors)
-        k, kept = at[block.run], errors[:, np.isfinite(errors).all(axis=0)]
-        count[k] += kept.shape[1]
-        squares[k] += np.sum(kept**2, axis=1)
-        peak[k] = np.maximum(peak[k], np.abs(kept).max(axis=1, initial=0.0))
-    return trace, ErrorTable(fit.model.pose, survey.runs, count, squares, peak)
-
-
 def gather(
     log: Log,
     fit: Fit,
@@ -323,9 +304,9 @@ def gather(
     take no part and interrupt the series.
     """
     survey = look_over(log, fit, keep)
-    chosen, timed = worst_first(survey, fit.noise_floor, RUNS), survey.time is not None
+    chosen, timed = worst_first(survey, fit.noise_floor, RUNS), survey.timed
     own = ((p.block, np.where(p.kept, p.fitted - p.reference, np.nan)) for p in decoded(log, fit, keep))
-    passes = {label: own} | ({} if after is None else {after.name: after.read(timed=timed)})
+    passes = {label: own} | ({} if after is None else {after.name: after.read()})
     places = _maps(fit, survey)
     found = {key: _read(blocks, fit, survey, places, chosen) for key, blocks in passes.items()}
     series = tuple(
@@ -373,7 +354,7 @@ def _read(
         at = tallies[0].bin_of(errors) if tallies else None
         for m, tally in zip(places, tallies, strict=True):
             tally.add(m.place(block), errors, at)
-        time = block.data["t_s"] if survey.time is not None else np.zeros(errors.shape[1])
+        time = block.data["t_s"] if survey.timed else np.zeros(errors.shape[1])
         residuals.add(time, errors)
         if block.run in traces:
             traces[block.run].add(np.vstack([time, errors]))

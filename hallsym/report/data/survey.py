@@ -68,16 +68,6 @@ class Trace:
         """Sample number in the middle of each column."""
         return (np.arange(self.low.shape[1]) + 0.5) * self.width - 0.5
 
-    def line(
-        self, series: int, x: np.ndarray, breaks: Sequence[int] | np.ndarray = ()
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return `(x, y)` of a line from least to greatest value, interrupted before samples in `breaks`."""
-        y = self.low[series]
-        if self.width > 1:
-            x, y = np.repeat(x, 2), np.column_stack([y, self.high[series]]).ravel()
-        at = [(2 if self.width > 1 else 1) * (sample // self.width) for sample in breaks]
-        return np.insert(x, at, x[at]), np.insert(y, at, np.nan)
-
 
 # -- a log decoded block by block, by the nominal and by the fitted parameters ---------------------------
 
@@ -132,11 +122,6 @@ class Decoded:
     def rows(self, columns: tuple[str, ...]) -> np.ndarray:
         """Return columns of the block, (columns, samples)."""
         return np.array([self.block.data[c] for c in columns]).reshape(len(columns), len(self.kept))
-
-    @property
-    def time(self) -> np.ndarray:
-        """Time [s], (1, samples); zeros where it is not logged."""
-        return self.rows(("t_s",)) if "t_s" in self.block.data else np.zeros((1, len(self.kept)))
 
     @cached_property
     def reference(self) -> np.ndarray:
@@ -200,11 +185,6 @@ class _Run:
         self.state_sum += state.sum(axis=1)
 
     @property
-    def travel(self) -> np.ndarray:
-        """Least to greatest value of reference and state; 0 where no sample counts."""
-        return self.high - self.low if self.kept else np.zeros(len(self.low))
-
-    @property
     def state(self) -> np.ndarray:
         """Mean state; that of the first sample where no sample counts."""
         return self.state_sum / self.kept if self.kept else self.first_state
@@ -214,73 +194,44 @@ class _Run:
 class Survey:
     """A log as its pictures need it, for any number of samples.
 
-    `edges`: (runs + 1,) sample numbers where runs begin. `travel`: (runs, n_pose) least to greatest value of
-    the reference. `state`: (runs, n_state) mean vertical state, `drift` its travel. `reach`:
-    (n_pose + n_state, 2) least and greatest value of reference and state over all runs. `errors`: traces of
-    the nominal and of the fitted model, `time`: trace of `t_s` if it is logged, `rejected`: 1 where samples
-    were.
+    `edges`: (runs + 1,) sample numbers where runs begin. `state`: (runs, n_state) mean vertical state, and
+    `drift`, its travel. `reach`: (n_pose + n_state, 2) least and greatest value of reference and state over
+    all runs.
     """
 
     runs: tuple[int, ...]
     edges: np.ndarray
-    travel: np.ndarray
     state: np.ndarray
     drift: np.ndarray
     reach: np.ndarray
     nominal: ErrorTable
     fitted: ErrorTable
-    errors: tuple[Trace, Trace]
-    time: Trace | None
-    rejected: Trace
+    timed: bool
     n_rejected: int
 
 
 def look_over(log: Log, fit: Fit, keep: Weigh | None = None) -> Survey:
     """Read `log` once and return what its pictures show."""
-    n = len(fit.model.pose)
-    traces = Trace(n), Trace(n)
-    time, rejected = Trace(1) if "t_s" in log.columns else None, Trace(1)
     runs: dict[int, _Run] = {}
     total = 0
     for part in decoded(log, fit, keep):
         run = runs.setdefault(part.block.run, _Run(total, part))
-        errors = np.array([part.nominal, part.fitted]) - part.reference
-        for trace, error in zip(traces, errors, strict=True):
-            trace.add(np.where(part.kept, error, np.nan))
-        if time:
-            time.add(part.time)
-        rejected.add(np.where(part.kept, np.nan, 1.0)[None])
-        run.add(part, errors)
+        run.add(part, np.array([part.nominal, part.fitted]) - part.reference)
         total += len(part.kept)
-    return _survey(fit, runs, total, traces, time, rejected)
-
-
-def _survey(
-    fit: Fit,
-    runs: Mapping[int, _Run],
-    total: int,
-    errors: tuple[Trace, Trace],
-    time: Trace | None,
-    rejected: Trace,
-) -> Survey:
     found, n = list(runs.values()), len(fit.model.pose)
     count = np.array([r.kept for r in found], dtype=float)
     squares, peak = np.array([r.squares for r in found]), np.array([r.peak for r in found])
     tables = [ErrorTable(fit.model.pose, tuple(runs), count, squares[:, v], peak[:, v]) for v in (0, 1)]
-    travel = np.array([r.travel for r in found])
     low, high = np.min([r.low for r in found], axis=0), np.max([r.high for r in found], axis=0)
     return Survey(
         runs=tuple(runs),
         edges=np.array([*(r.start for r in found), total]),
-        travel=travel[:, :n],
         state=np.array([r.state for r in found]),
-        drift=travel[:, n:],
+        drift=np.array([r.high[n:] - r.low[n:] if r.kept else np.zeros(len(r.low) - n) for r in found]),
         reach=np.column_stack([low, high]) if count.any() else np.zeros((len(low), 2)),
         nominal=tables[0],
         fitted=tables[1],
-        errors=errors,
-        time=time,
-        rejected=rejected,
+        timed="t_s" in log.columns,
         n_rejected=int(total - count.sum()),
     )
 
@@ -288,16 +239,6 @@ def _survey(
 def held_out(fit: Fit) -> tuple[int, ...]:
     """Return the held-out runs, also of a fit that was read back."""
     return fit.errors.holdout if fit.errors else tuple(fit.log.get("holdout", ()))
-
-
-def representative(survey: Survey, most: int = 3) -> list[int]:
-    """Return up to `most` runs: for each pose coordinate the first in which it moves (nearly) most."""
-    chosen: list[int] = []
-    for travel in survey.travel.T:
-        run = survey.runs[int(np.argmax(travel >= 0.9 * travel.max()))]
-        if run not in chosen:
-            chosen.append(run)
-    return sorted(chosen[:most], key=survey.runs.index)
 
 
 def worst_first(survey: Survey, floor: Mapping[str, float], most: int) -> list[int]:

@@ -1,11 +1,10 @@
-"""Pictures of a campaign: what was measured, errors over it and by setting, parameters, and the gap."""
+"""Pictures of a campaign: errors by setting, parameters, and the gap."""
 
 from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Callable, Collection, Sequence
-from functools import cache
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,17 +12,12 @@ import numpy as np
 
 from hallsym.estimation import ErrorTable, Fit, as_read
 from hallsym.log import Log, Weigh
-from hallsym.report.data.gather import compared, version_of
 from hallsym.report.data.survey import (
-    COLUMNS,
     MOST_SETTINGS,
     Group,
     Survey,
-    Trace,
-    decoded,
     held_out,
     look_over,
-    representative,
     settings,
 )
 from hallsym.report.figures.saving import Place, save_figures
@@ -32,15 +26,10 @@ from hallsym.report.figures.style import (
     BEFORE,
     BLACK,
     DASHED,
-    DASHES,
     FAINT,
     GREY,
-    LEFT,
-    LIGHT,
     LINE,
-    SERIES,
     SHADE,
-    bands,
     key,
     label_x,
     label_y,
@@ -51,57 +40,42 @@ from hallsym.report.figures.style import (
     text_width,
 )
 from hallsym.report.words import (
-    LEVEL,
     MINUS,
     largest,
     name,
     plus_minus,
     scale,
-    setting,
-    short,
     thinned,
-    three,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from hallsym.diagnosis import Diagnosis, Examined
+    from hallsym.diagnosis import Diagnosis
     from hallsym.estimation import Evaluation
 
 
 def save_pictures(log: Log, fit: Fit, folder: str | Path | Place, *, keep: Weigh | None = None) -> list[Path]:
-    """Draw the pictures of `fit` on `log` into `folder` (made if missing) and return the files written.
+    """Draw `errors_by_setting` and `parameters` of `fit` on `log` into `folder`; returns the files written.
 
-    `measured`, `errors_before_after`, `errors_by_setting` and `parameters`. `keep(block) -> (samples,)`
-    weights; samples of weight 0 (outliers) take no part and are marked. The log is read twice, in blocks.
+    `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part. The log is read once, in
+    blocks.
     """
-    found = _of_errors(as_read(log, fit.model, fit.wiring), fit, keep)
-    return save_figures(found | {"parameters": lambda: parameters(fit)}, folder)
-
-
-TITLES = "Nominal parameters", "Calibration"
+    seen = as_read(log, fit.model, fit.wiring)
+    draw = {
+        "errors_by_setting": lambda: errors_by_setting(fit, look_over(seen, fit, keep)),
+        "parameters": lambda: parameters(fit),
+    }
+    return save_figures(draw, folder)
 
 
 def save_evaluation(found: Evaluation, folder: str | Path | Place) -> list[Path]:
-    """Draw the pictures of an evaluation into `folder` (made if missing) and return the files written.
-
-    `measured`, `errors_before_after` (left by nominal parameters, right by the calibration) and
-    `errors_by_setting`; each as for a fit, of the log that was evaluated.
-    """
-    return save_figures(_of_errors(found.decoded, found.applied, titles=TITLES), folder)
-
-
-def _of_errors(
-    log: Log, fit: Fit, keep: Weigh | None = None, titles: tuple[str, str] | None = None
-) -> dict[str, Callable[[], Figure]]:
-    survey = cache(lambda: look_over(log, fit, keep))  # once, and only when the folder is there
-    return {
-        "measured": lambda: measured(log, fit, survey(), keep),
-        "errors_before_after": lambda: errors_before_after(fit, survey(), titles),
-        "errors_by_setting": lambda: errors_by_setting(fit, survey()),
-    }
+    """Draw `errors_by_setting` of the log that was evaluated into `folder`; returns the files written."""
+    fit = found.applied
+    return save_figures(
+        {"errors_by_setting": lambda: errors_by_setting(fit, look_over(found.decoded, fit))}, folder
+    )
 
 
 ACROSS, HEIGHT = 3, 1.4
@@ -130,239 +104,6 @@ def gap(found: Diagnosis, period: Collection[str] | None = None) -> Figure:
     label = f"noise floor ({found.noise_floor.source})"
     legend(figure, [key(label, color=BLACK, lw=0.8, ls=DASHED)], "upper left")
     return figure
-
-
-def save_diagnosis(seen: Examined, folder: str | Path | Place) -> list[Path]:
-    """Draw the pictures of a diagnosis into `folder` (made if missing) and return the files written.
-
-    `errors_before_after` (left the model, right with the effects found; nominal and fitted parameters where
-    none was) and `gap`.
-    """
-    found, fit = seen.diagnosis, seen.fit
-    log = seen.before.log
-    titles = ("Model fitted", "With effects found") if seen.after else None
-
-    def survey() -> Survey:
-        first = look_over(log, fit, fit.keep)
-        if seen.after is None:
-            return first
-        return compared(first, fit, version_of(seen.before, "before"), version_of(seen.after, "after"))
-
-    return save_figures(
-        {
-            "errors_before_after": lambda: errors_before_after(fit, survey(), titles),
-            "gap": lambda: gap(found, fit.model.period),
-        },
-        folder,
-    )
-
-
-# -- `measured`: reference, decoded pose and readings of a few runs --------------------------------------
-
-
-STRETCHES = tuple(2 * COLUMNS * 4**k for k in range(12))
-"""Samples from the start of a run that are tried when the whole run would be a solid block."""
-SMEAR = 0.025
-"""Motion can be seen while it moves less than this share of its travel within one picture column."""
-
-
-def measured(log: Log, fit: Fit, survey: Survey, keep: Weigh | None = None) -> Figure:
-    """Draw reference, decoded pose and readings of the runs in which each pose coordinate moves most."""
-    model = fit.model
-    chosen = representative(survey)
-    traces = _run_traces(log, fit, survey, chosen, keep)
-    n, rows = len(model.pose), len(model.pose) + 1
-    figure, axes = panels(rows, len(chosen), 1.16, top=0.42, bottom=0.62, sharex="col", sharey="row")
-    every = [range(1 + k, 1 + 3 * n, n) for k in range(n)] + [range(1 + 3 * n, len(traces[0].low))]
-    columns = (*model.pose, model.channels[0])
-    scales = [scale(c, _largest(traces, k), model.period) for c, k in zip(columns, every, strict=True)]
-    for row, word, (_, unit) in zip(axes, (*map(name, model.pose), "reading"), scales, strict=True):
-        label_y(row[0], f"{word} [{unit}]")
-    timed = survey.time is not None
-    looks: tuple[tuple[str, dict[str, Any]], ...] = (
-        ("reference", {"color": LIGHT, "lw": 3.2}),
-        ("decoded, nominal parameters", {"color": BLACK, "lw": 0.7, "ls": DASHED}),
-        ("decoded, fitted", {"color": AFTER, "lw": 0.9}),
-    )
-    for column, (run, trace) in enumerate(zip(chosen, traces, strict=True)):
-        x = trace.low[0] - trace.low[0][0] if timed else trace.samples
-        for k in range(n):
-            for series, (label, look) in zip(every[k], looks, strict=True):
-                at, y = trace.line(series, x)
-                axes[k, column].plot(at, scales[k][0] * y, label=label, **look)
-        for k, channel in enumerate(model.channels):
-            at, y = trace.line(1 + 3 * n + k, x)
-            look = {"color": SERIES[k % len(SERIES)], "ls": DASHES[k % len(DASHES)]}
-            axes[n, column].plot(at, scales[n][0] * y, label=name(channel), **look)
-        label_x(axes[n, column], "time in the run [s]" if timed else "sample of the run")
-        axes[0, column].set_title(_run_title(fit, survey, run, trace), loc="left")
-    legend(figure, axes[0, 0].lines, "upper center", ncols=len(looks))
-    legend(figure, axes[n, 0].lines, "lower center", ncols=min(len(model.channels), 6))
-    return figure
-
-
-def _run_traces(log: Log, fit: Fit, survey: Survey, chosen: Sequence[int], keep: Weigh | None) -> list[Trace]:
-    """Trace each chosen run from its start, as far as its motion can still be seen.
-
-    Series: time, reference, pose by nominal parameters, fitted pose, readings.
-    """
-    model = fit.model
-    sizes = dict(zip(survey.runs, np.diff(survey.edges), strict=True))
-    lengths = {run: [s for s in STRETCHES if s < sizes[run]] + [sizes[run]] for run in chosen}
-    n = 1 + 3 * len(model.pose) + len(model.channels)
-    traces = {run: [Trace(n) for _ in lengths[run]] for run in chosen}
-    seen: set[int] = set()
-    for part in decoded(log, fit, keep):
-        run = part.block.run
-        if run not in traces:
-            if len(seen) == len(traces):
-                break
-            continue
-        seen.add(run)
-        values = np.vstack([part.reference, part.nominal, part.fitted, part.rows(model.channels)])
-        values = np.vstack([part.time, np.where(part.kept, values, np.nan)])
-        for length, trace in zip(lengths[run], traces[run], strict=True):
-            if trace.count < length:
-                trace.add(values[:, : length - trace.count])
-    most = survey.travel.max(axis=0)
-
-    def clear(trace: Trace) -> bool:
-        rows = slice(1, 1 + len(most))
-        smear = np.nanmedian(trace.high[rows] - trace.low[rows], axis=1)
-        return bool(np.all(smear <= SMEAR * most))
-
-    return [next(filter(clear, reversed(traces[run])), traces[run][0]) for run in chosen]
-
-
-def _largest(traces: Sequence[Trace], series: Sequence[int]) -> float:
-    return max(largest(bounds[list(series)]) for t in traces for bounds in (t.low, t.high))
-
-
-def _run_title(fit: Fit, survey: Survey, run: int, trace: Trace) -> str:
-    k = survey.runs.index(run)
-    what = "held out" if run in held_out(fit) else ""
-    where = ""
-    if len(fit.model.state) and not np.any(survey.drift[k] > 20 * LEVEL):
-        where = setting(fit.model.state, survey.state[k], 5 * LEVEL, units=True, turning=fit.model.period)
-    part = ""
-    if trace.count < survey.edges[k + 1] - survey.edges[k]:
-        seconds = trace.high[0, -1] - trace.low[0, 0]
-        part = f"first {short(seconds)} s" if survey.time is not None else f"first {trace.count} samples"
-    return ", ".join(filter(None, (f"run {run}", where, what, part)))
-
-
-# -- `errors_before_after`: errors of the decoded pose along the campaign --------------------------------
-
-
-BAND = 3.0
-"""Half-width of the noise band in noise floors: 99.7 % of Gaussian errors lie inside."""
-
-
-def errors_before_after(fit: Fit, survey: Survey, titles: tuple[str, str] | None = None) -> Figure:
-    """Draw the errors of the decoded pose over the whole campaign: nominal parameters left, fitted right.
-
-    `titles`: what the two sides are, where they are something else.
-
-    Every sample counts: of each picture column the least and the greatest error are drawn. The two sides have
-    scales of their own, and the right one says by how much it is finer.
-    """
-    model = fit.model
-    n = len(model.pose)
-    figure, axes = panels(n, 2, 1.17, top=0.45, bottom=0.62, gaps=(LEFT + 0.06, 0.28), sharex=True)
-    tables, highest = (survey.nominal, survey.fitted), np.zeros((n, 2))
-    for column, (trace, table) in enumerate(zip(survey.errors, tables, strict=True)):
-        for k, coordinate in enumerate(model.pose):
-            floor = float(fit.noise_floor.get(coordinate, 0.0))
-            peak = max(float(table.peak[:, k].max()), largest(trace.low[k]), largest(trace.high[k]))
-            highest[k, column] = max(peak, 1.15 * BAND * floor) or 1e-12
-            factor, unit = scale(coordinate, highest[k, column], model.period)
-            ax = axes[k, column]
-            _campaign_axis(ax, fit, survey)
-            x, y = trace.line(k, _campaign_x(survey, trace), survey.edges[1:-1])
-            ax.plot(x, factor * y, color=(BEFORE, AFTER)[column], lw=(0.8, 0.5)[column], zorder=2)
-            band = (-BAND * factor * floor, BAND * factor * floor)
-            ax.hlines(
-                band, 0, 1, transform=ax.get_yaxis_transform(), color=BLACK, lw=0.7, ls=DASHED, zorder=3
-            )
-            limit = 1.08 * factor * highest[k, column]
-            ax.ticklabel_format(axis="y", style="plain", useOffset=False)
-            ax.set_ylim(-limit * (1.1 if survey.n_rejected else 1.0), limit)
-            label_y(ax, f"error in {name(coordinate)} [{unit}]")
-            ax.set_title(_error_words(table, k, fit, held_out(fit) if column else ()), loc="left")
-    ratios = highest[:, 0] / highest[:, 1]
-    finer = ", ".join(">10000" if ratio > 1e4 else short(float(f"{ratio:.2g}")) for ratio in ratios)
-    for ax in axes[-1]:
-        label_x(ax, _campaign_label(survey))
-    left, right = titles or (_nominal_words(fit), "Fitted")
-    for ax, title in zip(axes[0], (left, f"{right}; scales {finer} × finer"), strict=True):
-        ax.set_title(f"{title}\n{ax.get_title('left')}", loc="left", linespacing=1.6)
-    _campaign_legend(figure, fit, survey)
-    return figure
-
-
-def _nominal_words(fit: Fit) -> str:
-    return "Nominal parameters" + (", no zero deviations" if fit.model.zeros else "")
-
-
-def _error_words(table: ErrorTable, k: int, fit: Fit, holdout: Sequence[int]) -> str:
-    """Return rmse and peak of coordinate `k`, those of the runs in `holdout` by themselves."""
-    coordinate = table.pose[k]
-    used, others = table.over([r for r in table.runs if r not in holdout]), table.over(holdout)
-    factor, unit = scale(coordinate, float(table.peak[:, k].max()), fit.model.period)
-    texts = [
-        f"{label} {three(factor * row['rmse'][coordinate])}, {word}{three(factor * row['peak'][coordinate])}"
-        for label, word, row in (
-            ("rmse", "peak ", used),
-            ("held out" if used else "held out: rmse", "", others),
-        )
-        if row
-    ]
-    return f"{'; '.join(texts)} {unit}" if texts else "no samples"
-
-
-def _campaign_x(survey: Survey, trace: Trace) -> np.ndarray:
-    if len(survey.runs) == 1 and survey.time is not None:
-        return survey.time.low[0] - survey.time.low[0][0]
-    return trace.samples
-
-
-def _campaign_label(survey: Survey) -> str:
-    if len(survey.runs) == 1:
-        return "time [s]" if survey.time is not None else "sample"
-    return "run (as wide as its number of samples)"
-
-
-def _campaign_axis(ax: Axes, fit: Fit, survey: Survey) -> None:
-    """Shade held-out runs, separate runs, number them, and mark rejected samples at the bottom."""
-    edges, held = survey.edges - 0.5, held_out(fit)
-    x = _campaign_x(survey, survey.rejected)
-    hit = np.flatnonzero(np.isfinite(survey.rejected.high[0]))
-    if len(hit):
-        ax.plot(x[hit], np.full(len(hit), 0.02), transform=ax.get_xaxis_transform(), ls="none", marker="|",
-                ms=4, mew=0.6, color=GREY, zorder=4)  # fmt: skip
-    if len(survey.runs) == 1:
-        ax.set_xlim(x[0], x[-1] if x[-1] > x[0] else x[0] + 1)
-        return
-    shaded = [(edges[k], edges[k + 1]) for k, run in enumerate(survey.runs) if run in held]
-    bands(ax, shaded, SHADE, upright=True)
-    if len(survey.runs) <= 80:
-        ax.vlines(edges[1:-1], 0, 1, transform=ax.get_xaxis_transform(), color=FAINT, lw=0.3, zorder=1)
-    pick = thinned(len(survey.runs), 8)
-    ax.set_xticks([float(edges[k : k + 2].mean()) for k in pick], [str(survey.runs[k]) for k in pick])
-    ax.set_xlim(edges[0], edges[-1])
-
-
-def _campaign_legend(figure: Figure, fit: Fit, survey: Survey) -> None:
-    from matplotlib.patches import Patch
-
-    label = f"±{BAND:g} × noise floor (99.7 % of pure noise)"
-    handles: list[Any] = [key(label, color=BLACK, lw=0.7, ls=DASHED)]
-    if set(held_out(fit)) & set(survey.runs) and len(survey.runs) > 1:
-        handles.append(Patch(facecolor=SHADE, label="held-out run"))
-    if survey.n_rejected:
-        label = f"rejected sample ({survey.n_rejected})"
-        handles.append(key(label, color=GREY, ls="none", marker="|", ms=6))
-    legend(figure, handles, "lower center", ncols=len(handles), columnspacing=1.4, handlelength=2.0)
 
 
 # -- `errors_by_setting`: rmse at each vertical setting, before and after --------------------------------

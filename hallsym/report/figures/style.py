@@ -97,7 +97,8 @@ def row_panels(
         sharey=True, **options,
     )  # fmt: skip
     for ax in axes[0]:
-        bands(ax, [(k - 0.5, k + 0.5) for k in range(0, len(names), 2)], STRIPE, upright=False)
+        for k in range(0, len(names), 2):
+            ax.axhspan(k - 0.5, k + 0.5, color=STRIPE, lw=0, zorder=0)
         ax.tick_params("y", length=0)
     axes[0, 0].set_yticks(range(len(names)), names)
     axes[0, 0].set_ylim(len(names) - 0.5, -0.5)
@@ -124,7 +125,7 @@ def _inches(ax: Axes) -> tuple[float, float]:
 
 
 def legend(figure: Figure, handles: Sequence[Any], where: str, **options: Any) -> None:
-    """Draw a legend at the upper or lower edge of the figure.
+    """Draw a legend at the upper edge of the figure.
 
     Entries that have no room in a line make more lines, and the figure grows by them.
     """
@@ -140,27 +141,23 @@ def legend(figure: Figure, handles: Sequence[Any], where: str, **options: Any) -
         columns -= 1
     options["ncols"] = columns
     lines = -(-len(handles) // columns)
-    if where.startswith("upper"):
-        _grow(figure, above=ENTRY * (lines + (-len(handles) // asked)))
-    else:
-        _grow(figure, below=ENTRY * (lines - 1))
-    edge = 0.03 / figure.get_size_inches()[1]
-    x, y = {"left": 0.0, "center": 0.5}[where.split()[1]], 1 - edge if where.startswith("upper") else edge
-    options |= {"loc": where, "bbox_to_anchor": (x, y)}
+    _grow(figure, ENTRY * (lines + (-len(handles) // asked)))
+    x, edge = {"left": 0.0, "center": 0.5}[where.split()[1]], 0.03 / figure.get_size_inches()[1]
+    options |= {"loc": where, "bbox_to_anchor": (x, 1 - edge)}
     figure.legend(handles=handles, **options)
 
 
-def _grow(figure: Figure, *, above: float = 0.0, below: float = 0.0) -> None:
-    """Make a figure higher [inches]; its axes keep their size and their place from the other edge."""
+def _grow(figure: Figure, above: float) -> None:
+    """Make a figure higher [inches]; its axes keep their size and their place from the lower edge."""
     width, old = figure.get_size_inches()
-    new = old + above + below
+    new = old + above
     figure.set_size_inches(width, new)
     for ax in figure.axes:
         box = ax.get_position()
-        ax.set_position((box.x0, (box.y0 * old + below) / new, box.width, box.height * old / new))
+        ax.set_position((box.x0, box.y0 * old / new, box.width, box.height * old / new))
     for text in figure.texts:
         x, y = text.get_position()
-        text.set_position((x, (y * old + below) / new))
+        text.set_position((x, y * old / new))
     for drawn in figure.legends:
         box = drawn.get_bbox_to_anchor().transformed(figure.transFigure.inverted())
         drawn.set_bbox_to_anchor((box.x0, box.y0), transform=figure.transFigure)
@@ -193,18 +190,6 @@ def broken(text: str, width: float | None = None, indent: str = "    ") -> list[
         else:
             lines[-1] = longer
     return lines
-
-
-def bands(ax: Axes, spans: Sequence[tuple[float, float]], color: str, *, upright: bool) -> None:
-    """Shade stretches of x over the full height (`upright`), or stretches of y over the full width."""
-    from matplotlib.collections import PolyCollection
-
-    corners = [np.array([(a, 0.0), (b, 0.0), (b, 1.0), (a, 1.0)]) for a, b in spans]
-    if not upright:
-        corners = [points[:, ::-1] for points in corners]
-    place = ax.get_xaxis_transform() if upright else ax.get_yaxis_transform()
-    shade = PolyCollection(corners, facecolors=color, linewidths=0, zorder=0, transform=place)
-    ax.add_collection(shade, autolim=False)
 
 
 def log_axis(ax: Axes, which: str, values: np.ndarray) -> None:
