@@ -13,7 +13,7 @@ from hallsym.log.quality.clock import ticks, time
 from hallsym.log.quality.copies import copied
 from hallsym.log.quality.findings import Finding, the
 from hallsym.log.quality.frozen import held
-from hallsym.log.quality.levels import dead, few_levels, stale
+from hallsym.log.quality.levels import dead, stale
 from hallsym.log.quality.rails import saturated
 from hallsym.log.quality.runs import short_runs
 from hallsym.log.quality.scales import clock_unit, speeds, units
@@ -162,5 +162,4 @@ def _values(log: Log, seen: Scan) -> Iterator[Finding]:
         yield finding
         rails |= finding.drop or Drop()
     yield from held(log, seen, spans, rails)
-    yield from few_levels(log, seen, spans)
     yield from stale(log, seen, spans, rails)

@@ -1,9 +1,9 @@
-"""Recordings that occur twice: whole runs, columns of another run, a stretch of the log, one signal twice."""
+"""Recordings that occur twice: whole runs, columns of another run, one signal twice."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -11,10 +11,8 @@ from hallsym.log.core import Log
 from hallsym.log.drop import Drop
 from hallsym.log.limits import is_moving, is_reading, is_reference
 from hallsym.log.quality.findings import Finding, name_of, others
-from hallsym.log.quality.motion import is_noisy, stretches
-from hallsym.log.quality.scan import WHOLE_ROWS, Scan, Spans, Whole
-
-_TWICE = "counted twice, a recording makes uncertainties too small"
+from hallsym.log.quality.motion import is_noisy
+from hallsym.log.quality.scan import Scan, Span, Spans
 
 Pairs = dict[tuple[int, int], list[str]]
 """Columns that hold the same samples in two runs, the earlier first."""
@@ -23,14 +21,8 @@ Pairs = dict[tuple[int, int], list[str]]
 def copied(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
     """Samples that are there twice. Only columns with noise count: without it every repetition is alike."""
     same = _same(log, seen, spans)
-    whole = {later: first for (first, later), names in same.items() if _all(names, spans.runs[later])}
-    if whole:
-        yield _copies(log, whole)
-    parts = {pair: names for pair, names in same.items() if pair[1] not in whole}
-    if parts:
-        yield _pasted(log, parts)
-    if not same:
-        yield from _stretch(log, seen)
+    if same:
+        yield _pasted(log, same, spans)
     yield from _twins(log, seen, spans)
 
 
@@ -55,51 +47,24 @@ def _same(log: Log, seen: Scan, spans: Spans) -> Pairs:
     return {pair: pairs[pair] for pair in sorted(noisy, key=lambda pair: pair[::-1])}
 
 
-def _all(names: list[str], spans: dict) -> bool:
+def _all(names: list[str], spans: Mapping[str, Span]) -> bool:
     """Say whether these are all readings and references of a run that change there."""
     told = [c for c, span in spans.items() if (is_reading(c) or is_reference(c)) and span.min < span.max]
     return set(told) <= set(names)
 
 
-def _copies(log: Log, whole: dict[int, int]) -> Finding:
-    run, first = next(iter(whole.items()))
-    return Finding(
-        f"Run {run} of {name_of(log)} is run {first} again, sample for sample{others(whole)}: {_TWICE}",
-        True, Drop(runs=frozenset(whole)), remedy="remove the copies",
-    )  # fmt: skip
-
-
-def _pasted(log: Log, parts: Pairs) -> Finding:
-    (first, run), names = next(iter(parts.items()))
+def _pasted(log: Log, same: Pairs, spans: Spans) -> Finding:
+    """Of a run that is a copy, the first one is good; of columns in two runs, either may be wrong."""
+    wrong = [run for pair, c in same.items() for run in (pair[1:] if _all(c, spans.runs[pair[1]]) else pair)]
+    (first, run), names = next(iter(same.items()))
     shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
     subject, verb = ("Columns", "hold") if len(names) > 1 else ("Column", "holds")
     return Finding(
         f"{subject} {shown} of {name_of(log)} {verb} the same samples in runs {first} and {run}"
-        f"{others(parts, 'more pair')}, other columns do not",
-        True, Drop(runs=frozenset(run for pair in parts for run in pair)),
-        remedy="give each run the columns that were recorded with it",
+        f"{others(same, 'more pair')}",
+        True, Drop(runs=frozenset(wrong)),
+        remedy="remove a run that is a copy, or give each run the columns that were recorded with it",
     )  # fmt: skip
-
-
-def _stretch(log: Log, seen: Scan) -> Iterator[Finding]:
-    """A stretch of the log that is there again some rows later, whatever the runs are called."""
-    distance = seen.marks.distance()
-    if distance is None or seen.rows > WHOLE_ROWS:
-        return
-    names = [c for c in seen.traces if is_reading(c) or is_reference(c)]
-    whole = Whole.of(log, names)
-    equal = np.all([x[distance:] == x[:-distance] for x in whole.data.values()], axis=0)
-    found = [(a, b) for a, b in stretches(equal) if any(is_noisy(x[a:b]) for x in whole.data.values())]
-    if found:
-        again, count = found[0][0] + distance, sum(b - a for a, b in found)
-        first = again - distance
-        yield Finding(
-            f"{count} samples of {name_of(log)} are there twice: from row {again + 1} (run"
-            f" {whole.run[again]}) on they are those from row {first + 1} (run {whole.run[first]}) on:"
-            f" {_TWICE}",
-            True, Drop(rows=tuple((a + distance, b + distance) for a, b in found)),
-            remedy="remove the copies",
-        )  # fmt: skip
 
 
 def _twins(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:

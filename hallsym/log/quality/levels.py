@@ -1,4 +1,4 @@
-"""Columns that never change, take few values, or were recorded at a lower rate than the others."""
+"""Columns that never change, or were recorded at a lower rate than the others."""
 
 from __future__ import annotations
 
@@ -12,24 +12,19 @@ from hallsym.log.limits import is_moving, is_reading, is_reference, tells
 from hallsym.log.quality.findings import Finding, others, the
 from hallsym.log.quality.motion import gains, is_noisy
 from hallsym.log.quality.runs import FEWEST_SAMPLES
-from hallsym.log.quality.scan import HELD_SAMPLES, WHOLE_ROWS, Scan, Span, Spans
-from hallsym.units import Array, si_symbol
+from hallsym.log.quality.scan import WHOLE_ROWS, Scan, Span, Spans
+from hallsym.units import Array
 
-_FEW_LEVELS = 8
-"""Values of a reading that are too few to calibrate with: the step is an eighth of the travel."""
 _FEWEST_CHANGES = 16
 _ALIKE = 0.6
 """Share of the values that a slow logger repeats as often as the usual one."""
-_BY_CHANCE = 2.0
-"""Equal neighbours over those one code apart from which the logger repeated them: by chance it is a half."""
 _GOES_ON = 0.5
 """What other columns do while one repeats its value, over what they do until it goes on, per share of samples
 that repeat: 1 for a slow logger, about 0 where all of them step from rest to rest."""
 _CODE_AT = 0.005
 """Quantile of the changes that is one code of a converter if there is one: outliers make smaller ones."""
-_SLOW_SHARE = 0.5
 _OFTEN = 0.02
-"""Share of samples that are equal to the one before from which the logger, and not chance, repeated them."""
+"""Share of samples that are equal to the one before from which a column is looked at."""
 _SLOW = 4.0
 """Usual change over the least one from which values that repeat are those of a slow channel: those of a
 coarse converter change by one code most of the time."""
@@ -77,33 +72,8 @@ def _should_move(log: Log, seen: Scan, name: str, run: int, runs: Mapping[int, M
     return found.moves([values[here] for values in motion])
 
 
-def few_levels(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
-    """Readings that take a handful of values while a reference takes many."""
-    for name in filter(is_reading, spans.overall):
-        whole = seen.sample.whole
-        levels = _levels(whole.ordered(name))
-        if not 2 <= levels <= _FEW_LEVELS:
-            continue
-        finest = max((_levels(whole.ordered(c)) for c in filter(is_reference, whole.data)), default=0)
-        step = (spans.overall[name].max - spans.overall[name].min) / (levels - 1)
-        widest = max(spans.overall[c].max - spans.overall[c].min for c in filter(is_reading, spans.overall))
-        coarse = (
-            step * 2 * _FEW_LEVELS > widest
-        )  # of a reading that hardly moves here, its converter may be fine
-        if coarse and finest > levels:
-            yield Finding(
-                f"{the(log, name)} takes {levels} values only, about {step:.3g} {si_symbol(name)} apart",
-                remedy="raise the gain before the converter, or log more of its digits",
-            )
-
-
-def _levels(ordered: Array) -> int:
-    """Return how many different values ascending samples take."""
-    return 1 + int(np.count_nonzero(ordered[1:] != ordered[:-1])) if len(ordered) else 0
-
-
 def stale(log: Log, seen: Scan, spans: Spans, rails: Drop) -> Iterator[Finding]:
-    """Samples that the logger repeated; in a run where a column rests there is nothing to repeat.
+    """Columns that were recorded at a lower rate; in a run where a column rests there is nothing to repeat.
 
     Nor is there on a rail: columns of `rails` are not judged.
     """
@@ -115,18 +85,11 @@ def stale(log: Log, seen: Scan, spans: Spans, rails: Drop) -> Iterator[Finding]:
         repeats, rows = trace.repeats - sum(resting) + len(resting), seen.rows - sum(resting)
         if repeats <= _OFTEN * rows or not (share := _repeats(log, name)):
             continue
-        if share >= _SLOW_SHARE:
-            yield Finding(
-                f"{the(log, name)} repeats each value about {1 / (1 - share):.0f} times: it was recorded at a"
-                " lower rate than the others, which looks like a delay",
-                remedy="record all columns at one rate",
-            )
-        else:
-            yield Finding(
-                f"{the(log, name)} repeats the value before it in {share:.1%} of its samples: the logger read"
-                " an old one there",
-                remedy="read the channel once a sample",
-            )
+        yield Finding(
+            f"{the(log, name)} repeats each value about {1 / (1 - share):.0f} times: it was recorded at a"
+            " lower rate than the others, which looks like a delay",
+            remedy="record all columns at one rate",
+        )
 
 
 def _rests(span: Span) -> bool:
@@ -159,9 +122,8 @@ def _repeats(log: Log, column: str) -> float:
 def _repeated(step: Array) -> float:
     """Return the share of absolute steps (n,) that are nil by the logger, or 0.
 
-    A slow logger repeats each value equally often; one that is late at times repeats single ones. A coarse
-    converter repeats by itself where the motion is slow: then its steps are mostly one code, and half as many
-    are none as are one code up or down.
+    A slow logger repeats each value equally often. A coarse converter repeats by itself where the motion is
+    slow: then its steps are mostly one code.
     """
     changes = np.flatnonzero(step)
     size, lasts = step[changes], np.diff(changes)
@@ -169,9 +131,6 @@ def _repeated(step: Array) -> float:
     if np.median(size) < _SLOW * code:
         return 0.0
     alike = np.abs(lasts - usual) <= usual / 4
-    if usual >= 2 and alike.mean() > _ALIKE:
-        return 1.0 - 1.0 / float(lasts[alike].mean())
-    single = lasts < HELD_SAMPLES
-    equal, among = int((lasts[single] - 1).sum()), int(lasts[single].sum())
-    by_a_code = int(np.count_nonzero(size < 1.5 * code))
-    return equal / among if equal > max(_OFTEN * among, _BY_CHANCE * by_a_code) else 0.0
+    if usual < 2 or alike.mean() <= _ALIKE:
+        return 0.0
+    return 1.0 - 1.0 / float(lasts[alike].mean())
