@@ -158,7 +158,6 @@ def _page(options: Namespace, seen: Examined) -> str:
         maps=shown.maps,
         after=shown.after,
         series=shown.series,
-        residuals=shown.residuals,
         fit=first,
         command=_typed(options, first),
         reading=reading_words(options),

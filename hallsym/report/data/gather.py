@@ -1,9 +1,9 @@
-"""One more pass over a log: maps of the errors, their spectrum, and series of a few runs."""
+"""One more pass over a log: maps of the errors, and series of a few runs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
@@ -108,81 +108,6 @@ class Tally:
         return np.where(self.count > 0, value, np.nan)
 
 
-# -- errors in frequency ---------------------------------------------------------------------------------
-
-
-SHORTEST, LONGEST = 32, 1024
-"""Samples of a segment of which a spectrum is averaged: a power of two up to half the median run."""
-EVEN = 0.05
-"""Steps of time may differ by this part of the median for a spectrum: a clock with jitter."""
-MISSING = 0.05
-"""Part of the samples of a block that may be left out for a spectrum; zero stands in their place."""
-POINTS = 90
-"""Points of a spectrum, equally far apart on a logarithmic axis."""
-
-
-@dataclass(frozen=True, eq=False)
-class Residuals:
-    """Spectrum of the errors of the decoded pose over a whole log, SI.
-
-    `frequency`: (points,) in Hz, or per sample if not `timed`; `density`: (n_pose, points) amplitude spectral
-    density, one-sided, per root Hz; both are empty where the runs are too short or unevenly sampled. `white`:
-    (n_pose,) the density of white noise as large as the noise floor.
-    """
-
-    pose: tuple[str, ...]
-    frequency: np.ndarray
-    density: np.ndarray
-    white: np.ndarray
-    timed: bool
-    turning: Collection[str] | None = None
-
-
-class ResidualTally:
-    """Sums of a pass: the power of segments."""
-
-    def __init__(
-        self, pose: Sequence[str], survey: Survey, floor: np.ndarray, turning: Collection[str] | None = None
-    ) -> None:
-        """Start with what a survey of the log knows of its errors; `floor`: (n_pose,) in SI."""
-        self.pose, self.floor, self.timed, self.turning = tuple(pose), floor, survey.timed, turning
-        half = float(np.median(np.diff(survey.edges))) / 2
-        self.length = int(min(2 ** np.floor(np.log2(max(half, 1.0))), LONGEST))
-        self.power, self.segments, self.step = np.zeros((len(self.pose), self.length // 2 + 1)), 0, 0.0
-
-    def add(self, time: np.ndarray, errors: np.ndarray) -> None:
-        """Add a block: `time` [s] (samples,), `errors` (n_pose, samples) in SI, nan where nothing counts."""
-        missing = ~np.isfinite(errors)
-        if errors.shape[1] < self.length or self.length < SHORTEST or missing.mean() > MISSING:
-            return
-        steps = np.diff(time) if self.timed else np.ones(1)
-        step = float(np.median(steps))
-        self.step = self.step or step
-        if step <= 0 or np.abs(steps / self.step - 1.0).max() > EVEN:
-            return
-        rows = np.where(missing, 0.0, errors)
-        from scipy.signal import welch  # takes long to import
-
-        _, power = welch(rows, 1.0 / self.step, nperseg=self.length, noverlap=0, axis=1)
-        count = errors.shape[1] // self.length
-        self.power += count * power
-        self.segments += count
-
-    def found(self) -> Residuals:
-        """Return what was gathered."""
-        if not self.segments:
-            nothing = np.zeros((len(self.pose), 0))
-            return Residuals(self.pose, np.zeros(0), nothing, self.floor, self.timed, self.turning)
-        frequency = np.fft.rfftfreq(self.length, self.step)[1:-1]  # the last has half the power
-        edges = np.geomspace(frequency[0], frequency[-1] * 1.001, POINTS + 1)
-        starts = np.unique(np.searchsorted(frequency, edges[:-1]))
-        width = np.diff([*starts, len(frequency)])
-        power = np.add.reduceat(self.power[:, 1:-1], starts, axis=1) / (width * self.segments)
-        at = np.add.reduceat(frequency, starts) / width
-        white = self.floor * np.sqrt(2.0 * self.step)
-        return Residuals(self.pose, at, np.sqrt(power), white, self.timed, self.turning)
-
-
 # -- errors of one run over time, reduced to what a picture shows ----------------------------------------
 
 
@@ -239,15 +164,14 @@ MOST_AXES = 6
 class Gathered:
     """What a page shows of a log: `survey`, maps and series of the errors of decoded poses.
 
-    `series`: worst run first. `residuals`: by version of the model. `after`: the same maps of another version
-    of the model, cell by cell; empty without one.
+    `maps`: over the two coordinates that tell most, along each, by setting, by run. `series`: worst first.
+    `after`: the same maps of another version of the model; empty without one.
     """
 
     survey: Survey
     maps: tuple[Cells, ...]
     series: tuple[RunSeries, ...]
     after: tuple[Cells, ...] = ()
-    residuals: Mapping[str, Residuals] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,28 +237,22 @@ def gather(
         series_of(
             f"run {run}{', held out' if run in held_out(fit) else ''}",
             fit.model.pose,
-            {key: version.traces[run] for key, version in found.items()},
+            {key: traces[run] for key, (_, traces) in found.items()},
             timed=timed,
             turning=fit.model.period,
         )
         for run in chosen
     )
-    return Gathered(
-        survey,
-        found[label].maps,
-        series,
-        found[after.name].maps if after else (),
-        {key: version.residuals for key, version in found.items()},
-    )
+    planes = [k for k, m in enumerate(found[label][0]) if m.up]
+    telling = max(planes, key=lambda k: _systematic(found[label][0][k]), default=None)
+    maps = [tuple(m for k, m in enumerate(every) if k == telling or not m.up) for every, _ in found.values()]
+    return Gathered(survey, maps[0], series, maps[1] if after else ())
 
 
-@dataclass(frozen=True, eq=False)
-class _Read:
-    """What one pass finds: maps, the traces of the chosen runs, and residuals of all runs."""
-
-    maps: tuple[Cells, ...]
-    traces: dict[int, Trace]
-    residuals: Residuals
+def _systematic(cells: Cells) -> float:
+    """Return the part of an output's mean square that medians of cells hold, less what noise puts there."""
+    medians = np.nansum(cells.count * cells.median**2 - 0.5 * np.pi * cells.rms**2, axis=1)
+    return float(np.max(medians / np.maximum(np.nansum(cells.count * cells.rms**2, axis=1), 1e-300)))
 
 
 def _read(
@@ -343,26 +261,24 @@ def _read(
     survey: Survey,
     places: Sequence[_Map],
     chosen: Sequence[int],
-) -> _Read:
-    """Read the errors (n_pose, samples) of every block."""
+) -> tuple[tuple[Cells, ...], dict[int, Trace]]:
+    """Return maps and the traces of the chosen runs from the errors (n_pose, samples) of every block."""
     floor = np.array([fit.noise_floor.get(c) or 0.0 for c in fit.model.pose])
     fine = np.maximum(floor / 20, survey.fitted.peak.max(axis=0) / 1e4)
     tallies = [Tally(m.cells, fine) for m in places]
     traces = {run: Trace(1 + len(fine)) for run in chosen}
-    residuals = ResidualTally(fit.model.pose, survey, floor, fit.model.period)
     for block, errors in blocks:
         at = tallies[0].bin_of(errors) if tallies else None
         for m, tally in zip(places, tallies, strict=True):
             tally.add(m.place(block), errors, at)
-        time = block.data["t_s"] if survey.timed else np.zeros(errors.shape[1])
-        residuals.add(time, errors)
         if block.run in traces:
+            time = block.data["t_s"] if survey.timed else np.zeros(errors.shape[1])
             traces[block.run].add(np.vstack([time, errors]))
     filled = (
         replace(m.frame, count=t.count, median=t.median, rms=t.rms)
         for m, t in zip(places, tallies, strict=True)
     )
-    return _Read(tuple(filled), traces, residuals.found())
+    return tuple(filled), traces
 
 
 def _maps(fit: Fit, survey: Survey) -> list[_Map]:

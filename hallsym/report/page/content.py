@@ -174,15 +174,6 @@ class Fold:
 
 
 @dataclass(frozen=True)
-class Planes:
-    """Maps over two coordinates, of which a script lets choose others: `data` is what it reads."""
-
-    kind: ClassVar[str] = "planes"
-    figures: Sequence[Figure]
-    data: Any
-
-
-@dataclass(frozen=True)
 class Runs:
     """The errors of one run over time, in whose place a script shows others: `data` is what it reads."""
 

@@ -13,7 +13,7 @@ from hallsym.diagnosis import Diagnosis, Separation, Share, Statement, noise_tex
 from hallsym.errors import counted
 from hallsym.estimation import Fit, added_effects
 from hallsym.families import family_called, plain
-from hallsym.report.data.gather import Cells, Residuals, RunSeries
+from hallsym.report.data.gather import Cells, RunSeries
 from hallsym.report.page import pictures, shared
 from hallsym.report.page.content import (
     Facts,
@@ -46,14 +46,13 @@ def diagnosis_page(
     maps: Sequence[Cells] = (),
     after: Sequence[Cells] = (),
     series: Sequence[RunSeries] = (),
-    residuals: Mapping[str, Residuals] | None = None,
     fit: Fit | None = None,
     command: str = "",
     reading: Sequence[str] = (),
 ) -> str:
     """Return the page of a diagnosis as HTML.
 
-    `maps`, `after`, `series`, `residuals`: of the errors before and after, from `gather`.
+    `maps`, `after`, `series`: of the errors before and after, from `gather`.
     `fit`: the calibration that was diagnosed, for its parameter table. `command`: what was typed, `reading`:
     the part of it that says how the log is read, for the next command. The duration is not shown, so the same
     data give the same page.
@@ -66,7 +65,6 @@ def diagnosis_page(
         rest_section(d),
         shared.maps_section({"before": maps, "after": after}, d.noise_floor.outputs),
         shared.runs_section(series),
-        shared.residuals_section(residuals or {}),
         Section("parameters", "Parameters", _parameters(d, fit)),
         Section("notes", "Other checks", [Items(_notes(d))]),
         shared.origin_section(asdict(d.log), d.versions, command),

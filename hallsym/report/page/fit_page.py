@@ -65,7 +65,6 @@ def fit_page(log: Log, fit: Fit, *, command: str = "", calibration: str = "calib
         Section("errors", "Errors against the noise floor", _errors(shown, fit, same)),
         shared.maps_section({"fitted": found.maps}, fit.noise_floor),
         shared.runs_section(found.series),
-        shared.residuals_section(found.residuals),
         Section("parameters", "Parameters", shared.parameters_of(fit)),
         Section("notes", "Evidence and notes", [Items([Item(note) for note in notes])]),
         shared.origin_section(origin, fit.versions, command),

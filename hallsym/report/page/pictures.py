@@ -1,4 +1,4 @@
-"""The charts of a page: errors by output, coordinate, run and time, residuals, the sketch of a machine.
+"""The charts of a page: errors by output, coordinate, run and time, the sketch of a machine.
 
 Bars carry their names and numbers, so that nothing is told by colour alone.
 """
@@ -6,7 +6,7 @@ Bars carry their names and numbers, so that nothing is told by colour alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from hallsym.diagnosis import Band, CurveShape, place_unit
 from hallsym.model import Part
 from hallsym.model import family as outline
-from hallsym.report.data.gather import Cells, Residuals, RunSeries
+from hallsym.report.data.gather import Cells, RunSeries
 from hallsym.report.page.charts import (
     HALF,
     LEFT,
@@ -165,68 +165,31 @@ def _profile(both: Sequence[Cells], output: int, floor: float, reach: float, par
     return framed(f"{what} [{unit}]", says, x, Scale(-high, high), layers, width=HALF if names else NARROW)
 
 
-def planes(
-    found: Mapping[str, Sequence[Cells]], floor: Mapping[str, float]
-) -> tuple[list[tuple[str, str]], list[dict[str, Any]]]:
-    """Return name and unit of each output, and the maps over two coordinates, as a script reads them.
+def plane(cells: Cells, both: Sequence[Cells], what: str, output: int, floor: float) -> Chart:
+    """Draw one output over two coordinates: the fuller the colour the larger, a dash where negative.
 
-    `found`: version of the model -> maps. A map has `values`: version -> what (median, rms) -> (n_pose,
-    cells) in the units of its outputs, None in an empty cell; cell `i + columns * j` lies at column i, row j.
-    `full`: what -> (n_pose,), the fullest colour: the largest value of the map in all versions, or the noise
-    floor where that is more, so that mere noise stays pale. An output has one unit in all maps.
+    `what`: median or rms. `both`: all versions of the map; the fullest colour is their largest value, or the
+    noise floor where that is more, so that mere noise stays pale.
     """
-    flat = {version: [m for m in maps if len(m.across)] for version, maps in found.items()}
-    every = [m for maps in flat.values() for m in maps]
-    if not every:
-        return [], []
-    least = [floor.get(c) or 0.0 for c in every[0].pose]
-    sizes = [max(a, *(largest(m.rms[k]) for m in every)) for k, a in enumerate(least)]
-    scales = [scale(c, v, every[0].turning) for c, v in zip(every[0].pose, sizes, strict=True)]
-    factors = np.array([[factor] for factor, _ in scales])
-    pale, out = (factors[:, 0] * least).tolist(), []
-    for first, *rest in zip(*flat.values(), strict=True):
-        drawn = {w: [factors * getattr(m, w) for m in (first, *rest)] for w in ("median", "rms")}
-        values = {v: {w: _rounded(drawn[w][j]) for w in drawn} for j, v in enumerate(flat)}
-        full = {
-            w: [_rounded(max(a, *(largest(v[k]) for v in drawn[w]))) or 1e-12 for k, a in enumerate(pale)]
-            for w in drawn
-        }
-        edges, across = ([float(f"{e:.6g}") for e in side] for side in (first.edges, first.across))
-        record = {"by": first.by, "up": first.up, "edges": edges, "across": across}
-        out.append(record | {"count": first.count.tolist(), "values": values, "full": full})
-    return [(name(c), unit) for c, (_, unit) in zip(every[0].pose, scales, strict=True)], out
+    quantity, most = name(cells.pose[output]), max(floor, *(largest(m.rms[output]) for m in both))
+    factor, unit = scale(cells.pose[output], most, cells.turning)
+    values, n = factor * getattr(cells, what)[output], len(cells.edges) - 1
+    full = factor * max(floor, *(largest(getattr(m, what)[output]) for m in both)) or 1e-12
 
+    def tiles(x: Scale, y: Scale) -> Iterator[Mark]:
+        for k in np.flatnonzero(np.isfinite(values)).tolist():
+            (left, right), (low, high) = cells.edges[k % n : k % n + 2], cells.across[k // n : k // n + 2]
+            place, size = f"{_span(left, right)}, {_span(low, high)}", f"{_number(values[k])} {unit}"
+            said = f"{place}: {size}, {cells.count[k]} samples"
+            yield from tile(
+                x(left), y(high), x(right) - x(left), y(low) - y(high), float(values[k]) / full, said
+            )
 
-def _rounded(values: Any) -> Any:
-    """Return numbers with three digits, None for those that do not exist."""
-    if np.ndim(values):
-        return [_rounded(v) for v in values]
-    return float(f"{values:.3g}") if math.isfinite(values) else None
-
-
-def plane(shown: Mapping[str, Any], version: str, what: str, output: int, title: tuple[str, str]) -> Chart:
-    """Draw one output over two coordinates: the fuller the colour the larger, a dash where negative."""
-    values, full, n = (
-        shown["values"][version][what][output],
-        shown["full"][what][output],
-        len(shown["edges"]) - 1,
-    )
-    (quantity, unit), edges, across, counts = title, shown["edges"], shown["across"], shown["count"]
-
-    def cells(x: Scale, y: Scale) -> list[Mark]:
-        tiles: list[Mark] = []
-        for k, value in ((k, v) for k, v in enumerate(values) if v is not None):
-            (left, right), (low, high) = edges[k % n : k % n + 2], across[k // n : k // n + 2]
-            said = f"{_span(left, right)}, {_span(low, high)}: {_number(value)} {unit}, {counts[k]} samples"
-            tiles += tile(x(left), y(high), x(right) - x(left), y(low) - y(high), value / full, said)
-        return [Mark("g", {"class": "cells"}, parts=tiles)]
-
-    most = _number(max((abs(v) for v in values if v is not None), default=math.nan))
-    says = f"{what} error of {quantity} over {shown['by']} and {shown['up']}: {most} {unit} at most"
-    x = Scale(edges[0], edges[-1], title=f"{shown['by']}, upwards {shown['up']}")
-    place = {"class": "plane", "data-version": version, "data-what": what, "data-output": str(output)}
-    words, y = f"{what} {quantity}, full: {three(full)} {unit}", Scale(across[0], across[-1])
-    return framed(words, says, x, y, [cells], height=NARROW - RIM - LEFT, grid=False, attributes=place)
+    worst = f"{_number(largest(values))} {unit} at most"
+    says = f"{what} error of {quantity} over {cells.by} and {cells.up}: {worst}"
+    x = Scale(cells.edges[0], cells.edges[-1], title=f"{cells.by}, upwards {cells.up}")
+    words, y = f"{what} {quantity}, full: {three(full)} {unit}", Scale(cells.across[0], cells.across[-1])
+    return framed(words, says, x, y, [tiles], height=NARROW - RIM - LEFT, grid=False)
 
 
 def _where(cells: Cells, k: int) -> str:
@@ -337,40 +300,6 @@ def _path(time: np.ndarray, low: np.ndarray, high: np.ndarray, reach: float) -> 
         command = "m" if starts[k] else "l" if k and starts[k - 1] else " "
         words.append(f"{command}{dx}{'' if dy < 0 else ' '}{dy}")
     return "".join(words)
-
-
-# -- the spectrum of the errors -------------------------
-
-
-DECADE = 10.0
-"""A spectrum that spans less is drawn on a linear scale."""
-
-
-def spectra(found: Mapping[str, Residuals]) -> list[Chart]:
-    """Draw the amplitude spectral density of the errors, one picture per output; none where there is none."""
-    if any(len(r.frequency) < 3 for r in found.values()):
-        return []
-    return [_spectrum(found, k) for k in range(len(next(iter(found.values())).pose))]
-
-
-def _spectrum(found: Mapping[str, Residuals], k: int) -> Chart:
-    first = next(iter(found.values()))
-    sizes = np.concatenate([r.density[k] for r in found.values()] + [first.white[k : k + 1]])
-    sizes = sizes[sizes > 0] if (sizes > 0).any() else np.ones(1)
-    factor, unit = scale(first.pose[k], float(sizes.max()), first.turning)
-    low, high = factor * float(sizes.min()) / 1.3, factor * float(sizes.max()) * 1.3
-    log = high > DECADE * low
-    per, hz = ("√Hz", "Hz") if first.timed else ("√(cycles per sample)", "cycles per sample")
-    layers = [
-        curve(r.frequency, factor * r.density[k], f"median{ending}")
-        for ending, r in zip(LOOKS[len(found)], found.values(), strict=True)
-    ]
-    what, peak = name(first.pose[k]), int(np.argmax(first.density[k]))
-    most = f"{three(factor * first.density[k][peak])} {unit}/{per}, at {three(first.frequency[peak])} {hz}"
-    x = Scale(first.frequency[0], first.frequency[-1], log=True, title=f"frequency [{hz}]", most=3)
-    y = Scale(low if log else 0.0, high, log=log, most=3)
-    layers.append(level(factor * first.white[k]))
-    return framed(f"{what} [{unit}/{per}]", f"spectrum of the error in {what}: most, {most}", x, y, layers)
 
 
 # -- the shape of what no effect explains ----------------------------------------------------------------

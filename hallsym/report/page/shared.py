@@ -1,4 +1,4 @@
-"""What the pages share: sizes against the noise floor, maps, runs, residuals, parameters, origin."""
+"""What the pages share: sizes against the noise floor, maps, runs, parameters, origin."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 
 from hallsym.estimation import Fit
 from hallsym.report.data.fit import ParameterRow, parameter_rows
-from hallsym.report.data.gather import Cells, Residuals, RunSeries
+from hallsym.report.data.gather import Cells, RunSeries
 from hallsym.report.page import pictures
-from hallsym.report.page.content import Facts, Figure, Heading, Planes, Section, Table, Words
+from hallsym.report.page.content import Facts, Figure, Heading, Section, Table, Words
 from hallsym.report.tables import concise
 from hallsym.report.words import MINUS, amount, name, scale, three
 
@@ -87,25 +87,23 @@ def maps_section(found: Mapping[str, Sequence[Cells]], floor: Mapping[str, float
         first, *second = versions.values()
         pairs = list(zip(first, second[0] if second else [None] * len(first), strict=True))
         content += _planes(versions, floor)
-        content += _profiles([(m, a) for m, a in pairs if not len(m.across)], floor, bool(second))
+        content += _profiles([(m, a) for m, a in pairs if not m.up], floor, bool(second))
     return Section("maps", "Where the error is", content)
 
 
 def _planes(versions: Mapping[str, Sequence[Cells]], floor: Mapping[str, float]) -> list[Any]:
-    titles, every = pictures.planes(versions, floor)
-    if not every:
-        return []
+    flat = {version: m for version, maps in versions.items() for m in maps if m.up}
     figures = [
         Figure(
-            [pictures.plane(every[0], version, what, k, title) for k, title in enumerate(titles)],
+            [pictures.plane(m, [*flat.values()], what, k, floor.get(c) or 0.0) for k, c in enumerate(m.pose)],
             f"{what}{f', {version}' if len(versions) > 1 else ''}",
         )
         for what in ("median", "rms")
-        for version in versions
+        for version, m in flat.items()
     ]
     more = " Before and after have one scale." if len(versions) > 1 else ""
-    note = Words(f"Over two coordinates. {COLOURS}{more}", note=True)
-    return [note, Planes(figures, {"titles": titles, "planes": every})]
+    note = f"Over the two coordinates with which the error goes most. {COLOURS}{more}"
+    return [Words(note, note=True), *figures] if figures else []
 
 
 def _profiles(
@@ -131,19 +129,6 @@ def runs_section(found: Sequence[RunSeries]) -> Section:
     """Return the errors over time of the worst run, with those of others for the script."""
     shown = pictures.runs(found)
     return Section("series", "Decoded minus reference over time", [shown] if shown else [])
-
-
-def residuals_section(found: Mapping[str, Residuals]) -> Section:
-    """Return the spectrum of the errors; `found`: by version of the model, one or two."""
-    if not found:
-        return Section("residuals", "Spectrum of the error", [])
-    spectra = pictures.spectra(found)
-    over = " Light: before; dark, drawn over it: after." if len(found) > 1 else ""
-    how = f"All runs together. Dashed: white noise as large as the noise floor.{over}"
-    if not spectra:
-        how = "No spectrum: the runs are too short for one, or unevenly sampled."
-    figure = Figure(spectra, "Amplitude spectral density of the error")
-    return Section("residuals", "Spectrum of the error", [Words(how, note=True), figure])
 
 
 # -- parameters ---------------------------------------------------------------------------------------------

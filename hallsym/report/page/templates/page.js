@@ -162,36 +162,6 @@
     });
   }
 
-  function planes(box) {
-    const { titles, planes } = JSON.parse(box.querySelector("script").textContent), last = (list) => list[list.length - 1];
-    function show(svg, plane) {
-      const { version, what, output } = svg.dataset, values = plane.values[version][what][output];
-      const full = plane.full[what][output], [quantity, unit] = titles[output], n = plane.edges.length - 1;
-      const frame = svg.viewBox.baseVal, right = frame.width - RIM, bottom = frame.height - 34, cells = svg.querySelector(".cells");
-      const x = (v) => LEFT + ((v - plane.edges[0]) / (last(plane.edges) - plane.edges[0])) * (right - LEFT);
-      const y = (v) => bottom - ((v - plane.across[0]) / (last(plane.across) - plane.across[0])) * (bottom - TOP);
-      const ends = (edges) => [edges[0], last(edges)], said = (edges, k) => `${three(edges[k])} to ${three(edges[k + 1])}`;
-      svg.querySelector(".title").textContent = `${what} ${quantity}, full: ${three(full)} ${unit}`;
-      axis(svg.querySelector(".up"), ends(plane.across), [bottom, TOP], LEFT, null, 4);
-      axis(svg.querySelector(".across"), ends(plane.edges), [LEFT, right], bottom, null, 4, `${plane.by}, upwards ${plane.up}`);
-      cells.replaceChildren();
-      values.forEach((value, k) => {
-        if (value === null) return;
-        const i = k % n, j = Math.floor(k / n), left = x(plane.edges[i]), top = y(plane.across[j + 1]);
-        const width = x(plane.edges[i + 1]) - left, height = y(plane.across[j]) - top;
-        const cell = put(cells, "rect", { x: left, y: top, width, height, class: value < 0 ? "neg" : "pos",
-          "fill-opacity": Math.min(1, Math.abs(value) / full) });
-        put(cell, "title", {}, `${said(plane.edges, i)}, ${said(plane.across, j)}: ${three(value)} ${unit}, ${plane.count[k]} samples`);
-        if (value < -0.1 * full) put(cells, "path", { class: "dash", d: `M${left + 0.3 * width} ${top + height / 2}h${0.4 * width}` });
-      });
-      const most = three(Math.max(...values.map(Math.abs)));
-      svg.setAttribute("aria-label", `${what} error of ${quantity} over ${plane.by} and ${plane.up}: ${most} ${unit} at most`);
-    }
-    const change = (k) => { for (const svg of all(box, "svg.plane")) show(svg, planes[k]); };
-    const pairs = planes.map((p) => `${p.by}, upwards ${p.up}`);
-    if (pairs.length > 1) box.prepend(make("div", { className: "zoom" }, choice("over", pairs, change)));
-  }
-
   function sortable(table) {
     const body = table.tBodies[0], heads = [...table.tHead.rows[0].cells];
     const key = (row, k) => row.cells[k].textContent.replace(/\u2212/g, "-").replace(/^[(<\s]+/, "");
@@ -217,6 +187,5 @@
   }
   all(document, ".next pre").forEach(copy);
   all(document, "figure.series").forEach(series);
-  all(document, ".planes").forEach(planes);
   all(document, "table.sortable").forEach(sortable);
 })();
