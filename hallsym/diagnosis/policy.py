@@ -48,9 +48,9 @@ class Policy:
 
     A majority. An effect may be worth twice as much on the holdout runs, which decide."""
     mostly: float = 0.7
-    """Part of the best effect's gain, to first order, from which on an effect is refitted exactly; of the
-    best recording's separation from which on the plainest one is proposed; of a curve that one sensor makes
-    if it is named; of the usual scatter of a spectrum's power, below which a line is steady.
+    """Part of the best effect's gain, to first order, from which on an effect is refitted exactly; of a
+    curve that one sensor makes if it is named; of the usual scatter of a spectrum's power,
+    below which a line is steady.
 
     Simulated machines: a score does not hold all that a refit gains."""
     fewest: int = 6
@@ -98,15 +98,13 @@ class Policy:
 
     A choice: noise is often stated from a recording at rest and is larger in motion."""
 
-    # confusable effects, and recordings that separate them
+    # confusable effects
 
     separated: float = 5.0
     """Standard deviations at which something is certain without a test: two effects are told apart (of a
     slow average), a coordinate varies (of its noise).
 
     The convention of 5 sigma."""
-    most_runs: int = 100
-    """Runs above which a separating recording is not proposed. A choice: a day of recording."""
 
 
 POLICY = Policy()

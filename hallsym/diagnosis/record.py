@@ -242,28 +242,14 @@ class Share:
 
 @dataclass(frozen=True)
 class Separation:
-    """The recording that would separate the members of a group, and by how much.
+    """The recording that would separate the members of a group, as the catalogue has it.
 
-    `distance`: whitened squared distance between the residuals of the members on this log; `needed`: the one
-    at 5 sigma; `factor`: how many times larger the difference must be, sqrt(needed / distance). `simulated`:
-    whether `recording` was simulated with the members' models; then one such run of `run_s` seconds adds
-    `sigma` standard deviations to the `sigma_now` of this log, and `runs` of them (`seconds` in all) reach 5.
-    `tried`: every simulated recording, with its sigma per run. Where no recording can be simulated, or none
-    separates, `recording` is the advice of the catalogue.
+    `sigma_now`: standard deviations by which this log tells the closest of them apart; it takes 5.
     """
 
     group: tuple[str, ...]
     recording: str
-    distance: float
-    needed: float
-    factor: float
-    simulated: bool = False
-    sigma_now: float | None = None
-    sigma: float | None = None
-    run_s: float | None = None
-    runs: int | None = None
-    seconds: float | None = None
-    tried: dict[str, float] = field(default_factory=dict)
+    sigma_now: float
 
 
 @dataclass(frozen=True)

@@ -347,7 +347,7 @@ def knot_group(at: np.ndarray, count: int) -> np.ndarray:
 
 
 PER_PERIOD = 12
-"""Samples per period of the fastest motion that is proposed, or that a decimated log keeps."""
+"""Samples per period of the fastest motion that a decimated log keeps."""
 
 
 def thinned(base: Base, rows: int) -> tuple[Log, int]:

@@ -135,8 +135,6 @@ class Family:
     tolerances: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Usual tolerances: effect as `--effect` takes it ("" for the models themselves) -> lines of a tolerance
     file, where `*` stands for any label: {"gain_mismatch": {"gain_*_percent": 2}}."""
-    endless: tuple[str, ...] = ()
-    """Pose coordinates that can move on and on in one direction, as a shaft turns."""
     direct: Callable[[Model], Model] = _itself
     """The same model in the form that is cheapest to evaluate sample by sample."""
     short: Callable[[Model], Model] = _itself

@@ -12,11 +12,10 @@ from hallsym.simulation.campaign import (
 )
 from hallsym.simulation.machine import NoiseModel, scaled, simulate, simulate_blocks
 from hallsym.simulation.paper import bundled_campaign, is_the_papers, paper_campaign, table8_noise
-from hallsym.simulation.signals import AtTimes, Signal, multi_sine, sine, steps, triangle
+from hallsym.simulation.signals import Signal, multi_sine, sine, steps, triangle
 
 __all__ = [
     "MOST_SAMPLES",
-    "AtTimes",
     "Campaign",
     "NoiseModel",
     "Run",

@@ -90,8 +90,7 @@ def a_record() -> dict[str, Any]:
              "text": "5 % differs from run to run"}
         ],
         "separate_by": [
-            {"group": ["time_skew", "lag"], "recording": "y at 4 Hz and at 20 Hz", "distance": 0.4,
-             "needed": 3.0, "factor": 7.5}
+            {"group": ["time_skew", "lag"], "recording": "y at 4 Hz and at 20 Hz", "sigma_now": 1.2}
         ],
         "size": {
             "outputs": {"x_m": {"fitted": side(2.5e-6, 1.1e-6, 0.4), "held_out": side(3e-6, 1.1e-6, 0.55)}},
@@ -133,8 +132,7 @@ def test_everything_of_a_record_is_said():
         "before 14.4 after 5.76",
         "vertical_gain_coupling field linear 58.0 % (54.0 to 62.0) 93 % < 1e−6",
         "time_skew clock 7.0 % (−1.0 to 12.0) 4 % < 1e−6 lag",
-        "time_skew, lag : this log cannot tell them apart. Record y at 4 Hz and at 20 Hz: "
-        "the difference must be 7.5 times larger than here.",
+        "time_skew, lag : this log cannot tell them apart (1.20 sigma). Record y at 4 Hz and at 20 Hz.",
         "62 % lies in height Z",
         "a_A −131.2(11) 1/m",
         "gain_temperature: not testable, no temperature logged",
@@ -177,7 +175,7 @@ def test_numbers_that_do_not_exist_leave_their_place_empty():
     record["gap_before"]["rmse"]["x_m"] = None
     record["effects"][0] |= {"shrinkage": None, "interval": [None, None], "share": None, "p_value": None}
     record["effects"][1]["interval"] = None
-    record["where"][0]["share"] = record["separate_by"][0]["factor"] = None
+    record["where"][0]["share"] = None
     page = page_of(record)
     assert not re.search(r"\bnan\b|\binf\b|\bNone\b(?!:)", Outline(page).text)
     assert "rmse y" in page
@@ -197,18 +195,6 @@ def test_what_was_not_measured_at_a_place_is_not_drawn():
     shapes = page.partition('class="shape"')[2].partition("</figure>")[0]
     lines = re.findall(r'<path d="([^"]*)" class="median"', shapes)
     assert [line.count("L") for line in lines] == [8, 7, 8]
-
-
-def test_recordings_that_were_simulated_are_listed_with_what_they_give():
-    record = a_record()
-    record["separate_by"][0] |= {
-        "simulated": True, "sigma_now": 1.2, "sigma": 3.1, "run_s": 8.0, "runs": 3, "seconds": 24.0,
-        "tried": {"slower": 0.4, "faster": 3.1},
-    }  # fmt: skip
-    text = Outline(page_of(record)).text
-    assert "tell them apart (1.20 sigma)" in text
-    assert "one run of 8 s tells them apart by 3.10 sigma; 5 sigma take 3 runs (24 s in all)" in text
-    assert text.index("faster 3.10") < text.index("slower 0.400")
 
 
 def test_maps_and_series_are_optional_and_shown():

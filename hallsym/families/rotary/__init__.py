@@ -30,7 +30,6 @@ FAMILY = Family(
     aliases={"ideal_arctan": "rotary_ideal", "ellipse": "rotary", "meng": "rotary_meng"},
     from_meta=models.from_meta,
     effects=EFFECTS,
-    endless=models.POSE,
     # two speeds in both directions, situation a of the paper's Table 2, and noise of 0.02 deg
     example=Example(
         campaign={

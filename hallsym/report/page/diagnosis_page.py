@@ -10,7 +10,6 @@ from dataclasses import asdict
 from typing import Any
 
 from hallsym.diagnosis import Diagnosis, Separation, Share, Statement, noise_text
-from hallsym.errors import counted
 from hallsym.estimation import Fit, added_effects
 from hallsym.families import family_called, plain
 from hallsym.report.data.gather import Cells, RunSeries
@@ -331,22 +330,11 @@ def _groups(d: Diagnosis) -> list[Any]:
 
 
 def _separation(group: tuple[str, ...], s: Separation | None) -> Item:
-    """Return what would separate a group, and by how much."""
+    """Return what would separate a group."""
     if s is None:
         return Item("this log cannot tell them apart.", ", ".join(group))
-    now = "" if s.sigma_now is None else f" ({three(s.sigma_now)} sigma)"
-    said = f"this log cannot tell them apart{now}. Record {s.recording}"
-    members = ", ".join(s.group)
-    if not s.simulated or s.sigma is None or s.run_s is None or not s.runs:
-        if s.factor is None or not math.isfinite(s.factor):
-            return Item(f"{said}.", members)
-        return Item(f"{said}: the difference must be {s.factor:.3g} times larger than here.", members)
-    total = f" ({s.seconds:.3g} s in all)" if s.runs > 1 and s.seconds else ""
-    once = f": simulated, one run of {s.run_s:.3g} s tells them apart by {three(s.sigma)} sigma"
-    tried = sorted(s.tried.items(), key=lambda item: -item[1])
-    rows = [[what, three(v)] for what, v in tried]
-    table = Table(["recording", "sigma per run"], rows, "recordings that were simulated") if rows else None
-    return Item(f"{said}{once}; 5 sigma take {counted(s.runs, 'run')}{total}.", members, table)
+    now = f"this log cannot tell them apart ({three(s.sigma_now)} sigma)"
+    return Item(f"{now}. Record {s.recording}.", ", ".join(group))
 
 
 # -- where the gap lies, and what no effect explains -----------------------------------------------------

@@ -25,8 +25,6 @@ from hallsym.report.words import NOT_DECODED, degrees_of
 from hallsym.terminal import prose_width
 from hallsym.units import parameter_unit, readable
 
-MUCH = 1e3
-"""Factor by which a difference must grow above which the number says nothing: this log shows none."""
 MOST = 10
 """Statements on where a gap lies that are printed at most."""
 FEW_UNITS = 8
@@ -245,16 +243,8 @@ def _ends(interval: tuple[float, float]) -> str:
 
 def separation_text(s: Separation) -> str:
     """Return what a log cannot tell apart, and the recording that would."""
-    now = "" if s.sigma_now is None else f" ({s.sigma_now:.2g} sigma)"
-    text = f"This log cannot tell apart: {', '.join(s.group)}{now}."
-    if s.simulated and s.sigma is not None and s.runs is not None and s.seconds is not None:
-        many = "one such run is enough" if s.runs == 1 else f"{s.runs} such runs are enough"
-        total = f", {s.seconds:.3g} s in all" if s.runs > 1 else ""
-        each = f"one run tells them apart by {s.sigma:.3g} sigma (simulated)"
-        return _wrapped(f"{text} Record {s.recording}: {each}; {many} for 5 sigma{total}.", "  ")
-    none = " None of the simulated recordings tells them apart." if s.tried else ""
-    more = f" The difference must be {s.factor:.3g} times larger than here." if s.factor < MUCH else ""
-    return _wrapped(f"{text}{none} Record {s.recording}.{more}", "  ")
+    now = f"This log cannot tell apart: {', '.join(s.group)} ({s.sigma_now:.2g} sigma)."
+    return _wrapped(f"{now} Record {s.recording}.", "  ")
 
 
 def _statements(title: str, statements: tuple[Statement, ...], held_out: str) -> list[str]:
