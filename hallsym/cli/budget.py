@@ -28,11 +28,11 @@ from hallsym.log import Noise, check_noise_keys
 from hallsym.report.text.budget import (
     budget_text,
     comparison_text,
-    curve_cost_text,
+    curve_text,
     position_words,
     recorded_text,
 )
-from hallsym.trajectory import Curve, curve_cost, read_curve
+from hallsym.trajectory import Curve, read_curve
 from hallsym.uncertainty import (
     Budget,
     Recorded,
@@ -121,21 +121,20 @@ def _stand_alone(options: Namespace) -> int:
             what = "A LOG" if name == "log" else f"--{name.replace('_', '-')}"
             raise InputError(f"{what} belongs to a calibration; {options.file} is a budget file.")
     budget, shown = read_budget(options.file)
-    cost = None
-    if options.curve:
-        curve = read_curve(options.curve)
-        cost, budget = curve_cost(curve, budget.expanded, budget.factor), with_curve(budget, curve)
+    machine, curve = budget, read_curve(options.curve) if options.curve else None
+    if curve:
+        budget = with_curve(machine, curve)
     found = []
     if options.monte_carlo is not None:
         found = [budget_monte_carlo(budget, _rng(options), trials=options.monte_carlo or None)]
     pictures = _pictures(options, {budget.quantity: budget})
     record: dict[str, Any] = {"budget": budget.to_dict()}
-    if cost:
-        record["curve"] = {"file": options.curve, **cost.to_dict()}
+    if curve:
+        record["curve"] = {"file": options.curve, "expanded_without_curve_m": machine.expanded}
     if found:
         record["monte_carlo"] = found[0].to_dict()
     text = [budget_text(budget, shown), *(["", comparison_text(found)] if found else [])]
-    text += ["", curve_cost_text(cost)] if cost else []
+    text += ["", curve_text(curve, machine, budget)] if curve else []
     say(options, record, lambda: "\n".join(text), wrote=pictures)
     return OK
 

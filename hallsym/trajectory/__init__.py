@@ -6,7 +6,6 @@ table says which is best for the curve at hand.
 
 `factorisation`: the bases, TNBDA, TNSolve and TNQR. `curve`: what a curve is. `nominal`, `bounds`:
 expressions, and errors that are bounded. `points`, `choose`: which method. `export`: tables and G-code.
-`position_error`: Eq. (15).
 """
 
 from hallsym.trajectory.bounds import Bound, bound
@@ -15,7 +14,6 @@ from hallsym.trajectory.curve import Curve, is_curve, read_curve
 from hallsym.trajectory.factorisation import BERNSTEIN, TRIGONOMETRIC, factorise, orthogonalise
 from hallsym.trajectory.nominal import Nominal, nominal
 from hallsym.trajectory.points import Points, points_of, read_points
-from hallsym.trajectory.position_error import CurveCost, curve_cost
 
 __all__ = [
     "BERNSTEIN",
@@ -25,13 +23,11 @@ __all__ = [
     "Candidate",
     "Choice",
     "Curve",
-    "CurveCost",
     "Method",
     "Nominal",
     "Points",
     "bound",
     "choose_curve",
-    "curve_cost",
     "factorise",
     "is_curve",
     "nominal",

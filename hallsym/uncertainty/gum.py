@@ -263,29 +263,13 @@ CURVE = "curve"
 """Name of the source that a curve is."""
 
 
-def curve_error(curve: Curve, column: str) -> float:
-    """Return the standard uncertainty that a curve adds to a coordinate [m or rad], 0 where it has none.
-
-    Raises `InputError` for a curve whose error is not known.
-    """
-    if column not in curve.coordinates:
-        return 0.0
-    error = curve.max_error_m if column.endswith("_m") else curve.source.get("max_error_rad")
-    if error is None:
-        what = "angle" if column.endswith("_rad") else "position"
-        raise InputError(
-            f"The curve does not state its error in {what}; make it with 'hallsym trajectory', which does."
-        )
-    return float(error)
-
-
 def with_curve(budget: Budget, curve: Curve, column: str | None = None) -> Budget:
     """Return a budget with the error of a curve as one more source; of lengths where no `column` is named.
 
     The largest error counts whole as a standard uncertainty in every length that the curve moves:
     Micromachines 2019, 10(9), 597, Eq. (15), doi:10.3390/mi10090597.
 
-    Raises `InputError` for a budget that is not of a length.
+    Raises `InputError` for a budget that is not of a length and a curve whose error is not known.
     """
     if column is None and budget.unit != "m":
         raise InputError(
@@ -293,12 +277,18 @@ def with_curve(budget: Budget, curve: Curve, column: str | None = None) -> Budge
         )
     if any(source.name == CURVE for source in budget.sources):
         raise InputError(f"The budget of {budget.quantity!r} has a source {CURVE!r} already; rename it.")
-    error = curve_error(curve, column or next(c for c in curve.coordinates if c.endswith("_m")))
+    turning = column is not None and column.endswith("_rad")
+    error = curve.source.get("max_error_rad") if turning else curve.max_error_m
+    if error is None:
+        raise InputError(
+            f"The curve does not state its error in {'angle' if turning else 'position'}; make it with "
+            "'hallsym trajectory', which does."
+        )
     correlation = budget.correlation
     if correlation is not None:
         n = len(correlation)
         correlation = np.block([[correlation, np.zeros((n, 1))], [np.zeros((1, n)), np.ones((1, 1))]])
-    sources = (*budget.sources, Source.normal(CURVE, error, budget.unit))
+    sources = (*budget.sources, Source.normal(CURVE, float(error), budget.unit))
     return replace(budget, sources=sources, correlation=correlation)
 
 

@@ -48,7 +48,7 @@ def test_everything_is_written(capsys, tmp_path):
     )  # fmt: skip
     assert "fewest numbers to store" in text
     assert all(file.stat().st_size > 200 for file in files)
-    assert len(list((tmp_path / "pictures").glob("trajectory_*.png"))) == 3
+    assert len(list((tmp_path / "pictures").glob("trajectory_*.png"))) == 2
     assert read_curve(files[0]).max_error_m <= 0.05e-6
     record = json.loads(run(capsys, files[0], "--json", "-o", tmp_path / "again.json"))
     assert record["control_points"] == 10

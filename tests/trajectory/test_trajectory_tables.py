@@ -1,7 +1,5 @@
 """The numbers of Micromachines 2019, 10(9), 597, for the cycloid."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from cycloid import WHOLE, cycloid, sampled, through
@@ -9,11 +7,8 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial import cKDTree
 
 from hallsym.families.published import table
-from hallsym.trajectory import Curve, bound, choose_curve, curve_cost, points_of
+from hallsym.trajectory import Curve, bound, choose_curve, points_of
 from hallsym.trajectory.choose import fitted
-from hallsym.uncertainty import read_budget
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize(
@@ -123,13 +118,6 @@ def test_high_relative_accuracy_gains_nothing_on_rounded_points():
     hra, lu = (bound(through(method, 51), cycloid()).at_most for method in ("bernstein", "bernstein-lu"))
     assert hra > 5 * lu
     assert hra == pytest.approx(1e-6, rel=0.8)  # the points are rounded by 1e-19 m
-
-
-def test_table_2_grows_by_a_tenth_of_the_curve():
-    stage = read_budget(ROOT / "data/micromachines2019/table2_budget.toml")[0].expanded
-    assert 1e9 * stage == pytest.approx(500.94, abs=0.005)
-    curve = Curve(through("bernstein", 11).form, 0.0, WHOLE, max_error_m=50e-9)
-    assert 1e9 * curve_cost(curve, stage).growth_m == pytest.approx(9.9, abs=0.05)
 
 
 def test_the_tool_says_which_method_is_best():

@@ -1,14 +1,13 @@
-"""Pictures of a curve to follow: its control polygon, error along it, error against number of points."""
+"""Pictures of a curve to follow: its control polygon, and the error along it."""
 
 from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hallsym.errors import InputError
 from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
@@ -17,7 +16,6 @@ from hallsym.report.figures.style import (
     DASHED,
     DASHES,
     GREY,
-    MARKERS,
     SERIES,
     label_x,
     label_y,
@@ -26,7 +24,7 @@ from hallsym.report.figures.style import (
     panels,
 )
 from hallsym.trajectory import Choice, Curve, Nominal, Points
-from hallsym.trajectory.choose import Candidate, Target
+from hallsym.trajectory.choose import Target
 from hallsym.trajectory.curve import FgForm
 
 if TYPE_CHECKING:
@@ -34,9 +32,6 @@ if TYPE_CHECKING:
 
 SAMPLES = 2001
 MOST_SHOWN = 60
-COUNTS = (4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 16, 18, 21, 26, 31, 41, 51, 61, 81, 101, 151, 201, 301)
-MOST = 1e5
-"""Largest error shown [um]."""
 LEAST = 1e-9
 """Least error shown [um]: 1e-15 m, the rounding of float64 at some mm."""
 
@@ -103,49 +98,9 @@ def error_along(choice: Choice, target: Target) -> Figure:
     return figure
 
 
-def error_by_points(target: Target, candidates: tuple[Candidate, ...], tolerance: float | None) -> Figure:
-    """Draw the largest error of every method against its number of control points."""
-    from matplotlib.lines import Line2D
-
-    figure, axes = panels(1, 1, 3.4, top=_above(len(candidates) + 1), bottom=0.42, right=0.15)
-    ax, handles, values = axes[0, 0], [], []
-    for k, c in enumerate(candidates):
-        found = [(n, e) for n in COUNTS if (e := _error_with(target, c, n)) is not None]
-        if not found:
-            continue
-        n, e = np.array(found).T
-        e = np.maximum(1e6 * e, LEAST)
-        values.append(e)
-        look: dict[str, Any] = {"color": SERIES[k % len(SERIES)], "ls": DASHES[k % len(DASHES)], "lw": 0.8,
-                "marker": MARKERS[k % len(MARKERS)], "ms": 3}  # fmt: skip
-        ax.plot(n, e, **look)
-        handles.append(Line2D([], [], label=c.method.words, **look))
-    if tolerance is not None:
-        ax.axhline(1e6 * tolerance, color=BLACK, lw=0.6)
-        handles.append(Line2D([], [], color=BLACK, lw=0.6, label="tolerance"))
-    log_axis(ax, "y", np.minimum(np.concatenate(values), MOST))
-    log_axis(ax, "x", np.array([COUNTS[0], COUNTS[-1]], float))
-    label_x(ax, "points (control points of least squares)")
-    label_y(ax, "largest distance [µm]")
-    legend(figure, handles, "upper left", ncols=2)
-    return figure
-
-
 def _above(entries: int) -> float:
     """Inches that a legend of two columns takes above the axes."""
     return 0.12 + 0.178 * -(-entries // 2)
-
-
-def _error_with(target: Target, c: Candidate, count: int) -> float | None:
-    """Largest sampled error of a method with so many points; None where it makes no curve."""
-    if not c.method.least <= count <= max(c.method.most, 101 * (not c.method.fitted)):
-        return None
-    taken, control = (max(c.points, 2 * count), count) if c.method.fitted else (count, 0)
-    try:
-        found = target.sampled(target.made(c.method, taken, control))
-    except InputError:
-        return None
-    return found if np.isfinite(found) else None
 
 
 def save_trajectory(choice: Choice, data: Nominal | Points, folder: str | Path | Place) -> list[Path]:
@@ -155,7 +110,5 @@ def save_trajectory(choice: Choice, data: Nominal | Points, folder: str | Path |
     """
     draw = {"trajectory_curve": partial(curve_picture, choice.curve, data)}
     if isinstance(data, Nominal):
-        target = Target(data)
-        draw["trajectory_error"] = partial(error_along, choice, target)
-        draw["trajectory_points"] = partial(error_by_points, target, choice.candidates, choice.tolerance_m)
+        draw["trajectory_error"] = partial(error_along, choice, Target(data))
     return save_figures(draw, folder)

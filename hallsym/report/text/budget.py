@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from hallsym.report.tables import grid
-from hallsym.trajectory import CurveCost
+from hallsym.trajectory import Curve
 from hallsym.uncertainty import Budget, Comparison, Recorded, Source
 from hallsym.units import UNITS, fitting, readable, reading_unit
 
@@ -122,29 +122,17 @@ def recorded_text(recorded: Recorded, title: str) -> str:
     return grid(rows, left=2)
 
 
-def curve_cost_text(cost: CurveCost) -> str:
-    """Return what a curve adds, and what control points are worth."""
-    factor, unit = fitting("m", cost.total_m)
-    error, kind = cost.curve.max_error_m or 0.0, cost.curve.error_kind or "stated"
-    lines = [
-        f"curve: {cost.curve.method}, {cost.curve.control_points} control points, error "
-        f"{_length(error)} ({kind})",
-        f"it adds {_length(cost.growth_m)} to U: {cost.total_m * factor:.4g} {unit} instead of "
-        f"{cost.machine_m * factor:.4g} {unit} (k = {cost.coverage:.3g})",
-    ]
-    if cost.rows:
-        rows = [["control points", "error", f"U [{unit}]", "saved"]]
-        rows += [
-            [str(r.control_points), _length(r.error_m), f"{r.expanded_m * factor:.4g}",
-             _length(r.gain_m) if k else ""]
-            for k, r in enumerate(cost.rows)
-        ]  # fmt: skip
-        lines += [grid(rows, left=0)]
-    found = cost.enough
-    if found is not None:
-        lines.append(f"{found.control_points} control points are enough: the curve adds at most 2 %.")
-    lines.append(f"A curve with an error of up to {_length(cost.allowed_m)} adds at most 2 %.")
-    return "\n".join(lines)
+def curve_text(curve: Curve, machine: Budget, budget: Budget) -> str:
+    """Return what a curve adds to the budget of a machine, and which error of a curve adds 2 %."""
+    factor, unit = fitting("m", budget.expanded)
+    allowed = machine.expanded * (1.02**2 - 1) ** 0.5 / machine.factor
+    return (
+        f"curve: {curve.method}, {curve.control_points} control points, error "
+        f"{_length(curve.max_error_m or 0.0)} ({curve.error_kind or 'stated'})\n"
+        f"it adds {_length(budget.expanded - machine.expanded)} to U: {budget.expanded * factor:.4g} {unit} "
+        f"instead of {machine.expanded * factor:.4g} {unit} (k = {machine.factor:.3g})\n"
+        f"A curve with an error of up to {_length(allowed)} adds at most 2 %."
+    )
 
 
 def _length(value: float) -> str:
