@@ -2,15 +2,15 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, permutations, product
+from itertools import combinations, product
 
 import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.experiment.ranges import Box, Ranges, tidy
 from hallsym.model import Model
-from hallsym.simulation import Run, Signal, multi_sine, sine, triangle
-from hallsym.units import readable, si_unit
+from hallsym.simulation import Run, Signal, sine
+from hallsym.units import readable
 
 MOST = 20_000
 """Candidates beyond this are refused: fewer levels say the same."""
@@ -96,18 +96,6 @@ def _motions(ranges: Ranges, model: Model) -> Iterator[_Motion]:
         for n in range(2, len(moving) + 1):
             for axes in combinations(moving, n) if n <= len(f) else ():
                 yield _sines(ranges, axes, f)
-    if "multi-sine" in wanted and len(f) >= 2 * len(moving):
-        reach = {axis: ranges.place(axis)[1] for axis in moving}
-        shared = {axis: list(f[k :: len(moving)]) for k, axis in enumerate(moving)}
-        signals = {axis: multi_sine(reach[axis], shared[axis]) for axis in moving}
-        yield _Motion("multi-sine " + ", ".join(map(_axis, moving)), signals, reach)
-    lines = round(f[-1] / f[0])
-    if "raster" in wanted and lines >= 2:
-        lengths = [axis for axis in moving if si_unit(axis) == "m"]
-        for fast, slow in permutations(lengths, 2):
-            reach = {axis: ranges.place(axis)[1] for axis in (fast, slow)}
-            signals = {fast: triangle(reach[fast], f[-1]), slow: triangle(reach[slow], f[-1] / lines)}
-            yield _Motion(f"raster, lines along {_axis(fast)} at {f[-1]:g} Hz", signals, reach)
 
 
 def _sines(ranges: Ranges, axes: Sequence[str], frequencies: Sequence[float]) -> _Motion:

@@ -5,8 +5,6 @@ doi:10.1137/1.9780898719109, ch. 5 and 6), so one bound holds for all: with any 
 phi(M') <= tr(G M'). Twice the information is twice phi; uncertainties shrink with the root of it.
 
 - D: det(M)^(1/m): the volume of the uncertainty ellipsoid.
-- A: m / tr(M^-1): the mean variance of the scaled parameters.
-- E: the least eigenvalue of M: the worst-determined combination.
 - max-u: 1 / max over the workspace of sum_o u_o^2 / reference_o^2, u_o the standard uncertainty that the
   parameters leave in coordinate o of the decoded position.
 """
@@ -16,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-CRITERIA = ("D", "A", "E", "max-u")
+CRITERIA = ("D", "max-u")
 SHARP = 24.0
-"""Power that stands for a maximum where E and max-u have corners, in slopes."""
+"""Power that stands for a maximum where max-u has corners, in slopes."""
 BETTER = 1e-6
 """Relative gain below which an exchange is not made."""
 PASSES = 30
@@ -40,7 +38,7 @@ def criterion(name: str, m: int, workspace: np.ndarray) -> Criterion:
 
     `workspace`: (points, n_pose, m) slopes of the decoded position with the coordinates, in references.
     """
-    return {"D": _d, "A": _a, "E": _e}[name](m) if name != "max-u" else _max_u(workspace)
+    return _d(m) if name == "D" else _max_u(workspace)
 
 
 def _d(m: int) -> Criterion:
@@ -49,26 +47,6 @@ def _d(m: int) -> Criterion:
         return np.where(sign > 0, np.exp(size / m), 0.0)
 
     return Criterion("D", values, lambda M: values(M) / m * np.linalg.inv(M))
-
-
-def _a(m: int) -> Criterion:
-    def values(M: np.ndarray) -> np.ndarray:
-        return m / np.trace(np.linalg.inv(M), axis1=-2, axis2=-1)
-
-    def slope(M: np.ndarray) -> np.ndarray:
-        inverse = np.linalg.inv(M)
-        return values(M) ** 2 / m * inverse @ inverse
-
-    return Criterion("A", values, slope)
-
-
-def _e(m: int) -> Criterion:
-    def slope(M: np.ndarray) -> np.ndarray:
-        size, vectors = np.linalg.eigh(M)
-        share = (size[0] / size) ** SHARP
-        return (vectors * (share / share.sum())) @ vectors.T  # tr = 1, so tr(G M') >= least eigenvalue of M'
-
-    return Criterion("E", lambda M: np.linalg.eigvalsh(M)[..., 0], slope)
 
 
 def _max_u(workspace: np.ndarray) -> Criterion:

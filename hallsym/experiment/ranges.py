@@ -11,7 +11,7 @@ from hallsym.families import axes, published
 from hallsym.simulation import MOST_SAMPLES, noise_table
 from hallsym.toml import Table, positive
 
-TRAJECTORIES = ("one-axis", "combined", "multi-sine", "raster")
+TRAJECTORIES = ("one-axis", "combined")
 KEYS = (
     "step_s", "seconds_per_run", "runs", "minutes", "reset_s", "frequencies_hz", "levels", "trajectories",
     "range", "exclude", "noise", "reference",

@@ -65,7 +65,7 @@ def test_a_plan_is_written_simulated_fitted_and_continued(capsys, ranges, tmp_pa
 
 
 def test_json_holds_the_numbers_of_the_table(capsys, ranges):
-    code, out, _ = run(capsys, "plan", ranges(), "--json", "--criterion", "A")
+    code, out, _ = run(capsys, "plan", ranges(), "--json", "--criterion", "max-u")
     record = json.loads(out)
     assert code == 0
     assert sum(entry["count"] for entry in record["chosen"]) == record["runs"] == 8
