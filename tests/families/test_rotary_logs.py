@@ -115,7 +115,7 @@ def test_the_noise_floor_is_that_of_the_decoded_angle():
         ),
         (lambda a: a / 7, BOTH, "makes 7 turns while angle_ref_rad makes one"),
         (lambda a: a**2 / 3, FORTH, "does not follow angle_ref_rad"),
-        (lambda a: 1.05 * a, 3 * BOTH, "makes 0.952.? turns while angle_ref_rad makes one; .*by 0.952"),
+        (lambda a: 1.05 * a, 3 * BOTH, "does not follow angle_ref_rad"),
         (np.degrees, BOTH, "angle_ref_rad of .* another unit: .* if angle_ref_rad were in degrees; say so"),
         (lambda a: np.degrees(a) % 360, BOTH, "if angle_ref_rad were in degrees"),
         (np.radians, 3 * BOTH, "if angle_ref_rad were in rad"),
@@ -129,22 +129,6 @@ def test_references_that_cannot_be_used(make, reference, a, says):
     with pytest.raises(InputError, match=says) as caught:
         fitted(log)
     assert str(caught.value).count(". ") == 0
-
-
-def test_a_reference_of_another_scale_is_said_and_not_called_homed():
-    """Half a percent over six turns: 11 deg, which zeros of runs would differ by too."""
-    rng, parts = np.random.default_rng(3), []
-    for run, sign in enumerate((1, -1, 1)):
-        a = rng.uniform(0, 6) + sign * np.linspace(0, 6 * TURN, 1500)
-        log = angle_log(V, a, 1e-4)
-        parts.append(
-            {"run": np.full(len(a), run), "angle_rad": log.array("angle_rad"), "angle_ref_rad": 1.005 * a}
-        )
-    log = Log.from_arrays({c: np.concatenate([part[c] for part in parts]) for c in parts[0]})
-    (note,) = (n for n in fitted(log).notes if "turns while" in n)
-    assert "makes 0.99" in note
-    assert "--effect reference_scale_error" in note
-    assert not any("homed" in n for n in fitted(log).notes)
 
 
 def test_parts_of_a_turn_may_be_repeated():

@@ -78,20 +78,11 @@ GAP_NOTE, GAP_REFUSE = 30.0, 120.0
 """Widest part of a turn [deg] without a sample: what is worth a note, and what no harmonics survive."""
 FOLLOWS = 0.5
 """An encoder follows its reference if the mean of exp(i (angle - reference)) is longer than this."""
-ALIKE = 0.2
-"""Angles [rad] by which zeros of runs are the same, where one channel of a run may be inverted."""
 WORDS = {"deg": "degrees", "grad": "gradians", "rev": "turns"}
-MILLI = 1e3
-"""Factor between volts and millivolts."""
 CLEARLY, LEAST_ZERO = 3.0, 1.0
 """What zeros of runs must differ by for a note: times the scatter of the angle within a run, and deg."""
-SURE, TURNS, LEAST_DRIFT, MOST_DRIFT = 0.8, 1.9, 1.0, 30.0
-"""A reference of another scale: share of the variation within runs that drifts along it, turns that show
-it, and how far it must drift over them for a note [deg], and to be refused."""
 ORDERED = 0.3
 """Length of the mean of exp(2 i |step|) below which rows follow no motion."""
-MOST_LEFT = 0.5
-"""Scatter about that drift [rad], at most."""
 
 
 def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
@@ -114,14 +105,7 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
             f"noise cannot be estimated: sort them by {column}, or state the noise with --noise."
         )
     notes = _notes(seen, column, timed="t_s" in log.columns)
-    slope = _scale(seen, sign, LEAST_DRIFT)
-    if slope and "reference_scale_error" not in model.effects:
-        notes.append(
-            f"The encoder makes {1 + slope:.5g} turns while {column} makes one: --effect "
-            "reference_scale_error fits that, or scale the reference in a column file."
-        )
-    if not slope:
-        notes += _homed(seen, column, sign, own)
+    notes += _homed(seen, column, sign, own)
     if not forward:
         channel = model.channels[0]
         swapped = ", or the two voltages are swapped" if len(model.channels) == 2 else ""
@@ -149,13 +133,10 @@ def _refuse(seen: Seen, log: Any, model: Model, sign: float, fitted: bool) -> No
     astray = max(straight, alone) < (TOGETHER if gap < GAP_REFUSE else FOLLOWS)
     if astray and (why := _unit(best, model)):
         raise InputError(f"{why[0]} of {name} {why[1]}")
-    slope = _scale(seen, sign, MOST_DRIFT)
-    if slope and min(straight, alone) < TOGETHER:
-        raise _other_scale(name, column, f"{1 + slope:.4g} turns", 1 + slope, log)
     if straight < FOLLOWS < alone and len(seen.runs) > 1:
         raise InputError(
             f"The encoder in {name} follows {column} in each run, but each from another zero: the reference "
-            f"was homed anew between runs. {_half_turn(seen, sign)}Fit with --effect zero_deviation, which "
+            "was homed anew between runs. Fit with --effect zero_deviation, which "
             "gives each run its own."
         )
     if astray:
@@ -177,11 +158,9 @@ def _check_runs(seen: Seen, name: str, model: Model, sign: float) -> None:
     which = f"run {far[0]}" + (f" (and {len(far) - 1} more)" if len(far) > 1 else "")
     turned = [run for run in far if seen.length(run, -sign) > TOGETHER]
     if turned == far:
-        zero = np.angle(sum(seen.runs[run][sign] for run in good))
-        at = float(np.angle(seen.runs[far[0]][-sign]))
         raise InputError(
-            f"In {which} of {name} the encoder turns the other way than in the others: "
-            f"{_wired(model, sign * zero, at)}; put that right, or leave the run out."
+            f"In {which} of {name} the encoder turns the other way than in the others: {column} or a "
+            "reading is inverted there, or two are exchanged; put that right, or leave the run out."
         )
     why = _unit(cause(seen, model, far), model)
     raise InputError(
@@ -192,22 +171,6 @@ def _check_runs(seen: Seen, name: str, model: Model, sign: float) -> None:
     )
 
 
-def _wired(model: Model, zero: float, at: float) -> str:
-    """Which columns of a run seem inverted or exchanged; `zero`: of other runs, `at`: of this one [rad]."""
-    (column,) = model.references
-    if len(model.channels) == 1:
-        return f"{model.channels[0]} or {column} is inverted there"
-    sine, cosine = model.channels
-    known = {
-        f"{sine} is inverted there": -zero,
-        f"{cosine} is inverted there": np.pi - zero,
-        f"{sine} and {cosine} are exchanged there": np.pi / 2 - zero,
-        f"{column} is inverted there": zero,
-    }
-    fitting = [text for text, angle in known.items() if abs(np.angle(np.exp(1j * (at - angle)))) < ALIKE]
-    return ", or ".join(fitting) or f"a voltage or {column} is inverted there, or another run's"
-
-
 def _check_swing(seen: Seen, name: str, model: Model) -> None:
     """Refuse voltages of an amplitude that the model cannot have, or that cannot be of one sensor."""
     known = {p.name: p for p in model.parameters}
@@ -216,26 +179,14 @@ def _check_swing(seen: Seen, name: str, model: Model) -> None:
         amplitude = known.get(own) or known.get("A")
         if not amplitude or not halves:
             continue
-        half, other = halves[k], halves[1 - k]
-        factor = next((f for f in (1 / MILLI, MILLI) if abs(np.log10(other / half / f)) < 1), None)
-        unit = channel.rpartition("_")[0] + ("_mv" if factor == 1 / MILLI else "_kv")
-        if factor and (factor < 1 or not amplitude.lower <= half <= amplitude.upper):
-            raise InputError(
-                f"Column {channel} of {name} swings by +-{half:.3g} V and the other by +-{other:.3g} V: "
-                f"it seems to be in another unit, so say --column {unit}=ITS_NAME."
-            )
+        half = halves[k]
         if not amplitude.lower <= half <= amplitude.upper:
-            looks = f", such as --column {unit_of(channel, half)}=ITS_NAME" if half > amplitude.upper else ""
+            looks = f", such as --column {channel[:-2]}_mv=ITS_NAME" if half > amplitude.upper else ""
             raise InputError(
                 f"Column {channel} of {name} swings by +-{half:.3g} V, beyond the bounds of its amplitude "
                 f"{amplitude.name} ({amplitude.lower:g} to {amplitude.upper:g} V): check its unit{looks}, or "
                 "give lower, upper and nominal of amplitudes and offsets of that size in a machine file."
             )
-
-
-def unit_of(channel: str, half: float) -> str:
-    """Return the column's name in mV or uV, as its swing would have it."""
-    return channel.rpartition("_")[0] + ("_mv" if half < 20 * MILLI else "_uv")
 
 
 def _turns(many: float) -> str:
@@ -266,17 +217,6 @@ def _unit(found: Cause | None, model: Model) -> tuple[str, str] | None:
     )
 
 
-def _scale(seen: Seen, sign: float, least: float) -> float:
-    """Turns more that the encoder makes per turn of the reference; 0 where none are seen or they do no harm.
-
-    `least`: drift [deg] over the longest run that counts. `sign`: -1 where the encoder turns against it.
-    """
-    line = seen.lines[sign].found()
-    clear = line.share > SURE and line.longest > TURNS * 2 * np.pi and line.left < MOST_LEFT
-    drift = abs(line.slope) * line.longest
-    return sign * line.slope if clear and drift > np.radians(least) and sign * line.slope > -0.9 else 0.0
-
-
 def _notes(seen: Seen, column: str, *, timed: bool) -> list[str]:
     notes, gap = [], _gap(seen.reference)
     if gap > GAP_NOTE:
@@ -305,20 +245,11 @@ def _homed(seen: Seen, column: str, sign: float, own: bool) -> list[str]:
     far = max(zeros, key=lambda run: abs(zeros[run]))
     if abs(zeros[far]) < max(CLEARLY * spread, np.radians(LEAST_ZERO)):
         return []
-    most, half = np.degrees(abs(zeros[far])), _half_turn(seen, sign)
     return [
-        f"The zero of {column} differs between runs, by {most:.3g} deg in run {far} beside run {first}. "
-        f"{half}If it was homed anew, --effect zero_deviation gives each run its own; latency "
-        "makes differences too."
+        f"The zero of {column} differs between runs, by {np.degrees(abs(zeros[far])):.3g} deg in run {far} "
+        f"beside run {first}. If it was homed anew, --effect zero_deviation gives each run its own; latency, "
+        "another scale of the reference or inverted voltages make differences too."
     ]
-
-
-def _half_turn(seen: Seen, sign: float) -> str:
-    """Say which run is half a turn off the first one, as an encoder of inverted readings is."""
-    first, *others = ((run, np.angle(own[sign])) for run, own in seen.runs.items())
-    apart = {run: np.pi - abs(np.angle(np.exp(1j * (zero - first[1])))) for run, zero in others}
-    off = [run for run, left in apart.items() if left < ALIKE]
-    return f"In run {off[0]} it is half a turn: are both voltages inverted there? " if off else ""
 
 
 def _gap(bins: np.ndarray) -> float:

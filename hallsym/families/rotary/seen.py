@@ -1,4 +1,4 @@
-"""Sums over a log that tell how an encoder follows its reference: turns, sectors, drift."""
+"""Sums over a log that tell how an encoder follows its reference: turns and sectors."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -49,52 +49,6 @@ class Stretches:
         return out
 
 
-@dataclass(frozen=True)
-class Line:
-    """Slope [rad/rad], share of the variation that it makes, longest way of a run, scatter about it [rad]."""
-
-    slope: float
-    share: float
-    longest: float
-    left: float
-
-
-@dataclass
-class Straight:
-    """Sums for a line of angle - sign * reference along the reference, each run about its own mean."""
-
-    last: tuple[int, float, float] | None = None
-    sums: dict[int, np.ndarray] = field(default_factory=dict)
-    ends: dict[int, tuple[float, float]] = field(default_factory=dict)
-
-    def add(self, at: Stretches, apart: np.ndarray, reference: np.ndarray) -> None:
-        """Take stretches (n,) [rad]: angle - sign * reference in any form, the reference unwrapped."""
-        r, d = reference, unwrapped(apart, 2 * np.pi, at.starts)
-        if self.last and self.last[0] == at.runs[0]:  # go on from the stretch before
-            first = np.arange(at.samples) < at.counts[0]
-            r = r + first * 2 * np.pi * np.round((self.last[1] - r[0]) / (2 * np.pi))
-            d = d + first * 2 * np.pi * np.round((self.last[2] - d[0]) / (2 * np.pi))
-        self.last = at.runs[-1], float(r[-1]), float(d[-1])
-        sums = at.sums(np.array([np.ones(at.samples), r, d, r * r, r * d, d * d]))
-        lows, highs = np.minimum.reduceat(r, at.starts).tolist(), np.maximum.reduceat(r, at.starts).tolist()
-        for run, new, low, high in zip(at.runs, sums.T, lows, highs, strict=True):
-            before = self.ends.get(run, (np.inf, -np.inf))
-            self.ends[run] = min(before[0], low), max(before[1], high)
-            self.sums[run] = self.sums.get(run, 0.0) + new
-
-    def found(self) -> "Line":
-        """Return the line."""
-        rr = rd = dd = samples = 0.0
-        for n, r, d, r2, cross, d2 in self.sums.values():
-            rr, rd, dd = rr + r2 - r * r / n, rd + cross - r * d / n, dd + d2 - d * d / n
-            samples += n
-        longest = max((high - low for low, high in self.ends.values()), default=0.0)
-        if rr <= 0 or dd <= 0:
-            return Line(0.0, 0.0, longest, 0.0)
-        left = float(np.sqrt(max(dd - rd * rd / rr, 0.0) / samples))
-        return Line(float(rd / rr), float(rd * rd / (rr * dd)), longest, left)
-
-
 class Some:
     """Evenly taken numbers (..., n) of a stream, at most MANY of them; `count` went by."""
 
@@ -135,7 +89,6 @@ class Seen:
     down: float = 0.0
     even: complex = 0j
     """Sum of exp(2 i |step|) over the steps of the reference: short where they are of all lengths."""
-    lines: dict[float, Straight] = field(default_factory=lambda: {1.0: Straight(), -1.0: Straight()})
     scales: list[tuple[float, float]] = field(default_factory=list)
     """Middle and half of the extent of each voltage [V]."""
 
@@ -146,13 +99,12 @@ class Seen:
             self.counts[run] = self.counts.get(run, 0) + count
         self.some.add(np.array([np.repeat(at.runs, at.counts), angle, reference]))
         along, inside = unwrapped(reference, 2 * np.pi, at.starts), at.inside()
-        for k, line in self.lines.items():
+        for k in (1.0, -1.0):
             apart = angle - k * reference
             turns = at.sums(np.cos(apart)) + 1j * at.sums(np.sin(apart))
             for run, turn in zip(at.runs, turns.tolist(), strict=True):
                 own = self.runs.setdefault(run, {})
                 own[k] = own.get(k, 0j) + turn
-            line.add(at, apart, along)
         for bins, values in ((self.reference, reference), (self.angle, angle)):
             bins[np.floor(values * (BINS / (2 * np.pi))).astype(int) % BINS] = True
         moved = np.diff(along)[inside]
