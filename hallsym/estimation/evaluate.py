@@ -16,7 +16,7 @@ from hallsym.estimation.gauss_newton import Shifts, cost_near, judged, zeros_of
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.plausible import as_read, lateness, rewired
-from hallsym.estimation.task import Task, noise_of
+from hallsym.estimation.task import Asked, Task, noise_of
 from hallsym.families import plain
 from hallsym.log import Log, Noise, as_log, clean_log, usable
 from hallsym.log.phase import LISTED
@@ -35,7 +35,7 @@ def recording_notes(log: Log, model: Model, p: np.ndarray, noise: Mapping[str, f
     if not exact(base):
         return ()
     free = clean_log(log, logged_columns(base)) if knows_rails(model) else log
-    task = Task(free, base, (), "direct", "none", 0, lambda _: None, None)
+    task = Task(free, base, (), Asked())
     judged = task.judged(task.begin(task.summary()))
     judged.refuse()
     if base is not model:

@@ -16,8 +16,8 @@ from hallsym.estimation.decoding import knows_rails, logged_columns
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.optimum import SOLVERS
 from hallsym.estimation.result import result_of, zero_notes
-from hallsym.estimation.several import Asked, fit_several
-from hallsym.estimation.task import Progress, Task, held_out, model_of, prepared
+from hallsym.estimation.several import fit_several
+from hallsym.estimation.task import Asked, Progress, Task, held_out, model_of, prepared
 from hallsym.families import plain
 from hallsym.log import as_log, clean_log
 from hallsym.model import Model
@@ -97,24 +97,22 @@ def fit(
     began, say = perf_counter(), on_progress or (lambda _: None)
     _choice(solver, SOLVERS, "solver")
     _choice(loss, LOSSES, "loss")
-    if isinstance(log, list | tuple) or len(holdout_logs) or len(per_log):
-        logs = list(log) if isinstance(log, list | tuple) else [log]
-        asked = Asked(solver, holdout, loss, resolve_wiring, drop_bad, seed, start, say)
-        return fit_several(
-            [as_log(one) for one in logs], [as_log(one) for one in holdout_logs],
-            lambda one: model_of(one, model, effects, parameters, own), per_log, asked, began,
-        )  # fmt: skip
-    log = as_log(log)
-    model = model_of(log, model, effects, parameters, own)
+    alone = not (isinstance(log, list | tuple) or len(holdout_logs) or len(per_log))
+    logs = [as_log(one) for one in (log if isinstance(log, list | tuple) else [log])]
+    if not logs:
+        raise InputError("There is no log to fit; give one at least.")
+    judged = [as_log(one) for one in holdout_logs]
+    models = [model_of(one, model, effects, parameters, own) for one in (*logs, *judged)]
+    asked = Asked(
+        solver, holdout, loss, resolve_wiring, drop_bad, seed, start, quick and alone, say,
+    )  # fmt: skip
+    if not alone or exact(models[0]):
+        return fit_several(logs, judged, models, per_log, asked, alone=alone, began=began)
+    log, model = logs[0], models[0]
     say("checking the log")
     log, told, mounted = prepared(log, model, drop_bad=drop_bad)
     notes = list(told)
     held = held_out(log, log.meta.holdout if holdout is None else holdout)
-    task = Task(log, model, held, solver, loss, seed, say, start, quick=quick)
-    if exact(model):
-        solved = task.by_statistics(resolve_wiring)
-        solved = solved.task.with_noise_left(solved)
-        return result_of(solved, (*notes, *solved.notes), mounted.wiring, began)
     first = None
     if exact(base := plain(model)):
         # the model without effects has no rails: it is fitted to the samples off them
@@ -127,9 +125,8 @@ def fit(
         )  # fmt: skip
         zeros = zero_notes(first.model, tuple(first.zeros), np.array(list(first.zeros.values())))
         notes += [note for note in first.notes if note not in (*zeros, *free.notes)]
-    solved = task.by_passes(first)
-    solved = solved.task.with_noise_left(solved)
-    return result_of(solved, tuple(dict.fromkeys((*mounted.notes, *notes))), mounted.wiring, began)
+    said = tuple(dict.fromkeys((*mounted.notes, *notes)))
+    return result_of(Task(log, model, held, asked).by_passes(first, said, mounted.wiring), began)
 
 
 def _choice(name: str, known: Sequence[str], what: str) -> None:

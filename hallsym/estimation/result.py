@@ -23,7 +23,7 @@ from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Point
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.normal_equations import pseudo_inverse, unit_scale
-from hallsym.estimation.plausible import Wiring, composed
+from hallsym.estimation.plausible import composed
 from hallsym.estimation.task import Solved
 from hallsym.families import added_effects
 from hallsym.log.phase import home_notes
@@ -91,16 +91,15 @@ def lower_bound(point: Point, estimated: int) -> LowerBound | None:
     return LowerBound(bound, max(point.value / bound, 1.0), expected, free)
 
 
-def result_of(solved: Solved, notes: tuple[str, ...], mounted: Wiring | None, began: float) -> Fit:
-    """Return the fit that is handed out; `mounted`: the wiring that was found before it, by inspection;
-    `began`: when, by `perf_counter`."""
+def result_of(solved: Solved, began: float) -> Fit:
+    """Return the fit that is handed out; `began`: when, by `perf_counter`."""
     state, found = solved.solution, solved.solution.determined
     point = state.point
     estimate = uncertainty_at(point, found)
     free = int(np.count_nonzero(np.diag(estimate.covariance)))
     asked = solved.errors is not None  # a quick fit that found nothing amiss needs no further evidence
     bound = lower_bound(point, free) if asked and exact(solved.task.model) else None
-    return fit_of(solved, found, estimate, bound, notes, mounted, began)
+    return fit_of(solved, found, estimate, bound, began)
 
 
 def fit_of(
@@ -108,8 +107,6 @@ def fit_of(
     found: Determination,
     estimate: Uncertainty,
     bound: LowerBound | None,
-    notes: tuple[str, ...],
-    mounted: Wiring | None,
     began: float,
 ) -> Fit:
     """Return the fit of a solved log, with what is determined of its parameters, and how certainly."""
@@ -141,14 +138,14 @@ def fit_of(
         status=state.search.status,
         message=state.search.message,
         solver={
-            "name": task.solver,
-            "loss": task.loss,
+            "name": task.asked.solver,
+            "loss": task.asked.loss,
             "cost": state.search.cost,
             "cost_per_degree_of_freedom": estimate.cost_per_dof,
             "evaluations": state.search.evaluations,
             "starts": state.search.starts,
             "share_at_optimum": state.search.share,
-            "seed": task.seed,
+            "seed": task.asked.seed,
             "lower_bound": None if bound is None else bound.to_dict(),
         },
         log={
@@ -167,7 +164,7 @@ def fit_of(
             next_command=command,
         ),
         notes=(
-            *notes,
+            *solved.notes,
             *zero_notes(model, tuple(zeros), delta),
             *(home_notes(task.log, model, zeros) if errors else ()),
         ),
@@ -177,8 +174,8 @@ def fit_of(
         likelihood=state.fitted,
         determination=found,
         undetermined_by_log=estimate.undetermined_by_log,
-        wiring=composed(mounted, solved.wiring, model.channels),
-        turned=mounted is not None and solved.wiring is None,
+        wiring=composed(solved.mounted, solved.wiring, model.channels),
+        turned=solved.mounted is not None and solved.wiring is None,
         columns=dict(task.log.table.mapping),
         read_with=dict(task.log.table.read_with),
         versions=dict(_versions()),

@@ -4,8 +4,8 @@ Every log is checked, summarised and judged by itself (`Task`), with one centre 
 is that of the sum of their costs (`joint_cost`). No sample is read more often than by a fit of one log.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
 from itertools import accumulate
@@ -25,14 +25,15 @@ from hallsym.estimation.identifiable import Determination, determine
 from hallsym.estimation.likelihood import Coefficients, Cost, Point, cost_of
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.optimum import Solution, search
-from hallsym.estimation.plausible import Wiring, lateness
-from hallsym.estimation.result import LowerBound, fit_of, lower_bound
+from hallsym.estimation.plausible import lateness, rewired
+from hallsym.estimation.result import LowerBound, fit_of, lower_bound, result_of
 from hallsym.estimation.run_statistics import RunStatistics, joined
-from hallsym.estimation.task import ROUNDS, Begun, Progress, Solved, Started, Task, held_out, prepared
+from hallsym.estimation.task import Asked, Begun, Opened, Solved, Task, held_out, prepared
 from hallsym.log import Log, Noise
-from hallsym.log.batches import Weigh, remembered
+from hallsym.log.batches import remembered
 from hallsym.log.phase import nearest_turn
 from hallsym.log.quality.findings import name_of
+from hallsym.log.quality.gains import explained
 from hallsym.model import Model
 from hallsym.model.model import Combination, Signals, Step
 from hallsym.units import UNITS
@@ -357,58 +358,36 @@ def _ratios(begun: Begun, first: Begun) -> np.ndarray:
     return own / np.maximum(other, 1e-300)
 
 
-@dataclass(frozen=True, eq=False)
-class Member:
-    """One of several logs at their common optimum; `solution` is that of its own runs and parameters."""
-
-    name: str
-    task: Task
-    solution: Solution
-    errors: Errors
-    keep: Weigh | None
-    wiring: Wiring | None
-    mounted: Wiring | None
-    notes: tuple[str, ...]
-    held_out: bool = False
-
-
 def several_fit(
     sharing: Sharing,
     solution: Solution,
-    members: Sequence[Member],
-    judged: Sequence[Member],
+    members: Sequence[Solved],
+    judged: Sequence[Solved],
+    names: Sequence[str],
     numbers: Sequence[Mapping[int, int]],
     began: float,
 ) -> Fit:
     """Return the fit of the logs `members`; `judged`: those held out. `numbers`: per log run -> number."""
-    point = solution.point
-    found = solution.determined
-    estimate = uncertainty_at(point, found)
+    estimate = uncertainty_at(solution.point, solution.determined)
     free = int(np.count_nonzero(np.diag(estimate.covariance)))
-    bound = None if sharing.own else lower_bound(point, free)
+    bound = None if sharing.own else lower_bound(solution.point, free)
+    own = [_own(estimate, sharing, g, goodness) for g, goodness in enumerate(_goodness(members, free))]
+    own += [replace(own[-1], goodness=goodness_of(m.solution.everywhere, 0)) for m in judged]
     fits = [
-        _of_log(member, _own(estimate, sharing, g, goodness), began)
-        for g, (member, goodness) in enumerate(zip(members, _goodness(members, free), strict=True))
+        fit_of(m, m.solution.determination, e, None, began)
+        for m, e in zip((*members, *judged), own, strict=True)
     ]
-    last = _own(estimate, sharing, len(members) - 1, estimate.goodness)
-    fits += [_of_log(m, replace(last, goodness=goodness_of(m.solution.everywhere, 0)), began) for m in judged]
-    parts = [*members, *judged]
     # runs of held-out logs keep their numbers, since they stand in no table with others
     renumbered = [*numbers, *({run: run for run in m.solution.everything.summary.runs} for m in judged)]
     records = tuple(
-        _record(member, fit, sharing, known)
-        for member, fit, known in zip(parts, fits, renumbered, strict=True)
+        _record(name, k >= len(members), fit, sharing, known)
+        for k, (name, fit, known) in enumerate(zip(names, fits, renumbered, strict=True))
     )
-    whole = _whole(fits[: len(members)], members, numbers, sharing, solution, estimate, bound, began)
+    whole = _whole(fits[: len(members)], numbers, sharing, solution, estimate, bound, began)
     return replace(whole, by_log=tuple(fits), logs=records)
 
 
-def _of_log(member: Member, estimate: Uncertainty, began: float) -> Fit:
-    solved = Solved(member.task, member.solution, member.errors, member.keep, member.wiring)
-    return fit_of(solved, member.solution.determination, estimate, None, member.notes, member.mounted, began)
-
-
-def _goodness(members: Sequence[Member], free: int) -> list[GoodnessOfFit]:
+def _goodness(members: Sequence[Solved], free: int) -> list[GoodnessOfFit]:
     """Return what the fit leaves in each log; the parameters are shared out by samples."""
     points = [m.solution.point for m in members]
     counts = np.array([point.cost.summary.counts.sum() for point in points])
@@ -455,12 +434,14 @@ def _renamed(c: CombinationEstimate, named: Mapping[str, str], suffix: str) -> C
     return replace(c, expression=expression, factors=factors)
 
 
-def _record(member: Member, fit: Fit, sharing: Sharing, numbers: Mapping[int, int]) -> dict[str, Any]:
+def _record(
+    name: str, held_out: bool, fit: Fit, sharing: Sharing, numbers: Mapping[int, int]
+) -> dict[str, Any]:
     """Return what is saved of one log beside the calibration."""
     at = [fit.model.names.index(n) for n in sharing.own]
     return {
-        "name": member.name,
-        "held_out": member.held_out,
+        "name": name,
+        "held_out": held_out,
         "log": {**fit.log, "sha256": fit.source.sha256 if fit.source else None},
         "runs": {str(run): number for run, number in numbers.items()},
         "errors": dict(fit.error_rows),
@@ -479,7 +460,6 @@ def _record(member: Member, fit: Fit, sharing: Sharing, numbers: Mapping[int, in
 
 def _whole(
     fits: Sequence[Fit],
-    members: Sequence[Member],
     numbers: Sequence[Mapping[int, int]],
     sharing: Sharing,
     solution: Solution,
@@ -488,14 +468,13 @@ def _whole(
     began: float,
 ) -> Fit:
     """Return the fit of all logs; parameters of which each log has its own are those of the last log."""
-    last = fits[-1]
-    noise = _noise(fits)
-    holdout = tuple(known[r] for m, known in zip(members, numbers, strict=True) for r in m.task.holdout)
+    last, noise = fits[-1], _noise(fits)
+    holdout = tuple(known[r] for f, known in zip(fits, numbers, strict=True) for r in f.log["holdout"])
+    tables = [fit.errors for fit in fits if fit.errors]
     errors = Errors(
-        _tables([m.errors.designed for m in members], numbers),
-        _tables([m.errors.fitted for m in members], numbers),
+        _tables([own.designed for own in tables], numbers), _tables([own.fitted for own in tables], numbers),
         holdout,
-    )
+    )  # fmt: skip
     counts = np.array([fit.log["rows"] for fit in fits], dtype=float)
     floors = np.array([list(fit.noise_floor.values()) for fit in fits])
     floor = np.sqrt(counts / counts.sum() @ floors**2)
@@ -509,9 +488,8 @@ def _whole(
         "lower_bound": None if bound is None else bound.to_dict(),
     }
     worst = max(fits, key=lambda fit: fit.goodness.residual_over_noise if fit.goodness else 0.0)
-    goodness = estimate.goodness.judged(
-        noise, (*last.model.channels, *last.model.references), members[0].task.log.meta.gap_threshold_rel
-    )
+    stated = fits[0].source.meta.gap_threshold_rel if fits[0].source else None
+    goodness = estimate.goodness.judged(noise, (*last.model.channels, *last.model.references), stated)
     goodness = replace(goodness, next_command=worst.goodness.next_command if worst.goodness else "")
     names = sharing.joint.names
     return replace(
@@ -521,7 +499,7 @@ def _whole(
         noise_floor=dict(zip(last.model.pose, floor.tolist(), strict=True)),
         solver=solver,
         log={
-            "path": ", ".join(str(f.log["path"] or m.name) for f, m in zip(fits, members, strict=True)),
+            "path": ", ".join(str(f.log["path"] or name) for f, name in zip(fits, sharing.logs, strict=True)),
             "sha256": None,
             "rows": sum(fit.log["rows"] for fit in fits),
             "runs": sum(fit.log["runs"] for fit in fits),
@@ -530,7 +508,7 @@ def _whole(
         },
         seconds=perf_counter() - began,
         goodness=goodness,
-        notes=_notes(fits, members, numbers, sharing),
+        notes=_notes(fits, numbers, sharing),
         errors=errors,
         error_rows=errors.rows(),
         keep=None,
@@ -568,12 +546,12 @@ def _tables(tables: Sequence[ErrorTable], numbers: Sequence[Mapping[int, int]]) 
     )
 
 
-def _notes(
-    fits: Sequence[Fit], members: Sequence[Member], numbers: Sequence[Mapping[int, int]], sharing: Sharing
-) -> tuple[str, ...]:
+def _notes(fits: Sequence[Fit], numbers: Sequence[Mapping[int, int]], sharing: Sharing) -> tuple[str, ...]:
     """Return what is to be said of the logs, each note once, with the log that it is of."""
     out = [
-        type(note)(f"{m.name}: {note}") for fit, m in zip(fits, members, strict=True) for note in fit.notes
+        type(note)(f"{log}: {note}")
+        for fit, log in zip(fits, sharing.logs, strict=True)
+        for note in fit.notes
     ]
     first = next(((g, r, n) for g, own in enumerate(numbers) for r, n in own.items() if r != n), None)
     if first is not None:
@@ -586,49 +564,26 @@ def _notes(
     return tuple(dict.fromkeys(out))
 
 
-@dataclass(frozen=True, eq=False)
-class Asked:
-    """How a fit was asked for; see `fit`."""
-
-    solver: str
-    holdout: Sequence[int] | None
-    loss: str
-    resolve_wiring: bool
-    drop_bad: bool
-    seed: int
-    start: np.ndarray | None
-    say: Progress
-
-
-@dataclass(eq=False)
-class _Open:
-    """A log that takes part: its task, its costs so far, what was taken out and what is to be said."""
-
-    task: Task
-    begun: Begun
-    notes: tuple[str, ...]
-    mounted: Wiring | None
-    wiring: Wiring | None
-    keep: Weigh | None = None
-    rule: outliers.Filter | None = field(default=None, repr=False)
-    suspects: Weigh | None = field(default=None, repr=False)
+CLEARLY = 2.0
+"""Cost of a fit over that of another reading of the log from which on the other is right: noise alone makes
+them equal, to a few percent."""
+ROUNDS = 12
+"""Of taking outliers out and fitting again, at most."""
 
 
 def fit_several(
     logs: Sequence[Log],
     holdout_logs: Sequence[Log],
-    build: Callable[[Log], Model],
+    models: Sequence[Model],
     per_log: Sequence[str],
     asked: Asked,
+    *,
+    alone: bool,
     began: float,
 ) -> Fit:
-    """Return the fit of several logs; `build(log)`: the model of one. Other arguments as for `fit`."""
-    if not logs:
-        raise InputError("There is no log to fit; give one at least.")
-    every = [*logs, *holdout_logs]
-    models = [build(log) for log in every]
+    """Return the fit of several logs, or of one `alone`; `models`: of logs and held-out logs, in order."""
+    every, model = [*logs, *holdout_logs], models[0]
     check_same(every, models)
-    model = models[0]
     if not exact(model):
         raise InputError(
             f"Model {model.name} with {', '.join(model.effects)} has no run statistics, so several "
@@ -638,16 +593,16 @@ def fit_several(
     own = _own_parameters(model, per_log, len(logs), bool(holdout_logs))
     opened = _opened(every, model, len(logs), asked)
     check_gains(every, opened[0].task.model, [one.begun for one in opened])
-    fitted, held = opened[: len(logs)], opened[len(logs) :]
-    together = _Together(fitted, Sharing.of(model, own, names[: len(logs)]), asked)
-    solution = together.optimum()
+    together = _Together(opened[: len(logs)], Sharing.of(model, own, names[: len(logs)]), asked)
+    solution, errors = together.optimum()
     members = [
-        Member(names[g], one.task, together.of_log(solution, g), errors, one.keep, one.wiring, one.mounted,
-               (*one.notes, *_late(one, together.of_log(solution, g))))
-        for g, (one, errors) in enumerate(zip(fitted, together.errors(solution), strict=True))
-    ]  # fmt: skip
-    judged = [_judged(names[len(logs) + k], one, members[-1].solution) for k, one in enumerate(held)]
-    return several_fit(together.sharing, solution, members, judged, together.numbers, began)
+        one.solved(together.of_log(solution, g), errors[g] if errors else None)
+        for g, one in enumerate(together.logs)
+    ]
+    if alone:
+        return result_of(members[0], began)
+    judged = [_judged(one, members[-1].solution) for one in opened[len(logs) :]]
+    return several_fit(together.sharing, solution, members, judged, names, together.numbers, began)
 
 
 def _own_parameters(model: Model, per_log: Sequence[str], logs: int, holdout: bool) -> tuple[str, ...]:
@@ -671,67 +626,102 @@ def _own_parameters(model: Model, per_log: Sequence[str], logs: int, holdout: bo
     return tuple(found)
 
 
-def _opened(logs: Sequence[Log], model: Model, fitted: int, asked: Asked) -> list[_Open]:
+def _opened(logs: Sequence[Log], model: Model, fitted: int, asked: Asked) -> list[Opened]:
     """Return every log checked, summarised about the centre of the first, and judged."""
-    out: list[_Open] = []
+    out: list[Opened] = []
     centre: np.ndarray | None = None
     known = {run for log in logs[:fitted] for run in log.runs}
-    if lost := [run for run in asked.holdout or () if run not in known]:
+    if fitted > 1 and (lost := [run for run in asked.holdout or () if run not in known]):
         raise InputError(f"Held-out run {lost[0]} is in none of the {fitted} logs.")
     for k, log in enumerate(logs):
         asked.say(f"checking {log.name}")
         ready, said, mounted = prepared(log, model, drop_bad=asked.drop_bad)
         held = log.meta.holdout if asked.holdout is None else tuple(asked.holdout)
-        held = held_out(ready, [r for r in held if r in ready.runs]) if k < fitted else ()
-        task = Task(ready, model, held, asked.solver, asked.loss, asked.seed, asked.say, None,
-                    centre=centre)  # fmt: skip
-        found = task.opened(asked.resolve_wiring)
+        held = held if fitted == 1 else tuple(r for r in held if r in ready.runs)
+        task = Task(ready, model, held_out(ready, held) if k < fitted else (), asked, centre=centre)
+        found = task.opened()
         centre = found.begun.everything.summary.centre
-        notes = (*said, *found.judged.notes)
-        if found.judged.spiky:
-            notes = (*notes, "Spikes bend the slopes by which units and signs are judged; look at the log.")
-        out.append(_Open(found.task, found.begun, notes, mounted.wiring, found.wiring))
+        found.mounted, found.notes = mounted.wiring, (*said, *found.judged.notes)
+        out.append(found)
     return out
 
 
 class _Together:
     """The logs that are fitted, and their common optimum."""
 
-    def __init__(self, logs: list[_Open], sharing: Sharing, asked: Asked) -> None:
+    def __init__(self, logs: list[Opened], sharing: Sharing, asked: Asked) -> None:
         self.logs, self.sharing, self.asked = logs, sharing, asked
         self.numbers = run_numbers([one.begun.everything.summary.runs for one in logs])
 
-    def optimum(self) -> Solution:
-        """Return the optimum, without outliers, for the noise that each log shows."""
+    def optimum(self) -> tuple[Solution, list[Errors] | None]:
+        """Return the optimum without outliers, for the noise that each log shows, and errors by log.
+
+        No errors where a quick fit of one log shows nothing amiss.
+        """
         state = self.solve(self.asked.solver)
-        if loud := self._suspicious(state):
-            state = self._without_outliers(state, loud)
-        return self._with_noise_left(state)
+        self._refuse_references(state)
+        if self.asked.quick and not self.logs[0].judged.spiky and self.logs[0].task.in_order(state):
+            self._check()
+            return state, None
+        errors = self.errors(state)
+        whole, state = state, self._without_outliers(state, errors)
+        for g, one in enumerate(self.logs):
+            if one.judged.spiky:
+                again = one.task.judge(one.begun)
+                again.refuse()
+                one.notes += again.notes
+            one.notes += _late(one, self.of_log(state, g))
+        self._check()
+        state = self._with_noise_left(state)
+        return state, errors if state is whole else self.errors(state)
 
     def solve(self, solver: str, begin_at: np.ndarray | None = None) -> Solution:
         """Minimise the sum of the costs as they are."""
-        everything = self._sum(one.begun.everything for one in self.logs)
-        fitted = self._sum(one.begun.fitted for one in self.logs)
-        merged = joint_cost(
-            self.sharing, [one.begun.merged for one in self.logs], [{0: g} for g in range(len(self.logs))]
-        )
+        everything = self._sum([one.begun.everything for one in self.logs], self.numbers)
+        fitted = self._sum([one.begun.fitted for one in self.logs], self.numbers)
+        merged = self._sum([one.begun.merged for one in self.logs], [{0: g} for g in range(len(self.logs))])
         model = self.sharing.joint
         first = np.clip(self._first() if begin_at is None else begin_at, *model.bounds)
         found: Determination = determine(fitted, first)
         held = list(found.held)
         first[held] = np.clip(model.nominal, *model.bounds)[held]
-        self.asked.say(f"solving {len(self.logs)} logs with {solver}")
-        best = search(fitted, merged, first, found, solver=solver, seed=self.asked.seed)
+        self.asked.say(f"solving with {solver}")
+        best = search(
+            fitted, merged, first, found, solver=solver, seed=self.asked.seed, newton_first=self.asked.quick
+        )
         best = replace(best, p=nearest_turn(model, best.p))
         return Solution(everything, fitted, found, best)
 
-    def _sum(self, costs: Iterable) -> JointCost:
-        return joint_cost(self.sharing, list(costs), self.numbers)
+    def _sum(self, costs: list[Cost], numbers: Sequence[dict[int, int]]) -> Cost:
+        return costs[0] if len(costs) == 1 else joint_cost(self.sharing, costs, numbers)
+
+    def _refuse_references(self, state: Solution) -> None:
+        """Refuse a reference where its sign or order explains the log, and not that of the channels.
+
+        By linear slopes both may; what the fit leaves tells. `state`: the fit with the channels resolved.
+        """
+        for g, one in enumerate(self.logs):
+            for other in one.found.whole if one.wiring is not None else ():
+                if not other.only_references or any(c.factor != 1 for c in other.changes):
+                    continue
+                as_meant = tuple((c.source, c.sign) for c in other.references)
+                task = replace(one.task, log=rewired(one.given, one.task.model.references, as_meant))
+                turned = replace(one, task=task, begun=task.begin(task.summary()))
+                both = _Together([*self.logs[:g], turned, *self.logs[g + 1 :]], self.sharing, self.asked)
+                if CLEARLY * both.solve("direct").search.cost < state.search.cost:
+                    raise InputError(explained(one.given, task.model, [other]).sentence)
+
+    def _check(self) -> None:
+        """Refuse a reference that does not belong."""
+        for one in self.logs:
+            start.check_reference(one.task.model, one.begun.linear.unexplained, one.task.log.name)
 
     def _first(self) -> np.ndarray:
         """Return where the search begins: the closed form of all runs, of own parameters that of each log."""
         if self.asked.start is not None:
             every = [np.asarray(self.asked.start, dtype=float)] * len(self.logs)
+        elif len(self.logs) == 1:
+            every = [start.closed_form(self.logs[0].begun.merged, self.logs[0].begun.linear)]
         else:
             parts = [numbered(one.begun.fitted.summary, known)
                      for one, known in zip(self.logs, self.numbers, strict=True)]  # fmt: skip
@@ -750,6 +740,8 @@ class _Together:
 
     def of_log(self, state: Solution, g: int) -> Solution:
         """Return the optimum as one log sees it: its runs, its parameters."""
+        if len(self.logs) == 1:
+            return state
         everything, fitted = state.everything.shares[g][0], state.fitted.shares[g][0]
         return Solution(
             everything, fitted, restricted(state.determination, self.sharing, g),
@@ -760,54 +752,46 @@ class _Together:
         """Return the error tables of every log."""
         return [one.task.errors(self.of_log(state, g), one.keep) for g, one in enumerate(self.logs)]
 
-    def _suspicious(self, state: Solution) -> list[int]:
+    def _suspicious(self, state: Solution, errors: Sequence[Errors]) -> list[int]:
         """Return the logs in which outliers are looked for."""
-        if self.asked.loss == "none":
-            return []
         if self.asked.loss != "auto":
-            return list(range(len(self.logs)))
-        found = enumerate(self.errors(state))
-        return [g for g, errors in found if self.logs[g].task.suspicious(self.of_log(state, g), errors)]
+            return [] if self.asked.loss == "none" else list(range(len(self.logs)))
+        return [g for g, own in enumerate(errors)
+                if self.logs[g].task.suspicious(self.of_log(state, g), own)]  # fmt: skip
 
-    def _without_outliers(self, state: Solution, loud: Sequence[int]) -> Solution:
-        """Take outliers of the logs `loud` out and fit again, until the same samples are left."""
-        whole, clean = state, [self.logs[g].begun for g in loud]
-        total = sum(float(begun.everything.summary.counts.sum()) for begun in clean)
-        weigh = {g: self._first_suspects(self.logs[g]) for g in loud}
-        before = -1.0
-        for _ in range(ROUNDS):
+    def _without_outliers(self, state: Solution, errors: Sequence[Errors]) -> Solution:
+        """Take outliers out of the logs that show any and fit again, until the same samples are left."""
+        if not (loud := self._suspicious(state, errors)):
+            return state
+        whole, tasks = state, {g: self.logs[g].task for g in loud}
+        clean = {g: self.logs[g].begun for g in loud}
+        total, before = sum(begun.samples for begun in clean.values()), -1.0
+        columns = (*self.sharing.model.references, *self.sharing.model.channels)
+        rules = {g: outliers.column_spikes(columns) for g in loud}
+        weigh = suspects = {g: remembered(rules[g], tasks[g].log.rows, columns) for g in loud}
+        for left_over in reversed(range(ROUNDS)):
             for g in loud:
-                self.logs[g].begun = self.logs[g].task.begin(self.logs[g].task.summary(weigh[g]))
-            left = sum(float(self.logs[g].begun.everything.summary.counts.sum()) for g in loud)
+                self.logs[g].begun = tasks[g].begin(tasks[g].summary(weigh[g]))
+            left = sum(self.logs[g].begun.samples for g in loud)
             if left < total:
-                state = self.solve("direct", state.p)
-            if abs(left - before) <= 1e-6 * total:
+                self.asked.say(f"refitting without outliers ({100 * (1 - left / total):.2g} % of the weight)")
+                state = self.solve("direct")
+            self._check()
+            if abs(left - before) <= 1e-6 * total or not left_over:
                 break
             before = left
-            weigh = {g: self._weigh(state, g) for g in loud}
-        if left == total:
-            for g, begun in zip(loud, clean, strict=True):
-                self.logs[g].begun = begun
-            return whole
-        for g, begun in zip(loud, clean, strict=True):
-            one = self.logs[g]
-            counts = (float(b.everything.summary.counts.sum()) for b in (begun, one.begun))
-            all_of_it, some = counts
-            one.keep = weigh[g]
-            one.notes = (*one.notes, f"{all_of_it - some:.0f} of {all_of_it:.0f} samples are isolated spikes "
-                         "and were left out of fit and error tables (--loss none keeps them).")  # fmt: skip
-        return self.solve(self.asked.solver)
-
-    def _first_suspects(self, one: _Open) -> Weigh:
-        columns = (*one.task.model.references, *one.task.model.channels)
-        one.suspects = remembered(outliers.column_spikes(columns), one.task.log.rows, columns)
-        return one.suspects
-
-    def _weigh(self, state: Solution, g: int) -> Weigh:
-        one = self.logs[g]
-        assert one.suspects is not None
-        one.rule = one.task.weigh(self.of_log(state, g), one.suspects)
-        return remembered(one.rule, one.task.log.rows, columns_of(one.task.model))
+            rules = {g: tasks[g].weigh(self.of_log(state, g), suspects[g]) for g in loud}
+            weigh = {g: remembered(rules[g], tasks[g].log.rows, columns_of(tasks[g].model)) for g in loud}
+        for g, begun in clean.items():
+            one, wrong_for = self.logs[g], rules[g].wrong_for
+            if one.begun.samples < begun.samples:
+                one.keep = weigh[g]
+                one.notes += (_left_out(begun.samples, one.begun.samples, self.asked.loss),)
+            else:
+                one.begun = begun
+            if wrong_for:
+                one.notes += outliers.too_many_note(sorted(wrong_for, key=columns.index))
+        return self.solve(self.asked.solver) if left < total else whole
 
     def _with_noise_left(self, state: Solution) -> Solution:
         """Return the optimum with the noise that it leaves where that was estimated and is larger."""
@@ -832,18 +816,27 @@ def restricted(found: Determination, sharing: Sharing, g: int) -> Determination:
                    structural=tuple(structural))  # fmt: skip
 
 
-def _late(one: _Open, state: Solution) -> tuple[str, ...]:
+def _left_out(total: float, left: float, loss: str) -> str:
+    """Return what to say of the weight that outliers lost."""
+    share = f"{100 * (total - left) / total:.2g} %"
+    if loss == "tukey":
+        return f"Tukey's biweight took {share} of the weight."
+    return (
+        f"{total - left:.0f} of {total:.0f} samples ({share}) are isolated spikes and were left out of fit "
+        "and error tables (--loss none keeps them)."
+    )
+
+
+def _late(one: Opened, state: Solution) -> tuple[str, ...]:
     late = lateness(one.task.log, one.task.model, state.p, state.zeros(), state.fitted)
-    if isinstance(state, Started):
-        one.task.check(state)
-    start.check_reference(one.task.model, one.begun.linear.unexplained, one.task.log.name)
     return () if late is None else (late,)
 
 
-def _judged(name: str, one: _Open, known: Solution) -> Member:
+def _judged(one: Opened, known: Solution) -> Solved:
     """Return a held-out log, decoded with the parameters of the others; all of its runs are held out."""
     everything = one.begun.everything
     state = Solution(everything, everything, known.determination, known.search)
     errors = replace(one.task.errors(state, None), holdout=everything.summary.runs)
-    return Member(name, one.task, state, errors, None, one.wiring, one.mounted,
-                  (*one.notes, *_late(one, state)), held_out=True)  # fmt: skip
+    one.notes += _late(one, state)
+    start.check_reference(one.task.model, one.begun.linear.unexplained, one.task.log.name)
+    return one.solved(state, errors)

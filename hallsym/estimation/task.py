@@ -11,7 +11,6 @@ from hallsym.estimation import outliers, start
 from hallsym.estimation.calibration import Errors, Fit
 from hallsym.estimation.covariance import noise_floor
 from hallsym.estimation.decoding import (
-    columns_of,
     error_tables,
     knows_rails,
     logged_columns,
@@ -19,18 +18,16 @@ from hallsym.estimation.decoding import (
 )
 from hallsym.estimation.gauss_newton import DROP, optimum
 from hallsym.estimation.goodness_of_fit import goodness_of
-from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_of
-from hallsym.estimation.optimum import Solution, search
-from hallsym.estimation.plausible import Judgement, Wiring, as_read, judge, lateness, rewired, wiring_of
+from hallsym.estimation.optimum import Solution
+from hallsym.estimation.plausible import Judgement, Wiring, as_read, judge, rewired, wiring_of
 from hallsym.estimation.residual_noise import KNOWN, estimated_factor, noise_at
 from hallsym.estimation.run_statistics import RunStatistics, summarise
 from hallsym.families import adapted, build, default_model
 from hallsym.log import Log, Noise, estimate_noise, usable
-from hallsym.log.batches import Weigh, remembered
+from hallsym.log.batches import Weigh
 from hallsym.log.drop import Drop, without
-from hallsym.log.phase import continuous, designed, nearest_turn
-from hallsym.log.quality.gains import explained
+from hallsym.log.phase import continuous, designed
 from hallsym.model import Inspection, Model
 from hallsym.terminal import Step
 
@@ -85,13 +82,6 @@ BEGIN = (2 / 3, 1 / 3)
 thirds of a share of up to 1.5 is all of it."""
 SPIKY = 1e-3
 """Share of samples that are spikes from which on slopes are judged after the fit, without them."""
-CLEARLY = 2.0
-"""Cost of a fit over that of another reading of the log from which on the other is right: noise alone makes
-them equal, to a few percent."""
-ROUNDS = 12
-"""Of taking outliers out and fitting again, at most."""
-
-
 QUICKLY_KNOWN = 1.06
 """Residual over a noise that was estimated quickly from which on a log is looked at in full: three times its
 1.2 %, and up to 3 % by which the least of several estimates is below their mean."""
@@ -115,11 +105,18 @@ def noise_of(log: Log, model: Model | None, holdout: Sequence[int] = (), *, quic
 
 
 @dataclass(frozen=True, eq=False)
-class Started(Solution):
-    """A solved fit of run statistics, with what it was started and is checked with."""
+class Asked:
+    """How a fit was asked for; see `fit`."""
 
-    merged: Cost
-    linear: start.LinearFit
+    solver: str = "direct"
+    holdout: Sequence[int] | None = None
+    loss: str = "none"
+    resolve_wiring: bool = False
+    drop_bad: bool = False
+    seed: int = 0
+    start: np.ndarray | None = None
+    quick: bool = False
+    say: Progress = lambda _: None
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,24 +128,40 @@ class Begun:
     merged: Cost
     linear: start.LinearFit
 
+    @property
+    def samples(self) -> float:
+        """How many samples count."""
+        return float(self.everything.summary.counts.sum())
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(eq=False)
 class Opened:
-    """A log before its fit: costs and what was judged by them; `found`: before channels were put in order."""
+    """A log that takes part: its costs so far, what was judged by them, taken out, and is to be said.
+
+    `given`, `found`: the log and its judgement before channels were put in order.
+    """
 
     task: "Task"
     begun: Begun
     judged: Judgement
+    given: Log
     found: Judgement
     wiring: Wiring | None
+    mounted: Wiring | None = None
+    notes: tuple[str, ...] = ()
+    keep: Weigh | None = None
+
+    def solved(self, solution: Solution, errors: Errors | None) -> "Solved":
+        """Return how it ended."""
+        return Solved(self.task, solution, errors, self.keep, self.wiring, self.mounted, self.notes)
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """How a task ended.
+    """How the fit of a log ended.
 
     `errors`: None where nothing was amiss and nobody asked. `keep`: weights that took outliers out.
-    `wiring`: None where the channels are in order.
+    `wiring`: None where the channels are in order; `mounted`: that which an inspection found before.
     """
 
     task: "Task"
@@ -156,84 +169,43 @@ class Solved:
     errors: Errors | None
     keep: Weigh | None = None
     wiring: Wiring | None = None
+    mounted: Wiring | None = None
     notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What stays the same while a fit goes round.
+    """What stays the same while the fit of a log goes round.
 
-    `holdout`: runs that take no part. `begin_at`: (n,) values to begin from, None for the closed form.
-    `known_noise`: of columns that the log neither states nor shows.
+    `holdout`: runs that take no part. `known_noise`: of columns that the log neither states nor shows.
+    `centre`: of the features, where other logs are fitted with this one; else the log's own.
     """
 
     log: Log
     model: Model
     holdout: tuple[int, ...]
-    solver: str
-    loss: str
-    seed: int
-    say: Progress
-    begin_at: np.ndarray | None
+    asked: Asked
     known_noise: Noise = field(default_factory=Noise)
-    quick: bool = False
-    """Whether a log that its run statistics show to be in order is not read again: no error tables."""
     centre: np.ndarray | None = None
-    """Of the features, where other logs are fitted with this one; else the log's own."""
 
     @cached_property
     def noise(self) -> Noise:
         """Noise by column, with its source."""
-        return noise_of(self.log, self.model, self.holdout, quick=self.quick).merged(self.known_noise)
+        return noise_of(self.log, self.model, self.holdout, quick=self.asked.quick).merged(self.known_noise)
 
-    def by_statistics(self, resolve_wiring: bool) -> Solved:
-        """Fit run statistics, which hold all that the cost can ask of the log."""
-        opened = self.opened(resolve_wiring)
-        task, judged, wiring = opened.task, opened.judged, opened.wiring
-        state = task.solve(opened.begun)
-        if wiring is not None:
-            self.refuse_references(opened.found, state)
-        if self.quick and not judged.spiky and task.in_order(state):
-            task.check(state)
-            return Solved(task, state, None, None, wiring, judged.notes)
-        errors, keep, notes = task.errors(state, None), None, judged.notes
-        if task.suspicious(state, errors) if self.loss == "auto" else self.loss != "none":
-            state, keep, said = task.without_outliers(state)
-            notes += said
-            errors = task.errors(state, keep) if keep else errors
-        if judged.spiky:
-            again = task.judge(state)
-            again.refuse()
-            notes += again.notes
-        late = lateness(task.log, task.model, state.p, state.zeros(), state.fitted)
-        notes += () if late is None else (late,)
-        task.check(state)
-        return Solved(task, state, errors, keep, wiring, notes)
-
-    def opened(self, resolve_wiring: bool) -> "Opened":
+    def opened(self) -> Opened:
         """Return the costs of the log, judged, with its channels put in order where that is asked for."""
         task, begun = self, self.begin(self.summary())
-        judged = self.judged(begun)
-        found, wiring = judged, wiring_of(judged.whole) if resolve_wiring else None
+        judged = found = self.judged(begun)
+        wiring = wiring_of(judged.whole) if self.asked.resolve_wiring else None
         if wiring is not None:
             task = replace(self, log=rewired(self.log, self.model.channels, wiring))
             begun = task.begin(task.summary())
             judged = task.judged(begun).resolved(judged)
         judged.refuse()
-        return Opened(task, begun, judged, found, wiring)
+        return Opened(task, begun, judged, self.log, found, wiring)
 
-    def refuse_references(self, found: Judgement, state: Started) -> None:
-        """Refuse a reference where its sign or order explains the log, and not that of the channels.
-
-        By linear slopes both may; what the fit leaves tells. `state`: the fit with the channels resolved.
-        """
-        for other in (e for e in found.whole if e.only_references and all(c.factor == 1 for c in e.changes)):
-            as_meant = tuple((c.source, c.sign) for c in other.references)
-            task = replace(self, log=rewired(self.log, self.model.references, as_meant))
-            if CLEARLY * task.solve(task.begin(task.summary()), "direct").search.cost < state.search.cost:
-                raise InputError(explained(self.log, self.model, [other]).sentence)
-
-    def by_passes(self, first: Fit | None) -> Solved:
+    def by_passes(self, first: Fit | None, notes: tuple[str, ...], mounted: Wiring | None) -> Solved:
         """Fit a model without run statistics, from `first`: the fit of what it is without its effects."""
         task, keep, begin = self, None, self.model.nominal
         if self.model.guess is not None and first is None:
@@ -245,15 +217,19 @@ class Task:
             keep = None if knows_rails(self.model) else first.keep
             known = first.model.named(first.values)
             begin = self.model.vector({n: v for n, v in known.items() if n in self.model.names})
-        begin = begin if self.begin_at is None else self.begin_at
+        begin = begin if self.asked.start is None else self.asked.start
         state = task.passes(begin, keep)
         if first is not None:
             state = task.elsewhere(state, first.model.names, keep)
-        return Solved(task, state, task.errors(state, keep), keep, first.wiring if first else None)
+        if (noise := task.noise_left(state, keep)) is not None:
+            task = replace(task, log=replace(task.log, noise=noise))
+            state = task.passes(state.p, keep)
+        wiring = first.wiring if first else None
+        return Solved(task, state, task.errors(state, keep), keep, wiring, mounted, notes)
 
     def passes(self, begin: np.ndarray, keep: Weigh | None) -> Solution:
         """Return the optimum that passes over the log reach from `begin` (n,)."""
-        return optimum(self.log, self.model, self.noise.std, begin, self.holdout, keep, self.say)
+        return optimum(self.log, self.model, self.noise.std, begin, self.holdout, keep, self.asked.say)
 
     def elsewhere(self, state: Solution, known: Sequence[str], keep: Weigh | None) -> Solution:
         """Return a better optimum that begins where parameters of effects that seemed to do nothing act.
@@ -289,8 +265,8 @@ class Task:
     def counting(self, what: str) -> Callable[[int], None]:
         """Return a progress callback that says which share of the log is done."""
         total = self.log.rows
-        self.say(what)
-        return lambda rows: self.say(
+        self.asked.say(what)
+        return lambda rows: self.asked.say(
             Step(f"{what}, {100 * rows // total} % of {total} samples", rows / total)
         )
 
@@ -298,44 +274,27 @@ class Task:
         """Return the run statistics of the log."""
         return summarise(self.log, self.model, weigh, self.counting("summarising runs"), self.centre)
 
-    def begin(self, summary: RunStatistics) -> "Begun":
+    def begin(self, summary: RunStatistics) -> Begun:
         """Return what linear least squares says of one set of run statistics."""
         everything = cost_of(summary, self.noise.std)
         fitted = everything.without(self.holdout)
         merged = cost_of(fitted.summary.merged(), self.noise.std)
         return Begun(everything, fitted, merged, start.linear_fit(merged))
 
-    def judged(self, begun: "Begun") -> Judgement:
+    def judged(self, begun: Begun) -> Judgement:
         """Judge units, signs and runs before the fit; spikes bend slopes: where there are any, after it."""
         found = self.judge(begun)
         if not found.findings:
             return found
         columns = (*self.model.references, *self.model.channels)
         again = self.begin(self.summary(outliers.column_spikes(columns)))
-        left, total = (float(b.everything.summary.counts.sum()) for b in (again, begun))
-        if left >= (1 - SPIKY) * total:
+        if again.samples >= (1 - SPIKY) * begun.samples:
             return found
-        return self.judge(again) if self.loss == "none" else Judgement(spiky=True)
+        return self.judge(again) if self.asked.loss == "none" else Judgement(spiky=True)
 
-    def judge(self, begun: "Begun | Started") -> Judgement:
+    def judge(self, begun: Begun) -> Judgement:
         """Judge units, signs and runs by what linear least squares says."""
         return judge(self.log, begun.everything, begun.merged, begun.linear, self.holdout)
-
-    def solve(self, begun: "Begun", solver: str | None = None) -> Started:
-        """Find the optimum from what linear least squares says."""
-        fitted, merged, linear = begun.fitted, begun.merged, begun.linear
-        closed_form = start.closed_form(merged, linear)
-        first = np.clip(closed_form if self.begin_at is None else self.begin_at, *self.model.bounds)
-        determination = determine(fitted, first)
-        held = list(determination.held)
-        first[held] = np.clip(self.model.nominal, *self.model.bounds)[held]
-        solver = solver or self.solver
-        self.say(f"solving with {solver}")
-        found = search(
-            fitted, merged, first, determination, solver=solver, seed=self.seed, newton_first=self.quick
-        )
-        found = replace(found, p=nearest_turn(self.model, found.p))
-        return Started(begun.everything, fitted, determination, found, merged, linear)
 
     def errors(self, state: Solution, keep: Weigh | None) -> Errors:
         """Return the errors before and after; `keep`: weight of each sample."""
@@ -352,67 +311,19 @@ class Task:
         floor = np.array(list(noise_floor(state.point).values()))
         return bool(np.any(errors.fitted.peak.max(axis=0) > SUSPECT * floor))
 
-    def without_outliers(self, state: Started) -> tuple[Started, Weigh | None, tuple[str, ...]]:
-        """Take outliers out, refit, until the same samples are left."""
-        total, before, whole = float(state.everything.summary.counts.sum()), -1.0, state
-        columns = (*self.model.references, *self.model.channels)
-        rule = outliers.column_spikes(columns)
-        weigh = suspects = remembered(rule, self.log.rows, columns)
-        rounds = 0
-        while True:
-            rounds, summary = rounds + 1, self.summary(weigh)
-            left = float(summary.counts.sum())
-            if left < total:
-                self.say(f"refitting without outliers ({100 * (1 - left / total):.2g} % of the weight)")
-                state = self.solve(self.begin(summary), solver="direct")
-            self.check(state)
-            if abs(left - before) <= 1e-6 * total or rounds == ROUNDS:
-                break
-            del summary  # it may be large: freed before the next is computed
-            before, rule = left, self.weigh(state, suspects)
-            weigh = remembered(rule, self.log.rows, columns_of(self.model))
-        kept = outliers.too_many_note(sorted(rule.wrong_for, key=columns.index)) if rule.wrong_for else ()
-        if left == total:
-            return whole, None, kept
-        state = self.solve(self.begin(summary))
-        gone = total - left
-        said = (
-            f"{gone:.0f} of {total:.0f} samples ({100 * gone / total:.2g} %) are isolated spikes and were "
-            "left out of fit and error tables (--loss none keeps them)."
-            if self.loss != "tukey"
-            else f"Tukey's biweight took {100 * gone / total:.2g} % of the weight."
-        )
-        return state, weigh, (said, *kept)
-
     def weigh(self, state: Solution, suspects: Weigh) -> outliers.Filter:
         """Return what takes outliers out, judged by the residuals of the fit so far."""
         residual = outliers.residuals(self.model, state.p, state.zeros())
         covariance = state.point.covariance.mean(axis=0)
-        if self.loss == "tukey":
+        if self.asked.loss == "tukey":
             return outliers.tukey(residual, covariance)
         return outliers.reject_spikes(residual, covariance, suspects, self.model.channels)
 
-    def with_noise_left(self, solved: Solved) -> Solved:
-        """Return the fit with the noise that it leaves where its noise was estimated and is larger.
+    def noise_left(self, state: Solution, keep: Weigh | None) -> Noise | None:
+        """Return the noise that a fit leaves where its noise was estimated and is larger; None elsewhere.
 
         Differences of neighbouring samples miss noise that is correlated; what the fit leaves does not.
         """
-        if solved.errors is None:
-            return solved
-        state = solved.solution
-        noise = self.noise_left(state, solved.keep)
-        if noise is None:
-            return solved
-        task = replace(self, log=replace(self.log, noise=noise), begin_at=state.p)
-        if isinstance(state, Started):
-            begun = task.begin(task.summary(solved.keep) if solved.keep else state.everything.summary)
-            state = task.solve(begun, solver="direct")
-        else:
-            state = task.passes(state.p, solved.keep)
-        return replace(solved, task=task, solution=state, errors=task.errors(state, solved.keep))
-
-    def noise_left(self, state: Solution, keep: Weigh | None) -> Noise | None:
-        """Return the noise that a fit leaves where its noise was estimated and is larger; None elsewhere."""
         columns = (*self.model.channels, *self.model.references)
         guessed = frozenset(c for c in columns if self.noise[c].source == "estimated")
         if not guessed:
@@ -425,7 +336,3 @@ class Task:
         return Noise({
             c: replace(s, value=s.value * factor) if c in guessed else s for c, s in self.noise.sigmas.items()
         })  # fmt: skip
-
-    def check(self, state: Started) -> None:
-        """Refuse a reference that does not belong."""
-        start.check_reference(self.model, state.linear.unexplained, self.log.name)
