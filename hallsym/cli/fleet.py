@@ -13,7 +13,6 @@ from hallsym.cli.common import (
     reading_of,
     say,
 )
-from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
 from hallsym.fleets import fleet, machine_file, tolerance_file
 from hallsym.fleets.row import GOOD
@@ -27,20 +26,20 @@ def add(sub: Any) -> None:
         "Calibrate every device of a fleet, as many at once as there are cores, and write one row a device:\n"
         "parameters, uncertainties, verdict, and the reason where a log could not be fitted. A fleet that\n"
         "was stopped goes on where it was when the same command is given again. Prints how parameters\n"
-        "spread between devices beyond the uncertainty of a fit, which devices differ, and what drifts over\n"
-        "production. The exit code is 3 where a device is not good.",
+        "spread between devices beyond the uncertainty of a fit, and which devices differ. The exit code is\n"
+        "3 where a device is not good.",
         "examples:\n"
         "  hallsym fleet logs/ --model rotary -o fleet.parquet\n"
-        "  hallsym fleet 'logs/*.parquet' -o fleet.parquet --page fleet.html --next-machine next.toml\n"
-        "  hallsym fleet devices.csv --diagnose -o fleet.parquet    a table: log,device,order,supplier\n"
+        "  hallsym fleet logs/*.parquet -o fleet.parquet --page fleet.html --next-machine next.toml\n"
+        "  hallsym fleet devices.csv --diagnose -o fleet.parquet    a table: log,device,supplier\n"
         "  hallsym fleet logs/ -o fleet.parquet --scheduler tcp://host:8786",
     )  # fmt: skip
     parser.add_argument(
         "logs", metavar="LOGS", nargs="+",
-        help="a folder of logs, a pattern in quotes, logs, or a table with columns log, device, order, ...",
+        help="a folder of logs, logs, or a table with columns log, device, ...",
     )  # fmt: skip
-    parser.add_argument("-o", "--output", metavar="TABLE", help="the table: .parquet, .csv or .json")
-    parser.add_argument("--page", metavar="HTML", help="write a page with distributions and trends")
+    parser.add_argument("-o", "--output", metavar="TABLE", help="the table: .parquet or .csv")
+    parser.add_argument("--page", metavar="HTML", help="write a page with distributions")
     parser.add_argument(
         "--next-machine", metavar="TOML", help="write nominal values and bounds for the next batch"
     )
@@ -63,13 +62,11 @@ def add(sub: Any) -> None:
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
-    machine = read_machine(options.machine)
     found = fleet(
         options.logs,
         options.model,
         effects=options.effect,
-        parameters=machine.parameters,
-        machine={"probes": machine.probes, "tables": dict(machine.tables)} if options.machine else None,
+        machine=options.machine,
         diagnose=options.diagnose,
         drop_bad=options.drop_bad,
         reading={key: value for key, value in reading_of(options).items() if value},

@@ -1,22 +1,30 @@
-"""The verb `fleet`: every device fitted by itself, as many at once as there are workers."""
+"""The verb `fleet`: every device fitted by itself, as many at once as there are workers.
 
+A journal beside the output keeps what is done, one line a device: a fleet that was stopped or killed goes on
+where it was.
+"""
+
+import hashlib
+import json
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import IO, Any
 
 from hallsym.errors import InputError, counted
-from hallsym.families import adapted, build, effect_named
-from hallsym.fleets.journal import Journal, journal_of
+from hallsym.families import build, effect_named
+from hallsym.families.machine_file import Machine, read_machine
+from hallsym.files import reason
 from hallsym.fleets.result import Fleet
-from hallsym.fleets.row import Job, Settings, failed, row_of
-from hallsym.fleets.sources import ORDER_COLUMN, Device, devices_of
+from hallsym.fleets.row import Settings, failed, row_of
+from hallsym.fleets.sources import Device, devices_of
 from hallsym.fleets.workers import Failed, completed
 from hallsym.log import Meta
 from hallsym.model import Model
 from hallsym.terminal import said_time
-
-Progress = Callable[[str], None]
 
 
 def fleet(
@@ -24,28 +32,23 @@ def fleet(
     model: str | None = None,
     *,
     effects: Sequence[str] = (),
-    parameters: Mapping[str, Mapping[str, float]] | None = None,
-    solver: str = "direct",
-    loss: str = "auto",
+    machine: Machine | str | Path | None = None,
     diagnose: bool = False,
     drop_bad: bool = False,
-    resolve_wiring: bool = False,
     reading: Mapping[str, Any] | None = None,
-    machine: Mapping[str, Any] | None = None,
     output: str | Path | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
-    on_progress: Progress | None = None,
+    on_progress: Callable[[str], None] | None = None,
 ) -> Fleet:
     """Calibrate every device of a fleet and return one row a device.
 
-    `sources`: a folder of logs, a pattern, logs, or a table of logs with columns `log`, `device`, `order` and
-    covariates. `model`, `effects`, `parameters`, `solver`, `loss`, `drop_bad`, `resolve_wiring`: as for
-    `fit`, of every log; numbers of effects that are left open are found on each. `reading`: more of
-    `read_log`. `machine`: probes and tables of a machine file. `diagnose`: diagnose each log too. `output`:
-    the table to write; beside it a journal keeps what is done until all is, so that the same call goes on
-    where an earlier one was stopped. `workers`: local processes, one a core by default; `scheduler`: address
-    of a Dask scheduler instead.
+    `sources`: a folder of logs, logs, or a table of logs with columns `log`, `device` and covariates.
+    `model`, `effects`, `drop_bad`: as for `fit`, of every log; numbers of effects that are left open are
+    found on each. `machine`: a machine file, or what `read_machine` returns. `reading`: more of `read_log`.
+    `diagnose`: diagnose each log too. `output`: the table to write; beside it a journal keeps what is done
+    until all is, so that the same call goes on where an earlier one was stopped. `workers`: local processes,
+    one a core by default; `scheduler`: address of a Dask scheduler instead.
 
     A log that cannot be fitted gives a row with its reason. A log whose run statistics show nothing amiss is
     read once, without error tables (`fit(quick=True)`).
@@ -57,94 +60,97 @@ def fleet(
     if workers is not None and workers < 1:
         raise InputError(f"'workers' must be 1 or more; instead received {workers}.")
     devices = devices_of(sources)
-    settings = Settings(
-        model, tuple(effects), dict(parameters or {}), machine, solver, loss, dict(reading or {}), drop_bad,
-        resolve_wiring, diagnose,
-    )  # fmt: skip
+    known = machine if isinstance(machine, Machine) else read_machine(machine)
+    settings = Settings(model, tuple(effects), known, dict(reading or {}), drop_bad, diagnose)
     if model is not None:
         _built(model, settings)
-    journal = None if output is None else Journal(journal_of(output), settings)
-    rows = _rows(devices, settings, journal, workers, scheduler, say)
-    rows = [_of_one_model(row, rows) for row in rows]
-    found = Fleet(tuple(rows), _model(rows, settings), perf_counter() - began)
+    journal = Journal(journal_of(output) if output else None, settings)
+    rows = {d.name: row for d in devices if (row := journal.done(d)) is not None}
+    left = [device for device in devices if device.name not in rows]
+    before, started = len(rows), perf_counter()
+    work = completed(partial(row_of, settings), left, workers=workers, scheduler=scheduler) if left else ()
+    with journal:
+        for device, told in work:
+            rows[device.name] = failed(told.reason) if isinstance(told, Failed) else told
+            journal.add(device, rows[device.name])
+            each = (perf_counter() - started) / (len(rows) - before)
+            time_left = said_time(each * (len(devices) - len(rows)))
+            say(f"{len(rows)} of {counted(len(devices), 'device')}, {time_left} left")
+    table = [{"device": d.name, "log": d.log, **d.covariates, **rows[d.name]} for d in devices]
+    models = Counter(str(row["model"]) for row in table if "model" in row).most_common(1)
+    found = Fleet(
+        tuple(table), _built(models[0][0], settings) if models else None, perf_counter() - began
+    )  # fmt: skip
     if output is not None:
         found.save(output)
-    if journal is not None:
-        journal.path.unlink(missing_ok=True)
+        journal_of(output).unlink(missing_ok=True)
     return found
 
 
-def _rows(
-    devices: Sequence[Device],
-    settings: Settings,
-    journal: Journal | None,
-    workers: int | None,
-    scheduler: str | None,
-    say: Progress,
-) -> list[dict[str, Any]]:
-    """Return the row of every device, in their order; those that the journal knows are not fitted again."""
-    rows: dict[str, dict[str, Any]] = {}
-    if journal is not None:
-        rows = {d.name: row for d in devices if (row := journal.done(d)) is not None}
-    jobs = [Job(device, settings) for device in devices if device.name not in rows]
-    began, before = perf_counter(), len(rows)
-    try:
-        for done in completed(row_of, jobs, workers=workers, scheduler=scheduler) if jobs else ():
-            device, told = done.work.device, done.result
-            rows[device.name] = failed(told.reason) if isinstance(told, Failed) else told
-            if journal is not None:
-                journal.add(device, rows[device.name])
-            say(_progress(len(rows), len(devices), before, perf_counter() - began))
-    finally:
-        if journal is not None:
-            journal.close()
-    return [
-        {"device": d.name, "log": d.log, ORDER_COLUMN: d.order, **d.covariates, **rows[d.name]}
-        for d in devices
-    ]
-
-
-def _progress(done: int, every: int, before: int, seconds: float) -> str:
-    """Return how far the fleet is, and the time that is left."""
-    left = seconds / max(done - before, 1) * (every - done)
-    return f"{done} of {counted(every, 'device')}, {said_time(left)} left"
-
-
-def _of_one_model(row: dict[str, Any], rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the row, or that its log is of another model than most of the fleet."""
-    models = [(r.get("model"), r.get("effects")) for r in rows if r.get("model")]
-    if not row.get("model") or not models:
-        return row
-    usual = max(dict.fromkeys(models), key=models.count)
-    if (row["model"], row["effects"]) == usual:
-        return row
-    reason = (
-        f"Its log is of model {row['model']}, most of the fleet is {usual[0]}; fit it in a fleet of its own."
-    )
-    kept = {k: row[k] for k in row if ":" not in k and k not in ("model", "effects")}
-    return {**kept, **failed(reason)}
-
-
-def _model(rows: Sequence[Mapping[str, Any]], settings: Settings) -> Model | None:
-    """Return the model of the devices that were fitted, with the columns of the first of them."""
-    row = next((r for r in rows if r.get("model")), None)
-    if row is None:
-        return None
-    return _built(str(row["model"]), settings)
-
-
 def _built(name: str, settings: Settings) -> Model:
-    """Return the model of the fleet, without effects whose numbers each log has of its own.
+    """Return a model of the fleet, without effects whose numbers each log has of its own.
 
     Raises `InputError` for a model, an effect or a parameter that is not known.
     """
-    model, found = build(name, meta=Meta(probes=(settings.machine or {}).get("probes"))), True
-    for text in settings.effects:
-        effect = effect_named(text, model)
-        if ":" in text or not effect.lacking(text):
-            model = effect.added(model, text)
-        else:
-            found = False
-    known = {p.name for p in (*model.parameters, *model.zeros)}
-    changes = {n: e for n, e in settings.parameters.items() if found or n in known}
-    return adapted(model, (), changes)
+    meta = settings.machine.applied(Meta())
+    plain = build(name, meta=meta)
+    stated = [e for e in settings.effects if ":" in e or not effect_named(e, plain).lacking(e)]
+    whole = len(stated) == len(settings.effects)
+    return build(
+        name, meta=meta, added=tuple(stated), parameters=settings.machine.parameters if whole else {}
+    )
+
+
+def journal_of(output: str | Path) -> Path:
+    """Return the journal that stands beside an output."""
+    return Path(f"{output}.journal")
+
+
+class Journal:
+    """Rows by stamp as they are done; each is on the disk before the next device is reported."""
+
+    def __init__(self, path: Path | None, settings: Settings) -> None:
+        """Read what an earlier run of the same settings left; without a path nothing is kept."""
+        self.path, self._settings = path, json.dumps(asdict(settings), sort_keys=True, default=str)
+        self._stream: IO[str] | None = None
+        self._rows: dict[str, dict[str, Any]] = {}
+        if path is not None and path.exists():
+            for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+                try:
+                    entry = json.loads(line)
+                    self._rows[entry["stamp"]] = entry["row"]
+                except (ValueError, KeyError, TypeError):  # of a line that a killed process cut short
+                    continue
+
+    def _stamp(self, device: Device) -> str:
+        """Return what changes with the settings, and when the log of a device is recorded again."""
+        path = Path(device.log)
+        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        told = [(p.name, p.stat().st_size, p.stat().st_mtime_ns) for p in files if p.is_file()]
+        return hashlib.sha256(repr((self._settings, str(path), told)).encode()).hexdigest()[:16]
+
+    def done(self, device: Device) -> dict[str, Any] | None:
+        """Return the row of a device whose log has not changed since; None for one that is to be fitted."""
+        return self._rows.get(self._stamp(device)) if self._rows else None
+
+    def add(self, device: Device, row: Mapping[str, Any]) -> None:
+        """Keep a row."""
+        if self.path is None:
+            return
+        if self._stream is None:
+            try:
+                self._stream = open(self.path, "a", encoding="utf-8")  # noqa: SIM115
+            except OSError as error:
+                raise InputError(f"Cannot write {self.path}: {reason(error)}.") from error
+            self._stream.write("\n")  # ends a line that was cut short
+        self._stream.write(json.dumps({"stamp": self._stamp(device), "row": dict(row)}) + "\n")
+        self._stream.flush()
+
+    def __enter__(self) -> "Journal":
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Stop writing."""
+        if self._stream is not None:
+            self._stream.close()

@@ -1,42 +1,39 @@
-"""A fleet: one row a device, and what the devices have in common."""
+"""A fleet: one row a device, what the devices have in common, and what to expect of the next ones."""
 
-import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import ndtri
 
-from hallsym.errors import InputError, quoted
-from hallsym.files import atomic_write, replacing
+from hallsym.errors import InputError, counted, quoted
+from hallsym.files import replacing
 from hallsym.fleets.row import GOOD, STD, VALUE, VERDICTS
-from hallsym.fleets.sources import ORDER_COLUMN
-from hallsym.fleets.spread import CHANCE, MAD, Spread, spread_of
+from hallsym.fleets.spread import Spread, spread_of
 from hallsym.model import Model
 from hallsym.shown import Shown
 
 FORMAT = "hallsym fleet 1"
-FIXED = ("device", "log", ORDER_COLUMN, "verdict", "reason")
+FIXED = ("device", "log", "verdict", "reason")
 COLUMNS = (
     "model", "effects", "rows", "runs", "residual_over_noise", "cost_per_degree_of_freedom", "worst_run",
     "worst_channel", "diagnosis", "causes", "diagnosis_reason", "seconds",
 )  # fmt: skip
 """Columns of the table beside parameters and covariates, in this order."""
 KNOWN = (*FIXED, *COLUMNS)
-ENOUGH, DEGREES = 8, 5
-"""Devices from which on residuals are compared, and degrees of freedom of Student's t that stands for their
-distribution: residuals of good devices scatter more than normal ones."""
+OUTSIDE = 1e-4
+"""Share of the next devices whose estimate of a parameter may lie outside its bounds."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fleet(Shown):
-    """What `fleet` returns. `rows`: one a device, in production order; `save` writes them as a table.
+    """What `fleet` returns. `rows`: one a device, in their order; `save` writes them as a table.
 
-    `model`: of the devices that were fitted, None where none was. `seconds`: of the whole fleet.
+    `model`: of most devices that were fitted, None where none was. `seconds`: of the whole fleet.
     """
 
     rows: tuple[Mapping[str, Any], ...]
@@ -60,7 +57,7 @@ class Fleet(Shown):
 
     @property
     def devices(self) -> tuple[str, ...]:
-        """Names of the devices, in production order."""
+        """Names of the devices."""
         return tuple(str(row["device"]) for row in self.rows)
 
     def column(self, name: str) -> np.ndarray:
@@ -76,72 +73,54 @@ class Fleet(Shown):
     @cached_property
     def spreads(self) -> tuple[Spread, ...]:
         """How each parameter differs between the devices whose model describes them."""
-        good = np.array([row["verdict"] == GOOD for row in self.rows], dtype=bool)
-        along = {ORDER_COLUMN: self.column(ORDER_COLUMN)[good]}
-        along |= {c: self.column(c)[good] for c in self.covariates}
+        if self.model is None:
+            return ()
+        good = self.good
         devices = [d for d, use in zip(self.devices, good, strict=True) if use]
+        units = {p.name: p.unit for p in self.model.parameters}
         found = [
             spread_of(
-                name, self._unit(name), self.column(VALUE + name)[good], self.column(STD + name)[good],
-                devices, columns=along, tests=len(self.parameters),
-                period=self.model.period.get(name) if self.model else None,
+                name, units.get(name, ""), self.column(VALUE + name)[good], self.column(STD + name)[good],
+                devices, tests=len(self.parameters), period=self.model.period.get(name),
             )
             for name in self.parameters
         ]  # fmt: skip
         return tuple(spread for spread in found if spread is not None)
 
-    def _unit(self, name: str) -> str:
-        known = {p.name: p.unit for p in self.model.parameters} if self.model else {}
-        return known.get(name, "")
+    @cached_property
+    def good(self) -> np.ndarray:
+        """Which devices (devices,) are good, and of the model that most are of."""
+        name = self.model.name if self.model else None
+        return np.array([r["verdict"] == GOOD and r.get("model") == name for r in self.rows], dtype=bool)
 
     @cached_property
     def outlying(self) -> dict[str, str]:
         """Devices that differ from the others, and in what: a sentence each, the worst verdict first."""
         out: dict[str, str] = {}
         for verdict in VERDICTS:
-            for row in self.rows:
-                if row["verdict"] == verdict != GOOD:
-                    out[str(row["device"])] = f"{verdict}: {row.get('reason') or VERDICTS[verdict]}"
+            for row, good in zip(self.rows, self.good, strict=True):
+                if row["verdict"] == verdict and not good:
+                    usual = self.model.name if self.model else None
+                    other = row.get("model", usual) != usual
+                    why = f"of model {row['model']}, not {usual}" if other else row.get("reason")
+                    out[str(row["device"])] = f"{verdict}: {why}"
         for spread in self.spreads:
             for device, score in sorted(spread.outlying.items(), key=lambda item: -abs(item[1])):
                 side = "above" if score > 0 else "below"
                 far = f"{spread.name} is {abs(score):.1f} standard deviations {side} the others"
                 out[device] = f"{out[device]}; {far}" if device in out else far
-        for device, ratio in self._loud.items():
-            said = f"leaves {ratio:.2f} x the noise, more than the others"
-            out[device] = f"{out[device]}; {said}" if device in out else said
         return out
 
     @cached_property
-    def _loud(self) -> dict[str, float]:
-        """Good devices whose residual over noise is not that of the others."""
-        good = [r for r in self.rows if r["verdict"] == GOOD]
-        ratio = np.array([_number(r.get("residual_over_noise")) for r in good])
-        if len(ratio) < ENOUGH:
-            return {}
-        logs = np.log(np.maximum(ratio, 1e-12))
-        middle = np.median(logs)
-        spread = max(MAD * float(np.median(np.abs(logs - middle))), 1e-3)
-        far = float(stdtrit(DEGREES, 1 - CHANCE / len(logs)))
-        score = (logs - middle) / spread
-        return {
-            str(row["device"]): float(value)
-            for row, value, z in zip(good, ratio, score, strict=True)
-            if z > far
-        }
-
-    @cached_property
     def groups(self) -> dict[str, tuple[str, ...]]:
-        """Devices of the same diagnosis, else of the same verdict: groups of two or more, largest first."""
+        """Devices of the same diagnosis and causes: groups of two or more, largest first."""
         keys: dict[str, list[str]] = {}
         for row in self.rows:
             if row.get("diagnosis"):
-                key = f"{row['diagnosis']}: {row['causes']}" if row.get("causes") else str(row["diagnosis"])
-            else:
-                key = str(row["verdict"])
-            keys.setdefault(key, []).append(str(row["device"]))
-        counted = Counter({key: len(devices) for key, devices in keys.items()})
-        return {key: tuple(keys[key]) for key, count in counted.most_common() if count > 1}
+                key = f"{row['diagnosis']}: {row['causes']}" if row.get("causes") else row["diagnosis"]
+                keys.setdefault(key, []).append(str(row["device"]))
+        largest = sorted(keys.items(), key=lambda item: -len(item[1]))
+        return {key: tuple(devices) for key, devices in largest if len(devices) > 1}
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record that `hallsym fleet --json` prints."""
@@ -152,12 +131,7 @@ class Fleet(Shown):
             "seconds": self.seconds,
             "verdicts": {verdict: len(devices) for verdict, devices in self.verdicts.items()},
             "spread": {
-                s.name: {
-                    "unit": s.unit, "devices": s.devices, "mean": s.mean, "mean_std": s.mean_std,
-                    "std": s.std, "interval": list(s.interval), "scatter": s.scatter,
-                    "typical_std": s.typical_std,
-                    "trends": {t.column: vars(t) for t in s.trends},
-                }
+                s.name: {k: v for k, v in asdict(s).items() if k not in ("name", "outlying")}
                 for s in self.spreads
             },
             "outlying": self.outlying,
@@ -166,23 +140,15 @@ class Fleet(Shown):
         }  # fmt: skip
 
     def save(self, path: str | Path) -> None:
-        """Write the table: Parquet, CSV, or JSON with all that was found, by the suffix."""
+        """Write the table: Parquet or CSV, by the suffix."""
         suffix = Path(path).suffix.lower()
-        if suffix == ".json":
-            atomic_write(path, json.dumps(self.to_dict(), indent=1) + "\n")
-            return
-        if suffix not in (".parquet", ".pq", ".csv"):
-            raise InputError(f"A fleet is saved as .parquet, .csv or .json; instead received {quoted(path)}.")
+        if suffix not in (".parquet", ".csv"):
+            raise InputError(f"A fleet is saved as .parquet or .csv; instead received {quoted(path)}.")
         import pyarrow as arrow
         from pyarrow import csv, parquet
 
-        table = arrow.table(self.table())
-        about = {"hallsym": json.dumps({"format": FORMAT, "seconds": self.seconds})}
         with replacing(path) as temporary:
-            if suffix == ".csv":
-                csv.write_csv(table, temporary)
-            else:
-                parquet.write_table(table.replace_schema_metadata(about), temporary)
+            (csv.write_csv if suffix == ".csv" else parquet.write_table)(arrow.table(self.table()), temporary)
 
     def table(self) -> dict[str, list[Any]]:
         """Return the table by columns: device first, each parameter as its value and 1 sigma, in SI."""
@@ -191,8 +157,8 @@ class Fleet(Shown):
         return {key: [row.get(key) for row in self.rows] for key in shown}
 
 
-def load_fleet(path: str | Path, model: Model | None = None) -> Fleet:
-    """Read a table that `Fleet.save` wrote as Parquet or CSV; `model`: of the devices, for their units."""
+def load_fleet(path: str | Path) -> Fleet:
+    """Read a table that `Fleet.save` wrote as Parquet or CSV."""
     from pyarrow import ArrowException, csv, parquet
 
     if not Path(path).is_file():
@@ -203,18 +169,67 @@ def load_fleet(path: str | Path, model: Model | None = None) -> Fleet:
         raise InputError(f"File {quoted(path)} must be a table of a fleet; it cannot be read.") from error
     if not set(FIXED) <= set(table.column_names):
         raise InputError(f"File {quoted(path)} must be a table of a fleet; it has no column 'verdict'.")
-    rows = table.to_pylist()
-    return Fleet(tuple({k: v for k, v in row.items() if v is not None} | {"reason": row["reason"] or ""}
-                       for row in rows), model or _model(rows))  # fmt: skip
-
-
-def _model(rows: Sequence[Mapping[str, Any]]) -> Model | None:
     from hallsym.families import build
 
-    for row in rows:
-        if row.get("model"):
-            return build(row["model"])
-    return None
+    rows = [{k: v for k, v in row.items() if v is not None} for row in table.to_pylist()]
+    models = Counter(row["model"] for row in rows if "model" in row).most_common(1)
+    return Fleet(tuple({"reason": "", **row} for row in rows), build(models[0][0]) if models else None)
+
+
+def machine_file(fleet: Fleet) -> str:
+    """Return the text of a machine file with nominal values and bounds for the next batch.
+
+    Nominal: the mean of the devices. Bounds: a tolerance interval, which holds 9,999 of 10,000 next devices
+    or more with a confidence of 95 %. Parameters that repeat are left out: mounting sets them.
+    """
+    lines = [f"# From {_devices(fleet)}; SI units.", ""]
+    for s in _known(fleet):
+        low, high = bounds(s)
+        lines += [f"[parameters.{s.name}]", f"nominal = {s.mean:.9g}", f"lower = {low:.9g}",
+                  f"upper = {high:.9g}", ""]  # fmt: skip
+    return "\n".join(lines)
+
+
+def bounds(spread: Spread) -> tuple[float, float]:
+    """Return what the estimates of the next devices lie between but for `OUTSIDE` of them: in 95 % of fleets.
+
+    In 97.5 %, by the upper end of the interval of their spread, less the 1 % in which a good device was taken
+    for an outlying one.
+
+    W. G. Howe, J. Am. Stat. Assoc. 64 (1969) 610, doi:10.2307/2283644: the normal quantile times the upper
+    confidence limit of the standard deviation, which is also that of the mean about which it is taken.
+    """
+    sigma = float(np.hypot(spread.interval[1], spread.typical_std)) * (1.0 + 1.0 / spread.devices) ** 0.5
+    reach = -float(ndtri(OUTSIDE / 2)) * sigma
+    return spread.mean - reach, spread.mean + reach
+
+
+def tolerance_file(fleet: Fleet) -> str:
+    """Return the text of a tolerance file for `hallsym tolerances`: the spread of each parameter, 1 sigma."""
+    lines = [f"# From {_devices(fleet)}.", 'others = "exact"', "", "[tolerance]"]
+    for s in _known(fleet):
+        key = f"{s.name}_{_suffix(s.unit)}" if s.unit != "1" else s.name
+        lines.append(f"{key} = {{ std = {s.std:.9g} }}" if s.std > 0 else f'{key} = "exact"')
+    return "\n".join([*lines, ""])
+
+
+def _known(fleet: Fleet) -> list[Spread]:
+    period = fleet.model.period if fleet.model else {}
+    found = [s for s in fleet.spreads if s.name not in period]
+    if not found:
+        raise InputError(
+            "No parameter has a spread to make bounds or tolerances from: three good devices at least must "
+            "determine it."
+        )
+    return found
+
+
+def _devices(fleet: Fleet) -> str:
+    return counted(max(s.devices for s in fleet.spreads), "device")
+
+
+def _suffix(unit: str) -> str:
+    return f"per_{unit.removeprefix('1/')}".lower() if unit.startswith("1/") else unit.lower()
 
 
 def _number(value: Any) -> float:

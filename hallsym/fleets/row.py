@@ -1,17 +1,16 @@
 """What one device gives: a fit that no other device waits for, as one small row."""
 
-import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.errors import InputError, one_line, summary
+from hallsym.errors import InputError, one_line
 from hallsym.estimation import Fit, fit
 from hallsym.estimation.task import model_of
+from hallsym.families.machine_file import Machine
 from hallsym.fleets.sources import Device
 from hallsym.log import Fault, Log, read_log
 from hallsym.model import Model
@@ -40,39 +39,19 @@ class Settings:
 
     model: str | None = None
     effects: tuple[str, ...] = ()
-    parameters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    machine: Mapping[str, Any] | None = None
-    solver: str = "direct"
-    loss: str = "auto"
+    machine: Machine = field(default_factory=lambda: Machine(None, {}))
     reading: Mapping[str, Any] = field(default_factory=dict)
     drop_bad: bool = False
-    resolve_wiring: bool = False
     diagnose: bool = False
 
 
-@dataclass(frozen=True)
-class Job:
-    """One device and how its log is fitted: what is sent to a process."""
-
-    device: Device
-    settings: Settings
-
-
-def row_of(job: Job) -> dict[str, Any]:
-    """Return the row of one device. Nothing is raised: a log that cannot be fitted gives its reason."""
+def row_of(asked: Settings, device: Device) -> dict[str, Any]:
+    """Return the row of one device. Raises `InputError` for a log that cannot be fitted."""
     began = perf_counter()
-    try:
-        row = _fitted(job)
-    except InputError as error:
-        row = failed(str(error))
-    except MemoryError:
-        row = failed("There is not enough memory for this log.")
-    except Exception as error:
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        row = failed(
-            f"This is a mistake in hallsym: {type(error).__name__} ({summary(error)}) at "
-            f"{Path(place.filename).name}:{place.lineno}."
-        )
+    log = read_log(device.log, drop_bad=asked.drop_bad, **asked.reading)
+    log = replace(log, meta=asked.machine.applied(log.meta))
+    found = fit(log, _model(log, asked), solver="direct", drop_bad=asked.drop_bad, quick=True)
+    row = row_of_fit(found) | (_diagnosed(log, found, asked) if asked.diagnose else {})
     return {**row, "seconds": perf_counter() - began}
 
 
@@ -81,30 +60,15 @@ def failed(reason: str) -> dict[str, Any]:
     return {"verdict": FAILED, "reason": one_line(reason)}
 
 
-def _fitted(job: Job) -> dict[str, Any]:
-    asked = job.settings
-    log = read_log(job.device.log, drop_bad=asked.drop_bad, **asked.reading)
-    if asked.machine is not None:
-        probes = asked.machine.get("probes") or log.meta.probes
-        raw = {**log.meta.raw, **asked.machine.get("tables", {})}
-        log = replace(log, meta=replace(log.meta, probes=probes, raw=raw))
-    found = fit(
-        log, _model(log, asked), solver=asked.solver, loss=asked.loss, drop_bad=asked.drop_bad,
-        resolve_wiring=asked.resolve_wiring, quick=True,
-    )  # fmt: skip
-    row = row_of_fit(found)
-    if asked.diagnose:
-        row |= _diagnosed(log, found, asked)
-    return row
-
-
 def _model(log: Log, asked: Settings) -> Model:
     """Return the model of a device; numbers of effects that are left open are those its own log shows."""
     if not asked.effects:
-        return model_of(log, asked.model, (), asked.parameters)
-    from hallsym.diagnosis import model_on  # as `diagnose` below
+        return model_of(log, asked.model, (), asked.machine.parameters)
+    from hallsym.diagnosis import model_on  # what most fleets do not need takes a second to import
 
-    return model_on(log, asked.model, asked.effects, parameters=asked.parameters, drop_bad=asked.drop_bad)
+    return model_on(
+        log, asked.model, asked.effects, parameters=asked.machine.parameters, drop_bad=asked.drop_bad
+    )
 
 
 def row_of_fit(found: Fit) -> dict[str, Any]:
@@ -159,7 +123,7 @@ def _pressed(found: Fit) -> str | None:
 
 def _diagnosed(log: Any, found: Fit, asked: Settings) -> dict[str, Any]:
     """Return the diagnosis of a device in words that group devices."""
-    from hallsym.diagnosis import diagnose  # what most fleets do not need takes a second to import
+    from hallsym.diagnosis import diagnose  # as `model_on` above
 
     try:
         result = diagnose(log, found.model, drop_bad=asked.drop_bad)

@@ -24,8 +24,8 @@ from scipy.special import chdtri, ndtri, stdtr
 FEWEST = 3
 """Devices that a spread needs."""
 CHANCE = 0.01
-"""Probability that a fleet without any outlying device or trend is said to have one. Of devices it is 1.0 to
-1.5 % in fleets of 5 to 200 (simulated)."""
+"""Probability that a fleet without any outlying device is said to have one: 1.0 to 1.5 % in fleets of 5 to
+200 (simulated)."""
 MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 MOSTLY = 0.75
@@ -34,17 +34,6 @@ smaller their spread beside that of all: half of five good devices make 3 % of s
 one, three quarters 1 %."""
 CONFIDENCE = 0.95
 """Of the interval of the standard deviation between devices."""
-
-
-@dataclass(frozen=True, eq=False)
-class Trend:
-    """Slope of a parameter along a column, per unit of it, with 1 sigma; `chance`: that there is none."""
-
-    column: str
-    slope: float
-    std: float
-    chance: float
-    significant: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +55,6 @@ class Spread:
     scatter: float
     typical_std: float
     outlying: dict[str, float] = field(default_factory=dict)
-    trends: tuple[Trend, ...] = ()
 
 
 def spread_of(
@@ -76,15 +64,13 @@ def spread_of(
     std: np.ndarray,
     devices: Sequence[str],
     *,
-    columns: dict[str, np.ndarray] | None = None,
     tests: int = 1,
     period: float | None = None,
 ) -> Spread | None:
     """Return the spread of a parameter; None where fewer than three devices determine it.
 
-    `values`, `std`: (m,), nan where a device does not determine the parameter. `columns`: numbers by device
-    (m,) along which a trend is looked for. `tests`: how many parameters are looked at together. `period`: of
-    a parameter that repeats; its values are taken about their circular mean.
+    `values`, `std`: (m,), nan where a device does not determine the parameter. `tests`: how many parameters
+    are looked at together. `period`: of a parameter that repeats, taken about its circular mean.
     """
     known = np.isfinite(values) & np.isfinite(std) & (std > 0)
     if known.sum() < FEWEST:
@@ -94,14 +80,10 @@ def spread_of(
     mean, tau = random_effects(x[inside], s[inside])
     weight = 1.0 / (tau**2 + s[inside] ** 2)
     names = np.asarray(devices, dtype=object)[known]
-    kept = {c: np.asarray(v, dtype=float)[known][inside] for c, v in (columns or {}).items()}
-    count = max(tests, 1) * max(len(kept), 1)
-    found = [_trend(c, v, x[inside], s[inside], CHANCE / count) for c, v in kept.items()]
     return Spread(
         name, unit, int(inside.sum()), mean, float(weight.sum() ** -0.5), tau,
         interval_of(x[inside], s[inside]), float(np.std(x[inside], ddof=1)), float(np.median(s)),
         {str(n): float(z) for n, z in zip(names[~inside], score[~inside], strict=True)},
-        tuple(one for one in found if one is not None),
     )  # fmt: skip
 
 
@@ -189,23 +171,6 @@ def _away(x: np.ndarray, s: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray,
     degrees = np.maximum(2.0 * variance**2 * known, 1.0)
     score = (x - mean) / np.sqrt(variance + 1.0 / first)
     return (x - mean) / np.sqrt(variance), stdtr(degrees, -np.abs(score))
-
-
-def _trend(column: str, along: np.ndarray, x: np.ndarray, s: np.ndarray, chance: float) -> Trend | None:
-    """Return the slope of x along a column by weighted least squares; None where it does not vary."""
-    known = np.isfinite(along)
-    if known.sum() <= FEWEST or np.ptp(along[known]) == 0:
-        return None
-    along, x, s = along[known], x[known], s[known]
-    _, tau = random_effects(x, s)
-    weight = 1.0 / (tau**2 + s**2)
-    place = along - weight @ along / weight.sum()
-    square = float(weight @ place**2)
-    slope = float((weight * place) @ x / square)
-    left = x - weight @ x / weight.sum() - slope * place
-    std = float(np.sqrt(weight @ left**2 / (len(x) - 2) / square))
-    p = 2.0 * float(stdtr(len(x) - 2, -abs(slope) / max(std, 1e-300)))
-    return Trend(column, slope, std, p, p < chance)
 
 
 def _about_mean(x: np.ndarray, period: float | None) -> np.ndarray:

@@ -13,7 +13,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 from hallsym.errors import InputError, summary
 
@@ -34,22 +34,14 @@ class Failed:
     reason: str
 
 
-@dataclass(frozen=True)
-class Done(Generic[Work, Result]):
-    """One piece of work with what it gave."""
-
-    work: Work
-    result: Result | Failed
-
-
 def completed(
     call: Callable[[Work], Result],
     work: Iterable[Work],
     *,
     workers: int | None = None,
     scheduler: str | None = None,
-) -> Iterator[Done[Work, Result]]:
-    """Yield `call(one)` of every piece of work as it is done, in any order.
+) -> Iterator[tuple[Work, Result | Failed]]:
+    """Yield every piece of work with `call(one)` as it is done, in any order.
 
     `call` and work are sent to other processes: a function of a module, and small things. `workers`: local
     processes, one a core by default. `scheduler`: address of a Dask scheduler, used instead. Raises
@@ -64,20 +56,20 @@ def completed(
     while left:
         finished: set[int] = set()
         with _local(count) as executor:
-            for done in _pass(executor, call, left):
-                finished.add(id(done.work))
-                yield done
+            for one, result in _pass(executor, call, left):
+                finished.add(id(one))
+                yield one, result
         # work is taken in its order: what was under way when a process died is among the first that is left
         left = [one for one in left if id(one) not in finished]
         suspects, left = left[: 2 * count + 1], left[2 * count + 1 :]
         for one in suspects:
             with _local(1) as executor:
-                yield next(_pass(executor, call, [one]), Done(one, Failed(ENDED)))
+                yield next(_pass(executor, call, [one]), (one, Failed(ENDED)))
 
 
 def _pass(
     executor: Executor, call: Callable[[Work], Result], work: Sequence[Work]
-) -> Iterator[Done[Work, Result]]:
+) -> Iterator[tuple[Work, Result | Failed]]:
     """Yield what one executor completes; nothing of work that was left when a process of it died."""
     futures: dict[Future[Result], Work] = {}
     try:
@@ -91,18 +83,14 @@ def _pass(
                 result: Result | Failed = future.result()
             except BrokenProcessPool:
                 continue
+            except InputError as error:
+                result = Failed(str(error))
             except Exception as error:
-                result = Failed(_said(error))
-            yield Done(futures[future], result)
+                result = Failed(f"{type(error).__name__}: {summary(error)}")
+            yield futures[future], result
     finally:
         for future in futures:
             future.cancel()
-
-
-def _said(error: Exception) -> str:
-    if isinstance(error, InputError):
-        return str(error)
-    return f"{type(error).__name__}: {summary(error)}"
 
 
 @contextmanager

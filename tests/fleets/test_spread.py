@@ -1,4 +1,4 @@
-"""Spread beyond the uncertainty, devices that differ, trends: on numbers that are drawn from the truth."""
+"""Spread beyond the uncertainty, devices that differ: on numbers that are drawn from the truth."""
 
 from time import process_time
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from hallsym.fleets import spread_of
-from hallsym.fleets.batch import bounds
+from hallsym.fleets.result import bounds
 from hallsym.fleets.spread import random_effects
 
 MEAN, TAU = 0.9, 0.02
@@ -91,17 +91,6 @@ def test_broken_devices_are_named_and_leave_the_spread_alone():
     assert found.outlying["dev200"] < 0 < found.outlying["dev333"]
     assert found.std == pytest.approx(TAU, rel=0.1)
     assert found.devices == 497
-
-
-def test_a_drift_over_production_is_found_and_chance_is_not():
-    values, std, devices = drawn(4)
-    order = np.arange(500.0)
-    none = spread_of("gain", "1", values, std, devices, columns={"order": order})
-    assert not none.trends[0].significant
-    drift = spread_of("gain", "1", values + 4e-5 * order, std, devices, columns={"order": order})
-    (trend,) = drift.trends
-    assert trend.significant
-    assert trend.slope == pytest.approx(4e-5, abs=3 * trend.std)
 
 
 def test_an_angle_that_repeats_is_spread_about_its_own_mean():

@@ -1,4 +1,4 @@
-"""How a parameter differs between the devices of a fleet: its histogram, and its course over production."""
+"""How a parameter differs between the devices of a fleet: its histogram, and its course."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.fleets import Fleet, Spread
-from hallsym.fleets.row import GOOD, VALUE
-from hallsym.fleets.sources import ORDER_COLUMN
+from hallsym.fleets.row import VALUE
 from hallsym.report.figures.style import AFTER, BEFORE, BLACK, GREY, SHADE
 from hallsym.units import parameter_unit
 
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
 CAPTION = (
     "Left: good devices by their value, and the normal distribution of the spread between devices and the "
-    "uncertainty of one fit. Right: their values in the order of production, with the mean and two standard "
+    "uncertainty of one fit. Right: their values in the order of the rows, with the mean and two standard "
     "deviations of that distribution; a cross is an outlying device."
 )
 SIZE = 9.0, 2.6
@@ -27,7 +26,7 @@ SIZE = 9.0, 2.6
 
 
 def distribution(fleet: Fleet, spread: Spread) -> Figure:
-    """Return the histogram of one parameter beside its course over production."""
+    """Return the histogram of one parameter beside its course."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=SIZE, layout="constrained")
@@ -36,7 +35,7 @@ def distribution(fleet: Fleet, spread: Spread) -> Figure:
 
 
 def distributions(fleet: Fleet) -> Figure:
-    """Return the histogram of every parameter and its course over production, a line of a figure each."""
+    """Return the histogram of every parameter and its course, a line of a figure each."""
     if not fleet.spreads:
         raise InputError("No parameter has a spread to draw: three good devices at least must determine it.")
     from matplotlib.figure import Figure
@@ -50,8 +49,8 @@ def distributions(fleet: Fleet) -> Figure:
 
 def _draw(axes: np.ndarray, fleet: Fleet, spread: Spread) -> None:
     factor, unit = parameter_unit(spread.unit)
-    good = np.array([row["verdict"] == GOOD for row in fleet.rows])
-    values, order = factor * fleet.column(VALUE + spread.name)[good], fleet.column(ORDER_COLUMN)[good]
+    good = fleet.good
+    values, order = factor * fleet.column(VALUE + spread.name)[good], np.flatnonzero(good)
     known = np.isfinite(values)
     outlying = np.isin(np.array(fleet.devices)[good], list(spread.outlying))[known]
     values, order = values[known], order[known]
@@ -63,7 +62,7 @@ def _draw(axes: np.ndarray, fleet: Fleet, spread: Spread) -> None:
     axes[1].axhline(mean, color=GREY, linewidth=0.8)
     axes[1].plot(order[~outlying], values[~outlying], ".", markersize=5, color=AFTER)
     axes[1].plot(order[outlying], values[outlying], "x", markersize=7, color=BEFORE)
-    axes[1].set(xlabel="order of production", ylabel=what)
+    axes[1].set(xlabel="device", ylabel=what)
     for each in axes:
         each.spines[["top", "right"]].set_visible(False)
 

@@ -10,7 +10,7 @@ from hallsym.files import atomic_write
 from hallsym.fleets import Fleet, Spread
 from hallsym.fleets.row import VERDICTS
 from hallsym.report.figures.fleet import CAPTION, distribution
-from hallsym.report.text.fleet import SPREAD, slope, spread_rows
+from hallsym.report.text.fleet import SPREAD, spread_rows
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
@@ -40,13 +40,6 @@ def page_of(fleet: Fleet) -> str:
     parts.append(_table(["verdict", "devices", "meaning"], rows, words=(2,)))
     if fleet.spreads:
         parts += ["<h2>Spread of the parameters</h2>", _table(SPREAD, spread_rows(fleet))]
-        trends = [(s, t) for s in fleet.spreads for t in s.trends if t.significant]
-        if trends:
-            rows = [[s.name, t.column, slope(s, t), f"{t.chance:.1e}"] for s, t in trends]
-            parts += [
-                "<h2>Trends</h2>",
-                _table(["parameter", "follows", "per 1 of it (1 sigma)", "p of no trend"], rows),
-            ]
     if fleet.outlying:
         rows = [[device, why] for device, why in list(fleet.outlying.items())[:MOST_LISTED]]
         parts += ["<h2>Devices to look at</h2>", _table(["device", "why"], rows, words=(1,))]

@@ -3,7 +3,6 @@
 from hallsym.errors import counted
 from hallsym.fleets import Fleet
 from hallsym.fleets.row import VERDICTS
-from hallsym.fleets.spread import Spread, Trend
 from hallsym.report.tables import concise, grid
 from hallsym.units import parameter_unit
 
@@ -20,12 +19,6 @@ def fleet_text(fleet: Fleet) -> str:
     parts.append(grid(rows, words=True))
     if fleet.spreads:
         parts += ["", grid([SPREAD, *spread_rows(fleet)])]
-    parts += [
-        f"{s.name} follows {t.column}: {slope(s, t)} (1 sigma) per 1 of it (p = {t.chance:.1e})"
-        for s in fleet.spreads
-        for t in s.trends
-        if t.significant
-    ]
     if fleet.outlying:
         parts += ["", f"{counted(len(fleet.outlying), 'device')} to look at:"]
         named = list(fleet.outlying.items())
@@ -54,9 +47,3 @@ def spread_rows(fleet: Fleet) -> list[list[str]]:
             f"{low} .. {high}", f"{factor * s.typical_std:.2g}", unit, str(s.devices), str(len(s.outlying)),
         ])  # fmt: skip
     return rows
-
-
-def slope(spread: Spread, trend: Trend) -> str:
-    """Return how much a parameter changes per 1 of what it follows, with 1 sigma."""
-    factor, unit = parameter_unit(spread.unit)
-    return f"{concise(factor * trend.slope, factor * trend.std)} {unit}"
