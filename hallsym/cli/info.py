@@ -2,7 +2,7 @@
 
 import shlex
 from argparse import Namespace
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from itertools import accumulate, zip_longest
 from pathlib import Path
 from typing import Any
@@ -63,7 +63,7 @@ def run(options: Namespace) -> int:
     """Carry the command out."""
     if options.file is None:
         record: dict[str, Any] = {
-            "models": {name: _first_line(make) for name, make in models().items()},
+            "models": {name: (make.__doc__ or "").strip().split("\n")[0] for name, make in models().items()},
             "effects": {name: effect.meaning for name, effect in effects().items()},
             "solvers": list(SOLVERS),
             "losses": list(LOSSES),
@@ -149,10 +149,6 @@ def _suggest(options: Namespace) -> int:
     said = f"{_head_text(source)}\n\n{text}\nCheck {options.suggest}, then: {typed}"
     say(options, record, lambda: said, wrote=[options.suggest])
     return OK
-
-
-def _first_line(function: Callable) -> str:
-    return (function.__doc__ or "").strip().split("\n")[0]
 
 
 def _listing(record: Mapping[str, Any]) -> str:

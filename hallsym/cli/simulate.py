@@ -37,22 +37,6 @@ def add(sub: Any) -> None:
         "--noise-scale", type=float, default=1.0, help="factor on every noise level; 0 for a noise-free log"
     )
     parser.add_argument(
-        "--correlation", type=float, default=0.0, metavar="S", help="correlation time of the noise [s]"
-    )
-    parser.add_argument(
-        "--outliers",
-        type=float,
-        default=0.0,
-        metavar="SHARE",
-        help="share of samples that are off by up to 1 mm or 1 mrad",
-    )
-    parser.add_argument(
-        "--adc-step", type=float, default=0.0, metavar="STEP", help="round readings to this step [SI]"
-    )
-    parser.add_argument(
-        "--cordic-steps", type=int, default=0, metavar="N", help="decode an angle with N steps of CORDIC"
-    )
-    parser.add_argument(
         "--step", type=float, metavar="S", help="clock of the paper's campaign [s] (default 0.002)"
     )
     parser.add_argument(
@@ -69,13 +53,8 @@ def run(options: Namespace) -> int:
     machine = read_machine(options.machine)
     campaign = campaign_of(options)
     model, values = truth_of(options, machine, campaign)
-    noise = NoiseModel(
-        {c: s * options.noise_scale for c, s in levels(campaign, model, values).items()},
-        correlation_s=options.correlation,
-        outlier_share=options.outliers,
-        adc_step_m=options.adc_step,
-        cordic_steps=options.cordic_steps,
-    )
+    sigma = levels(campaign, model, values)
+    noise = NoiseModel({c: s * options.noise_scale for c, s in sigma.items()})
     show, done = progress_of(options), 0
     with LogWriter(options.output) as writer:
         for block in simulate_blocks(model, values, campaign, noise, seed=options.seed):

@@ -16,7 +16,8 @@ from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose
 from hallsym.diagnosis.cordic import cordic
 from hallsym.families.cordic import cordic_angle, levels, worst_of
-from hallsym.log import Log, Noise
+from hallsym.log import Log, Meta, Noise
+from hallsym.simulation import read_campaign
 
 TURN = 2 * np.pi
 CAMPAIGN = Path(__file__).resolve().parents[2] / "data" / "encoder" / "campaign.toml"
@@ -118,17 +119,15 @@ def test_a_diagnosis_tells_steps_of_cordic_from_equal_ones(steps, bits, names, s
     assert all(e.parameters["steps"].value == steps for e in found.effects if e.name == "cordic_steps")
 
 
-def test_a_simulated_chip_has_so_many_angles(tmp_path, capsys):
-    machine, log = tmp_path / "angle.toml", str(tmp_path / "few.csv")
-    machine.write_text('[[probes]]\nchannel = "angle_rad"\n')
-    common = ["simulate", str(CAMPAIGN), "-o", log, "--seed", "1", "--cordic-steps", "6"]
-    assert main([*common, "--machine", str(machine)]) == 0
-    angles = np.unique(np.round(hallsym.read_log(log).array("angle_rad"), 9))
-    assert len(angles) == 2 * len(levels(6).angles)
-    assert main(common) == 2
-    assert "Steps of CORDIC belong to a decoded angle" in capsys.readouterr().err
-    assert main([*common[:-1], "33", "--machine", str(machine)]) == 2
-    assert "whole number from 0 to 32" in capsys.readouterr().err
+def test_a_simulated_chip_has_so_many_angles():
+    noise, campaign = hallsym.NoiseModel({}, cordic_steps=6), read_campaign(CAMPAIGN)
+    chip_only = hallsym.build("rotary", meta=Meta(probes=[{"channel": "angle_rad"}]))
+    angles = hallsym.simulate(chip_only, {}, campaign, noise, seed=1)["angle_rad"]
+    assert len(np.unique(np.round(angles, 9))) == 2 * len(levels(6).angles)
+    with pytest.raises(hallsym.InputError, match="Steps of CORDIC belong to a decoded angle"):
+        hallsym.simulate(hallsym.build("rotary"), {}, campaign, noise, seed=1)
+    with pytest.raises(hallsym.InputError, match="whole number from 0 to 32"):
+        hallsym.NoiseModel({}, cordic_steps=33)
 
 
 def test_a_campaign_states_the_noise_of_both_forms_or_says_what_lacks(tmp_path, capsys):
