@@ -267,19 +267,6 @@ def array_6dof(layout=None):
     )
 
 
-def second_harmonic_along(model, axis):
-    """A machine whose array along one axis has a second harmonic: 3e-3 of the first."""
-
-    def step(s, p):
-        rows = []
-        for k, (cos, sin) in enumerate(s["waves"]):
-            size = 3e-3 if axis == "xy"[k // len(PLACES)] else 0.0
-            rows.append(size * wave_of((cos * cos - sin * sin, 2 * cos * sin), 2 * p[f"phase_{axis}"]))
-        s["field"] = s["field"] + ca.vertcat(*rows)
-
-    return model.with_step("field", step, effect="second_harmonic_along")
-
-
 PLANE = Family(
     name="plane",
     models=(array_6dof,),

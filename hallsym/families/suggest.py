@@ -248,8 +248,6 @@ def _by_name(source: Source, data: Mapping[str, Array], model: Model) -> list[Gu
     numbers = numbers_of(source.names)
     stems = [RUN, TIME, *_stems(model), *OTHERS]
     pairs = [(likeness(stem, name, numbers), stem, name) for stem in stems for name in data]
-    alone = [(stem, name) for stem in (RUN, TIME) for name in data if _behaves(stem, data[name])]
-    pairs += [(BARE / 2, s, n) for s, n in alone if s == RUN or not _whole(data[n])]  # an index is no time
     found: dict[str, Guess] = {}
     taken: set[str] = set()
     for score, stem, name in sorted(pairs, key=lambda p: (-p[0], stems.index(p[1]))):
@@ -259,10 +257,7 @@ def _by_name(source: Source, data: Mapping[str, Array], model: Model) -> list[Gu
             continue
         if not _unit_fits(source, name, stem, model):
             continue
-        why = "its name" if score >= BARE else "its data"
-        if stem == RUN:
-            why += ": whole numbers that stay" if score < BARE else ""
-        guess = _with_unit(source, data[name], Guess(stem, name, "", why))
+        guess = _with_unit(source, data[name], Guess(stem, name, "", "its name"))
         found[stem] = guess
         taken.add(name)
     return list(found.values())

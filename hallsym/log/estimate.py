@@ -118,7 +118,8 @@ def _uneven_spreads(t: Array, rows: Array) -> Array:
     """Return the same of one block, by divided differences: (channels, orders)."""
     step = np.diff(t)
     filters = [_divided(t, step, median(step) if len(step) else 0.0, k) for k in _ORDERS]
-    return np.array([[_spread(_apply(f, v), f[0].shape[-1] // 2) for f in filters] for v in rows])
+    found = [_spreads(np.array([_apply(f, v) for v in rows]), f[0].shape[-1] // 2) for f in filters]
+    return np.transpose(found)
 
 
 Filter = tuple[Array, Array]
@@ -149,33 +150,17 @@ def _apply(filter: Filter, values: Array) -> Array:
     return np.einsum("ij,ij->i", windows[usable], weights[usable])
 
 
-def _spread(difference: Array, reach: int) -> float:
-    """Return the standard deviation of differences without their outliers; nan where there are too few."""
-    difference = difference[np.isfinite(difference)]
-    if len(difference) < _FEWEST:
-        return np.nan
-    size = np.abs(difference)
-    sigma = median(size) / 0.67449
-    if sigma <= 1e-9 * size.max():  # more than half are zero to rounding: the ADC step hides the noise
-        return float(np.sqrt(np.mean(size**2)))
-    for _ in range(_ROUNDS):
-        before = sigma
-        kept = _clean(size, sigma, reach)
-        sigma = float(np.sqrt(kept @ kept / len(kept))) / _CLIPPED_STD
-        if abs(sigma - before) <= 3e-3 * before:
-            break
-    return sigma
-
-
 def _spreads(differences: Array, reach: int) -> Array:
-    """Return `_spread` of each row of (rows, n), (rows,), all rows at once."""
+    """Return the standard deviation of each row (rows, n) without its outliers; nan where n is too small."""
     size = np.abs(differences)
-    most = size.max(axis=1) if size.shape[1] else np.empty(0)
-    if size.shape[1] < _FEWEST or not np.isfinite(most).all():
-        return np.array([_spread(row, reach) for row in differences])
+    if size.shape[1] < _FEWEST:
+        return np.full(len(size), np.nan)
+    most = size.max(axis=1)
+    if not np.isfinite(most).all():
+        return np.array([_spreads(row[np.isfinite(row)][None], reach)[0] for row in differences])
     ordered = np.sort(size, axis=1)
     sigma = middles(ordered) / 0.67449
-    coarse = sigma <= 1e-9 * most
+    coarse = sigma <= 1e-9 * most  # more than half are zero to rounding: the ADC step hides the noise
     sigma[coarse] = np.sqrt(np.mean(size[coarse] ** 2, axis=1))
     squares, left = np.square(ordered), np.flatnonzero(~coarse)
     for _ in range(_ROUNDS):

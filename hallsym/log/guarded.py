@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -17,10 +16,6 @@ from hallsym.units import Array
 
 MOST_ROWS = 1_000_000_000
 """Samples of a log: 8 GB a column, minutes of reading. More is a damaged count, or must be decimated."""
-HOLES_BYTES = 64_000_000
-"""A file may have holes (stretches that were never written) up to this size: reading them takes no time."""
-WRITTEN = 0.1
-"""Least share of a larger file that must have been written."""
 
 
 class Guarded(Source):
@@ -32,7 +27,6 @@ class Guarded(Source):
         """Open the file: its names, rows and what is left out are known then."""
         self.path, self.fault, self.remedy = path, fault, remedy
         with self._reading():
-            _check_written(path)
             self.inner = open(path)
             self.names, self.small = tuple(self.inner.names), self.inner.small
         self.left_out, self.aliases = dict(self.inner.left_out), dict(self.inner.aliases)
@@ -120,21 +114,3 @@ class Guarded(Source):
                     f"values, '{names[0]}' {rows}."
                 )
         return columns
-
-
-def _check_written(path: Path) -> None:
-    """Refuse a large file of which most was never written (a sparse file)."""
-    found = os.stat(path)
-    stored = 512 * getattr(found, "st_blocks", found.st_size)
-    if found.st_size > HOLES_BYTES and stored < WRITTEN * found.st_size and _hole(path, found.st_size):
-        raise InputError(
-            f"Log {quoted(path)} has {found.st_size} bytes, of which {stored} were written: the recording or "
-            "the copy broke off; copy it again."
-        )
-
-
-def _hole(path: Path, size: int) -> bool:
-    if not hasattr(os, "SEEK_HOLE"):
-        return True
-    with open(path, "rb") as stream:
-        return os.lseek(stream.fileno(), 0, os.SEEK_HOLE) < size

@@ -68,14 +68,15 @@ class Meta:
 
         Raises `InputError` that names the key.
         """
-        known = set(_keys())
+        known = set(MetaRecord.__struct_fields__)
         for key in raw:
             near = get_close_matches(key, known, n=1, cutoff=_MISSPELT)
             if key not in known and near:
                 raise InputError(f"Unknown key {key!r} in {where} (did you mean {near[0]!r}?); correct it.")
         entries = {name: value for name, value in raw.items() if name in known and value is not None}
-        record = _record(entries, where)
-        return Meta(raw=dict(raw), **record)
+        record = structured(entries, MetaRecord, where, "correct that place")
+        found = {name: getattr(record, name) for name in known - {"counts_per_turn", "validation_runs"}}
+        return Meta(raw=dict(raw), holdout=tuple(record.validation_runs), **found)
 
     @staticmethod
     def read(path: Path) -> Meta:
@@ -88,26 +89,8 @@ class Meta:
 
 def meta_schema() -> dict[str, Any]:
     """Return the JSON Schema of `meta.json`, from the types that are checked when a log is read."""
-    from hallsym.log.meta import MetaRecord
-
     return schema_of(MetaRecord, "hallsym log metadata")
 
 
 _MISSPELT = 0.85
 """Likeness (`difflib`) of a key with a known one from which on it is that one misspelt: a letter or two."""
-
-
-def _keys() -> tuple[str, ...]:
-    from hallsym.log.meta import MetaRecord
-
-    return MetaRecord.__struct_fields__
-
-
-def _record(raw: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Return what the keys hold, by the names of `Meta`, which keeps the file's own words besides."""
-    from hallsym.log.meta import MetaRecord
-
-    record = structured(dict(raw), MetaRecord, where, "correct that place")
-    found = {name: getattr(record, name) for name in record.__struct_fields__}
-    found.pop("counts_per_turn")
-    return found | {"holdout": tuple(found.pop("validation_runs"))}

@@ -198,22 +198,6 @@ def test_every_file_is_a_known_table():
     assert sorted(path.stem for path in (data_folder() / "chen2016").iterdir()) == TABLES
 
 
-@pytest.mark.parametrize("name", TABLES)
-def test_every_file_names_its_source_units_and_licence(name):
-    lines = (data_folder() / "chen2016" / f"{name}.csv").read_text(encoding="utf-8").splitlines()
-    comments = [line for line in lines if line.startswith("#")]
-    assert lines[: len(comments)] == comments
-    number = name.removeprefix("table").split("_")[0]
-    assert f"Table {number}, https://doi.org/10.3390/s16060872" in comments[0]
-    assert [line.split(":")[0] for line in comments] == [
-        "# source",
-        "# content",
-        "# units",
-        "# licence",
-        "# restored",
-    ]
-
-
 @pytest.mark.parametrize("name", ["table1_designed", "table7_estimates"])
 def test_printed_and_value_are_the_same_number(name):
     for parameter, value, printed in records(name, "parameter", "value", "printed"):

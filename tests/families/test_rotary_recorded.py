@@ -70,9 +70,6 @@ def rmse(fit, row: str = "fitted") -> float:
     return fit.errors.rows()[row]["rmse"]["angle_rad"]
 
 
-# -- commands that are printed ---------------------------------------------------------------------------
-
-
 # -- amplitudes, scales, rails -----------------------------------------------------------------------------
 
 
@@ -173,9 +170,6 @@ def test_runs_of_several_zeros_are_judged_each_from_its_own(decoded):
     table = hallsym.judge(homed, fit.model, fit.values, noise, own_zero=True)
     assert table.over()["rmse"]["angle_rad"] == pytest.approx(rmse(fit), rel=0.02)
     assert hallsym.judge(homed, fit.model, fit.values, noise).over()["rmse"]["angle_rad"] > 1.0
-
-
-# -- logs without time ---------------------------------------------------------------------------------------
 
 
 # -- logs beside the repository ----------------------------------------------------------------------------
