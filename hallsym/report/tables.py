@@ -11,7 +11,7 @@ from hallsym.terminal import columns
 from hallsym.units import parameter_unit, readable
 
 LEAST_WORDS = 20
-"""Characters that a column of words needs beside others; where there are fewer, it stands below its row."""
+"""Characters that a column of words needs beside others; where there are fewer, it stands below the table."""
 GAP = 2
 
 
@@ -19,7 +19,7 @@ def grid(rows: Sequence[Sequence[str]], *, left: int = 1, rule_after: int = 1, w
     """Return rows as aligned text: the first `left` columns left-aligned, a rule after the header.
 
     `words`: the last column is prose, outside the rule. A table that is wider than the terminal has folded
-    headers, then folded words or words below their row, then its columns in blocks, one below the other.
+    headers, then folded words or words below it, then its columns in blocks, one below the other.
     """
     table = _Table([list(row) for row in rows], left, rule_after, words)
     limit = columns()
@@ -111,18 +111,11 @@ class _Table:
         return lines[1:]
 
     def _with_words_below(self, words: Sequence[str], limit: int) -> list[str]:
-        """Return the table with the prose of each row below it."""
+        """Return the table, and below it the prose of each row."""
         widths = self._widths(limit)
-        if widths is None:
-            named = (" ".join([*row[: self.left], text]) for row, text in zip(self.rows, words, strict=True))
-            return [*self._blocks(limit), "", *(fill(line, limit) for line in named)]
-        below = [fill(text, limit, initial_indent="    ", subsequent_indent="    ") for text in words]
-        lines = []
-        for number, (row, text) in enumerate(zip(self.rows, below, strict=True)):
-            one = _Table([row], self.left, 0, False)._drawn(widths)[1:]
-            rule = ["-" * (sum(widths) + GAP * (len(widths) - 1))] if number == self.head else []
-            lines += [*rule, *one, *([text] if text.strip() else [])]
-        return lines
+        named = (" ".join([*row[: self.left], text]) for row, text in zip(self.rows, words, strict=True))
+        table = self._drawn(widths) if widths else self._blocks(limit)
+        return [*table, "", *(fill(line, limit) for line in named)]
 
 
 def _fold(cell: str, width: int) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -90,21 +90,14 @@ class Decoder:
             return np.zeros(len(self.model.zeros))
         return np.asarray(delta) / self.model.zero_scale(self.fit.values, first_state)
 
-    def nominal(self, block: Block) -> np.ndarray:
-        """Return the pose by the nominal parameters, without zero deviations."""
-        return self._pose(self._decode_nominal, block, self._nominal, np.zeros(len(self.model.zeros)))
-
-    def fitted(self, block: Block, zeros: np.ndarray) -> np.ndarray:
-        """Return the pose by the fitted parameters; `zeros` of the block's run."""
-        return self._pose(self._decode, block, self.fit.values, zeros)
-
-    def _pose(
-        self, decode: Callable[..., np.ndarray], block: Block, p: np.ndarray, zeros: np.ndarray
-    ) -> np.ndarray:
+    def pose(self, block: Block, zeros: np.ndarray | None) -> np.ndarray:
+        """Return the pose by the fitted parameters and `zeros` of the run; without zeros by the nominal."""
         model = self.model
         readings, state = ([block.data[c] for c in names] for names in (model.channels, model.state))
         reference = np.array([block.data[c] for c in model.references])
-        return decode(p, zeros, readings, state, reference)
+        if zeros is None:
+            return self._decode_nominal(self._nominal, np.zeros(len(model.zeros)), readings, state, reference)
+        return self._decode(self.fit.values, zeros, readings, state, reference)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,12 +124,12 @@ class Decoded:
     @cached_property
     def nominal(self) -> np.ndarray:
         """The pose by the nominal parameters."""
-        return self.decoder.nominal(self.block)
+        return self.decoder.pose(self.block, None)
 
     @cached_property
     def fitted(self) -> np.ndarray:
         """The pose by the fitted parameters."""
-        return self.decoder.fitted(self.block, self.zeros)
+        return self.decoder.pose(self.block, self.zeros)
 
 
 def decoded(log: Log, fit: Fit, keep: Weigh | None = None) -> Iterator[Decoded]:

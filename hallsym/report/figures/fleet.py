@@ -25,15 +25,6 @@ SIZE = 9.0, 2.6
 """Width and height [inches] of the pictures of one parameter."""
 
 
-def distribution(fleet: Fleet, spread: Spread) -> Figure:
-    """Return the histogram of one parameter beside its course."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=SIZE, layout="constrained")
-    _draw(figure.subplots(1, 2), fleet, spread)
-    return figure
-
-
 def distributions(fleet: Fleet) -> Figure:
     """Return the histogram of every parameter and its course, a line of a figure each."""
     if not fleet.spreads:

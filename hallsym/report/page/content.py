@@ -139,11 +139,10 @@ class Facts:
 
 @dataclass(frozen=True)
 class Item:
-    """A line of a list, which may begin with a `name` and end with a table."""
+    """A line of a list, which may begin with a `name`."""
 
     words: str
     name: str = ""
-    table: Table | None = None
 
 
 @dataclass(frozen=True)
@@ -162,15 +161,6 @@ class Figure:
     charts: Sequence[Chart]
     caption: str = ""
     look: str = ""
-
-
-@dataclass(frozen=True)
-class Fold:
-    """A table that is folded away; in print it is open."""
-
-    kind: ClassVar[str] = "fold"
-    summary: str
-    table: Table
 
 
 @dataclass(frozen=True)
@@ -224,8 +214,5 @@ def document(title: str, headline: Headline, sections: Sequence[Section], footer
 
 def _full(content: Any) -> bool:
     """Return whether a piece has something to show."""
-    empty = {"table": "rows", "items": "lines", "figure": "charts", "fold": "table"}
-    if content is None:
-        return False
-    held = getattr(content, empty.get(content.kind, "kind"))
-    return _full(held) if content.kind == "fold" else bool(held)
+    empty = {"table": "rows", "items": "lines", "figure": "charts"}
+    return content is not None and bool(getattr(content, empty.get(content.kind, "kind")))

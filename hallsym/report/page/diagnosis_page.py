@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from hallsym.diagnosis import Diagnosis, Separation, Share, Statement, noise_text
+from hallsym.diagnosis import Diagnosis, Separation, Statement, noise_text
 from hallsym.estimation import Fit, added_effects
 from hallsym.families import family_called, plain
 from hallsym.report.data.gather import Cells, RunSeries
@@ -17,7 +17,6 @@ from hallsym.report.page import pictures, shared
 from hallsym.report.page.content import (
     Facts,
     Figure,
-    Fold,
     Heading,
     Headline,
     Item,
@@ -200,7 +199,7 @@ def errors_section(d: Diagnosis) -> Section:
     content: list[Any] = [
         Words(f"{shrinks_text(d) if changed(d) else ''} {_metric(d)}".strip()),
         Words(note, note=True),
-        shared.against_floor(drawn, floor.outputs),
+        Figure(pictures.against_floor(drawn, floor.outputs)),
         *_sizes(d),
     ]
     for coordinate in dict.fromkeys(w.coordinate for w in d.waves):
@@ -345,29 +344,11 @@ MOST = 12
 
 
 def where_section(d: Diagnosis) -> Section:
-    """Return the statements on where the gap lies, then the share of each place alone."""
+    """Return the statements on where the gap lies."""
     said = _statements(d.where, "share of the excess above the noise floor [%]")
     if not said and d.size.rows:
         said = [Words("The excess above the noise goes with nothing that the log holds.")]
-    return Section("where", "Where the gap lies", [*said, _alone(d.shares)])
-
-
-def _alone(shares: Sequence[Share]) -> Fold:
-    """Return the share of the excess that goes with each place alone, significant or not, folded away."""
-    rows = [
-        [
-            s.kind,
-            named_column(s.name) if s.kind in ("output", "sensor") else s.name,
-            "" if s.share is None else percent(s.share, 0),
-            p_cell(s.p_value),
-            s.text,
-        ]
-        for s in shares
-    ]
-    head = ["kind", "place", "share of the excess", "p", "remark"]
-    note = "Each place alone, so shares overlap; p above 0.01 is no evidence."
-    summary = "every place alone: coordinates, links, outputs, sensors, frequencies, runs"
-    return Fold(summary, Table(head, rows, note, left=2, wordy=(4,)))
+    return Section("where", "Where the gap lies", said)
 
 
 def rest_section(d: Diagnosis) -> Section:

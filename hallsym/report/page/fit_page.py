@@ -26,8 +26,8 @@ from hallsym.log import Log, Weigh
 from hallsym.report.data.gather import Gathered, gather
 from hallsym.report.data.survey import Decoder
 from hallsym.report.page import shared
-from hallsym.report.page.content import Facts, Headline, Item, Items, Section, Words, document
-from hallsym.report.page.pictures import sketch
+from hallsym.report.page.content import Facts, Figure, Headline, Item, Items, Section, Words, document
+from hallsym.report.page.pictures import against_floor, sketch
 from hallsym.report.page.shared import Gap
 from hallsym.report.text.fit import circumstances
 from hallsym.report.words import name
@@ -203,10 +203,7 @@ def _errors(rows: Mapping[str, Gap], fit: Fit, same: bool) -> list[Any]:
     note += f"Nominal: every parameter at its nominal value{none}. " if same else ""
     note += "Where values lie far apart the scale is logarithmic and dots stand for bars."
     floor, turning = fit.noise_floor, fit.model.period
-    return [
-        Words(note, note=True),
-        shared.against_floor(drawn, floor, turning),
-    ]
+    return [Words(note, note=True), Figure(against_floor(drawn, floor, turning))]
 
 
 def _notes(log: Log, fit: Fit, found: Gathered, same: bool) -> list[str]:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from hallsym.errors import counted
 from hallsym.files import atomic_write
-from hallsym.fleets import Fleet, Spread
+from hallsym.fleets import Fleet
 from hallsym.fleets.row import VERDICTS
-from hallsym.report.figures.fleet import CAPTION, distribution
+from hallsym.report.figures.fleet import CAPTION, distributions
 from hallsym.report.text.fleet import SPREAD, spread_rows
 
 STYLE = """
@@ -54,7 +54,10 @@ def page_of(fleet: Fleet) -> str:
         ]
     if fleet.spreads:
         parts += ["<h2>Distributions</h2>", f"<p>{CAPTION}</p>"]
-        parts += [_figure(fleet, spread) for spread in fleet.spreads]
+        stream = io.StringIO()
+        distributions(fleet).savefig(stream, format="svg", metadata={"Date": None})
+        svg = stream.getvalue()
+        parts.append(f"<figure>{svg[svg.index('<svg') :]}</figure>")
     body = "\n".join(parts)
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
@@ -69,10 +72,3 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], words: Sequence[i
 
     lines = "\n".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
     return f"<table>\n<tr>{cells('th', head)}</tr>\n{lines}\n</table>"
-
-
-def _figure(fleet: Fleet, spread: Spread) -> str:
-    stream = io.StringIO()
-    distribution(fleet, spread).savefig(stream, format="svg", metadata={"Date": None})
-    svg = stream.getvalue()
-    return f"<figure>{svg[svg.index('<svg') :]}</figure>"

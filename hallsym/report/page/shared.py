@@ -65,13 +65,6 @@ def sizes_table(
     return Table(head, body, "size of the error against the noise floor")
 
 
-def against_floor(
-    rows: pictures.Rows, floor: Mapping[str, float], turning: Collection[str] | None = None
-) -> Figure:
-    """Return the bars of rmse and peak."""
-    return Figure(pictures.against_floor(rows, floor, turning))
-
-
 # -- where, when, and how the error is distributed ---------------------------------------------------------
 
 
@@ -162,12 +155,7 @@ def origin_section(log: Mapping[str, Any], found: Mapping[str, Any], command: st
         ("command", command),
         ("log", log.get("path") or "a log in memory"),
         ("sha256 of the log", log.get("sha256")),
-        ("versions", versions(found)),
+        ("versions", ", ".join(f"{part} {version}" for part, version in found.items())),
     ]
     code = frozenset({"command", "log", "sha256 of the log"})
     return Section("origin", "Origin", [Facts(pairs, code)])
-
-
-def versions(found: Mapping[str, Any]) -> str:
-    """Return `hallsym 0.1.0, numpy 2.1`."""
-    return ", ".join(f"{name_} {version}" for name_, version in found.items())
