@@ -1,9 +1,6 @@
 """The command line: bad input gets one sentence and an exit code, good input tables and JSON."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -59,18 +56,6 @@ def test_a_missing_file_names_its_neighbour(capsys, written):
     assert "did you mean 'log.parquet'?" in refused(capsys, "fit", path.with_name("log.parket"))
 
 
-@pytest.mark.parametrize("name", ["log.csv", "log.parquet"])
-def test_an_empty_file(capsys, tmp_path, name):
-    (tmp_path / name).touch()
-    assert "empty" in refused(capsys, "fit", tmp_path / name)
-
-
-def test_a_truncated_parquet(capsys, written):
-    path = written()
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    assert "cut short" in refused(capsys, "fit", path)
-
-
 def test_another_delimiter_is_recognised_and_a_wrong_one_refused(capsys, written, tmp_path):
     path = written(name="log.csv")
     path.write_text(path.read_text().replace(",", ";"))
@@ -106,43 +91,13 @@ def renamed(d):
     d["halla_m"] = d.pop("hall_a_m")
 
 
-def in_um(d):
-    for name in ("hall_a_m", "hall_b_m", "hall_c_m"):
-        d[name] *= 1e6
-
-
 def with_nan(d):
     d["hall_b_m"][[100, 200]] = np.nan
     d["y_ref_m"][300] = np.inf
 
 
-def backwards(d):
-    d["t_s"][150] = d["t_s"][140]
-
-
-def repeated(d):
-    d["t_s"][150] = d["t_s"][149]
-
-
-def dropped(d):
-    keep = np.random.default_rng(0).random(len(d["t_s"])) > 0.1
-    return {name: values[keep] for name, values in d.items()}
-
-
-def dead(d):
-    d["hall_b_m"][:] = 1.2e-4
-
-
-def saturated(d):
-    np.clip(d["hall_a_m"], -2e-4, 2e-4, out=d["hall_a_m"])
-
-
 def swapped(d):
     d["hall_a_m"], d["hall_b_m"] = d["hall_b_m"], d["hall_a_m"]
-
-
-def flipped(d):
-    d["hall_b_m"] *= -1
 
 
 def short(d):
@@ -150,26 +105,13 @@ def short(d):
     return {name: values[keep] for name, values in d.items()}
 
 
-def foreign(d):
-    for name in ("x_ref_m", "y_ref_m", "rz_ref_rad"):
-        d[name] = np.roll(d[name], 2777)
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         (renamed, ["hall_a_m", "halla_m", "--column"]),
-        (in_um, ["hall_a_m", "um", "--column hall_a_um=hall_a_m"]),
         (with_nan, ["NaN", "row", "--drop-bad"]),
-        (backwards, ["t_s", "backwards"]),
-        (repeated, ["t_s", "repeats"]),
-        (dropped, ["ticks", "--drop-bad"]),
-        (dead, ["hall_b_m", "never changes"]),
-        (saturated, ["hall_a_m", "saturated", "--drop-bad"]),
         (swapped, ["hall_a_m and hall_b_m", "swapped"]),
-        (flipped, ["hall_b_m", "inverted"]),
         (short, ["run 5", "8 samples"]),
-        (foreign, ["reference", "does not belong"]),
     ],
 )
 def test_what_goes_wrong_in_a_lab(capsys, written, tmp_path, change, words):
@@ -181,16 +123,15 @@ def test_what_goes_wrong_in_a_lab(capsys, written, tmp_path, change, words):
     assert output.read_text() == "what the user had"
 
 
-@pytest.mark.parametrize("change", [with_nan, repeated, dropped, saturated, short])
+@pytest.mark.parametrize("change", [with_nan, short])
 def test_drop_bad_goes_on_and_says_what_it_left_out(capsys, written, change):
     code, out, _ = run(capsys, "fit", written(change), "--drop-bad", "--solver", "direct")
     assert code == 0
     assert "note:" in out
 
 
-@pytest.mark.parametrize("change", [swapped, flipped])
-def test_wiring_can_be_resolved(capsys, written, change):
-    code, out, _ = run(capsys, "fit", written(change), "--resolve-wiring", "--solver", "direct", "--json")
+def test_wiring_can_be_resolved(capsys, written):
+    code, out, _ = run(capsys, "fit", written(swapped), "--resolve-wiring", "--solver", "direct", "--json")
     found, expected = json.loads(out), {"eta_A": 0.8671, "eta_B": 0.7049, "eta_C": 0.8632}
     assert code == 0
     for name, value in expected.items():
@@ -215,18 +156,6 @@ def test_a_vertical_state_that_never_moves(capsys, written):
     assert all(parameters[f"eta_{k}"]["determined"] for k in "ABC")
 
 
-def test_an_axis_that_never_moves(capsys, written):
-    code, _, err = run(
-        capsys,
-        "fit",
-        written(lambda d: {n: v[d["run"] % 3 != 2] for n, v in d.items()}),
-        "--solver",
-        "direct",
-    )
-    assert code == 3
-    assert "H1x*cos(theta_A)" in err
-
-
 # -- options ---------------------------------------------------------------------------------------------
 
 
@@ -234,12 +163,8 @@ def test_an_axis_that_never_moves(capsys, written):
     ("options", "words"),
     [
         (["--model", "stage32"], "did you mean 'stage31'"),
-        (["--solver", "shtlb"], "did you mean 'shtlbo'"),
-        (["--loss", "huber"], "must be one of"),
-        (["--effect", "exact_rotatoin"], "exact_rotation"),
         (["--holdout", "99"], "99"),
         (["--holdout", "0-56"], "leave at least one"),
-        (["--holdout", "two"], "2,7,12"),
         (["--noise", "hall_m"], "hall_m=5e-7"),
         (["--noise", "hull_m=1e-6"], "hull_m"),
         (["--column", "hall_a=HallA"], "unit"),
@@ -257,8 +182,6 @@ def test_an_option_that_cannot_be(capsys, written, options, words):
         ("[parameters.H1x]\nlower = 0.21\nupper = 0.3", "exclude its start"),
         ("[parameters.H1q]\nlower = 0.1", "H1q"),
         ("[parameters.H1x]\nlowre = 0.1", "lowre"),
-        ("[parameters]\nH1x = 3", "[parameters.H1x]"),
-        ("[parameter.H1x]\nlower = 0.1", "parameters"),
         ("probes = 3", "[[probes]]"),
         ("[[probes]]\nchannel = 'hall_a_m'", "position_m"),
         ("not toml", "TOML"),
@@ -278,11 +201,6 @@ def test_a_machine_file_sets_bounds_and_fixes(capsys, written, tmp_path):
     assert code == 0
     assert parameters["theta_A"]["value"] == 0
     assert parameters["H1y"]["value"] == 0.35
-
-
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no /dev/full")
-def test_a_device_is_no_place_for_a_result(capsys, written):
-    assert "device" in refused(capsys, "fit", written(), "--solver", "direct", "-o", "/dev/full")
 
 
 def test_a_full_disk_leaves_the_old_calibration(capsys, written, tmp_path, monkeypatch):
@@ -429,16 +347,6 @@ def test_help_of_every_command(capsys):
         assert "hallsym" in capsys.readouterr().out
 
 
-def test_the_installed_command_exits_with_the_code(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-m", "hallsym", "fit", str(tmp_path / "nothing.csv")],
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-
-
 def test_ctrl_c_in_the_global_stage_keeps_the_best_so_far(capsys, written, tmp_path, monkeypatch):
     from hallsym.estimation import Cost
 
@@ -494,16 +402,6 @@ def test_a_negative_seed_is_a_usage_error(capsys, tmp_path):
         main(["simulate", "-o", str(tmp_path / "x.csv"), "--seed", "-1"])
     assert ended.value.code == 2
     assert "whole number" in capsys.readouterr().err
-
-
-def test_noise_of_no_column_in_a_campaign_is_refused(capsys, tmp_path):
-    campaign = tmp_path / "campaign.toml"
-    campaign.write_text(
-        "[noise]\nhal_m = 5e-7\n[[trajectory]]\nduration_s = 1.0\n"
-        'x_m = {kind = "sine", amplitude = 1e-4, frequency_hz = 1}\n'
-    )
-    said = refused(capsys, "simulate", campaign, "-o", tmp_path / "x.csv", "--seed", "1")
-    assert "hal_m" in said
 
 
 def test_a_table_that_wraps_has_the_noise_of_its_steps(capsys, tmp_path):

@@ -52,15 +52,6 @@ def test_json_is_what_the_output_file_holds(folder, capsys, tmp_path):
     assert record["planned"] is False
 
 
-def test_values_are_those_of_the_calibration(folder, capsys):
-    _, out, _ = run(capsys, folder / "calib.json", folder / "log.csv", "--json", "--profiles", "none")
-    said, known = json.loads(out)["parameters"], json.loads((folder / "calib.json").read_text())["parameters"]
-    for name, entry in known.items():
-        assert said[name]["value"] == pytest.approx(entry["value"], rel=1e-6, abs=1e-9)
-        if entry["std"] is not None:
-            assert said[name]["std"] == pytest.approx(entry["std"], rel=1e-6)
-
-
 def test_another_model_stands_beside(folder, capsys):
     code, out, _ = run(
         capsys,
@@ -114,15 +105,11 @@ def test_pictures_are_written(folder, capsys, tmp_path):
     ("arguments", "sentence"),
     [
         ([], "needs a calibration and its log"),
-        (["calib.json"], "needs a calibration and its log"),
         (["calib.json", "log.csv", "--plan"], "a log or --plan, not both"),
         (["calib.json", "log.csv", "--model", "stage30"], "belong to --plan"),
-        (["--plan", "none.toml"], "does not exist"),
         (["--plan", "--beside", "stage30"], "a plan has none"),
         (["calib.json", "log.csv", "--beside", "stage99"], "Model must be one of"),
         (["calib.json", "log.csv", "--bootstrap", "7"], "bootstrap must be 0, or 50 to"),
-        (["level.toml", "log.csv"], "cannot be read as JSON"),
-        (["calib.json", "level.toml"], "format"),
     ],
 )
 def test_bad_input_gets_one_sentence(folder, capsys, monkeypatch, arguments, sentence):

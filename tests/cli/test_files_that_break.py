@@ -75,36 +75,20 @@ def test_a_time_of_1e308(capsys, tmp_path):
     assert "recording lasts" in refused(capsys, "fit", tmp_path / "log.csv", "--drop-bad")
 
 
-@pytest.mark.parametrize("ids", [2**53, 2**63, 0.5, np.nan])
-@pytest.mark.parametrize("suffix", ["parquet"])
-def test_run_numbers_that_are_none(capsys, tmp_path, suffix, ids):
-    found = columns()
+@pytest.mark.parametrize("ids", [2**53, 0.5, np.nan])
+def test_run_numbers_that_are_none(capsys, tmp_path, ids):
+    found, arrow = columns(), pytest.importorskip("pyarrow")
     found["run"] = found["run"].astype("u8") + np.uint64(ids) if ids > 1 else found["run"] + ids
-    write_raw(found, tmp_path / f"log.{suffix}")
-    assert "whole run numbers up to 2^53" in refused(capsys, "info", tmp_path / f"log.{suffix}")
+    pytest.importorskip("pyarrow.parquet").write_table(arrow.table(found), tmp_path / "log.parquet")
+    assert "whole run numbers up to 2^53" in refused(capsys, "info", tmp_path / "log.parquet")
 
 
-@pytest.mark.parametrize("suffix", ["parquet", "mat"])
-def test_booleans_are_no_readings(capsys, tmp_path, suffix):
+def test_booleans_are_no_readings(capsys, tmp_path):
+    from scipy.io import savemat
+
     found = columns()
-    write_raw(found | {"hall_a_m": found["hall_a_m"] > 0}, tmp_path / f"log.{suffix}")
-    said = refused(capsys, "fit", tmp_path / f"log.{suffix}")
-    assert "hall_a_m" in said
-    assert re.search("bool", said)
-
-
-def write_raw(found, path):
-    if path.suffix == ".parquet":
-        arrow = pytest.importorskip("pyarrow")
-        pytest.importorskip("pyarrow.parquet").write_table(arrow.table(found), path)
-    elif path.suffix == ".h5":
-        with pytest.importorskip("h5py").File(path, "w") as file:
-            for name, values in found.items():
-                file[name] = values
-    else:
-        from scipy.io import savemat
-
-        savemat(path, found)
+    savemat(tmp_path / "log.mat", found | {"hall_a_m": found["hall_a_m"] > 0})
+    assert re.search("hall_a_m.*bool", refused(capsys, "fit", tmp_path / "log.mat"))
 
 
 # -- HDF5 ------------------------------------------------------------------------------------------------
@@ -209,10 +193,7 @@ def test_holdout_ranges_without_end(capsys, log, runs):
         (CAMPAIGN.replace("= 1\n", "= 1e30\n"), "at most 2e\\+07 samples"),
         (SETTINGS + AXES, "at most 10000 runs; it has 20000"),
         (f"step_s = {'1' * 400}\n{CAMPAIGN}", "'step_s' of .* must be a positive number"),
-        (f"step_s = {'1' * 5000}\n{CAMPAIGN}", "is not valid TOML"),
         (f"step_s = {'[' * 5000}{']' * 5000}\n", "nested too deeply"),
-        (f"step_s = nan\n{CAMPAIGN}", "'step_s' of .* must be a positive number"),
-        (f"steps_s = 1\n{CAMPAIGN}", "did you mean 'step_s'"),
     ],
 )  # fmt: skip
 def test_campaigns_that_cannot_be(capsys, tmp_path, text, words):
@@ -241,8 +222,6 @@ def test_probes_of_another_machine(capsys, tmp_path, position):
     [
         ({"noise_1sigma": {"hal_m": 1e-7}}, "did you mean 'hall_m'"),
         ({"validaton_runs": [1]}, "did you mean 'validation_runs'"),
-        ({"validation_runs": [1.5]}, "must be a whole number"),
-        ({"sampling_clock_s": "2 ms"}, "must be a number"),
     ],
 )
 def test_misspelt_keys_of_a_meta_file(capsys, tmp_path, meta, words):
@@ -299,17 +278,14 @@ sys.exit(command.program())
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
-@pytest.mark.parametrize("after", [0.05])
-def test_ctrl_c_while_libraries_are_loaded_is_one_sentence(log, after):
+def test_ctrl_c_while_libraries_are_loaded_is_one_sentence(log):
     words = [sys.executable, "-c", READY, str(log)]
     child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert child.stdout is not None
     assert child.stdout.readline() == "ready\n"
-    time.sleep(after)
+    time.sleep(0.05)
     child.send_signal(signal.SIGINT)
     _, said = child.communicate(timeout=60)
-    if after == 0.0 and child.returncode == -signal.SIGINT:
-        return  # before the command's own first line
     assert "Traceback" not in said, said
     assert said.count("\n") <= 1
 

@@ -94,13 +94,10 @@ def test_evaluate_says_it_of_another_log(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "code", "says"),
     [
-        (lambda c: {"y_ref_m": -c["y_ref_m"]}, 2, "the sign of y_ref_m looks inverted.*"),
         (lambda c: {"hall_a_m": 1e3 * c["hall_a_m"]}, 2, "hall_a_m looks like mm.*"),
-        (lambda c: {"hall_b_m": np.clip(c["hall_b_m"], -3.5e-4, 3.5e-4)}, 3, "hall_b_m .* is saturated.*"),
-        (lambda c: {"hall_c_m": np.where(c["run"] == 31, -1, 1) * c["hall_c_m"]}, 2, "In run 31 .*"),
         (lambda c: late(c, 2), 3, "References of .* look 2 samples"),
     ],
-    ids=["sign", "unit", "rails", "run", "delay"],
+    ids=["unit", "delay"],
 )
 def test_evaluate_says_of_a_recording_what_fit_says(capsys, tmp_path, wrong, code, says):
     """The same sentence on stderr, beside a calibration of the machine as it was."""

@@ -7,7 +7,7 @@ import pytest
 
 from hallsym.cli.main import main
 from hallsym.errors import InputError
-from hallsym.experiment import paper_ranges, read_ranges
+from hallsym.experiment import read_ranges
 from hallsym.simulation import read_campaign
 
 RANGES = """
@@ -75,14 +75,6 @@ def test_json_holds_the_numbers_of_the_table(capsys, ranges):
         assert factor == pytest.approx(other["std"][name] / other["std_as_many"][name])
 
 
-def test_like_paper_has_the_ranges_of_table_6(capsys):
-    box = paper_ranges().box
-    assert box["z_m"] == (-250e-6, 250e-6)
-    assert box["rx_rad"] == box["ry_rad"] == (-500e-6, 500e-6)
-    code, out, _ = run(capsys, "plan", "--like-paper", "--runs", 4, "--json")
-    assert (code, json.loads(out)["runs"]) == (0, 4)
-
-
 def test_another_machine_states_its_noise_and_is_compared_only_when_asked(capsys, ranges, tmp_path):
     machine = tmp_path / "machine.toml"
     probes = [("a", 0.2, 0.4, [0, 1]), ("b", -0.2, 0.4, [0, 1]), ("c", 0.1, 0.3, [1, 0])]
@@ -123,23 +115,13 @@ def test_units_and_defaults_of_a_ranges_file(ranges):
 BAD = {
     "unknown key": (RANGES.replace("levels", "levls"), "did you mean 'levels'"),
     "no range": (RANGES[: RANGES.index("[range]")], "'range' is missing"),
-    "no clock": (RANGES.replace("step_s = 0.02", ""), "'step_s' is missing"),
-    "unknown axis": (RANGES.replace("rx_urad", "rq_urad"), "Unknown key 'rq_urad'"),
     "axis without unit": (RANGES.replace("rx_urad", "rx"), "'rx' of .* must end with a unit of 'rx'"),
     "inverted": (RANGES.replace("z_um = [-250, 250]", "z_um = [250, -250]"), "inverted"),
-    "three numbers": (RANGES.replace("z_um = [-250, 250]", "z_um = [0, 1, 2]"), "lowest, highest"),
-    "a number": (RANGES.replace("z_um = [-250, 250]", "z_um = 3"), "list of numbers"),
     "twice": (RANGES + "z_m = [0, 1e-4]\n", "twice"),
-    "empty range": (RANGES[: RANGES.index("x_um")], "empty"),
     "one level": (RANGES.replace("levels = 2", "levels = 1"), "levels"),
-    "half a run": (RANGES.replace("runs = 8", "runs = 7.5"), "whole number"),
     "unknown trajectory": (RANGES.replace('"combined"', '"combine"'), "did you mean 'combined'"),
-    "no trajectory": (RANGES.replace('["combined"]', "[]"), "trajectories"),
     "trajectory as text": (RANGES.replace('["combined"]', '"combined"'), "list"),
-    "no frequency": (RANGES.replace("[1.0, 2.0, 3.0]", "[]"), "frequencies_hz"),
     "negative noise": (RANGES + "[noise]\nhall_m = -1e-7\n", "hall_m"),
-    "not TOML": ("step_s =", "not valid TOML"),
-    "negative reset": ("reset_s = -1\n" + RANGES, "reset_s"),
     "empty zone": (RANGES + "[[exclude]]\n", "empty"),
 }
 
@@ -160,10 +142,6 @@ REFUSED = {
     "all excluded": (RANGES + "[[exclude]]\nz_um = [-300, 300]\n", (), "No admissible setting"),
     "too few runs": (RANGES, ("--runs", 2), "at least 4"),
     "no time": ("reset_s = 1\n" + RANGES, ("--minutes", 0.01), "too short for one run"),
-    "no runs": (RANGES, ("--runs", 0), "--runs must be positive|positive number"),
-    "no such criterion": (RANGES, ("--criterion", "G"), "Criterion must be one of"),
-    "no such log": (RANGES, ("--after", "none.csv"), "none.csv"),
-    "no such model": (RANGES, ("--model", "stage99"), "stage99"),
     "both": (RANGES, ("--like-paper",), "either"),
 }
 
@@ -176,5 +154,5 @@ def test_a_plan_that_cannot_be_is_one_sentence_and_exit_code_2(capsys, ranges, t
     assert out == ""
     assert err.startswith("hallsym: ")
     assert err.count("\n") == 1
-    assert any(part in err for part in said.split("|"))
+    assert said in err
     assert not (tmp_path / "out.toml").exists()

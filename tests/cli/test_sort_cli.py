@@ -78,15 +78,12 @@ def test_columns_are_mapped_and_fields_stated(capsys, table, tmp_path):
     ("arguments", "words"),
     [
         (["--sets", "4"], "--model"),
-        (["--per-channel", "2"], "--model"),
         (["--model", "stage31", "--sets", "400"], "90 were sorted"),
-        (["--model", "stage3"], "did you mean"),
         (["--model", "stage31", "--values", "a.json", "--effect", "quantisation"], "--effect"),
         (["-o", "a.txt"], ".csv"),
         (["--field", "0,475"], "unit"),
         (["--field", "0mT,1mT,2mT"], "2 readings a row"),
         (["--column", "sensor=Name"], "no column 'Name'"),
-        (["--column", "reading_2=Hall"], "unit"),
     ],
 )
 def test_bad_input_is_one_sentence(capsys, table, arguments, words):

@@ -27,7 +27,6 @@ from hallsym.diagnosis import (
     injections,
     machine_of,
     prepare,
-    readings_of,
     simulated_noise,
     sized,
 )
@@ -102,16 +101,6 @@ def test_a_fault_that_comes_in_large_steps_has_no_size_between_them() -> None:
     )
 
 
-def test_what_the_model_can_follow_is_no_gap() -> None:
-    truth, _, _ = bench()
-    base = truth.base
-    elsewhere = {run: zero + 1e-5 * np.sin(run) for run, zero in base.zeros.items()}
-    shifted, _ = truth.gap(readings_of(replace(base, zeros=elsewhere), base.model, base.p))
-    louder, raw = truth.gap(truth.recording.clean * 1.01)
-    assert raw > 1e-6
-    assert max(louder, shifted) < 1e-3 * raw
-
-
 def test_what_cannot_be_seen_says_why() -> None:
     truth, made, reasons = bench()
     assert reasons["gain_temperature_drift"] == "no temperature logged"
@@ -137,14 +126,16 @@ def like(log: Log):
 LONG = np.repeat(np.arange(20), 1000)
 
 
-def test_white_residuals_give_white_noise_of_the_stated_size() -> None:
-    base, noise = like(quiet())
+@pytest.mark.parametrize("factor", [1.0, 1.5])
+def test_white_noise_is_as_large_as_it_is_whatever_was_stated(factor: float) -> None:
+    sigmas = {c: replace(s, value=s.value / factor) for c, s in quiet().noise.sigmas.items()}
+    base, noise = like(replace(quiet(), noise=Noise(sigmas)))
     drawn, reference = noise.draw(LONG, np.random.default_rng(0))
     assert len(noise.coefficients) == 0
-    assert noise.ratio == pytest.approx(1.0, abs=0.05)
-    assert drawn.std(axis=1) == pytest.approx([base.sigma[c] for c in base.model.channels], rel=0.06)
+    assert noise.ratio == pytest.approx(factor, rel=0.05)
+    assert drawn.std(axis=1) == pytest.approx([factor * base.sigma[c] for c in base.model.channels], rel=0.06)
     for c in base.model.references:  # the reference is noisy too
-        assert reference[c].std() == pytest.approx(base.sigma[c], rel=0.06)
+        assert reference[c].std() == pytest.approx(factor * base.sigma[c], rel=0.06)
 
 
 def test_correlated_residuals_give_noise_that_is_as_correlated() -> None:
@@ -157,19 +148,6 @@ def test_correlated_residuals_give_noise_that_is_as_correlated() -> None:
     # each run begins with noise of full size
     starts, _ = noise.draw(np.arange(400), np.random.default_rng(1))
     assert starts.std(axis=1) == pytest.approx(drawn.std(axis=1), rel=0.15)
-
-
-def stated_as(log: Log, factor: float) -> Log:
-    """The log with its noise stated as `factor` times what it is."""
-    sigmas = {c: replace(s, value=s.value * factor) for c, s in log.noise.sigmas.items()}
-    return replace(log, noise=Noise(sigmas))
-
-
-def test_noise_is_as_large_as_it_is_whatever_was_stated() -> None:
-    base, noise = like(stated_as(quiet(), 1 / 1.5))
-    assert noise.ratio == pytest.approx(1.5, rel=0.03)
-    drawn, _ = noise.draw(LONG, np.random.default_rng(0))
-    assert drawn.std(axis=1) == pytest.approx([1.5 * base.sigma[c] for c in base.model.channels], rel=0.06)
 
 
 def test_the_true_motion_is_smooth_and_an_axis_at_rest_rests() -> None:
@@ -196,45 +174,12 @@ def test_a_shaft_that_turns_steadily_keeps_twelve_samples_a_turn() -> None:
         assert text.startswith(f"every {200 // 12}. sample of the first ")
 
 
-def test_long_runs_are_cut_and_left_out_samples_stay_out() -> None:
-    base = replace(base_on(quiet()), keep=lambda block: (np.arange(len(block.data["t_s"])) != 5) * 1.0)
-    runs = quiet().runs
-    short, text = decimated(base, 2000)
-    assert text == f"the first {2000 // len(runs)} samples of each run"
-    assert short.runs == runs
-    assert short.rows == pytest.approx(2000 - len(runs), abs=len(runs))
-    t = quiet().run(runs[0])["t_s"]
-    assert t[5] not in short.run(runs[0])["t_s"]
-    assert short.run(runs[0])["t_s"][:6].tolist() == t[[0, 1, 2, 3, 4, 6]].tolist()
-
-
 # -- trials ------------------------------------------------------------------------------------------------
 
 
 def stubbed(monkeypatch, answers) -> None:
     """Replace the blind diagnosis by answers, so that only the book-keeping is tested."""
     monkeypatch.setattr(Bench, "diagnosed", lambda self, log, name: answers(name))
-
-
-def test_found_from_the_smallest_size_above_which_all_are_found(monkeypatch) -> None:
-    said = iter(["found", "found", "no gap", "group", "found", "other", "found"])  # largest size first
-
-    def answers(name: str):
-        if name == NO_EFFECT:
-            return "no gap", "no gap", ()
-        outcome = next(said)
-        return outcome, "explained", ("time_skew",) if outcome in ("other", "group") else (name,)
-
-    stubbed(monkeypatch, answers)
-    s = detection_power(quiet(), "stage31", names=["even_nonlinearity", "odd_nonlinearity", "channel_swap"],
-                 repeats=1)  # fmt: skip
-    # injected in the order of the catalogue
-    odd, even, swap = (s.effect(n) for n in ("odd_nonlinearity", "even_nonlinearity", "channel_swap"))
-    assert (odd.status, odd.ratio, odd.confused_with) == ("found", RATIOS[1], ("time_skew",))
-    assert (even.status, even.ratio) == ("found", RATIOS[0])
-    assert (swap.status, swap.ratio) == ("not found", None)
-    assert s.false_alarms == 0
-    assert len(s.quiet_trials) == len(RATIOS)
 
 
 def test_bounds_are_those_of_clopper_and_pearson() -> None:
@@ -295,11 +240,8 @@ def test_leaving_effects_out_changes_no_draw(monkeypatch) -> None:
     ("options", "message"),
     [
         ({"names": ["hysterisis"]}, "did you mean 'hysteresis'"),
-        ({"names": []}, "at least one"),
         ({"ratios": (1.0, 2.0)}, "above 1"),
-        ({"ratios": ()}, "above 1"),
         ({"repeats": 0}, "1 or more"),
-        ({"rows": 0}, "rows"),
     ],
 )
 def test_bad_input_is_one_sentence(options: dict, message: str) -> None:
