@@ -5,7 +5,7 @@ import json
 import math
 import shlex
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -315,11 +315,6 @@ def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:
         if value is not None:
             words += [f"--{option.replace('_', '-')}", f"{value:g}" if isinstance(value, float) else value]
     return [*words, *(["--drop-bad"] if options.drop_bad else [])]
-
-
-def noted(notes: Iterable[str]) -> list[str]:
-    """Return the lines that say the notes."""
-    return [f"note: {note}" for note in notes]
 
 
 def campaign_of(options: Namespace) -> Campaign:

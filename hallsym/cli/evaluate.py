@@ -11,7 +11,6 @@ from hallsym.cli import BAD_INPUT, CHANGED, NOT_DESCRIBED, OK
 from hallsym.cli.common import (
     command,
     log_options,
-    noted,
     open_log,
     own_effects,
     own_option,
@@ -160,5 +159,5 @@ def _text(options: Namespace, known: Fit, logs: dict[str, Judged | str]) -> str:
             notes += found.notes
             if len(logs) == 1 or not found.belongs:
                 parts.append(belonging_text(found) if len(logs) == 1 else f"{path}: {belonging_text(found)}")
-        parts += ["\n".join(noted(dict.fromkeys(notes)))] if notes else []
+        parts += ["\n".join(f"note: {note}" for note in dict.fromkeys(notes))] if notes else []
     return "\n\n".join(parts)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import FILE_OPTIONS, command, log_options, noted, open_log, say
+from hallsym.cli.common import FILE_OPTIONS, command, log_options, open_log, say
 from hallsym.cli.trajectory import about_curve
 from hallsym.errors import InputError, counted
 from hallsym.estimation import LOSSES, SOLVERS
@@ -222,4 +222,4 @@ def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
         head += f"; held out by its meta.json: {', '.join(map(str, log.meta.holdout))}"
     told = log.table.source.recognised  # stands above the first rows already
     others = [note for note in notes if not told or told not in note]
-    return record, "\n".join([head, "", grid(rows), *noted(others)])
+    return record, "\n".join([head, "", grid(rows), *(f"note: {note}" for note in others)])

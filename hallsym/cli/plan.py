@@ -96,7 +96,12 @@ def run(options: Namespace) -> int:
         criterion=options.criterion, runs=options.runs, minutes=options.minutes, after=log,
         against=against, against_name=name, seed=options.seed,
     )  # fmt: skip
-    notes = [told, source, *_advice(found)]
+    settings = len({setting for _, setting, _ in found.groups()})
+    advice = (
+        f"the settings ({settings}) are best for {model.name} as it is: record a few runs elsewhere too, and "
+        "hold them out of the fit, to see whether the model is right between them."
+    )
+    notes = [told, source, advice]
     written = [options.output] if options.output else []
     if options.output:
         write_campaign(found.campaign, options.output, comment=_comment(found))
@@ -159,16 +164,6 @@ def _against(options: Namespace, ranges: Ranges, model: Model) -> tuple[Campaign
     if is_the_papers(model):
         return paper_campaign(ranges.step_s, ranges.seconds_per_run), "Table 6"
     return None, ""
-
-
-def _advice(found: Plan) -> list[str]:
-    """What no plan for one model can know."""
-    settings = {setting for _, setting, _ in found.groups()}
-    told = (
-        f"the settings ({len(settings)}) are best for {found.study.model.name} as it is: record a few runs "
-        "elsewhere too, and hold them out of the fit, to see whether the model is right between them."
-    )
-    return [told]
 
 
 def _comment(found: Plan) -> str:

@@ -75,11 +75,7 @@ def add(sub: Any) -> None:
         help="resample runs N times; by default 1000 if white noise does not explain the scatter, else 0",
     )  # fmt: skip
     group.add_argument("--seed", type=seed, default=0, help="of the bootstrap (default 0)")
-    parser.add_argument(
-        "--values",
-        metavar="JSON",
-        help="calibration whose values a plan is judged at (default: published or example values)",
-    )
+    parser.set_defaults(values=None)
     model_options(parser, "the calibration's, or stage31")
     log_options(parser)
 
@@ -105,10 +101,8 @@ def _recorded(options: Namespace) -> Identifiability:
         raise InputError(
             "hallsym sensitivity needs a calibration and its log, or --plan with a campaign file; see --help."
         )
-    if options.model or options.effect or options.machine or options.values:
-        raise InputError(
-            "--model, --effect, --machine and --values belong to --plan; a calibration has its own."
-        )
+    if options.model or options.effect or options.machine:
+        raise InputError("--model, --effect and --machine belong to --plan; a calibration has its own.")
     known = load_fit(options.calibration, own_effects(options))
     return identify(
         known,

@@ -60,12 +60,8 @@ def run(options: Namespace) -> int:
         for block in simulate_blocks(model, values, campaign, noise, seed=options.seed):
             writer.append(block)
             done += len(block["run"])
-            show(
-                Step(
-                    f"simulating, {100 * done // campaign.rows} % of {campaign.rows} samples",
-                    done / campaign.rows,
-                )
-            )
+            share = done / campaign.rows
+            show(Step(f"simulating, {100 * share:.0f} % of {campaign.rows} samples", share))
     record = {
         "log": str(options.output), "rows": campaign.rows, "runs": len(campaign.runs), "model": model.name,
         "values": dict(values), "noise": dict(noise.sigma), "seed": options.seed,

@@ -7,7 +7,7 @@
 """
 
 from hallsym.diagnosis.choose import model_on
-from hallsym.diagnosis.compare import Comparison, EffectChange, PlaceChange, compare
+from hallsym.diagnosis.compare import Comparison, EffectChange, compare
 from hallsym.diagnosis.decoded_errors import errors_of
 from hallsym.diagnosis.engine import Examined, diagnose, examine, prepare
 from hallsym.diagnosis.injection import Injection, generator, injections, sized
@@ -48,7 +48,7 @@ from hallsym.inference import Estimate, ParameterChange
 __all__ = [
     "NO_EFFECT", "POLICY", "QUIET", "RATIOS", "REPEATS", "ROWS", "Band", "Base", "Bench", "Comparison",
     "CurvePoint", "CurveShape", "DetectionPower", "Diagnosis", "EffectChange", "Estimate", "Examined",
-    "Findable", "FoundEffect", "Injection", "ParameterChange", "PlaceChange", "Separation", "Share",
+    "Findable", "FoundEffect", "Injection", "ParameterChange", "Separation", "Share",
     "Significance", "SimulatedMachine", "Statement", "Trial", "Unexplained", "clopper_pearson", "compare",
     "detection_power", "diagnose", "diagnosis_schema", "errors_of", "examine", "gap_text", "gap_unit",
     "generator", "injections", "load_effects", "machine_of", "model_on", "noise_text", "place_unit",

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.record import Diagnosis, Statement
+from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.words import gap_text, gap_unit
 from hallsym.errors import InputError, quoted
 from hallsym.estimation.calibration import FORMAT, read_record
@@ -37,16 +37,6 @@ class EffectChange:
 
 
 @dataclass(frozen=True)
-class PlaceChange:
-    """A statement on where the gap lies: share of the excess before and after, None where there is none."""
-
-    by: str
-    at: str
-    share: tuple[float | None, float | None]
-    text: tuple[str, str]
-
-
-@dataclass(frozen=True)
 class Comparison:
     """What changed between two records of one machine. Pairs are (before, after); SI units.
 
@@ -64,7 +54,6 @@ class Comparison:
     rest: tuple[float, float] = (0.0, 0.0)
     floor: tuple[float, float] = (0.0, 0.0)
     rmse: dict[str, tuple[float, float]] = field(default_factory=dict)
-    where: tuple[PlaceChange, ...] = ()
     notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -137,7 +126,6 @@ def _diagnoses(old: Diagnosis, new: Diagnosis) -> Comparison:
         floor=(old.metric.floor, new.metric.floor),
         rmse={c: (old.gap_before.rmse[c], new.gap_before.rmse[c]) for c in outputs},
         effects=effects,
-        where=_places(old.where, new.where),
         notes=_notes(old, new),
     )
 
@@ -174,16 +162,6 @@ def _reason(name: str, other: Diagnosis) -> str:
         return f"not testable: {other.not_testable[name]}"
     smaller = next((f for f in other.smaller_findings if f.name == name), None)
     return f"below the threshold: {100 * smaller.shrinkage:.2g} %" if smaller else ""
-
-
-def _places(one: Sequence[Statement], two: Sequence[Statement]) -> tuple[PlaceChange, ...]:
-    before, after = ({(s.by, s.at): s for s in statements} for statements in (one, two))
-    out = []
-    for key in dict.fromkeys((*before, *after)):
-        a, b = before.get(key), after.get(key)
-        share = (a.share if a else None, b.share if b else None)
-        out.append(PlaceChange(*key, share, (a.text if a else "", b.text if b else "")))
-    return tuple(out)
 
 
 def _notes(old: Diagnosis, new: Diagnosis) -> tuple[str, ...]:

@@ -97,19 +97,6 @@ def test_parameters_of_another_form_are_not_compared() -> None:
     assert "form changed" in changed.effects[0].remark
 
 
-def test_places_are_matched() -> None:
-    def place(by: str, share: float) -> dict:
-        return {"by": by, "at": "z_m", "share": share, "p_value": 1e-6, "text": f"{by} {share}"}
-
-    changed = compare(
-        diagnosis(where=[place("state", 0.6), place("sensor", 0.3)]),
-        diagnosis(where=[place("state", 0.2), place("run", 0.1)]),
-    )
-    assert [(p.by, p.share) for p in changed.where] == [
-        ("state", (0.6, 0.2)), ("sensor", (0.3, None)), ("run", (None, 0.1)),
-    ]  # fmt: skip
-
-
 def test_comparing_a_record_with_itself_changes_nothing() -> None:
     one = diagnosis(effect("hysteresis", a=(1.0, 0.1)), effect("mount_slip", b=(2.0, 0.1)))
     changed = compare(one, deepcopy(one))

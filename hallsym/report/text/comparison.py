@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from hallsym.diagnosis import POLICY, Comparison, EffectChange, ParameterChange, PlaceChange, gap_unit
+from hallsym.diagnosis import POLICY, Comparison, EffectChange, ParameterChange, gap_unit
 from hallsym.estimation import Evaluation
 from hallsym.inference import Belonging
 from hallsym.report.tables import grid, in_units
@@ -10,7 +10,7 @@ from hallsym.units import readable
 
 
 def comparison_text(c: Comparison) -> str:
-    """Return what `hallsym diagnose --compare` prints: gap, effects, parameters, where."""
+    """Return what `hallsym diagnose --compare` prints: gap, effects, parameters."""
     parts = [c.sentence]
     if c.kind == "diagnoses":
         parts += ["", _gaps(c)]
@@ -22,8 +22,6 @@ def comparison_text(c: Comparison) -> str:
         parts.append(
             f"significant: at {100 * POLICY.false_alarm:g} % over all {len(rows)} parameters together"
         )
-    if c.where:
-        parts += ["", "where the gap lies (share of the excess, before and after):", *map(_place, c.where)]
     return "\n".join([*parts, *(f"note: {note}" for note in c.notes)])
 
 
@@ -64,11 +62,6 @@ def parameters_text(changes: Sequence[ParameterChange]) -> str:
         chance = "" if p.p_value is None else f"{p.p_value:.1g}"
         rows.append([p.name, before, after, unit, chance, said(p)])
     return grid([head, *rows], left=1)
-
-
-def _place(place: PlaceChange) -> str:
-    before, after = (_share(s) or "none" for s in place.share)
-    return f"  {place.by}{' ' + place.at if place.at else ''}: {before} -> {after}"
 
 
 SHOWN = 6
