@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,18 +82,15 @@ ACROSS, HEIGHT = 3, 1.4
 """Panels side by side, and how high each is [inches]."""
 
 
-def gap(found: Diagnosis, period: Collection[str] | None = None) -> Figure:
-    """Draw the error on the holdout runs by output: of the model, with the effects found, and noise alone.
-
-    `period`: coordinates of the pose that repeat, which are read in degrees.
-    """
+def gap(found: Diagnosis) -> Figure:
+    """Draw the error on the holdout runs by output: of the model, with the effects found, and noise alone."""
     pose = list(found.noise_floor.outputs)
     across = min(len(pose), ACROSS)
     rows = -(-len(pose) // across)
     figure, axes = panels(rows, across, HEIGHT, top=0.3, bottom=0.3, gaps=(0.66, 0.34))
     for ax, c in zip(axes.flat, pose, strict=False):
         sizes = (found.gap_before.rmse[c], found.gap_after.rmse[c], found.noise_floor.outputs[c])
-        factor, unit = scale(c, max(sizes), period)
+        factor, unit = scale(c, max(sizes))
         ax.bar((0, 1), [factor * size for size in sizes[:2]], color=(BEFORE, AFTER), width=0.6)
         ax.axhline(factor * sizes[2], color=BLACK, lw=0.8, ls=DASHED)
         ax.set_xticks((0, 1), ("model", "with effects"))
