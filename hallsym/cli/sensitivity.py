@@ -22,12 +22,12 @@ from hallsym.cli.common import (
     truth_of,
 )
 from hallsym.errors import InputError
-from hallsym.estimation import fit, load_fit
+from hallsym.estimation import load_fit
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
-from hallsym.inference import Identifiability, comparison, identify
-from hallsym.report.text.identifiability import comparison_text, report_text
+from hallsym.inference import Identifiability, identify
+from hallsym.report.text.identifiability import report_text
 from hallsym.simulation import campaign_from, paper_campaign, read_campaign
 
 PAPER = "the paper's campaign"
@@ -43,7 +43,6 @@ def add(sub: Any) -> None:
         "determines apart from those that this one leaves. With --plan: the same before any recording.",
         "examples:\n"
         "  hallsym sensitivity calib.json LOG --plots pictures\n"
-        "  hallsym sensitivity calib.json LOG --beside stage31_tied    the same log with a tied coupling\n"
         "  hallsym sensitivity --model stage31 --plan                  the paper's campaign, before data\n"
         "  hallsym sensitivity calib.json --plan next.toml             what a plan would tell of the machine",
     )  # fmt: skip
@@ -59,10 +58,6 @@ def add(sub: Any) -> None:
     own_option(parser)
     parser.add_argument("-o", "--output", metavar="JSON", help="save the report")
     plots_options(parser)
-    parser.add_argument(
-        "--beside", action="append", default=[], metavar="MODEL",
-        help="fit this model to the same log and set what it determines beside (repeat)",
-    )  # fmt: skip
     group = parser.add_argument_group("intervals")
     group.add_argument(
         "--profiles",
@@ -83,16 +78,8 @@ def add(sub: Any) -> None:
 def run(options: Namespace) -> int:
     """Carry the command out."""
     report = _planned(options) if options.plan is not None else _recorded(options)
-    others = [_other(options, report, name) for name in options.beside]
-    record = report.to_dict() | ({"beside": comparison(report, others)} if others else {})
-    written = _written(options, report, record)
-
-    def text() -> str:
-        parts = [report_text(report)]
-        parts += ["", comparison_text(report, others)] if others else []
-        return "\n".join(parts)
-
-    say(options, record, text, wrote=written)
+    record = report.to_dict()
+    say(options, record, lambda: report_text(report), wrote=_written(options, report, record))
     return _exit_code(report)
 
 
@@ -117,8 +104,6 @@ def _recorded(options: Namespace) -> Identifiability:
 def _planned(options: Namespace) -> Identifiability:
     if options.log is not None:
         raise InputError("Give a log or --plan, not both: a plan is what is not recorded yet.")
-    if options.beside:
-        raise InputError("--beside compares models on a log; a plan has none.")
     own = build(options.model).family.example if options.model and not options.plan else None
     campaign = read_campaign(options.plan) if options.plan else paper_campaign()
     name = Path(options.plan).name if options.plan else PAPER
@@ -131,17 +116,6 @@ def _planned(options: Namespace) -> Identifiability:
         return identify(known, campaign, noise=noise, name=name)
     model, values = truth_of(options, read_machine(options.machine))
     return identify(model, campaign, values=values, noise=levels(campaign, model, values), name=name)
-
-
-def _other(options: Namespace, report: Identifiability, name: str) -> Identifiability:
-    """The report of another model on the same log and the same runs."""
-    known = load_fit(options.calibration, own_effects(options))
-    log = open_log(options, known=known)
-    model = build(name, meta=log.meta)
-    if model.layout != report.model.layout:
-        raise InputError(f"--beside {name} does not have the probes of the calibration; fit it by itself.")
-    result = fit(log, model, solver="direct", holdout=known.log["holdout"])
-    return identify(result, profiles="none", bootstrap=options.bootstrap, seed=options.seed)
 
 
 def _written(options: Namespace, report: Identifiability, record: dict[str, Any]) -> list[Path]:

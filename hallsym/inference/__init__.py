@@ -20,7 +20,6 @@ from hallsym.inference.identifiability import (
     Offsets,
     ParameterReport,
     Verdict,
-    comparison,
     identify,
 )
 from hallsym.inference.intervals import Interval
@@ -52,7 +51,6 @@ __all__ = [
     "bootstrap",
     "changes",
     "check_false_alarm",
-    "comparison",
     "identify",
     "profile",
     "skewness",

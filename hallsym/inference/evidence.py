@@ -159,7 +159,6 @@ def from_fit(known: Fit, log: Log | None = None) -> Evidence:
     The log is fitted again from the calibration's values: on its own log nothing moves; on another one the
     notes say what did. Raises `InputError` when model and log do not belong together.
     """
-    _check_bounds(known)
     found, notes = known, known.notes
     if log is not None or known.likelihood is None:
         if log is None:
@@ -244,17 +243,6 @@ def _fitted_again(known: Fit, log: Log) -> tuple[Fit, tuple[str, ...]]:
 def _same_log(known: Fit, log: Log) -> bool:
     said = known.log.get("sha256")
     return said is not None and said == log.sha256
-
-
-def _check_bounds(known: Fit) -> None:
-    lower, upper = known.model.bounds
-    slack = 1e-9 * np.maximum(np.abs(lower), np.abs(upper), where=np.isfinite(lower), out=np.ones(len(lower)))
-    for k in np.flatnonzero(~((known.values >= lower - slack) & (known.values <= upper + slack))):
-        name = known.model.names[k]
-        raise InputError(
-            f"Bounds {lower[k]:g} to {upper[k]:g} of {name} exclude its estimate {known.values[k]:g}; widen "
-            "them and fit again."
-        )
 
 
 def _check_samples(cost: Cost, model: Model, name: str) -> None:

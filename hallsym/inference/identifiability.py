@@ -44,23 +44,15 @@ WIDE = 4
 
 @dataclass(frozen=True)
 class NullDirection:
-    """One direction that is not determined: its parameters, and what of them is, if anything.
-
-    `determined`: a combination that is determined although these parameters are not, with `value`, `std` and
-    `unit`; None when nothing of them is. `also`: further ones.
-    """
+    """One direction that is not determined: its parameters, and the combinations of them that are."""
 
     parameters: tuple[str, ...]
-    determined: str | None
-    value: float | None
-    std: float | None
-    unit: str | None
-    also: tuple[str, ...] = ()
+    determined: tuple[str, ...]
 
     @property
     def is_wide(self) -> bool:
         """Whether so many parameters change together that what is determined of them takes a table."""
-        return len(self.parameters) > WIDE and bool(self.also)
+        return len(self.parameters) > WIDE and len(self.determined) > 1
 
 
 @dataclass(frozen=True)
@@ -105,18 +97,8 @@ def _named(
     out = []
     for row in echelon(null.T):
         involved = tuple(names[k] for k in np.flatnonzero(np.abs(row) > least * np.abs(row).max()).tolist())
-        telling = [c for c in combinations if mentions(c.expression, involved)]
-        first = telling[0] if telling else None
-        out.append(
-            NullDirection(
-                parameters=involved,
-                determined=first.expression if first else None,
-                value=first.value if first else None,
-                std=first.std if first else None,
-                unit=first.unit if first else None,
-                also=tuple(c.expression for c in telling[1:]),
-            )
-        )
+        telling = tuple(c.expression for c in combinations if mentions(c.expression, involved))
+        out.append(NullDirection(involved, telling))
     return tuple(sorted(out, key=lambda d: list(names).index(d.parameters[0])))
 
 
@@ -213,7 +195,7 @@ def _instead(name: str, *directions: NullDirection, cause: str = "by any recordi
     if wide is not None:
         first, second, *more = (n for n in wide.parameters if n != name)
         return f"{cause}; it may change together with {first}, {second} and {len(more)} more"
-    every = [text for d in directions if d.determined for text in (d.determined, *d.also)]
+    every = [text for d in directions for text in d.determined]
     told = [text for text in every if mentions(text, (name,))] or every
     if told:
         return f"{cause}; only {_listed(dict.fromkeys(told))} determined"
@@ -462,8 +444,7 @@ class Offsets:
 class Identifiability(Shown):
     """What `identify` returns.
 
-    `correlation`: (n, n) of the estimates, nan where a parameter is not estimated. `spectrum`: singular
-    values of the scaled Jacobian, largest first: 1 means known to one bound width. `outputs`: by pose
+    `correlation`: (n, n) of the estimates, nan where a parameter is not estimated. `outputs`: by pose
     coordinate. `further`: what other recordings would determine beside this one. `partial`: what could not be
     computed, and why.
     """
@@ -474,7 +455,6 @@ class Identifiability(Shown):
     structural: NullSpace
     practical: NullSpace
     correlation: np.ndarray
-    spectrum: np.ndarray
     outputs: Mapping[str, Output]
     offsets: Offsets
     intervals: Intervals
@@ -519,7 +499,6 @@ class Identifiability(Shown):
             "nuisance": self.offsets.to_dict(),
             "uncertainty": {"method": self.intervals.method, "reason": self.intervals.reason},
             "profiles": [profile_record(p) for p in self.intervals.profiles],
-            "spectrum": self.spectrum.tolist(),
             "notes": list(self.evidence.notes),
             "partial": list(self.partial),
             "seconds": self.seconds,
@@ -574,7 +553,6 @@ def identify(
         structural=always,
         practical=here,
         correlation=correlation,
-        spectrum=_spectrum(evidence),
         outputs=_outputs(evidence, slopes),
         offsets=_offsets(evidence),
         intervals=intervals,
@@ -639,15 +617,6 @@ def _parameter(
     )
 
 
-def _spectrum(evidence: Evidence) -> np.ndarray:
-    """Singular values of the Jacobian with parameters in bound widths and readings in standard deviations."""
-    scale = evidence.found.scale
-    open_ = np.array([p.width > 0 for p in evidence.model.parameters])
-    information = evidence.information * np.outer(scale, scale)
-    values = np.linalg.eigvalsh(information[np.ix_(open_, open_)])[::-1]
-    return np.sqrt(np.maximum(values, 0.0))
-
-
 def _outputs(evidence: Evidence, slopes: Slopes) -> dict[str, Output]:
     spread = slopes.spread(evidence.uncertainty.covariance)
     floor = noise_floor(evidence.cost.at(evidence.p))
@@ -687,36 +656,5 @@ def _space(space: NullSpace) -> dict[str, Any]:
     return {
         "rank": space.rank,
         "of": space.of,
-        "null": [{**vars(d), "parameters": list(d.parameters), "also": list(d.also)} for d in space.null],
+        "null": [{"parameters": list(d.parameters), "determined": list(d.determined)} for d in space.null],
     }
-
-
-def comparison(report: Identifiability, others: Sequence[Identifiability]) -> list[dict[str, Any]]:
-    """Return one record per other model: rank, cost, verdict and standard uncertainty by parameter."""
-    return [
-        {
-            "model": other.model.name,
-            "rank": other.structural.rank,
-            "of": other.structural.of,
-            "cost": float(other.evidence.cost.at(other.evidence.p).value),
-            "cost_here": float(report.evidence.cost.at(report.evidence.p).value),
-            "parameters": {
-                entry.name: {
-                    "verdict": entry.verdict.word,
-                    "std": entry.std,
-                    "verdict_here": _word(report, entry.name),
-                    "std_here": _std(report, entry.name),
-                }
-                for entry in other.parameters
-            },
-        }
-        for other in others
-    ]
-
-
-def _word(report: Identifiability, name: str) -> str | None:
-    return report[name].verdict.word if name in report.model.names else None
-
-
-def _std(report: Identifiability, name: str) -> float | None:
-    return report[name].std if name in report.model.names else None

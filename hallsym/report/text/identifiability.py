@@ -108,15 +108,12 @@ def null_text(structural: NullSpace, practical: NullSpace) -> list[str]:
 
 def _direction(direction: NullDirection) -> str:
     named = ", ".join(direction.parameters)
-    if direction.determined is None:
+    if not direction.determined:
         return f"  {named}: no combination is identifiable"
     if direction.is_wide:
-        known = 1 + len(direction.also)
+        known = len(direction.determined)
         return f"  {named} may change together; {known} combinations of them are identifiable (table above)"
-    value = " ".join(in_units(direction.value or 0.0, direction.std, direction.unit or "1")).removesuffix(
-        " 1"
-    )
-    return f"  {named}: only {' and '.join((f'{direction.determined} = {value}', *direction.also))}"
+    return f"  {named}: only {' and '.join(direction.determined)}"
 
 
 def further_text(further: Sequence[FurtherReport]) -> str:
@@ -208,23 +205,3 @@ def offsets_text(offsets: Offsets) -> list[str]:
     std = factor * max(z["std"] for z in sizes.values())
     each = f"each +-{std:.2g} {unit} (1 sigma)"
     return [f"{offsets.values.size} zero deviations, eliminated: {'; '.join(said)}; {each}"]
-
-
-def comparison_text(report: Identifiability, others: Sequence[Identifiability]) -> str:
-    """Return verdict and value of each parameter under every model, side by side."""
-    every = [report, *others]
-    names = list(dict.fromkeys(entry.name for one in every for entry in one.parameters))
-    rows = [["parameter", *(one.model.name for one in every)]]
-    rows += [[name, *(_cell(one, name) for one in every)] for name in names]
-    rank = [f"{one.structural.rank} of {one.structural.of}" for one in every]
-    cost = [f"{one.evidence.cost.at(one.evidence.p).value:.6g}" for one in every]
-    return grid([*rows, ["structural rank", *rank], ["cost (-2 log likelihood)", *cost]])
-
-
-def _cell(report: Identifiability, name: str) -> str:
-    if name not in report.model.names:
-        return "-"
-    entry = report[name]
-    if entry.std is None:
-        return entry.verdict.word
-    return " ".join(in_units(entry.value, entry.std, entry.unit))
