@@ -28,13 +28,13 @@ def add(sub: Any) -> None:
     parser = command(
         sub, "tolerances", run,
         "Draw machines with every parameter in its tolerance, read them with the nominal decoder, and say\n"
-        "how much of the error each tolerance makes: fall of the rms error if it is exact or halved, Sobol\n"
+        "how much of the error each tolerance makes: fall of the rms error if it is exact, Sobol\n"
         "indices with 95 % intervals. With --along, one machine with known deviations along a coordinate:\n"
         "the error by cause, each effect alone, then all together.",
         "examples:\n"
         "  hallsym tolerances                                 Table 1 with the ranges of Table 3\n"
         "  hallsym tolerances --model halbach                 usual tolerances of sensors and boards\n"
-        "  hallsym tolerances --ranges drawing.toml --machine mystage.toml --plots pictures\n"
+        "  hallsym tolerances --ranges drawing.toml --machine mystage.toml\n"
         "  hallsym tolerances --along x_um=-500:500 --set theta_A_deg=0.1\n"
         "  hallsym tolerances --model halbach --along x_m --effect gain_mismatch --set gain_0_percent=1\n"
         "\n"
@@ -60,7 +60,7 @@ def add(sub: Any) -> None:
         help="base samples, a power of two (default 1024)",
     )  # fmt: skip
     parser.add_argument("--seed", type=seed, default=0, help="of the machines drawn (default 0)")
-    plots_options(parser, "save a picture of the indices, or of the errors")
+    plots_options(parser, "save a picture of the errors along a coordinate")
     parser.set_defaults(step=None, duration=None)
     group = parser.add_argument_group("known deviations")
     group.add_argument(
@@ -90,7 +90,7 @@ def run(options: Namespace) -> int:
     model = made(*options.effect)
     if options.along:
         return _along(options, model)
-    for name in ("set", "at"):
+    for name in ("set", "at", "plots"):
         if getattr(options, name):
             raise InputError(f"--{name} is for errors along a coordinate; give --along {model.pose[0]} too.")
     from hallsym.report.text.tolerances import tolerances_text
@@ -101,12 +101,7 @@ def run(options: Namespace) -> int:
         model = made(*filter(None, model.family.tolerances))
     ranges = None if options.ranges is None else read_tolerances(options.ranges, model)
     found = tolerances(model, campaign_of(options), ranges=ranges, samples=options.samples, seed=options.seed)
-    pictures = []
-    if options.plots:
-        from hallsym.report.figures.tolerances import save_tolerances
-
-        pictures = save_tolerances(found, plots_place(options, options.ranges, model.name))
-    say(options, found.to_dict(), lambda: tolerances_text(found), wrote=pictures)
+    say(options, found.to_dict(), lambda: tolerances_text(found))
     return OK
 
 

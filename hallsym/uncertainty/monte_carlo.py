@@ -101,12 +101,6 @@ class Comparison:
             return "confirmed" if self.stable or np.all(off + slack <= self.tolerance) else "undecided"
         return "not confirmed" if np.any(off - slack > self.tolerance) else "undecided"
 
-    @property
-    def width_ratio(self) -> float:
-        """Width of the linear interval over that of the Monte Carlo one."""
-        (a, b), (c, d) = self.linear.interval, self.interval
-        return (b - a) / (d - c) if d > c else float("nan")
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers in SI for JSON."""
         return {

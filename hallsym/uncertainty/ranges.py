@@ -44,14 +44,6 @@ class Tolerance:
         """Return the values at probabilities `u` in [0, 1): the inverse of the distribution function."""
         return self.centre + self.width * _QUANTILES[self.distribution](u)
 
-    def halved(self) -> "Tolerance":
-        """Return the same range, half as wide."""
-        return replace(self, width=self.width / 2)
-
-    def made_exact(self) -> "Tolerance":
-        """Return the nominal value without a range."""
-        return replace(self, centre=self.nominal, width=0.0)
-
 
 def _triangle(u: np.ndarray) -> np.ndarray:
     return np.where(u < 0.5, np.sqrt(2 * u) - 1, 1 - np.sqrt(2 * (1 - u)))

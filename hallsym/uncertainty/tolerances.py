@@ -8,7 +8,7 @@ J. Stat. 8 (2014) 575, doi:10.1214/14-EJS895): large errors count as such, where
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -125,14 +125,13 @@ class Errors95:
 
 @dataclass(frozen=True, eq=False)
 class Worth:
-    """How much the rms falls, relative, if one tolerance is tightened; (n, n_pose) each.
+    """How much the rms over machines and workspace falls, relative, if one tolerance is exact.
 
-    `exact`, `halved`: fall of the rms over machines and workspace. `exact_half`: half width of the 95 %
-    interval of `exact`. Negative where it grows. From machines drawn again with that tolerance alone changed.
+    `exact_half`: half width of the 95 % interval of `exact`, both (n, n_pose). Negative where it grows. From
+    machines drawn again with that tolerance alone changed.
     """
 
     exact: np.ndarray
-    halved: np.ndarray
     exact_half: np.ndarray
 
 
@@ -395,28 +394,24 @@ def _errors(found: _Found) -> Errors95:
 
 
 def _worth(drawn: _Sums, u: np.ndarray, all_: tuple[Tolerance, ...], active: tuple[Tolerance, ...]) -> Worth:
-    """Draw the machines A again, one tolerance exact or halved at a time, everything else the same."""
+    """Draw the machines A again, one tolerance exact at a time, everything else the same."""
     before = drawn.squares(_machines(all_, active, u))
     rows = []
     for t in active:
-        changed = []
-        for other in (t.made_exact(), t.halved()):
-            ranges = tuple(other if k.name == t.name else k for k in all_)
-            moved = tuple(other if k.name == t.name else k for k in active)
-            changed.append(drawn.squares(_machines(ranges, moved, u)))
-        rows.append(_falls(before, *changed))
+        exact = replace(t, centre=t.nominal, width=0.0)
+        ranges, moved = (tuple(exact if k.name == t.name else k for k in some) for some in (all_, active))
+        rows.append(_falls(before, drawn.squares(_machines(ranges, moved, u))))
     return Worth(*np.array(rows).transpose(1, 0, 2))
 
 
-def _falls(before: np.ndarray, exact: np.ndarray, halved: np.ndarray) -> np.ndarray:
-    """Relative falls (3, n_pose) as in `Worth`; nothing can fall where there is no error."""
+def _falls(before: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """Relative fall and its half width (2, n_pose) as in `Worth`; nothing can fall without an error."""
     level = before.mean(axis=1)
     safe = np.where(level > 0, level, 1.0)
     ratio = np.where(level > 0, exact.mean(axis=1) / safe, 1.0)
-    half = np.where(level > 0, halved.mean(axis=1) / safe, 1.0)
     scatter = (exact - ratio[:, None] * before).std(axis=1, ddof=1) / np.sqrt(before.shape[1]) / safe
     width = np.where(ratio > 0, COVERAGE * scatter / (2 * np.sqrt(np.where(ratio > 0, ratio, 1.0))), 0.0)
-    return np.array([1 - np.sqrt(ratio), 1 - np.sqrt(half), width])
+    return np.array([1 - np.sqrt(ratio), width])
 
 
 def _notes(model: Model, all_: tuple[Tolerance, ...]) -> Iterator[str]:

@@ -71,11 +71,9 @@ def test_a_linear_error_is_shared_by_variance(model, somewhere, small):
 
 
 def test_tightening_a_linear_error_takes_its_share(model, somewhere, small):
-    """Exact takes all of a share of the mean square, halved three quarters."""
     shares, _ = shares_by_hand(model, small.tolerances, somewhere)
-    for left, fall in ((0.0, small.worth.exact), (0.25, small.worth.halved)):
-        expected = 1 - np.sqrt(1 - (1 - left) * shares.T)
-        assert np.all(np.abs(fall - expected) <= small.worth.exact_half + 1e-3)
+    expected = 1 - np.sqrt(1 - shares.T)
+    assert np.all(np.abs(small.worth.exact - expected) <= small.worth.exact_half + 1e-3)
 
 
 def ishigami(u: np.ndarray) -> np.ndarray:

@@ -87,8 +87,7 @@ def comparison_text(comparisons: Sequence[Comparison]) -> str:
 
 def comparison_sentence(c: Comparison) -> str:
     """Return the verdict on one output in words."""
-    percent, ratio = f"{100 * c.level:g} %", c.width_ratio
-    trials = f"{c.trials} trials"
+    percent, trials = f"{100 * c.level:g} %", f"{c.trials} trials"
     name = c.linear.quantity
     if c.verdict == "confirmed":
         return f"{name}: confirmed by {trials}; the {percent} interval agrees within {_size(c, c.tolerance)}."
@@ -102,6 +101,7 @@ def comparison_sentence(c: Comparison) -> str:
     if abs(low + high) > 0.5 * (abs(low) + abs(high)):
         how = f"is off to one side: its ends by {_size(c, low)} and {_size(c, high)}"
     else:
+        ratio = np.ptp(c.linear.interval) / np.ptp(c.interval)
         how = f"is {100 * abs(ratio - 1):.2g} % too {'wide' if ratio > 1 else 'narrow'}"
     advice = "which is on the safe side" if low < 0 < high else "so use that of Monte Carlo"
     return f"{name}: not confirmed by {trials}; the linear {percent} interval {how}, {advice}."

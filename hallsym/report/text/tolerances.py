@@ -20,7 +20,7 @@ def tolerances_text(found: Tolerances) -> str:
             f"errors of the nominal decoder without calibration, {machines} machines drawn",
             error_table(found),
             "",
-            "what a tolerance is worth: fall of the rms error in % if it alone is exact | halved",
+            "what a tolerance is worth: fall of the rms error in % if it alone is exact",
             worth_table(found),
             "",
             "Sobol indices in %: first total, of the error over the workspace",
@@ -58,22 +58,12 @@ def _order(found: Tolerances) -> list[int]:
 
 
 def worth_table(found: Tolerances) -> str:
-    """Return the ranking: fall of the rms of each coordinate if one tolerance is made exact or halved."""
+    """Return the ranking: fall of the rms of each coordinate if one tolerance is made exact."""
     ranges = {t.name: t for t in found.tolerances}
     rows = [["tolerance", "range", *_heads(found), "+- (95 %)"]]
     for j in _order(found):
-        cells = [
-            f"{_percent(a)} | {_percent(b)}"
-            for a, b in zip(found.worth.exact[j], found.worth.halved[j], strict=True)
-        ]
-        rows.append(
-            [
-                found.active[j],
-                size(ranges[found.active[j]]),
-                *cells,
-                _percent(found.worth.exact_half[j].max()),
-            ]
-        )
+        name, wide = found.active[j], _percent(found.worth.exact_half[j].max())
+        rows.append([name, size(ranges[name]), *map(_percent, found.worth.exact[j]), wide])
     return grid(rows, left=2)
 
 
