@@ -9,7 +9,6 @@ systems. Draws are then refitted, those first whose step is least to be trusted,
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy
@@ -40,16 +39,10 @@ class Bootstrap:
     p: np.ndarray
     values: np.ndarray
     weights: np.ndarray
-    replicates: int
     singular: int
     refitted: int
     error: float
     runs: int
-
-    @cached_property
-    def covariance(self) -> np.ndarray:
-        """Covariance of the draws, (n, n)."""
-        return np.atleast_2d(np.cov(self.values - self.p, rowvar=False))
 
     @property
     def std(self) -> np.ndarray:
@@ -110,7 +103,6 @@ def bootstrap(
         p=steps.p,
         values=values,
         weights=weights,
-        replicates=replicates,
         singular=replicates - len(weights),
         refitted=refitted,
         error=error,

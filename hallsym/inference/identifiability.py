@@ -128,22 +128,12 @@ def verdicts(
     evidence: Evidence, structural: NullSpace, practical: NullSpace, correlation: np.ndarray
 ) -> list[Verdict]:
     """Return one verdict per parameter; `correlation` is (n, n), nan where there is none."""
-    idle = _idle(evidence)
-    return [
-        _verdict(evidence, k, bool(idle[k]), structural, practical, correlation[k])
-        for k in range(len(evidence.p))
-    ]
-
-
-def _idle(evidence: Evidence) -> np.ndarray:
-    """Which parameters may cross their whole bounds without a visible trace in these readings."""
-    return np.diag(evidence.information) * evidence.found.scale**2 < 1.0
+    return [_verdict(evidence, k, structural, practical, row) for k, row in enumerate(correlation)]
 
 
 def _verdict(
     evidence: Evidence,
     k: int,
-    idle: bool,
     structural: NullSpace,
     practical: NullSpace,
     correlation: np.ndarray,
@@ -157,7 +147,7 @@ def _verdict(
     if shared and not told.determined[k]:
         word = "not determined" if len(shared[0].parameters) > 1 else "no effect"
         return Verdict(word, _instead(parameter.name, *shared))
-    if idle:
+    if evidence.information[k, k] * evidence.found.scale[k] ** 2 < 1.0:
         return Verdict("no effect", "its whole range leaves no trace in these readings")
     if not told.determined[k]:
         lost = [d for d in practical.null if parameter.name in d.parameters]
@@ -251,9 +241,9 @@ def further_reports(evidence: Evidence, log: Log) -> tuple[FurtherReport, ...]:
     if not offered:
         return ()
     columns, factor = _columns(evidence, log)
-    again = _together(evidence, model, columns, factor).std
+    _, again = _together(evidence, model, columns, factor)
     return tuple(
-        _report(evidence, f.text, again, _together(evidence, read, columns | dict(f.moved(columns)), factor))
+        _report(evidence, f.text, again, *_together(evidence, read, columns | dict(f.moved(columns)), factor))
         for f, read in offered
     )
 
@@ -263,28 +253,23 @@ LEFT = 1e-3
 thousandth of its bounds."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """What two recordings determine: the rank, and standard uncertainties (n,), nan where there is none."""
-
-    rank: int
-    std: np.ndarray
-
-
-def _report(evidence: Evidence, text: str, again: np.ndarray, known: _Known) -> FurtherReport:
+def _report(evidence: Evidence, text: str, again: np.ndarray, rank: int, known: np.ndarray) -> FurtherReport:
     parameters = evidence.model.parameters
     gained = [
         Gained(p.name, p.unit, float(std), None if np.isnan(before) else float(before))
-        for p, before, std in zip(parameters, again, known.std, strict=True)
+        for p, before, std in zip(parameters, again, known, strict=True)
         if np.isfinite(std) and (np.isnan(before) or before > BETTER * std)
     ]
-    return FurtherReport(text, known.rank, sum(p.width > 0 for p in parameters), tuple(gained))
+    return FurtherReport(text, rank, sum(p.width > 0 for p in parameters), tuple(gained))
 
 
-def _together(evidence: Evidence, model: Model, columns: Mapping[str, np.ndarray], factor: float) -> _Known:
+def _together(
+    evidence: Evidence, model: Model, columns: Mapping[str, np.ndarray], factor: float
+) -> tuple[int, np.ndarray]:
     """Return what the log and a recording of these columns, as `model` reads them, determine together.
 
-    `factor`: times as much as these samples are recorded.
+    That is the rank and standard uncertainties (n,), nan where there is none. `factor`: times as much as
+    these samples are recorded.
     """
     n, first = len(evidence.p), evidence.cost
     p = np.concatenate([evidence.p, model.nominal[n:]])
@@ -301,7 +286,7 @@ def _together(evidence: Evidence, model: Model, columns: Mapping[str, np.ndarray
     found = vectors[:, good] @ (vectors[:, good] / values[good]).T
     left = 1 - np.sum(vectors[:, good] ** 2, axis=1)  # of a parameter, along what is not determined
     std = np.where(left < LEFT**2, scale * np.sqrt(np.diag(found)), np.nan)
-    return _Known(int(good.sum()), std)
+    return int(good.sum()), std
 
 
 def _apart(always: np.ndarray, theirs: np.ndarray) -> np.ndarray:

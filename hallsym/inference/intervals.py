@@ -11,7 +11,6 @@ from hallsym.estimation import MANY, coverage_factor
 from hallsym.estimation.covariance import BY_RUNS
 from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.normal_equations import inverse
-from hallsym.inference.bootstrap import Bootstrap
 from hallsym.inference.bootstrap import bootstrap as resample
 from hallsym.inference.evidence import Evidence
 from hallsym.inference.profiles import Profile, profile, skewness
@@ -61,7 +60,6 @@ class Intervals:
     method: str
     reason: str
     profiles: tuple[Profile, ...] = ()
-    replicates: Bootstrap | None = None
     failures: tuple[str, ...] = ()
 
 
@@ -216,16 +214,8 @@ def _resampled(
         intervals[quantity.name] = Interval(*drawn.interval(quantity), "block bootstrap")
     if drawn.singular:
         failures.append(
-            f"{drawn.singular} of {drawn.replicates} resampled campaigns do not determine the parameters and "
+            f"{drawn.singular} of {replicates} resampled campaigns do not determine the parameters and "
             "were left out: the intervals are too short; record more runs."
         )
-    method = f"block bootstrap, {drawn.replicates} refits, runs as blocks"
-    return Intervals(
-        std,
-        found.dof,
-        intervals,
-        method,
-        evidence.uncertainty.reason,
-        replicates=drawn,
-        failures=tuple(failures),
-    )
+    method = f"block bootstrap, {replicates} refits, runs as blocks"
+    return replace(found, std=std, of=intervals, method=method, failures=tuple(failures))

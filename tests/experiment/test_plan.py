@@ -196,12 +196,6 @@ def test_each_criterion_is_best_at_its_own():
         assert max(values, key=values.__getitem__) == name
 
 
-def test_one_axis_at_a_time_needs_more_runs():
-    alone = plan(replace(COARSE, trajectories=("one-axis",)), MODEL, TRUTH, runs=24)
-    together = plan(replace(COARSE, trajectories=("combined",)), MODEL, TRUTH, runs=24)
-    assert np.all(together.std < alone.std)
-
-
 def test_the_point_of_the_tied_coupling_needs_a_slope():
     """With gains that do not follow the height nothing shows where the height is measured."""
     model = build("stage31_tied")

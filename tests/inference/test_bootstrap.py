@@ -48,13 +48,6 @@ def test_hessians_of_the_runs_add_up():
     assert np.all(np.abs(summed - exact)[size > 0] <= 1e-7 * size[size > 0])
 
 
-def test_held_parameters_stay():
-    _, p, found, drawn = paper()
-    held = list(found.held)
-    assert np.all(drawn.values[:, held] == p[held])
-    assert np.all(drawn.std[held] == 0)
-
-
 def test_white_noise_spreads_as_the_likelihood_says():
     """Some 19 runs tell a gain or an angle: its scatter is known to 1 / sqrt(2 x 19) = 16 % (1 sigma)."""
     cost, p, found, drawn = paper()
@@ -74,7 +67,6 @@ def test_intervals_follow_a_linear_map():
     assert drawn.interval(two) == pytest.approx(2 * np.array(drawn.interval(one)), rel=1e-9)
     assert drawn.std_of(two) == pytest.approx(2 * drawn.std[k], rel=1e-9)
     assert drawn.std_of(one) == pytest.approx(drawn.std[k], rel=1e-12)
-    assert drawn.std[k] == pytest.approx(np.sqrt(drawn.covariance[k, k]), rel=0.2)
     for c in MODEL.combinations:
         arm = combination(MODEL, c)
         low, high = drawn.interval(arm)

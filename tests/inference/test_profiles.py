@@ -9,7 +9,6 @@ import pytest
 from scipy.stats import chi2
 from twins import SIGMAS, cost_on, record, true_model, with_noise
 
-from hallsym.errors import InputError
 from hallsym.estimation import Cost, Determination, Uncertainty, determine, refit, uncertainty
 from hallsym.inference import Profile, profile, skewness, tangent
 from hallsym.model import Model, Quantity, combination, linear, parameter
@@ -66,11 +65,6 @@ def test_quantities_have_exact_derivatives():
     assert np.allclose(hessian, bends, rtol=0, atol=1e-9)
     assert not arm.linear
     assert arm.values(np.array([p, MODEL.nominal])) == pytest.approx([value, arm.first(MODEL.nominal)[0]])
-
-
-def test_an_unknown_parameter_is_named():
-    with pytest.raises(InputError, match="did you mean 'eta_A'"):
-        parameter(MODEL, "eta_a")
 
 
 # -- profiles --------------------------------------------------------------------------------------------

@@ -71,14 +71,3 @@ def test_files_that_are_no_curves(tmp_path):
         path.write_text(broken, encoding="utf-8")
         with pytest.raises(InputError, match=r"curve\.json|Basis"):
             read_curve(path)
-
-
-def test_public_names():
-    assert hallsym.Curve is Curve
-    assert hallsym.read_curve is read_curve
-    choice = hallsym.choose_curve("x = r*t; y = r*t**2", 1e-9, span="t=0:1", values={"r": 1e-3})
-    assert choice.curve.control_points == 3
-    rng = np.linspace(0, 1, 30)
-    by_points = hallsym.choose_curve(np.column_stack([np.cos(rng), np.sin(rng)]) * 1e-3, method="quintic")
-    assert by_points.best.error_m < 1e-15
-    assert not hasattr(hallsym, "nothing")
