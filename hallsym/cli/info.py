@@ -13,7 +13,7 @@ from hallsym.cli.trajectory import about_curve
 from hallsym.errors import InputError, counted
 from hallsym.estimation import LOSSES, SOLVERS
 from hallsym.estimation.calibration import load_fit
-from hallsym.families import build, effects, models
+from hallsym.families import build, effects, family_called, models
 from hallsym.files import atomic_write
 from hallsym.log import Log, Meta, check_log, estimate_noise, open_source, spans
 from hallsym.log.limits import is_moving
@@ -69,7 +69,7 @@ def run(options: Namespace) -> int:
             "losses": list(LOSSES),
         }
         say(options, record, lambda: _listing(record))
-    elif options.file in models() and not Path(options.file).exists():
+    elif family_called(options.file) and not Path(options.file).exists():
         record = model_record(build(options.file))
         say(options, record, lambda: model_text(record))
     elif is_explained(options.file):

@@ -18,10 +18,8 @@ FAMILIES: tuple[Family, ...] = (stage.FAMILY, rotary.FAMILY, halbach.FAMILY, hal
 
 
 def models(families: Sequence[Family] = ()) -> dict[str, Callable[..., Model]]:
-    """Return every model by name, aliases included; `families`: more than hallsym's own."""
-    every = (*FAMILIES, *families)
-    named = {make.__name__: make for family in every for make in family.models}
-    return named | {alias: named[name] for family in every for alias, name in family.aliases.items()}
+    """Return every model by name; `families`: more than hallsym's own."""
+    return {make.__name__: make for family in (*FAMILIES, *families) for make in family.models}
 
 
 def family_called(model: str) -> Family | None:
@@ -55,11 +53,11 @@ def build(
     `{"H1x": {"lower": .1}}`. `own`: the user's effects by name; `families`: the user's families. Raises
     `InputError` that lists known names.
     """
-    known = models(families)
-    if name not in known:
-        raise _unknown("Model", name, known)
-    family = next(f for f in (*FAMILIES, *families) if f.maker(name))
-    return adapted(family.from_meta(known[name], meta or Meta()), added, parameters or {}, own)
+    found = [(f, make) for f in (*FAMILIES, *families) if (make := f.maker(name))]
+    if not found:
+        raise _unknown("Model", name, models(families))
+    family, make = found[0]
+    return adapted(family.from_meta(make, meta or Meta()), added, parameters or {}, own)
 
 
 def default_model(meta: Meta) -> str:

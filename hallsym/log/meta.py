@@ -21,17 +21,13 @@ Run = Annotated[int, msgspec.Meta(ge=-(2**53), le=2**53)]
 class MetaRecord(msgspec.Struct):
     """Facts about a campaign; everything is optional, null is absent."""
 
-    case_id: str | None = None
     device: str | None = None
-    family: str | None = None
     base_model: str | None = None
     nominal: dict[str, Any] = {}
     probes: list[dict[str, Any]] | None = None
     validation_runs: list[Run] = []
-    gap_metric: str | None = None
     gap_length_scale_m: Positive | None = None
     gap_threshold_rel: Positive | None = None
-    sampling_clock_s: Positive | None = None
     noise_1sigma: dict[str, Positive] = {}
     counts_per_turn: Annotated[float, msgspec.Meta(ge=2, le=1e100)] | None = None
 
@@ -46,17 +42,13 @@ class Meta:
     `gap_threshold_rel` is the relative improvement that is worth reporting.
     """
 
-    case_id: str | None = None
     device: str | None = None
-    family: str | None = None
     base_model: str | None = None
     nominal: dict[str, Any] = field(default_factory=dict)
     probes: list[dict[str, Any]] | None = None
     holdout: tuple[int, ...] = ()
-    gap_metric: str | None = None
     gap_length_scale_m: float | None = None
     gap_threshold_rel: float | None = None
-    sampling_clock_s: float | None = None
     noise_1sigma: dict[str, float] = field(default_factory=dict)
     raw: dict[str, Any] = field(default_factory=dict)
     columns: tuple[str, ...] = ()

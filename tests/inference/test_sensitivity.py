@@ -324,7 +324,7 @@ def test_no_verdict_contradicts_the_null_directions_of_a_simulated_log(name):
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(n, marks=[pytest.mark.slow] if n in ("halbach_planar", "planar_h5") else [])
+        pytest.param(n, marks=[pytest.mark.slow] if n == "halbach_planar" else [])
         for n in sorted(families.models())
     ],
 )

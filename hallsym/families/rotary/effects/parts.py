@@ -8,7 +8,7 @@ from hallsym.families.mechanisms import P, Port, port
 from hallsym.families.rotary import models as rotary
 from hallsym.families.rotary.effects.direct import direct
 from hallsym.families.rotary.waves import Wave
-from hallsym.model import Facts, Model, Parameter, Signals
+from hallsym.model import Model, Parameter, Signals
 from hallsym.model.derived import Computed
 
 (REFERENCE,) = rotary.REFERENCES
@@ -37,11 +37,6 @@ def decodes(model: Model) -> bool:
 def short(model: Model) -> Model:
     """Return the model with atan2 itself where it has no run summaries anyway: the series would be long."""
     return direct(model) if decodes(model) and model.computed else model
-
-
-def with_voltages(value: object, model: Model, facts: Facts) -> bool:
-    """Return whether both voltages are read: what an angle alone cannot tell is not tried."""
-    return not decodes(model)
 
 
 def free_ellipse(model: Model) -> bool:
