@@ -114,7 +114,6 @@ class Findable:
     """
 
     name: str
-    link: str
     status: str
     reason: str = ""
     form: str = ""
@@ -143,7 +142,7 @@ class DetectionPower:
     ratios: tuple[float, ...]
     repeats: int
     seed: int
-    noise: dict[str, Any]
+    noise: str
     thinning: str
     rows: int
     model: str
@@ -343,12 +342,7 @@ def detection_power(
         ratios=ratios,
         repeats=repeats,
         seed=seed,
-        noise={
-            "text": bench.noise.text,
-            "order": len(bench.noise.coefficients),
-            "correlation_lag_one": bench.noise.correlation,
-            "over_noise_floor": bench.noise.ratio,
-        },
+        noise=bench.noise.text,
         thinning=bench.decimation,
         rows=bench.truth.base.log.rows,
         model=setup.fit.model.name,
@@ -386,16 +380,14 @@ def _ratios(ratios: Sequence[float]) -> tuple[float, ...]:
 
 def _findable(bench: Bench, name: str, trials: Sequence[Trial]) -> Findable:
     """Return the result of one effect: found from the smallest size on above which most trials find it."""
-    setup, reason, injection = bench.setup, bench.reasons.get(name, ""), bench.injections(0).get(name)
-    effect = next((e for e in setup.catalogue if e.name == name), None)
+    reason, injection = bench.reasons.get(name, ""), bench.injections(0).get(name)
     own = sorted(trials, key=lambda t: (t.ratio or 0.0, t.repeat))
     by_size = {ratio: [t for t in own if t.ratio == ratio] for ratio in dict.fromkeys(t.ratio for t in own)}
     curve = [curve_point(r, [t.found for t in at], [t.noticed for t in at]) for r, at in by_size.items()]
-    enough = list(takewhile(lambda p: 1 - p.found <= setup.policy.minor, reversed(curve)))
+    enough = list(takewhile(lambda p: 1 - p.found <= bench.setup.policy.minor, reversed(curve)))
     least = by_size[enough[-1].ratio][0] if enough else None
     return Findable(
         name=name,
-        link=(effect or FAULTS[name]).link,
         status="found" if least else "not found" if own else "not testable" if reason else "not run",
         reason=reason,
         form=injection.form if injection else "",

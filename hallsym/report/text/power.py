@@ -19,7 +19,7 @@ def power_text(s: DetectionPower) -> str:
         + (f" ({s.thinning})" if s.thinning else "")
         + f", noise floor {gap_text(s.floor_m, unit)}, threshold {100 * s.threshold:g} %, seed {s.seed}; "
         f"{s.seconds:.0f} s" + ("" if s.complete else "; INTERRUPTED, what was done:"),
-        f"noise: {s.noise['text']}",
+        f"noise: {s.noise}",
         f"false alarms: {s.false_alarms} of {quiet} logs without an effect{_bounds(s.false_alarm_rate)}",
     ]
     tested = [e for e in s.effects if e.trials]
