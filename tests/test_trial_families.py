@@ -157,7 +157,6 @@ def test_the_waves_of_an_error_over_x_are_counted():
     assert (largest.coordinate, largest.per_turn) == ("x_m", 3)
     assert largest.model == pytest.approx(5e-6, rel=0.1)
     assert found.where[0].by == "place in the period of x"
-    assert ", 3 waves per period" in found.where[0].text
     assert found.where[0].share > 0.7
     assert "waves per period of x [um]" in diagnosis_text(found)
 

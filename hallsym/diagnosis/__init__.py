@@ -32,7 +32,6 @@ from hallsym.diagnosis.record import (
     Diagnosis,
     FoundEffect,
     Separation,
-    Share,
     Significance,
     Statement,
     Unexplained,
@@ -48,7 +47,7 @@ from hallsym.inference import Estimate, ParameterChange
 __all__ = [
     "NO_EFFECT", "POLICY", "QUIET", "RATIOS", "REPEATS", "ROWS", "Band", "Base", "Bench", "Comparison",
     "CurvePoint", "CurveShape", "DetectionPower", "Diagnosis", "EffectChange", "Estimate", "Examined",
-    "Findable", "FoundEffect", "Injection", "ParameterChange", "Separation", "Share",
+    "Findable", "FoundEffect", "Injection", "ParameterChange", "Separation",
     "Significance", "SimulatedMachine", "Statement", "Trial", "Unexplained", "clopper_pearson", "compare",
     "detection_power", "diagnose", "diagnosis_schema", "errors_of", "examine", "gap_text", "gap_unit",
     "generator", "injections", "load_effects", "machine_of", "model_on", "noise_text", "place_unit",

@@ -19,7 +19,7 @@ from hallsym.diagnosis.curves import Curve, over, run_gains
 from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.measurement_error import WHITE, with_noise
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.record import Share, Statement
+from hallsym.diagnosis.record import Statement
 from hallsym.diagnosis.residual_table import ResidualTable, both, residual_table
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import Screened
@@ -38,7 +38,7 @@ from hallsym.diagnosis.words import percent, plain, shown
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """Statements on where an excess lies, what each place takes by itself, and what both rest on.
+    """Statements on where an excess lies, and what they rest on.
 
     `curves`: behind the statements on coordinates. `fitted`, `held`: the residual on fitted and on held-out
     runs, None where there are no samples.
@@ -48,7 +48,6 @@ class Located:
     curves: tuple[Curve, ...]
     fitted: ResidualTable | None
     held: ResidualTable | None = None
-    shares: tuple[Share, ...] = ()
 
 
 def located(
@@ -71,29 +70,28 @@ def located(
     if fitted is None or fitted.excess <= POLICY.negligible * fitted.residual.size:
         return Located(tuple(steps), (), fitted, held)
     tried = _Tried(base, fitted, screened)
-    statements, curves, alone, joint = _coordinates(tried)
+    statements, curves, joint = _coordinates(tried)
     if held is not None and held.excess > 0:
         statements = _confirmed(statements, curves, held)
     if not statements and not clear(fitted):
         return Located(tuple(steps), tuple(curves), fitted, held)
     told = sum(s.share for s in statements)
-    tones, mains, octaves = of_frequencies(fitted, told)
+    mains, octaves = of_frequencies(fitted, told)
     if mains and mains[0].share > told:
         statements, mains = [*mains, *statements], []
     size = variance * fitted.residual.size / fitted.excess
     bad = [replace(f, power=f.power * size) for f in faults]
     scores = screened.scores if screened else []
     counted = [replace(s, p_value=max(s.p_value, joint.p_value(s.statistic))) for s in scores]
-    rest = [of_links(base, counted, fitted, bad)] if counted else []
-    rest += [of_powers(p, [joint.p_value(z[0]) for z in statistics]) for p, statistics in tried.powers]
-    rest += [(tones, [*mains, *(() if noisy else octaves)]), of_runs(fitted, told)]
-    said = [s for _, found in rest for s in found]
+    said = of_links(base, counted, fitted, bad) if counted else []
+    for p, statistics in tried.powers:
+        said += of_powers(p, [joint.p_value(z[0]) for z in statistics])
+    said += [*mains, *(() if noisy else octaves), *of_runs(fitted, told)]
     if steps and steps[0].share > told:
         statements = [*steps, *statements]
     else:
         said = [*steps, *said]
-    shares = [*alone, *(row for rows, _ in rest for row in rows)]
-    return Located((*map(_worded, (*statements, *said)),), tuple(curves), fitted, held, tuple(shares))
+    return Located((*map(_worded, (*statements, *said)),), tuple(curves), fitted, held)
 
 
 def _steps(tables: Sequence[ResidualTable]) -> list[Statement]:
@@ -145,8 +143,8 @@ class _Tried:
 # -- coordinates -------------------------------------------------------------------------------------------
 
 
-def _coordinates(tried: _Tried) -> tuple[list[Statement], list[Curve], list[Share], Joint]:
-    """Coordinates one after the other, each with what it explains beyond those before; and each by itself.
+def _coordinates(tried: _Tried) -> tuple[list[Statement], list[Curve], Joint]:
+    """Coordinates one after the other, each with what it explains beyond those before.
 
     Of those that explain nearly the same the most telling is named. A gain of its own in every run is named
     where no coordinate explains most of what it does. The tests that are returned are those of all
@@ -154,7 +152,8 @@ def _coordinates(tried: _Tried) -> tuple[list[Statement], list[Curve], list[Shar
     """
     r, excess = tried.r, tried.r.excess
     statements, curves, left = list[Statement](), list[Curve](), r.residual
-    found, run, joint = every = tried.curves(left, [])
+    found, run, first_joint = tried.curves(left, [])
+    joint = first_joint
     while True:
         chance, least = joint.p_value, POLICY.negligible * excess
         good = [c for c in found if chance(c.statistic[0]) < POLICY.false_alarm and c.explained > least]
@@ -172,26 +171,7 @@ def _coordinates(tried: _Tried) -> tuple[list[Statement], list[Curve], list[Shar
         curves.append(first)
         left = left - first.predicted
         found, run, joint = tried.curves(left, [c.coordinate.name for c in curves])
-    return statements, curves, _alone(r, *every), every[2]
-
-
-def _alone(r: ResidualTable, found: Sequence[Curve], run: Statement | None, joint: Joint) -> list[Share]:
-    """What each coordinate explains with none before it; of a smooth curve and a fine map the better one."""
-    out = []
-    for c in coordinates(r):
-        own = [f for f in found if f.coordinate == c]
-        if not own:
-            logged = c.own or not c.ordered or c.column in r.columns
-            out.append(
-                Share("coordinate", c.name, None, None, "it does not move" if logged else "not logged")
-            )
-            continue
-        share = max(float(np.clip(f.explained / r.excess, 0.0, 1.0)) for f in own)
-        p = joint.p_value(max(f.statistic[0] for f in own))
-        out.append(Share("coordinate", c.name, share, p))
-    if run:
-        out.append(Share("run", run.at, run.share, run.p_value))
-    return out
+    return statements, curves, first_joint
 
 
 def _own_gain(share: float, p: float) -> Statement | None:

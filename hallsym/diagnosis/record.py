@@ -43,15 +43,10 @@ class CurveShape:
 class Unexplained:
     """What no effect explains: `share` of the gap above the noise floor that is left (squares).
 
-    `by`, `at`: of the first statement on it, None where it goes with nothing; `of_it`: the share of the rest
-    that goes with that. `curve`: over the coordinate that most of it goes with, None where there is none.
+    `curve`: over the coordinate that most of it goes with, None where there is none.
     """
 
     share: float
-    by: str | None
-    at: str | None
-    of_it: float | None
-    text: str
     curve: CurveShape | None
 
 
@@ -224,23 +219,6 @@ class Statement:
 
 
 @dataclass(frozen=True)
-class Share:
-    """The share of the excess that goes with one coordinate, link, output, sensor, frequency or run alone.
-
-    `kind`: "coordinate", "link", "output", "sensor", "frequency" or "run". `share`: 0 to 1 on fitted runs;
-    shares of different rows overlap. It is None where it cannot be told, and `text` says why. `p_value`: of
-    no such share, corrected for all that was tried; above 0.01 a share is no evidence. `text`: what it rests
-    on.
-    """
-
-    kind: str
-    name: str
-    share: float | None
-    p_value: float | None
-    text: str = ""
-
-
-@dataclass(frozen=True)
 class Separation:
     """The recording that would separate the members of a group, as the catalogue has it.
 
@@ -317,7 +295,6 @@ class LogRecord:
     runs: int = 0
     holdout: tuple[int, ...] = ()
     span: dict[str, tuple[float, float]] = field(default_factory=dict)
-    runs_fitted: int = 0
 
 
 @dataclass(frozen=True, repr=False)
@@ -330,8 +307,7 @@ class Diagnosis(Shown):
     what the gap goes with; `remaining`: what the unexplained rest goes with, only if the verdict is
     "unexplained". `unexplained`: share and shape of that rest. `model_error`: what the
     budget of a position takes of it. `size`: the gap per output and sensor, on
-    fitted and on holdout runs. `shares`: what each coordinate, link, output, sensor, frequency and run takes
-    of the excess alone; empty where noise explains it. `waves`: the harmonics of the error over each periodic
+    fitted and on holdout runs. `waves`: the harmonics of the error over each periodic
     coordinate. `next_step`: the arguments of `hallsym fit LOG` that fit the model with the effects found;
     empty without any.
     """
@@ -361,7 +337,6 @@ class Diagnosis(Shown):
     unexplained: Unexplained | None = None
     model_error: ModelLeft = field(default_factory=ModelLeft)
     size: Sizes = field(default_factory=Sizes)
-    shares: tuple[Share, ...] = ()
     next_step: tuple[str, ...] = ()
     waves: tuple[Waves, ...] = ()
     noise: NoiseFinding | None = None

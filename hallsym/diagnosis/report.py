@@ -81,11 +81,10 @@ def report(
         groups=alike.groups,
         effects=named,
         where=where.statements,
-        shares=where.shares,
         size=_size(setup, found, where, loud is not None),
         remaining=rest.statements if rest else (),
         unexplained=left,
-        model_error=model_error(setup, found, gap_after, after, left, alike),
+        model_error=model_error(setup, found, gap_after, after, rest, left, alike),
         separate_by=alike.separate,
         validation_runs=setup.holdout,
         not_testable=selection.not_testable,
@@ -119,16 +118,8 @@ def _shrinkage(found: Validation, metric: Metric, share: float, quiet: bool) -> 
 
 def unexplained(found: Located, share: float) -> Unexplained:
     """Return what is left, as `located` found it; `share`: part of the gap above the noise floor."""
-    first = found.statements[0] if found.statements else None
     curve = found.curves[0] if found.curves else None
-    return Unexplained(
-        share=share,
-        by=first.by if first else None,
-        at=first.at if first else None,
-        of_it=first.share if first else None,
-        text=first.text if first else "it goes with no sensor, coordinate, frequency or run above chance",
-        curve=shape(curve, found.fitted) if curve and found.fitted else None,
-    )
+    return Unexplained(share, shape(curve, found.fitted) if curve and found.fitted else None)
 
 
 def _log(setup: Setup) -> LogRecord:
@@ -140,7 +131,6 @@ def _log(setup: Setup) -> LogRecord:
         runs=log["runs"],
         holdout=tuple(log["holdout"]),
         span={column: (low, high) for column, (low, high) in log["span"].items()},
-        runs_fitted=len(setup.runs),
     )
 
 
@@ -278,17 +268,24 @@ def next_step(setup: Setup, found: Validation) -> tuple[str, ...]:
 
 
 def model_error(
-    setup: Setup, found: Validation, gap: Gap, metric: float, rest: Unexplained | None, alike: Confusable
+    setup: Setup,
+    found: Validation,
+    gap: Gap,
+    metric: float,
+    lies: Located | None,
+    rest: Unexplained | None,
+    alike: Confusable,
 ) -> ModelLeft:
     """Return what the model leaves beyond the noise, and the models that the log does not exclude.
 
-    `gap`, `metric`: the error that is left on the holdout runs. `rest`: its shape, where it is unexplained.
+    `gap`, `metric`: the error that is left on the holdout runs. `lies`, `rest`: where it lies and
+    its shape, where it is unexplained.
     """
     floor = found.floor_by_output
     known = metric <= found.floor.metric * (1 + setup.policy.negligible)
     above = {c: float(np.sqrt(max(v**2 - floor[c] ** 2, 0.0))) for c, v in gap.rmse.items()}
     counts = rest is not None and _placed(setup, rest)
-    share = (rest.of_it or 0.0) if rest is not None and counts else 0.0
+    share = lies.statements[0].share if lies is not None and lies.statements and counts else 0.0
     left = float(np.sqrt(max(1 - share, 0.0)))
     return ModelLeft(
         rest={c: 0.0 if known else v * left for c, v in above.items()},

@@ -1,4 +1,4 @@
-"""How large the gap is: what each output, sensor, frequency and run takes of the excess by itself.
+"""How large the gap is, and which outputs, sensors, frequencies, runs and links have much of it.
 
 An output or a sensor is named when it has more than its part: noise that is larger than it was stated is
 larger everywhere, and is no place where a gap lies.
@@ -13,15 +13,13 @@ from hallsym.diagnosis.decoded_errors import DecodedErrors
 from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.p_values import beyond, beyond_one, statistic_at
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.record import Share, Size, Sizes, Statement
+from hallsym.diagnosis.record import Size, Sizes, Statement
 from hallsym.diagnosis.residual_table import FrequencyBand, ResidualTable
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score, by_name
 from hallsym.diagnosis.sign_flips import of_means
 from hallsym.diagnosis.words import percent, plain
 from hallsym.model import LINKS
-
-Found = tuple[list[Share], list[Statement]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,17 +70,16 @@ def sensors(r: ResidualTable) -> Powers:
     return Powers("sensor", r.channels, r.residual**2, noise, 1 / noise)
 
 
-def of_powers(p: Powers, p_values: Sequence[float]) -> Found:
+def of_powers(p: Powers, p_values: Sequence[float]) -> list[Statement]:
     """Which of several outputs or sensors have more than their part of the excess."""
-    rows, said = [], []
+    said = []
     for k, (name, chance) in enumerate(zip(p.names, p_values, strict=False)):
         share = float(np.clip(p.shares[k], 0.0, 1.0))
-        rows.append(Share(p.kind, name, share, chance))
         if chance < POLICY.false_alarm and _more_than_its(p.parts[k], share):
             seen = "is seen by" if p.kind == "sensor" else "lies in"
             text = f"{percent(share)} of the excess {seen} {plain(name)}, one of {len(p.names)} {p.kind}s"
             said.append(Statement(p.kind, name, share, chance, text))
-    return rows, sorted(said, key=lambda s: -s.share)
+    return sorted(said, key=lambda s: -s.share)
 
 
 def _more_than_its(part: float, share: float) -> bool:
@@ -101,7 +98,7 @@ def means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     return np.bincount(index, values) / np.bincount(index)
 
 
-def of_runs(r: ResidualTable, told: float) -> Found:
+def of_runs(r: ResidualTable, told: float) -> list[Statement]:
     """Whether one run has much more than its part of the excess.
 
     A square counts up to the largest that noise makes in so many samples, so no few wild samples are a run.
@@ -111,19 +108,18 @@ def of_runs(r: ResidualTable, told: float) -> Found:
     sums, counts = np.bincount(index, squares), np.bincount(index)
     level = np.log(sums / counts + len(r.residual))
     k, U = int(np.argmax(level)), len(order)
-    if POLICY.fewest > U or sums[k] <= 0:
-        return [], []
+    if POLICY.fewest > U or sums[k] <= 0 or told > POLICY.half:
+        return []
     p = min(1.0, U * beyond_one(float(level[k]), np.delete(level, k)))
     share = float(np.clip(sums[k] / max(squares.sum(), 1e-300), 0.0, 1.0))
-    rows = [Share("run", f"run {order[k]}", share, p)]
-    if p >= POLICY.beyond_doubt or not _more_than_its(1 / U, share) or told > POLICY.half:
-        return rows, []
+    if p >= POLICY.beyond_doubt or not _more_than_its(1 / U, share):
+        return []
     text = f"{percent(share)} of the excess lies in run {order[k]}, one of {U} fitted runs"
-    return rows, [Statement("run", f"run {order[k]}", share, p, text)]
+    return [Statement("run", f"run {order[k]}", share, p, text)]
 
 
-def of_frequencies(r: ResidualTable, told: float) -> tuple[list[Share], list[Statement], list[Statement]]:
-    """Return what each band of frequency holds, and statements on the mains and on octaves.
+def of_frequencies(r: ResidualTable, told: float) -> tuple[list[Statement], list[Statement]]:
+    """Return statements on the mains and on octaves.
 
     Those are named that hold more than the part of them that white noise would have; octaves that follow each
     other are one.
@@ -131,19 +127,18 @@ def of_frequencies(r: ResidualTable, told: float) -> tuple[list[Share], list[Sta
     s = r.spectrum
     runs = sorted({run for kind in s.white.values() for run in kind})
     if not runs or not r.timed:
-        return [], [], []
+        return [], []
     white = {k: np.array([v.get(run, 0.0) for run in runs]) for k, v in s.white.items()}
     power = {k: np.array([v.get(run, 0.0) for run in runs]) for k, v in s.power.items()}
     everything = np.sum(list(white.values()), axis=0)
     excess = float(sum(v.sum() for v in power.values()) - everything.sum())
     if excess <= 0:
-        return [], [], []
-    rows, worth = [], []
+        return [], []
+    worth = []
     for band, own in white.items():
         over, part = power[band] - own, float(own.sum() / everything.sum())
         share = float(over.sum()) / excess
         p = min(1.0, len(white) * beyond(over / everything))
-        rows.append(Share("frequency", band.name, float(np.clip(share, 0.0, 1.0)), p))
         named = band.mains or told <= POLICY.half
         if p < POLICY.certain and named and _more_than_its(part, share):
             worth.append((share, band, p))
@@ -154,7 +149,7 @@ def of_frequencies(r: ResidualTable, told: float) -> tuple[list[Share], list[Sta
         if share >= POLICY.negligible:
             text = f"{percent(share)} of the excess lies at {band.name}"
             (mains if band.mains else octaves).append(Statement("frequency", band.name, share, p, text))
-    return rows, mains, octaves
+    return mains, octaves
 
 
 Worth = tuple[float, FrequencyBand, float]
@@ -225,8 +220,10 @@ class Link:
     p_value: float
 
 
-def of_links(base: Base, scored: Sequence[Score], r: ResidualTable, faults: Sequence[Fault] = ()) -> Found:
-    """Return what each link can take up of the excess of `r`, and statements on those that surely do.
+def of_links(
+    base: Base, scored: Sequence[Score], r: ResidualTable, faults: Sequence[Fault] = ()
+) -> list[Statement]:
+    """Return statements on the links that can surely take up much of the excess of `r`.
 
     `scored`: effects at `base`, each by its own score: the gap metric, cross-validated, and the p-value for
     all that was tried. `faults`: of single samples, with `power` as part of the excess.
@@ -246,19 +243,15 @@ def of_links(base: Base, scored: Sequence[Score], r: ResidualTable, faults: Sequ
     for f in faults:
         add(f.record.link, f.name, f.power, f.p_value)
     top = max((f.share for f in found.values() if f.p_value < POLICY.false_alarm), default=0.0)
-    rows, said = [], []
-    for link in (*LINKS, *(k for k in found if k not in LINKS)):
-        if link not in found:
-            rows.append(Share("link", link, None, None, "no effect of this link could be tested"))
-            continue
+    said = []
+    for link in sorted(found, key=(*LINKS, *found).index):
         own = found[link]
         text = f"{own.name}; another link: {_best_of({k: f for k, f in found.items() if k != link})}"
-        rows.append(Share("link", link, own.share, own.p_value, text))
         if own.p_value < POLICY.false_alarm and own.share >= max(POLICY.negligible, (1 - POLICY.minor) * top):
             text = f"{percent(own.share)} of the excess can come from the {link} ({text})"
             said.append(Statement("link", link, own.share, own.p_value, text))
     # of links that take up the same the first of the chain stands first, whatever the rounding
-    return rows, sorted(said, key=lambda s: -round(s.share, 6))
+    return sorted(said, key=lambda s: -round(s.share, 6))
 
 
 def _best_of(found: dict[str, Link]) -> str:

@@ -50,7 +50,7 @@ def tried(kind: str, machine: str, runs: int, stated: bool, seed: int) -> dict:
         "verdict": d.verdict, "effects": [e.name for e in d.effects],
         "smaller": [s.name for s in d.smaller_findings],
         "p": d.significance.p_value, "where": [s.text for s in d.where],
-        "place": min((s.p_value for s in d.shares if s.p_value is not None), default=None),
+        "place": min((s.p_value for s in d.where), default=1.0),
         "cpu": process_time() - began,
     }  # fmt: skip
 
@@ -60,7 +60,7 @@ def table(rows: list[dict], by: str) -> None:
     for value in dict.fromkeys(row[by] for row in rows):
         own = [row for row in rows if row[by] == value]
         p = np.array([row["p"] for row in own])
-        places = np.array([row["place"] for row in own if row["place"] is not None])
+        places = np.array([row["place"] for row in own])
         print(f"{value!s:>10} {len(own):4d} logs: named {sum(r['verdict'] != 'no gap' for r in own):3d}, "
               f"p < .05 {np.mean(p < 0.05):6.1%}, KS {kstest(p, 'uniform').pvalue:.2g}, "
               f"listed {sum(bool(r['smaller']) for r in own):3d}, "

@@ -1,7 +1,5 @@
 """A wave over any periodic coordinate is localised there: a trial array with one or two of them."""
 
-import re
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -64,13 +62,10 @@ def base_with(other: str, over: str, orders: tuple[int, ...], size: float = 2e-2
 
 @pytest.mark.parametrize(("other", "over"), [("y", "x"), ("y", "y"), ("z", "x")])
 @pytest.mark.parametrize("orders", [pytest.param((3,), marks=pytest.mark.slow), (3, 5)])
-def test_waves_of_a_period_are_named_with_their_coordinate(other: str, over: str, orders) -> None:
+def test_an_error_of_a_period_is_named_with_its_coordinate(other: str, over: str, orders) -> None:
     base = base_with(other, over, orders)
     first, *_ = located(base, base.log.runs).statements
     assert first.by == f"place in the period of {over}"
-    waves = re.search(r", (.*) waves per period", first.text)
-    assert waves is not None
-    assert sorted(map(int, re.findall(r"\d+", waves[1]))) == list(orders)
     assert first.p_value == 1 / 2000  # the least that 1999 draws of signs can give
     assert first.share > 0.8
 

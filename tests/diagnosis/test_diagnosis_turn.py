@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from hallsym.diagnosis import diagnose
-from hallsym.diagnosis.curve_words import waves_per_period
 from hallsym.diagnosis.regression import others
-from hallsym.diagnosis.setup import knot_group, split
+from hallsym.diagnosis.setup import split
 from hallsym.errors import InputError
 from hallsym.estimation import fit
 from hallsym.log import Log, check_log
@@ -38,22 +37,6 @@ def overdriven(rail: float | None, delay_s: float, scale: float) -> Log:
 
 
 LIKE_A_TABLE = {1: (1.1, 200.0), 2: (0.51, 80.0), 4: (0.35, 30.0), 50: (0.082, 60.0)}
-
-
-@pytest.mark.parametrize("phase", [0.0, 2.0, 5.0])
-def test_waves_of_half_a_table_are_not_their_images(phase):
-    """Every second pair of knots: a wave of 50 per turn has images at 24, 26, 74, 76 as large as itself."""
-    knots = np.arange(200)
-    a = 2 * np.pi * knots[knot_group(knots, 22) % 2 == 0] / 200
-    error = 0.21 * np.sin(a + phase) + 0.16 * np.cos(2 * a - phase) + 0.13 * np.sin(50 * a + phase)
-    assert waves_per_period(a, error) == (1, 2, 50)
-
-
-def test_waves_of_the_second_harmonic_of_a_stepper_are_told():
-    """A stepper of 50 pole pairs makes 50 and 100 waves, and neighbours of these where it is eccentric."""
-    a = np.linspace(0, 2 * np.pi, 2000, endpoint=False)
-    error = np.sin(50 * a) + 0.8 * np.sin(100 * a) + 0.6 * np.cos(104 * a)
-    assert waves_per_period(a, error) == (50, 100, 104)
 
 
 @pytest.fixture(scope="module")

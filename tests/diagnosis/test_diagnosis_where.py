@@ -80,20 +80,6 @@ def test_gains_that_follow_nothing_logged_are_the_runs_own() -> None:
     assert (first.by, first.at) == ("run", "gain of its own")
 
 
-def test_ripples_have_the_period_that_they_were_given() -> None:
-    rng = np.random.default_rng(1)
-    rng.uniform(-1e-4, 1e-4), rng.uniform(2e-5, 5e-5)
-    period = rng.uniform(2e-5, 6e-5)
-    statements = found("screw", "raster", unlisted).statements
-    texts = [s.text for s in statements if "ripples of" in s.text]
-    assert {s.by for s in statements if "ripples of" in s.text} == {
-        "place in the stroke of x",
-        "place in the stroke of y",
-    }
-    for text in texts:
-        assert float(text.split("ripples of ")[1].split(" um")[0]) == pytest.approx(1e6 * period, rel=0.03)
-
-
 @pytest.mark.parametrize(
     ("name", "campaign", "kind"),
     [
@@ -223,7 +209,7 @@ def test_the_shape_of_what_is_left_is_plain_data() -> None:
     here = found("bump", "raster", unlisted)
     data = json.loads(json.dumps(asdict(unexplained(here, 0.6)), allow_nan=False))
     assert data["share"] == 0.6
-    assert data["by"] == "the reading itself"
+    assert data["curve"]["coordinate"] == "the reading itself"
     assert data["curve"]["column"] == "reading_m"
     for channel in ("hall_a_m", "hall_b_m", "hall_c_m"):
         curve = data["curve"]["readings"][channel]

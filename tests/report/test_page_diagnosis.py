@@ -98,14 +98,7 @@ def a_record() -> dict[str, Any]:
                 "hall_b_m": {"fitted": side(1.2e-6, 6e-7, 0.12), "held_out": side(1.3e-6, 6e-7, None)},
             },
         },
-        "shares": [
-            {"kind": "link", "name": "clock", "share": 0.41, "p_value": 2e-3,
-             "text": "time_skew; all other links together: 12 %"},
-            {"kind": "coordinate", "name": "temperature", "share": None, "p_value": None,
-             "text": "not logged"},
-        ],
-        "unexplained": {"share": 0.35, "by": "height Z", "at": "", "of_it": 0.9, "text": "90 % with height Z",
-                        "curve": a_shape()},
+        "unexplained": {"share": 0.35, "curve": a_shape()},
         "validation_runs": [2, 7, 12, 13, 14],
         "not_testable": {"gain_temperature": "no temperature logged"},
         "smaller_findings": [{"name": "quantisation", "shrinkage": 0.012, "p_value": 1e-4}],
@@ -149,7 +142,6 @@ def test_no_gap_needs_no_effects():
     record |= {"verdict": "no gap", "effects": [], "ranked": [], "groups": [], "separate_by": [], "where": []}
     record |= {
         "remaining": [],
-        "shares": [],
         "unexplained": {},
         "gap_after": record["gap_before"],
         "sentence": "The rmse is at the noise floor.",

@@ -363,7 +363,7 @@ def rest_section(d: Diagnosis) -> Section:
     elif d.remaining:
         said.append(Words("It goes with what the gap goes with, see above."))
     elif rest:
-        said.append(Words(f"{typeset(rest.text).capitalize()}."))
+        said.append(Words("It goes with no sensor, coordinate, frequency or run above chance."))
     if rest and rest.curve:
         how, charts = pictures.curves(rest.curve)
         said.append(Figure(charts, how, look="shape"))

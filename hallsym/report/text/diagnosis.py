@@ -8,20 +8,17 @@ from textwrap import fill
 from hallsym.diagnosis import (
     POLICY,
     QUIET,
-    CurveShape,
     Diagnosis,
     Estimate,
     FoundEffect,
     Separation,
     Significance,
     Statement,
-    Unexplained,
     noise_text,
-    place_unit,
 )
 from hallsym.errors import counted
 from hallsym.report.tables import concise, error_rows, grid
-from hallsym.report.words import NOT_DECODED, degrees_of
+from hallsym.report.words import NOT_DECODED
 from hallsym.terminal import prose_width
 from hallsym.units import parameter_unit, readable
 
@@ -68,7 +65,6 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
         if d.remaining != d.where
         else []
     )
-    parts += _curve(d.unexplained)
     if d.smaller_findings:
         parts += [
             "",
@@ -258,31 +254,6 @@ def _statement(s: Statement, held_out: str) -> str:
     held = "" if s.held_out is None else f"; {held_out}s {100 * max(s.held_out, 0.0):.0f} %"
     p = p_text(s.p_value)
     return f"{s.text} (p {p if s.p_value < LEAST_P else f'= {p}'}{held})"
-
-
-def _curve(rest: Unexplained | None) -> list[str]:
-    """Return one line on the shape of the rest: its largest value over its coordinate, for each reading."""
-    curve = rest.curve if rest else None
-    if not curve or not curve.line:
-        return []
-    said = []
-    for channel, c in curve.readings.items():
-        half_of = [(high - low) / 2 for low, high in zip(c.low, c.high, strict=True)]
-        k = max(range(len(half_of)), key=lambda j: abs(c.value[j]) - half_of[j])
-        value, half = c.value[k], half_of[k]
-        factor, unit, name = readable(channel)
-        if curve.kind == "gain":
-            shown = f"{100 * value:+.2g} +- {100 * half:.1g} %"
-        else:
-            shown = f"{factor * value:+.2g} +- {factor * half:.1g} {unit}"
-        said.append(f"{name} {shown} at {_at(curve, k)}")
-    what = "change of gain" if curve.kind == "gain" else "error"
-    return [_wrapped(f"  shape over {curve.coordinate}, largest {what} (95 %): {'; '.join(said)}", "    ")]
-
-
-def _at(curve: CurveShape, k: int) -> str:
-    factor, unit = degrees_of(curve.unit, curve.column) or place_unit(curve.unit)
-    return f"{curve.grid[k] * factor:.3g} {'' if unit == '1' else unit}".strip()
 
 
 def _smaller(d: Diagnosis) -> str:
