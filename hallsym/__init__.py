@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from hallsym.estimation import calibration_schema as calibration_schema
     from hallsym.estimation import evaluate as evaluate
     from hallsym.estimation import fit as fit
-    from hallsym.estimation import judge as judge
     from hallsym.estimation import load_fit as load_fit
     from hallsym.estimation import refit as refit
     from hallsym.experiment import Plan as Plan
@@ -88,7 +87,7 @@ _PUBLIC = {
     "hallsym.diagnosis": ("DetectionPower", "Diagnosis", "detection_power", "diagnose", "diagnosis_schema"),
     "hallsym.errors": ("InputError",),
     "hallsym.estimation": (
-        "ErrorTable", "Evaluation", "Fit", "calibration_schema", "evaluate", "fit", "judge", "load_fit",
+        "ErrorTable", "Evaluation", "Fit", "calibration_schema", "evaluate", "fit", "load_fit",
         "refit",
     ),
     "hallsym.experiment": ("Plan", "Ranges", "paper_ranges", "plan", "read_ranges"),

@@ -38,42 +38,37 @@ from hallsym.estimation.decoding import (
 )
 from hallsym.estimation.evaluate import Evaluation, evaluate
 from hallsym.estimation.fit import LOSSES, fit
-from hallsym.estimation.gauss_newton import cost_near, judge, zeros_of
-from hallsym.estimation.goodness_of_fit import UNSTRUCTURED, GoodnessOfFit, goodness_of
+from hallsym.estimation.gauss_newton import cost_near, zeros_of
+from hallsym.estimation.goodness_of_fit import UNSTRUCTURED, GoodnessOfFit
 from hallsym.estimation.identifiable import (
     Determination,
     determine,
     feature_scale,
     least_information,
-    linear_combinations,
     scales,
     structural_directions,
     structural_null,
-    structural_rank,
 )
 from hallsym.estimation.likelihood import Coefficients, Cost, cost_of
-from hallsym.estimation.linearised import exact, summarise_at
-from hallsym.estimation.normal_equations import eliminate, inverse, pseudo_inverse, solve
-from hallsym.estimation.optimum import BUDGET, SOLVERS, refit
+from hallsym.estimation.linearised import exact
+from hallsym.estimation.normal_equations import inverse, pseudo_inverse, solve
+from hallsym.estimation.optimum import SOLVERS, refit
 from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey
-from hallsym.estimation.plausible import as_read, find_wiring, rewired
+from hallsym.estimation.plausible import as_read, rewired
 from hallsym.estimation.residual_noise import (
     KNOWN,
     Residual,
-    ResidualNoise,
     autoregressive,
     noise_at,
     noise_left,
     residual_noise,
 )
 from hallsym.estimation.result import lower_bound
-from hallsym.estimation.run_statistics import RunStatistics, summarise
-from hallsym.estimation.start import LinearFit, closed_form, linear_fit
+from hallsym.estimation.run_statistics import summarise
 from hallsym.estimation.task import noise_of
 from hallsym.families import added_effects
 
 __all__ = [
-    "BUDGET",
     "KNOWN",
     "LOSSES",
     "MANY",
@@ -87,16 +82,12 @@ __all__ = [
     "Evaluation",
     "Fit",
     "GoodnessOfFit",
-    "LinearFit",
     "Residual",
-    "ResidualNoise",
-    "RunStatistics",
     "Uncertainty",
     "added_effects",
     "as_read",
     "autoregressive",
     "calibration_schema",
-    "closed_form",
     "column_spikes",
     "columns_of",
     "cost_near",
@@ -106,19 +97,13 @@ __all__ = [
     "decoder_near",
     "decoding_gain",
     "determine",
-    "eliminate",
     "error_tables",
     "evaluate",
     "exact",
     "feature_scale",
-    "find_wiring",
     "fit",
-    "goodness_of",
     "inverse",
-    "judge",
     "least_information",
-    "linear_combinations",
-    "linear_fit",
     "load_fit",
     "logged_columns",
     "lower_bound",
@@ -137,9 +122,7 @@ __all__ = [
     "solve",
     "structural_directions",
     "structural_null",
-    "structural_rank",
     "summarise",
-    "summarise_at",
     "tukey",
     "uncertainty",
     "zeros_of",

@@ -194,12 +194,7 @@ class Uncertainty:
         return self.goodness.cost_per_degree_of_freedom
 
 
-def uncertainty(cost: Cost, p: np.ndarray, found: Determination) -> Uncertainty:
-    """Return the uncertainties at the optimum `p` of `cost`."""
-    return uncertainty_at(cost.at(p), found)
-
-
-def uncertainty_at(point: Point, found: Determination) -> Uncertainty:
+def uncertainty(point: Point, found: Determination) -> Uncertainty:
     """Return the uncertainties where `point` is the optimum of its cost."""
     cost, p, model = point.cost, point.p, point.cost.summary.model
     at_bound = _at_bound(model.bounds, p, found)

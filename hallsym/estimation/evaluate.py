@@ -79,11 +79,6 @@ class Evaluation(Shown):
             log={**self.calibration.log, "holdout": []}, wiring=None, keep=None,
         )  # fmt: skip
 
-    @property
-    def log_name(self) -> str:
-        """What the log is called."""
-        return self.log.name
-
     def to_dict(self) -> dict[str, Any]:
         """Return the record that `hallsym evaluate --json` prints."""
         return {

@@ -45,7 +45,7 @@ def cost_near(
         return cost_of(summarise(log, model, weigh), noise)
     zeros: Zeros = {}
     for _ in range(PASSES):
-        cost = cost_of(summarise_at(log, model, p, zeros, weigh, sigma=noise), noise)
+        cost = cost_of(summarise_at(log, model, p, zeros, noise, weigh), noise)
         before, zeros = zeros, zeros_of(cost, p)
         if all(np.abs(z - before.get(run, 0.0)).max(initial=0.0) < SETTLED for run, z in zeros.items()):
             break
@@ -79,21 +79,13 @@ class Judged:
     log: Log
 
 
-def judge(
-    log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float], *, own_zero: bool = False
-) -> ErrorTable:
-    """Return the errors of fixed parameters on another log; each run's zeros are estimated from that run.
-
-    `own_zero`: so is the zero of a reference that repeats, which the calibration has one of.
-    """
-    return judged(log, model, p, noise, own_zero=own_zero).table
-
-
 def judged(
     log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float], *, own_zero: bool = False
 ) -> Judged:
-    """Return what `judge` does, how far zeros of references are from the calibration's (`zero_shifts`), and
-    how well the parameters, none of which is fitted, describe the log."""
+    """Return what fixed parameters make of another log; each run's zeros are estimated from that run.
+
+    `own_zero`: so is the zero of a reference that repeats, which the calibration has one of.
+    """
     cost = cost_near(log, model, p, noise)
     shifts = zero_shifts(log, model, p, zeros_of(cost, p), cost.reading_variance, noise)
     if own_zero and shifts:
@@ -165,7 +157,7 @@ def optimum(
     def linearise(at: tuple[np.ndarray, Zeros]) -> _Pass:
         say(f"pass {next(number)} over the log")
         p, zeros = at
-        everything = cost_of(summarise_at(log, model, p, zeros, weigh, sigma=noise), noise)
+        everything = cost_of(summarise_at(log, model, p, zeros, noise, weigh), noise)
         return _Pass(everything, everything.without(holdout), p, before)
 
     def converged(now: _Pass, gained: float) -> bool:

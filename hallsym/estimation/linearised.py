@@ -105,22 +105,22 @@ def _entries(jacobian: ca.SX) -> tuple[tuple[int, int], ...]:
 class TangentFeatures(Features):
     """Features of the tangent at the parameters `at`; a stand-in wherever `Features` serve a cost.
 
-    `noise`: (n_columns,) of the logged columns, None where it is not known yet. Features are many where
-    channels are: with it what noise makes of them is kept as one matrix and not one for each column.
+    `noise`: (n_columns,) of the logged columns. Features are many where channels are: what noise makes of
+    them is kept as one matrix and not one for each column.
     """
 
     at: np.ndarray
-    noise: np.ndarray | None = None
+    noise: np.ndarray
 
     @property
-    def std(self) -> np.ndarray | None:
-        """Noise (n_columns,) of the logged columns, where it is known."""
+    def std(self) -> np.ndarray:
+        """Noise (n_columns,) of the logged columns."""
         return self.noise
 
     @cached_property
     def slope_pairs(self) -> np.ndarray:
         """Where products of two slopes are not always 0, as `Features.slope_pairs`."""
-        return super().slope_pairs if self.noise is None else program(self.model).pairs
+        return program(self.model).pairs
 
     @cached_property
     def values(self) -> Callable[..., list[np.ndarray]]:
@@ -136,10 +136,6 @@ class TangentFeatures(Features):
         """
         run = program(self.model).slopes
         return lambda pose, state, zeros: run(self.at, np.zeros_like(zeros), pose, state)
-
-    @property
-    def _slope_sparsity(self) -> ca.Sparsity:
-        return program(self.model).slope_sparsity
 
     def linear(self, p: np.ndarray) -> tuple[np.ndarray, Rows]:
         """Return the coefficients at p, (1 + z, n_features, K), and their slopes, constant, where not nil."""
@@ -177,31 +173,21 @@ class TangentFeatures(Features):
         (rows,) = program(model).by_parameter(*wide)
         return np.moveaxis(rows.reshape(len(model.names), -1), 0, 1)
 
-    def label(self, j: int) -> str:
-        """Readable name of feature j, such as `d hall_a_m / d eta_A`."""
-        parts, model = program(self.model), self.model
-        names = [f"d {model.channels[k]} / d {model.zeros[j].name}" for k, j in parts.zero_entries]
-        names += [f"d {model.channels[k]} / d {model.names[j]}" for k, j in parts.entries]
-        return [*names, *model.channels][j]
-
 
 def summarise_at(
     log: Log,
     model: Model,
     p: np.ndarray,
     zeros: Mapping[int, np.ndarray],
+    sigma: Mapping[str, float],
     weigh: Weigh | None = None,
-    on_rows: Callable[[int], None] | None = None,
-    sigma: Mapping[str, float] | None = None,
 ) -> RunStatistics:
     """Read a log once and return its run statistics for the tangent of `model` at `p` and `zeros` by run.
 
-    `weigh`, `on_rows` as for `summarise`; `sigma`: noise by column, for the columns that are computed.
+    `weigh` as for `summarise`; `sigma`: noise by column.
     """
     parts = program(model)
-    noise = (
-        None if sigma is None else np.array([sigma.get(c, 0.0) for c in (*model.references, *model.state)])
-    )
+    noise = np.array([sigma.get(c, 0.0) for c in (*model.references, *model.state)])
     size = len(parts.zero_entries) + len(parts.entries) + len(model.channels)
     features = TangentFeatures(
         model, np.zeros((size, 1), dtype=int), len(parts.zero_entries), np.array(p), noise
@@ -212,4 +198,4 @@ def summarise_at(
         own = np.array([zeros.get(block.run, none) for block in batch.blocks])
         return np.repeat(own, np.diff(batch.edges), axis=0).T
 
-    return summarised(extended(log, model, sigma, model.named(p)), features, place, weigh, on_rows)
+    return summarised(extended(log, model, sigma, model.named(p)), features, place, weigh)

@@ -206,12 +206,6 @@ def wiring_of(explanations: Sequence[Explanation]) -> Wiring | None:
     return None
 
 
-def find_wiring(log: Log, cost: Cost) -> Wiring | None:
-    """Return which channel and sign each nominal channel is read from; None where they are in order."""
-    seen = responses_of(cost)
-    return None if seen is None else wiring_of(judge_gains(log, seen).whole)
-
-
 MISFIT = 1.5
 """Mean square of residuals over noise from which on it is asked for."""
 SAMPLES = 0.5

@@ -94,11 +94,6 @@ class ResidualNoise:
         """Whether the samples may be independent of each other."""
         return self.whiteness_p >= WHITE
 
-    @property
-    def drive(self) -> float:
-        """Standard deviation of what drives the autoregression, over that of the noise."""
-        return float(np.sqrt(1.0 / gain_of(self.coefficients)))
-
 
 @dataclass(frozen=True, eq=False)
 class Residual:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.estimation.calibration import Fit
-from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertainty_at
+from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertainty
 from hallsym.estimation.gauss_newton import deviations_of
 from hallsym.estimation.goodness_of_fit import UNSTRUCTURED, diagnose_command
 from hallsym.estimation.identifiable import Determination
@@ -95,7 +95,7 @@ def result_of(solved: Solved, began: float) -> Fit:
     """Return the fit that is handed out; `began`: when, by `perf_counter`."""
     state, found = solved.solution, solved.solution.determined
     point = state.point
-    estimate = uncertainty_at(point, found)
+    estimate = uncertainty(point, found)
     free = int(np.count_nonzero(np.diag(estimate.covariance)))
     asked = solved.errors is not None  # a quick fit that found nothing amiss needs no further evidence
     bound = lower_bound(point, free) if asked and exact(solved.task.model) else None

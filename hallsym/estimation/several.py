@@ -18,7 +18,7 @@ import numpy as np
 from hallsym.errors import InputError, nearest
 from hallsym.estimation import outliers, start
 from hallsym.estimation.calibration import CombinationEstimate, Errors, Fit, Joint
-from hallsym.estimation.covariance import Uncertainty, uncertainty_at
+from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.decoding import ErrorTable, columns_of
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import Determination, determine
@@ -368,7 +368,7 @@ def several_fit(
     began: float,
 ) -> Fit:
     """Return the fit of the logs `members`; `judged`: those held out. `numbers`: per log run -> number."""
-    estimate = uncertainty_at(solution.point, solution.determined)
+    estimate = uncertainty(solution.point, solution.determined)
     free = int(np.count_nonzero(np.diag(estimate.covariance)))
     bound = None if sharing.own else lower_bound(solution.point, free)
     own = [_own(estimate, sharing, g, goodness) for g, goodness in enumerate(_goodness(members, free))]

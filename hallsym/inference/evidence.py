@@ -177,7 +177,7 @@ def from_fit(known: Fit, log: Log | None = None) -> Evidence:
         cost,
         found.values,
         determination,
-        uncertainty(cost, found.values, determination),
+        uncertainty(cost.at(found.values), determination),
         visited(source, found.model, sigma=sigma, values=found.model.named(found.values)),
         source.name,
         source,
@@ -202,7 +202,7 @@ def from_plan(
     _check_samples(cost, model, name)
     found = determine(cost, p)
     reason = "a plan: white noise of the stated size is taken for granted"
-    told = replace(uncertainty(cost, p, found), method="likelihood", reason=reason)
+    told = replace(uncertainty(cost.at(p), found), method="likelihood", reason=reason)
     return Evidence(cost, p, found, told, visited(log, model), name, log)
 
 

@@ -20,7 +20,8 @@ import casadi as ca
 import numpy as np
 from scipy import optimize, sparse
 
-from hallsym.estimation import Cost, Fit, closed_form, cost_of, determine, fit, linear_fit, refit, summarise
+from hallsym.estimation import Cost, Fit, cost_of, determine, fit, refit, summarise
+from hallsym.estimation.start import closed_form, linear_fit
 from hallsym.families import build, published
 from hallsym.inference import bootstrap, identify, profile, tangent
 from hallsym.log import Log, Noise

@@ -132,12 +132,6 @@ def test_the_same_seed_gives_the_same_fit(log):
     assert one["solver"]["seed"] == 7
 
 
-@pytest.mark.slow
-def test_40_seeds_reach_the_same_optimum(log, found):
-    costs = [fit(log, "stage31", seed=seed).solver["cost"] for seed in range(40)]
-    assert np.allclose(costs, found.solver["cost"], rtol=1e-9)
-
-
 # -- runs that are held out ------------------------------------------------------------------------------
 
 HELD = (0, 7, 20)

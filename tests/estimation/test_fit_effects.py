@@ -14,7 +14,9 @@ import hallsym
 from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose, load_effects, model_on
 from hallsym.errors import InputError
-from hallsym.estimation import cost_near, cost_of, error_tables, exact, judge, summarise_at, zeros_of
+from hallsym.estimation import cost_near, cost_of, error_tables, exact, zeros_of
+from hallsym.estimation.gauss_newton import judged
+from hallsym.estimation.linearised import summarise_at
 from hallsym.families import adapted, build, effects
 from hallsym.families.faults import FAULTS
 from hallsym.families.mechanisms import nonlinearity, port
@@ -95,9 +97,9 @@ def test_a_fit_with_what_was_found_agrees_with_the_diagnosis(name: str, campaign
 
 
 def errors_on(log: Log, known: hallsym.Fit, noise: dict[str, float], keep):
-    """Errors as `judge` finds them, over the samples that the fit counts: spikes and rails may be out."""
+    """Errors of fixed parameters, over the samples that the fit counts: spikes and rails may be out."""
     if keep is None:
-        return judge(log, known.model, known.values, noise)
+        return judged(log, known.model, known.values, noise).table
     cost = cost_near(log, known.model, known.values, noise, keep)
     zeros = zeros_of(cost, known.values)
     return error_tables(log, known.model, [(known.values, zeros)], cost.reading_variance, keep, sigma=noise)[
@@ -116,7 +118,7 @@ def test_a_tangent_has_value_and_slope_of_the_exact_cost() -> None:
     p = fit.values * 1.001
     own = cost_near(log, fit.model, p, noise)
     zeros = dict(zip(own.summary.runs, own.at(p).zeros, strict=True))
-    other = cost_of(summarise_at(log, fit.model, p, zeros), noise)
+    other = cost_of(summarise_at(log, fit.model, p, zeros, noise), noise)
     assert exact(fit.model)
     assert other.at(p).value == pytest.approx(own.at(p).value, rel=1e-7)  # monomials cost digits
     assert np.allclose(other.at(p).zeros, own.at(p).zeros, atol=1e-12)

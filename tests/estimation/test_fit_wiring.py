@@ -7,8 +7,10 @@ import pytest
 from twins import COLUMNS, HALL, SIGMAS, record, same, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation import cost_of, find_wiring, fit, summarise
+from hallsym.estimation import cost_of, fit, summarise
+from hallsym.estimation.plausible import responses_of, wiring_of
 from hallsym.families.stage.models import stage31
+from hallsym.log.quality.gains import judge_gains
 
 WIRINGS = [(p, s) for p in permutations(range(3)) for s in product((1, -1), repeat=3)]
 QUICK = [WIRINGS[0], ((1, 0, 2), (1, 1, 1)), ((2, 0, 1), (1, -1, 1))]
@@ -36,7 +38,8 @@ def test_every_wiring_is_seen(unequal, order, signs):
     log = with_noise(mixed)
     expected = tuple((HALL[order.index(k)], signs[order.index(k)]) for k in range(3))
     wrong = order != (0, 1, 2) or signs != (1, 1, 1)
-    assert find_wiring(log, cost_of(summarise(log, stage31()), sigma)) == (expected if wrong else None)
+    seen = judge_gains(log, responses_of(cost_of(summarise(log, stage31()), sigma))).whole
+    assert wiring_of(seen) == (expected if wrong else None)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hallsym.estimation import eliminate, inverse, pseudo_inverse, solve
+from hallsym.estimation import inverse, pseudo_inverse, solve
+from hallsym.estimation.normal_equations import eliminate
 
 RUNS, OFFSETS, SHARED = 6, 3, 5
 UNITS = 10.0 ** np.array([-6, -6, -6, 0, 3, -7, 5, 0])

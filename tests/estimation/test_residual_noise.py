@@ -8,7 +8,8 @@ from gap_twins import SIGMA, Motion, machine
 from scipy.signal import lfilter
 
 import hallsym
-from hallsym.estimation import Residual, ResidualNoise, autoregressive, noise_at, residual_noise
+from hallsym.estimation import Residual, autoregressive, noise_at, residual_noise
+from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.log import Noise
 
 CHANNELS = ("a", "b", "c")

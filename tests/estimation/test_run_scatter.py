@@ -98,7 +98,7 @@ def coverage(name: str, runs, kind: str, logs: int) -> float:
         cost = cost_on(recording(model, runs, rng, kind, clean), model)
         found = found or determine(cost, model.nominal)
         p = refit(cost, model.nominal, found.held)
-        told = uncertainty(cost, p, found)
+        told = uncertainty(cost.at(p), found)
         half = coverage_factor(told.degrees_of_freedom) * told.std
         hits.append((np.abs(p - model.nominal) <= half)[told.determined])
     return float(np.mean(np.concatenate(hits)))

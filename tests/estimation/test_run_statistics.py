@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from twins import SIGMAS, Chopped, cost_on, record, true_model, with_noise
 
-from hallsym.estimation import RunStatistics, cost_of, determine, refit, summarise
+from hallsym.estimation import cost_of, determine, refit, summarise
+from hallsym.estimation.run_statistics import RunStatistics
 from hallsym.log import Log
 
 EXACT_STATE = {**SIGMAS, "z_m": 0.0, "rx_rad": 0.0, "ry_rad": 0.0}
@@ -57,16 +58,6 @@ def test_block_size_does_not_matter(log, model, sizes):
     assert np.array_equal(pieces.first_state, whole.first_state)
     assert value(pieces, p) == pytest.approx(value(whole, p), rel=SAME)
     assert value(pieces, p, SIGMAS) == pytest.approx(value(whole, p, SIGMAS), rel=1e-4)
-
-
-def test_costs_add_over_logs(log, model):
-    other = record(seed=4, samples=40)
-    columns = {c: log.array(c) for c in other}
-    both = {c: np.concatenate([columns[c], other[c]]) for c in other}
-    both["run"] = np.concatenate([columns["run"], other["run"] + 100])
-    p = model.nominal * 1.001
-    parts = [value(summarise(with_noise(c), model), p) for c in (columns, other)]
-    assert value(summarise(with_noise(both), model), p) == pytest.approx(sum(parts), rel=SAME)
 
 
 def test_a_metre_of_common_offset_changes_nothing(log, model):

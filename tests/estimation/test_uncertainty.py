@@ -23,7 +23,7 @@ def one(seed: int, *, sigma=SIGMAS, samples: int = 50, **noise) -> tuple[np.ndar
     cost = cost_on(with_noise(record(seed=seed, samples=samples, sigma=sigma, **noise)), MODEL, sigma)
     found = determine(cost, MODEL.nominal)
     p = refit(cost, MODEL.nominal, found.held)
-    return p, uncertainty(cost, p, found)
+    return p, uncertainty(cost.at(p), found)
 
 
 def test_white_noise_of_the_stated_size_is_believed():
@@ -61,7 +61,7 @@ def test_a_few_runs_have_few_degrees_of_freedom():
     summary = summarise(log, MODEL).select(range(0, 57, 4)[:15])
     cost = cost_of(summary, SIGMAS)
     found = determine(cost, MODEL.nominal)
-    result = uncertainty(cost, refit(cost, MODEL.nominal, found.held), found)
+    result = uncertainty(cost.at(refit(cost, MODEL.nominal, found.held)), found)
     assert result.method == "runs as blocks"
     dof = result.degrees_of_freedom[result.determined]
     assert np.all((dof >= 1) & (dof < 6))
@@ -73,7 +73,7 @@ def test_a_parameter_at_its_bound_is_named_and_has_no_uncertainty():
     tight = MODEL.with_parameters({"eta_B": {"nominal": 0.70, "lower": 0.65, "upper": 0.70}})
     cost = cost_on(with_noise(record(seed=8)), tight)
     found = determine(cost, tight.nominal)
-    result = uncertainty(cost, refit(cost, tight.nominal, found.held), found)
+    result = uncertainty(cost.at(refit(cost, tight.nominal, found.held)), found)
     assert result.at_bound == ("eta_B",)
     assert not result.determined[k]
     assert np.isnan(result.std[k])
@@ -116,7 +116,7 @@ def test_covariance_agrees_with_lmfit():
     cost = cost_on(with_noise(columns, sigma), MODEL, sigma)
     found = determine(cost, MODEL.nominal)
     p = refit(cost, MODEL.nominal, found.held)
-    ours = uncertainty(cost, p, found)
+    ours = uncertainty(cost.at(p), found)
     assert ours.method == "likelihood"
     parameters = lmfit.Parameters()
     for k, name in enumerate(MODEL.names):

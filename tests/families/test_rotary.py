@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import hallsym
 from hallsym.estimation import cost_of, refit, summarise
+from hallsym.estimation.gauss_newton import judged
 from hallsym.families.cordic import cordic_angle
 from hallsym.families.published import table
 from hallsym.families.rotary import FAMILY
@@ -326,5 +327,5 @@ def test_situations_of_table_2_come_back(situation):
     # compensated, the worst error is the noise; what is left without noise is a part of it
     assert fit.errors.fitted.over()["peak"]["angle_rad"] < 4.5 * sigma
     fine = np.linspace(0, TURN, 1000)
-    back = hallsym.judge(angle_log(v, fine), fit.model, fit.values, {"angle_rad": sigma})
+    back = judged(angle_log(v, fine), fit.model, fit.values, {"angle_rad": sigma}).table
     assert back.over()["peak"]["angle_rad"] < 0.3 * sigma

@@ -10,6 +10,7 @@ import hallsym
 from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose, model_on
 from hallsym.errors import InputError
+from hallsym.estimation.gauss_newton import judged
 from hallsym.families import adapted, build, effects
 from hallsym.families.faults import FAULTS
 from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
@@ -220,7 +221,7 @@ def test_an_effect_of_known_size_is_fitted_saved_and_read_back(text: str, tmp_pa
     again = hallsym.load_fit(tmp_path / "calib.json")
     assert (again.model.texts, again.model.names) == (fit.model.texts, fit.model.names)
     noise = fit.noise.std
-    table = hallsym.judge(log, again.model, again.values, noise).over((4, 5))
+    table = judged(log, again.model, again.values, noise).table.over((4, 5))
     assert table["rmse"]["angle_rad"] == pytest.approx(rmse, rel=1e-3)  # spikes left out or not
 
 

@@ -12,6 +12,7 @@ import hallsym
 from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose
 from hallsym.errors import InputError
+from hallsym.estimation.gauss_newton import judged
 from hallsym.families import build, default_model
 from hallsym.log import Log, Meta, Noise, check_log, continuous, wrapped
 from hallsym.report.text.fit import circumstances
@@ -86,7 +87,7 @@ def test_a_calibration_comes_back_from_its_file(make, tmp_path):
     )  # fmt: skip
     assert np.array_equal(back.values, fit.values)
     noise = fit.noise.std
-    again = hallsym.judge(make(V, BOTH, 1e-4), back.model, back.values, noise)
+    again = judged(make(V, BOTH, 1e-4), back.model, back.values, noise).table
     assert again.over()["rmse"]["angle_rad"] == pytest.approx(
         fit.errors.rows()["fitted"]["rmse"]["angle_rad"]
     )

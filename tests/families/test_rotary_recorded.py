@@ -15,6 +15,7 @@ import hallsym
 from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose
 from hallsym.errors import InputError
+from hallsym.estimation.gauss_newton import judged
 from hallsym.log import Log, Meta, Noise, read_log
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -167,9 +168,9 @@ def test_runs_of_several_zeros_are_judged_each_from_its_own(decoded):
     fit = hallsym.fit(Log.from_arrays(columns), "rotary", solver="direct")
     homed = Log.from_arrays({**columns, "angle_ref_rad": columns["angle_ref_rad"] + homes})
     noise = fit.noise.std
-    table = hallsym.judge(homed, fit.model, fit.values, noise, own_zero=True)
+    table = judged(homed, fit.model, fit.values, noise, own_zero=True).table
     assert table.over()["rmse"]["angle_rad"] == pytest.approx(rmse(fit), rel=0.02)
-    assert hallsym.judge(homed, fit.model, fit.values, noise).over()["rmse"]["angle_rad"] > 1.0
+    assert judged(homed, fit.model, fit.values, noise).table.over()["rmse"]["angle_rad"] > 1.0
 
 
 # -- logs beside the repository ----------------------------------------------------------------------------

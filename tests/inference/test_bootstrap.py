@@ -51,7 +51,7 @@ def test_hessians_of_the_runs_add_up():
 def test_white_noise_spreads_as_the_likelihood_says():
     """Some 19 runs tell a gain or an angle: its scatter is known to 1 / sqrt(2 x 19) = 16 % (1 sigma)."""
     cost, p, found, drawn = paper()
-    e = uncertainty(cost, p, found)
+    e = uncertainty(cost.at(p), found)
     for name in ("eta_A", "eta_B", "eta_C", "theta_A", "theta_B", "theta_C"):
         k = MODEL.names.index(name)
         assert drawn.std[k] / e.std[k] == pytest.approx(1.0, abs=0.5)
@@ -139,7 +139,7 @@ def covered(seeds: range) -> tuple[dict[str, list[bool]], dict[str, list[bool]]]
         C = np.zeros((len(p), len(p)))
         C[np.ix_(free, free)] = inverse(cost.at(p).information().sum(axis=0)[np.ix_(free, free)])
         drawn = bootstrap(cost, p, found.held, replicates=400, seed=seed)
-        determined = uncertainty(cost, p, found).determined
+        determined = uncertainty(cost.at(p), found).determined
         quantities = [parameter(MODEL, n) for n, ok in zip(MODEL.names, determined, strict=True) if ok]
         for q in (*quantities, *(combination(MODEL, c) for c in MODEL.combinations)):
             (value, slope), (low, high) = q.first(p), drawn.interval(q)

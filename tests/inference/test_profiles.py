@@ -23,7 +23,7 @@ def solved(log_seed: int, factor: float = 1.0, model: Model = MODEL, samples: in
     cost = cost_on(with_noise(record(seed=log_seed, samples=samples, sigma=sigma), sigma), model, sigma)
     found = determine(cost, model.nominal)
     p = refit(cost, model.nominal, found.held)
-    return cost.anchored(p), p, found, uncertainty(cost, p, found)
+    return cost.anchored(p), p, found, uncertainty(cost.at(p), found)
 
 
 @cache

@@ -212,7 +212,7 @@ def evaluation_head(found: Evaluation, *, by_run: bool = False) -> list[str]:
     return [
         found.goodness.verdict,
         "",
-        f"{found.model.name} on {found.log_name}: {counted(samples, 'sample')}{runs}",
+        f"{found.model.name} on {found.log.name}: {counted(samples, 'sample')}{runs}",
         "",
         error_rows(found.model.pose, rows, found.noise_floor, source, turning=found.model.period),
     ]
