@@ -1,4 +1,4 @@
-"""Which column of a file could be which of ours: by its name and its unit.
+"""Which column of a file could be which of ours: by its name, its unit, and by what the data do.
 
 A suggestion is written for a person to confirm; nothing of it is applied.
 """
@@ -94,6 +94,10 @@ def numbers_of(names: tuple[str, ...]) -> tuple[int, ...]:
 
 ROWS = 50_000
 """Samples that are looked at."""
+MOVES = 0.9
+"""Correlation from which a column moves as another one does: the other axes and the noise make the rest."""
+NEAR = 3.0
+"""Ratio of sizes up to which a unit fits: gains and nominal values are not exact."""
 OTHERS = ("temperature", "current", "speed")
 
 
@@ -105,6 +109,7 @@ class Guess:
     theirs: str
     unit: str
     why: str
+    sign: int = 1
     counts_per_turn: int | None = None
 
     @property
@@ -116,7 +121,8 @@ class Guess:
     def line(self) -> str:
         """The line of a column file; a comment where the unit is not known."""
         name = json.dumps(self.theirs, ensure_ascii=False)
-        more = f", counts_per_turn = {self.counts_per_turn}" if self.counts_per_turn else ""
+        more = ", sign = -1" if self.sign < 0 else ""
+        more += f", counts_per_turn = {self.counts_per_turn}" if self.counts_per_turn else ""
         entry = f"{self.ours} = {{ name = {name}{more} }}" if more else f"{self.ours} = {name}"
         lacking = not self.unit and self.stem != RUN
         return f"# {entry}" if lacking else entry
@@ -155,7 +161,8 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
     if not data:
         raise InputError("No column of the file holds numbers; nothing can be suggested.")
     chosen = _model(source, model, meta or Meta())
-    guesses = _by_name(source, data, chosen)
+    named = _by_name(source, data, chosen)
+    guesses = [*named, *_by_motion(source, data, chosen, named)]
     order = {stem: k for k, stem in enumerate((RUN, TIME, *_stems(chosen), *OTHERS))}
     known = {g.theirs for g in guesses}
     return Suggestion(
@@ -248,6 +255,8 @@ def _by_name(source: Source, data: Mapping[str, Array], model: Model) -> list[Gu
     numbers = numbers_of(source.names)
     stems = [RUN, TIME, *_stems(model), *OTHERS]
     pairs = [(likeness(stem, name, numbers), stem, name) for stem in stems for name in data]
+    alone = [(stem, name) for stem in (RUN, TIME) for name in data if _behaves(stem, data[name])]
+    pairs += [(BARE / 2, s, n) for s, n in alone if s == RUN or not _whole(data[n])]  # an index is no time
     found: dict[str, Guess] = {}
     taken: set[str] = set()
     for score, stem, name in sorted(pairs, key=lambda p: (-p[0], stems.index(p[1]))):
@@ -257,7 +266,10 @@ def _by_name(source: Source, data: Mapping[str, Array], model: Model) -> list[Gu
             continue
         if not _unit_fits(source, name, stem, model):
             continue
-        guess = _with_unit(source, data[name], Guess(stem, name, "", "its name"))
+        why = "its name" if score >= BARE else "its data"
+        if stem == RUN:
+            why += ": whole numbers that stay" if score < BARE else ""
+        guess = _with_unit(source, data[name], Guess(stem, name, "", why))
         found[stem] = guess
         taken.add(name)
     return list(found.values())
@@ -338,3 +350,74 @@ def _turning(values: Array, guess: Guess, span: float) -> Guess:
 
 def _turn(values: Array) -> int:
     return 1 << int(np.nanmax(values)).bit_length()
+
+
+# -- by motion -------------------------------------------------------------------------------------------
+
+
+def _by_motion(
+    source: Source, data: Mapping[str, Array], model: Model, named: Sequence[Guess]
+) -> list[Guess]:
+    """Return guesses for readings that move as the references say they should."""
+    known = {g.stem: _si(data[g.theirs], g) for g in named if g.unit and g.stem != RUN}
+    taken, stems = {g.theirs for g in named}, {g.stem for g in named}
+    free = [n for n in data if n not in taken and not _own(n) and np.ptp(data[n]) > 0]
+    lacking = [c for c in model.channels if split_unit(c)[0] not in stems and c not in model.period]
+    if not lacking or not any(split_unit(c)[0] in known for c in model.references):
+        return []
+    expected = _readings(model, known)
+    return _matched(source, data, free, {split_unit(c)[0]: expected[c] for c in lacking}, model)
+
+
+def _si(values: Array, guess: Guess) -> Array:
+    unit = UNITS[guess.unit]
+    factor = 2 * np.pi / guess.counts_per_turn if guess.counts_per_turn else unit.factor
+    return np.asarray(factor * values + unit.offset)
+
+
+def _readings(model: Model, known: Mapping[str, Array]) -> dict[str, Array]:
+    """Return what the nominal machine would read where the references say it is."""
+    rows = len(next(iter(known.values())))
+    pose = np.array([known.get(split_unit(c)[0], np.zeros(rows)) for c in model.references])
+    rest = model.rest
+    state = np.array([known.get(split_unit(c)[0], np.full(rows, rest.get(c, 0.0))) for c in model.state])
+    zeros = np.zeros((len(model.zeros), 1))
+    found = np.asarray(model.reading(model.nominal, zeros, pose, state.reshape(len(model.state), rows)))
+    return dict(zip(model.channels, found, strict=True))
+
+
+def _matched(
+    source: Source,
+    data: Mapping[str, Array],
+    free: Sequence[str],
+    expected: Mapping[str, Array],
+    model: Model,
+) -> list[Guess]:
+    """Return the pairs of columns and stems that move together, the surest first."""
+    pairs = []
+    for stem, wanted in expected.items():
+        for name in free:
+            if _unit_fits(source, name, stem, model) and np.isfinite(data[name]).all() and np.ptp(wanted) > 0:
+                pairs.append((float(np.corrcoef(wanted, data[name])[0, 1]), stem, name))
+    found: dict[str, Guess] = {}
+    taken: set[str] = set()
+    for r, stem, name in sorted(pairs, key=lambda p: -abs(p[0])):
+        if abs(r) < MOVES or stem in found or name in taken:
+            continue
+        why = f"moves as {stem} should (r = {r:.3f})"
+        guess = Guess(stem, name, "", why, 1 if r > 0 else -1)
+        found[stem] = _sized(source, data[name], expected[stem], guess)
+        taken.add(name)
+    return list(found.values())
+
+
+def _sized(source: Source, values: Array, expected: Array, guess: Guess) -> Guess:
+    """Add the unit in which the values have the size that is expected of them."""
+    stated = _stated(source, guess.theirs)
+    if stated:
+        return replace(guess, unit=stated, why=f"{guess.why}; its unit is stated")
+    factor = float(np.std(expected) / np.std(values))
+    kinds = quantity(guess.stem)[:1]
+    near = [u for u in UNITS.values() if u.si in kinds and 1 / NEAR < u.factor / factor < NEAR]
+    best = min(near, key=lambda u: abs(np.log(u.factor / factor)), default=None)
+    return replace(guess, unit=best.name, why=f"{guess.why}; UNIT ONLY BY ITS SIZE") if best else guess

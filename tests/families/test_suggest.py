@@ -1,4 +1,4 @@
-"""Which column could be which: by its name and its unit; never applied by itself."""
+"""Which column could be which: by its name, its unit, and by what the data do; never applied by itself."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 import hallsym
 from hallsym.errors import InputError
 from hallsym.families.suggest import Suggestion, likeness, suggest, words_of
-from hallsym.log import open_source, read_log
+from hallsym.log import open_source, read_column_file, read_log
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +36,8 @@ def guessed(columns: dict[str, np.ndarray], **others: tuple[str, float]) -> Sugg
     return suggest(open_source({names[c][0]: v * names[c][1] for c, v in columns.items()})[2])
 
 
-def found(suggestion: Suggestion) -> dict[str, tuple[str, str]]:
-    return {g.stem: (g.theirs, g.unit) for g in suggestion.guesses}
+def found(suggestion: Suggestion) -> dict[str, tuple[str, str, int]]:
+    return {g.stem: (g.theirs, g.unit, g.sign) for g in suggestion.guesses}
 
 
 def test_names_and_units(columns: dict[str, np.ndarray]) -> None:
@@ -47,7 +47,7 @@ def test_names_and_units(columns: dict[str, np.ndarray]) -> None:
     for ours, (name, _) in LAB.items():
         stem = "run" if ours == "run" else ours.rpartition("_")[0]
         text, _, unit = name.partition(" [")
-        assert found(made)[stem] == (text, unit.rstrip("]")), ours
+        assert found(made)[stem] == (text, unit.rstrip("]"), 1), ours
 
 
 def test_numbers_stand_for_letters(columns: dict[str, np.ndarray]) -> None:
@@ -55,6 +55,14 @@ def test_numbers_stand_for_letters(columns: dict[str, np.ndarray]) -> None:
         names = {f"hall_{c}_m": (f"Hall{k + first} [um]", 1e6) for k, c in enumerate("abc")}
         made = found(guessed(columns, **names))
         assert [made[f"hall_{c}"][0] for c in "abc"] == [f"Hall{k + first}" for k in range(3)]
+
+
+def test_readings_without_a_name_are_found_by_what_they_move_with(columns: dict[str, np.ndarray]) -> None:
+    names = {"hall_a_m": ("U7", 1e6), "hall_b_m": ("U2", -1e6), "hall_c_m": ("U5", 1e3)}
+    made = found(guessed(columns, **names))
+    assert made["hall_a"] == ("U7", "um", 1)
+    assert made["hall_b"] == ("U2", "um", -1)
+    assert made["hall_c"] == ("U5", "mm", 1)
 
 
 def test_an_angle_in_counts() -> None:
@@ -65,16 +73,19 @@ def test_an_angle_in_counts() -> None:
         open_source({"time [s]": t, "Angle [counts]": raw, "Angle ref [deg]": np.degrees(angle)})[2]
     )
     assert made.model.startswith("rotary")
-    assert found(made)["angle"] == ("Angle", "count")
-    assert found(made)["angle_ref"] == ("Angle ref", "deg")
+    assert found(made)["angle"] == ("Angle", "count", 1)
+    assert found(made)["angle_ref"] == ("Angle ref", "deg", 1)
     (angle_guess,) = [g for g in made.guesses if g.stem == "angle"]
     assert angle_guess.counts_per_turn == 4096
 
 
 def test_the_column_file_that_is_written_is_read(columns: dict[str, np.ndarray], tmp_path: Path) -> None:
     path = tmp_path / "columns.toml"
-    path.write_text(guessed(columns).to_toml("lab.csv"), encoding="utf-8")
-    log = read_log({LAB[c][0]: v * LAB[c][1] for c, v in columns.items()}, column_file=path)
+    path.write_text(guessed(columns, hall_b_m=("U2", -1e6)).to_toml("lab.csv"), encoding="utf-8")
+    stated = read_column_file(path)
+    assert stated.columns["hall_b_um"].scale == -1.0
+    table = {LAB[c][0]: v * LAB[c][1] for c, v in columns.items()} | {"U2": -1e6 * columns["hall_b_m"]}
+    log = read_log(table, column_file=path)
     assert np.allclose(log.array("hall_b_m"), columns["hall_b_m"], rtol=1e-12)
 
 
