@@ -13,13 +13,13 @@ C. Gourieroux, A. Monfort, E. Renault, J. Appl. Econometrics 8 (1993) S85, doi:1
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
-from types import MappingProxyType
 
 import numpy as np
 from scipy.linalg import solve_banded, solve_toeplitz
 from scipy.special import chdtrc, stdtrit
 
 from hallsym.estimation.decoding import columns_of
+from hallsym.estimation.goodness_of_fit import MAD
 from hallsym.estimation.likelihood import Point
 from hallsym.estimation.outliers import residuals
 from hallsym.families.play import stop_operator
@@ -42,8 +42,6 @@ ROUNDS = 4
 """Of correcting the autocovariance by simulation: each leaves about the square of the relative loss."""
 FAR = 6.0
 """Robust standard deviations beyond which a sample takes no part in correlations: a spike has none."""
-MAD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
 ROUNDING = 1e-9
 """Part of a column's squares, and of the products of columns of unit length, that is rounding."""
 STABLE = 0.995
@@ -415,10 +413,7 @@ def _read(
     return joined, np.where(finite, values, 0.0), np.concatenate(counted) & finite
 
 
-NONE: Mapping[str, float] = MappingProxyType({})
-
-
-def _columns(model: Model, data: Data, sigma: Mapping[str, float] = NONE) -> Iterator[np.ndarray]:
+def _columns(model: Model, data: Data, sigma: Mapping[str, float]) -> Iterator[np.ndarray]:
     """Yield functions (n,) that a residual may follow, the most telling ones first."""
     made = {c.name for c in model.computed}
     data = data | {c: _at_rest(v, data["run"], sigma.get(c, 0.0)) for c, v in data.items() if c in sigma}

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log
 from hallsym.log.batches import Batch, Weigh, batches
 from hallsym.log.phase import continuous
@@ -156,10 +157,6 @@ def summarise(
     return summarised(log, features, place, weigh, on_rows)
 
 
-def _columns(model: Model) -> tuple[str, ...]:
-    return (*model.references, *model.state, *model.channels)
-
-
 def summarised(
     log: Log,
     features: Features,
@@ -174,7 +171,7 @@ def summarised(
     model = features.model
     centre = np.zeros(0)
     gathered: dict[int, _Run] = {}
-    for batch in batches(log, _columns(model), on_rows):
+    for batch in batches(log, columns_of(model), on_rows):
         at = place(batch)
         centre = at if at.ndim == 1 else centre
         _gather(gathered, features, at, batch, batch.weights(weigh))

@@ -207,15 +207,12 @@ class JointPoint(Point):
 
     def information(self, noise_factor: float = 1.0, free: np.ndarray | None = None) -> np.ndarray:
         """Expected information of each run, (r, n, n), of the parameters `free`."""
-        whole = self._spread([point.information(noise_factor) for point in self.points])
-        return whole if free is None else np.ascontiguousarray(whole[:, free[:, None], free])
+        k = np.arange(len(self.p)) if free is None else free
+        return self._spread([point.information(noise_factor) for point in self.points])[:, k[:, None], k]
 
     def total_information(self, noise_factor: float = 1.0) -> np.ndarray:
         """Expected information of all runs by their weights, (n, n)."""
-        total = np.zeros((len(self.p),) * 2)
-        for point, chosen in zip(self.points, self.joint.chosen, strict=True):
-            total[np.ix_(chosen, chosen)] += point.total_information(noise_factor)
-        return total
+        return np.tensordot(self.cost.weights, self.information(noise_factor), axes=1)
 
     def zero_covariance(self, covariance: np.ndarray) -> np.ndarray:
         """Covariance of each run's zero displacements [m^2], (r, z, z)."""
@@ -480,11 +477,7 @@ def _whole(
     floor = np.sqrt(counts / counts.sum() @ floors**2)
     solver = {
         **last.solver,
-        "cost": solution.search.cost,
         "cost_per_degree_of_freedom": estimate.cost_per_dof,
-        "evaluations": solution.search.evaluations,
-        "starts": solution.search.starts,
-        "share_at_optimum": solution.search.share,
         "lower_bound": None if bound is None else bound.to_dict(),
     }
     worst = max(fits, key=lambda fit: fit.goodness.residual_over_noise if fit.goodness else 0.0)

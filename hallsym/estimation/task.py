@@ -59,17 +59,13 @@ def prepared(log: Log, model: Model, *, drop_bad: bool) -> tuple[Log, tuple[str,
 
 def held_out(log: Log, holdout: Sequence[int]) -> tuple[int, ...]:
     """Return held-out runs, all of them in the log and not all of the log. Raises `InputError` for others."""
-    unknown = [run for run in holdout if run not in log.runs]
-    if unknown:
-        raise InputError(f"Held-out run {unknown[0]} is not in the log; its runs are {runs_said(log.runs)}.")
+    runs = log.runs
+    if unknown := [run for run in holdout if run not in runs]:
+        known = ", ".join(map(str, runs)) if len(runs) <= 8 else f"{runs[0]}, {runs[1]}, ... {runs[-1]}"
+        raise InputError(f"Held-out run {unknown[0]} is not in the log; its runs are {known}.")
     if holdout and set(log.runs) <= set(holdout):
         raise InputError("Every run is held out; leave at least one to fit.")
     return tuple(holdout)
-
-
-def runs_said(runs: Sequence[int]) -> str:
-    """Return runs as words; of many the first two and the last."""
-    return ", ".join(map(str, runs)) if len(runs) <= 8 else f"{runs[0]}, {runs[1]}, ... {runs[-1]}"
 
 
 Progress = Callable[[str], None]
