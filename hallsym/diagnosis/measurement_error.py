@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.diagnosis.normal_equations import Slopes, reading_and_derivatives
+from hallsym.diagnosis.normal_equations import Accumulator
 from hallsym.diagnosis.residuals import Base
-from hallsym.estimation.decoding import columns_of
 from hallsym.estimation.residual_noise import ROOM
 from hallsym.log import Block
 from hallsym.log.batches import Batch, batches, is_held
-from hallsym.log.derived import extended, share_windows
+from hallsym.log.derived import share_windows
 from hallsym.model import Model
 
 WHITE = np.array([1.0, 0.0])
@@ -88,51 +87,23 @@ def shared_noise(
     Columns are [parameters | candidates]. `length`: samples of a stretch, None for whole runs.
     `colour`: autocorrelation of the residual at lags 0, 1, ...
     """
-    model = base.model
     noisy = with_noise(base, colour)
-    slopes = Slopes(model, base.p, candidates)
-    if noisy is None or not slopes.columns:
+    work = Accumulator(base, candidates, decoded=False)
+    own, column = work.z + work.n, work.slopes.column
+    if noisy is None or not work.slopes.columns:
         return {}
-    wide = model
-    for other, _ in candidates.values():
-        wide = wide.with_columns(*other.computed)
-    wanted = tuple(
-        dict.fromkeys(c for m in (model, *(m for m, _ in candidates.values())) for c in columns_of(m))
-    )
-    read, precision = reading_and_derivatives(model), np.linalg.inv(base.covariance)
-    n, K = len(base.free), len(model.channels)
     every = max(1, base.log.rows // ROOM)
-
-    def batches_of(log: Any) -> Iterator[Batch]:
-        return batches(extended(log, wide, base.sigma, base.values), wanted)
-
-    def columns_at(
-        batch: Batch, weights: np.ndarray | None
-    ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
-        """Own columns (n, K, samples), rows of the candidates, and the residual (K, samples)."""
-        zeros = base.zeros_of(batch)
-        pose, state = batch.columns(model.references), batch.columns(model.state)
-        reading, slope, *_ = read(base.p, zeros, pose, state)
-        own = slope.reshape(-1, K, len(batch))[list(base.free)]
-        residual = np.array(batch.columns(model.channels)) - reading
-        if weights is not None:
-            own, residual = own * np.sqrt(weights), residual * np.sqrt(weights)
-        return own, slopes.rows(batch, zeros, weights), residual
-
     sums: dict[tuple[int, int], np.ndarray] = {}
-    moved = batches_of(noisy.log)
     seen: dict[int, int] = {}
-    for down, up in zip(batches_of(base.log), moved, strict=True):
+    for down, up in zip(work.batches(base.log), work.batches(noisy.log), strict=True):
         weights = down.weights(base.keep)
-        own, rows, residual = columns_at(_thinned(up, every), None if weights is None else weights[::every])
-        own2, rows2, residual2 = columns_at(
-            _thinned(down, every), None if weights is None else weights[::every]
-        )
-        change = precision @ (residual - residual2)
-        products = np.zeros((n + slopes.columns, change.shape[1]))
-        products[:n] = np.einsum("cks,ks->cs", own - own2, change)
-        for k, column in enumerate(slopes.column):
-            products[n + column] += (rows[k] - rows2[k]) * change[k]  # a column has one row a channel
+        part = None if weights is None else weights[::every]
+        (near, rows), (near2, rows2) = (work.columns(_thinned(b, every), part) for b in (up, down))
+        change = work.precision @ (near[-1] - near2[-1])
+        products = np.zeros((work.n + work.slopes.columns, change.shape[1]))
+        products[: work.n] = np.einsum("cks,ks->cs", near[work.z : own] - near2[work.z : own], change)
+        for k in range(len(column)):
+            products[work.n + column[k]] += (rows[k] - rows2[k]) * change[k]  # a column has one row a channel
         keys, first, counts = _stretches(up, seen, length)
         low = np.minimum(-(-np.array(first) // every), products.shape[1] - 1)
         high = np.minimum(-(-(np.array(first) + counts) // every), products.shape[1])

@@ -18,6 +18,7 @@ from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation import pseudo_inverse, solve
 from hallsym.estimation.decoding import columns_of, decoding_gain
+from hallsym.log import Log
 from hallsym.log.batches import Batch, batches
 from hallsym.log.derived import extended
 from hallsym.model import Model
@@ -285,14 +286,22 @@ class Accumulator:
         self.order: list[int] = []
         self.follow: list[np.ndarray] = []
 
-    def weighed(self) -> Iterator[tuple[Batch, np.ndarray | None]]:
-        """Yield the log in batches of at most `most` samples, with the weights of their samples."""
+    def batches(self, log: Log) -> Iterator[Batch]:
+        """Yield a log in batches with all columns that the models read."""
         base, wide = self.base, self.base.model
         for model in self.models:
             wide = wide.with_columns(*model.computed)
         columns = tuple(dict.fromkeys(c for m in self.models for c in columns_of(m)))
-        for batch in batches(extended(base.log, wide, base.sigma, base.values), columns):
-            weights = batch.weights(base.keep)
+        return batches(extended(log, wide, base.sigma, base.values), columns)
+
+    def columns(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return the columns of zeros, parameters and residual, and the rows of the candidates."""
+        return self._near(batch, weights), self.slopes.rows(batch, self.base.zeros_of(batch), weights)
+
+    def weighed(self) -> Iterator[tuple[Batch, np.ndarray | None]]:
+        """Yield the log in batches of at most `most` samples, with the weights of their samples."""
+        for batch in self.batches(self.base.log):
+            weights = batch.weights(self.base.keep)
             for piece, at in batch.pieces(self.most):
                 yield piece, None if weights is None else weights[at]
 
@@ -300,8 +309,7 @@ class Accumulator:
         """Add a batch to the runs that it belongs to."""
         if self.length:
             batch = batch.cut(self.length, self.seen if batch.blocks[0].run == self.run else 0)
-        near, D = self._near(batch, weights), self._to_pose(batch)
-        rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
+        (near, rows), D = self.columns(batch, weights), self._to_pose(batch)
         for first, last in batch.groups(max(1, ENTRIES // (len(self.near) * self.size))):
             lay = batch.layout(first, last)
             white, out = stacked_products(self, lay(near), [lay(r) for r in rows], lay(D))
