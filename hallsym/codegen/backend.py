@@ -1,7 +1,7 @@
 """The table and the files of a decoupler in one arithmetic.
 
 A `Backend` says what numbers are in C, how steps are printed and run, and what is proved of them. What is the
-same for every arithmetic is here and in `arithmetic`; `float_backend` and `integer_backend` are the two.
+same for every arithmetic is here; `float_backend` and `integer_backend` are the two.
 """
 
 import json
@@ -111,19 +111,23 @@ class Backend(ABC):
         """Range and rounding error bound of the pose over the box."""
 
     @property
-    @abstractmethod
     def error_bound(self) -> Mapping[str, float]:
         """Bound of |computed - model| [SI] by pose column: rounding, approximations, everything."""
+        return self.bounds.error
 
-    @property
     @abstractmethod
+    def _port(self, column: str) -> Port:
+        """Return an input or output."""
+
+    @cached_property
     def inputs(self) -> Sequence[Port]:
         """Readings, then state."""
+        return [self._port(c) for c in self.decoupler.inputs]
 
-    @property
-    @abstractmethod
+    @cached_property
     def outputs(self) -> Sequence[Port]:
         """Pose coordinates."""
+        return [self._port(c) for c in self.decoupler.pose]
 
     @property
     def limited(self) -> Sequence[str]:
@@ -162,7 +166,10 @@ class Backend(ABC):
 
     def _trials(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Return random inputs (n_inputs, count) in the box, in the unit of their own numbers."""
-        return self.decoupler.trials(rng, count, np.array(self.span))
+        low, high = self.span
+        if self.decoupler.drawn is not None:
+            return np.clip(self.decoupler.drawn(rng, count), low, high)
+        return np.asarray(low + (high - low) * rng.random((len(low), count)))
 
     def hold(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return inputs brought back into the box, and the status bits (s,) of those that were not in it."""

@@ -185,12 +185,12 @@ class Decoupler:
     limits: tuple[Entry, ...]
     zeros: tuple[Entry, ...]
     steps: tuple[Step, ...]
-    at_pose: tuple[Step, ...]
-    """Non-linear models: the same with the pose given, for the zero; empty for the others."""
     margins: tuple[Margin, ...]
     box: Box
     exact: Callable[[np.ndarray], np.ndarray]
     symbols: Mapping[str, ca.SX]
+    at_pose: tuple[Step, ...] = ()
+    """Non-linear models: the same with the pose given, for the zero; empty for the others."""
     flags: tuple[Flag, ...] = ()
     approximation: float = 0.0
     """What polynomials and series in place of functions leave in the pose [m, rad]."""
@@ -209,7 +209,7 @@ class Decoupler:
     options: Mapping[str, Any] = field(default_factory=dict)
     """What the choices of a family came to: given again, they make the same code."""
     integers: "Callable[..., Any] | None" = None
-    """The program of integers (`hallsym.codegen.fixed_point`), of a family that brings one of its own."""
+    """The program of integers, of a family that brings one of its own."""
     arrays: tuple[Array, ...] = ()
     """Rows of numbers that steps look up; in the table after the limits."""
     evident: bool = True
@@ -225,7 +225,7 @@ class Decoupler:
     @property
     def slack(self) -> float:
         """What series and iterations of a non-linear model may leave [m, rad]; 0 of a linear one."""
-        return ENOUGH if self.at_pose else self.approximation
+        return ENOUGH if self.at_pose else max(self.leaves.values(), default=self.approximation)
 
     @property
     def input_bits(self) -> tuple[int, ...]:
@@ -253,13 +253,6 @@ class Decoupler:
     def left(self, column: str) -> float:
         """Return `slack` of one pose coordinate."""
         return self.leaves.get(column, self.slack)
-
-    def trials(self, rng: np.random.Generator, count: int, ends: np.ndarray) -> np.ndarray:
-        """Return random inputs (n_inputs, count) for trials; `ends`: least and greatest (2, n_inputs, 1)."""
-        if self.drawn is not None:
-            return np.clip(self.drawn(rng, count), *ends)
-        share = rng.random((len(self.inputs), count))
-        return np.asarray(ends[0] + (ends[1] - ends[0]) * share)
 
     def known(self, column: str) -> float:
         """Return the largest magnitude of a known pose coordinate, for a zero: half its period, or 1."""
@@ -336,6 +329,8 @@ def _replaced(expression: ca.SX, pairs: Mapping[str, tuple[ca.SX, ca.SX]]) -> ca
     )
 
 
+Values = Mapping[str, float | tuple[float, float]]
+"""Entries of the table by name, and ranges of the inputs."""
 TERMS = 3
 """Terms of a sum that one step adds."""
 
@@ -348,6 +343,27 @@ class Collected:
     symbols: dict[str, ca.SX] = field(default_factory=dict)
     steps: list[Step] = field(default_factory=list)
 
+    def begin(self, model: Model, inputs: Sequence[str]) -> None:
+        """Add the symbols of inputs and zeros."""
+        self.symbols |= {c: ca.SX.sym(short(c)) for c in inputs}
+        self.symbols |= {z.name: ca.SX.sym(z.name) for z in zeros_of(model)}
+
+    def finished(self, model: Model, inputs: tuple[str, ...], ends: Box, **given: Any) -> Decoupler:
+        """Return the decoupler of what is collected; `given`: its other fields."""
+        return Decoupler(
+            model=model, inputs=inputs, table=tuple(self.table), limits=limits(inputs, ends),
+            zeros=zeros_of(model), steps=tuple(self.steps), box=ends, symbols=self.symbols, **given,
+        )  # fmt: skip
+
+    def whole(self, name: str, value: ca.SX) -> ca.SX:
+        """Add the whole part of a number that is no negative one."""
+        return self.add(Whole(name, value))
+
+    def add(self, step: Step) -> ca.SX:
+        """Add a step as it is; returns its symbol."""
+        self.steps.append(step)
+        return self.symbols.setdefault(step.name, ca.SX.sym(step.name))
+
     def entry(self, name: str, value: float, unit: str, meaning: str) -> ca.SX:
         """Add an entry of the table; returns its symbol."""
         self.table.append(Entry(name, float(value), unit, meaning))
@@ -358,8 +374,7 @@ class Collected:
         self, name: str, expression: ca.SX, remark: str = "", within: tuple[float, int] | None = None
     ) -> ca.SX:
         """Add a step; returns its symbol. `within`: see `Step`."""
-        self.steps.append(Step(name, expression, remark, within=within))
-        return self.symbols.setdefault(name, ca.SX.sym(name))
+        return self.add(Step(name, expression, remark, within=within))
 
     def total(self, name: str, terms: Sequence[ca.SX], remark: str = "") -> ca.SX:
         """Add a sum, some terms at a time: compilers take it as one, and readers can read it."""
@@ -369,6 +384,10 @@ class Collected:
             total = self.step(f"{name}_part_{k}", sum(rest[:TERMS], start=total))
             rest = rest[TERMS:]
         return self.step(name, sum(rest, start=total), remark)
+
+    def values(self, inputs: Sequence[str], ends: Box) -> Values:
+        """Return the entries of the table and the ranges of the inputs, by name."""
+        return {e.name: e.value for e in self.table} | {short(c): ends.ends[c] for c in inputs}
 
     def keep(self, wanted: Sequence[str]) -> None:
         """Leave out the steps that none of the wanted ones needs."""
@@ -395,13 +414,13 @@ def steps_on_arrays(d: Decoupler, real: type = float) -> Callable[..., list[np.n
     """
     names = [*d.inputs, *(e.name for e in (*d.table, *d.zeros))]
     symbols = [d.symbols[name].name() for name in names]
-    graphs = {step.name: graph([step.expression]) for step in d.steps}
+    graphs = [(step, graph([step.expression])) for step in d.steps]
     results = [step.name for step in d.steps[-len(d.pose) :]]
 
     def run(inputs: Sequence, constants: Sequence) -> list[np.ndarray]:
         values = dict(zip(symbols, (*inputs, *constants), strict=True))
-        for step in d.steps:
-            values[step.name] = _taken(step, _computed(graphs[step.name], values, real), real)
+        for step, found in graphs:
+            values[step.name] = of_step(step, found, computed(found, values, real), real)
         shape = np.broadcast_shapes(*(np.shape(row) for row in inputs))
         groups = (results, [flag.step for flag in d.flags])
         return [
@@ -413,8 +432,9 @@ def steps_on_arrays(d: Decoupler, real: type = float) -> Callable[..., list[np.n
     return run
 
 
-def _computed(found: Graph, values: Mapping[str, np.ndarray], real: type) -> np.ndarray:
-    made: list[np.ndarray] = []
+def computed(found: Graph, values: Mapping[str, Any], real: type = float) -> list[Any]:
+    """Return the value of each operation of a graph; `values` by symbol."""
+    made: list[Any] = []
     for o in found.operations:
         if o.op == "input":
             made.append(values[o.symbol])
@@ -422,11 +442,12 @@ def _computed(found: Graph, values: Mapping[str, np.ndarray], real: type) -> np.
             made.append(real(o.value))
         else:
             made.append(OPERATIONS[o.op](*(made[k] for k in o.args)))
-    return made[found.results[0]]
+    return made
 
 
-def _taken(step: Step, value: np.ndarray, real: type) -> np.ndarray:
-    """Return what a step makes of its value; whole numbers and their bits are exact in any type."""
+def of_step(step: Step, found: Graph, made: Sequence[Any], real: type = float) -> Any:
+    """Return what a step makes of the values of its graph; whole numbers and bits are exact in any type."""
+    value = made[found.results[0]]
     if isinstance(step, Whole):
         return np.floor(value)
     if isinstance(step, Bits):

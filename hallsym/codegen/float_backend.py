@@ -26,7 +26,7 @@ from hallsym.codegen.backend import (
 )
 from hallsym.codegen.bounds import LEAST_GAIN, Bounds, pose_bounds, spreads, step_errors
 from hallsym.codegen.cost import firmware_cost
-from hallsym.codegen.decoupler import Decoupler, Entry, Step, short, steps_on_arrays, unit
+from hallsym.codegen.decoupler import Array, Decoupler, Entry, Step, short, steps_on_arrays, unit
 from hallsym.codegen.float_c import Real, shared_steps, statements
 from hallsym.codegen.naming import commented, identifier
 from hallsym.codegen.templates import lines_of
@@ -49,14 +49,12 @@ KINDS = ("reading", "state")
 """Inputs by which the pose can be differentiated."""
 
 
-def kinds_of(given: bool | str | Sequence[str], model: Model) -> tuple[str, ...]:
+def kinds_of(given: bool | str, model: Model) -> tuple[str, ...]:
     """Return the kinds of slopes that are asked for: True stands for readings, a text may list several.
 
     Raises `InputError` for others, and for the state of a model that has none.
     """
-    if isinstance(given, bool):
-        return KINDS[:1] if given else ()
-    wanted = [name.strip() for name in given.split(",")] if isinstance(given, str) else list(given)
+    wanted = given.split(",") if isinstance(given, str) else KINDS[:given]
     for name in wanted:
         if name not in KINDS:
             raise InputError(
@@ -171,15 +169,8 @@ class FloatBackend(Backend):
 
     # -- the arithmetic ------------------------------------------------------------------------------------
 
-    @cached_property
-    def inputs(self) -> Sequence[Port]:
-        """In SI."""
-        return [Port(c, self.type, identifier(c), unit(c)) for c in self.decoupler.inputs]
-
-    @cached_property
-    def outputs(self) -> Sequence[Port]:
-        """In SI."""
-        return [Port(c, self.type, identifier(c), unit(c)) for c in self.decoupler.pose]
+    def _port(self, column: str) -> Port:
+        return Port(column, self.type, identifier(column), unit(column))
 
     @property
     def span(self) -> tuple[np.ndarray, np.ndarray]:
@@ -283,18 +274,12 @@ class FloatBackend(Backend):
         """Numbers in SI, or 16-bit integers in a row."""
         d, dtype = self.decoupler, np.dtype(self.real.dtype).newbyteorder("<")
 
-        def stored(entries: Sequence[Entry]) -> list[Stored]:
-            return [
-                Stored(e.name, np.array(e.value, dtype), f"[{e.unit}] {e.meaning}", e.unit) for e in entries
-            ]
+        def stored(e: Entry | Array) -> Stored:
+            values = (e.values, "<i2" if e.integers else dtype) if isinstance(e, Array) else (e.value, dtype)
+            return Stored(e.name, np.array(*values), f"[{e.unit}] {e.meaning}", e.unit)
 
-        rows = [
-            Stored(
-                a.name, np.array(a.values, "<i2" if a.integers else dtype), f"[{a.unit}] {a.meaning}", a.unit
-            )
-            for a in d.arrays
-        ]
-        return [*stored((*d.table, *d.limits)), *rows, *stored(d.zeros)]
+        every: tuple[Entry | Array, ...] = (*d.table, *d.limits, *d.arrays, *d.zeros)
+        return [stored(e) for e in every]
 
     @property
     def pad(self) -> int:
@@ -313,23 +298,9 @@ class FloatBackend(Backend):
 
     def _json(self) -> dict[str, Any]:
         d = self.decoupler
-        record: dict[str, Any] = {
-            "parameters": [
-                {
-                    "name": e.name,
-                    "value": float(self.real.dtype(e.value)),
-                    "unit": e.unit,
-                    "meaning": e.meaning,
-                }
-                for e in d.entries
-            ]
-        }
-        if d.arrays:
-            record["arrays"] = [
-                {"name": a.name, "values": list(a.values), "unit": a.unit, "meaning": a.meaning}
-                for a in d.arrays
-            ]
-        return record
+        numbers = [{**vars(e), "value": float(self.real.dtype(e.value))} for e in d.entries]
+        rows = [{k: v for k, v in vars(a).items() if k != "integers"} for a in d.arrays]
+        return {"parameters": numbers} | ({"arrays": rows} if rows else {})
 
     def _literal(self, value: Any) -> str:
         return str(value) if isinstance(value, int) else self.real.constant(value)
@@ -347,10 +318,8 @@ class FloatBackend(Backend):
 
     def _of_output(self, port: Port) -> dict[str, Any]:
         d, c = self.decoupler, port.column
-        own = {
-            "hashed": self._literal(self.reset[c]),
-            "period": self._literal(d.model.period.get(c, 0.0)),
-        }
+        own = {"hashed": self.real.constant(self.reset[c])}
+        own["period"] = self.real.constant(d.model.period.get(c, 0.0))
         if d.drawn is not None:  # of readings of no pose nothing is claimed
             return own
         low, high = (side[c] for side in (self.bounds.low, self.bounds.high))
@@ -374,7 +343,7 @@ class FloatBackend(Backend):
             "slope": self.slopes.records() if self.jacobian else [],
             **(self.slopes.fields() if self.jacobian else {}),
             # build files
-            "deviations": self._deviations(),
+            "deviations": UNIONS if any(map(self.by_size, d.inputs)) else [],
             "cpu": f"{M4} {FPU[self.real.size]}",
             "machine": "mps2-an386",
             # proofs
@@ -398,11 +367,6 @@ class FloatBackend(Backend):
     def slopes(self) -> Slopes:
         """The slopes that `decoupler_jacobian()` gives."""
         return Slopes(self.decoupler, self.jacobian)
-
-    def _deviations(self) -> list[str]:
-        by_size = any(map(self.by_size, self.decoupler.inputs))
-        step, check = UNIONS
-        return [step] * by_size + [check] * by_size
 
     def _if_jacobian(self, fragment: str, fields: Mapping[str, Any] | None = None) -> list[str]:
         return lines_of(FRAGMENTS + fragment, fields or {}) if self.jacobian else []
@@ -630,11 +594,9 @@ class FloatBackend(Backend):
 
     def _input(self, value: float) -> str:
         cast = "" if self.real.size == 4 else "(double)"  # math.h has them as float
-        if np.isnan(value):
-            return f"{cast}NAN"
-        if np.isinf(value):
-            return f"{'' if value > 0 else '-'}{cast}INFINITY"
-        return self._literal(value)
+        if np.isfinite(value):
+            return self.real.constant(value)
+        return f"{'-' * (value < 0)}{cast}{'NAN' if np.isnan(value) else 'INFINITY'}"
 
     def _range_tests(self, common: Mapping[str, Any]) -> dict[str, Any]:
         """The trial of every bit pattern of an input through its range test.
@@ -648,8 +610,8 @@ class FloatBackend(Backend):
         if not all(map(self.by_size, self.decoupler.inputs)):
             forms["limited"] = (f"{t} low, {t} high", [], "low, high, 1U, &status")
         every: list[str] = []
-        for by, (parameters, declared, arguments) in forms.items():
-            fields = {"by": by, "parameters": parameters, "declared": declared, "arguments": arguments}
+        for by, form in forms.items():
+            fields = dict(zip(("by", "parameters", "declared", "arguments"), (by, *form), strict=True))
             every += lines_of(f"{FRAGMENTS}every.c", {**common, **fields})
         tests = [
             f"bad += all_within({i['greatest']});"

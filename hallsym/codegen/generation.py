@@ -95,7 +95,7 @@ def generate(
     arithmetic: str | None = None,
     ranges: Mapping[str, tuple[float, float]] | None = None,
     double: bool = False,
-    jacobian: bool | str | Sequence[str] = False,
+    jacobian: bool | str = False,
     accuracy: float | None = None,
     correction: str | None = None,
     allow_undetermined: bool = False,

@@ -24,10 +24,9 @@ from hallsym.codegen.backend import (
     raised,
     taken,
 )
-from hallsym.codegen.binary_angle import MASK, UNIT
 from hallsym.codegen.bounds import LEAST_GAIN, Bounds
 from hallsym.codegen.decoupler import flag_bit, short, unit
-from hallsym.codegen.integer_c import LARGEST, Program, Reciprocal, helpers
+from hallsym.codegen.integer_c import LARGEST, MASK, UNIT, Program, Reciprocal, helpers
 from hallsym.codegen.naming import commented, identifier
 from hallsym.codegen.templates import lines_of
 
@@ -58,11 +57,6 @@ class IntegerBackend(Backend):
         low, high, error = ({c: v[k] for c, v in self.program.bounds.items()} for k in range(3))
         return Bounds(low, high, error, {})
 
-    @property
-    def error_bound(self) -> Mapping[str, float]:
-        """Everything is counted."""
-        return self.bounds.error
-
     def summary(self) -> dict[str, Any]:
         """Exponents of inputs and outputs."""
         return {"exponents": self.exponents}
@@ -76,20 +70,11 @@ class IntegerBackend(Backend):
         found = {**p.inputs, **{c: e for c, (_, e) in p.outputs.items()}}
         return {c: e for c, e in found.items() if c not in p.angles}
 
-    def _port(self, column: str, exponent: int) -> Port:
+    def _port(self, column: str) -> Port:
         if column in self.program.angles:
             return Port(column, "uint32_t", f"{short(column)}_bam", "2^-32 turn", UNIT)
+        exponent = self.exponents[column]
         return Port(column, "int32_t", identifier(column), f"2^-{exponent} {unit(column)}", 2.0**-exponent)
-
-    @cached_property
-    def inputs(self) -> Sequence[Port]:
-        """Integers, or binary angles."""
-        return [self._port(c, self.program.inputs[c]) for c in self.decoupler.inputs]
-
-    @cached_property
-    def outputs(self) -> Sequence[Port]:
-        """Integers, or binary angles."""
-        return [self._port(c, self.program.outputs[c][1]) for c in self.decoupler.pose]
 
     @property
     def reads_angle(self) -> bool:
@@ -138,19 +123,12 @@ class IntegerBackend(Backend):
     def _rounded(self, inputs: np.ndarray) -> np.ndarray:
         return np.round(inputs).astype(np.int64)
 
-    def _trials(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Random poses are in SI."""
-        if self.decoupler.drawn is None:
-            return super()._trials(rng, count)
-        scales = np.array([[port.scale] for port in self.inputs])
-        return np.clip(np.round(self.decoupler.drawn(rng, count) / scales), *self.ends)
-
     def _chosen(self) -> np.ndarray:
         """Return corners and points of the box, and inputs that are out of range."""
         d, (low, high) = self.decoupler, self.ends
         rng = np.random.default_rng(1)
         share = np.hstack([rng.choice([0.0, 1.0], (len(low), 8)), rng.random((len(low), COUNT - 8))])
-        given = [self._rounded(low + (high - low) * share if d.drawn is None else self._trials(rng, COUNT))]
+        given = [self._rounded(low + (high - low) * share)]
         for k in range(0 if self.reads_angle else len(low)):
             beyond = np.repeat(given[0][:, 9 + k : 10 + k], 4, axis=1)
             beyond[k] = (-MOST - 1, low[k, 0] - 1, high[k, 0] + 1, MOST)
@@ -207,16 +185,12 @@ class IntegerBackend(Backend):
         return crc32("\n".join(rows).encode())
 
     def _json(self) -> dict[str, Any]:
-        record: dict[str, Any] = {
-            "exponents": self.exponents,
-            "parameters": [{"name": e.name, "value": int(e.values), "meaning": e.note} for e in self.numbers],
-        }
-        if self.program.arrays:
-            record["arrays"] = [
-                {"name": a.name, "values": a.values.tolist(), "unit_turn": 2.0 ** (a.shift - 32)}
-                for a in self.program.arrays.values()
-            ]
-        return record
+        numbers = [{"name": e.name, "value": int(e.values), "meaning": e.note} for e in self.numbers]
+        rows = [
+            {"name": a.name, "values": a.values.tolist(), "unit_turn": 2.0 ** (a.shift - 32)}
+            for a in self.program.arrays.values()
+        ]
+        return {"exponents": self.exponents, "parameters": numbers} | ({"arrays": rows} if rows else {})
 
     def _literal(self, value: Any) -> str:
         return str(value)

@@ -3,18 +3,102 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from math import ceil, log2
+from math import asin, atan, ceil, log2, pi, prod, sqrt
 from typing import Any, cast
 
 import numpy as np
 
-from hallsym.codegen import binary_angle
 from hallsym.codegen.decoupler import Decoupler, Step, short, unit
 from hallsym.codegen.float_c import straight
 from hallsym.codegen.operations import Operation, graph
 from hallsym.codegen.templates import lines_of
 from hallsym.errors import InputError
 from hallsym.model import Model
+
+UNIT = 2 * pi / 2**32
+"""Value [rad] of the last bit of a binary angle."""
+MASK = 2**32 - 1
+STEPS = 26
+"""Most steps of CORDIC: beyond them shifts of 32 bits cut off more than a step leaves."""
+ARCTANGENTS = tuple(round(atan(2.0**-k) / UNIT) for k in range(STEPS))
+SPREAD = prod(1 + 2.0**-k for k in range(STEPS))
+"""What intervals make of the growth of a vector: each coordinate by the other's, whatever their signs."""
+FINE = 15
+"""Bits of the way between two entries of a table."""
+
+
+def steps_for(accuracy: float) -> int:
+    """Return how many steps of CORDIC leave a thirty-second of an accuracy [rad], `STEPS` at most."""
+    return next((n for n in range(8, STEPS) if atan(2.0 ** (1 - n)) <= accuracy / 32), STEPS)
+
+
+def angle_of(x: np.ndarray, y: np.ndarray, steps: int = STEPS) -> np.ndarray:
+    """Return the binary angle of vectors of integers, as `angle_of` of the generated C."""
+    behind = x < 0
+    across, up = np.where(behind, -x, x), np.where(behind, -y, y)
+    angle = np.where(behind, np.int64(2**31), np.int64(0))
+    for k, turn in enumerate(ARCTANGENTS[:steps]):
+        a, b = across >> k, up >> k
+        below = up < 0
+        across, up = np.where(below, across - b, across + b), np.where(below, up + a, up - a)
+        angle = np.where(below, angle - turn, angle + turn)
+        if np.any(np.abs(across) >= 2**31) or np.any(np.abs(up) >= 2**31):
+            raise OverflowError("a vector overflows in CORDIC")
+    return np.asarray(angle & MASK)
+
+
+def angle_error(least: float, steps: int = STEPS) -> float:
+    """Return the bound of |angle_of - atan2| [rad] for vectors of at least that length, in units of a bit.
+
+    A shift cuts off less than a bit of each coordinate, of a vector that has grown to the length of its step;
+    an entry is off by half a bit; the last step leaves less than its angle.
+    """
+    length, cut = least, 0.0
+    for k in range(steps):
+        length = length * sqrt(1 + 4.0**-k) - (sqrt(2) if k else 0.0)
+        cut += asin(min(1.0, sqrt(2) / length)) if k else 0.0
+    return cut + steps * UNIT / 2 + atan(2.0 ** (1 - steps)) * (1 + 1e-9)
+
+
+@dataclass(frozen=True, eq=False)
+class AngleTable:
+    """Entries at phases 0, h, 2 h, ... of a turn in units of 2^`shift` BAM, straight lines between them.
+
+    `bits`: 16 or 32 of each entry; with 32 `shift` is 0.
+    """
+
+    name: str
+    values: np.ndarray
+    shift: int
+    bits: int
+
+    def __post_init__(self) -> None:
+        """Refuse what could overflow."""
+        wide = np.abs(np.diff(self.values, append=self.values[:1])).max()
+        if wide * 2.0**self.shift >= 2**30 or np.abs(self.values).max() * 2.0**self.shift >= 2**30:
+            raise InputError("The correction does not fit into 32 bits; use float.")
+
+    @property
+    def first(self) -> int:
+        """Bits of a phase below those that count entries."""
+        return 32 - (len(self.values).bit_length() - 1)
+
+    def at(self, phase: np.ndarray) -> np.ndarray:
+        """Return the value [BAM] at binary phases, as the generated C."""
+        cell = phase >> self.first
+        rest = (phase >> (self.first - FINE)) & (2**FINE - 1)
+        left = self.values[cell]
+        rise = self.values[(cell + 1) % len(self.values)] - left
+        if self.bits == 16:
+            return np.asarray((left << self.shift) + ((rise * rest) >> (FINE - self.shift)))
+        return np.asarray(left + (rise >> FINE) * rest + (((rise & (2**FINE - 1)) * rest) >> FINE))
+
+    @property
+    def error(self) -> float:
+        """Bound of |at - straight lines between the entries| [rad]: what bits that are cut off change."""
+        wide = float(np.abs(np.diff(self.values, append=self.values[:1])).max()) * 2.0**self.shift
+        return UNIT * (wide * 2.0**-FINE + 2)
+
 
 FRAGMENTS = "q31/fragments/"
 LARGEST = 2**31 - 128
@@ -84,13 +168,13 @@ OPERATIONS: dict[str, tuple[Callable[..., np.ndarray], Callable[[str, str, int, 
     "right": (lambda a, b, i, j: a >> i, lambda a, b, i, j: f"{a} >> {i}"),
     "one": (lambda a, b, i, j: (1 << i) - a, lambda a, b, i, j: f"{1 << i} - {a}"),
     "look": (lambda a, b, i, j: b.at(a), lambda a, b, i, j: f"{b}_at(p, {a})"),
-    "angle": (lambda a, b, i, j: binary_angle.angle_of(a, b, i), lambda a, b, i, j: f"angle_of({a}, {b})"),
-    "turn": (lambda a, b, i, j: (a + b) & binary_angle.MASK, lambda a, b, i, j: f"{a} + {b}"),
+    "angle": (lambda a, b, i, j: angle_of(a, b, i), lambda a, b, i, j: f"angle_of({a}, {b})"),
+    "turn": (lambda a, b, i, j: (a + b) & MASK, lambda a, b, i, j: f"{a} + {b}"),
 }
 """What a line computes of a, b and shifts i, j in 64-bit integers, and in C.
 
 `one`: 2^i - a; `look`: b is a table; `angle`: of the vector (a, b), in i steps; `turn`: counted round. The
-last two are binary angles (`hallsym.codegen.binary_angle`), which are unsigned.
+last two are binary angles (`hallsym.codegen.integer_c`), which are unsigned.
 """
 
 
@@ -128,7 +212,7 @@ class Program:
     """Columns that are binary angles: 2^32 to a turn, unsigned."""
     unsigned: dict[str, str] = field(default_factory=dict)
     """Entries of the table that are binary angles, and what they mean."""
-    arrays: dict[str, binary_angle.AngleTable] = field(default_factory=dict)
+    arrays: dict[str, AngleTable] = field(default_factory=dict)
     said: list[str] = field(default_factory=list)
     """Sentences for header and report."""
     options: dict[str, Any] = field(default_factory=dict)
@@ -177,7 +261,7 @@ def helpers(program: Program) -> list[str]:
     called = lines_of(f"{FRAGMENTS}upper.c", {}) if "mul" in lines else []
     if "angle" in lines:
         steps = lines["angle"].i
-        angles = [f"{t}U" for t in binary_angle.ARCTANGENTS[:steps]]
+        angles = [f"{t}U" for t in ARCTANGENTS[:steps]]
         rows = [", ".join(angles[k : k + 8]) for k in range(0, steps, 8)]
         fields: dict[str, Any] = {"steps": steps, "arctangents": ",\n        ".join(rows)}
         called += lines_of(f"{FRAGMENTS}angle_of.c", fields)
@@ -186,9 +270,9 @@ def helpers(program: Program) -> list[str]:
     return called
 
 
-def _look_up(array: binary_angle.AngleTable) -> list[str]:
+def _look_up(array: AngleTable) -> list[str]:
     """The C of `Array.at`."""
-    fine, count = binary_angle.FINE, len(array.values)
+    fine, count = FINE, len(array.values)
     left, right = f"p->{array.name}[cell]", f"p->{array.name}[(cell + 1U) & {count - 1}U]"
     if array.bits == 16:
         left, right = f"(int32_t){left}", f"(int32_t){right}"
@@ -233,7 +317,7 @@ OTHER_CODE = (
     "The code in the folder was made for another model or other options; generate it again with --force."
 )
 LOW = 3
-"""A product is low by less than so many units of its last bit (`fixed_point`)."""
+"""A product is low by less than so many units of its last bit."""
 MOST_STEPS = 5
 """Newton steps of a reciprocal: enough for a divisor that falls to a tenth of itself."""
 

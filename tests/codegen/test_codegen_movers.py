@@ -13,7 +13,9 @@ from firmware import SANITIZED, instructions, need, passes, ran, written
 from waves import LENGTH, SIX, calibrated
 
 import hallsym
-from hallsym.errors import InputError
+from hallsym.codegen.box import box_of
+from hallsym.codegen.decoupler import steps_on_arrays
+from hallsym.codegen.lowering import mover
 from hallsym.families.halbach.effects.planar_ends import array_edges
 from hallsym.families.halbach.layout import Array, Sensor
 from hallsym.families.halbach.planar import halbach_planar
@@ -128,9 +130,11 @@ def test_stated_errors_hold_and_rounding_is_small():
 
 def test_rounding_stays_within_its_bound():
     """The same arithmetic in float32 and in double."""
-    single, double = made().backend, hallsym.generate(fit_of(), accuracy=5e-6, double=True).backend
+    single, d = made().backend, made().decoupler
     inputs = np.clip(inputs_of(poses(2000)).astype(np.float32), *single.ends)
-    off = np.abs(single.step(inputs)[0] - double.step(inputs.astype(float))[0]).max(axis=1)
+    off = np.abs(single.step(inputs)[0] - steps_on_arrays(d)(inputs.astype(float), d.constants)[0]).max(
+        axis=1
+    )
     assert (off <= list(made().bounds.error.values())).all()
     assert (off > np.array(list(made().bounds.error.values())) / 30).all()
 
@@ -171,11 +175,7 @@ def test_instructions_and_bits_on_a_cortex_m4f(tmp_path):
     assert max(instructions(made(), folder)) <= MOST
 
 
-def test_integers_are_refused():
-    with pytest.raises(InputError, match="has its C in float"):
-        hallsym.generate(fit_of(), arithmetic="q31")
-
-
 def test_arrays_that_end_beyond_all_sensors_are_decoded_as_fixed_patches():
-    code = hallsym.generate(fit_of(length=12 * LENGTH, reach=0.01), accuracy=2e-5)
-    assert "COVER" not in [flag.name for flag in code.decoupler.flags]
+    fit = fit_of(length=12 * LENGTH, reach=0.01)
+    weight = np.array([1 / fit.noise.sigmas[c].value ** 2 for c in fit.model.channels])
+    assert mover.decoupler(fit.model, fit.values, weight, box_of(fit), 2e-5) is None

@@ -1,6 +1,6 @@
 """Exponents of the integers outlast a calibration: `--params-only` takes what the same machine may become.
 
-Independent facts: parameters drawn within a hundred times their uncertainty and within their bounds; the
+Independent facts: parameters drawn within half of their bounds; the
 layout number is that of names, exponents and lines, so the same number is the same code.
 """
 
@@ -30,10 +30,6 @@ def drawn(fit, reach, count, seed=0):
         yield replace(fit, values=np.clip(row, lower_bound, upper_bound))
 
 
-def uncertainty(fit):
-    return 100 * np.nan_to_num(fit.std)
-
-
 def half_of_geometry(fit):
     """Half of the bounds of positions, tilts and gains; field terms as much again as they are."""
     lower_bound, upper_bound = fit.model.bounds
@@ -46,18 +42,14 @@ def backend_of(fit, plan):
     return IntegerBackend(found, {}, integer_program(found, plan))
 
 
-@pytest.mark.parametrize(
-    ("reach", "count", "most"),
-    [pytest.param(uncertainty, 25, 0.5e-9, marks=pytest.mark.slow), (half_of_geometry, 25, 1e-9)],
-)
-def test_plausible_recalibrations_have_the_same_code(reach, count, most):
+def test_plausible_recalibrations_have_the_same_code():
     first = made("stage31", arithmetic="q31").backend
-    for fit in drawn(calibration(), reach(calibration()), count):
+    for fit in drawn(calibration(), half_of_geometry(calibration()), 25):
         again = backend_of(fit, first.program.plan)
         assert again.layout == first.layout
         for column, error in again.errors(1000).items():
             assert error <= again.program.bounds[column][2]
-            assert error <= most
+            assert error <= 1e-9
 
 
 @pytest.mark.parametrize(

@@ -28,8 +28,8 @@ from test_codegen_correction import fit_of
 from test_codegen_rotary import ELLIPSE, turned
 
 from hallsym.cli.main import main
-from hallsym.codegen import binary_angle as turns
 from hallsym.codegen import generate
+from hallsym.codegen import integer_c as turns
 from hallsym.errors import InputError
 from hallsym.model import on_arrays
 

@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from firmware import calibration, need
 from test_codegen_correction import fit_of
-from test_codegen_movers import made as made_of_mover
+from test_codegen_travel import made as made_of_travel
 from waves import VALUES, calibrated, sums
 
 from hallsym.codegen import generate
@@ -93,8 +93,6 @@ def noticed(folder, number, name, source):
 
 MOST = 120
 """Mutants of a case: of more, as many are tried, evenly over the code."""
-FEWER = {"mover over longer rows": 60}
-"""Mutants of a case whose self-test takes seconds."""
 
 CASES = {
     "stage31": lambda: generate(calibration()),
@@ -102,7 +100,7 @@ CASES = {
     "encoder of two voltages, table": lambda: generate(fit_of("clipped"), accuracy=5e-3),
     "encoder of two voltages in integers": lambda: generate(fit_of("meng volts"), arithmetic="q31"),
     "magnet array": lambda: generate(calibrated(sums(3), VALUES)),
-    "mover over longer rows": made_of_mover,
+    "array over a longer row": made_of_travel,
 }
 
 
@@ -122,7 +120,7 @@ def test_the_self_test_notices_what_is_wrong_with_the_code(tmp_path, case):
     ]
     tried = [
         (number, name, line, source)
-        for number, name, line, source in changed[:: -(-len(changed) // FEWER.get(case, MOST))]
+        for number, name, line, source in changed[:: -(-len(changed) // MOST)]
         if not (compiled := machine_code(folder, source)) or compiled != original[name]
     ]
     with ThreadPoolExecutor(2) as pool:

@@ -1,15 +1,16 @@
 """Lowering of models of one angle: from two voltages or from the decoded angle to the corrected angle.
 
 Two voltages: the ellipse is undone by a linear map, the phase taken by an arctangent whose polynomial is
-proved (`lowering.trigonometry`), and what is left corrected by a series of its waves or by a table. A
+proved (`lowering.odd_series`), and what is left corrected by a series of its waves or by a table. A
 decoded angle: the correction alone. Both wrap. The correction comes from the model by solving it over a turn
 (`lowering.phase_curve`, `lowering.correction`), so any effect that is a static function of the angle
 follows; for the circle and the ellipse it is empty.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from math import asin, pi, sqrt
+from math import asin, hypot, pi, sqrt
 
 import casadi as ca
 import numpy as np
@@ -20,17 +21,39 @@ from hallsym.codegen.decoupler import (
     Box,
     Collected,
     Decoupler,
+    Entry,
     Flag,
     Lookup,
     Margin,
-    Whole,
-    limits,
     short,
-    zeros_of,
+)
+from hallsym.codegen.integer_c import (
+    DOES_NOT_FIT,
+    SPREAD,
+    UNIT,
+    AngleTable,
+    Compiler,
+    Fixed,
+    Program,
+    angle_error,
+    exponent,
+    planned,
+    steps_for,
 )
 from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
-from hallsym.codegen.lowering import angle_integers
-from hallsym.codegen.lowering.correction import Grid, Series, shortest_correction
+from hallsym.codegen.lowering.correction import (
+    ROUNDED,
+    SIZES,
+    WORST,
+    Grid,
+    Series,
+    check,
+    like,
+    out_of_reach,
+    proved,
+    sampled,
+    shortest_correction,
+)
 from hallsym.codegen.lowering.odd_series import (
     ARCTANGENT,
     HALF_PI,
@@ -41,8 +64,9 @@ from hallsym.codegen.lowering.odd_series import (
     sine_error,
     wrapped,
 )
-from hallsym.codegen.lowering.phase_curve import Curve
+from hallsym.codegen.lowering.phase_curve import POINTS, Curve, check_static
 from hallsym.errors import InputError, counted
+from hallsym.log.phase import wrapped as within_turn
 from hallsym.model import Model
 
 TURN = 2 * pi
@@ -52,7 +76,6 @@ ROOM = 0.1
 """Share of its swing by which a voltage may leave what the model gives over the box: noise, temperature."""
 TINY = 1e-30
 """Added to a divisor that may be zero; lost in rounding where it is not."""
-ROUNDED = 1e-13
 CUT = 2 * pi * 2.0**-31
 """Phase [rad] that the last bit of a place in a table stands for."""
 NEIGHBOURS = ("before", "left", "right", "after")
@@ -76,20 +99,10 @@ def decoupler(
     corrected angle is that at which the model reads the measured phase, so a change of both amplitudes
     alike, by temperature, leaves it alone. Raises `InputError` for readings that depend on anything else.
     """
-    if model.state:
-        raise InputError(
-            f"C for an angle is generated from readings that depend on the angle alone; {model.name} with "
-            f"{', '.join(model.effects)} needs {', '.join(model.state)}: generate from a calibration without "
-            "it."
-        )
-    if sum(link == "reference" for link, _ in model.steps) > bool(model.zeros):  # a zero is set by a reset
-        raise InputError(
-            f"The calibration of {model.name} with {', '.join(model.effects)} holds errors of its reference, "
-            "which a controller does not have; fit without that effect, or correct the log's reference."
-        )
+    check_static(model, "the angle")
     curve = Curve(model, np.asarray(p, dtype=float))
     made = _Assembly(curve, box, shortest_correction(curve, accuracy, correction)).make()
-    return replace(made, integers=lambda **options: angle_integers.program(made, curve, WEAK, **options))
+    return replace(made, integers=lambda **options: program(made, curve, WEAK, **options))
 
 
 @dataclass(eq=False)
@@ -104,9 +117,7 @@ class _Assembly(Collected):
     def make(self) -> Decoupler:
         model = self.curve.model
         inputs = model.channels
-        self.symbols |= {c: ca.SX.sym(short(c)) for c in inputs}
-        (zero,) = zeros_of(model)
-        self.symbols[zero.name] = ca.SX.sym(zero.name)
+        self.begin(model, inputs)
         flags: tuple[Flag, ...] = ()
         if self.curve.angle_only:
             margin, phase = self._reading(), self.symbols["phase"]
@@ -115,20 +126,14 @@ class _Assembly(Collected):
             flags = (
                 Flag("FIELD", "field", "least_field", f"field below {WEAK:g} of its amplitude: no magnet"),
             )
-        self._finish(phase, self.symbols[zero.name])
+        self._finish(phase, self.symbols[f"zero_{short(model.pose[0])}"])
         ends = self.given.over({c: self._ends(c) for c in inputs})
-        return Decoupler(
-            model=model,
-            inputs=inputs,
-            table=tuple(self.table),
-            limits=limits(inputs, ends),
-            zeros=(zero,),
-            steps=tuple(self.steps),
-            at_pose=(),
+        return self.finished(
+            model,
+            inputs,
+            ends,
             margins=(margin,),
-            box=ends,
             exact=lambda given: self.curve.angle(self.curve.phase(given))[None],
-            symbols=self.symbols,
             flags=flags,
             approximation=self._left,
             cut=CUT * self.correction.slope if isinstance(self.correction, Grid) else 0.0,
@@ -199,10 +204,6 @@ class _Assembly(Collected):
         total = self.step("total", zero + angle)
         self.step("angle", wrapped(total), "[rad] within half a turn")
 
-    def _whole(self, step: Whole | Bits) -> ca.SX:
-        self.steps.append(step)
-        return self.symbols.setdefault(step.name, ca.SX.sym(step.name))
-
     def _looked_up(self, grid: Grid, phase: ca.SX) -> ca.SX:
         """Entry of the table, and a line or a cubic to the next."""
         count = len(grid.values)
@@ -219,15 +220,13 @@ class _Assembly(Collected):
         fine = 31 - (count.bit_length() - 1)
         rate = count * 2.0**fine / (2 * pi)
         place = self.step("place", (phase + PI) * rate, f"in 2^-{fine} of the way between two entries")
-        spot = self._whole(Whole("spot", place))
-        cell = self._whole(Bits("cell", spot, "", fine))
-        rest = self._whole(Bits("rest", spot, "", fine, True))
+        spot = self.whole("spot", place)
+        cell = self.add(Bits("cell", spot, "", fine))
+        rest = self.add(Bits("rest", spot, "", fine, True))
         part = self.step("part", rest * 2.0**-fine)
 
         def entry(name: str, ahead: int) -> ca.SX:
-            self.symbols[name] = ca.SX.sym(name)
-            self.steps.append(Lookup(name, cell, "", array, ahead))
-            return self.symbols[name]
+            return self.add(Lookup(name, cell, "", array, ahead))
 
         if grid.degree == 1:
             left, right = entry("left", 0), entry("right", 1)
@@ -443,3 +442,181 @@ def _sine(digits: int) -> float:
     (twice,) = enclose([x - angle], {"x": quarter, "angle": Enclosure(0.0, pi / 2, once.error)}, digits)
     (found,) = enclose([odd(SINE, x, x * x)], {"x": Enclosure(-pi / 2, pi / 2, twice.error)}, digits)
     return float(found.error)
+
+
+ENOUGH_OF_INTEGERS = 1e-5
+"""Angle [rad] that a table of integers may leave unless another accuracy is asked for: 2 arc seconds."""
+
+
+def program(
+    d: Decoupler,
+    curve: Curve,
+    weak: float,
+    *,
+    accuracy: float | None = None,
+    correction: str = "auto",
+    plan: Sequence[int] | None = None,
+) -> Program:
+    """Return the integer program of an angle; `weak`: share of the amplitude below which a flag is set.
+
+    `accuracy`: what the table may leave [rad], default `ENOUGH_OF_INTEGERS`, CORDIC a thirty-second of it;
+    `correction`: as of `table_of`; `plan`: as of `integer_program`.
+    """
+    if correction.startswith("series"):
+        raise InputError(
+            "--arithmetic q31 corrects an angle from a table, which takes fewer instructions than a series "
+            "without a floating-point unit: leave out --correction series."
+        )
+    aim = ENOUGH_OF_INTEGERS if accuracy is None else accuracy
+    table, steps = table_of(curve, aim, correction), steps_for(aim)
+    return planned(lambda given: _Turns(d, given, curve, weak, table, steps), plan)
+
+
+def table_of(curve: Curve, accuracy: float, kind: str) -> Grid | None:
+    """Return the smallest table of integers, lines between them, that leaves at most `accuracy` [rad].
+
+    In units of a power of two of 2^-32 turn. `kind`: "auto", "table", or the form of one that it shall be
+    like. None where the angle needs no more than a constant.
+    """
+    check(curve, accuracy, kind)
+    if ":" in kind:
+        _, entries, _, wide, *power = kind.split(":")
+        return like(curve, accuracy, kind, _table(curve, int(entries), int(wide), *map(int, power)))
+    if np.abs(curve.needed[1]).max() <= ROUNDED:
+        return None
+    forms = sorted((bits * n, bits, n, room) for n in SIZES for bits, room in ((16, -1), (16, 0), (32, 0)))
+    for _, bits, count, room in forms:  # room for twice the correction, where it is as near with it
+        found = _table(curve, count, bits, room=-room)
+        if sampled(curve, found) <= accuracy:
+            sure = replace(found, left=proved(curve, found, accuracy))
+            if sure.left <= accuracy:
+                return sure
+    raise InputError(out_of_reach(curve, accuracy, "table", [_table(curve, SIZES[-1], 32)]))
+
+
+def _table(curve: Curve, count: int, bits: int, power: int | None = None, room: int = 0) -> Grid:
+    """Return a table in units of 2^`power` BAM, by default the finest with `room` bits to spare."""
+    middle, rest = curve.needed
+    if power is None:
+        least = np.log2(max(np.abs(rest).max() / UNIT / WORST, 1.0))
+        power = int(np.ceil(least)) + room if bits == 16 else 0
+    unit = UNIT * 2.0**power
+    values = np.round(rest[:: POINTS // count] / unit)
+    constant = float(within_turn(np.array(round(middle / UNIT) * UNIT), 2 * pi))
+    return Grid(constant, np.clip(values, -WORST, WORST) if bits == 16 else values, unit, 1, bits=bits)
+
+
+class _Turns(Compiler):
+    def __init__(
+        self,
+        d: Decoupler,
+        plan: Sequence[int] | None,
+        curve: Curve,
+        weak: float,
+        table: Grid | None,
+        steps: int,
+    ) -> None:
+        super().__init__(d, plan)
+        self.curve, self.weak, self.table, self.steps = curve, weak, table, steps
+
+    def compile(self) -> Program:
+        """Return the program."""
+        d, p = self.d, self.p
+        (pose,) = d.pose
+        p.angles = frozenset({pose, *(() if not self.curve.angle_only else d.inputs)})
+        phase, error = self._read() if self.curve.angle_only else self._vector()
+        angle, table = phase, self.table
+        shift, left = self.curve.needed[0], 0.0
+        if table is not None:
+            shift, left = table.constant, table.left
+            values = np.roll(table.values.astype(np.int64), len(table.values) // 2)
+            power = round(np.log2(table.unit / UNIT))
+            array = AngleTable("correction", values, power, table.bits)
+            p.arrays["correction"] = array
+            p.options["correction"] = f"{table.form}:{power}"
+            error = error * (1 + table.slope) + array.error
+            p.said.append(
+                f"The correction is a table of {len(values)} entries of {table.bits} bits with straight "
+                f"lines between them; it leaves at most {left:.2g} rad, the rounding of its entries counted "
+                "(proved)."
+            )
+            looked = self._line("look", phase, "correction")
+        if self._shifts(shift):
+            angle = self._turn(angle, self._angle("shift", shift, "correction, the same all round"))
+            error += UNIT / 2
+        if table is not None:
+            angle = self._turn(angle, looked)
+        angle = self._turn(angle, self._angle(f"zero_{short(pose)}", 0.0, "set by decoupler_zero()"))
+        p.outputs[pose] = (angle, 0)
+        p.bounds[pose] = (0.0, 2 * pi, error + left + 1e-13)
+        return p
+
+    def _angle(self, name: str, value: float, meaning: str) -> str:
+        self.p.unsigned[name] = f"[2^-32 turn] {meaning}"
+        self.p.table[name] = (round(value / UNIT) % 2**32, 0)
+        return name
+
+    def _turn(self, a: str, b: str) -> str:
+        return self._line("turn", a, b)
+
+    def _shifts(self, shift: float) -> bool:
+        """Whether a constant is added to the angle."""
+        moves = self.table is not None or abs(shift) >= UNIT / 2
+        planned = bool(self._chosen(lambda: int(moves)))
+        if moves and not planned:
+            raise InputError(f"The calibration's shift of the angle {DOES_NOT_FIT}")
+        return planned
+
+    def _read(self) -> tuple[str, float]:
+        (column,) = self.d.inputs
+        self.p.inputs[column] = 0
+        return short(column), 0.0
+
+    def _vector(self) -> tuple[str, float]:
+        """Two voltages to a vector, its angle and the flag of its length.
+
+        Centers have the exponent of the inputs, entries of the map one of their own, so that a recalibration
+        of a magnet that is much the same needs the same code.
+        """
+        d, p, off = self.d, self.p, []
+        volts = self._exponent(0.0, max(abs(v) for channel in d.inputs for v in d.ends(channel)))
+        for channel, center in zip(d.inputs, self.curve.center, strict=True):
+            p.inputs[channel] = volts
+            given = Fixed(short(channel), volts, *d.ends(channel))
+            entry = self._constant(f"center_{short(channel)}", float(center), volts)
+            off.append(self._add(given, entry, minus=True))
+        most = float(np.abs(self.curve.matrix).max())
+        shared = self._exponent(-most, most)
+        x, y = (self._row(axis, row, off, shared) for axis, row in zip("xy", self.curve.matrix, strict=True))
+        grown = SPREAD * max(x.most, y.most)
+        e = self._chosen(lambda: min(x.e, y.e, exponent(-grown, grown)))
+        self._checked(Fixed("vector", e, -grown, grown))
+        x, y = self._cut(x, e), self._cut(y, e)
+        field = self._add(self._mul(x, x), self._mul(y, y))
+        least = Entry(
+            "least_field", self.weak**2, "1", "square of the least share of the calibrated amplitude"
+        )
+        p.table[least.name] = (round(least.value * 2.0**field.e), field.e)
+        p.flags["FIELD"] = (field.text, least.name)
+        # where the flag is clear, the vector is as long but for the rounding of its square
+        length = np.sqrt(max(self.weak**2 - field.error - field.unit, 1e-9))
+        moved = asin(min(1.0, hypot(x.error, y.error) / (length - hypot(x.error, y.error))))
+        cordic = angle_error(length * 2.0**e, self.steps)
+        p.said.append(
+            f"The angle comes from {self.steps} steps of CORDIC, a loop of fixed length: off by at most "
+            f"{cordic:.2g} rad where the field is not weak (proved)."
+        )
+        return self._line("angle", x.text, y.text, self.steps), moved + cordic
+
+    def _row(self, axis: str, row: np.ndarray, off: list[Fixed], e: int) -> Fixed:
+        """One coordinate of the unit circle."""
+        first, second = (
+            self._mul(self._constant(f"{axis}_{short(c)}", float(value), e), o)
+            for c, value, o in zip(self.d.inputs, row, off, strict=True)
+        )
+        return self._add(first, second)
+
+    def _cut(self, v: Fixed, e: int) -> Fixed:
+        if v.e == e:
+            return v
+        return Fixed(self._line("right", v.text, i=v.e - e), e, v.low, v.high, v.error + 2.0**-e)

@@ -3,7 +3,7 @@
 Each array gives a phasor as one wave does (`lowering.wave_steps`), so a place and a height; weighted least
 squares make rotations of them, which say what tilt adds to each, and then the pose; products of rotations and
 displacements are added at the end. Which channels see which array, and every number, come from the model's
-own readings (`lowering.wave_groups`, `lowering.arrays_fit`). No iteration, no branch that changes the pose by
+own readings (`lowering.arrays_fit`). No iteration, no branch that changes the pose by
 a step.
 """
 
@@ -21,29 +21,169 @@ from hallsym.codegen.decoupler import (
     Decoupler,
     Flag,
     Margin,
+    Step,
+    Values,
     Whole,
-    limits,
     short,
     unit,
-    zeros_of,
 )
-from hallsym.codegen.intervals import Enclosure
-from hallsym.codegen.lowering.arrays_bounds import Rounding
+from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
 from hallsym.codegen.lowering.arrays_fit import KINDS, NEGLIGIBLE, Arrays, groups_of
 from hallsym.codegen.lowering.odd_series import Odd, odd, shortest
 from hallsym.codegen.lowering.wave_steps import (
     POLYNOMIALS,
+    SHORT,
     Pair,
     Powers,
     Wave,
     arctangent_steps,
+    height_error,
     least_inside,
     logarithm_steps,
+    periods_steps,
     phasor_steps,
+    place_error,
+    ranges_of,
+    stored,
+    vector_error,
     wave_of,
 )
+from hallsym.codegen.operations import TESTS, graph
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
+
+POSES = 2000
+OF_ARCTANGENT = ("across", "up", "turned", "turned_square", "quadrant", "beyond", "half")
+"""Steps of an arctangent, whose bound is of the whole."""
+CROSS = ("cross_real", "cross_imaginary", "cross", "cross_square", "held_cross", "bound")
+"""Steps of the turn of one phasor from another."""
+ROUNDINGS = 64
+"""Roundings of that turn, each a share of it: two products, their sums, quotient and polynomial."""
+POWERS = ((2, 0), (4, 4), (6, 4), (4, 0))
+"""Of each kind of term: how often the phasor is a factor, and the power of its length."""
+CHOSEN = ("held_", "next_", "along_")
+"""Steps that choose between values, and do not jump."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rounding:
+    """Digits of the significand -> range and rounding of each coordinate, flags clear, zeros at zero."""
+
+    found: Arrays
+    waves: Sequence[Wave]
+    names: Sequence[str]
+    steps: tuple[Step, ...]
+    values: Values
+    nears: tuple[str, ...]
+    drawn: Callable[[np.random.Generator, int], np.ndarray]
+    """Random inputs (n_inputs, s) of poses in the box."""
+
+    def __call__(self, digits: int) -> dict[str, Enclosure]:
+        """Return the enclosure of each coordinate."""
+        known = stored(self.values, digits)
+        pose = self.found.model.pose
+        known |= {f"zero_{c.rpartition('_')[0]}": Enclosure(0.0, 0.0) for c in pose}
+        ranges = self._ranges()
+        known |= self._functions(digits)
+        known |= self._ratios(digits, ranges)
+        for step in self.steps:
+            if step.name in known:
+                continue
+            if isinstance(step, Whole):
+                low, high = ranges[step.name]
+                known[step.name] = Enclosure(low, high)
+                continue
+            if step.name.startswith(CHOSEN) and _branches(step):
+                known[step.name] = _chosen(step, known, ranges[step.name], digits)
+                continue
+            needs = {s.name(): known[s.name()] for s in ca.symvar(step.expression)}
+            (made,) = enclose([step.expression], needs, digits)
+            low, high = ranges[step.name]
+            known[step.name] = Enclosure(max(float(made.low), low), min(float(made.high), high), made.error)
+        last = [known[step.name] for step in self.steps[-6:]]
+        low, high = np.array([ranges[step.name] for step in self.steps[-6:]]).T
+        return {c: Enclosure(low[k], high[k], float(last[k].error)) for k, c in enumerate(pose)}
+
+    def _functions(self, digits: int) -> dict[str, Enclosure]:
+        """Arctangents, logarithms and what leads to them, each with the rounding of its vector."""
+        made: dict[str, Enclosure] = {}
+        for wave, group, name in zip(self.waves, self.found.groups, self.names, strict=True):
+            own = _of_vector(self.steps, name)
+            vector = vector_error(wave, own, self.values, digits)
+            lc = group.phasor.lc
+            for (
+                step
+            ) in own:  # terms of tilt take powers of the first round: as far off as the vector, at most
+                made[step.name] = Enclosure(-wave.outer, wave.outer, vector)
+            made |= {f"{step}_{name}": Enclosure(0.0, 0.0) for step in OF_ARCTANGENT}
+            made[f"log_{name}"] = Enclosure(
+                *_sides(-np.log(wave.least)), height_error(wave, vector, digits) / lc
+            )
+            made[f"phase_{name}"] = Enclosure(*_sides(np.pi), place_error(wave, vector, digits) / lc)
+        return made
+
+    def _ratios(self, digits: int, ranges: Mapping[str, tuple[float, float]]) -> dict[str, Enclosure]:
+        """Quotients of parts of phasors: as a phasor turns and stretches by a share of itself, so do its
+        powers."""
+        moved: dict[str, float] = {}
+        u = 2.0**-digits
+        made: dict[str, Enclosure] = {}
+        for wave, name in zip(self.waves, self.names, strict=True):
+            vector = vector_error(wave, _of_vector(self.steps, name), self.values, digits)
+            moved[name] = vector / (wave.least * SHORT - vector)
+            for kind, (power, size) in enumerate(POWERS):
+                off = wave.outer**size * (1.1 * power * moved[name] + 4 * power * u)
+                ends = wave.outer**size
+                made |= {f"kind{kind}_{name}_{part}": Enclosure(-ends, ends, off) for part in ("re", "im")}
+            made |= {s.name: Enclosure(0.0, 0.0) for s in self.steps if s.name.endswith(f"_of_{name}")}
+            made[f"held_size_{name}"] = Enclosure(0.0, 0.0)
+        for members in self.found.axes.values():
+            for k in members[1:]:
+                name, first = self.names[k], self.names[members[0]]
+                low, high = ranges[f"turn_{name}"]
+                most = max(abs(low), abs(high))
+                off = 1.1 * (moved[first] + moved[name]) + ROUNDINGS * u * max(most, 1e-3)
+                made[f"turn_{name}"] = Enclosure(low, high, off)
+                made |= {f"{n}_{name}": Enclosure(0.0, 0.0) for n in CROSS}
+        return made
+
+    def _ranges(self) -> dict[str, tuple[float, float]]:
+        inputs = self.drawn(np.random.default_rng(6), POSES)
+        columns = (*self.found.model.channels, *self.nears)
+        return ranges_of(self.steps, columns, inputs, self.values, self.found.model.pose)
+
+
+def _branches(step: Step) -> bool:
+    return any(operation.op in TESTS for operation in graph([step.expression]).operations)
+
+
+def _chosen(step: Step, known: Mapping[str, Enclosure], ends: tuple[float, float], digits: int) -> Enclosure:
+    """A choice between values that are equal where it turns, or that poses of the box do not turn.
+
+    No further off than either, and the least is one of the table where one is chosen for it.
+    """
+    taken = [known[s.name()] for s in ca.symvar(step.expression)]
+    error = max(float(e.error) for e in taken)
+    numbers = [float(e.low) for e in taken if e.low == e.high]
+    if not step.name.startswith("held_"):  # a whole wavelength on or back rounds once more
+        return Enclosure(*ends, error + constant(max(numbers), digits).error + half_ulp(max(numbers), digits))
+    return Enclosure(max(ends[0], min(numbers)), ends[1], error)
+
+
+def _of_vector(steps: Sequence[Step], name: str) -> tuple[Step, ...]:
+    """The steps from the readings to the vector of an array: those before its logarithm."""
+    own = []
+    for step in steps:
+        if step.name == f"size_{name}" or step.name == f"size_seen_{name}":
+            break
+        if step.name.endswith(f"_{name}"):
+            own.append(step)
+    return tuple(own)
+
+
+def _sides(most: float) -> tuple[float, float]:
+    return -float(most), float(most)
+
 
 ENOUGH = 1e-6
 """Place [m] that terms and polynomials may leave, and rotation times the arm of the family's pose metric."""
@@ -285,13 +425,8 @@ class Assembly:
         per = made.entry(f"per_wave_{name}", 1 / (2 * pi * lc), "1/m", "periods per metre")
         center = made.entry(f"{column}_middle", float(self.found.middle[axis]), "m", "middle of the box")
         away = (made.symbols[f"{column}_near_m"] - center) - from_middle
-        count = made.step(f"periods_{name}", away * per + (PERIODS + 0.5))
-        most = 2.0 * PERIODS  # of readings of no pose it could be anything
-        held = ca.if_else(count < 0.0, 0.0, ca.if_else(count > most, most, count))
-        count = made.step(f"counted_{name}", held, "periods to the known place")
-        made.steps.append(Whole(f"whole_{name}", count))
-        number = made.symbols.setdefault(f"whole_{name}", ca.SX.sym(f"whole_{name}"))
-        return made.step(f"along_{name}", from_middle + whole * (number - float(PERIODS)), "[m]")
+        number = periods_steps(made, away * per, f"_{name}", "periods to the known place")
+        return made.step(f"along_{name}", from_middle + whole * number, "[m]")
 
     # -- the pose ------------------------------------------------------------------------------------------
 
@@ -504,23 +639,16 @@ class Assembly:
         near = [c for c, a in (("x", 0), ("y", 1)) if self.wide(a)]
         nears = tuple(f"{short(model.pose['xy'.index(c)])}_near_m" for c in near)
         inputs = (*model.channels, *nears)
-        made.symbols |= {c: ca.SX.sym(short(c)) for c in inputs}
-        zeros = zeros_of(model)
-        made.symbols |= {z.name: ca.SX.sym(z.name) for z in zeros}
+        made.begin(model, inputs)
         ends = self._ends(nears)
         pose = self.bent(self.linear(nears))
         for column, value in zip(model.pose, pose, strict=True):
             made.step(short(column), made.symbols[f"zero_{short(column)}"] + value, f"[{unit(column)}]")
         made.keep((*(short(c) for c in model.pose), *(flag.step for flag in self.flags)))
-        values: dict[str, float | tuple[float, float]] = {e.name: e.value for e in made.table}
-        values |= {short(c): ends.ends[c] for c in inputs}
         leaves = self.leaves()
-        return Decoupler(
-            model=model, inputs=inputs, table=tuple(made.table), limits=limits(inputs, ends), zeros=zeros,
-            steps=tuple(made.steps), at_pose=(), margins=(Margin(inputs[0], self.never_zero),),
-            box=ends, exact=self.exact, symbols=made.symbols,
-            flags=self.flags, approximation=max(leaves.values()), leaves=leaves,
-            bounded=self.bounded(values, nears),
+        return made.finished(
+            model, inputs, ends, margins=(Margin(inputs[0], self.never_zero),), exact=self.exact,
+            flags=self.flags, leaves=leaves, bounded=self.bounded(made.values(inputs, ends), nears),
             drawn=self.drawn_of_box, said=self.said(leaves), evident=False,
         )  # fmt: skip
 
@@ -645,8 +773,6 @@ TILT = 1.1
 """Times the largest rotation of the box beyond which the flag of the pose is set."""
 WITHIN = 0.98
 """Share of a period that a box may span where no input says which period it is."""
-PERIODS = 1 << 12
-"""Added to whole periods, so that they are no negative number."""
 LOST = 1e-12
 """Displacement [m] that is rounding of the analysis."""
 LEAST_SHARE = 1e-6

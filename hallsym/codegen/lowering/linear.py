@@ -23,10 +23,8 @@ from hallsym.codegen.decoupler import (
     Decoupler,
     Margin,
     Step,
-    limits,
     short,
     unit,
-    zeros_of,
 )
 from hallsym.codegen.lowering.polynomials import Polynomial, PolynomialModel, Row
 from hallsym.errors import InputError
@@ -69,7 +67,8 @@ class _Assembly(Collected):
     def make(self) -> Decoupler:
         taken, model = self.taken, self.taken.model
         inputs = (*model.channels, *model.state)
-        self.symbols |= {c: ca.SX.sym(short(c)) for c in (*inputs, *model.pose)}
+        self.begin(model, inputs)
+        self.symbols |= {c: ca.SX.sym(short(c)) for c in model.pose}
         eta, inverse = taken.eta(self.p), taken.inverse(self.p, self.weight)
         rows, own = self._design()
         scale = np.array([inverse[i, k] for k, i in enumerate(own)])
@@ -83,23 +82,10 @@ class _Assembly(Collected):
                     about = f"{column} per share of {share} that {label} sees"
                     value = inverse[i, k] / scale[k]
                     self.entry(f"{short(column)}_{label}", value, per(unit(column), share), about)
-        zeros = zeros_of(model)
-        self.symbols |= {z.name: ca.SX.sym(z.name) for z in zeros}
         at_pose = self._solve(rows, self._bends(eta * scale), monomials)
         box = taken.box.over({**taken.readings(self.p), **dict(taken.box.ends)})
-        return Decoupler(
-            model=model,
-            inputs=inputs,
-            table=tuple(self.table),
-            limits=limits(inputs, box),
-            zeros=zeros,
-            steps=tuple(self.steps),
-            at_pose=at_pose,
-            margins=margins,
-            box=box,
-            exact=taken.exact(self.p, self.weight),
-            symbols=self.symbols,
-        )
+        exact = taken.exact(self.p, self.weight)
+        return self.finished(model, inputs, box, at_pose=at_pose, margins=margins, exact=exact)
 
     def _design(self) -> tuple[list[list[int]], list[int]]:
         """Return the channels of each pose coordinate, least influence first, and each channel's own row.

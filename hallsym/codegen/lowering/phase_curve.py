@@ -27,6 +27,21 @@ SETTLED = 1e-13
 """Change of the angle [rad] below which its iteration ends."""
 
 
+def check_static(model: Model, what: str) -> None:
+    """Refuse a model whose readings depend on more than `what`, which is decoded from one sample."""
+    if model.state:
+        raise InputError(
+            f"C is generated from readings that depend on {what} alone; {model.name} with "
+            f"{', '.join(model.effects)} needs {', '.join(model.state)}: generate from a calibration without "
+            "it."
+        )
+    if sum(link == "reference" for link, _ in model.steps) > bool(model.zeros):  # a zero is set by a reset
+        raise InputError(
+            f"The calibration of {model.name} with {', '.join(model.effects)} holds errors of its reference, "
+            "which a controller does not have; fit without that effect, or correct the log's reference."
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Curve:
     """A model of two voltages or of an angle at parameters `p`, over a turn."""

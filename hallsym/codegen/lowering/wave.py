@@ -18,20 +18,24 @@ from hallsym.codegen.decoupler import (
     Decoupler,
     Flag,
     Margin,
-    limits,
+    Step,
+    Values,
     short,
     unit,
-    zeros_of,
 )
+from hallsym.codegen.intervals import Enclosure, constant, half_ulp
 from hallsym.codegen.lowering import arrays, mover, travel
+from hallsym.codegen.lowering.phase_curve import check_static
 from hallsym.codegen.lowering.phasors import Phasor, phasor
-from hallsym.codegen.lowering.wave_bounds import Rounding
 from hallsym.codegen.lowering.wave_steps import (
     Wave,
     arctangent_steps,
+    height_error,
     least_inside,
     logarithm_steps,
     phasor_steps,
+    place_error,
+    vector_error,
     wave_of,
 )
 from hallsym.errors import InputError, counted
@@ -60,7 +64,7 @@ def decoupler(
     height [m], default `ENOUGH`. The place is the one within half a wavelength of zero. Raises `InputError`
     for readings that are no decaying wave.
     """
-    refuse(model)
+    check_static(model, "the pose")
     if len(model.pose) == SIX:
         longer = mover.decoupler(model, p, weight, box, accuracy)
         return longer or arrays.decoupler(model, p, weight, box, accuracy)
@@ -72,22 +76,6 @@ def decoupler(
     own = replace(model, period={**model.period, along: 2 * pi * found.lc})
     ends = box.ends[height]
     return _Assembly(own, wave_of(found, ends, aim), box, along, height).make()
-
-
-def refuse(model: Model) -> None:
-    """Refuse what a controller cannot know of a model of waves."""
-    if model.state:
-        raise InputError(
-            f"C of decaying waves is generated from readings that depend on the pose alone; {model.name} "
-            f"with "
-            f"{', '.join(model.effects)} needs {', '.join(model.state)}: generate from a calibration without "
-            f"it."
-        )
-    if any(link == "reference" for link, _ in model.steps):
-        raise InputError(
-            f"The calibration of {model.name} with {', '.join(model.effects)} holds errors of its reference, "
-            "which a controller does not have; fit without that effect, or correct the log's reference."
-        )
 
 
 def _coordinates(model: Model) -> tuple[str, str]:
@@ -133,9 +121,7 @@ class _Assembly:
     def make(self) -> Decoupler:
         model, wave, made = self.model, self.wave, self.made
         found, inputs = wave.phasor, model.channels
-        made.symbols |= {c: ca.SX.sym(short(c)) for c in inputs}
-        zeros = zeros_of(model)
-        made.symbols |= {z.name: ca.SX.sym(z.name) for z in zeros}
+        made.begin(model, inputs)
         heights = self.given.ends[self.height]
         ends = self.given.over(
             {c: self.given.ends.get(c, ends_of(found, k, heights)) for k, c in enumerate(inputs)}
@@ -143,20 +129,13 @@ class _Assembly:
         vector = phasor_steps(made, wave, {short(c): made.symbols[c] for c in inputs})
         after_vector = len(made.steps)
         self._pose(made, logarithm_steps(made, wave, vector), arctangent_steps(made, wave, vector))
-        values: dict[str, float | tuple[float, float]] = {e.name: e.value for e in made.table}
-        values |= {short(c): ends.ends[c] for c in inputs}
-        return Decoupler(
-            model=model,
-            inputs=inputs,
-            table=tuple(made.table),
-            limits=limits(inputs, ends),
-            zeros=zeros,
-            steps=tuple(made.steps),
-            at_pose=(),
+        values = made.values(inputs, ends)
+        return made.finished(
+            model,
+            inputs,
+            ends,
             margins=(Margin(inputs[0], "lc"),),
-            box=ends,
             exact=self._exact,
-            symbols=made.symbols,
             flags=(Flag("FIELD", "inside", "least_inside", FLAG),),
             approximation=found.lc * wave.error + ROUNDED,
             bounded=Rounding(wave, model.pose, self.along, tuple(made.steps[:after_vector]), values),
@@ -218,3 +197,37 @@ def said_of(wave: Wave) -> tuple[str, ...]:
             f"{wave.left * lc:.2g} m (proved)."
         )
     return tuple(out)
+
+
+@dataclass(frozen=True, eq=False)
+class Rounding:
+    """Digits of the significand -> range and rounding of place and height, the flag clear, zeros at zero.
+
+    `steps`: those from the readings to the vector, the last two of them.
+    """
+
+    wave: Wave
+    pose: tuple[str, ...]
+    along: str
+    steps: tuple[Step, ...]
+    values: Values
+
+    def __call__(self, digits: int) -> dict[str, Enclosure]:
+        """Return the enclosure of each pose coordinate."""
+        found = self.wave.phasor
+        vector = vector_error(self.wave, self.steps, self.values, digits)
+        place = place_error(self.wave, vector, digits)
+        height = height_error(self.wave, vector, digits)
+        level = constant(found.middle, digits).error + half_ulp(abs(found.middle) + self._reach, digits)
+        end = pi * found.lc + place
+        return {
+            c: Enclosure(-end, end, place)
+            if c == self.along
+            else Enclosure(found.middle - self._reach, found.middle + self._reach, height + level)
+            for c in self.pose
+        }
+
+    @property
+    def _reach(self) -> float:
+        """Height [m] from the middle that no input exceeds: |t| <= 1 whatever the flag says."""
+        return float(self.wave.logarithm.at(1.0)) * self.wave.phasor.lc

@@ -10,14 +10,17 @@ accuracy is taken.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import ceil, log, pi, tanh
+from math import asin, ceil, hypot, log, pi, tanh
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Collected
+from hallsym.codegen.decoupler import Collected, Step, Values, computed, of_step, short
+from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
 from hallsym.codegen.lowering.odd_series import PI, Odd, odd, shortest
 from hallsym.codegen.lowering.phasors import Phasor
+from hallsym.codegen.operations import graph
 from hallsym.errors import InputError
 
 ROOM = 0.05
@@ -37,6 +40,8 @@ NEAR = 1.05
 TINY = 1e-30
 """Added to a divisor that may be zero; lost in rounding where it is not."""
 QUARTER_PI = PI / 4
+PERIODS = 1 << 12
+"""Added to whole periods, so that they are no negative number."""
 AXES = {"cos": "cosine", "sin": "sine"}
 
 FIFTH = 5
@@ -327,6 +332,14 @@ def power(made: Collected, known: dict[int, ca.SX], n: int, name: str) -> ca.SX:
     return known[n]
 
 
+def periods_steps(made: Collected, away: ca.SX, tag: str, remark: str = "") -> ca.SX:
+    """Add the steps that round a number of periods; returns the whole number."""
+    count = made.step(f"periods{tag}", away + (PERIODS + 0.5))
+    most = 2.0 * PERIODS  # of readings of no pose it could be anything
+    held = ca.if_else(count < 0.0, 0.0, ca.if_else(count > most, most, count))
+    return made.whole(f"whole{tag}", made.step(f"counted{tag}", held, remark)) - float(PERIODS)
+
+
 def least_inside(made: Collected, waves: Sequence[Wave]) -> None:
     """Add the entry that the flag of the field compares with."""
     value, about = min(w.least_inside for w in waves), "1 - t^2 at the ends of the heights, t as computed"
@@ -346,3 +359,101 @@ def arctangent_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.
     beyond = made.step(f"beyond{tag}", PI - quadrant)
     half = made.step(f"half{tag}", ca.if_else(u[0] < 0, beyond, quadrant))
     return made.step(f"phase{tag}", ca.if_else(u[1] < 0, -half, half), "[rad] angle of the phasor")
+
+
+CELLS = 512
+"""Cells of the arguments of arctangent and logarithm."""
+SHORT = 1 - 1e-5
+"""Share of the least field that rounding of the flag's own value leaves at least."""
+RADIAL = 64
+"""Roundings of a radial term, each a share of it: entry and powers up to the twelfth harmonic."""
+
+TRIED_ROOM = 1.5
+"""Times what trial poses make of a step: the range in which intervals take it."""
+
+
+def stored(values: Values, digits: int) -> dict[str, Enclosure]:
+    """Return the enclosures of entries and inputs as numbers of so many digits hold them."""
+    dtype = np.float32 if digits == 24 else np.float64
+    return {
+        name: Enclosure(*(float(dtype(v)) for v in value))
+        if isinstance(value, tuple)
+        else constant(value, digits)
+        for name, value in values.items()
+    }
+
+
+def ranges_of(
+    steps: Sequence[Step],
+    columns: Sequence[str],
+    inputs: np.ndarray,
+    values: Values,
+    pose: Sequence[str],
+) -> dict[str, tuple[float, float]]:
+    """Return what trial inputs (n_inputs, s) make of each step, and some room; zeros are 0."""
+    value: dict[str, Any] = {short(c): row for c, row in zip(columns, inputs, strict=True)}
+    value |= {name: v for name, v in values.items() if not isinstance(v, tuple)}
+    value |= {f"zero_{short(c)}": 0.0 for c in pose}
+    out = {}
+    for step in steps:
+        found = graph([step.expression])
+        with np.errstate(all="ignore"):
+            value[step.name] = of_step(step, found, computed(found, value))
+        low, high = float(np.min(value[step.name])), float(np.max(value[step.name]))
+        room = (TRIED_ROOM - 1) * max(high - low, 1e-3 * max(abs(low), abs(high)))
+        out[step.name] = low - room, high + room
+    return out
+
+
+def vector_error(wave: Wave, steps: Sequence[Step], values: Values, digits: int) -> float:
+    """Return a bound of the length by which rounding moves (cos, sin), the flag clear."""
+    known = stored(values, digits)
+    for step in steps:
+        (found,) = enclose(
+            [step.expression], {s.name(): known[s.name()] for s in ca.symvar(step.expression)}, digits
+        )
+        # a vector of a round is no longer than `outer` with the flag clear, and its powers as they are made
+        factor, power = step.within or (1.0, 1)
+        if step.within or step.name.startswith(("cos", "sin")):
+            most = factor * wave.outer**power
+            found = Enclosure(np.maximum(found.low, -most), np.minimum(found.high, most), found.error)
+        known[step.name] = found
+    return hypot(*(float(known[step.name].error) for step in steps[-2:]))
+
+
+def _moved(wave: Wave, vector: float) -> float:
+    """Share of its length by which rounding moves the vector at most."""
+    return vector / (wave.least * SHORT - vector)
+
+
+def place_error(wave: Wave, vector: float, digits: int) -> float:
+    """Return the bound of the place [m]: the turn of the vector, arctangent, factor, sum and wrap."""
+    lc, u = wave.phasor.lc, 2.0**-digits
+    t = ca.SX.sym("t")
+    ends = np.linspace(0.0, 1.0, CELLS + 1)
+    # numerator, denominator and quotient round once each; the first rounds by a share of itself
+    cells = Enclosure(ends[:-1], ends[1:], (3 * u + 4 * u * u) * ends[1:])
+    (made,) = enclose([QUARTER_PI + odd(wave.arctangent.coefficients, t, t * t)], {"t": cells}, digits)
+    octants = float(np.max(made.error)) + constant(QUARTER_PI, digits).error
+    turn = asin(min(1.0, _moved(wave, vector))) + octants + constant(PI, digits).error + half_ulp(PI, digits)
+    most = pi * lc
+    wrap = 2 * constant(most, digits).error + 2 * half_ulp(most, digits)
+    return turn * lc + constant(lc, digits).error * pi + 2 * half_ulp(most * (1 + 1e-6), digits) + wrap
+
+
+def height_error(wave: Wave, vector: float, digits: int) -> float:
+    """Return the bound of what is added to the middle height [m]: stretch of the vector, logarithm,
+    factor."""
+    lc, least, stretch = wave.phasor.lc, wave.least * SHORT, _moved(wave, vector)
+    size, t = ca.SX.sym("size"), ca.SX.sym("t")
+    ends = np.geomspace(least**2, least**-2, CELLS + 1)
+    rounded = 2.0**-digits * 3 * ends[1:]  # two squares and their sum
+    (found,) = enclose(
+        [(size - 1.0) / (size + 1.0)], {"size": Enclosure(ends[:-1], ends[1:], rounded)}, digits
+    )
+    (made,) = enclose([odd(wave.logarithm.coefficients, t, t * t)], {"t": found}, digits)
+    error, most = float(np.max(made.error)) + stretch * (1 + stretch), float(np.max(made.most))
+    if wave.last == "radial":  # rounded as each of its products, and once more by the sum
+        term = sum(f * wave.outer ** (2 * n - 2) for n, f in radial_of(wave.phasor).items())
+        error += RADIAL * 2.0**-digits * term + half_ulp(most + term, digits)
+    return error * lc + constant(lc, digits).error * most + half_ulp(lc * most, digits)
