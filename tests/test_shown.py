@@ -38,7 +38,7 @@ def results(columns: dict[str, np.ndarray], fit: hallsym.Fit) -> dict[str, Any]:
         "Fit": fit,
         "Evaluation": hallsym.evaluate(fit, columns),
         "Diagnosis": hallsym.diagnose(columns, "stage30"),
-        "Identifiability": hallsym.identify(fit, profiles="none", bootstrap=0),
+        "Identifiability": hallsym.identify(fit, profiles="none"),
         "Plan": hallsym.plan(ranges, "stage31", values, fit.noise.std, runs=6),
         "Budget": hallsym.position_budget(fit)["x_m"],
     }

@@ -18,7 +18,6 @@ from hallsym.cli.common import (
     plots_place,
     progress_of,
     say,
-    seed,
     truth_of,
 )
 from hallsym.errors import InputError
@@ -65,11 +64,6 @@ def add(sub: Any) -> None:
         choices=("auto", "all", "none"),
         help="profile likelihood where a normal interval is not good enough (default), of all, or of none",
     )
-    group.add_argument(
-        "--bootstrap", type=int, metavar="N",
-        help="resample runs N times; by default 1000 if white noise does not explain the scatter, else 0",
-    )  # fmt: skip
-    group.add_argument("--seed", type=seed, default=0, help="of the bootstrap (default 0)")
     parser.set_defaults(values=None)
     model_options(parser, "the calibration's, or stage31")
     log_options(parser)
@@ -95,8 +89,6 @@ def _recorded(options: Namespace) -> Identifiability:
         known,
         open_log(options, known=known),
         profiles=options.profiles,
-        bootstrap=options.bootstrap,
-        seed=options.seed,
         on_progress=progress_of(options),
     )
 

@@ -7,7 +7,6 @@ compares two recordings of one sensor, `belonging` tests whether a log still bel
 """
 
 from hallsym.inference.belonging import FALSE_ALARM, Belonging, belonging, check_false_alarm
-from hallsym.inference.bootstrap import Bootstrap, bootstrap
 from hallsym.inference.evidence import Change
 from hallsym.inference.identifiability import (
     VERDICTS,
@@ -30,7 +29,6 @@ __all__ = [
     "FALSE_ALARM",
     "VERDICTS",
     "Belonging",
-    "Bootstrap",
     "Change",
     "CombinationReport",
     "Estimate",
@@ -48,7 +46,6 @@ __all__ = [
     "Side",
     "Verdict",
     "belonging",
-    "bootstrap",
     "changes",
     "check_false_alarm",
     "identify",

@@ -31,17 +31,13 @@ class Bootstrap:
     """Refits to runs drawn with replacement.
 
     `p`: (n,) optimum of the log itself. `values`: (m, n) optimum of each draw that determines the
-    parameters; `singular` draws did not. `refitted`: how many were refitted; the others are one Newton step,
-    and `error` is how far off that was, at most, in the last draws refitted, in standard uncertainties.
-    `weights`: (m, runs) what was drawn, from how many `runs`.
+    parameters; `singular` draws did not. `weights`: (m, runs) what was drawn, from how many `runs`.
     """
 
     p: np.ndarray
     values: np.ndarray
     weights: np.ndarray
     singular: int
-    refitted: int
-    error: float
     runs: int
 
     @property
@@ -73,20 +69,13 @@ def _middle(values: np.ndarray) -> np.ndarray:
     return np.asarray((high - low) / (2.0 * scipy.special.ndtri(0.975)))
 
 
-def bootstrap(
-    cost: Cost, p: np.ndarray, held: Sequence[int], *, replicates: int = 1000, seed: int | np.random.Generator
-) -> Bootstrap:
+def bootstrap(cost: Cost, p: np.ndarray, held: Sequence[int], *, replicates: int, seed: int) -> Bootstrap:
     """Refit `cost` to `replicates` draws of its runs around its optimum `p` (n,).
 
-    `held`: index of the parameters that stay as in `p`. Raises `InputError` for a log of one run.
+    `held`: index of the parameters that stay as in `p`. Raises `InputError` where hardly a draw determines
+    the parameters.
     """
     used = np.flatnonzero(cost.weights > 0)
-    if len(used) < 2:
-        raise InputError(
-            f"The bootstrap draws whole runs and needs two or more; this fit has {len(used)}: record more."
-        )
-    if replicates < 2:
-        raise InputError(f"Input replicates of bootstrap must be 2 or more; instead received {replicates}.")
     rng = np.random.default_rng(seed)
     weights = np.zeros((replicates, len(cost.weights)))
     weights[:, used] = rng.multinomial(len(used), np.full(len(used), 1.0 / len(used)), size=replicates)
@@ -98,16 +87,7 @@ def bootstrap(
             f"Only {len(weights)} of {replicates} draws of the {len(used)} runs determine the parameters, "
             "too few for a bootstrap: record more runs of each kind."
         )
-    values, refitted, error = steps.refits(weights)
-    return Bootstrap(
-        p=steps.p,
-        values=values,
-        weights=weights,
-        singular=replicates - len(weights),
-        refitted=refitted,
-        error=error,
-        runs=len(used),
-    )
+    return Bootstrap(steps.p, steps.refits(weights), weights, replicates - len(weights), len(used))
 
 
 class _Steps:
@@ -153,25 +133,25 @@ class _Steps:
         """Return the optimum of one draw, converged."""
         return refit(self.cost.weighted(weights), self.p, self.held)
 
-    def refits(self, weights: np.ndarray) -> tuple[np.ndarray, int, float]:
-        """Return the optimum of every draw (m, n), how many were refitted, and the error of the others."""
+    def refits(self, weights: np.ndarray) -> np.ndarray:
+        """Return the optimum of every draw (m, n)."""
         values, refitted = self.newton(weights)
         moved = (values - self.p)[:, self.free]
         if moved.size == 0:
-            return values, 0, 0.0
+            return values
         std = np.sqrt(np.mean(moved**2, axis=0))
         size = np.where(std > 0, std, np.inf)
         weakest = np.linalg.eigvalsh(np.tensordot(weights, self.hessians, axes=1))[:, 0]
         order = np.argsort(-(np.abs(moved / size).max(axis=1) ** 2) / weakest)
-        order, done = order[~refitted[order]], int(refitted.sum())
+        order = order[~refitted[order]]
         for first in range(0, len(order), CHECKED):
             batch = order[first : first + CHECKED]
             best = np.array([self.improved(values[k], weights[k], size) for k in batch])
             error = float(np.max(np.abs((best - values[batch])[:, self.free] / size)))
             values[batch] = best
             if error <= 0.5 * ENOUGH:
-                return values, done + min(first + CHECKED, len(order)), error
-        return values, len(weights), 0.0
+                break
+        return values
 
     def improved(self, value: np.ndarray, weights: np.ndarray, size: np.ndarray) -> np.ndarray:
         """Go on to the optimum of one draw: the gradient where it is, the Hessian of where it came from."""

@@ -497,8 +497,6 @@ def identify(
     values: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
     profiles: str = "auto",
-    bootstrap: int | None = None,
-    seed: int = 0,
     name: str = "the plan",
     on_progress: Callable[[str], None] | None = None,
 ) -> Identifiability:
@@ -509,7 +507,6 @@ def identify(
     (default: the fit's, or nominal), `noise` the standard deviation by column (default: the fit's, the
     campaign's, or Table 8's), `name` what to call it.
     `profiles`: "auto" where the normal interval is not good enough, "all", or "none".
-    `bootstrap`: resample runs so many times; None when white noise does not explain the scatter, 0 never.
 
     Raises `InputError` when model and log do not belong together or no covariance can be formed.
     """
@@ -517,7 +514,7 @@ def identify(
     if on is not None and not isinstance(on, Campaign):
         on = as_log(on, known.columns, known.read_with) if isinstance(known, Fit) else as_log(on)
     evidence = _evidence(known, on, values, noise, name)
-    intervals = intervals_of(evidence, profiles=profiles, bootstrap=bootstrap, seed=seed, say=say)
+    intervals = intervals_of(evidence, profiles=profiles, say=say)
     say("looking for null directions")
     stated = [replace(c, std=intervals.std[c.expression]) for c in evidence.uncertainty.combinations]
     always = structural(evidence.cost, evidence.found, stated)

@@ -11,7 +11,7 @@ from hallsym.estimation import MANY, coverage_factor
 from hallsym.estimation.covariance import BY_RUNS
 from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.normal_equations import inverse
-from hallsym.inference.bootstrap import bootstrap as resample
+from hallsym.inference.bootstrap import bootstrap
 from hallsym.inference.evidence import Evidence
 from hallsym.inference.profiles import Profile, profile, skewness
 from hallsym.model.quantities import Quantity, combination, linear, parameter
@@ -63,19 +63,15 @@ class Intervals:
     failures: tuple[str, ...] = ()
 
 
-def intervals_of(
-    evidence: Evidence, *, profiles: str, bootstrap: int | None, seed: int, say: Callable[[str], None]
-) -> Intervals:
+def intervals_of(evidence: Evidence, *, profiles: str, say: Callable[[str], None]) -> Intervals:
     """Return the intervals of every determined parameter and combination.
 
-    `profiles`: "auto", "all" or "none". `bootstrap`: replicates; None for as many as the scatter needs.
+    `profiles`: "auto", "all" or "none".
     """
     if profiles not in CHOICES:
         raise InputError(
             f"Input profiles must be one of {', '.join(CHOICES)}; instead received {profiles!r}."
         )
-    if bootstrap is not None and not (bootstrap == 0 or 50 <= bootstrap <= 1_000_000):
-        raise InputError(f"Input bootstrap must be 0, or 50 to 1000000 refits; instead received {bootstrap}.")
     quantities, std, dof = _quantities(evidence), _std(evidence), _dof(evidence)
     intervals = {
         q.name: _by_std(q.first(evidence.p)[0], std[q.name], dof[q.name]) for q in quantities if q.name in std
@@ -84,12 +80,10 @@ def intervals_of(
     if evidence.cost.planned or not quantities:
         return found
     cost = evidence.cost.anchored(evidence.p)
-    if bootstrap is None:
-        enough = np.count_nonzero(evidence.cost.weights) >= FEW_RUNS
-        bootstrap = REPLICATES if enough and evidence.uncertainty.method == BY_RUNS else 0
-    if bootstrap:
-        say(f"refitting {bootstrap} resampled campaigns")
-        found = _resampled(found, evidence, cost, quantities, bootstrap, seed)
+    enough = np.count_nonzero(evidence.cost.weights) >= FEW_RUNS
+    if enough and evidence.uncertainty.method == BY_RUNS:
+        say(f"refitting {REPLICATES} resampled campaigns")
+        found = _resampled(found, evidence, cost, quantities)
     if profiles != "none":
         found = _profiled(found, evidence, cost, quantities, profiles == "all", say)
     return found
@@ -196,26 +190,19 @@ def _likelihood_std(evidence: Evidence, quantities: list[Quantity]) -> np.ndarra
     return np.sqrt(np.maximum(np.einsum("qi,ij,qj->q", gradients, naive, gradients), 0.0))
 
 
-def _resampled(
-    found: Intervals,
-    evidence: Evidence,
-    cost: Cost,
-    quantities: list[Quantity],
-    replicates: int,
-    seed: int,
-) -> Intervals:
+def _resampled(found: Intervals, evidence: Evidence, cost: Cost, quantities: list[Quantity]) -> Intervals:
     """Replace standard uncertainties and intervals by those of resampled runs."""
     names = evidence.model.names
     held = tuple(sorted({*evidence.found.held, *(names.index(n) for n in evidence.uncertainty.at_bound)}))
-    drawn = resample(cost, evidence.p, held, replicates=replicates, seed=seed)
+    drawn = bootstrap(cost, evidence.p, held, replicates=REPLICATES, seed=0)
     std, intervals, failures = dict(found.std), dict(found.of), []
     for quantity in (q for q in quantities if q.name in std):
         std[quantity.name] = drawn.std_of(quantity)
         intervals[quantity.name] = Interval(*drawn.interval(quantity), "block bootstrap")
     if drawn.singular:
         failures.append(
-            f"{drawn.singular} of {replicates} resampled campaigns do not determine the parameters and "
+            f"{drawn.singular} of {REPLICATES} resampled campaigns do not determine the parameters and "
             "were left out: the intervals are too short; record more runs."
         )
-    method = f"block bootstrap, {replicates} refits, runs as blocks"
+    method = f"block bootstrap, {REPLICATES} refits, runs as blocks"
     return replace(found, std=std, of=intervals, method=method, failures=tuple(failures))

@@ -88,7 +88,6 @@ def test_pictures_are_written(folder, capsys, tmp_path):
         ([], "needs a calibration and its log"),
         (["calib.json", "log.csv", "--plan"], "a log or --plan, not both"),
         (["calib.json", "log.csv", "--model", "stage30"], "belong to --plan"),
-        (["calib.json", "log.csv", "--bootstrap", "7"], "bootstrap must be 0, or 50 to"),
     ],
 )
 def test_bad_input_gets_one_sentence(folder, capsys, monkeypatch, arguments, sentence):

@@ -126,7 +126,7 @@ def test_what_is_made_of_such_a_calibration_repeats_it(capsys, plain, tmp_path):
     assert code == 0
     assert f"note: the model of this calibration {said} its log" in out
     assert "next: hallsym diagnose" in out
-    code, out, _ = run(capsys, "sensitivity", plain, CAMPAIGN, "--profiles", "none", "--bootstrap", "0")
+    code, out, _ = run(capsys, "sensitivity", plain, CAMPAIGN, "--profiles", "none")
     assert code == 0
     assert out.startswith(f"The model {said} this log")
     code, out, _ = run(capsys, "codegen", plain, "-o", tmp_path / "code")

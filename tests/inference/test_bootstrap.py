@@ -8,7 +8,7 @@ from twins import SIGMAS, cost_on, record, true_model, with_noise
 
 from hallsym.errors import InputError
 from hallsym.estimation import Cost, Determination, cost_of, determine, inverse, refit, uncertainty
-from hallsym.inference import Bootstrap, bootstrap
+from hallsym.inference.bootstrap import Bootstrap, bootstrap
 from hallsym.model import combination, linear, parameter
 
 MODEL = true_model()
@@ -33,8 +33,6 @@ def test_draws_are_refits(correlation_s):
     ]
     assert np.max(off) < 0.02
     assert np.median(off) < 0.002
-    assert drawn.error <= 0.01
-    assert drawn.refitted < len(drawn.values)
 
 
 def test_hessians_of_the_runs_add_up():
@@ -115,15 +113,6 @@ def test_draws_stay_inside_the_bounds():
     ]
     assert np.max(np.abs(off)[:, std > 0] / std[std > 0]) < 0.02
     assert drawn.interval(parameter(tight, "eta_B"))[1] <= upper
-
-
-def test_one_run_cannot_be_resampled():
-    cost, p, found, _ = paper()
-    one = cost_of(cost.summary.select(cost.summary.runs[:1]), SIGMAS)
-    with pytest.raises(InputError, match="two or more"):
-        bootstrap(one, p, found.held, seed=1)
-    with pytest.raises(InputError, match="replicates"):
-        bootstrap(cost, p, found.held, replicates=1, seed=1)
 
 
 def covered(seeds: range) -> tuple[dict[str, list[bool]], dict[str, list[bool]]]:

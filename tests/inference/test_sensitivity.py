@@ -111,7 +111,7 @@ def test_a_fixed_parameter_is_said_to_be_fixed_and_one_at_its_bound_to_be_there(
         "theta_A": {"nominal": 0.0, "lower": 0.0, "upper": 0.0},
         "eta_B": {"nominal": 0.70, "lower": 0.65, "upper": 0.70},
     }
-    found = identify(fit(log, "stage31", solver="direct", parameters=changes), bootstrap=200)
+    found = identify(fit(log, "stage31", solver="direct", parameters=changes))
     assert found["theta_A"].verdict.word == "fixed"
     assert found["eta_B"].verdict.word == "at bound"
     assert "upper bound 0.7" in found["eta_B"].verdict.because
@@ -160,7 +160,7 @@ def test_zero_deviations_scatter_as_much_as_their_uncertainty_says():
     squares = []
     for seed in range(20):
         log = with_noise(record(seed=100 + seed))
-        told = identify(fit(log, true_model(), solver="direct", loss="none"), profiles="none", bootstrap=0)
+        told = identify(fit(log, true_model(), solver="direct", loss="none"), profiles="none")
         offsets = told.offsets
         assert (offsets.names, offsets.runs) == (("delta_A", "delta_B", "delta_C"), tuple(range(len(runs))))
         true = np.array([run.zeros for run in runs])
@@ -313,7 +313,7 @@ def test_no_verdict_contradicts_the_null_directions_of_a_simulated_log(name):
     model = build(name)
     values = {n: truth[n] for n in model.names if n in truth}
     log = simulate(model, values, paper_campaign(0.02), NoiseModel(SIGMAS), seed=3)
-    found = identify(fit(log, name, solver="direct"), profiles="none", bootstrap=0)
+    found = identify(fit(log, name, solver="direct"), profiles="none")
     assert contradictions(found) == []
     if name != "stage31_tied":
         assert [d.parameters for d in found.structural.null] == PAIRS
