@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import command, plots_options, plots_place, progress_of, say
+from hallsym.cli.common import command, progress_of, say
 from hallsym.errors import InputError
 from hallsym.report.tables import grid
 from hallsym.units import read_quantity
@@ -19,7 +19,7 @@ EPILOG = """\
 examples:
   hallsym trajectory points.csv --tolerance 0.05um -o curve.json
   hallsym trajectory --curve "x = r*(t - sin(t)); y = r*(1 - cos(t))" --range t=0:2*pi --value r=1mm \\
-      --tolerance 0.05um -o curve.json --plots pictures
+      --tolerance 0.05um -o curve.json
   hallsym trajectory curve.json --duration 10s --step 1ms -o table.csv
   hallsym trajectory points.csv --method quintic --chord 0.1um --duration 10s -o path.ngc
 
@@ -73,7 +73,6 @@ def add(sub: Any) -> None:
     group.add_argument(
         "--chord", metavar="LENGTH", help="of G-code: G1 blocks within this distance of the curve"
     )
-    plots_options(group, "save pictures of the curve and of its errors")
 
 
 def run(options: Namespace) -> int:
@@ -81,12 +80,8 @@ def run(options: Namespace) -> int:
     _check(options)
     if options.points_file and Path(options.points_file).suffix.lower() == ".json":
         return _saved(options)
-    choice, data = _choice(options)
+    choice = _choice(options)
     written = _write(choice.curve, options)
-    if options.plots:
-        from hallsym.report.figures.trajectory import save_trajectory
-
-        written += save_trajectory(choice, data, plots_place(options, options.curve or options.points_file))
     record = choice.to_dict() | _shape(choice.curve) | {"written": [str(path) for path in written]}
     say(options, record, lambda: f"{choice_text(choice)}\n{_shape_text(record)}", wrote=written)
     return OK
@@ -118,7 +113,7 @@ def _saved(options: Namespace) -> int:
     """Export a curve that was made before."""
     from hallsym.trajectory import read_curve
 
-    for name in ("tolerance", "control", "method", "plots"):
+    for name in ("tolerance", "control", "method"):
         if getattr(options, name):
             raise InputError(f"--{name} is for making a curve; {options.points_file} is made already.")
     curve = read_curve(options.points_file)
@@ -143,7 +138,7 @@ def about_curve(curve: "Curve") -> tuple[dict[str, Any], str]:
     return record, f"{said}\n{_shape_text(record)}"
 
 
-def _choice(options: Namespace) -> "tuple[Choice, Nominal | Points]":
+def _choice(options: Namespace) -> "Choice":
     from hallsym.trajectory import choose_curve, nominal, read_points
     from hallsym.trajectory.nominal import read_span, read_value
 
@@ -155,11 +150,10 @@ def _choice(options: Namespace) -> "tuple[Choice, Nominal | Points]":
         data = nominal(options.curve, read_span(options.range), dict(pairs))
     else:
         data = read_points(options.points_file)
-    choice = choose_curve(
+    return choose_curve(
         data, _length(options, "tolerance"), points=options.points, control=options.control,
         method=options.method, progress=progress_of(options),
     )  # fmt: skip
-    return choice, data
 
 
 def _length(options: Namespace, name: str) -> float | None:

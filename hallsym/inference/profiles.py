@@ -351,14 +351,6 @@ class Profile:
         """Whether both ends are where the threshold or the quantity's own bound is."""
         return all(side.status in ("reached", "at bound") for side in (self.lower, self.upper))
 
-    def curve(self, points: int = 101) -> tuple[np.ndarray, np.ndarray]:
-        """Return values and rises on a fine grid, for a picture: the signed root is nearly a line."""
-        if len(self.values) < 2:
-            return self.values, self.rises
-        grid = np.linspace(self.values[0], self.values[-1], points)
-        root = np.sign(self.values - self.value) * np.sqrt(np.maximum(self.rises, 0.0))
-        return grid, scipy.interpolate.PchipInterpolator(self.values, root)(grid) ** 2
-
 
 def profile(
     cost: Cost,

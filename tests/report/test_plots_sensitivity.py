@@ -15,7 +15,7 @@ from matplotlib.text import Text
 
 from hallsym.inference import Identifiability
 from hallsym.report.data.fit import blocks
-from hallsym.report.figures.sensitivity import LOOKS, correlation, drawable, effects, ends_in_words, profiles
+from hallsym.report.figures.sensitivity import LOOKS, correlation, drawable, effects
 from hallsym.report.figures.style import STYLE, broken, text_width
 
 
@@ -43,10 +43,6 @@ def odd() -> Identifiability:
 def words(figure: Figure) -> list[str]:
     """Texts of a figure outside of axes and legend, and beside the rows."""
     return [text.get_text() for place in (figure, *figure.axes) for text in place.texts]
-
-
-def legends(figure: Figure) -> list[str]:
-    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
 # -- correlation -----------------------------------------------------------------------------------------
@@ -126,63 +122,12 @@ def test_bars_of_effects_end_at_what_the_report_says(odd: Identifiability) -> No
     assert words(figure) == [e.verdict.word for e in rows]
 
 
-# -- profiles --------------------------------------------------------------------------------------------
-
-
-def test_profiles_are_drawn_over_their_threshold(full: Identifiability) -> None:
-    figure = profiles(full)
-    assert len(figure.axes) == len(full.intervals.profiles) == 18
-    for ax, profile in zip(figure.axes, full.intervals.profiles, strict=True):
-        factor = {"m": 1e3, "rad": 180 / np.pi}.get(profile.quantity.unit, 1.0)
-        curve, points, normal = ax.lines[:3]
-        np.testing.assert_allclose(points.get_xdata(), factor * profile.values)
-        np.testing.assert_allclose(points.get_ydata(), profile.rises / profile.threshold)
-        std = full.intervals.std[profile.quantity.name]
-        at = np.interp(factor * (profile.value + 1.96 * std), normal.get_xdata(), normal.get_ydata())
-        assert at == pytest.approx(1.0, rel=2e-3)
-        assert np.nanmax(curve.get_ydata()) == pytest.approx(np.max(profile.rises) / profile.threshold)
-        low, high = ax.get_xlim()
-        assert low < factor * profile.lower.value < factor * profile.upper.value < high
-        ends = [line.get_xdata()[0] for line in ax.lines if line.get_marker() == "o"]
-        assert ends == pytest.approx([factor * profile.lower.value, factor * profile.upper.value])
-        assert ax.texts[0].get_text() == "ends reached"
-    titles = [text.get_text() for text in figure.axes[0].texts]
-    assert titles[-1] == full.intervals.profiles[0].quantity.name
-
-
-def test_profiles_say_in_words_how_they_end(odd: Identifiability) -> None:
-    figure = profiles(odd)
-    by_name = {p.quantity.name: ax for ax, p in zip(figure.axes, odd.intervals.profiles, strict=True)}
-    expected = {
-        "eta_A": "failed | reached",
-        "eta_B": "reached | at bound",
-        "eta_C": "ends open",
-        "theta_A": "open | failed",
-        "theta_B": "open | at bound",
-    }
-    for name, told in expected.items():
-        assert by_name[name].texts[0].get_text() == told
-    assert "met a better optimum" in [t.get_text() for t in by_name["eta_B"].texts]
-    assert {"end: reached", "end: at bound", "end: open"} <= set(legends(figure))
-    arrows = [line.get_marker() for line in by_name["eta_C"].lines if line.get_marker() in "<>"]
-    assert arrows == ["<", ">"]
-    assert not [line for line in by_name["eta_B"].lines if line.get_ls() == "--"], "no std, no parabola"
-    for ax in figure.axes:
-        low, high = ax.get_xlim()
-        assert np.isfinite([low, high]).all()
-        assert low < high
-        assert all(low <= tick <= high for tick in ax.get_xticks())
-    failed = odd.intervals.profiles[0]
-    assert ends_in_words(replace(failed, upper=failed.lower)) == "ends failed"
-
-
 # -- as drawings -----------------------------------------------------------------------------------------
 
 
 PICTURES = {
     "correlation": correlation,
     "effects": effects,
-    "profiles": profiles,
 }
 
 
@@ -218,7 +163,6 @@ def labels(tick: Tick) -> tuple[Text, Text]:
     [
         *(("correlation", which) for which in ("full", "level")),
         *(("effects", which) for which in ("odd", "level")),
-        *(("profiles", which) for which in ("full", "odd")),
     ],
 )
 def test_nothing_is_beyond_the_edge_or_on_other_words(picture: str, which: str) -> None:
@@ -232,7 +176,7 @@ def test_nothing_is_beyond_the_edge_or_on_other_words(picture: str, which: str) 
 def test_pictures_that_have_nothing_to_show_are_not_drawn() -> None:
     plan, full = reports.plan(), reports.full()
     assert drawable(plan) == [correlation, effects]
-    assert drawable(full) == [correlation, effects, profiles]
+    assert drawable(full) == [correlation, effects]
     assert drawable(replace(plan, correlation=np.full((21, 21), np.nan))) == [effects]
 
 

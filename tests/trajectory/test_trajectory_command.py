@@ -44,11 +44,10 @@ def test_everything_is_written(capsys, tmp_path):
     outputs = [word for file in files for word in ("-o", file)]
     text = run(
         capsys, *CYCLOID, "--tolerance", "0.05um", *outputs, "--chord", "0.1um", "--duration", "1s", "--step",
-        "100ms", "--plots", tmp_path / "pictures",
+        "100ms",
     )  # fmt: skip
     assert "fewest numbers to store" in text
     assert all(file.stat().st_size > 200 for file in files)
-    assert len(list((tmp_path / "pictures").glob("trajectory_*.png"))) == 2
     assert read_curve(files[0]).max_error_m <= 0.05e-6
     record = json.loads(run(capsys, files[0], "--json", "-o", tmp_path / "again.json"))
     assert record["control_points"] == 10
@@ -60,9 +59,8 @@ def test_everything_is_written(capsys, tmp_path):
 def test_points(capsys, tmp_path):
     rows = "".join(f"{k},{k * k}\n" for k in range(9))
     (tmp_path / "p.csv").write_text("x_um,y_um\n" + rows, encoding="utf-8")
-    text = run(capsys, tmp_path / "p.csv", "--method", "cubic", "--plots", tmp_path)
+    text = run(capsys, tmp_path / "p.csv", "--method", "cubic")
     assert "(at the points)" in text
-    assert (tmp_path / "trajectory_curve.png").exists()
     (tmp_path / "t.csv").write_text("t,x_um,y_um\n" + "".join(f"{k},{k},{k * k}\n" for k in range(9)))
     words = (tmp_path / "t.csv", "--method", "bernstein-ls")
     assert "3 control points" in run(capsys, *words, "--tolerance", "1nm")  # a parabola

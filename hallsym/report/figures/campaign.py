@@ -183,8 +183,6 @@ def _number(ax: Axes, groups: Sequence[Group], ticks: Sequence[int]) -> None:
 # -- `parameters`: every parameter within its bounds, how sharp it is, and the numbers to copy -----------
 
 
-COVERAGE = 1.96
-"""Standard deviations in half a 95 % interval."""
 ROW = 0.155  # inches
 POINT: dict[str, Any] = {"ls": "none", "ms": 4.2, "color": AFTER}
 NOMINAL: dict[str, Any] = {"ls": "none", "mew": 1.2, "color": BEFORE}
