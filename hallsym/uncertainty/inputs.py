@@ -9,7 +9,6 @@ The linear budget and Monte Carlo walk the same list of inputs; only the fitted 
 correlated, stand beside it.
 """
 
-import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -25,6 +24,7 @@ from hallsym.families import adapted, plain
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.influence import influence
+from hallsym.reading import read_json
 from hallsym.toml import Table, number, unit_of, whole
 from hallsym.uncertainty.gum import Source, coverage_of
 from hallsym.units import si_unit, split_unit
@@ -462,18 +462,15 @@ def read_model_error(path: str | Path, model: Model) -> ModelError:
     Raises `InputError` for a missing file, another record or a diagnosis of another model.
     """
     name = Path(path).name
-    try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"Diagnosis {name} cannot be read: {error}.") from error
+    data = read_json(path, "Diagnosis", "diagnose the log again")
     if not isinstance(data, dict) or "model_error" not in data:
         raise InputError(
             f"{name} holds no diagnosis with a model error; give what 'hallsym diagnose LOG -o FILE.json' "
             "saved."
         )
-    if data["model"] != model.name:
+    if data.get("model") != model.name:
         raise InputError(
-            f"{name} is a diagnosis of {data['model']}, the calibration is of {model.name}; "
+            f"{name} is a diagnosis of {data.get('model')}, the calibration is of {model.name}; "
             "diagnose the log with that model."
         )
     try:

@@ -122,5 +122,5 @@ def test_another_record_is_refused(stage, tmp_path, changes, said):
     (tmp_path / "other.json").write_text("{}")
     with pytest.raises(InputError, match="holds no diagnosis"):
         read_model_error(tmp_path / "other.json", stage.model)
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="does not exist"):
         read_model_error(tmp_path / "absent.json", stage.model)
