@@ -257,7 +257,7 @@ def targets() -> tuple[Target, ...]:
         Target("points", "points.csv", ("trajectory", "{FILE}", "--method", "cubic", "--json"), m.TEXT),
         Target(
             "diagnosis", "diagnosis.json",
-            ("diagnose", "--compare", "{FILE}", "before.json", "--json"), m.JSON,
+            ("budget", "calib.json", "--diagnosis", "{FILE}", "--json"), m.JSON,
         ),
     )  # fmt: skip
 
@@ -308,8 +308,7 @@ def make_files(folder: Path) -> None:
             folder / "curve.json",
         ]
         assert main([str(a) for a in arguments]) == 0, arguments
-    for name, gap in (("diagnosis", 2e-6), ("before", 3e-6)):
-        (folder / f"{name}.json").write_text(json.dumps(_diagnosis(gap), indent=1), encoding="utf-8")
+    (folder / "diagnosis.json").write_text(json.dumps(DIAGNOSIS, indent=1), encoding="utf-8")
 
 
 def _sensors() -> str:
@@ -323,23 +322,10 @@ def _sensors() -> str:
     return "\n".join([*lines, ""])
 
 
-def _diagnosis(gap: float) -> dict[str, Any]:
-    rmse = {"x_m": gap / 2, "y_m": gap / 2, "rz_rad": gap}
-    effect = {
-        "name": "hysteresis", "link": "field", "variant": "plain", "p_value": 1e-9, "shrinkage": 0.2,
-        "interval": [0.1, 0.3], "share": 0.5, "cost": "1 parameter",
-        "parameters": {"a": {"value": 1.0, "std": 0.1, "unit": "1"}},
-    }  # fmt: skip
-    return {
-        "verdict": "explained", "model": "stage31",
-        "noise_floor": {"x_m": 1e-6, "y_m": 1e-6, "source": "stated"},
-        "metric": {"before": gap, "after": 1.5e-6, "floor": 1.4e-6},
-        "gap_before": {"rmse": rmse, "peak": rmse}, "gap_after": {"rmse": rmse, "peak": rmse},
-        "effects": [effect], "groups": [], "where": [], "ranked": ["hysteresis"], "not_testable": {},
-        "smaller_findings": [], "threshold": 0.05, "sentence": "", "remaining": [], "separate_by": [],
-        "shrinkage": {"value": 0.5, "interval": [0.4, 0.6], "share_closed": 0.9, "parameters_added": 1},
-        "validation_runs": [2], "log": {},
-    }  # fmt: skip
+DIAGNOSIS = {
+    "model": "stage31", "unexplained": {},
+    "model_error": {"rest": {"x_m": 2e-6, "y_m": 1e-6}, "shape_counts": False, "candidates": []},
+}  # fmt: skip
 
 
 class Workshop:

@@ -18,8 +18,7 @@ from hallsym.cli.common import (
     run_numbers,
     say,
 )
-from hallsym.diagnosis import REPEATS, Examined, compare, detection_power, examine, model_on, prepare
-from hallsym.errors import InputError
+from hallsym.diagnosis import REPEATS, Examined, detection_power, examine, model_on, prepare
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.families import default_model
 from hallsym.families.machine_file import read_machine
@@ -28,7 +27,6 @@ from hallsym.log import Log
 from hallsym.model import Effect, Model
 from hallsym.report.data.gather import gather, version_of
 from hallsym.report.page.diagnosis_page import diagnosis_page
-from hallsym.report.text.comparison import comparison_text
 from hallsym.report.text.diagnosis import diagnosis_text
 from hallsym.report.text.power import power_text
 
@@ -46,17 +44,12 @@ def add(sub: Any) -> None:
         "  hallsym diagnose LOG --model stage31\n"
         "  hallsym diagnose LOG --model calib.json --holdout 2,7,12 --json\n"
         "  hallsym diagnose LOG --effects my_effects.py -o report.html\n"
-        "  hallsym diagnose LOG --power hysteresis,time_skew      from which size on these would be found\n"
-        "  hallsym diagnose --compare before.json after.json",
+        "  hallsym diagnose LOG --power hysteresis,time_skew      from which size on these would be found",
     )  # fmt: skip
-    parser.add_argument("log", metavar="LOG", nargs="?", help="log, or a folder with log and meta.json")
-    parser.add_argument(
-        "--compare", nargs=2, metavar=("BEFORE", "AFTER"),
-        help="instead: what changed between two saved diagnoses (or calibrations) of one machine",
-    )  # fmt: skip
+    parser.add_argument("log", metavar="LOG", help="log, or a folder with log and meta.json")
     parser.add_argument(
         "--power", nargs="?", const=EVERY, metavar="EFFECTS",
-        help="instead, after LOG: what 'no gap' is worth: inject effects (by name; all take an hour or two, "
+        help="instead: what 'no gap' is worth: inject effects (by name; all take an hour or two, "
         "Ctrl-C keeps what was done) into its motion and noise, and diagnose each simulated log blind",
     )  # fmt: skip
     parser.add_argument(
@@ -79,10 +72,6 @@ def add(sub: Any) -> None:
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
-    if options.compare:
-        return _compare(options)
-    if options.log is None:
-        raise InputError("A log to diagnose must be given, or --compare with two saved diagnoses.")
     machine, own = read_machine(options.machine), own_effects(options)
     known = load_fit(options.model, own) if str(options.model).endswith(".json") else None
     log = open_log(options, machine, known)
@@ -171,15 +160,3 @@ def _typed(options: Namespace, first: Fit) -> str:
     words += ["--holdout", options.holdout] if options.holdout else []
     words += [] if options.threshold is None else ["--threshold", f"{options.threshold:g}"]
     return shlex.join([*words, *reading_words(options), "-o", "report.html"])
-
-
-def _compare(options: Namespace) -> int:
-    if options.log is not None:
-        raise InputError(
-            f"--compare reads saved diagnoses only; leave the log {options.log} out, or diagnose it first."
-        )
-    changed = compare(*options.compare)
-    for path in options.output:
-        _save(path, changed.to_dict())
-    say(options, changed.to_dict(), lambda: comparison_text(changed))
-    return OK

@@ -7,7 +7,6 @@
 """
 
 from hallsym.diagnosis.choose import model_on
-from hallsym.diagnosis.compare import Comparison, EffectChange, compare
 from hallsym.diagnosis.decoded_errors import errors_of
 from hallsym.diagnosis.engine import Examined, diagnose, examine, prepare
 from hallsym.diagnosis.injection import Injection, generator, injections, sized
@@ -42,13 +41,13 @@ from hallsym.diagnosis.simulated_machine import SimulatedMachine, machine_of, re
 from hallsym.diagnosis.validation import QUIET
 from hallsym.diagnosis.words import gap_text, gap_unit, place_unit
 from hallsym.families.user import load_effects
-from hallsym.inference import Estimate, ParameterChange
+from hallsym.inference import Estimate
 
 __all__ = [
-    "NO_EFFECT", "POLICY", "QUIET", "RATIOS", "REPEATS", "ROWS", "Band", "Base", "Bench", "Comparison",
-    "CurvePoint", "CurveShape", "DetectionPower", "Diagnosis", "EffectChange", "Estimate", "Examined",
-    "Findable", "FoundEffect", "Injection", "ParameterChange", "Separation",
-    "Significance", "SimulatedMachine", "Statement", "Trial", "Unexplained", "clopper_pearson", "compare",
+    "NO_EFFECT", "POLICY", "QUIET", "RATIOS", "REPEATS", "ROWS", "Band", "Base", "Bench",
+    "CurvePoint", "CurveShape", "DetectionPower", "Diagnosis", "Estimate", "Examined",
+    "Findable", "FoundEffect", "Injection", "Separation",
+    "Significance", "SimulatedMachine", "Statement", "Trial", "Unexplained", "clopper_pearson",
     "detection_power", "diagnose", "diagnosis_schema", "errors_of", "examine", "gap_text", "gap_unit",
     "generator", "injections", "load_effects", "machine_of", "model_on", "noise_text", "place_unit",
     "prepare", "readings_of", "simulated_noise", "sized",

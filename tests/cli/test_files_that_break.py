@@ -253,7 +253,6 @@ def test_an_output_that_another_option_reads_is_refused(capsys, log, tmp_path):
         ["simulate", "--seed", "1", "--values", calib, "-o", calib],
         ["fit", log, "--machine", tmp_path / "m.toml", "-o", tmp_path / "m.toml"],
         ["sensitivity", calib, log, "-o", log], ["diagnose", log, "-o", log],
-        ["diagnose", "--compare", calib, calib, "-o", calib],
     ):  # fmt: skip
         assert "which would be lost" in refused(capsys, *arguments)
 

@@ -12,12 +12,10 @@ import numpy as np
 import pytest
 from gap_twins import listed
 from gap_twins import machine as stage
-from test_compare import diagnosis
-from test_compare import effect as effect_record
 from test_diagnosis_rotary import machine, third
 from test_diagnosis_turn import LIKE_A_TABLE, table
 
-from hallsym.diagnosis import POLICY, Diagnosis, compare, diagnose, prepare
+from hallsym.diagnosis import POLICY, Diagnosis, diagnose, prepare
 from hallsym.diagnosis.confusable import smaller_findings
 from hallsym.diagnosis.lack_of_fit import LackOfFit, Shape
 from hallsym.diagnosis.policy import Policy
@@ -153,29 +151,6 @@ def test_the_threshold_and_the_holdout_runs_follow_the_policy():
     other = replace(POLICY, worth_reporting=0.2, holdout_every=3)
     setup = prepare(runs_of(8), "ellipse", policy=other)
     assert (setup.threshold, setup.holdout) == (0.2, (1, 4, 7))
-
-
-# -- comparison --------------------------------------------------------------------------------------------
-
-
-def test_floors_that_differ_are_noted():
-    def floor(times: float) -> dict:
-        return diagnosis(metric={"before": 3e-6, "after": 1.5e-6, "floor": times * 1e-6})
-
-    assert not compare(floor(1.0), floor(1 + POLICY.unstructured - 0.01)).notes
-    assert "noise floors differ" in compare(floor(1.0), floor(1 + POLICY.unstructured + 0.01)).notes[0]
-
-
-def test_a_change_is_significant_at_five_per_cent():
-    """Two standard uncertainties of 1: a difference of 1.96 sqrt(2) has p = .05."""
-
-    def record(value: float) -> dict:
-        return diagnosis(effect_record("e", a=(value, 1.0)))
-
-    assert POLICY.false_alarm == 0.05
-    for times, significant in ((1.95, False), (1.97, True)):
-        (change,) = compare(record(0.0), record(times * np.sqrt(2))).effects[0].parameters
-        assert change.significant is significant
 
 
 # -- whole diagnoses, with the policy and with one threshold switched off -----------------------------------

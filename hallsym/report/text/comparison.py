@@ -1,51 +1,11 @@
-"""Comparisons as a person reads them in a terminal: of two records, of logs with their calibration."""
+"""Logs beside their calibration, as a person reads them in a terminal."""
 
 from collections.abc import Mapping, Sequence
 
-from hallsym.diagnosis import POLICY, Comparison, EffectChange, ParameterChange, gap_unit
 from hallsym.estimation import Evaluation
-from hallsym.inference import Belonging
+from hallsym.inference import Belonging, ParameterChange
 from hallsym.report.tables import grid, in_units
 from hallsym.units import readable
-
-
-def comparison_text(c: Comparison) -> str:
-    """Return what `hallsym diagnose --compare` prints: gap, effects, parameters."""
-    parts = [c.sentence]
-    if c.kind == "diagnoses":
-        parts += ["", _gaps(c)]
-        if c.effects:
-            parts += ["", _effects(c.effects)]
-    rows = [p for e in c.effects for p in e.parameters]
-    if rows:
-        parts += ["", parameters_text(rows)]
-        parts.append(
-            f"significant: at {100 * POLICY.false_alarm:g} % over all {len(rows)} parameters together"
-        )
-    return "\n".join([*parts, *(f"note: {note}" for note in c.notes)])
-
-
-def _gaps(c: Comparison) -> str:
-    rows = [["", "before", "after"], ["verdict", *c.verdict]]
-    size, name = gap_unit(c.rmse)
-    for what, pair in (("gap", c.gap), ("with the effects found", c.rest), ("noise floor", c.floor)):
-        rows.append([f"{what} [{name}]", *(f"{size * v:.4g}" for v in pair)])
-    for column, pair in c.rmse.items():
-        factor, unit, name = readable(column)
-        rows.append([f"rmse {name} [{unit}]", *(f"{factor * v:.4g}" for v in pair)])
-    return grid(rows)
-
-
-def _effects(effects: tuple[EffectChange, ...]) -> str:
-    rows = [["effect", "", "share before", "share after", "form", ""]]
-    for e in effects:
-        form = e.form[0] if e.form[0] == e.form[1] else " -> ".join(f or "none" for f in e.form)
-        rows.append([e.name, e.state, *map(_share, e.share), form, e.remark])
-    return grid(rows, left=2)
-
-
-def _share(share: float | None) -> str:
-    return "" if share is None else f"{100 * share:.0f} %"
 
 
 def parameters_text(changes: Sequence[ParameterChange]) -> str:
