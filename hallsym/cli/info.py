@@ -88,7 +88,7 @@ def run(options: Namespace) -> int:
         return _suggest(options)
     else:
         options.log = options.file
-        source = _source(options)
+        source = _opened(options)[2]
         try:
             log = open_log(options)
         except InputError:
@@ -108,9 +108,8 @@ def run(options: Namespace) -> int:
 SHOWN_ROWS, SHOWN_COLUMNS = 3, 40
 
 
-def _source(options: Namespace) -> Source:
-    stated = {name: getattr(options, name) for name in FILE_OPTIONS}
-    return open_source(options.file, **stated)[2]
+def _opened(options: Namespace) -> tuple[Path | None, Path | None, Source]:
+    return open_source(options.file, **{name: getattr(options, name) for name in FILE_OPTIONS})
 
 
 def _head_text(source: Source) -> str:
@@ -135,7 +134,7 @@ def _suggest(options: Namespace) -> int:
     """Write the column file that is to be checked."""
     from hallsym.families.suggest import suggest
 
-    _, folder, source = open_source(options.file, **{name: getattr(options, name) for name in FILE_OPTIONS})
+    _, folder, source = _opened(options)
     described = folder is not None and (folder / "meta.json").exists()
     found = suggest(source, options.model, Meta.read(folder / "meta.json") if folder and described else None)
     text = found.to_toml(options.file)
@@ -170,10 +169,6 @@ def _about_campaign(campaign: Campaign) -> dict[str, Any]:
     }
 
 
-MOST_ESTIMATED = 256
-"""Columns whose noise is estimated for a summary: some ms each, of one run."""
-
-
 ROUNDING = 1e-12
 """Part of a column's largest value below which its noise is the rounding of the numbers: 4e3 units of it."""
 
@@ -189,10 +184,8 @@ def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
     extent = spans(log)
     columns = [c for c in log.columns if c != "run"]
     sensed = [c for c in columns if c != "t_s" and c in extent.overall]
-    unknown = [c for c in sensed if c not in log.noise][:MOST_ESTIMATED]
+    unknown = [c for c in sensed if c not in log.noise]
     noise = log.noise.merged(estimate_noise(log, unknown)) if unknown else log.noise
-    if len(sensed) > MOST_ESTIMATED:
-        notes.append(f"The noise of the first {MOST_ESTIMATED} columns is estimated.")
     record: dict[str, Any] = {
         "log": log.name,
         "rows": log.rows,

@@ -41,8 +41,8 @@ class Spread:
     """The distribution of one parameter over devices, in its SI unit.
 
     `mean`, `mean_std`: of the devices, with 1 sigma. `std`: tau, the standard deviation between devices;
-    `interval`: 95 % of it. `scatter`: standard deviation of the estimates themselves. `typical_std`: median
-    uncertainty of an estimate. `outlying`: device -> distance in its expected standard deviations.
+    `interval`: 95 % of it. `typical_std`: median uncertainty of an estimate.
+    `outlying`: device -> distance in its expected standard deviations.
     """
 
     name: str
@@ -52,7 +52,6 @@ class Spread:
     mean_std: float
     std: float
     interval: tuple[float, float]
-    scatter: float
     typical_std: float
     outlying: dict[str, float] = field(default_factory=dict)
 
@@ -82,7 +81,7 @@ def spread_of(
     names = np.asarray(devices, dtype=object)[known]
     return Spread(
         name, unit, int(inside.sum()), mean, float(weight.sum() ** -0.5), tau,
-        interval_of(x[inside], s[inside]), float(np.std(x[inside], ddof=1)), float(np.median(s)),
+        interval_of(x[inside], s[inside]), float(np.median(s)),
         {str(n): float(z) for n, z in zip(names[~inside], score[~inside], strict=True)},
     )  # fmt: skip
 

@@ -18,7 +18,7 @@ from hallsym.errors import InputError, nearest
 from hallsym.terminal import Step
 from hallsym.trajectory.bounds import bound, is_polyline
 from hallsym.trajectory.curve import Curve, FgForm, Form, SplineForm
-from hallsym.trajectory.factorisation import Basis, basis_named, factorise, orthogonalise
+from hallsym.trajectory.factorisation import BASES, BERNSTEIN, Basis, factorise, orthogonalise
 from hallsym.trajectory.nominal import Nominal, nominal, read_span
 from hallsym.trajectory.points import Points, points_of, read_points
 
@@ -67,19 +67,19 @@ def inside(basis: Basis, u: Array) -> Array:
 
 def interpolated(name: str, u: Array, points: Array, control: int = 0) -> Form:
     """Put a curve in an fg-Bernstein basis through points, with high relative accuracy."""
-    basis = basis_named(name)
+    basis = BASES[name]
     return FgForm(basis, factorise(basis, inside(basis, u)).solve(points))
 
 
 def fitted(name: str, u: Array, points: Array, control: int) -> Form:
     """Fit a curve in an fg-Bernstein basis to points by least squares, with high relative accuracy."""
-    basis = basis_named(name)
+    basis = BASES[name]
     return FgForm(basis, orthogonalise(factorise(basis, inside(basis, u), control)).solve(points))
 
 
 def by_elimination(u: Array, points: Array, control: int = 0) -> Form:
     """Solve the same equations as `bernstein` by LU of the collocation matrix."""
-    basis = basis_named("bernstein")
+    basis = BERNSTEIN
     try:
         return FgForm(basis, np.linalg.solve(FgForm(basis, np.eye(len(u))).evaluate(u), points))
     except np.linalg.LinAlgError:

@@ -17,7 +17,7 @@ import numpy as np
 from hallsym.errors import InputError, quoted
 from hallsym.files import atomic_write
 from hallsym.reading import read_json, reading
-from hallsym.trajectory.factorisation import Basis, basis_named
+from hallsym.trajectory.factorisation import BASES, Basis
 
 Array = np.ndarray
 FORMAT = "hallsym-curve-1"
@@ -313,7 +313,7 @@ def _form_to_dict(form: Form) -> dict[str, Any]:
 def _form_from_dict(raw: Mapping[str, Any]) -> Form:
     kind, control = raw["kind"], np.array(raw["control"], float)
     if kind != "spline":
-        return FgForm(basis_named(kind), control)
+        return FgForm(BASES[kind], control)
     knots, degree = np.array(raw["knots"], float), int(raw["degree"])
     if degree < 1 or len(knots) != len(control) + degree + 1 or (np.diff(knots) < 0).any():
         raise ValueError("knots must increase and be as many as control points + degree + 1")

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError
 
 Array = np.ndarray
 D = math.pi / 2
@@ -68,13 +68,6 @@ TRIGONOMETRIC = Basis(
 )
 """Even orders n = 2m span the trigonometric polynomials of degree m; odd orders do not contain constants."""
 BASES = {basis.name: basis for basis in (BERNSTEIN, TRIGONOMETRIC)}
-
-
-def basis_named(name: str) -> Basis:
-    """Return a basis by name; raises `InputError` for an unknown one."""
-    if name not in BASES:
-        raise InputError(f"Basis {name!r} is not known{nearest(name, [*BASES])}; known: {', '.join(BASES)}.")
-    return BASES[name]
 
 
 def check_increasing(t: Array, name: str) -> None:

@@ -12,6 +12,7 @@ from hallsym.families import effect_named
 from hallsym.families import plain as without_effects
 from hallsym.log.phase import near
 from hallsym.model import Model, on_arrays
+from hallsym.uncertainty.position import place
 
 LEAST_SQUARES, CLOSED_FORM = "least-squares", "closed-form"
 """Decoders that every model may have, beside the formulas that it states by name."""
@@ -76,8 +77,11 @@ def errors_along(
         raise InputError(f"No coordinate of {model.name} repeats: state the range to look at.")
     coordinate, low, high = over
     places = low + (high - low) * np.arange(samples) / samples
-    true = _places(model, coordinate, places, at or {})
-    pose, state = true[: len(model.pose)], true[len(model.pose) :]
+    rest = place(model, {coordinate: 0.0} | dict(at or {}))
+    pose, state = (np.tile(values[:, None], samples) for values in rest)
+    for names, true in ((model.pose, pose), (model.state, state)):
+        if coordinate in names:
+            true[names.index(coordinate)] = places
     nothing = np.zeros(len(model.zeros))
     with np.errstate(all="ignore"):
         (reading,) = on_arrays(model.reading)(model.vector(values), nothing, pose, state)
@@ -90,19 +94,6 @@ def errors_along(
         )
     error = near(plain, found, pose) - pose
     return ErrorsAlong(coordinate, places, error, tuple(_waves(e) for e in error))
-
-
-def _places(model: Model, coordinate: str, places: np.ndarray, at: Mapping[str, float]) -> np.ndarray:
-    """Return pose and state (n_pose + n_state, n): one coordinate moves, the others rest."""
-    names = (*model.pose, *model.state)
-    for name in (coordinate, *at):
-        if name not in names:
-            raise InputError(
-                f"Model {model.name} has no coordinate {name!r}{nearest(name, list(names))}; it has "
-                f"{', '.join(names)}."
-            )
-    rest = model.rest | dict(at)
-    return np.array([places if n == coordinate else np.full(len(places), rest[n]) for n in names])
 
 
 def _decode(plain: Model, decoder: str, reading: np.ndarray, state: list[np.ndarray]) -> np.ndarray:

@@ -35,7 +35,7 @@ class Source:
     """One input quantity: standard uncertainty `std` in `unit`, and what a unit of it does to the result.
 
     `sensitivity`: d result / d input. `degrees_of_freedom`: how well `std` itself is known; infinite if it
-    is stated. Make one with `normal`, `rectangular`, `triangular`, `arcsine` or `readings`.
+    is stated. Make one with `normal`, `rectangular` or `readings`.
     """
 
     name: str
@@ -80,16 +80,6 @@ class Source:
     def rectangular(name: str, half_width: float, unit: str, **more: Any) -> "Source":
         """Anywhere within +-half_width, all places equally likely: half_width / sqrt(3)."""
         return Source(name, half_width / DIVISORS["rectangular"], unit, "rectangular", **more)
-
-    @staticmethod
-    def triangular(name: str, half_width: float, unit: str, **more: Any) -> "Source":
-        """Within +-half_width, most likely in the middle: half_width / sqrt(6)."""
-        return Source(name, half_width / DIVISORS["triangular"], unit, "triangular", **more)
-
-    @staticmethod
-    def arcsine(name: str, half_width: float, unit: str, **more: Any) -> "Source":
-        """U-shaped, a sine of amplitude half_width at an unknown phase: half_width / sqrt(2)."""
-        return Source(name, half_width / DIVISORS["arcsine"], unit, "arcsine", **more)
 
     @staticmethod
     def readings(name: str, values: Sequence[float], unit: str, **more: Any) -> "Source":
@@ -200,6 +190,12 @@ class Budget(Shown):
     def expanded(self) -> float:
         """Expanded uncertainty U = k u_c (18)."""
         return self.factor * self.std
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """y -+ U; y counts as 0 where it is not known."""
+        value, half = self.value or 0.0, self.expanded
+        return value - half, value + half
 
     def ranked(self) -> list[tuple[Source, float]]:
         """Return the sources with their shares, the largest first."""
@@ -399,7 +395,7 @@ def _made(entry: Table, name: str, kind: str, factor: float, unit: str, more: di
     if kind in ("half_width", "full_width", "resolution"):
         asked = _only(entry, ("rectangular",) if kind == "resolution" else tuple(DIVISORS))
         half = entry.number(kind, least=0.0) * factor * (1.0 if kind == "half_width" else 0.5)
-        return getattr(Source, asked)(name, half, unit, **more)
+        return Source(name, half / DIVISORS[asked], unit, asked, **more)
     _only(entry, ("student",))
     if not isinstance(entry.raw[kind], list):
         raise InputError(

@@ -47,35 +47,15 @@ Verdict = Literal["confirmed", "not confirmed", "undecided"]
 
 
 @dataclass(frozen=True)
-class Linear:
-    """What the linear budget says of one output: y, u(y) and the factor of its coverage interval.
-
-    `turns`: the output is an angle that goes round.
-    """
-
-    quantity: str
-    unit: str
-    value: float
-    std: float
-    factor: float
-    turns: bool = False
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """y -+ k u(y)."""
-        return self.value - self.factor * self.std, self.value + self.factor * self.std
-
-
-@dataclass(frozen=True)
 class Comparison:
-    """The linear and the Monte Carlo result of one output, in its SI unit.
+    """The linear and the Monte Carlo result of one output, in its SI unit; `linear` is of the same `level`.
 
     `interval` is the probabilistically symmetric, `shortest` the shortest interval of probability `level`.
     `tolerance`: delta of 7.9.2 for `digits` significant digits. `scatter`: standard deviation of the Monte
     Carlo mean, u and both ends themselves. `differences`: linear minus Monte Carlo end, lower and upper.
     """
 
-    linear: Linear
+    linear: Budget
     level: float
     digits: int
     trials: int
@@ -113,7 +93,7 @@ class Comparison:
             "tolerance": self.tolerance,
             "stable": self.stable,
             "linear": {
-                "value": self.linear.value,
+                "value": self.linear.value or 0.0,
                 "standard_uncertainty": self.linear.std,
                 "interval": list(self.linear.interval),
             },
@@ -138,7 +118,7 @@ def tolerance(std: float, digits: int = 2) -> float:
 
 def propagate(
     measure: Measure,
-    linear: Sequence[Linear],
+    linear: Sequence[Budget],
     rng: np.random.Generator,
     *,
     trials: int | None = None,
@@ -251,7 +231,8 @@ def budget_monte_carlo(
             total += budget.contributions[joint] @ (root @ rng.standard_normal((len(joint), n)))
         return total
 
-    return propagate(measure, [_linear(budget, level)], rng, trials=trials, level=level, **more)[0]
+    said = [replace(budget, level=level)]
+    return propagate(measure, said, rng, trials=trials, level=level, **more)[0]
 
 
 def position_monte_carlo(
@@ -269,7 +250,7 @@ def position_monte_carlo(
     `at` and `settings` as in `position_budget`; `trials`, `level`, `digits` as in `propagate`.
     """
     settings = settings or Settings()
-    linear = [_linear(b, level) for b in position_budget(fit, at, settings).values()]
+    linear = [replace(b, level=level) for b in position_budget(fit, at, settings).values()]
     found = propagate(
         decoded_at_random(fit, at or {}, settings), linear, rng, trials=trials, level=level, **more
     )
@@ -333,11 +314,6 @@ def _stretch(dof: np.ndarray) -> Callable[[np.random.Generator, int], np.ndarray
         return np.exp([np.interp(drawn, z, row) for row in table])
 
     return draw
-
-
-def _linear(budget: Budget, level: float) -> Linear:
-    factor = replace(budget, level=level).factor
-    return Linear(budget.quantity, budget.unit, budget.value or 0.0, budget.std, factor, budget.turns)
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:

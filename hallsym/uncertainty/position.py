@@ -121,33 +121,8 @@ def notes(fit: Fit, settings: Settings) -> list[str]:
 # -- many positions --------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Spread:
-    """Of decoded positions, (s, n_pose) each: variances by all sources and by the fit alone, and its dof."""
-
-    total: np.ndarray
-    fit: np.ndarray
-    dof: np.ndarray
-
-    def expanded(self, settings: Settings) -> np.ndarray:
-        """U, shape (s, n_pose)."""
-        return _factor(self, settings) * np.sqrt(self.total)
-
-
-def _factor(spread: _Spread, settings: Settings) -> np.ndarray | float:
-    """Coverage factor, where a level asks for it from the effective degrees of freedom of each position."""
-    if settings.level is None:
-        return settings.coverage
-    half = 0.5 + 0.5 * settings.level
-    if not np.any(np.isfinite(spread.dof)):
-        return float(ndtri(half))
-    with np.errstate(divide="ignore"):
-        effective = spread.dof * np.square(spread.total / spread.fit)
-    k = stdtrit(np.maximum(np.floor(np.minimum(effective, 1e9)), 1.0), half)
-    return np.where(np.isfinite(effective), k, ndtri(half))
-
-
-def _spread(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) -> _Spread:
+def _expanded(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) -> np.ndarray:
+    """U of the positions decoded at poses (n_pose, s) and states (n_state, s), shape (s, n_pose)."""
     found: Slopes = slopes(fit, pose, state, settings)
     from_fit = np.einsum("spj,spj->sp", found.parameters @ fit.covariance, found.parameters)
     total = from_fit.copy()
@@ -155,7 +130,13 @@ def _spread(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) -
         total += (entry.source.std * found.of(entry)) ** 2
     for variance in model_error(fit, pose, state, settings, found).values():
         total += variance
-    return _Spread(total, from_fit, fit_degrees_of_freedom(fit, found.parameters))
+    if settings.level is None:
+        return settings.coverage * np.sqrt(total)
+    half, dof = 0.5 + 0.5 * settings.level, fit_degrees_of_freedom(fit, found.parameters)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        effective = dof * np.square(total / from_fit)
+    k = stdtrit(np.maximum(np.floor(np.minimum(effective, 1e9)), 1.0), half)
+    return np.where(np.isfinite(effective), k, ndtri(half)) * np.sqrt(total)
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +214,7 @@ def uncertainty_map(
     pose, state = (
         np.array([at[c] for c in names]).reshape(len(names), size) for names in (model.pose, model.state)
     )
-    flat = _spread(fit, pose, state, settings).expanded(settings)
+    flat = _expanded(fit, pose, state, settings)
     others = {c: float(v) for c, v in rest.items() if c not in lines}
     U = flat.T.reshape(-1, *mesh[0].shape)
     return UncertaintyMap(model.pose, lines, others, U, settings, model.period)
@@ -302,7 +283,7 @@ def over_log(fit: Fit, log: Log, settings: Settings | None = None) -> Recorded:
         if not data.shape[1]:
             continue
         pose, state = data[: len(model.pose)], data[len(model.pose) :]
-        U = _spread(fit, pose, state, settings).expanded(settings)
+        U = _expanded(fit, pose, state, settings)
         low, high = np.minimum(low, data.min(axis=1)), np.maximum(high, data.max(axis=1))
         squares, count = squares + np.einsum("sp,sp->p", U, U), count + len(U)
         peak = np.argmax(U, axis=0)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from hallsym.errors import InputError, nearest
 from hallsym.model import Model, Parameter
@@ -49,17 +50,11 @@ def _triangle(u: np.ndarray) -> np.ndarray:
     return np.where(u < 0.5, np.sqrt(2 * u) - 1, 1 - np.sqrt(2 * (1 - u)))
 
 
-def _normal(u: np.ndarray) -> np.ndarray:
-    from scipy.special import ndtri
-
-    return ndtri(np.clip(u, 1e-12, 1 - 1e-12))
-
-
 _QUANTILES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
     "rectangular": lambda u: 2 * u - 1,
     "triangular": _triangle,
     "arcsine": lambda u: -np.cos(np.pi * u),
-    "normal": _normal,
+    "normal": lambda u: ndtri(np.clip(u, 1e-12, 1 - 1e-12)),
 }
 
 
@@ -115,10 +110,8 @@ def given_tolerances(
         if tolerance.name in found:
             raise InputError(f"Parameter {tolerance.name} has two tolerances in {where}; keep one.")
         found[tolerance.name] = tolerance
-    rest = model if others == "bounds" else _all_fixed(model)
-    rest = rest.with_parameters(
-        {n: {"lower": 0.0, "upper": 0.0} for n in found}
-    )  # their bounds do not matter
+    exact = found if others == "bounds" else model.names  # bounds of those that are found do not matter
+    rest = model.with_parameters({n: {"lower": 0.0, "upper": 0.0} for n in exact})
     return tuple(found.get(t.name, t) for t in default_tolerances(rest))
 
 
@@ -135,10 +128,6 @@ def read_tolerances(path: str | Path, model: Model) -> tuple[Tolerance, ...]:
     return given_tolerances(model, file.raw["tolerance"], file.raw.get("others", "bounds"), file.where)
 
 
-def _all_fixed(model: Model) -> Model:
-    return model.with_parameters({n: {"lower": 0.0, "upper": 0.0} for n in model.names})
-
-
 def _tolerance(model: Model, key: str, value: Any, where: str) -> Tolerance:
     parameter, suffix = _split(model, key, where)
     at = parameter.nominal
@@ -153,7 +142,7 @@ def _tolerance(model: Model, key: str, value: Any, where: str) -> Tolerance:
         size, distribution = _table(value, key, where)
     else:
         size, distribution = value, "rectangular"
-    return replace(whole, width=_positive(size, key, where) * factor, distribution=distribution)
+    return replace(whole, width=positive(size, key, where) * factor, distribution=distribution)
 
 
 def _table(value: Mapping[str, Any], key: str, where: str) -> tuple[Any, str]:
@@ -241,11 +230,3 @@ def _limits(value: list, key: str, where: str) -> tuple[float, float]:
     if not low < high:
         raise InputError(f"Limits of {key} in {where} must be [low, high], low < high; received {value!r}.")
     return low, high
-
-
-def _positive(value: Any, key: str, where: str) -> float:
-    if value == 0 and not isinstance(value, bool):
-        raise InputError(
-            f'Tolerance {key} in {where} must be positive, not 0; write "exact" for no tolerance.'
-        )
-    return positive(value, key, where)

@@ -232,8 +232,7 @@ def tolerances(
     draws = design(len(active), samples, seed)
     machines = partial(_machines, all_, active)
     drawn = _Sums(nominal_errors(model, space), len(model.pose), space.points)
-    found = drawn.run(draws, machines)
-    worth = _worth(drawn, draws[:, 0], all_, active)
+    fields, errors = drawn.run(draws, machines)
     return Tolerances(
         model=model,
         tolerances=all_,
@@ -241,9 +240,9 @@ def tolerances(
         points=space.points,
         samples=samples,
         seed=seed,
-        errors=_errors(found),
-        indices={c: field_indices(m, seed) for c, m in zip(model.pose, found.moments, strict=True)},
-        worth=worth,
+        errors=errors,
+        indices={c: field_indices(m, seed) for c, m in zip(model.pose, fields, strict=True)},
+        worth=_worth(drawn, draws[:, 0], all_, active),
         notes=tuple(_notes(model, all_)),
     )
 
@@ -329,16 +328,6 @@ def field_indices(m: Moments, seed: int) -> Indices:
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
-    """Per pose coordinate: moments of the field, and squares and peaks (samples, 2) of machines A and B."""
-
-    moments: list[Moments]
-    mean: np.ndarray
-    square: np.ndarray
-    peak: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class _Sums:
     """Evaluates machines in blocks of bounded size."""
 
@@ -350,8 +339,11 @@ class _Sums:
         step = max(1, BLOCK // (rows * self.points))
         return (slice(k, min(k + step, samples)) for k in range(0, samples, step))
 
-    def run(self, draws: np.ndarray, machines: Any) -> _Found:
-        """Draw the whole design. The mean field comes first, from A and B, so that moments are centred."""
+    def run(self, draws: np.ndarray, machines: Any) -> tuple[list[Moments], Errors95]:
+        """Return moments of each coordinate's field over the whole design, and errors of machines A and B.
+
+        The mean field comes first, so that moments are centred.
+        """
         samples, rows, n = draws.shape
         mean = np.zeros((self.n_pose, self.points))
         for at in self.blocks(samples, 2):
@@ -372,7 +364,13 @@ class _Sums:
             Moments(*(np.concatenate([getattr(m, k) for m in part]) for k in ("first", "total", "variance")))
             for part in parts
         ]
-        return _Found(joined, mean, square, peak)
+        square, peak = (v.reshape(len(v), -1) for v in (square, peak))
+        return joined, Errors95(
+            rms=np.sqrt(square.mean(axis=1)),
+            mean=np.sqrt((mean**2).mean(axis=1)),
+            rms_95=np.sqrt(np.quantile(square, 0.95, axis=1)),
+            peak_95=np.quantile(peak, 0.95, axis=1),
+        )
 
     def squares(self, drawn: np.ndarray) -> np.ndarray:
         """Mean square over the workspace of each machine, (n_pose, m)."""
@@ -381,16 +379,6 @@ class _Sums:
             field = self.errors(drawn[at])
             out[:, at] = np.einsum("cst,cst->cs", field, field) / self.points
         return out
-
-
-def _errors(found: _Found) -> Errors95:
-    square, peak = (v.reshape(len(v), -1) for v in (found.square, found.peak))
-    return Errors95(
-        rms=np.sqrt(square.mean(axis=1)),
-        mean=np.sqrt((found.mean**2).mean(axis=1)),
-        rms_95=np.sqrt(np.quantile(square, 0.95, axis=1)),
-        peak_95=np.quantile(peak, 0.95, axis=1),
-    )
 
 
 def _worth(drawn: _Sums, u: np.ndarray, all_: tuple[Tolerance, ...], active: tuple[Tolerance, ...]) -> Worth:

@@ -20,7 +20,7 @@ from hallsym.uncertainty import (
     position_monte_carlo,
 )
 from hallsym.uncertainty.inputs import independent_inputs
-from hallsym.uncertainty.monte_carlo import Linear, decoded_at_random, propagate, tolerance
+from hallsym.uncertainty.monte_carlo import decoded_at_random, propagate, tolerance
 
 SOMEWHERE = {"x_m": 2e-4, "y_m": -3e-4, "rz_rad": 1e-4, "z_m": 2e-4, "rx_rad": -3e-4, "ry_rad": 1e-4}
 
@@ -86,7 +86,7 @@ def test_mismatch_of_9_4(x1, linear, mean, std, shortest):
         a, b = generator.normal(x1, 0.005, n), generator.normal(0.0, 0.005, n)
         return (a**2 + b**2)[None]
 
-    said = Linear("dY", "1", x1**2, 2 * x1 * 0.005, 1.96)
+    said = Budget("dY", "1", (Source("x", 2 * x1 * 0.005, "1"),), level=0.95, value=x1**2)
     assert said.std == pytest.approx(linear * 1e-6)
     (found,) = propagate(measure, [said], rng(), trials=300_000)
     # exact: a non-central chi2 of 2 degrees of freedom

@@ -73,8 +73,8 @@ def comparison_text(comparisons: Sequence[Comparison]) -> str:
     rows = [["Monte Carlo", "u linear", "u", "unit", "interval linear", "interval", "tolerance", ""]]
     for c in comparisons:
         factor, unit = _unit(c)
-        low, high = ((v - c.linear.value) * factor for v in c.interval)
-        half = c.linear.factor * c.linear.std * factor
+        low, high = ((v - (c.linear.value or 0.0)) * factor for v in c.interval)
+        half = c.linear.expanded * factor
         rows.append(
             [
                 c.linear.quantity, _three(c.linear.std * factor), _three(c.std * factor), unit,
