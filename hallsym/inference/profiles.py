@@ -172,7 +172,7 @@ class Pull:
 
     def __init__(self, cost: Cost, began: Tangent, std: float, threshold: float) -> None:
         self.tangent, self.quantity, self.scaled = began, began.quantity, began.scaled
-        self.std, self.threshold, self.evaluations = std if began.std > 0 else 0.0, threshold, 0
+        self.std, self.threshold = std if began.std > 0 else 0.0, threshold
         self.mu = STIFF / self.std**2 if self.std > 0 else 0.0
         self.start = Point(began.value, began.value, 0.0, began.p)
         self.samples, self.problem = self.scaled.samples(cost), self.scaled.problem(cost)
@@ -182,7 +182,6 @@ class Pull:
         start = self.scaled.to_unit(np.clip(guess, *self.scaled.model.bounds))
         tolerance = SOLVED * self.threshold / max(abs(self.tangent.cost), self.threshold)
         found = solvers.newton(self.pulled(v), start, tolerance=tolerance)
-        self.evaluations += found.evaluations
         if found.status != "converged":
             return found.message
         p = self.scaled.from_unit(found.x)
@@ -337,7 +336,6 @@ class Profile:
     upper: Side
     values: np.ndarray
     rises: np.ndarray
-    evaluations: int
     better: np.ndarray | None = None
     drop: float = 0.0
 
@@ -389,7 +387,6 @@ def profile(
         upper=upper,
         values=np.array([point.value for point in path]),
         rises=np.array([point.rise for point in path]),
-        evaluations=pull.evaluations,
         better=lowest.p if better else None,
         drop=-lowest.rise if better else 0.0,
     )
