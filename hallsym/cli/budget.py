@@ -12,8 +12,8 @@ from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import (
     FILE_OPTIONS,
     assignment,
-    column_numbers,
     column_ranges,
+    column_values,
     command,
     log_options,
     open_log,
@@ -150,7 +150,7 @@ def _position(options: Namespace) -> int:
     settings = read_settings(options.settings, fit.model) if options.settings else Settings()
     if options.diagnosis:
         settings = replace(settings, model_error=read_model_error(options.diagnosis, fit.model))
-    at = _at(options.at, fit)
+    at = column_values(options.at, (*fit.model.pose, *fit.model.state))
     said = notes(fit, settings)
     log = open_log(options, known=fit) if options.log else None
     recorded = None if log is None else over_log(fit, log, settings)
@@ -210,13 +210,6 @@ def _with_noise(fit: Fit, given: Sequence[str]) -> Fit:
     columns = (*fit.model.channels, *fit.model.state, *fit.model.references)
     check_noise_keys(values, columns, "--noise")
     return replace(fit, noise=Noise.given(values, columns).merged(fit.noise))
-
-
-def _at(given: Sequence[str], fit: Fit) -> dict[str, float]:
-    """`x_um=100` as column -> SI value."""
-    columns = (*fit.model.pose, *fit.model.state)
-    places = [column_numbers(text, columns, "--at", "x_um=100") for text in given]
-    return {column: value for column, (value,) in places}
 
 
 def _map(

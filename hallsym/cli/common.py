@@ -223,6 +223,11 @@ def column_numbers(text: str, columns: Sequence[str], option: str, example: str)
     return column, found
 
 
+def column_values(given: Sequence[str], columns: Sequence[str]) -> dict[str, float]:
+    """Read every `--at x_um=100`: column -> SI value."""
+    return {c: value for c, (value,) in (column_numbers(text, columns, "--at", "=100") for text in given)}
+
+
 def column_ranges(
     given: Sequence[str], columns: Sequence[str], option: str = "--range"
 ) -> dict[str, tuple[float, float]]:

@@ -56,7 +56,7 @@ def reproduce(on_progress: Callable[[str], None] | None = None) -> tuple[Log, Fi
     rmse and peak by pose coordinate.
     """
     log = bundled_campaign()
-    heights = _heights(log)
+    heights = {block.run: float(np.mean(block.data["z_m"])) for block in log.blocks(("z_m",))}
     both = [run for run, z in heights.items() if abs(abs(z) - HEIGHT) < 20e-6]
     full = fit(log, "stage31", on_progress=on_progress)
     assert full.errors is not None
@@ -79,10 +79,6 @@ def text(steps: list[dict[str, Any]]) -> str:
         if k + 1 == len(steps) or steps[k + 1]["table"] != step["table"]:
             shown[f"  paper, Table {step['table']}"] = step["paper"]
     return error_rows(POSE, shown, None)
-
-
-def _heights(log: Log) -> dict[int, float]:
-    return {block.run: float(np.mean(block.data["z_m"])) for block in log.blocks(("z_m",))}
 
 
 def _fitted(log: Log, runs: list[int]) -> dict[str, dict[str, float]]:

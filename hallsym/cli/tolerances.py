@@ -6,8 +6,8 @@ from typing import Any
 from hallsym.cli import OK
 from hallsym.cli.common import (
     campaign_of,
-    column_numbers,
     column_ranges,
+    column_values,
     command,
     model_options,
     plots_options,
@@ -129,7 +129,7 @@ def _along(options: Namespace, model: Model) -> int:
         raise InputError(
             f"{column} does not repeat: state its range, such as --along {columns[0]}=-1e-3:1e-3."
         )
-    at = dict(_place(text, columns) for text in options.at)
+    at = column_values(options.at, columns)
     found = error_model(model, values, over=(column, low, high), at=at)
     pictures = []
     if options.plots:
@@ -138,8 +138,3 @@ def _along(options: Namespace, model: Model) -> int:
         pictures = save_errors(found, plots_place(options, found.model.name))
     say(options, found.to_dict(), lambda: errors_text(found), wrote=pictures)
     return OK
-
-
-def _place(text: str, columns: tuple[str, ...]) -> tuple[str, float]:
-    column, (value,) = column_numbers(text, columns, "--at", f"{text.partition('=')[0]}=1")
-    return column, value

@@ -181,9 +181,8 @@ class UncertaintyMap:
             "axes": {c: v.tolist() for c, v in self.axes.items()},
             "fixed": dict(self.fixed),
             "expanded_uncertainty": named(self.pose, self.expanded),
-            "worst": {c: dict(zip(("at", "expanded_uncertainty"), self.worst(c), strict=True))
-                      for c in self.pose},
-        }  # fmt: skip
+            "worst": self.over().to_dict()["worst"],
+        }
 
 
 def map_axes(model: Model) -> tuple[str, ...]:
