@@ -506,33 +506,9 @@ def _add_own(
     column = np.concatenate([work.slopes.column[k][part] for k, part in enumerate(parts)])
     known, place = np.unique(column, return_inverse=True)
     at = known - list(work.slopes.span.values())[c].start
-    if len(channel) ** 2 > len(known) * len(rows) * (len(known) + len(rows)):
-        _add_dense(stack, channel, place, at, precision, D, white, out)
-        return
     one = (place == np.arange(len(known))[:, None]).astype(float)  # (columns, rows)
     gram = (stack @ stack.swapaxes(1, 2)) * precision[channel[:, None], channel]
     white[:, at[:, None], at] += one @ gram @ one.T
     for spread in D[:, channel].swapaxes(1, 2):
         moved = one @ (spread * stack)
         out[:, at[:, None], at] += moved @ moved.swapaxes(1, 2)
-
-
-def _add_dense(
-    stack: np.ndarray,
-    channel: np.ndarray,
-    place: np.ndarray,
-    at: np.ndarray,
-    precision: np.ndarray,
-    D: np.ndarray,
-    white: np.ndarray,
-    out: np.ndarray,
-) -> None:
-    """Add the products of rows (blocks, rows, samples) whose parameters act on most channels each."""
-    blocks, _, samples = stack.shape
-    for b in range(blocks):
-        full = np.zeros((len(at), len(precision), samples))
-        full[place, channel] = stack[b]
-        metric = (precision @ full).reshape(len(at), -1)
-        white[b][at[:, None], at] += full.reshape(len(at), -1) @ metric.T
-        moved = np.einsum("iks,cks->cis", D[:, :, b], full, optimize=True).reshape(len(at), -1)
-        out[b][at[:, None], at] += moved @ moved.T
