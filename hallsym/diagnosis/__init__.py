@@ -9,22 +9,9 @@
 from hallsym.diagnosis.choose import model_on
 from hallsym.diagnosis.decoded_errors import errors_of
 from hallsym.diagnosis.engine import Examined, diagnose, examine, prepare
-from hallsym.diagnosis.injection import Injection, generator, injections, sized
 from hallsym.diagnosis.noise import noise_text
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.power import (
-    NO_EFFECT,
-    RATIOS,
-    REPEATS,
-    ROWS,
-    Bench,
-    CurvePoint,
-    DetectionPower,
-    Findable,
-    Trial,
-    clopper_pearson,
-    detection_power,
-)
+from hallsym.diagnosis.power import REPEATS, CurvePoint, DetectionPower, Findable, Trial, detection_power
 from hallsym.diagnosis.record import (
     Band,
     CurveShape,
@@ -37,18 +24,14 @@ from hallsym.diagnosis.record import (
     diagnosis_schema,
 )
 from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.simulated_machine import SimulatedMachine, machine_of, readings_of, simulated_noise
 from hallsym.diagnosis.validation import QUIET
 from hallsym.diagnosis.words import gap_text, gap_unit, place_unit
 from hallsym.families.user import load_effects
 from hallsym.inference import Estimate
 
 __all__ = [
-    "NO_EFFECT", "POLICY", "QUIET", "RATIOS", "REPEATS", "ROWS", "Band", "Base", "Bench",
-    "CurvePoint", "CurveShape", "DetectionPower", "Diagnosis", "Estimate", "Examined",
-    "Findable", "FoundEffect", "Injection", "Separation",
-    "Significance", "SimulatedMachine", "Statement", "Trial", "Unexplained", "clopper_pearson",
-    "detection_power", "diagnose", "diagnosis_schema", "errors_of", "examine", "gap_text", "gap_unit",
-    "generator", "injections", "load_effects", "machine_of", "model_on", "noise_text", "place_unit",
-    "prepare", "readings_of", "simulated_noise", "sized",
+    "POLICY", "QUIET", "REPEATS", "Band", "Base", "CurvePoint", "CurveShape", "DetectionPower",
+    "Diagnosis", "Estimate", "Examined", "Findable", "FoundEffect", "Separation", "Significance",
+    "Statement", "Trial", "Unexplained", "detection_power", "diagnose", "diagnosis_schema", "errors_of",
+    "examine", "gap_text", "gap_unit", "load_effects", "model_on", "noise_text", "place_unit", "prepare",
 ]  # fmt: skip

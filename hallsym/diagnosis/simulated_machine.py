@@ -130,7 +130,6 @@ class SimulatedNoise:
     coefficients: np.ndarray
     readings: np.ndarray
     reference: Mapping[str, float]
-    correlation: float
     ratio: float
     text: str
 
@@ -155,12 +154,11 @@ def simulated_noise(base: Base, runs: Sequence[int], stated: bool = True) -> Sim
     readings = np.array([base.sigma[c] for c in model.channels])
     if found is None:
         text = "white Gaussian noise of the size of the noise floor (the log is too short to tell more)"
-        return SimulatedNoise(np.zeros(0), readings, reference, 0.0, 1.0, text)
+        return SimulatedNoise(np.zeros(0), readings, reference, 1.0, text)
     return SimulatedNoise(
         coefficients=np.zeros(0) if found.white else np.array(found.coefficients),
         readings=readings * np.array([found.by_sensor[c] for c in model.channels]),
         reference={c: s * found.ratio for c, s in reference.items()},
-        correlation=0.0 if found.white else found.correlation,
         ratio=found.ratio,
         text=f"Gaussian, as the log has it: {noise_text(found, stated)}",
     )
