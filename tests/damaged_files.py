@@ -265,10 +265,15 @@ def targets() -> tuple[Target, ...]:
 def make_files(folder: Path) -> None:
     """Write the good files."""
     columns = columns_of()
-    for name in ("log.csv", "log.parquet", "log.h5", "log.mat"):
+    for name in ("log.csv", "log.parquet"):
         hallsym.write_log(columns, folder / name)
     import h5py
+    from scipy.io import savemat
 
+    savemat(folder / "log.mat", columns, do_compression=True)
+    with h5py.File(folder / "log.h5", "w") as file:
+        for name, values in columns.items():
+            file.create_dataset(name, data=values, chunks=True, fletcher32=True)
     with h5py.File(folder / "runs.h5", "w") as file:
         for run in np.unique(columns["run"]):
             for name, values in columns.items():

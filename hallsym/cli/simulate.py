@@ -24,9 +24,7 @@ def add(sub: Any) -> None:
         nargs="?",
         help="campaign file (default: the paper's campaign, or the example of the model's family)",
     )
-    parser.add_argument(
-        "-o", "--output", required=True, metavar="LOG", help="log to write: .parquet, .csv, .h5 or .mat"
-    )
+    parser.add_argument("-o", "--output", required=True, metavar="LOG", help="log to write: .parquet or .csv")
     parser.add_argument("--seed", type=seed, required=True, help="of noise and random zero deviations")
     parser.add_argument(
         "--values",

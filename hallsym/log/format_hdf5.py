@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -56,46 +54,6 @@ class Hdf5Source(Source):
     def _opened(self) -> Iterator[Any]:
         with load("h5py").File(self.path, "r") as file:
             yield file
-
-
-class Hdf5Writer:
-    """Writes one chunked dataset per column at the root, with a checksum of each chunk.
-
-    HDF5 may end the process when the disk is full, so each write first makes sure that there is space.
-    """
-
-    group_rows = 65_536
-
-    def __init__(self, path: Path) -> None:
-        """Open the file for writing."""
-        self.path = path
-        self._file = load("h5py").File(path, "w")
-        self._rows = self._chunk = 0
-
-    def write(self, columns: Mapping[str, Array]) -> None:
-        """Append rows."""
-        start, self._rows = self._rows, self._rows + len(next(iter(columns.values())))
-        self._chunk = self._chunk or max(1, min(self.group_rows, self._rows))
-        self._reserve((self._rows - start) * len(columns))
-        for name, values in columns.items():
-            if name not in self._file:
-                self._file.create_dataset(
-                    name, data=values, maxshape=(None,), chunks=(self._chunk,), fletcher32=True
-                )
-            else:
-                self._file[name].resize((self._rows,))
-                self._file[name][start:] = values
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def _reserve(self, values: int) -> None:
-        """Refuse (OSError) if there is no space for so many more values; they take whole chunks."""
-        need = 8 * (values + 2 * self._chunk * max(1, len(self._file))) + (1 << 20)
-        if hasattr(os, "posix_fallocate"):
-            with TemporaryFile(dir=self.path.parent) as stream:
-                os.posix_fallocate(stream.fileno(), 0, need)
 
 
 def _vectors(file: Any) -> tuple[Lengths, dict[str, str]]:

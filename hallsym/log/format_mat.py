@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -35,29 +34,6 @@ def open_mat(path: Path) -> Arrays | Hdf5Source:
             del source.columns[name]
     source.names = tuple(source.columns)
     return source
-
-
-class MatWriter:
-    """Collects columns and writes them on `close` as MATLAB v5 column vectors, compressed and so checked."""
-
-    group_rows = 1 << 20
-
-    def __init__(self, path: Path) -> None:
-        """Keep the path; MATLAB v5 can only be written whole."""
-        self.path = path
-        self._parts: list[Mapping[str, Array]] = []
-
-    def write(self, columns: Mapping[str, Array]) -> None:
-        """Append rows."""
-        self._parts.append(columns)
-
-    def close(self) -> None:
-        """Write the file."""
-        from scipy.io import savemat
-
-        names = self._parts[0] if self._parts else {}
-        columns = {name: np.concatenate([part[name] for part in self._parts]) for name in names}
-        savemat(self.path, columns, oned_as="column", do_compression=True)
 
 
 def _is_v73(path: Path) -> bool:

@@ -2,68 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from hallsym.errors import InputError, nearest
-from hallsym.log.format_csv import CsvSource, CsvWriter
-from hallsym.log.format_hdf5 import Hdf5Source, Hdf5Writer
-from hallsym.log.format_mat import MatWriter, open_mat
+from hallsym.log.format_csv import CsvSource
+from hallsym.log.format_hdf5 import Hdf5Source
+from hallsym.log.format_mat import open_mat
 from hallsym.log.format_mcap import open_mcap
 from hallsym.log.format_mdf import open_mdf
-from hallsym.log.format_parquet import ParquetSource, ParquetWriter
+from hallsym.log.format_parquet import ParquetSource
 from hallsym.log.format_tdms import open_tdms
 from hallsym.log.format_xlsx import open_workbook
 from hallsym.log.table import Source
-from hallsym.units import Array
-
-
-class Writer(Protocol):
-    """Writes chunks of columns to one file; `group_rows` is the chunk it likes."""
-
-    group_rows: int
-
-    def write(self, columns: Mapping[str, Array]) -> None:
-        """Append rows."""
-
-    def close(self) -> None:
-        """Finish the file."""
 
 
 @dataclass(frozen=True)
 class Format:
-    """A format's name, the suffixes that mean it, how to open it, what it is called and how to write it.
+    """A format's name, the suffixes that mean it, how to open it and what it is called.
 
-    `options`: what a reader may be told of it, by the names of `read_log`. `writer`: None for a format that
-    is only read.
+    `options`: what a reader may be told of it, by the names of `read_log`.
     """
 
     name: str
     suffixes: tuple[str, ...]
     open: Callable[..., Source]
     kind: str
-    writer: Callable[[Path], Writer] | None
     options: tuple[str, ...] = ()
 
 
 FORMATS = (
-    Format("parquet", (".parquet", ".pq"), ParquetSource, "Parquet", ParquetWriter),
-    Format("csv", (".csv", ".txt", ".tsv"), CsvSource, "CSV", CsvWriter, ("delimiter", "decimal")),
-    Format("hdf5", (".h5", ".hdf5"), Hdf5Source, "HDF5", Hdf5Writer),
-    Format("mat", (".mat",), open_mat, "MATLAB", MatWriter),
-    Format(
-        "xlsx",
-        (".xlsx", ".xlsm", ".xls", ".ods"),
-        open_workbook,
-        "workbook",
-        None,
-        ("sheet", "decimal"),
-    ),
-    Format("tdms", (".tdms",), open_tdms, "TDMS", None, ("clock",)),
-    Format("mdf", (".mf4", ".mdf"), open_mdf, "MDF", None, ("clock",)),
-    Format("mcap", (".mcap",), open_mcap, "MCAP", None, ("clock",)),
+    Format("parquet", (".parquet", ".pq"), ParquetSource, "Parquet"),
+    Format("csv", (".csv", ".txt", ".tsv"), CsvSource, "CSV", ("delimiter", "decimal")),
+    Format("hdf5", (".h5", ".hdf5"), Hdf5Source, "HDF5"),
+    Format("mat", (".mat",), open_mat, "MATLAB"),
+    Format("xlsx", (".xlsx", ".xlsm", ".xls", ".ods"), open_workbook, "workbook", ("sheet", "decimal")),
+    Format("tdms", (".tdms",), open_tdms, "TDMS", ("clock",)),
+    Format("mdf", (".mf4", ".mdf"), open_mdf, "MDF", ("clock",)),
+    Format("mcap", (".mcap",), open_mcap, "MCAP", ("clock",)),
 )
 
 

@@ -13,7 +13,9 @@ from hallsym.errors import InputError, quoted
 from hallsym.files import reason, replacing
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log
-from hallsym.log.formats import COMPRESSED, Writer, format_of
+from hallsym.log.format_csv import CsvWriter
+from hallsym.log.format_parquet import ParquetWriter
+from hallsym.log.formats import COMPRESSED, format_of
 from hallsym.log.table import joined
 from hallsym.units import Array, si_name, to_si
 
@@ -30,13 +32,12 @@ class LogWriter:
     def __init__(self, path: str | Path) -> None:
         """Choose the format; nothing is written before the `with` block."""
         self.path = Path(path)
-        self._format = format_of(self.path)
-        if self._format.writer is None or self.path.suffix == COMPRESSED:
+        name = format_of(self.path).name
+        if name not in ("csv", "parquet") or self.path.suffix == COMPRESSED:
             raise InputError(
-                f"Logs are not written as {self.path.suffix}; end {quoted(self.path)} with .parquet, .csv,"
-                " .h5 or .mat."
+                f"Logs are not written as {self.path.suffix}; end {quoted(self.path)} with .parquet or .csv."
             )
-        self._make = self._format.writer
+        self._make = CsvWriter if name == "csv" else ParquetWriter
         self._waiting: list[dict[str, Array]] = []
         self._rows = 0
         self._names: tuple[str, ...] | None = None
@@ -47,7 +48,7 @@ class LogWriter:
         self._temporary = self._target.__enter__()
         try:
             with self._reported():
-                self._writer: Writer = self._make(self._temporary)
+                self._writer = self._make(self._temporary)
         except BaseException:
             self._abandon()
             raise
@@ -105,8 +106,6 @@ class LogWriter:
             yield
         except OSError as error:
             raise InputError(f"Cannot write {self.path}: {reason(error)}.") from error
-        except RuntimeError as error:  # h5py, on closing a file it could not extend
-            raise InputError(f"Cannot write {self.path}: {' '.join(str(error).split())}.") from error
 
     def _abandon(self) -> None:
         """Close what is open and let `replacing` remove the temporary file."""

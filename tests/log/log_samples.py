@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
+import h5py
 import numpy as np
+from scipy.io import savemat
+
+from hallsym.log import write_log
 
 STAGE = ("run", "t_s", "hall_a_m", "hall_b_m", "z_m", "x_ref_m", "y_ref_m", "rz_ref_rad")
 
@@ -23,3 +30,15 @@ def stage_arrays(runs: int = 4, samples: int = 400, seed: int = 0) -> dict[str, 
 def one_sentence(message: str) -> bool:
     """A message for a person: one line, ends with a full stop, not a traceback."""
     return "\n" not in message and message.endswith(".") and 20 < len(message) < 500
+
+
+def save(columns: Mapping[str, np.ndarray], path: Path) -> None:
+    """Write a log, in a format that is only read by its own library."""
+    if path.suffix == ".h5":
+        with h5py.File(path, "w") as file:
+            for name, values in columns.items():
+                file.create_dataset(name, data=values, chunks=True, fletcher32=True)
+    elif path.suffix == ".mat":
+        savemat(path, dict(columns), oned_as="column", do_compression=True)
+    else:
+        write_log(columns, path)

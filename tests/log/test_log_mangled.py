@@ -169,7 +169,7 @@ def test_a_remembered_name_in_another_unit_is_asked_about(tmp_path: Path) -> Non
     )
 
 
-@pytest.mark.parametrize("name", ["log.xlsx", "log.csv.gz"])
+@pytest.mark.parametrize("name", ["log.xlsx", "log.h5", "log.mat", "log.csv.gz"])
 def test_what_is_only_read_is_not_written(tmp_path: Path, columns: dict[str, np.ndarray], name: str) -> None:
     with pytest.raises(InputError, match=r"not written as .*end .* with \.parquet"):
         hallsym.write_log(columns, tmp_path / name)

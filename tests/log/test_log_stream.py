@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from log_samples import stage_arrays
+from log_samples import save, stage_arrays
 
 from hallsym.errors import InputError
 from hallsym.log import (
@@ -44,7 +44,7 @@ SUFFIXES = (".parquet", ".csv", ".h5")
 @pytest.mark.parametrize("size", [7, 333, 65_536])
 def test_streamed_blocks_equal_the_arrays(tmp_path: Path, suffix: str, size: int) -> None:
     arrays = stage_arrays()
-    write_log(arrays, tmp_path / f"log{suffix}")
+    save(arrays, tmp_path / f"log{suffix}")
     log = read_log(tmp_path)
     assert not log.table.in_memory
     blocks = list(log.blocks(["x_ref_m", "run", "hall_a_m"], size=size))
@@ -65,7 +65,7 @@ def test_checks_do_not_depend_on_streaming(
     arrays["hall_a_m"][[3, 777]] = np.nan
     arrays["t_s"][900] = 0.0
     arrays["x_ref_m"][500:530] = arrays["x_ref_m"][500]
-    write_log(arrays, tmp_path / f"log{suffix}")
+    save(arrays, tmp_path / f"log{suffix}")
     held = clean_log(read_log(tmp_path))
     nothing_in_memory(monkeypatch)
     streamed = clean_log(read_log(tmp_path))

@@ -14,14 +14,9 @@ from log_samples import one_sentence, stage_arrays
 
 from hallsym.errors import InputError
 from hallsym.files import atomic_write
-from hallsym.log import LogWriter, format_csv, format_hdf5, format_mat, format_parquet, read_log, write_log
+from hallsym.log import LogWriter, format_csv, format_parquet, read_log, write_log
 
-WRITERS = {
-    ".parquet": format_parquet.ParquetWriter,
-    ".csv": format_csv.CsvWriter,
-    ".h5": format_hdf5.Hdf5Writer,
-    ".mat": format_mat.MatWriter,
-}
+WRITERS = {".parquet": format_parquet.ParquetWriter, ".csv": format_csv.CsvWriter}
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
