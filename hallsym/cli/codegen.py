@@ -1,18 +1,16 @@
 """`hallsym codegen`: a calibration as C for the controller."""
 
-from argparse import ArgumentTypeError, Namespace
+from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
 from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import column_numbers, column_ranges, command, say
 from hallsym.codegen import Generated, generate
-from hallsym.codegen.float_backend import KINDS
 from hallsym.codegen.folder import name_of
 from hallsym.codegen.generation import sha256
 from hallsym.codegen.lowering.correction import KINDS as CORRECTIONS
 from hallsym.codegen.naming import PREFIX
-from hallsym.errors import quoted
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.units import fitting, readable
 
@@ -67,23 +65,11 @@ def add(sub: Any) -> None:
     )
     parser.add_argument("--double", action="store_true", help="double instead of float, for hosts")
     parser.add_argument(
-        "--jacobian", nargs="?", const="reading", metavar="KIND", type=_kinds,
-        help="with slopes of the pose, for Kalman filters and observers: KIND is reading (default), state "
-        "or reading,state",
-    )  # fmt: skip
+        "--jacobian", action="store_true", help="with slopes of the pose by the readings, for Kalman filters"
+    )
     parser.add_argument(
         "--allow-undetermined", action="store_true", help="use values that the log does not determine"
     )
-
-
-def _kinds(text: str) -> str:
-    """Return the kinds of slopes; whatever else stands after the option is no value of it."""
-    if not set(text.split(",")) <= set(KINDS):
-        raise ArgumentTypeError(
-            f"takes {', '.join(KINDS)} or {','.join(KINDS)}; instead received {quoted(text)}: write "
-            f"--jacobian={KINDS[0]} where another argument follows"
-        )
-    return text
 
 
 def run(options: Namespace) -> int:

@@ -80,10 +80,12 @@ def run(options: Namespace) -> int:
     _check(options)
     if options.points_file and Path(options.points_file).suffix.lower() == ".json":
         return _saved(options)
-    choice = _choice(options)
+    choice, notes = _choice(options)
     written = _write(choice.curve, options)
-    record = choice.to_dict() | _shape(choice.curve) | {"written": [str(path) for path in written]}
-    say(options, record, lambda: f"{choice_text(choice)}\n{_shape_text(record)}", wrote=written)
+    record = (
+        choice.to_dict() | _shape(choice.curve) | {"written": [str(path) for path in written], "notes": notes}
+    )
+    say(options, record, lambda: f"{choice_text(choice)}\n{_shape_text(record)}", notes=notes, wrote=written)
     return OK
 
 
@@ -138,7 +140,8 @@ def about_curve(curve: "Curve") -> tuple[dict[str, Any], str]:
     return record, f"{said}\n{_shape_text(record)}"
 
 
-def _choice(options: Namespace) -> "Choice":
+def _choice(options: Namespace) -> tuple["Choice", list[str]]:
+    """Return the curve that is chosen, and what has to be said about the file of points."""
     from hallsym.trajectory import choose_curve, nominal, read_points
     from hallsym.trajectory.nominal import read_span, read_value
 
@@ -150,10 +153,11 @@ def _choice(options: Namespace) -> "Choice":
         data = nominal(options.curve, read_span(options.range), dict(pairs))
     else:
         data = read_points(options.points_file)
-    return choose_curve(
+    choice = choose_curve(
         data, _length(options, "tolerance"), points=options.points, control=options.control,
         method=options.method, progress=progress_of(options),
     )  # fmt: skip
+    return choice, list(getattr(data, "notes", ()))
 
 
 def _length(options: Namespace, name: str) -> float | None:

@@ -30,8 +30,6 @@ from hallsym.codegen.decoupler import Array, Decoupler, Entry, Step, short, step
 from hallsym.codegen.float_c import Real, shared_steps, statements
 from hallsym.codegen.naming import commented, identifier
 from hallsym.codegen.templates import lines_of
-from hallsym.errors import InputError, quoted
-from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 
 M4 = "-mcpu=cortex-m4 -mthumb"
@@ -45,44 +43,16 @@ UNIONS = ["misra-c2012-19.2:src/decoupler.c", "misra-c2012-19.2:src/decoupler_ch
 FRAGMENTS = "float/fragments/"
 
 
-KINDS = ("reading", "state")
-"""Inputs by which the pose can be differentiated."""
-
-
-def kinds_of(given: bool | str, model: Model) -> tuple[str, ...]:
-    """Return the kinds of slopes that are asked for: True stands for readings, a text may list several.
-
-    Raises `InputError` for others, and for the state of a model that has none.
-    """
-    wanted = given.split(",") if isinstance(given, str) else KINDS[:given]
-    for name in wanted:
-        if name not in KINDS:
-            raise InputError(
-                f"--jacobian takes {', '.join(KINDS)} or both with a comma between; instead received "
-                f"{quoted(name)}."
-            )
-    if "state" in wanted and not model.state:
-        raise InputError(f"--jacobian state: model {model.name} reads no state; leave it out.")
-    return tuple(kind for kind in KINDS if kind in wanted)
-
-
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Slopes of the pose of a decoupler by the columns of some kinds of input."""
+    """Slopes of the pose of a decoupler by the readings."""
 
     d: Decoupler
-    kinds: tuple[str, ...]
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Inputs by which the pose is differentiated."""
-        by_kind = {"reading": self.d.model.channels, "state": self.d.model.state}
-        return tuple(column for kind in self.kinds for column in by_kind[kind])
 
     @cached_property
     def expressions(self) -> dict[str, ca.SX]:
         """By name: `x_hall_a`, by CasADi's differentiation of the printed expressions."""
-        d, columns = self.d, self.columns
+        d, columns = self.d, self.d.model.channels
         jacobian = ca.jacobian(d.folded, ca.vertcat(*(d.symbols[c] for c in columns)))
         flat = [jacobian[i, k] for i in range(len(d.pose)) for k in range(len(columns))]
         names = [f"{short(c)}_{short(m)}" for c in d.pose for m in columns]
@@ -105,7 +75,7 @@ class Slopes:
 
     def records(self) -> list[dict[str, Any]]:
         """Return what templates say of each slope."""
-        pairs = [(c, m) for c in self.d.pose for m in self.columns]
+        pairs = [(c, m) for c in self.d.pose for m in self.d.model.channels]
         return [
             {"name": name, "index": k, "unit": f"{unit(c)}/{unit(m)}", "of": commented(c), "by": commented(m)}
             for k, (name, (c, m)) in enumerate(zip(self.expressions, pairs, strict=True))
@@ -113,14 +83,8 @@ class Slopes:
 
     def fields(self) -> dict[str, str]:
         """Return what templates say of all of them."""
-        plural = {"reading": "readings", "state": "state"}
         units = dict.fromkeys(record["unit"] for record in self.records())
-        return {
-            "quantity": self.d.quantity,
-            "by_kinds": " and ".join(f"the {plural[kind]}" for kind in self.kinds),
-            "by_kind": ", ".join(f"d {self.d.quantity} / d {kind}" for kind in self.kinds),
-            "slope_units": ", ".join(units),
-        }
+        return {"quantity": self.d.quantity, "slope_units": ", ".join(units)}
 
     def of(self, held: np.ndarray) -> np.ndarray:
         """Return the slopes (n, s) in double of inputs (n_inputs, s) in their ranges."""
@@ -139,11 +103,11 @@ class FloatBackend(Backend):
     """A decoupler in float or double.
 
     IEEE 754 leaves no freedom to +, -, *, / and comparisons that round to nearest one by one, so numpy
-    computes the same bits as C. `jacobian`: kinds of input by which the pose is differentiated, of `KINDS`.
+    computes the same bits as C. `jacobian`: with the slopes of the pose by the readings.
     """
 
     real: Real
-    jacobian: tuple[str, ...] = ()
+    jacobian: bool = False
 
     tree: ClassVar[str] = "float"
     hashed: ClassVar[tuple[int, int]] = (4096, 1_000_000)
@@ -366,7 +330,7 @@ class FloatBackend(Backend):
     @cached_property
     def slopes(self) -> Slopes:
         """The slopes that `decoupler_jacobian()` gives."""
-        return Slopes(self.decoupler, self.jacobian)
+        return Slopes(self.decoupler)
 
     def _if_jacobian(self, fragment: str, fields: Mapping[str, Any] | None = None) -> list[str]:
         return lines_of(FRAGMENTS + fragment, fields or {}) if self.jacobian else []

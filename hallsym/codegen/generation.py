@@ -14,7 +14,7 @@ from hallsym.codegen.backend import Backend
 from hallsym.codegen.bounds import LEAST_GAIN, Bounds, pose_bounds
 from hallsym.codegen.box import box_of, shortened
 from hallsym.codegen.decoupler import Box, Decoupler, short, steps_on_arrays
-from hallsym.codegen.float_backend import FloatBackend, kinds_of
+from hallsym.codegen.float_backend import FloatBackend
 from hallsym.codegen.float_c import DOUBLE, FLOAT, Real
 from hallsym.codegen.folder import entries_of, record_of, replace_params, write_folder
 from hallsym.codegen.folder import options_of as options_before
@@ -95,7 +95,7 @@ def generate(
     arithmetic: str | None = None,
     ranges: Mapping[str, tuple[float, float]] | None = None,
     double: bool = False,
-    jacobian: bool | str = False,
+    jacobian: bool = False,
     accuracy: float | None = None,
     correction: str | None = None,
     allow_undetermined: bool = False,
@@ -107,7 +107,7 @@ def generate(
 
     `arithmetic`: "float" (default), or "q31" for 32-bit integers, where a controller has no floating-point
     unit. `ranges`: least and greatest value by column [SI] in place of what the log recorded. `double`: for
-    hosts. `jacobian`: with `decoupler_jacobian()`, by "reading" (True), "state", or "reading,state". Models
+    hosts. `jacobian`: with `decoupler_jacobian()`, the slopes of the pose by the readings. Models
     of an angle: `accuracy` is what the correction of it may leave besides rounding [rad], default 3e-8, of
     integers 1e-5; `correction` is "series", "table", or "auto" for the one of fewer bytes. Magnet arrays:
     `accuracy` is what harmonics and polynomials may leave of a place [m]. `name`: prefix of symbols and
@@ -137,14 +137,13 @@ def generate(
         "correction": chosen.get("correction") if correction is None else correction,
     }
     if arithmetic == "q31":
-        for option, unwanted in (("double", double), ("jacobian", bool(jacobian))):
+        for option, unwanted in (("double", double), ("jacobian", jacobian)):
             if unwanted:
                 raise InputError(f"--{option} belongs to --arithmetic float; leave it out, or the integers.")
         backend: Backend = _integers(fit, record, box, given, chosen.get("plan"), ranges or {})
     else:
-        jacobian = jacobian or str(chosen.get("jacobian", "")) or False
         real = DOUBLE if double else FLOAT
-        backend = _floats(fit, record, box, given, real, kinds_of(jacobian, fit.model))
+        backend = _floats(fit, record, box, given, real, jacobian or "jacobian" in chosen)
     errors = backend.errors()
     notes = (
         *notes_of(fit),
@@ -167,7 +166,7 @@ def _floats(
     box: Box,
     given: Mapping[str, Any],
     real: Real,
-    jacobian: tuple[str, ...],
+    jacobian: bool,
 ) -> FloatBackend:
     found = lower(fit, box, **given)
     _check_names(found)
@@ -176,7 +175,7 @@ def _floats(
             f"--jacobian is not generated for {found.model.name} of the family {found.model.family}, whose "
             "rounding is bounded by an argument of its own that does not cover slopes; leave it out."
         )
-    variant = {"jacobian": ",".join(jacobian)} if jacobian else {}
+    variant = {"jacobian": "reading"} if jacobian else {}
     record = {**record, **_recorded({**found.options, **variant}, given)}
     backend = FloatBackend(found, record, real, jacobian)
     check_gains(backend.bounds)

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from hallsym.diagnosis.facts import facts_of
+from hallsym.diagnosis.faults import faults
 from hallsym.diagnosis.normal_equations import slope_of
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Significance
@@ -307,6 +308,8 @@ class Selection:
     not_testable: dict[str, str] = field(default_factory=dict)
     screened: list[Screened] = field(default_factory=list)
     last: list[Score] = field(default_factory=list)
+    of_values: float = 0.0
+    """Share of the gap that the values of the readings make, as steps do: no effect can take it away."""
 
     @property
     def runs(self) -> list[int]:
@@ -353,7 +356,7 @@ class Selection:
         if beside == self.setup.base.model.family.most_effects or (beside and not self.needed()):
             return False
         level = self.setup.threshold * (policy.half if certain and not beside else 1.0)
-        return score.p_value < policy.false_alarm and score.ratio <= 1 - level
+        return score.p_value < policy.false_alarm and max(score.ratio, np.sqrt(self.of_values)) <= 1 - level
 
     def needed(self) -> bool:
         """Return whether what is left may hold another effect: it is above the floor, or that is unknown."""
@@ -376,6 +379,8 @@ class Selection:
         """Screen the catalogue at `at`, for noise that forgets after so many samples; None: as it seems."""
         found = survey(at.base, self.runs)
         facts = facts_of(at.base, found)
+        told = faults(at.base, found, self.setup.tested)
+        self.of_values = sum(f.power for f in told if f.record.of_values)
         tried, trouble = candidates(at.base, self.setup.catalogue, facts)
         screen = Screen(
             at.base, tried, self.runs, self.policy.inflation, colour=found.colour, remembers=remembers

@@ -311,6 +311,10 @@ LINE = searched(
 )  # fmt: skip
 
 
+WARM = "warm up and cool down, so that temperature is not a function of time"
+AGAIN = "the first run again at the end; log the temperature"
+
+
 def temperature_drift(name: str, meaning: str, follow: Follow, *, per: bool = False, **about: Any) -> Effect:
     """Return the effect that gains or offsets follow the logged temperature; `about` as for `effect`.
 
@@ -324,7 +328,7 @@ def temperature_drift(name: str, meaning: str, follow: Follow, *, per: bool = Fa
     def drift_per(model: Model, per: str = _per(""), mean_degc: float = mean) -> Model:
         return follow(model, name, with_temperature(mean_degc), per == "all")
 
-    about |= {"needs": ("temperature_degc",), "label": "linear"}
+    about = {"separate": WARM, "needs": ("temperature_degc",), "label": "linear"} | about
     return effect(link="transducer", name=name, meaning=meaning, **about)(drift_per if per else drift)
 
 
@@ -366,6 +370,7 @@ def time_drift(
     ) -> Model:
         return follow(model, name, over_time(duration_s, degree, settling_s), per == "all")
 
+    about = {"separate": AGAIN} | about
     return effect(link="transducer", name=name, meaning=meaning, **about)(drift_per if per else drift)
 
 

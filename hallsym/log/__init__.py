@@ -12,7 +12,7 @@ from hallsym.log.noise import Noise, Sigma, check_noise_keys
 from hallsym.log.phase import continuous, near, unwrapped, wrapped
 from hallsym.log.quality.check import check_log, clean_log, on_rails, spans, usable
 from hallsym.log.quality.findings import Fault
-from hallsym.log.quality.scan import Span, Spans
+from hallsym.log.quality.scan import Span
 from hallsym.log.read import as_log, open_source, read_log
 from hallsym.log.write import LogWriter, write_log
 
@@ -30,7 +30,6 @@ __all__ = [
     "Noise",
     "Sigma",
     "Span",
-    "Spans",
     "Weigh",
     "as_log",
     "batches",

@@ -75,7 +75,6 @@ class Onward:
     """Lets a time of day go on after midnight, chunk by chunk."""
 
     def __init__(self) -> None:
-        """Begin on the first day."""
         self._last, self._days = 0.0, 0.0
 
     def __call__(self, seconds: Array) -> Array:

@@ -145,7 +145,6 @@ class RunOrder:
     """Splits run columns into runs along one pass and refuses a run that comes back."""
 
     def __init__(self, where: str) -> None:
-        """Start a pass over the log that messages call `where`."""
         self.where = where
         self.current: int | None = None
         self._seen: set[int] = set()

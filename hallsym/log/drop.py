@@ -52,7 +52,6 @@ class Keep:
     """The filter of one pass: returns the rows of a piece to keep; remembers how far time has come."""
 
     def __init__(self, drop: Drop) -> None:
-        """Start a pass at the first row of the log."""
         self.drop = drop
         self._run: int | None = None
         self._latest = -np.inf

@@ -47,7 +47,6 @@ class CsvSource(Source):
         file: Callable[[], IO[bytes]] | None = None,
         sheet: str = "",
     ) -> None:
-        """Recognise what the file is."""
         self.path, self.where = path, quoted(path)
         self.file = Encoded.of(file or path)
         self.dialect: Dialect = sniffed(self.file, self.where, delimiter, decimal)
@@ -57,7 +56,14 @@ class CsvSource(Source):
         bytes_read = path.stat().st_size * (COMPRESSED if self.file.compressed else 1)
         self.small = file is not None or bytes_read <= IN_MEMORY_BYTES
         self.recognised = self.dialect.said(sheet)
-        self.notes = self._notes()
+        about = [
+            said_of_times(self.dialect.names[at], self.where, form.said) for at, form in self.times.items()
+        ]
+        if not self.dialect.usual:
+            about.append(f"{self.where} is read as {self.recognised}.")
+        if not (self.dialect.footer or end_of(self.file, 8).endswith(("\n", "\r"))):
+            about.append(_TORN.format(self.where))
+        self.notes = tuple(about)
         self._rows: int | None = None
 
     def _name_the_time(self) -> None:
@@ -72,19 +78,6 @@ class CsvSource(Source):
         self.aliases |= {old: TIME} | {
             long: TIME for long, short in self.dialect.aliases.items() if short == old
         }
-
-    def _notes(self) -> tuple[str, ...]:
-        return (*self._about_times(), *self._about_text())
-
-    def _about_times(self) -> tuple[str, ...]:
-        return tuple(
-            said_of_times(self.dialect.names[at], self.where, form.said) for at, form in self.times.items()
-        )
-
-    def _about_text(self) -> tuple[str, ...]:
-        said = () if self.dialect.usual else (f"{self.where} is read as {self.recognised}.",)
-        whole = self.dialect.footer or end_of(self.file, 8).endswith(("\n", "\r"))
-        return said if whole else (*said, _TORN.format(self.where))
 
     def count(self) -> int:
         """Return the number of rows; before the first read the lines are counted."""
@@ -170,7 +163,6 @@ class CsvWriter:
     group_rows = 16_384
 
     def __init__(self, path: Path) -> None:
-        """Open the file for writing."""
         self._stream = open(path, "w", encoding="utf-8", newline="")  # noqa: SIM115 (closed by close)
         self._delimiter = "\t" if path.suffix == ".tsv" else ","
         self._started = False
@@ -208,13 +200,9 @@ def first_fault(source: CsvSource, indices: Sequence[int], error: Exception) -> 
             )
         for index in (k for k in indices if k not in source.times):
             cell = cells[index].strip()
-            if as_float(cell, _clean_numbers(dialect)) is None:
+            if as_float(cell, Convention(decimal_of(dialect))) is None:
                 return _bad_cell(source, number, dialect.names[index], cell)
     return InputError(f"{source.where} cannot be read as CSV ({' '.join(str(error).split())[:120]}).")
-
-
-def _clean_numbers(dialect: Dialect) -> Convention:
-    return Convention(decimal_of(dialect))
 
 
 def _bad_cell(source: CsvSource, number: int, name: str, cell: str) -> InputError:

@@ -28,7 +28,6 @@ class Hdf5Source(Source):
     """
 
     def __init__(self, path: Path) -> None:
-        """Look which vectors the file holds."""
         self.path = path
         with self._opened() as file:
             lengths, unusable = _vectors(file)

@@ -51,9 +51,7 @@ def open_mcap(path: Path, clock: str | None = None) -> GroupedSource:
             elif rows:
                 schema = summary.schemas[channel.schema_id]
                 groups.append(Topic(path, topic, rows, schema, origin, left_out))
-    source = GroupedSource(where, "MCAP", groups, clock)
-    source.left_out = {**left_out, **source.left_out}
-    return source
+    return GroupedSource(where, "MCAP", groups, left_out, clock)
 
 
 @contextmanager

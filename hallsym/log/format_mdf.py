@@ -25,9 +25,7 @@ def open_mdf(path: Path, clock: str | None = None) -> GroupedSource:
         titles = [_title(file.groups[k], k) for k in filled]
         names = [t if titles.count(t) == 1 else f"{t} {k}" for t, k in zip(titles, filled, strict=True)]
         groups = [MdfGroup(path, name, k, file, left_out) for name, k in zip(names, filled, strict=True)]
-    source = GroupedSource(quoted(path), "MDF", groups, clock)
-    source.left_out = {**left_out, **source.left_out}
-    return source
+    return GroupedSource(quoted(path), "MDF", groups, left_out, clock)
 
 
 @contextmanager

@@ -33,7 +33,6 @@ class ParquetSource(Source):
     """Columns of one Parquet file; a large one is decoded batch by batch. Times are in seconds."""
 
     def __init__(self, path: Path) -> None:
-        """Read the footer, and where columns of times begin."""
         self.path = path
         self.origins: dict[str, int] = {}
         with self._opened() as file:
@@ -112,7 +111,6 @@ class ParquetWriter:
     group_rows = 131_072
 
     def __init__(self, path: Path) -> None:
-        """Keep the path; the first rows give the schema."""
         self.path = path
         self._arrow, self._parquet = load("pyarrow"), load("pyarrow.parquet")
         self._file: Any = None

@@ -40,9 +40,7 @@ def open_tdms(path: Path, clock: str | None = None) -> GroupedSource:
         origin = min((g.start for g in found if g.start is not None), default=None)
         for member in found:
             member.count_from(origin, file, window)
-    source = GroupedSource(where, "TDMS", found, clock)
-    source.left_out = {**left_out, **source.left_out}
-    return source
+    return GroupedSource(where, "TDMS", found, left_out, clock)
 
 
 @contextmanager

@@ -26,10 +26,19 @@ SHOWN_GROUPS = 4
 class GroupedSource(Source):
     """One table of the groups of a file."""
 
-    def __init__(self, where: str, kind: str, groups: Sequence[Group], clock: str | None = None) -> None:
+    def __init__(
+        self,
+        where: str,
+        kind: str,
+        groups: Sequence[Group],
+        left_out: Mapping[str, str],
+        clock: str | None = None,
+    ) -> None:
         """Arrange groups of a `kind` ("TDMS") of the file that messages call `where`."""
         self.where = where
-        self.left_out: dict[str, str] = {g.name: "it holds one sample" for g in groups if g.rows == 1}
+        self.left_out: dict[str, str] = {**left_out} | {
+            g.name: "it holds one sample" for g in groups if g.rows == 1
+        }
         filled = [g for g in groups if g.channels and g.rows > 1]
         if not filled:
             raise InputError(

@@ -23,9 +23,9 @@ class Guarded(Source):
 
     path: Path
 
-    def __init__(self, path: Path, open: Callable[[Path], Source], fault: str, remedy: str) -> None:
+    def __init__(self, path: Path, open: Callable[[Path], Source], fault: str) -> None:
         """Open the file: its names, rows and what is left out are known then."""
-        self.path, self.fault, self.remedy = path, fault, remedy
+        self.path, self.fault = path, fault
         with self._reading():
             self.inner = open(path)
             self.names, self.small = tuple(self.inner.names), self.inner.small
@@ -42,7 +42,7 @@ class Guarded(Source):
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns, each of shape (rows,)."""
-        self._check_rows()
+        self._possible(getattr(self.inner, "rows", 0))
         with self._reading():
             columns = self.inner.read(names)
         return self._judged(names, columns)
@@ -54,13 +54,13 @@ class Guarded(Source):
 
     def labels(self, name: str) -> list[str]:
         """Return a column of names, as text."""
-        self._check_rows()
+        self._possible(getattr(self.inner, "rows", 0))
         with self._reading():
             return self.inner.labels(name)
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most about `size` rows."""
-        self._check_rows()
+        self._possible(getattr(self.inner, "rows", 0))
         pieces = self.inner.chunks(names, size)
         while True:
             with self._reading():
@@ -70,7 +70,7 @@ class Guarded(Source):
             yield self._judged(names, piece)
 
     def _reading(self) -> AbstractContextManager[None]:
-        return reading(self.path, "Log", self.fault, self.remedy)
+        return reading(self.path, "Log", self.fault, "copy it again")
 
     def _check_names(self) -> None:
         known: set[str] = set()
@@ -84,10 +84,6 @@ class Guarded(Source):
             raise InputError(
                 f"Column run of {quoted(self.path)} cannot be used: {self.left_out[RUN]}; write it again."
             )
-
-    def _check_rows(self) -> None:
-        """Judge the rows that the file says it has, where it says so before it is read."""
-        self._possible(getattr(self.inner, "rows", 0))
 
     def _possible(self, rows: int) -> int:
         if not 0 <= rows <= MOST_ROWS:

@@ -173,7 +173,7 @@ def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> S
     if "delimiter" in options:
         options["delimiter"] = stated_delimiter(options["delimiter"])
     fault = f"must be a complete {entry.kind} file; it is cut short or damaged"
-    source = Guarded(file, partial(entry.open, **options), fault, "copy it again")
+    source = Guarded(file, partial(entry.open, **options), fault)
     source.read_with = {**({"format": format} if format else {}), **options}
     return source
 

@@ -96,7 +96,6 @@ class Arrays(Source):
     small = True
 
     def __init__(self, columns: Mapping[str, Array]) -> None:
-        """Take the arrays as they are."""
         self.columns = dict(columns)
         self.names = tuple(self.columns)
         self.rows = len(next(iter(self.columns.values()), ()))
@@ -134,7 +133,9 @@ class Table:
         if self.in_memory:
             yield self._hold(columns)
             return
-        sources = [self.bindings[name].source for name in columns if name in self.bindings] or [self._any()]
+        sources = [self.bindings[name].source for name in columns if name in self.bindings] or [
+            self.source.names[0]
+        ]
         for raw in self.source.chunks(sources, size):
             yield self._convert(columns, raw)
 
@@ -175,9 +176,6 @@ class Table:
         """Return how many counts of the file make a turn, for an angle in counts."""
         return self.bindings[column].counts_per_turn if column in self.bindings else None
 
-    def _any(self) -> str:
-        return self.source.names[0]
-
     def _hold(self, columns: Sequence[str]) -> Piece:
         new = [name for name in columns if name not in self._held]
         if new:
@@ -200,7 +198,6 @@ class View:
     """A table whose samples are seen in another way; all else is the table's own."""
 
     def __init__(self, table: TableLike) -> None:
-        """Look at `table`."""
         self.table = table
 
     def __getattr__(self, name: str) -> Any:
@@ -218,7 +215,6 @@ class Filtered(View):
     """
 
     def __init__(self, table: TableLike, needs: Sequence[str], make: Callable[[], RowFilter]) -> None:
-        """Put a filter before a table."""
         super().__init__(table)
         self.needs, self.make = tuple(needs), make
         self._rows: int | None = None

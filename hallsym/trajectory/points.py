@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, quoted
 from hallsym.reading import read_text, reading
 from hallsym.trajectory.factorisation import check_increasing
 from hallsym.trajectory.nominal import COORDINATES
@@ -27,6 +27,8 @@ class Points:
     points: Array
     coordinates: tuple[str, ...]
     name: str = "points"
+    notes: tuple[str, ...] = ()
+    """What has to be said about the file."""
 
     @property
     def shares(self) -> Array:
@@ -100,12 +102,17 @@ def read_points(path: str | Path) -> Points:
         [[_cell(row, k, number, names, path) for k in range(len(names))] for number, row in numbered]
     )
     parameter = [k for k, c in enumerate(columns) if c[0] == "t"]
-    return points_of(
+    made = points_of(
         table[:, order] * np.array([columns[k][1] for k in order]),
         table[:, parameter[0]] if parameter else None,
         tuple(columns[k][0] for k in order),
         path.name,
     )
+    torn = (
+        f"the last line of {quoted(path.name)} does not end with a newline: if the file was cut short, its "
+        "last point is wrong."
+    )
+    return made if text.endswith(("\n", "\r")) else replace(made, notes=(torn,))
 
 
 def _column(name: str, path: Path) -> tuple[str, float]:

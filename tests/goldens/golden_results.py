@@ -109,7 +109,7 @@ def diagnosis_of(name: str) -> Any:
 
 CODE: dict[str, tuple[str, tuple[str, ...]]] = {
     "stage31": ("stage31", ()),
-    "stage31_slopes": ("stage31", ("--jacobian", "reading,state")),
+    "stage31_slopes": ("stage31", ("--jacobian",)),
     "stage31_q31": ("stage31", ("--arithmetic", "q31")),
     "rotary_volts": ("rotary_volts", ()),
     "rotary_angle": ("rotary_angle", ()),

@@ -21,7 +21,6 @@ class Cleaner:
     """Takes out of lines what is no cell: comments, empty lines, quotes, blanks, separators of thousands."""
 
     def __init__(self, dialect: Dialect) -> None:
-        """Choose the steps that a file needs."""
         self.steps: list[Callable[[bytes], bytes]] = [_without_empty, *_without_comments(dialect)]
         if dialect.quoted == "inside":
             self.steps.append(_unquoting(dialect))

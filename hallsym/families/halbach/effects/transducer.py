@@ -22,8 +22,6 @@ from hallsym.model import Facts, Model, Parameter, Signals, Way, effect
 from hallsym.model.arguments import Try, found, one_of
 from hallsym.model.derived import rate
 
-WARM = "warm up and cool down, so that temperature is not a function of time"
-AGAIN = "the first run again at the end; log the temperature"
 BEND = 1.0
 """Reading [V] at which relative non-linearities are stated."""
 HEIGHTS = Way("the same sweep at several gaps", "an offset stays, a gain follows the field")
@@ -146,17 +144,15 @@ def offsets_follow(model: Model, effect: str, functions: Functions, shared: bool
 
 gain_temperature_drift = temperature_drift(
     "gain_temperature_drift", "Gains, or magnets, follow the logged temperature.", gains_follow, per=True,
-    separate=WARM,
 )  # fmt: skip
 offset_temperature_drift = temperature_drift(
     "offset_temperature_drift", "Offsets follow the logged temperature.", offsets_follow, per=True,
-    separate=WARM,
 )  # fmt: skip
 gain_time_drift = time_drift(
     "gain_time_drift", "Gains, or magnets, drift smoothly over the campaign.", gains_follow, (16, 5),
-    per=True, separate=AGAIN, needs=("t_s",),
+    per=True, needs=("t_s",),
 )  # fmt: skip
 offset_time_drift = time_drift(
     "offset_time_drift", "Offsets drift smoothly over the campaign.", offsets_follow, (16, 5), per=True,
-    separate=AGAIN, needs=("t_s",),
+    needs=("t_s",),
 )  # fmt: skip

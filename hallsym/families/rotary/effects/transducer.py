@@ -27,8 +27,6 @@ from hallsym.families.rotary.effects.parts import (
 from hallsym.model import Model, Parameter, Signals, Way, effect
 from hallsym.model.derived import rate
 
-WARM = "warm up and cool down, so that temperature is not a function of time"
-AGAIN = "the first run again at the end; log the temperature"
 FINER = tuple(1.35**k for k in (-2, -1, 1, 2))
 
 
@@ -122,16 +120,16 @@ def offsets_follow(model: Model, effect: str, functions: Functions) -> Model:
 
 
 gain_temperature_drift = temperature_drift(
-    "gain_temperature_drift", "Gains follow the logged temperature.", gains_follow, separate=WARM
+    "gain_temperature_drift", "Gains follow the logged temperature.", gains_follow
 )
 offset_temperature_drift = temperature_drift(
-    "offset_temperature_drift", "Offsets follow the logged temperature.", offsets_follow, separate=WARM
+    "offset_temperature_drift", "Offsets follow the logged temperature.", offsets_follow
 )
 gain_time_drift = time_drift(
     "gain_time_drift", "Gains drift smoothly over the campaign.", gains_follow, (16, 8, 4, 2), FINER,
-    separate=AGAIN, needs=("t_s",),
+    needs=("t_s",),
 )  # fmt: skip
 offset_time_drift = time_drift(
     "offset_time_drift", "Offsets drift smoothly over the campaign.", offsets_follow, (16, 8, 4, 2), FINER,
-    separate=AGAIN, needs=("t_s",),
+    needs=("t_s",),
 )  # fmt: skip

@@ -103,7 +103,6 @@ def offset_follows(model: Model, effect: str, functions: Functions) -> Model:
 
 gain_temperature_drift = temperature_drift(
     "gain_temperature_drift", "Gain follows the logged temperature.", gain_follows,
-    separate="warm up and cool down, so that temperature is not a function of time",
 )  # fmt: skip
 offset_temperature_drift = temperature_drift(
     "offset_temperature_drift", "Offset follows the logged temperature.", offset_follows,

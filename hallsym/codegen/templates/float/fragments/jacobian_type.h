@@ -1,5 +1,5 @@
 
-/** Slopes of the @QUANTITY@ by @BY_KINDS@. */
+/** Slopes of the @QUANTITY@ by the readings. */
 typedef struct
 {
     @REAL@ @slope.name@; /**< [@slope.unit@] d @slope.of@ / d @slope.by@ */
