@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from hallsym.units import parameter_unit, readable, scaled, typeset
+from hallsym.units import readable, scaled, typeset
 
 LEVEL = 1e-6
 """Vertical positions [m, rad] closer than this are one setting."""
@@ -78,25 +78,6 @@ def three(value: float) -> str:
     if 100 <= abs(value) < 1e6:
         return f"{value:.0f}"
     return f"{value:#.3g}" if 1e-4 <= abs(value) < 100 else f"{value:.3g}"
-
-
-def plus_minus(value: float, half: float, unit: str) -> str:
-    """Return `value ± half` of a parameter with two digits of `half`; lengths in mm, angles in degrees."""
-    factor, shown = parameter_unit(unit, bare=True)
-    ending = f" {shown}" if shown else ""
-    if not (np.isfinite(half) and half > 0):
-        return f"{factor * value:.6g}{ending}"
-    return f"{digits(factor * value, factor * half)} ± {digits(factor * half, factor * half)}{ending}"
-
-
-def digits(value: float, half: float) -> str:
-    """Return a value with as many digits as two digits of `half` need."""
-    if not np.isfinite(value):
-        return "unknown" if np.isnan(value) else "∞" if value > 0 else f"{MINUS}∞"
-    if not (np.isfinite(half) and half > 0):
-        return f"{value:.4g}".replace("-", MINUS)
-    places = int(np.clip(1 - np.floor(np.log10(half)), 0, 12))
-    return f"{value:.{places}f}".replace("-", MINUS)
 
 
 def thinned(n: int, most: int) -> Sequence[int]:

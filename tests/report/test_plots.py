@@ -11,7 +11,7 @@ from twins import SIGMAS, record, with_noise
 from hallsym.cli.main import main
 from hallsym.diagnosis import examine, prepare
 from hallsym.errors import InputError
-from hallsym.estimation import Fit, coverage_factor, evaluate, fit
+from hallsym.estimation import Fit, evaluate, fit
 from hallsym.families import build
 from hallsym.log import Block, Log
 from hallsym.report.data.gather import version_of
@@ -19,14 +19,13 @@ from hallsym.report.data.survey import COLUMNS, Survey, Trace, held_out, look_ov
 from hallsym.report.figures import campaign as plots
 from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import DPI, STYLE, WIDTH
-from hallsym.report.words import name, plus_minus, scale
+from hallsym.report.words import name, scale
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 
 ROOT = Path(__file__).resolve().parents[2]
 CAMPAIGN = ROOT / "data" / "campaign"
 CALIBRATION = ROOT / "tests" / "golden" / "calib.json"
 HOLDOUT = (2, 7, 12)
-NAMES = ["errors_by_setting", "parameters"]
 
 
 @pytest.fixture(scope="module")
@@ -62,18 +61,6 @@ def test_errors_by_setting_shows_every_series(fitted: Fit, survey: Survey) -> No
     np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata()[0], 1e6 * level["rmse"]["x_m"], rtol=1e-9)
 
 
-def test_parameters_say_what_is_not_identifiable(fitted: Fit) -> None:
-    figure = plots.parameters(fitted)
-    words = [text.get_text() for place in (*figure.axes, figure) for text in place.texts]
-    told = words.count("not identifiable") + words.count("not identifiable, fixed")
-    assert told == np.sum(~fitted.determined) - len(fitted.at_bound)
-    assert sum("±" in word for word in words) == fitted.determined.sum() + len(fitted.combinations) + 1
-    width = fitted.model.bounds[1] - fitted.model.bounds[0]
-    half = 100 * np.nanmax(coverage_factor(fitted.degrees_of_freedom) * fitted.std / width)
-    drawn = max(float(line.get_xdata().max()) for line in figure.axes[1].lines)
-    assert drawn == pytest.approx(half)
-
-
 # -- other logs ------------------------------------------------------------------------------------------
 
 
@@ -96,15 +83,11 @@ def test_nothing_is_drawn_beyond_the_edge(log: Log, fitted: Fit, survey: Survey)
     from matplotlib import style
 
     with style.context(["default", STYLE]):
-        figures = (
-            plots.errors_by_setting(fitted, survey),
-            plots.parameters(fitted),
-        )
-        for figure in figures:
-            drawn, (width, height) = figure.get_tightbbox(), figure.get_size_inches()
-            assert min(drawn.x0, drawn.y0) >= 0
-            assert drawn.x1 <= width
-            assert drawn.y1 <= height
+        figure = plots.errors_by_setting(fitted, survey)
+        drawn, (width, height) = figure.get_tightbbox(), figure.get_size_inches()
+        assert min(drawn.x0, drawn.y0) >= 0
+        assert drawn.x1 <= width
+        assert drawn.y1 <= height
 
 
 # -- files -----------------------------------------------------------------------------------------------
@@ -119,7 +102,7 @@ def test_pictures_are_whole_files_in_their_own_style(log: Log, fitted: Fit, tmp_
         assert matplotlib.rcParams["font.size"] == 17.0
         assert matplotlib.rcParams["axes.facecolor"] == "red"
     assert ("matplotlib.pyplot" in sys.modules) == pyplot
-    assert [path.stem for path in written] == NAMES
+    assert [path.stem for path in written] == ["errors_by_setting"]
     for path in written:
         content = path.read_bytes()
         assert content.startswith(b"\x89PNG\r\n")
@@ -130,11 +113,13 @@ def test_pictures_are_whole_files_in_their_own_style(log: Log, fitted: Fit, tmp_
     assert sorted(p.name for p in (tmp_path / "new" / "folder").iterdir()) == sorted(p.name for p in written)
 
 
-def test_every_kind_of_file_names_its_source_and_is_the_same_every_time(fitted: Fit, tmp_path: Path) -> None:
+def test_every_kind_of_file_names_its_source_and_is_the_same_every_time(
+    fitted: Fit, survey: Survey, tmp_path: Path
+) -> None:
     for kind, start in (("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")):
         place = Place(tmp_path, kind, "campaign/log.parquet, stage31")
         first, again = (
-            save_figures({"parameters": lambda: plots.parameters(fitted)}, place)[0].read_bytes()
+            save_figures({"errors": lambda: plots.errors_by_setting(fitted, survey)}, place)[0].read_bytes()
             for _ in "ab"
         )
         assert first.startswith(start)
@@ -297,16 +282,3 @@ def test_units_suit_the_size(column: str, largest: float, factor: float, unit: s
 
 def test_names_are_what_people_say() -> None:
     assert [name(c) for c in ("rz_rad", "hall_a_m", "v_sin_v")] == ["Rz", "Hall A", "v sin"]
-
-
-@pytest.mark.parametrize(
-    ("value", "half", "unit", "text"),
-    [
-        (0.194562, 0.00035, "m", "194.56 ± 0.35 mm"),
-        (-188.187, 1.84, "1/m", "\N{MINUS SIGN}188.2 ± 1.8 1/m"),
-        (0.86707, 0.00018, "1", "0.86707 ± 0.00018"),
-        (123.0, 0.0, "1/m", "123 1/m"),
-    ],
-)
-def test_an_interval_has_two_digits(value: float, half: float, unit: str, text: str) -> None:
-    assert plus_minus(value, half, unit) == text
