@@ -4,7 +4,7 @@ from hallsym.model.arguments import Facts, example_facts, from_log, one_of, sear
 from hallsym.model.arrays import median, medians, on_arrays
 from hallsym.model.derived import rate
 from hallsym.model.effect import Effect, Variant, Way, as_effect, effect, ways_text
-from hallsym.model.family import Example, Family, Further, Part, PoseMetric
+from hallsym.model.family import Example, Family, Further, PoseMetric
 from hallsym.model.features import find_features
 from hallsym.model.influence import influence
 from hallsym.model.model import (
@@ -29,7 +29,6 @@ __all__ = [
     "Inspection",
     "Model",
     "Parameter",
-    "Part",
     "PoseMetric",
     "Quantity",
     "Signals",

@@ -14,32 +14,6 @@ from typing import Any
 
 import numpy as np
 
-WIDTH, HEIGHT = 360.0, 172.0
-"""Size of a sketch [px]."""
-
-
-@dataclass(frozen=True)
-class Part:
-    """A part of a machine: its name, and its outline as SVG path data in a box of `WIDTH` x `HEIGHT`.
-
-    `link`: of `hallsym.model.LINKS`; lit where it is at fault. `at`: where the name begins, or its middle
-    where it is `centred`.
-    """
-
-    link: str
-    name: str
-    outline: str
-    at: tuple[float, float]
-    centred: bool = True
-
-
-SIGNAL = (
-    Part("electronics", "amplifier, ADC", "M232 79h26M258 62h98v34h-98z", (307.0, 83.0)),
-    Part("clock", "clock", "M307 110a14 14 0 1 0 .01 0zM307 115v9l6 4", (307.0, 153.0)),
-)
-"""What follows the transducer in every machine; its cable begins at (232, 79)."""
-
-
 Model = Any
 """`hallsym.model.Model`, which holds its family."""
 Effect = Any
@@ -146,8 +120,6 @@ class Family:
     further: tuple[Further, ...] = ()
     """Recordings that its machines can make beside a log."""
     decoder: str | Callable[..., Any] = "linear"
-    sketch: tuple[Part, ...] = ()
-    """Parts of the machine as a page draws them; without any there is no sketch."""
 
     @cached_property
     def catalogue(self) -> tuple[Effect, ...]:

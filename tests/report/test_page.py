@@ -17,14 +17,12 @@ from twins import Chopped, record, with_noise
 from hallsym import load_fit, write_log
 from hallsym.cli.main import main
 from hallsym.estimation import Fit, fit
-from hallsym.families import FAMILIES
 from hallsym.log import Log, read_log
-from hallsym.model import LINKS
 from hallsym.report.data.gather import Cells, Tally, _systematic, gather
 from hallsym.report.data.survey import Decoder, worst_first
 from hallsym.report.page.charts import Scale, decades, ticks
 from hallsym.report.page.fit_page import fit_page
-from hallsym.report.page.pictures import ACROSS, UP, runs, sketch
+from hallsym.report.page.pictures import ACROSS, UP, runs
 
 HOLDOUT = (2, 7, 12)
 VOID = {"meta", "br"}
@@ -397,21 +395,7 @@ def test_a_logarithmic_scale_has_equal_steps_per_decade():
     assert [scale(v) for v in (1, 10, 100, 1000, 1e9, 1e-9)] == pytest.approx([0, 10, 20, 30, 30, 0])
 
 
-# -- headline, sketch -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("family", FAMILIES, ids=str)
-def test_every_family_has_a_sketch_with_a_part_for_each_link(family):
-    assert {part.link for part in family.sketch} == set(LINKS)
-    plain = sketch(family.sketch, {})
-    lit = sketch(family.sketch, {"field": "lit", "clock": "maybe"})
-    words = [m.words for m in lit.marks if m.name == "text"]
-    assert sum(w.startswith("● ") for w in words) == sum(p.link == "field" for p in family.sketch)
-    assert sum(w.startswith("○ ") for w in words) == 1
-    assert "lit: " in lit.says
-    assert "lit" not in plain.says
-    numbers = [float(n) for m in lit.marks for n in re.findall(r"M(\S+) ", str(m.attributes.get("d", "")))]
-    assert 0 <= min(numbers) <= max(numbers) <= lit.width
+# -- runs, worst first ---------------------------------------------------------------------------------
 
 
 def test_runs_are_offered_worst_first(log: Log, fitted: Fit):

@@ -6,8 +6,6 @@ from typing import Any
 from hallsym.families.halbach import models, planar
 from hallsym.families.halbach.effects import EFFECTS, PLANAR_EFFECTS
 from hallsym.families.halbach.further import FURTHER
-from hallsym.families.halbach.sketches import PLANAR as PLANAR_SKETCH
-from hallsym.families.halbach.sketches import SKETCH
 from hallsym.model import Example, Family, PoseMetric
 
 SWEEPS = tuple(
@@ -60,7 +58,6 @@ FAMILY = Family(
     from_meta=models.from_meta,
     tables=("arrays",),
     decoder="wave",
-    sketch=SKETCH,
     further=FURTHER,
     effects=EFFECTS,
     words={"x_ref_m": "x along the array", "z_ref_m": "gap z"},
@@ -84,7 +81,6 @@ PLANAR = Family(
     from_meta=planar.from_meta,
     tables=("arrays", "channels"),
     decoder="wave",
-    sketch=PLANAR_SKETCH,
     further=FURTHER,
     effects=PLANAR_EFFECTS,
     words={"z_ref_m": "gap z"},

@@ -3,22 +3,7 @@
 from hallsym.families.rotary import models
 from hallsym.families.rotary.effects import EFFECTS, direct, short
 from hallsym.model import Example, Family, PoseMetric
-from hallsym.model.family import SIGNAL, Part
 
-SKETCH = (
-    Part(
-        "reference", "reference", "M48 85a62 62 0 0 1 62 -62M40 85a70 70 0 0 1 70 -70", (2.0, 26.0),
-        centred=False,
-    ),
-    Part("mechanics", "shaft", "M110 39a46 46 0 1 0 .01 0z", (110.0, 145.0)),
-    Part("field", "magnet", "M110 57a26 26 0 1 0 .01 0zM110 57v52", (110.0, 123.0)),
-    Part(
-        "transducer", "Hall plates", "M104 21h12v12h-12zM166 73h12v12h-12zM178 79h54", (122.0, 30.0),
-        centred=False,
-    ),
-    *SIGNAL,
-)  # fmt: skip
-"""The machine as a page draws it."""
 FAMILY = Family(
     name="rotary",
     noun="encoder",
@@ -50,6 +35,5 @@ FAMILY = Family(
     pairs=True,
     most_effects=6,
     decoder="angle",
-    sketch=SKETCH,
 )  # fmt: skip
 models.FAMILY = FAMILY

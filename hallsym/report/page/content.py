@@ -186,7 +186,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Headline:
-    """The card at the top: verdict, sizes against the noise floor, next command, sketch of the machine.
+    """The card at the top: verdict, sizes against the noise floor, next command.
 
     `state`: good, open or bad. `word`: the verdict in a few words, `sentence` the rest. `why`: what the next
     command does.
@@ -198,8 +198,6 @@ class Headline:
     sizes: Table | None = None
     why: str = ""
     command: str = ""
-    sketch: Chart | None = None
-    sketched: str = ""
 
 
 def document(title: str, headline: Headline, sections: Sequence[Section], footer: str) -> str:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 from hallsym.diagnosis import Diagnosis, Separation, Statement, noise_text
 from hallsym.estimation import Fit, added_effects
-from hallsym.families import family_called, plain
+from hallsym.families import plain
 from hallsym.report.data.gather import Cells, RunSeries
 from hallsym.report.page import pictures, shared
 from hallsym.report.page.content import (
@@ -26,7 +26,6 @@ from hallsym.report.page.content import (
     Words,
     document,
 )
-from hallsym.report.page.pictures import CAUSE, POSSIBLE, sketch
 from hallsym.report.page.shared import Gap
 from hallsym.report.tables import concise
 from hallsym.report.text.diagnosis import noise_name, p_text, shrinks_text, significance_text, units_of
@@ -73,9 +72,7 @@ def diagnosis_page(
 
 
 def _headline(d: Diagnosis, fit: Fit | None, reading: Sequence[str]) -> Headline:
-    family = fit.model.family if fit else family_called(d.model)
     word = f"{d.verdict.capitalize()}."
-    lit = _lit(d, {e.name: e.link for e in family.effects} if family else {})
     rows = gaps(d)
     next_command, why = "", ""
     if d.next_step:
@@ -93,27 +90,7 @@ def _headline(d: Diagnosis, fit: Fit | None, reading: Sequence[str]) -> Headline
         shared.sizes_table(rows, d.noise_floor.outputs) if next(iter(rows.values()))["rmse"] else None,
         why,
         next_command,
-        sketch(family.sketch, lit) if family else None,
-        _sketched(d, lit),
     )
-
-
-def _lit(d: Diagnosis, links: Mapping[str, str]) -> dict[str, str]:
-    """Return the links of the effects found, and of those that the log cannot tell from them."""
-    found = [e.name for e in d.effects]
-    confused = [name for group in d.groups if {*group} & {*found} for name in group if name not in found]
-    possible = {links[name]: POSSIBLE for name in confused if name in links}
-    return possible | {e.link: CAUSE for e in d.effects}
-
-
-def _sketched(d: Diagnosis, lit: Mapping[str, str]) -> str:
-    """Return what the sketch says in words."""
-    if not lit:
-        return "No link of the chain is lit: no effect was found."
-    found = [f"{e.name} ({e.link})" for e in d.effects]
-    others = [link for link, look in lit.items() if look == POSSIBLE]
-    said = f"Lit (●): {', '.join(found)}." if found else ""
-    return f"{said} As likely, from this log (○): {', '.join(others)}.".strip() if others else said
 
 
 def _input(d: Diagnosis) -> Facts:

@@ -27,7 +27,7 @@ from hallsym.report.data.gather import Gathered, gather
 from hallsym.report.data.survey import Decoder
 from hallsym.report.page import shared
 from hallsym.report.page.content import Facts, Figure, Headline, Item, Items, Section, Words, document
-from hallsym.report.page.pictures import against_floor, sketch
+from hallsym.report.page.pictures import against_floor
 from hallsym.report.page.shared import Gap
 from hallsym.report.text.fit import circumstances
 from hallsym.report.words import name
@@ -87,9 +87,7 @@ def _headline(fit: Fit, rows: Mapping[str, Gap], calibration: str) -> Headline:
     sizes = {"before": rows["nominal"]} if "nominal" in rows and where != "nominal" else {}
     table = shared.sizes_table({**sizes, "after" if sizes else where: gap}, fit.noise_floor, fit.model.period)
     why, command = _next(fit, above, calibration)
-    chart = sketch(fit.model.family.sketch, {})
-    drawn = f"The {fit.model.family.noun} and the links of its chain. A diagnosis lights those at fault."
-    return Headline(state, word[state], verdict(fit, rows), table, why, command, chart, drawn)
+    return Headline(state, word[state], verdict(fit, rows), table, why, command)
 
 
 def _next(fit: Fit, above: bool, calibration: str) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""The charts of a page: errors by output, coordinate, run and time, the sketch of a machine.
+"""The charts of a page: errors by output, coordinate, run and time.
 
 Bars carry their names and numbers, so that nothing is told by colour alone.
 """
@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 
 from hallsym.diagnosis import Band, CurveShape, place_unit
-from hallsym.model import Part
-from hallsym.model import family as outline
 from hallsym.report.data.gather import Cells, RunSeries
 from hallsym.report.page.charts import (
     HALF,
@@ -37,7 +35,6 @@ from hallsym.report.page.charts import (
     px,
     remark,
     rows,
-    text,
     tile,
 )  # fmt: skip
 from hallsym.report.page.content import Runs
@@ -358,26 +355,3 @@ def _scale_of(unit: str, largest: float) -> tuple[float, str]:
         return scale(f"x_{unit}", largest)
     factor, shown = place_unit(unit)
     return factor, "" if unit == "1" else typeset(shown)
-
-
-# -- the sketch of a machine, with the links lit that are at fault ---------------------------------------
-
-
-CAUSE, POSSIBLE = "lit", "maybe"
-"""How the link of an effect that was found is drawn, and that of one that the log cannot tell from it."""
-SIGNS = {CAUSE: "● ", POSSIBLE: "○ "}
-"""What stands before the name of such a part, so that it is not told by colour alone."""
-
-
-def sketch(parts: Sequence[Part], lit: Mapping[str, str]) -> Chart | None:
-    """Draw the parts of a machine; `lit`: link -> `CAUSE` or `POSSIBLE`. None where there is no sketch."""
-    if not parts:
-        return None
-    marks: list[Mark] = [path(part.outline, f"part {lit.get(part.link, '')}".rstrip()) for part in parts]
-    for part in parts:
-        look, (x, y) = lit.get(part.link), part.at
-        words = SIGNS.get(look or "", "") + part.name
-        marks.append(text(x, y, words, "middle" if part.centred else None, look))
-    shown = [p.name for p in parts if p.link in lit]
-    says = f"sketch of the machine: {', '.join(p.name for p in parts)}"
-    return Chart(outline.WIDTH, outline.HEIGHT, says + (f"; lit: {', '.join(shown)}" if shown else ""), marks)
