@@ -3,8 +3,7 @@
 `Problem` says what to minimise; `minimize` searches a box with a population, `ipopt` and `newton` refine one
 point, `hybrid` does both; each returns a `Result`. `gauss_newton` is the loop for costs that are expensive to
 linearise. To add a global method write its equations as a generator
-(see `solvers.problem.Solver`; `solvers/swarm.py` has the shortest example, `pso`) and name it in
-`solvers.driver.SOLVERS`.
+(see `solvers.problem.Solver`; `solvers/tlbo.py` has short examples) and name it in `solvers.driver.SOLVERS`.
 
 Needs numpy and casadi, nothing else, and nothing of hallsym.
 """

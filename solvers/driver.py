@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import inspect
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,10 +21,9 @@ from solvers.problem import (
     rows,
 )
 from solvers.shtlbo import shtlbo
-from solvers.swarm import mpso, pso
 from solvers.tlbo import gbtlbo, tlbo
 
-SOLVERS: tuple[Solver, ...] = (tlbo, gbtlbo, shtlbo, pso, mpso)
+SOLVERS: tuple[Solver, ...] = (tlbo, gbtlbo, shtlbo)
 COLLAPSED = 1e-10
 """Widths of the box within which a whole class counts as one point."""
 
@@ -57,7 +54,6 @@ def minimize(
     budget: int = 20_100,
     size: int | None = None,
     start: ArrayLike | None = None,
-    **options: Any,
 ) -> Result:
     """Search the whole box with a population; the same seed gives the same result, to the bit.
 
@@ -66,8 +62,6 @@ def minimize(
         The default is the paper's: a class of 100, then 100 generations of two phases.
     size: rows of the population, 100 unless told.
     start: `(k, dim)` points to begin with, clipped into the box; a Latin hypercube fills up the rest.
-    options: those of the method, such as `w_max` of `mpso`; `generations`, the number that a method plans
-        for, follows from the budget unless told.
 
     A search that is interrupted (Ctrl-C) returns its best point so far.
 
@@ -76,7 +70,9 @@ def minimize(
     True
     """
     began = perf_counter()
-    method = _method(solver, options)
+    if isinstance(solver, str):
+        names = tuple(known.__name__ for known in SOLVERS)
+        solver = SOLVERS[names.index(choice(solver, names, "solver", "minimize"))]
     if budget < 2:
         raise misuse("budget", "minimize", "at least 2", budget)
     size = min(100 if size is None else size, budget)
@@ -84,12 +80,10 @@ def minimize(
         raise misuse("size", "minimize", "at least 2", size)
     problem.require_finite_box("minimize")
     rng = np.random.default_rng(seed)
-    if "generations" in inspect.signature(method).parameters:
-        options = {"generations": max(1, (budget - size) // size)} | options
     run = _Run(problem, budget, _first(problem, size, start, rng))
     status: Status
     try:
-        status, message = run.search(method, rng, options)
+        status, message = run.search(solver, rng)
     except KeyboardInterrupt:
         status, message = "interrupted", INTERRUPTED
         run.record()
@@ -116,10 +110,10 @@ class _Run:
         self.population = Population(first, np.full(len(first), np.inf))
         self.history: list[tuple[int, float]] = []
 
-    def search(self, method: Solver, rng: np.random.Generator, options: dict[str, Any]) -> tuple[Status, str]:
+    def search(self, method: Solver, rng: np.random.Generator) -> tuple[Status, str]:
         """Evaluate the first population, then one generation after the other until there is an ending."""
         self.population = self.evaluate(self.population.x)
-        generations = method(self.population, self.evaluate, rng, **options)
+        generations = method(self.population, self.evaluate, rng)
         while True:
             self.record()
             ending = self.ending()
@@ -151,19 +145,6 @@ class _Run:
         if self.evaluations >= self.budget:
             return "budget", f"{self.budget} evaluations are spent: refine the best points, or raise budget."
         return None
-
-
-def _method(solver: str | Solver, options: dict[str, Any]) -> Solver:
-    """The method by name, its options checked against its signature."""
-    if isinstance(solver, str):
-        names = tuple(known.__name__ for known in SOLVERS)
-        solver = SOLVERS[names.index(choice(solver, names, "solver", "minimize"))]
-    known_options = tuple(inspect.signature(solver).parameters)[3:]
-    for option in options:
-        if option not in known_options:
-            known = ", ".join(known_options) or "nothing: it has none"
-            raise misuse("options", solver.__name__, f"among {known}", option)
-    return solver
 
 
 def _first(problem: Problem, size: int, start: ArrayLike | None, rng: np.random.Generator) -> FloatArray:

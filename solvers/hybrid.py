@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,7 +41,7 @@ def hybrid(
     global_solver: str = "shtlbo",
     apart: float = APART,
     same: float = 1e-6,
-    **options: Any,
+    size: int | None = None,
 ) -> HybridResult:
     """Explore the box, refine the best few points that are apart, and return the best of all.
 
@@ -52,16 +51,16 @@ def hybrid(
     budget: evaluations of the global stage.
     global_solver: a name from `SOLVERS`, or "screening", one Latin hypercube of `budget` points.
     same: relative difference of cost within which two local results count as the same optimum.
-    options: those of `minimize` and of the method.
+    size: as in `minimize`.
     """
     began = perf_counter()
     choice(global_solver, EXPLORERS, "global_solver", "hybrid")
     refiner = Ipopt(problem)
     given = np.empty((0, problem.dim)) if starts is None else rows(starts, problem.dim, "starts", "hybrid")
     # a screening is a search that ends with its first population, one hypercube of the whole budget
-    method, size = ("tlbo", {"size": budget}) if global_solver == "screening" else (global_solver, {})
+    method, size = ("tlbo", budget) if global_solver == "screening" else (global_solver, size)
     begin = given if len(given) else None
-    explored = minimize(problem, method, seed=seed, budget=budget, start=begin, **(options | size))
+    explored = minimize(problem, method, seed=seed, budget=budget, start=begin, size=size)
     queue = np.concatenate([given, best_apart(explored.population, keep, problem, apart).x])
     local, interrupted = ((), True) if explored.status == "interrupted" else _refined(refiner, queue)
     stages = [explored, *local]

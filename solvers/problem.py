@@ -108,17 +108,13 @@ class Population:
         order = np.argsort(self.cost, kind="stable")[:n]
         return Population(self.x[order], self.cost[order])
 
-    def join(self, other: Population) -> Population:
-        """Both populations, one after the other."""
-        return Population(np.concatenate([self.x, other.x]), np.concatenate([self.cost, other.cost]))
-
 
 Evaluate = Callable[[FloatArray], Population]
 
 
 # A global method: a generator function that yields its population after each generation. It gets the first
 # population, `evaluate` (brings rows into the box, counts them, returns them with their cost) and a random
-# generator; its options are keyword arguments.
+# generator.
 Solver = Callable[..., Iterator[Population]]
 
 

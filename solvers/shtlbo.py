@@ -17,7 +17,7 @@ import numpy as np
 from solvers.problem import BoolArray, Evaluate, FloatArray, Population
 from solvers.tlbo import learn, partners, teach
 
-LOW, HIGH = 0.05, 0.95
+START, LOW, HIGH = 0.5, 0.05, 0.95
 
 
 def teach_around(students: Population, rng: np.random.Generator) -> FloatArray:
@@ -57,11 +57,9 @@ def updated(p: float, credit: FloatArray) -> float:
     return float(v1 * n2 / below) if below > 0.0 else p
 
 
-def shtlbo(
-    population: Population, evaluate: Evaluate, rng: np.random.Generator, *, p_start: float = 0.5
-) -> Iterator[Population]:
+def shtlbo(population: Population, evaluate: Evaluate, rng: np.random.Generator) -> Iterator[Population]:
     """SHTLBO: hybrid teacher phase (23), hybrid learner phase (24), p by (27)."""
-    p = p_start
+    p = START
     while True:
         credit = np.zeros((2, 2))
         for move, gaussian in ((teach, teach_around), (learn, learn_around)):

@@ -75,7 +75,7 @@ def add(sub: Any) -> None:
         metavar="SOLVER",
         default="hybrid",
         help="hybrid (SHTLBO + closed form + IPOPT), direct (closed form + IPOPT), "
-        "or the global search: shtlbo, tlbo, gbtlbo, pso, mpso, screening",
+        "or the global search: shtlbo, tlbo, gbtlbo, screening",
     )
     group.add_argument(
         "--loss",

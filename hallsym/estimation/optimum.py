@@ -97,7 +97,6 @@ def search(
         return Search(first, fitted.at(first).value, "converged", "Nothing was left to fit.", 1, 1, 1.0)
     scaled, explored = Scaled(fitted.summary.model, first, free, found.scale[free]), None
     if solver != "direct":
-        options: dict[str, Any] = {} if solver == "screening" else {"size": SIZE}
         problem, rng = scaled.problem(merged), np.random.default_rng(seed)
         explored = solvers.hybrid(
             problem,
@@ -107,7 +106,7 @@ def search(
             budget=BUDGET,
             global_solver="shtlbo" if solver == "hybrid" else solver,
             same=SAME,
-            **options,
+            size=SIZE,
         )
         first = scaled.from_unit(explored.x)
     # restarted at an optimum IPOPT may look for it among rounding errors, thousands of evaluations long

@@ -46,9 +46,8 @@ def problem_on(log: hallsym.Log, model: hallsym.Model) -> tuple[solvers.Problem,
 
 def row(method: str, problem: solvers.Problem, seeds: int, best: float) -> list[str]:
     """One method alone, and followed by IPOPT."""
-    size = {} if method == "screening" else {"size": SIZE}
     found = [
-        solvers.hybrid(problem, seed=seed, keep=KEEP, budget=BUDGET, global_solver=method, **size)
+        solvers.hybrid(problem, seed=seed, keep=KEEP, budget=BUDGET, global_solver=method, size=SIZE)
         for seed in range(seeds)
     ]
     alone, after = ([f.explored.cost for f in found], [f.cost for f in found])

@@ -119,7 +119,7 @@ def test_hybrid_and_direct_reach_the_same_cost(log, found):
     same(found, hybrid)
 
 
-@pytest.mark.parametrize("solver", ["tlbo", "pso", "screening"])
+@pytest.mark.parametrize("solver", ["tlbo", "screening"])
 def test_every_named_solver_reaches_it(log, found, solver):
     result = fit(log, "stage31", solver=solver)
     assert result.solver["name"] == solver

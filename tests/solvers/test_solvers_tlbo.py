@@ -106,11 +106,11 @@ def test_23_and_24_choose_a_move_per_student():
 
     factor = [[0.2], [0.7], [0.0]]
     dealt = Dealt(
-        uniform=[[0.39, 0.4, 0.9], R, factor, [0.5, 0.1, 0.2], R],
+        uniform=[[0.49, 0.5, 0.9], R, factor, [0.5, 0.1, 0.2], R],
         normal=[N, N],
         integer=[K, K],
     )
-    after = next(shtlbo(CLASS, evaluate, dealt, p_start=0.4))
+    after = next(shtlbo(CLASS, evaluate, dealt))
     teacher, around = teach(CLASS, Dealt(uniform=[R, factor])), teach_around(CLASS, Dealt(normal=[N]))
     assert tried[0].tolist() == [teacher[0].tolist(), around[1].tolist(), around[2].tolist()]
     partner = learn(CLASS, Dealt(integer=[K], uniform=[R]))
