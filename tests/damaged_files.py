@@ -186,12 +186,12 @@ y_m = { kind = "multi-sine", amplitude = 1e-4, frequencies_hz = [1, 3] }
 name = "raster"
 duration_s = 0.5
 z_m = 5e-5
-raster = { fast = "x_m", slow = "y_m", fast_amplitude = 1e-4, slow_amplitude = 1e-4, line_hz = 5, lines = 3 }
+x_m = { kind = "triangle", amplitude = 1e-4, frequency_hz = 5 }
 zero_deviations_m = [1e-6, 0, -1e-6]
 [[run]]
 duration_s = 0.5
 rz_rad = { kind = "steps", levels = [0, 1e-4], dwell_s = 0.1, about = 1e-5 }
-curve = { file = "curve.json" }
+curve = "curve.json"
 """
 RANGES = """step_s = 0.02
 seconds_per_run = 1.0

@@ -15,7 +15,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.families import axes
 from hallsym.files import atomic_write
-from hallsym.simulation.signals import SIGNALS, AtTimes, Signal, triangle
+from hallsym.simulation.signals import SIGNALS, AtTimes, Signal
 from hallsym.toml import Table, number, positive
 from hallsym.trajectory import Curve, read_curve
 from hallsym.trajectory.export import at_times
@@ -86,8 +86,8 @@ def campaign_from(raw: Mapping[str, Any], where: str) -> Campaign:
 
 def _campaign(file: Table, folder: Path) -> Campaign:
     settings = [{axis: at.number(axis) for axis in at.raw} for at in file.tables("setting", axes())]
-    trajectories = file.tables("trajectory", ("duration_s", "raster", "curve", *axes()))
-    single = file.tables("run", ("name", "duration_s", "zero_deviations_m", "raster", "curve", *axes()))
+    trajectories = file.tables("trajectory", ("duration_s", "curve", *axes()))
+    single = file.tables("run", ("name", "duration_s", "zero_deviations_m", "curve", *axes()))
     if not trajectories and ("setting" in file or not single):
         instead = "" if "setting" in file else " or [[run]]"
         raise InputError(f"In {file.where} at least one [[trajectory]]{instead} is needed; there is none.")
@@ -127,7 +127,7 @@ def noise_table(file: Table) -> dict[str, float]:
 
 def _run(setting: Mapping[str, float], entry: Table, folder: Path) -> Run:
     motion = {axis: _signal(entry, axis) for axis in axes() if axis in entry}
-    return Run(entry.positive("duration_s"), setting, motion | _together(entry, motion, folder))
+    return Run(entry.positive("duration_s"), setting, motion | _curve(entry, motion, folder))
 
 
 def _single(entry: Table, folder: Path) -> Run:
@@ -143,90 +143,37 @@ def _single(entry: Table, folder: Path) -> Run:
         else:
             setting[axis] = entry.number(axis)
     zeros = tuple(entry.numbers("zero_deviations_m")) if "zero_deviations_m" in entry else None
-    motion |= _together(entry, motion, folder)
+    motion |= _curve(entry, motion, folder)
     return Run(entry.positive("duration_s"), setting, motion, zeros, name)
 
 
-def _together(entry: Table, motion: Mapping[str, Signal], folder: Path) -> dict[str, Signal]:
-    """Signals of a raster and of a curve, which move several axes; each axis is moved once."""
-    found: dict[str, Signal] = {}
-    for what, signals in (("raster", _raster(entry)), ("curve", _curve(entry, folder))):
-        twice = [axis for axis in signals if axis in motion or axis in found]
-        if twice:
-            other = "its own signal" if twice[0] in motion else "the raster"
-            raise InputError(
-                f"Axis {twice[0]} of {entry.where} is moved by {other} and by the {what}; keep one."
-            )
-        found |= signals
-    return found
-
-
-def _curve(entry: Table, folder: Path) -> Mapping[str, Signal]:
-    """`"spiral.json"`, or with a constant speed `{file="spiral.json", speed="constant"}`; {} without one.
-
-    The file is looked for in the folder of the campaign file.
-    """
+def _curve(entry: Table, motion: Mapping[str, Signal], folder: Path) -> dict[str, Signal]:
+    """`curve = "spiral.json"`, in the folder of the campaign file; {} without one."""
     if "curve" not in entry:
         return {}
-    given = entry.raw["curve"]
-    given = {"file": given} if isinstance(given, str) else given
-    if not isinstance(given, Mapping):
-        raise InputError(
-            f"'curve' of {entry.where} must be a file such as \"spiral.json\", or a table with its file; "
-            f"instead received {given!r}."
-        )
-    raw = Table(given, f"curve in {entry.where}", ("file", "speed"))
-    path = folder / raw.text("file")
+    path = folder / entry.text("curve")
     curve = read_curve(path)
     beyond = [name for name in curve.coordinates if name not in axes()]
     if beyond:
         raise InputError(f"Curve {path} moves {beyond[0]}, which no run does; known are {', '.join(axes())}.")
-    return follow(curve, entry.positive("duration_s"), speed=raw.choice("speed", SPEEDS, SPEEDS[0]))
+    twice = [axis for axis in curve.coordinates if axis in motion]
+    if twice:
+        raise InputError(
+            f"Axis {twice[0]} of {entry.where} is moved by its own signal and by the curve; keep one."
+        )
+    return follow(curve, entry.positive("duration_s"))
 
 
-SPEEDS = ("parameter", "constant")
-
-
-def follow(curve: Curve, duration_s: float, *, speed: str = "parameter") -> dict[str, Signal]:
+def follow(curve: Curve, duration_s: float) -> dict[str, Signal]:
     """Return the motion of a run of `duration_s` that follows a curve: `Run(2.0, {}, follow(curve, 2.0))`.
 
-    `speed`: "parameter" (the parameter of the curve runs evenly) or "constant" (along the path).
+    The parameter of the curve runs evenly.
     """
-    if speed not in SPEEDS:
-        raise InputError(
-            f"The speed of a curve must be one of {', '.join(SPEEDS)}; instead received {speed!r}."
-        )
 
     def along(axis: str) -> Signal:
-        def at(t: np.ndarray) -> np.ndarray:
-            share = np.clip(np.asarray(t, float) / duration_s, 0.0, 1.0)
-            return at_times(curve, share, 1.0, steady=speed == "constant")[axis]
-
-        return Signal("curve", {}, at, float("inf"))
+        return Signal("curve", {}, lambda t: at_times(curve, t, duration_s)[axis], float("inf"))
 
     return {axis: along(axis) for axis in curve.coordinates}
-
-
-def _raster(entry: Table) -> dict[str, Signal]:
-    """`{fast="x_m", slow="y_m", fast_amplitude=, slow_amplitude=, line_hz=, lines=}`; {} without one."""
-    if "raster" not in entry:
-        return {}
-    keys = ("fast", "slow", "fast_amplitude", "slow_amplitude", "line_hz", "lines")
-    raster = entry.table("raster", keys, f"raster in {entry.where}")
-    missing = [k for k in keys if k not in raster]
-    if missing:
-        raise InputError(f"A {raster.where} needs {', '.join(keys)}; missing {missing[0]}.")
-    fast, slow = raster.raw["fast"], raster.raw["slow"]
-    if fast not in axes() or slow not in axes() or fast == slow:
-        raise InputError(
-            f"'fast' and 'slow' of {raster.where} must be two of {', '.join(axes())}; instead received "
-            f"{fast!r}, {slow!r}."
-        )
-    line_hz, lines = raster.positive("line_hz"), raster.positive("lines")
-    return {
-        fast: triangle(raster.number("fast_amplitude"), line_hz),
-        slow: triangle(raster.number("slow_amplitude"), line_hz / lines),
-    }
 
 
 def _signal(entry: Table, axis: str, setting: dict[str, float] | None = None) -> Signal:

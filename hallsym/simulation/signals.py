@@ -59,7 +59,7 @@ def multi_sine(amplitude: float, frequencies_hz: list[float]) -> Signal:
 
 
 def triangle(amplitude: float, frequency_hz: float) -> Signal:
-    """Return a triangle of the given amplitude that starts at 0 and rises: the lines of a raster."""
+    """Return a triangle of the given amplitude that starts at 0 and rises."""
     values = {"amplitude": amplitude, "frequency_hz": frequency_hz}
 
     def at(t: np.ndarray) -> np.ndarray:

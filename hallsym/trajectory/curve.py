@@ -194,38 +194,14 @@ class Curve:
         rate = (b - a) / (self.stop - self.start)
         return self.form.evaluate(self.inner(t), derivative) * rate**derivative
 
-    def speed(self, t: Array) -> Array:
-        """Return `|dp/dt|` over the lengths (len(t),)."""
-        return np.linalg.norm(self(t, 1)[:, self.lengths], axis=1)
-
-    def arc_lengths(self) -> tuple[Array, Array]:
-        """Return parameters and the length of path from the start to each, by Gauss-Legendre between them."""
+    def length(self) -> float:
+        """Return the length of the path [m], by Gauss-Legendre between edges."""
         edges = self.outer(self.form.edges(max(256, 4 * self.control_points)))
         x, w = np.polynomial.legendre.leggauss(8)
         half = np.diff(edges)[:, None] / 2
         t = edges[:-1, None] + half * (1 + x)
-        speed = self.speed(np.clip(t.ravel(), self.start, self.stop)).reshape(t.shape)
-        return edges, np.r_[0.0, np.cumsum((half * speed) @ w)]
-
-    def length(self) -> float:
-        """Return the length of the path [m]."""
-        return float(self.arc_lengths()[1][-1])
-
-    def at_length(self, s: Array) -> Array:
-        """Return the parameters at lengths of path `s` from the start, within [0, length]."""
-        edges, lengths = self.arc_lengths()
-        s = np.clip(np.atleast_1d(np.asarray(s, float)), 0.0, lengths[-1])
-        t = np.interp(s, lengths, edges)
-        x, w = np.polynomial.legendre.leggauss(8)
-        for _ in range(3):  # Newton, within the part between two edges
-            part = np.clip(np.searchsorted(lengths, s, side="right") - 1, 0, len(edges) - 2)
-            half = (t - edges[part]) / 2
-            inside = np.clip(edges[part][:, None] + half[:, None] * (1 + x), self.start, self.stop)
-            travelled = lengths[part] + half * (self.speed(inside.ravel()).reshape(inside.shape) @ w)
-            speed = self.speed(t)
-            step = np.divide(s - travelled, speed, out=np.zeros_like(t), where=speed > 0)
-            t = np.clip(t + step, edges[part], edges[part + 1])
-        return t
+        slope = self(np.clip(t.ravel(), self.start, self.stop), 1)[:, self.lengths]
+        return float(np.cumsum((half * np.linalg.norm(slope, axis=1).reshape(t.shape)) @ w)[-1])
 
     def extent(self) -> dict[str, tuple[float, float]]:
         """Return least and greatest value of each coordinate: sampled, then refined where it turns."""

@@ -32,23 +32,17 @@ def times(duration_s: float, step_s: float) -> Array:
     return clock if clock[-1] >= duration_s * (1 - 1e-12) else np.r_[clock, duration_s]
 
 
-def at_times(curve: Curve, t_s: Array, duration_s: float, *, steady: bool = False) -> Mapping[str, Array]:
-    """Return x_m, y_m, rz_rad of the curve at times (samples,), 0 where it has no such coordinate.
+def at_times(curve: Curve, t_s: Array, duration_s: float) -> Mapping[str, Array]:
+    """Return the coordinates of the curve at times (samples,).
 
-    It runs from start to stop in `duration_s`, at constant speed of the parameter, or along the path
-    (`steady`). Before and after it stands still. This is what a campaign follows.
+    It runs from start to stop in `duration_s`, at constant speed of the parameter. Before and after it stands
+    still. This is what a campaign follows.
     """
     if not 0 < duration_s < np.inf:
         raise InputError(f"The duration of a curve must be a positive number of seconds; got {duration_s!r}.")
     share = np.clip(np.asarray(t_s, float) / duration_s, 0.0, 1.0)
-    if steady:
-        parameter = curve.at_length(share * curve.length())
-    else:
-        parameter = np.clip(curve.start + share * (curve.stop - curve.start), curve.start, curve.stop)
-    points = curve(parameter)
-    named = dict(zip(curve.coordinates, points.T, strict=True))
-    zero = np.zeros(len(points))
-    return {name: named.pop(name, zero) for name in ("x_m", "y_m", "rz_rad")} | named
+    points = curve(np.clip(curve.start + share * (curve.stop - curve.start), curve.start, curve.stop))
+    return dict(zip(curve.coordinates, points.T, strict=True))
 
 
 def write_table(curve: Curve, path: str | Path, *, duration_s: float, step_s: float) -> int:

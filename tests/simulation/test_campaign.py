@@ -124,7 +124,8 @@ x_m = { kind = "sine", amplitude = 3e-4, frequency_hz = 2.0 }
 z_m = { kind = "steps", levels = [0.0, 5e-5], dwell_s = 0.1 }
 [[trajectory]]
 duration_s = 0.25
-raster = { fast = "x_m", slow = "y_m", fast_amplitude = 1e-3, slow_amplitude = 5e-4, line_hz = 8, lines = 2 }
+x_m = { kind = "triangle", amplitude = 1e-3, frequency_hz = 8 }
+y_m = { kind = "triangle", amplitude = 5e-4, frequency_hz = 4 }
 """
 
 
@@ -195,15 +196,6 @@ BAD = {
         ),
         "frequencies_hz",
     ),
-    "raster without lines": (GOOD.replace(", lines = 2", ""), "lines"),
-    "raster of lines of light": (GOOD.replace('slow = "y_m"', 'slow = "w_m"'), "'fast' and 'slow'"),
-    "raster on one axis": (GOOD.replace('slow = "y_m"', 'slow = "x_m"'), "raster"),
-    "raster amplitude as text": (
-        GOOD.replace("fast_amplitude = 1e-3", 'fast_amplitude = "a"'),
-        "fast_amplitude",
-    ),
-    "raster is a number": (GOOD[: GOOD.index("raster")] + "raster = 3", "raster"),
-    "raster and its axis": (GOOD + 'x_m = { kind = "sine", amplitude = 3e-4, frequency_hz = 2.0 }', "x_m"),
     "setting as text": (GOOD.replace("z_m = 1e-4", 'z_m = "up"', 1), "z_m"),
     "setting is a table": (
         GOOD.replace("[[setting]]\nrx_rad = -2e-4\n", "").replace("[[setting]]", "[setting]"),
@@ -229,7 +221,8 @@ x_m = { kind = "sine", about = 1e-4, amplitude = 3e-4, frequency_hz = 2.0 }
 [[run]]
 duration_s = 0.25
 zero_deviations_m = [1e-6, -2e-6, 0]
-raster = { fast = "x_m", slow = "y_m", fast_amplitude = 1e-3, slow_amplitude = 5e-4, line_hz = 8, lines = 2 }
+x_m = { kind = "triangle", amplitude = 1e-3, frequency_hz = 8 }
+y_m = { kind = "triangle", amplitude = 5e-4, frequency_hz = 4 }
 """
 BAD |= {
     "no run": ("run = []", r"\[\[run\]\]"),
