@@ -18,7 +18,7 @@ from hallsym import load_fit, write_log
 from hallsym.cli.main import main
 from hallsym.estimation import Fit, fit
 from hallsym.log import Log, read_log
-from hallsym.report.data.gather import Cells, Tally, _systematic, gather
+from hallsym.report.data.gather import Tally, gather
 from hallsym.report.data.survey import Decoder, worst_first
 from hallsym.report.page.charts import Scale, decades, ticks
 from hallsym.report.page.fit_page import fit_page
@@ -257,14 +257,6 @@ def test_maps_count_every_sample_and_agree_with_the_error_table(log: Log, fitted
     floor = np.array(list(fitted.noise_floor.values()))
     spacing = np.diff(np.sort(error, axis=1)[:, len(error[0]) // 2 - 1 :][:, :2], axis=1)[:, 0]
     assert np.all(np.abs(run.median[:, 2] - np.median(error, axis=1)) <= spacing + floor / 20)
-
-
-def test_the_map_with_a_bias_tells_more_than_one_of_noise():
-    count, rms = np.array([400, 400]), np.array([[1e-6, 1e-6]])
-    noise, bias = (
-        Cells("x", ("x_m",), count, np.array([[m, -m]]), rms, up="y", edges=(0, 1, 2)) for m in (2e-8, 5e-7)
-    )
-    assert _systematic(noise) < 0.01 < 0.2 < _systematic(bias) < 0.3
 
 
 def test_gathering_does_not_depend_on_blocks(log: Log, fitted: Fit):

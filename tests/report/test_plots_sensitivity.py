@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from hallsym.inference import Identifiability
-from hallsym.report.data.fit import blocks
 from hallsym.report.figures.sensitivity import LOOKS, correlation, drawable, effects
 from hallsym.report.figures.style import STYLE, broken, text_width
 
@@ -78,15 +77,6 @@ def test_area_of_a_square_is_the_correlation_and_negative_ones_are_hollow(full: 
     (path,) = negative.get_paths()
     assert np.ptp(path.vertices[:, 0]) == pytest.approx(0.9 * np.sqrt(0.25))
     assert to_hex(negative.get_facecolor()[0]) == "#ffffff"
-
-
-def test_blocks_join_parameters_along_chains() -> None:
-    r = np.eye(5)
-    r[0, 3] = r[3, 0] = -0.8
-    r[3, 4] = r[4, 3] = 0.75
-    r[1, 2] = r[2, 1] = 0.69
-    r[2] = r[:, 2] = np.nan
-    assert blocks(r) == [[0, 3, 4], [1]]
 
 
 # -- effects ---------------------------------------------------------------------------------------------

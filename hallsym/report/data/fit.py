@@ -1,14 +1,12 @@
-"""Parameters of a fit as text, page and pictures show them, and their correlations."""
+"""Parameters of a fit as text, page and pictures show them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from hallsym.estimation import Fit
-from hallsym.inference.identifiability import TRADED
 from hallsym.units import parameter_unit
 
 
@@ -63,14 +61,3 @@ def _remark(fit: Fit, k: int) -> str:
         else "not identifiable from this log"
     )
     return cause + ("; fixed at nominal" if p.name in fit.held else "; see below")
-
-
-def blocks(correlation: np.ndarray, least: float = TRADED) -> list[list[int]]:
-    """Return the estimated parameters, (n, n) correlation not nan, in groups that hang together.
-
-    Two are in one group when a chain of correlations of at least `least` joins them.
-    """
-    known = np.flatnonzero(np.isfinite(np.diag(correlation)))
-    joined = np.abs(correlation[np.ix_(known, known)]) >= least
-    _, label = connected_components(joined, directed=False)
-    return [[int(k) for k in known[label == group]] for group in dict.fromkeys(label.tolist())]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -156,15 +155,13 @@ reference would decide the cell, and each side would show a median that is not t
 
 RUNS = 20
 """Runs that have a series, those with the largest errors."""
-MOST_AXES = 6
-"""Coordinates that are mapped over each other, two at a time: a rigid body has six."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
     """What a page shows of a log: `survey`, maps and series of the errors of decoded poses.
 
-    `maps`: over the two coordinates that tell most, along each, by setting, by run. `series`: worst first.
+    `maps`: over the first two coordinates that move, along each, by setting, by run. `series`: worst first.
     `after`: the same maps of another version of the model; empty without one.
     """
 
@@ -243,16 +240,8 @@ def gather(
         )
         for run in chosen
     )
-    planes = [k for k, m in enumerate(found[label][0]) if m.up]
-    telling = max(planes, key=lambda k: _systematic(found[label][0][k]), default=None)
-    maps = [tuple(m for k, m in enumerate(every) if k == telling or not m.up) for every, _ in found.values()]
+    maps = [every for every, _ in found.values()]
     return Gathered(survey, maps[0], series, maps[1] if after else ())
-
-
-def _systematic(cells: Cells) -> float:
-    """Return the part of an output's mean square that medians of cells hold, less what noise puts there."""
-    medians = np.nansum(cells.count * cells.median**2 - 0.5 * np.pi * cells.rms**2, axis=1)
-    return float(np.max(medians / np.maximum(np.nansum(cells.count * cells.rms**2, axis=1), 1e-300)))
 
 
 def _read(
@@ -282,7 +271,7 @@ def _read(
 
 
 def _maps(fit: Fit, survey: Survey) -> list[_Map]:
-    """Return maps over every two coordinates, each output, the vertical settings or states, and runs."""
+    """Return maps over two coordinates, along each output, and by vertical settings or states and runs."""
     model = fit.model
     reach = dict(zip((*model.references, *model.state), survey.reach, strict=True))
     made = {c.name for c in model.computed}
@@ -290,8 +279,8 @@ def _maps(fit: Fit, survey: Survey) -> list[_Map]:
     poses = [c for c in model.references if c in moved]
     axes = {c: _Axis.of(c, reach[c], fit) for c in moved}
     lengths = [c for c in poses if si_unit(c) == "m"]
-    ordered = [*lengths, *(c for c in moved if c not in lengths)][:MOST_AXES]
-    maps = [_plane(axes[a], axes[b], fit) for a, b in combinations(ordered, 2)]
+    ordered = [*lengths, *(c for c in moved if c not in lengths)]
+    maps = [_plane(axes[ordered[0]], axes[ordered[1]], fit)] if len(ordered) > 1 else []
     maps += [_along(axes[c], fit) for c in poses]
     groups, title = settings(fit, survey)
     if title == "run":

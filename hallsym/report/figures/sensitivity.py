@@ -12,7 +12,6 @@ import numpy as np
 
 from hallsym.inference import VERDICTS
 from hallsym.inference.identifiability import TRADED
-from hallsym.report.data.fit import blocks
 from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
@@ -120,15 +119,14 @@ LARGEST, WRITTEN = 0.34, 0.25
 def correlation(report: Identifiability) -> Figure:
     """Draw the correlation of every two determined parameters: squares above the diagonal, numbers below.
 
-    The area of a square is the size of the correlation; negative ones are hollow. Parameters that hang
-    together by correlations of `TRADED` and more stand side by side, in a box.
+    The area of a square is the size of the correlation; negative ones are hollow.
     """
-    groups = blocks(report.correlation)
-    order = [k for group in groups for k in group]
+    order = np.flatnonzero(np.isfinite(np.diag(report.correlation)))
     names = [report.model.names[k] for k in order]
     values = report.correlation[np.ix_(order, order)]
     n, left = len(order), 0.1 + max(map(text_width, names))
-    lines = _caption(report, any(len(group) > 1 for group in groups))
+    rest = [entry for k, entry in enumerate(report.parameters) if k not in order]
+    lines = broken(f"Left out, {'; '.join(by_verdict(rest))}.") if rest else []
     top, bottom = left + LINE + 0.14, 0.1 + (LINE * len(lines) + 0.06 if lines else 0.0)
     cell = min(LARGEST, (WIDTH - left - 0.1) / n)
     figure, axes = panels(
@@ -139,7 +137,6 @@ def correlation(report: Identifiability) -> Figure:
     _squares(ax, values, both=cell < WRITTEN)
     if cell >= WRITTEN:
         _numbers(ax, values)
-    _boxes(ax, [len(group) for group in groups])
     _names(ax, names, min(FONT, 62 * cell))
     width, tall = figure.get_size_inches()
     for k, text in enumerate(reversed(lines)):
@@ -189,34 +186,12 @@ def _short(value: float) -> str:
     return (MINUS if value < 0 else "") + text
 
 
-def _boxes(ax: Axes, sizes: list[int]) -> None:
-    from matplotlib.patches import Rectangle
-
-    first = 0
-    for size in sizes:
-        if size > 1:
-            at = (first - 0.5, first - 0.5)
-            ax.add_patch(
-                Rectangle(at, size, size, fill=False, edgecolor=BLACK, lw=1.1, zorder=4, clip_on=False)
-            )
-        first += size
-
-
 def _names(ax: Axes, names: list[str], size: float) -> None:
     ax.set_xticks(range(len(names)), names, rotation=90, fontsize=size)
     ax.set_yticks(range(len(names)), names, fontsize=size)
     ax.tick_params(length=0, top=True, bottom=False, labeltop=True, labelbottom=False)
     for spine in ax.spines.values():
         spine.set_visible(False)
-
-
-def _caption(report: Identifiability, boxed: bool) -> list[str]:
-    lines = broken(f"Box: correlations of {TRADED:g} and more join these parameters.") if boxed else []
-    known = np.isfinite(np.diag(report.correlation))
-    rest = [entry for entry, there in zip(report.parameters, known, strict=True) if not there]
-    if rest:
-        lines += broken(f"Left out, {'; '.join(by_verdict(rest))}.")
-    return lines
 
 
 # -- effects of the parameters ---------------------------------------------------------------------------

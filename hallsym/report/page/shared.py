@@ -95,7 +95,7 @@ def _planes(versions: Mapping[str, Sequence[Cells]], floor: Mapping[str, float])
         for version, m in flat.items()
     ]
     more = " Before and after have one scale." if len(versions) > 1 else ""
-    note = f"Over the two coordinates with which the error goes most. {COLOURS}{more}"
+    note = f"Over the first two coordinates that move. {COLOURS}{more}"
     return [Words(note, note=True), *figures] if figures else []
 
 

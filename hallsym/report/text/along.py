@@ -4,12 +4,12 @@ from collections.abc import Iterator
 
 from hallsym.report.tables import grid
 from hallsym.uncertainty import ErrorModel
-from hallsym.units import fitting, parameter_unit, readable
+from hallsym.units import fitting, readable
 
 
 def errors_text(found: ErrorModel) -> str:
     """Return what `hallsym tolerances --along` prints: errors by cause, and what makes how many waves."""
-    return "\n".join([_first(found), "", error_table(found), *_values(found), *_waves(found)])
+    return "\n".join([_first(found), "", error_table(found), *_waves(found)])
 
 
 def span(found: ErrorModel) -> tuple[float, float, float, str, str]:
@@ -67,17 +67,6 @@ def _number(value: float) -> str:
 
 SHOWN = 1e-4
 """Least error shown [um, urad, mdeg]: a decoder that has converged only rounds below it."""
-
-
-def _values(found: ErrorModel) -> Iterator[str]:
-    parameters = {p.name: p for p in found.model.parameters}
-    yield ""
-    yield "values of the machine, where the decoder has the nominal ones"
-    for name in {n: None for _, values, _ in found.causes for n in values}:
-        p, value = parameters[name], next(v[name] for _, v, _ in found.causes if name in v)
-        factor, unit = parameter_unit(p.unit, bare=True)
-        nominal = f" (nominal {p.nominal * factor:.6g})" if p.nominal else ""
-        yield f"  {name} = {value * factor:.6g} {'' if unit == '1' else unit}".rstrip() + nominal
 
 
 def _waves(found: ErrorModel) -> Iterator[str]:

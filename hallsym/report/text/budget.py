@@ -64,15 +64,12 @@ def _own(source: Source) -> tuple[float, str]:
     return fitting("1", source.std) if source.unit == "1" else reading_unit(source.unit)
 
 
-def _unit(c: Comparison) -> tuple[float, str]:
-    return fitting(c.linear.unit, max(c.std, c.linear.std), turns=c.linear.turns)
-
-
 def comparison_text(comparisons: Sequence[Comparison]) -> str:
-    """Return what Monte Carlo says of the linear result: one table and one sentence for each output."""
-    rows = [["Monte Carlo", "u linear", "u", "unit", "interval linear", "interval", "tolerance", ""]]
+    """Return what Monte Carlo says of the linear result: a line for each output."""
+    head = f"Monte Carlo, {comparisons[0].trials} trials"
+    rows = [[head, "u linear", "u", "unit", "interval linear", "interval", "tolerance", ""]]
     for c in comparisons:
-        factor, unit = _unit(c)
+        factor, unit = fitting(c.linear.unit, max(c.std, c.linear.std), turns=c.linear.turns)
         low, high = ((v - (c.linear.value or 0.0)) * factor for v in c.interval)
         half = c.linear.expanded * factor
         rows.append(
@@ -82,34 +79,7 @@ def comparison_text(comparisons: Sequence[Comparison]) -> str:
                 _three(c.tolerance * factor), c.verdict,
             ]
         )  # fmt: skip
-    return "\n".join([grid(rows), *map(comparison_sentence, comparisons)])
-
-
-def comparison_sentence(c: Comparison) -> str:
-    """Return the verdict on one output in words."""
-    percent, trials = f"{100 * c.level:g} %", f"{c.trials} trials"
-    name = c.linear.quantity
-    if c.verdict == "confirmed":
-        return f"{name}: confirmed by {trials}; the {percent} interval agrees within {_size(c, c.tolerance)}."
-    off = max(map(abs, c.differences))
-    if c.verdict == "undecided":
-        return (
-            f"{name}: undecided after {trials}; the ends of the {percent} interval differ by {_size(c, off)} "
-            f"and are themselves known to {_size(c, 2 * max(c.scatter[2:]))} only: ask for more trials."
-        )
-    low, high = c.differences  # linear minus Monte Carlo
-    if abs(low + high) > 0.5 * (abs(low) + abs(high)):
-        how = f"is off to one side: its ends by {_size(c, low)} and {_size(c, high)}"
-    else:
-        ratio = np.ptp(c.linear.interval) / np.ptp(c.interval)
-        how = f"is {100 * abs(ratio - 1):.2g} % too {'wide' if ratio > 1 else 'narrow'}"
-    advice = "which is on the safe side" if low < 0 < high else "so use that of Monte Carlo"
-    return f"{name}: not confirmed by {trials}; the linear {percent} interval {how}, {advice}."
-
-
-def _size(c: Comparison, value: float) -> str:
-    factor, unit = _unit(c)
-    return f"{_three(value * factor)} {unit}"
+    return grid(rows)
 
 
 def recorded_text(recorded: Recorded, title: str) -> str:
