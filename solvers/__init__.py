@@ -8,29 +8,24 @@ linearise. To add a global method write its equations as a generator
 Needs numpy and casadi, nothing else, and nothing of hallsym.
 """
 
-from solvers.driver import SOLVERS, minimize, reflect
+from solvers.driver import SOLVERS, minimize
 from solvers.gauss_newton import gauss_newton
 from solvers.hybrid import EXPLORERS, hybrid
-from solvers.ipopt import Ipopt, ipopt
-from solvers.multistart import best_apart, latin_hypercube, screened_starts
-from solvers.newton import bounded_step, newton
+from solvers.ipopt import ipopt
+from solvers.multistart import screened_starts
+from solvers.newton import newton
 from solvers.problem import Population, Problem, Result
 
 __all__ = [
     "EXPLORERS",
     "SOLVERS",
-    "Ipopt",
     "Population",
     "Problem",
     "Result",
-    "best_apart",
-    "bounded_step",
     "gauss_newton",
     "hybrid",
     "ipopt",
-    "latin_hypercube",
     "minimize",
     "newton",
-    "reflect",
     "screened_starts",
 ]

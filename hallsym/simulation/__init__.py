@@ -10,7 +10,7 @@ from hallsym.simulation.campaign import (
     read_campaign,
     write_campaign,
 )
-from hallsym.simulation.machine import NoiseModel, scaled, simulate, simulate_blocks
+from hallsym.simulation.machine import NoiseModel, simulate, simulate_blocks
 from hallsym.simulation.paper import bundled_campaign, is_the_papers, paper_campaign, table8_noise
 from hallsym.simulation.signals import Signal, multi_sine, sine, steps, triangle
 
@@ -28,7 +28,6 @@ __all__ = [
     "noise_table",
     "paper_campaign",
     "read_campaign",
-    "scaled",
     "simulate",
     "simulate_blocks",
     "sine",

@@ -1,7 +1,7 @@
 """A twin: simulate the log that a model with known values would have recorded."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -190,8 +190,3 @@ class _Disturbance:
         correlated, _ = lfilter([1.0], [1.0, -self.memory], drive, zi=[self.memory * before])
         self.last[name] = float(correlated[-1])
         return correlated
-
-
-def scaled(noise: NoiseModel, factor: float) -> NoiseModel:
-    """Return the same noise with every level multiplied by `factor`."""
-    return replace(noise, sigma={c: factor * s for c, s in noise.sigma.items()})

@@ -8,31 +8,22 @@ table says which is best for the curve at hand.
 expressions, and errors that are bounded. `points`, `choose`: which method. `export`: tables and G-code.
 """
 
-from hallsym.trajectory.bounds import Bound, bound
-from hallsym.trajectory.choose import METHODS, Candidate, Choice, Method, choose_curve
+from hallsym.trajectory.bounds import bound
+from hallsym.trajectory.choose import Candidate, Choice, choose_curve
 from hallsym.trajectory.curve import Curve, is_curve, read_curve
-from hallsym.trajectory.factorisation import BERNSTEIN, TRIGONOMETRIC, factorise, orthogonalise
 from hallsym.trajectory.nominal import Nominal, nominal
-from hallsym.trajectory.points import Points, points_of, read_points
+from hallsym.trajectory.points import Points, read_points
 
 __all__ = [
-    "BERNSTEIN",
-    "METHODS",
-    "TRIGONOMETRIC",
-    "Bound",
     "Candidate",
     "Choice",
     "Curve",
-    "Method",
     "Nominal",
     "Points",
     "bound",
     "choose_curve",
-    "factorise",
     "is_curve",
     "nominal",
-    "orthogonalise",
-    "points_of",
     "read_curve",
     "read_points",
 ]

@@ -26,7 +26,7 @@ from hallsym.families import build, published
 from hallsym.inference import identify, profile, tangent
 from hallsym.inference.bootstrap import bootstrap
 from hallsym.log import Log, Noise
-from hallsym.model import combination, parameter
+from hallsym.model.quantities import combination, parameter
 from hallsym.simulation import NoiseModel, paper_campaign, simulate, table8_noise
 
 MODEL = build("stage31")

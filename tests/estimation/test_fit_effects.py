@@ -290,7 +290,7 @@ def diagnose_only(log: Log, make):
     """Diagnose with one effect alone."""
     from dataclasses import replace
 
-    from hallsym.model import as_effect
+    from hallsym.model.effect import as_effect
 
     model = build("stage31")
     alone = replace(model, family=replace(model.family, effects=()))

@@ -12,7 +12,7 @@ from hallsym.errors import InputError
 from hallsym.estimation import cost_of, determine, refit, scales, summarise
 from hallsym.experiment import CRITERIA, candidates, paper_ranges, plan, planned_cost
 from hallsym.families import build
-from hallsym.model import influence
+from hallsym.model.influence import influence
 from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simulate, sine
 
 MODEL = build("stage31")

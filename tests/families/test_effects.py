@@ -12,18 +12,8 @@ from hallsym.errors import InputError
 from hallsym.families import FAMILIES, build, effects
 from hallsym.families.faults import FAULTS, Injection, Recording
 from hallsym.log import Meta
-from hallsym.model import (
-    LINKS,
-    Effect,
-    Facts,
-    Model,
-    Parameter,
-    effect,
-    example_facts,
-    from_log,
-    one_of,
-    searched,
-)
+from hallsym.model import LINKS, Effect, Facts, Model, Parameter, effect, one_of
+from hallsym.model.arguments import example_facts, from_log, searched
 
 ANGLE = Meta(columns=("angle_rad", "angle_ref_rad"))
 MODELS = [build("stage15"), build("stage31"), build("rotary_ideal"), build("rotary"),

@@ -11,7 +11,8 @@ from twins import SIGMAS, cost_on, record, true_model, with_noise
 
 from hallsym.estimation import Cost, Determination, Uncertainty, determine, refit, uncertainty
 from hallsym.inference import Profile, profile, skewness, tangent
-from hallsym.model import Model, Quantity, combination, linear, parameter
+from hallsym.model import Model
+from hallsym.model.quantities import Quantity, combination, linear, parameter
 
 MODEL = true_model()
 THRESHOLD = float(chi2.ppf(0.95, 1))

@@ -7,7 +7,7 @@ from twins import combinations_of_effects, truth_of
 
 from hallsym.families import build
 from hallsym.families.stage import models as stage
-from hallsym.model import influence
+from hallsym.model.influence import influence
 
 CASES = combinations_of_effects()
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hallsym.model import median, medians
+from hallsym.model.arrays import median, medians
 
 NUMBERS = st.floats(-1e300, 1e300) | st.just(float("nan"))
 

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from solver_problems import GLOBAL, SPHERE
 
 import solvers
-from solvers import SOLVERS, Problem, Result, minimize, reflect
+from solvers import SOLVERS, Problem, Result, minimize
+from solvers.driver import reflect
 
 NAMES = tuple(solver.__name__ for solver in SOLVERS)
 each_solver = pytest.mark.parametrize("name", NAMES)

@@ -7,7 +7,9 @@ from hypothesis import strategies as st
 from nist import MODELS, sets
 from solver_problems import LOCAL, MISRA1A, ROSENBROCK, SPHERE
 
-from solvers import Ipopt, Problem, bounded_step, ipopt, newton
+from solvers import Problem, ipopt, newton
+from solvers.ipopt import Ipopt
+from solvers.newton import bounded_step
 
 METHODS = (ipopt, newton)
 each_method = pytest.mark.parametrize("method", METHODS, ids=lambda method: method.__name__)

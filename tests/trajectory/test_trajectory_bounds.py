@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hallsym import InputError
-from hallsym.trajectory import METHODS, TRIGONOMETRIC, Curve, bound, nominal
-from hallsym.trajectory.choose import Target
+from hallsym.trajectory import Curve, bound, nominal
+from hallsym.trajectory.choose import METHODS, Target
 from hallsym.trajectory.curve import FgForm
+from hallsym.trajectory.factorisation import TRIGONOMETRIC
 from hallsym.trajectory.nominal import FUNCTIONS, read_span, read_value
 
 INNER = {"asin": "t/4", "acos": "t/4", "log": "t", "sqrt": "t", "tan": "t/3"}

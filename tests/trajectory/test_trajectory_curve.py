@@ -10,9 +10,10 @@ from cycloid import WHOLE, cycloid, through
 
 import hallsym
 from hallsym import InputError
-from hallsym.trajectory import METHODS, TRIGONOMETRIC, Curve, factorise, nominal, read_curve
-from hallsym.trajectory.choose import Target
+from hallsym.trajectory import Curve, nominal, read_curve
+from hallsym.trajectory.choose import METHODS, Target
 from hallsym.trajectory.curve import FORMAT, FgForm
+from hallsym.trajectory.factorisation import TRIGONOMETRIC, factorise
 
 SCHEMA = Path(hallsym.__file__).parent / "trajectory/curve.schema.json"
 

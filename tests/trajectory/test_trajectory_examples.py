@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from hallsym import InputError
-from hallsym.trajectory import choose_curve, nominal, points_of, read_points
+from hallsym.trajectory import choose_curve, nominal, read_points
+from hallsym.trajectory.points import points_of
 
 DATA = Path(__file__).parents[2] / "data/trajectories"
 

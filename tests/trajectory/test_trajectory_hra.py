@@ -7,9 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hallsym import InputError
-from hallsym.trajectory import BERNSTEIN, TRIGONOMETRIC, factorise, orthogonalise
 from hallsym.trajectory.choose import chebyshev_nodes
-from hallsym.trajectory.factorisation import Basis
+from hallsym.trajectory.factorisation import BERNSTEIN, TRIGONOMETRIC, Basis, factorise, orthogonalise
 
 
 @pytest.fixture(autouse=True)

@@ -7,8 +7,9 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial import cKDTree
 
 from hallsym.families.published import table
-from hallsym.trajectory import Curve, bound, choose_curve, points_of
+from hallsym.trajectory import Curve, bound, choose_curve
 from hallsym.trajectory.choose import fitted
+from hallsym.trajectory.points import points_of
 
 
 @pytest.mark.parametrize(
