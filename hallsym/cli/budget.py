@@ -240,7 +240,6 @@ def _pictures(
     *,
     worst: bool = False,
 ) -> list[Path]:
-    """Save the pictures asked for."""
     if not options.plots:
         return []
     from hallsym.report.figures.uncertainty import save_budget_pictures

@@ -131,7 +131,6 @@ def _head_text(source: Source) -> str:
 
 
 def _suggest(options: Namespace) -> int:
-    """Write the column file that is to be checked."""
     from hallsym.families.suggest import suggest
 
     _, folder, source = _opened(options)

@@ -51,7 +51,6 @@ def parser_of(commands: Sequence[str]) -> ArgumentParser:
 
 
 def _listed() -> str:
-    """Return the commands by task."""
     width, lines = prose_width() - 2, []
     for task, commands in GROUPS.items():
         lines += [f"{task}:"]

@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Callable
-from threading import Event, Lock, Thread
 from time import monotonic
 from typing import TextIO
 
@@ -12,10 +11,6 @@ EVERY_S = 5.0
 """Seconds between lines where there is no terminal: some hundreds of them in an hour."""
 REDRAWN_S = 0.1
 """Seconds between two drawings of the line on a terminal."""
-LONGEST_WAIT_S = 3600.0
-"""Seconds that a thread waits at once."""
-TICK_S = 1.0
-"""Seconds after which the line on a terminal is drawn again where nothing else happens."""
 SURE = 0.02
 """Share of the work from which on the time that it took tells how much is left."""
 
@@ -31,7 +26,6 @@ class Meter:
         self._now = now
         self._redrawn = self._stream.isatty()
         self._text, self._began, self._shown = "", now(), now()
-        self._ended, self._drawing = Event(), Lock()
         _SHOWN.append(self)
 
     def __call__(self, text: str) -> None:
@@ -40,38 +34,25 @@ class Meter:
         again = isinstance(text, Step) and isinstance(before, Step) and text.share < before.share
         if _head(text) != _head(before) or again:
             self._began = now
-        if not before:
-            Thread(target=self._ticking, daemon=True).start()
         self._text = text
         if now - self._shown >= (REDRAWN_S if self._redrawn else EVERY_S) or (self._redrawn and not before):
             self.draw()
 
     def draw(self) -> None:
         """Show the line as it is now."""
-        with self._drawing:
-            self._shown = self._now()
-            line = f"{self._text}, {self._time(self._shown - self._began)}"
-            if self._ended.is_set():
-                return
-            if self._redrawn:
-                most = (columns() or len(line) + 1) - 1
-                line = line if len(line) <= most else f"{line[: most - 3]}..."
-                print(f"\r\033[K{line}", end="", file=self._stream, flush=True)
-            else:
-                print(f"hallsym: {line}", file=self._stream, flush=True)
+        self._shown = self._now()
+        line = f"{self._text}, {self._time(self._shown - self._began)}"
+        if self._redrawn:
+            most = (columns() or len(line) + 1) - 1
+            line = line if len(line) <= most else f"{line[: most - 3]}..."
+            print(f"\r\033[K{line}", end="", file=self._stream, flush=True)
+        else:
+            print(f"hallsym: {line}", file=self._stream, flush=True)
 
     def end(self) -> None:
         """Show nothing more; what follows begins on an empty line."""
-        with self._drawing:
-            if self._redrawn and self._text and not self._ended.is_set():
-                print("\r\033[K", end="", file=self._stream, flush=True)
-            self._ended.set()
-
-    def _ticking(self) -> None:
-        every = TICK_S if self._redrawn else EVERY_S
-        while not self._ended.wait(min(every, LONGEST_WAIT_S)):
-            if self._now() - self._shown >= every:
-                self.draw()
+        if self._redrawn and self._text:
+            print("\r\033[K", end="", file=self._stream, flush=True)
 
     def _time(self, taken: float) -> str:
         if isinstance(self._text, Step) and self._text.share >= SURE:

@@ -112,7 +112,6 @@ def _check(options: Namespace) -> None:
 
 
 def _saved(options: Namespace) -> int:
-    """Export a curve that was made before."""
     from hallsym.trajectory import read_curve
 
     for name in ("tolerance", "control", "method"):

@@ -93,7 +93,6 @@ def _entry(value: float, digits: int) -> Enclosure:
 
 
 def _enclosed(d: Decoupler, steps: Sequence[Step], digits: int) -> list[Enclosure]:
-    """Return the enclosure of each step of inputs, table and earlier steps."""
     dtype = np.float32 if digits == 24 else np.float64
     given = {d.symbols[c].name(): Enclosure(*(float(dtype(v)) for v in d.ends(c))) for c in d.inputs} | {
         d.symbols[e.name].name(): _entry(e.value, digits) for e in (*d.table, *d.zeros)

@@ -290,7 +290,6 @@ class FloatBackend(Backend):
         return {**own, "outer_low": self._beyond(low), "outer_high": self._beyond(high)}
 
     def _beyond(self, value: float) -> str:
-        """A literal a little beyond a bound."""
         return self._literal(float(np.float32(value * 1.0001)) + (1e-12 if value > 0 else -1e-12))
 
     def _fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
@@ -516,11 +515,9 @@ class FloatBackend(Backend):
 
     @property
     def _most(self) -> str:
-        """The largest number in C."""
         return "FLT_MAX" if self.real.size == 4 else "DBL_MAX"
 
     def _faults(self) -> Iterator[str]:
-        """The faults of a table that the self-test makes: words, numbers, limits, gains, zeros."""
         d, c = self.decoupler, self.real.constant
         reach = {column: max(map(abs, d.ends(column))) for column in d.inputs}
         values = [self._input(value) for value in (np.nan, np.inf, -np.inf)]

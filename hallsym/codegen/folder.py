@@ -53,7 +53,8 @@ def write_folder(folder: Path, files: Files, *, force: bool = False, name: str =
         )
     _check_ours(folder, listed, {*files, *listed})
     _replace(folder, files, _manifest(_digests(files), name))
-    _remove(folder, set(listed) - set(files))
+    for old in set(listed) - set(files):
+        (folder / old).unlink(missing_ok=True)
     _forget_proof(folder)
 
 
@@ -187,11 +188,6 @@ def _replace(folder: Path, files: Files, manifest: str) -> None:
             except OSError as error:
                 raise InputError(f"Cannot write {quoted(path)}: {reason(error)}.") from error
             stack.enter_context(replacing(path)).write_bytes(_bytes(content))
-
-
-def _remove(folder: Path, names: Collection[str]) -> None:
-    for name in names:
-        (folder / name).unlink(missing_ok=True)
 
 
 def _forget_proof(folder: Path) -> None:

@@ -359,7 +359,6 @@ class IntegerBackend(Backend):
         return {"known_poses": len(rows), "known_rows": rows, "refused": refused}
 
     def _faults(self) -> Iterator[str]:
-        """The faults of a table that the self-test makes: words, limits, gains."""
         p, d = self.program, self.decoupler
         reach = {c: max(map(abs, d.ends(c))) for c in d.inputs}
         reach |= {c: sum(map(abs, d.ends(c))) for c in d.inputs if not d.box.symmetric(c)}  # as it is checked

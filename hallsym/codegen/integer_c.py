@@ -271,7 +271,6 @@ def helpers(program: Program) -> list[str]:
 
 
 def _look_up(array: AngleTable) -> list[str]:
-    """The C of `Array.at`."""
     fine, count = FINE, len(array.values)
     left, right = f"p->{array.name}[cell]", f"p->{array.name}[(cell + 1U) & {count - 1}U]"
     if array.bits == 16:
@@ -440,7 +439,6 @@ class Compiler:
         return made[found.results[0]]
 
     def _operation(self, operation: Operation, args: Sequence[Fixed]) -> Fixed:
-        """Return what an operation of a step gives."""
         if operation.op == "mul":
             return self._mul(*args)
         if operation.op == "sq":

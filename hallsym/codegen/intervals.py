@@ -239,18 +239,10 @@ def _of_quotient(x: Enclosure, y: Enclosure) -> Numbers:
     return (x.error + np.maximum(np.abs(low), np.abs(high)) * y.error) / least
 
 
-def _of_product(x: Enclosure, y: Enclosure) -> Numbers:
-    return x.error * y.most + y.error * x.most
-
-
 def _of_comparison(x: Enclosure, y: Enclosure) -> Numbers:
     """A comparison that rounding can turn is off by 1."""
     low, high = _less(x, y, False)
     return np.where((low != high) & (x.error + y.error > 0), 1.0, 0.0)
-
-
-def _of_choice(c: Enclosure, x: Enclosure) -> Numbers:
-    return np.where(_decided(c)[0], 0.0, np.where(c.error > 0, x.most, x.error))
 
 
 def _of_sign(x: Enclosure) -> Numbers:
@@ -269,10 +261,10 @@ _ERRORS: dict[str, Callable[..., Numbers]] = {
     "lt": _of_comparison,
     "le": _of_comparison,
     "not": lambda x: x.error,
-    "if_else_zero": _of_choice,
+    "if_else_zero": lambda c, x: np.where(_decided(c)[0], 0.0, np.where(c.error > 0, x.most, x.error)),
     "add": lambda x, y: x.error + y.error,
     "sub": lambda x, y: x.error + y.error,
-    "mul": _of_product,
+    "mul": lambda x, y: x.error * y.most + y.error * x.most,
     "div": _of_quotient,
     "inv": lambda x: _of_quotient(Enclosure(1.0, 1.0), x),
     "sq": lambda x: x.error * (2 * x.most + x.error),

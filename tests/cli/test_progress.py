@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from hallsym.cli import INTERRUPTED
-from hallsym.cli.progress import EVERY_S, Meter, ended
+from hallsym.cli.progress import EVERY_S, Meter
 from hallsym.terminal import Step, said_time
 
 ROOT = Path(__file__).parents[2]
@@ -67,17 +67,6 @@ def test_on_a_terminal_one_line_is_drawn_again_and_taken_away(monkeypatch):
 def test_work_whose_end_is_not_known_says_how_long_it_took():
     steps = [(0.0, "testing 30 effects"), (EVERY_S, "testing 30 effects, beside 1")]
     assert shown(io.StringIO(), steps) == "hallsym: testing 30 effects, beside 1, 5 s so far\n"
-
-
-def test_work_that_says_nothing_for_long_is_still_seen(monkeypatch):
-    monkeypatch.setattr("hallsym.cli.progress.EVERY_S", 0.02)
-    stream = io.StringIO()
-    Meter(stream)("choosing runs")
-    end = time.monotonic() + 5
-    while stream.getvalue().count("\n") < 2 and time.monotonic() < end:
-        time.sleep(0.01)
-    ended()
-    assert stream.getvalue().startswith("hallsym: choosing runs, 0 s so far\nhallsym: choosing runs")
 
 
 def test_times_are_said_in_units_that_suit_them():

@@ -107,8 +107,6 @@ def decoupler(
 
 @dataclass(eq=False)
 class _Assembly(Collected):
-    """Collects entries, symbols and steps of one calibration."""
-
     curve: Curve
     given: Box
     correction: Series | Grid
@@ -155,7 +153,6 @@ class _Assembly(Collected):
         return Margin(channel, name)
 
     def _ellipse(self) -> Margin:
-        """Voltages to a vector of length 1."""
         off = []
         for channel, center in zip(self.curve.model.channels, self.curve.center, strict=True):
             name = short(channel)
@@ -175,7 +172,6 @@ class _Assembly(Collected):
         return Margin(self.curve.model.channels[0], "least_field")
 
     def _arctangent(self) -> ca.SX:
-        """atan2(y, x) by octants."""
         x, y = self.symbols["x"], self.symbols["y"]
         across, up = self.step("across", ca.fabs(x)), self.step("up", ca.fabs(y))
         flat = up <= across
@@ -189,7 +185,6 @@ class _Assembly(Collected):
         return self.step("phase", ca.if_else(y < 0, -half, half), "[rad] atan2(y, x)")
 
     def _finish(self, phase: ca.SX, zero: ca.SX) -> None:
-        """The correction, the zero, and the branch."""
         found = self.correction
         angle = phase
         if found.constant or found.most:
@@ -355,7 +350,8 @@ class Rounding:
     def __call__(self, digits: int) -> dict[str, Enclosure]:
         """Return the enclosure of each pose coordinate, zeros at zero."""
         found, u = self.correction, 2.0**-digits
-        phase = self._read(digits) if self.curve.angle_only else self._vector(digits) + octants(digits)
+        # a reading is wrapped, and rounded once, by the second part of a turn
+        phase = half_ulp(pi, digits) if self.curve.angle_only else self._vector(digits) + octants(digits)
         error = phase * (1 + found.slope)
         if found.most:
             error += self._looked_up(found, digits) if isinstance(found, Grid) else self._waves(found, digits)
@@ -365,10 +361,6 @@ class Rounding:
             error += half_ulp(pi, digits)  # a wrap rounds once: its first difference is exact
         end = float(np.float32(pi)) * (1 + 4 * u) + error
         return {c: Enclosure(-end, end, float(error)) for c in self.curve.model.pose}
-
-    def _read(self, digits: int) -> float:
-        """The wrap of the reading: rounded once, by the second part of a turn."""
-        return half_ulp(pi, digits)
 
     def _vector(self, digits: int) -> float:
         """The angle by which rounding can turn (x, y) = M (reading - center), M and center rounded too.
@@ -560,7 +552,6 @@ class _Turns(Compiler):
         return self._line("turn", a, b)
 
     def _shifts(self, shift: float) -> bool:
-        """Whether a constant is added to the angle."""
         moves = self.table is not None or abs(shift) >= UNIT / 2
         planned = bool(self._chosen(lambda: int(moves)))
         if moves and not planned:

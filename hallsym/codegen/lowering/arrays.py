@@ -93,7 +93,8 @@ class Rounding:
                 low, high = ranges[step.name]
                 known[step.name] = Enclosure(low, high)
                 continue
-            if step.name.startswith(CHOSEN) and _branches(step):
+            operations = graph([step.expression]).operations if step.name.startswith(CHOSEN) else ()
+            if any(operation.op in TESTS for operation in operations):
                 known[step.name] = _chosen(step, known, ranges[step.name], digits)
                 continue
             needs = {s.name(): known[s.name()] for s in ca.symvar(step.expression)}
@@ -151,10 +152,6 @@ class Rounding:
         inputs = self.drawn(np.random.default_rng(6), POSES)
         columns = (*self.found.model.channels, *self.nears)
         return ranges_of(self.steps, columns, inputs, self.values, self.found.model.pose)
-
-
-def _branches(step: Step) -> bool:
-    return any(operation.op in TESTS for operation in graph([step.expression]).operations)
 
 
 def _chosen(step: Step, known: Mapping[str, Enclosure], ends: tuple[float, float], digits: int) -> Enclosure:

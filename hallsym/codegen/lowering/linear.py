@@ -58,8 +58,6 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Deco
 
 @dataclass(eq=False)
 class _Assembly(Collected):
-    """Collects entries, symbols and steps of one calibration."""
-
     taken: PolynomialModel
     p: np.ndarray
     weight: np.ndarray
@@ -151,7 +149,6 @@ class _Assembly(Collected):
         )
 
     def _bends(self, scale: np.ndarray) -> list[list["_Term"]]:
-        """Add the entries of eta h of each probe."""
         return [
             self._terms(
                 poly, poly.rows, f"bend_{short(channel)}", scale[k], "m",

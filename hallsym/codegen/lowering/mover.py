@@ -443,8 +443,6 @@ def _left(found: Mover) -> float:
 
 @dataclass(eq=False)
 class _Assembly(Assembly):
-    """Collects the decoupler of one calibration over a box."""
-
     found: Mover  # type: ignore[assignment]
 
     # -- sums ----------------------------------------------------------------------------------------------
@@ -523,15 +521,11 @@ class _Assembly(Assembly):
     def _first_turn(self, k: int, values: dict[str, ca.SX]) -> ca.SX:
         """First estimate of a rotation, within its range: of readings of no pose it could be anything."""
         made, column = self.made, short(self.found.model.pose[k])
-        most = made.entry(f"most_{column}", self.most_turn, "rad", f"largest {column} that is taken out")
+        half_more = 1.5 * float(self.found.half[3:].max())
+        most = made.entry(f"most_{column}", half_more, "rad", f"largest {column} that is taken out")
         turn = made.step(f"seen_{column}", self.total(k, values), "[rad] first estimate")
         up = made.step(f"above_{column}", ca.if_else(turn < most, turn, most))
         return made.step(f"first_{column}", ca.if_else(up > -most, up, -most))
-
-    @property
-    def most_turn(self) -> float:
-        """Half more than the largest rotation of the box [rad]."""
-        return 1.5 * float(self.found.half[3:].max())
 
     def _lifted(self, row: Row, name: str, turn: ca.SX) -> list[ca.SX]:
         """How much stronger the field is at each sensor than at the middle of the array."""

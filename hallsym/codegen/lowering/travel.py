@@ -273,8 +273,6 @@ class _Tried:
 
 @dataclass(eq=False)
 class _Assembly:
-    """Collects the decoupler of one calibration."""
-
     row: Row
     wave: Wave
     given: Box
@@ -340,7 +338,6 @@ class _Assembly:
         )
 
     def _add(self) -> None:
-        """Add all steps and entries; the last two steps are the pose."""
         row, made = self.row, self.made
         self.names = [short(c) for c in row.model.channels]
         self.lc = made.entry("lc", row.lc, "m", "wavelength over 2 pi")
@@ -374,7 +371,6 @@ class _Assembly:
         return [self.made.symbols[f"field_{n}"] for n in self.names]
 
     def _all(self) -> Pair:
-        """Cosine and sine of all sensors alike."""
         fields = self._fields()
         return (
             self.made.total("cos_all", [a * f for a, f in zip(self.cos, fields, strict=True)], "all alike"),

@@ -109,8 +109,6 @@ def ends_of(found: Phasor, k: int, heights: tuple[float, float]) -> tuple[float,
 
 @dataclass(eq=False)
 class _Assembly:
-    """Collects the decoupler of one calibration."""
-
     model: Model
     wave: Wave
     given: Box

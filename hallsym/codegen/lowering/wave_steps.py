@@ -243,7 +243,6 @@ def _shared(shares: Mapping[int, list[ca.SX]], powers: Sequence[Pair]) -> Pair:
 
 
 def _times(made: Collected, a: Pair, b: Pair, name: str, within: tuple[float, int] | None = None) -> Pair:
-    """Add a product of complex numbers."""
     real = made.step(f"real{name}", a[0] * b[0] - a[1] * b[1], within=within)
     return real, made.step(f"imaginary{name}", a[0] * b[1] + a[1] * b[0], within=within)
 

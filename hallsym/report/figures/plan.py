@@ -137,7 +137,6 @@ def _motion(
 
 
 def _distinct(paths: list[np.ndarray]) -> list[np.ndarray]:
-    """Paths that are not drawn already."""
     found: dict[bytes, np.ndarray] = {}
     for path in paths:
         found.setdefault(np.round(path * 1e7).astype(int).tobytes(), path)

@@ -222,7 +222,6 @@ def effects(report: Identifiability) -> Figure:
 
 
 def _effect_panel(ax: Axes, entries: list[ParameterReport], column: str, report: Identifiability) -> None:
-    """Draw the bars of one coordinate."""
     sigma = np.array([np.nan if e.sigma is None else e.sigma.worst[column] for e in entries])
     percent = np.array([e.percent.worst[column] for e in entries])
     floor, together = (report.outputs[column].noise_floor, report.outputs[column].parameters_worst)

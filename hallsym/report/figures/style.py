@@ -118,7 +118,6 @@ def label_x(ax: Axes, text: str, below: float = 0.24) -> None:
 
 
 def _inches(ax: Axes) -> tuple[float, float]:
-    """Width and height of axes."""
     box, inch = ax.get_position(), ax.figure.dpi_scale_trans.inverted()
     (width, height) = inch.transform(ax.figure.bbox.size)
     return float(box.width * width), float(box.height * height)

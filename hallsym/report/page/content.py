@@ -61,12 +61,8 @@ def _shown(value: Any) -> Any:
     if value is None:
         return ""
     if isinstance(value, str) and not isinstance(value, Markup) and not value.isprintable():
-        return "".join(c if _shows(c) else "�" for c in value)
+        return "".join(c if c.isprintable() or c in "\n\t" or category(c) == "Zs" else "�" for c in value)
     return value
-
-
-def _shows(character: str) -> bool:
-    return character.isprintable() or character in "\n\t" or category(character) == "Zs"
 
 
 # -- what a page holds -----------------------------------------------------------------------------------
@@ -211,6 +207,5 @@ def document(title: str, headline: Headline, sections: Sequence[Section], footer
 
 
 def _full(content: Any) -> bool:
-    """Return whether a piece has something to show."""
     empty = {"table": "rows", "items": "lines", "figure": "charts"}
     return content is not None and bool(getattr(content, empty.get(content.kind, "kind")))

@@ -299,14 +299,12 @@ def _others(d: Diagnosis, name: str) -> str:
 
 
 def _groups(d: Diagnosis) -> list[Any]:
-    """Return what the log cannot tell apart, and the recording that would."""
     found = {s.group: s for s in d.separate_by}
     lines = [_separation(group, found.get(group)) for group in dict.fromkeys([*d.groups, *found])]
     return [Heading("Confusable effects"), Items(lines)] if lines else []
 
 
 def _separation(group: tuple[str, ...], s: Separation | None) -> Item:
-    """Return what would separate a group."""
     if s is None:
         return Item("this log cannot tell them apart.", ", ".join(group))
     now = f"this log cannot tell them apart ({three(s.sigma_now)} sigma)"

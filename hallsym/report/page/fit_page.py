@@ -91,7 +91,6 @@ def _headline(fit: Fit, rows: Mapping[str, Gap], calibration: str) -> Headline:
 
 
 def _next(fit: Fit, above: bool, calibration: str) -> tuple[str, str]:
-    """Return what to do next and the command that does it."""
     if above:
         found = fit.goodness.next_command if fit.goodness else ""
         own = diagnose_command(fit.log["path"], fit.model, added_effects(fit.model))

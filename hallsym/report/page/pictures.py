@@ -350,7 +350,6 @@ def _most_of(readings: list[Band]) -> float:
 
 
 def _scale_of(unit: str, largest: float) -> tuple[float, str]:
-    """Return factor and unit of the coordinate's axis."""
     if unit in ("m", "rad", "v"):
         return scale(f"x_{unit}", largest)
     factor, shown = place_unit(unit)

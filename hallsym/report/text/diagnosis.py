@@ -123,14 +123,12 @@ def significance_text(s: Significance, piece: str = "run") -> str:
 
 
 def _errors(d: Diagnosis) -> str:
-    """Return the errors on the holdout runs, before and after, with the noise floor."""
     gaps = {"before": d.gap_before, "after": d.gap_after} if d.effects else {"holdout": d.gap_before}
     rows = {when: asdict(gap) for when, gap in gaps.items()}
     return error_rows(tuple(d.noise_floor.outputs), rows, d.noise_floor.outputs, d.noise_floor.source)
 
 
 def _sizes(d: Diagnosis) -> list[str]:
-    """Return the size of the gap per output and sensor, on fitted and on holdout runs."""
     head = ["rms error", "fitted", "holdout", "noise", "above it: fitted", "holdout", "share", "holdout"]
     rows = []
     for column, sides in d.size.rows.items():

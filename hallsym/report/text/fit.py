@@ -55,7 +55,6 @@ def periodic_lines(fit: Fit, log: Log | None = None) -> list[str]:
 
 
 def _logs(fit: Fit) -> str:
-    """What the log is called, or how many there are."""
     fitted = [log["name"] for log in fit.logs if not log["held_out"]]
     return counted(len(fitted), "log") if fitted else fit.log["path"] or "a log in memory"
 

@@ -57,7 +57,8 @@ def parameters_text(parameters: Sequence[ParameterReport], meanings: Mapping[str
         value = f"({entry.value * factor:.4g})"
         if entry.std is not None:
             value = concise(entry.value * factor, entry.std * factor)
-        rows.append([entry.name, value, unit, _interval(entry, factor), _share(entry), _other(entry)])
+        share = "" if entry.share is None else f"{100 * entry.share:.2g} %"
+        rows.append([entry.name, value, unit, _interval(entry, factor), share, _other(entry)])
         because, meaning = entry.verdict.because, (meanings or {}).get(entry.name)
         rows[-1].append(
             entry.verdict.word + (f": {because}" if because else f"; {meaning}" if meaning else "")
@@ -72,10 +73,6 @@ def _interval(entry: ParameterReport | CombinationReport, factor: float) -> str:
     ends = (f"{v * factor:.{min(digits, 9)}f}" for v in (entry.interval.low, entry.interval.high))
     mark = {"normal": "", "student": " t", "profile": " p", "block bootstrap": " b"}[entry.interval.how]
     return " .. ".join(ends) + mark
-
-
-def _share(entry: ParameterReport) -> str:
-    return "" if entry.share is None else f"{100 * entry.share:.2g} %"
 
 
 def _other(entry: ParameterReport) -> str:
