@@ -239,7 +239,7 @@ def slopes(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) ->
     model = fit.model
     check_gain(fit, state, settings)
     found = influence(model, fit.values, np.zeros(len(model.zeros)), pose, state, weights(fit))
-    q0, _ = zero_point(model, settings)
+    q0, s0 = zero_point(model, settings)
     moved = np.asarray(pose).T - q0  # (s, n_pose)
     places = {
         "reading": found.readings,
@@ -248,9 +248,10 @@ def slopes(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) ->
     }
     if not model.zeros:
         return Slopes(found.parameters, places)
-    zero = zero_slopes(fit, settings)
-    places |= {f"zero {name}": found.zeros @ zero[name] for name in ("reading", "state", "pose")}
-    return Slopes(found.parameters + found.zeros @ zero["parameters"], places)
+    at_reset = zero_functions(model)[1](fit.values, q0, s0, weights(fit))
+    by_reading, by_p, by_pose, by_state = (found.zeros @ np.asarray(slope) for slope in at_reset)
+    places |= {"zero reading": by_reading, "zero state": by_state, "zero pose": by_pose}
+    return Slopes(found.parameters + by_p, places)
 
 
 def model_error(
@@ -269,22 +270,12 @@ def zero_point(model: Model, settings: Settings) -> tuple[np.ndarray, np.ndarray
     return np.array([at.get(c, 0.0) for c in model.pose]), np.array([at.get(c, 0.0) for c in model.state])
 
 
-def zero_slopes(fit: Fit, settings: Settings) -> dict[str, np.ndarray]:
-    """Slopes of the zeros found at the reset: d zeros / d (reading, parameters, pose, state) there."""
-    q0, s0 = zero_point(fit.model, settings)
-    values = _zero_functions(fit.model)[1](fit.values, q0, s0, weights(fit))
-    names = ("reading", "parameters", "pose", "state")
-    return dict(zip(names, map(np.asarray, values), strict=True))
-
-
-def zeros_found(model: Model) -> ca.Function:
-    """`(parameters, reading, pose, state, weight) -> zeros` of a reset: readings are linear in the zeros."""
-    return _zero_functions(model)[0]
-
-
 @lru_cache(maxsize=64)
-def _zero_functions(model: Model) -> tuple[ca.Function, ca.Function]:
-    """The zeros of a reset by weighted least squares, and their slopes at a reset without deviation."""
+def zero_functions(model: Model) -> tuple[ca.Function, ca.Function]:
+    """`(parameters, reading, pose, state, weight) -> zeros` of a reset by weighted least squares, and slopes.
+
+    `(parameters, pose, state, weight) -> d zeros / d (reading, parameters, pose, state)` without deviation.
+    """
     s = model.symbols
     reading, weight = (ca.SX.sym(name, len(model.channels)) for name in ("reading", "weight"))
     full = s.full(s.reading)

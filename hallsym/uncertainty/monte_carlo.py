@@ -25,8 +25,8 @@ from hallsym.uncertainty.inputs import (
     model_error,
     slopes,
     weights,
+    zero_functions,
     zero_point,
-    zeros_found,
 )
 from hallsym.uncertainty.position import place, position_budget
 
@@ -274,7 +274,7 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
     }  # fmt: skip
     weight, root = weights(fit), _root(fit.covariance)
     decode, stretch = decoder(model, 1.0 / weight), _stretch(fit.degrees_of_freedom)
-    zeros = on_arrays(zeros_found(model)) if model.zeros else None
+    zeros = on_arrays(zero_functions(model)[0]) if model.zeros else None
     found = slopes(fit, pose[:, None], state[:, None], settings)
     left = model_error(fit, pose[:, None], state[:, None], settings, found)
     of_model = np.sqrt(sum((v[0] for v in left.values()), np.zeros(len(pose))))
