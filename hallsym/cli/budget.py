@@ -242,9 +242,13 @@ def _pictures(
 ) -> list[Path]:
     if not options.plots:
         return []
-    from hallsym.report.figures.uncertainty import save_budget_pictures
+    from hallsym.report.figures.saving import save_figures
+    from hallsym.report.figures.uncertainty import budget_bars, uncertainty_picture
 
-    return save_budget_pictures(plots_place(options, options.file), budgets, grid, worst=worst)
+    draw = {"budget": lambda: budget_bars(budgets, worst=worst)}
+    if grid is not None:
+        draw["uncertainty_map"] = lambda: uncertainty_picture(grid)
+    return save_figures(draw, plots_place(options, options.file))
 
 
 def _rng(options: Namespace) -> np.random.Generator:

@@ -90,7 +90,6 @@ def _fitted(log: Log, runs: list[int]) -> dict[str, dict[str, float]]:
 
 
 def _joined(parts: list[dict[str, dict[str, float]]]) -> dict[str, dict[str, float]]:
-    """Errors over equally long parts together."""
     return {
         "rmse": {c: float(np.sqrt(np.mean([p["rmse"][c] ** 2 for p in parts]))) for c in POSE},
         "peak": {c: max(p["peak"][c] for p in parts) for c in POSE},

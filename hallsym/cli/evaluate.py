@@ -137,11 +137,12 @@ def _record(options: Namespace, path: str, seen: Evaluation, found: Belonging | 
 def _pictured(options: Namespace, path: str, seen: Evaluation) -> list[Path]:
     if not options.plots:
         return []
-    from hallsym.report.figures.campaign import save_evaluation
+    from hallsym.report.figures.campaign import evaluation_figure
+    from hallsym.report.figures.saving import save_figures
 
     folder = Path(options.plots) / (Path(path).stem if len(options.logs) > 1 else "")
     place = place_of(folder, options.plot_format, path, options.calibration)
-    return save_evaluation(seen, place)
+    return save_figures({"errors_by_setting": lambda: evaluation_figure(seen)}, place)
 
 
 def _text(options: Namespace, known: Fit, logs: dict[str, Judged | str]) -> str:

@@ -81,9 +81,9 @@ def run(options: Namespace) -> int:
             atomic_write(path, make(found))
             wrote.append(path)
     if options.page:
-        from hallsym.report.page.fleet_page import save_page  # and what draws, when it is asked for
+        from hallsym.report.page.fleet_page import page_of  # and what draws, when it is asked for
 
-        save_page(found, options.page)
+        atomic_write(options.page, page_of(found))
         wrote.append(options.page)
     say(options, found.to_dict(), lambda: fleet_text(found), wrote=wrote)
     return OK if set(found.verdicts) <= {GOOD} else NOT_DESCRIBED

@@ -106,14 +106,11 @@ def run(options: Namespace) -> int:
     if options.output:
         write_campaign(found.campaign, options.output, comment=_comment(found))
     if options.plots:
-        from hallsym.report.figures.plan import save_plan_pictures
+        from hallsym.report.figures.plan import coverage
+        from hallsym.report.figures.saving import save_figures
 
-        written += save_plan_pictures(
-            found,
-            plots_place(options, options.ranges, model.name),
-            log or against,
-            "recorded" if log else name,
-        )
+        draw = {"coverage": lambda: coverage(found, log or against, "recorded" if log else name)}
+        written += save_figures(draw, plots_place(options, options.ranges, model.name))
     say(
         options, found.to_dict() | {"notes": notes}, lambda: f"{plan_text(found)}\n",
         notes=notes, wrote=written,

@@ -133,8 +133,10 @@ def _along(options: Namespace, model: Model) -> int:
     found = error_model(model, values, over=(column, low, high), at=at)
     pictures = []
     if options.plots:
-        from hallsym.report.figures.along import save_errors
+        from hallsym.report.figures.along import errors
+        from hallsym.report.figures.saving import save_figures
 
-        pictures = save_errors(found, plots_place(options, found.model.name))
+        place = plots_place(options, found.model.name)
+        pictures = save_figures({"errors": lambda: errors(found)}, place)
     say(options, found.to_dict(), lambda: errors_text(found), wrote=pictures)
     return OK

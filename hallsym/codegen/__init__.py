@@ -2,21 +2,15 @@
 
 from hallsym.codegen.cost import cost_of
 from hallsym.codegen.decoupler import (
-    Array,
-    Bits,
     Box,
     Decoupler,
     Entry,
-    Flag,
-    Lookup,
     Margin,
     Step,
-    Whole,
     limits,
 )
 from hallsym.codegen.generation import Generated, decouple, generate
 
 __all__ = [
-    "Array", "Bits", "Box", "Decoupler", "Entry", "Flag", "Generated", "Lookup", "Margin", "Step", "Whole",
-    "cost_of", "decouple", "generate", "limits",
+    "Box", "Decoupler", "Entry", "Generated", "Margin", "Step", "cost_of", "decouple", "generate", "limits",
 ]  # fmt: skip

@@ -212,7 +212,6 @@ class FloatBackend(Backend):
         return inputs.astype(self.real.dtype)
 
     def _chosen(self) -> np.ndarray:
-        """Return corners and points of the box, and inputs that are out of range or not finite."""
         low, high = (side[:, 0] for side in self.ends)
         rng, dtype = np.random.default_rng(1), self.real.dtype
         share = np.hstack([np.zeros((len(low), 1)) + 0.5, rng.random((len(low), COUNT - 1))])
@@ -499,7 +498,6 @@ class FloatBackend(Backend):
         return 8 * 2.0**-self.real.digits * max(2.0 * d.known(c) for c in d.pose) + 10 * d.slack
 
     def _known(self) -> dict[str, Any]:
-        """Poses at which the self-test takes a zero, and those at which none is taken."""
         d, c = self.decoupler, self.real.constant
         most = [d.known(p) for p in d.pose]
         ends = (2.0**-12, -(2.0**-12)) if d.at_pose else (2.0**-12, 1.0, -1.0)  # non-linear models: near rest

@@ -124,7 +124,6 @@ class IntegerBackend(Backend):
         return np.round(inputs).astype(np.int64)
 
     def _chosen(self) -> np.ndarray:
-        """Return corners and points of the box, and inputs that are out of range."""
         d, (low, high) = self.decoupler, self.ends
         rng = np.random.default_rng(1)
         share = np.hstack([rng.choice([0.0, 1.0], (len(low), 8)), rng.random((len(low), COUNT - 8))])
@@ -344,7 +343,6 @@ class IntegerBackend(Backend):
         }
 
     def _known(self) -> dict[str, Any]:
-        """Poses at which the self-test takes a zero, and those at which none is taken."""
         p = self.program
         angles = [port.column in p.angles for port in self.outputs]
         tried = [[0x7FFFFFFF if angle else KNOWN for angle in angles]]

@@ -16,7 +16,7 @@ from hallsym.fleets import Fleet
 from hallsym.inference import Identifiability
 from hallsym.log import Log, as_log
 from hallsym.report.data.survey import look_over
-from hallsym.report.figures.campaign import errors_by_setting, gap
+from hallsym.report.figures.campaign import errors_by_setting, evaluation_figure, gap
 from hallsym.report.figures.fleet import distributions
 from hallsym.report.figures.plan import coverage
 from hallsym.report.figures.sensitivity import effects
@@ -138,10 +138,6 @@ def _evaluation_table(found: Evaluation) -> Table:
     return {"run": list(found.table.runs), **columns}
 
 
-def _evaluation_figure(found: Evaluation, log: Any) -> Figure:
-    return errors_by_setting(found.applied, look_over(found.decoded, found.applied))
-
-
 # -- a diagnosis -----------------------------------------------------------------------------------------
 
 
@@ -200,7 +196,9 @@ def _budget_table(budget: Budget) -> Table:
 
 VIEWS: Mapping[type, View] = {
     Fit: View(fit_text, _fit_table, _fit_figure, fit_head),
-    Evaluation: View(evaluation_text, _evaluation_table, _evaluation_figure, evaluation_head),
+    Evaluation: View(
+        evaluation_text, _evaluation_table, lambda found, log: evaluation_figure(found), evaluation_head
+    ),
     Diagnosis: View(diagnosis_text, _diagnosis_table, lambda d, log: gap(d)),
     Identifiability: View(report_text, _identifiability_table, lambda found, log: effects(found)),
     Plan: View(

@@ -115,7 +115,6 @@ class _Assembly(Collected):
         return tuple(margins)
 
     def _shares(self, own: list[int], monomials: "_Monomials") -> None:
-        """Add what each probe sees: (reading - offset) / gain."""
         model = self.taken.model
         for k, (poly, channel) in enumerate(zip(self.taken.offset, model.channels, strict=True)):
             name, about = short(channel), f"offset of {channel}"
@@ -185,7 +184,6 @@ class _Assembly(Collected):
         return {(k := short(c)): self.symbols[f"u_{k}"] for c in self.taken.model.channels}
 
     def _sensed(self, bends: list, monomials: "_Monomials", tag: str) -> dict[str, ca.SX]:
-        """Take h off what each probe sees."""
         sensed = self._seen()
         for bend, label in zip(bends, sensed, strict=True):
             if bend:

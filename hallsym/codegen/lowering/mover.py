@@ -538,7 +538,6 @@ class _Assembly(Assembly):
         return out
 
     def _vector(self, row: Row, name: str, tag: str, turn: ca.SX | None) -> Pair:
-        """Weighted least squares of what the sensors of a row read."""
         made, sensors = self.made, self._channels(row)
         field = [made.symbols[f"field_{s}"] for s in sensors]
         cos, sin, weight = ([made.symbols[f"{n}_{s}"] for s in sensors] for n in ("cos", "sin", "weight"))

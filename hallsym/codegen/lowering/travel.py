@@ -297,7 +297,6 @@ class _Assembly:
 
     @cached_property
     def _ends(self) -> Box:
-        """Ranges of readings over poses of the box."""
         seen = self.row.readings(self.row.poses(np.random.default_rng(4), TRIALS))
         ends = {}
         for c, values in zip(self.row.model.channels, seen, strict=True):

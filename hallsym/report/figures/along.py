@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     BLACK,
     DASHES,
@@ -58,8 +55,3 @@ def errors(found: ErrorModel) -> Figure:
     keys = [key(cause, **look) for (cause, *_), look in zip(causes, looks, strict=True)]
     legend(figure, keys, "upper left", ncols=COLUMNS)
     return figure
-
-
-def save_errors(found: ErrorModel, folder: str | Path | Place) -> list[Path]:
-    """Save the picture into `folder` (made if missing) and return the files written."""
-    return save_figures({"errors": partial(errors, found)}, folder)

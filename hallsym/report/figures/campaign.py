@@ -62,12 +62,9 @@ def save_pictures(log: Log, fit: Fit, folder: str | Path | Place, *, keep: Weigh
     )
 
 
-def save_evaluation(found: Evaluation, folder: str | Path | Place) -> list[Path]:
-    """Draw `errors_by_setting` of the log that was evaluated into `folder`; returns the files written."""
-    fit = found.applied
-    return save_figures(
-        {"errors_by_setting": lambda: errors_by_setting(fit, look_over(found.decoded, fit))}, folder
-    )
+def evaluation_figure(found: Evaluation) -> Figure:
+    """Draw `errors_by_setting` of the log that was evaluated."""
+    return errors_by_setting(found.applied, look_over(found.decoded, found.applied))
 
 
 ACROSS, HEIGHT = 3, 1.4

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hallsym.log import Log
-from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -36,19 +34,10 @@ CIRCLES = 60
 """Of the other campaign's path, so many points are drawn as circles."""
 
 
-def save_plan_pictures(
-    plan: Plan, folder: str | Path | Place, other: Campaign | Log | None = None, other_name: str = "recorded"
-) -> list[Path]:
-    """Draw `coverage` into `folder` (made if missing); returns the file.
-
-    `other`: a campaign or a log to draw beside the plan, called `other_name`.
-    """
-    return save_figures({"coverage": lambda: coverage(plan, other, other_name)}, folder)
-
-
 def coverage(plan: Plan, other: Campaign | Log | None = None, other_name: str = "recorded") -> Figure:
     """Draw vertical settings (area: number of runs) and paths of the motion, planned and recorded.
 
+    `other`: a campaign or a log to draw beside the plan, called `other_name`.
     The path of a single pose coordinate is drawn over the run. A row shows three pairs of axes at most.
     """
     model = plan.study.model

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
     FAINT,
@@ -34,25 +32,11 @@ COLOURS = "viridis"
 BAR = 0.17  # inches
 
 
-def save_budget_pictures(
-    folder: str | Path | Place,
-    budgets: Mapping[str, Budget],
-    grid: UncertaintyMap | None = None,
-    *,
-    worst: bool = False,
-) -> list[Path]:
-    """Draw `budget.png`, and `uncertainty_map.png` if there is a map; returns the files written.
+def budget_bars(budgets: Mapping[str, Budget], *, worst: bool = False) -> Figure:
+    """Draw the share of every source in u_c squared: one row per source, one column per quantity.
 
     `worst`: the budgets are those of the worst position of each coordinate, which the picture then says.
     """
-    draw: dict[str, Callable[[], Figure]] = {"budget": lambda: budget_bars(budgets, worst=worst)}
-    if grid is not None:
-        draw["uncertainty_map"] = lambda: uncertainty_picture(grid)
-    return save_figures(draw, folder)
-
-
-def budget_bars(budgets: Mapping[str, Budget], *, worst: bool = False) -> Figure:
-    """Draw the share of every source in u_c squared: one row per source, one column per quantity."""
     labels, shares = _bars(list(budgets.values()))
     margin = 0.12 + max(map(text_width, labels))
     figure, axes = panels(
@@ -125,7 +109,6 @@ def uncertainty_picture(grid: UncertaintyMap) -> Figure:
 def _lines(
     pose: Sequence[str], U: np.ndarray, place: np.ndarray, label: str, turning: Collection[str], top: float
 ) -> Figure:
-    """Draw U of each pose coordinate, (n_pose, places), over a place that has a `label`."""
     figure, axes = panels(len(pose), 1, 1.4, top=top, bottom=0.44, right=0.14, sharex=True)
     for ax, coordinate, own in zip(axes[:, 0], pose, U, strict=True):
         factor, unit = scale(coordinate, largest(own), turning)

@@ -207,7 +207,6 @@ def _metric(d: Diagnosis) -> str:
 
 
 def _waves(d: Diagnosis, coordinate: str) -> list[Any]:
-    """Return the harmonics of the error over a periodic coordinate."""
     factor, unit, name = readable(coordinate or next(iter(d.noise_floor.outputs)))
     per = f"period of {name}" if coordinate else "turn"
     rows: list[list[object]] = []
@@ -272,7 +271,6 @@ def _ranking(d: Diagnosis) -> Figure | None:
 
 
 def _ranked(d: Diagnosis) -> Table:
-    """Return the ranking as a table: effects with numbers, then names that carry evidence without them."""
     head = [
         "effect", "link", "form", "shrinks the gap by (95 %)", "share of the excess", "p",
         "not told apart from",

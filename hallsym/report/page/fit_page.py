@@ -127,7 +127,6 @@ def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
 
 
 def _ratios(fit: Fit, gap: Gap) -> dict[str, float]:
-    """Return the rmse of each output over its noise floor, where there is one."""
     floor = {c: v for c, v in fit.noise_floor.items() if v}
     return {c: gap["rmse"][c] / floor[c] for c in gap["rmse"] if floor.get(c)}
 

@@ -3,10 +3,8 @@
 import io
 from collections.abc import Sequence
 from html import escape
-from pathlib import Path
 
 from hallsym.errors import counted
-from hallsym.files import atomic_write
 from hallsym.fleets import Fleet
 from hallsym.fleets.row import VERDICTS
 from hallsym.report.figures.fleet import CAPTION, distributions
@@ -24,11 +22,6 @@ figure svg { max-width: 100%; height: auto; }
 """
 MOST_LISTED = 500
 """Devices in the list of those that differ; all stand in the table that is saved."""
-
-
-def save_page(fleet: Fleet, path: str | Path) -> None:
-    """Write the page of a fleet as one HTML file that needs nothing else."""
-    atomic_write(path, page_of(fleet))
 
 
 def page_of(fleet: Fleet) -> str:

@@ -66,10 +66,9 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
         else []
     )
     if d.smaller_findings:
-        parts += [
-            "",
-            _wrapped(f"smaller findings (significant, but below the threshold): {_smaller(d)}", "  "),
-        ]
+        smaller = ", ".join(f"{f.name} {100 * f.shrinkage:.1f} %" for f in d.smaller_findings)
+        said = f"smaller findings (significant, but below the threshold): {smaller}"
+        parts += ["", _wrapped(said, "  ")]
     parts += _untested(d.not_testable)
     if d.notes:
         parts += ["", *(_wrapped(f"note: {note}", "  ") for note in d.notes)]
@@ -185,7 +184,6 @@ def units_of(d: Diagnosis) -> Mapping[str, tuple[float, str]]:
 
 
 def _parameters(effect: FoundEffect, units: Mapping[str, tuple[float, str]]) -> str:
-    """Return the parameters of an effect on this machine, and its firmware cost."""
     values = ", ".join(f"{n} {_estimate(p, units)}" for n, p in effect.parameters.items())
     form = f" ({effect.variant})" if effect.variant else ""
     text = f"{effect.name}{form}: {values + ' (1 sigma); ' if values else ''}{effect.cost}"
@@ -252,10 +250,6 @@ def _statement(s: Statement, held_out: str) -> str:
     held = "" if s.held_out is None else f"; {held_out}s {100 * max(s.held_out, 0.0):.0f} %"
     p = p_text(s.p_value)
     return f"{s.text} (p {p if s.p_value < LEAST_P else f'= {p}'}{held})"
-
-
-def _smaller(d: Diagnosis) -> str:
-    return ", ".join(f"{f.name} {100 * f.shrinkage:.1f} %" for f in d.smaller_findings)
 
 
 def _untested(reasons: Mapping[str, str]) -> list[str]:
