@@ -161,7 +161,6 @@ def _saved(options: Namespace, result: Fit) -> list[str | Path]:
 
 
 def _pictured(result: Fit, logs: list[Log]) -> list[tuple[str, Log, Fit]]:
-    """Return what pictures are made of: a subfolder, the log and its fit."""
     if not result.by_log:
         return [("", logs[0], result)]
     return [(entry["name"], log, part)

@@ -2,6 +2,7 @@
 
 import sys
 from argparse import Namespace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -118,11 +119,11 @@ def _written(options: Namespace, report: Identifiability, record: dict[str, Any]
         atomic_write(options.output, json.dumps(record, indent=1, allow_nan=False) + "\n")
         written.append(Path(options.output))
     if options.plots:
-        from hallsym.report.figures.sensitivity import save_sensitivity_pictures
+        from hallsym.report.figures.saving import save_figures
+        from hallsym.report.figures.sensitivity import drawable
 
-        written += save_sensitivity_pictures(
-            report, plots_place(options, report.evidence.recorded, report.model.name)
-        )
+        draw = {picture.__name__: partial(picture, report) for picture in drawable(report)}
+        written += save_figures(draw, plots_place(options, report.evidence.recorded, report.model.name))
     return written
 
 

@@ -600,7 +600,6 @@ class _Turns(Compiler):
         return self._line("angle", x.text, y.text, self.steps), moved + cordic
 
     def _row(self, axis: str, row: np.ndarray, off: list[Fixed], e: int) -> Fixed:
-        """One coordinate of the unit circle."""
         first, second = (
             self._mul(self._constant(f"{axis}_{short(c)}", float(value), e), o)
             for c, value, o in zip(self.d.inputs, row, off, strict=True)

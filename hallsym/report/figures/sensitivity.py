@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hallsym.inference import VERDICTS
 from hallsym.inference.identifiability import TRADED
-from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -43,17 +40,8 @@ if TYPE_CHECKING:
     from hallsym.inference import Identifiability, ParameterReport
 
 
-def save_sensitivity_pictures(report: Identifiability, folder: str | Path | Place) -> list[Path]:
-    """Draw the pictures of `report` into `folder` (made if missing) and return the files written.
-
-    `correlation` and `effects`, without those that there is nothing to draw of: no correlation of fewer than
-    two parameters.
-    """
-    return save_figures({draw.__name__: partial(draw, report) for draw in drawable(report)}, folder)
-
-
 def drawable(report: Identifiability) -> list[Callable[[Identifiability], Figure]]:
-    """Return the pictures that there is something to draw of."""
+    """Return the pictures that there is something to draw of: no correlation of a single parameter."""
     out: list[Callable[[Identifiability], Figure]] = []
     if np.isfinite(np.diag(report.correlation)).sum() > 1:
         out.append(correlation)

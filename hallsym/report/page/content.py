@@ -68,10 +68,6 @@ def _shown(value: Any) -> Any:
 # -- what a page holds -----------------------------------------------------------------------------------
 
 
-BRIEF = 30
-"""Rows of a table that is not broken over two printed pages."""
-
-
 @dataclass(frozen=True)
 class Words:
     """A paragraph; a `note` is smaller."""
@@ -107,11 +103,6 @@ class Table:
     def look(self, column: int) -> str | None:
         """Return the class of a column's cells."""
         return None if column < self.left else "t" if column in self.wordy else "n"
-
-    @property
-    def brief(self) -> bool:
-        """Whether the table fits on a printed page."""
-        return len(self.rows) <= BRIEF
 
     @property
     def many(self) -> bool:

@@ -227,7 +227,6 @@ def _waves(d: Diagnosis, coordinate: str) -> list[Any]:
 
 
 def _sizes(d: Diagnosis) -> list[Any]:
-    """Return how large the gap is per output and sensor, on fitted and on holdout runs."""
     rows: list[list[object]] = []
     for column, sides in d.size.rows.items():
         factor, unit = scale(column, max(side.rms for side in sides.values()))
