@@ -69,13 +69,6 @@ class CombinationRecord(_Record):
     degrees_of_freedom: Positive | None = None
 
 
-class NoiseRecord(_Record):
-    """One standard deviation of a column, in its SI unit."""
-
-    value: NotNegative
-    source: Literal["given", "estimated"]
-
-
 class CovarianceRecord(_Record):
     """Covariance of the parameters in the order `parameters`, in SI."""
 
@@ -83,29 +76,6 @@ class CovarianceRecord(_Record):
     method: str
     reason: str
     matrix: list[list[float]]
-
-
-class GoodnessRecord(_Record):
-    """What the fit leaves, in multiples of the noise; `by_run`, `by_channel`: rms residual over noise."""
-
-    cost_per_degree_of_freedom: float
-    degrees_of_freedom: float
-    by_run: dict[int, float]
-    by_channel: dict[str, float]
-    worst_run: int
-    worst_channel: str
-    worst: float
-    worst_least: float
-    limit: float
-    limit_anywhere: float
-    noise_estimated: bool
-    next_command: str
-    what: str
-    statement: str | None
-    material: bool
-    significant: bool
-    residual_over_noise: float
-    scatter: float
 
 
 class LowerBoundRecord(_Record):
@@ -143,14 +113,6 @@ class LogRecord(_Record):
     span: dict[str, tuple[float, float]] = {}
 
 
-class ColumnRecord(_Record):
-    """A column of the log under the name it has in its file."""
-
-    name: str
-    scale: float = 1.0
-    counts_per_turn: Annotated[float, msgspec.Meta(ge=2, le=1e100)] | None = None
-
-
 class OwnRecord(_Record):
     """A parameter that one log has of its own; `std` is null where the log does not determine it."""
 
@@ -167,7 +129,7 @@ class FittedLogRecord(_Record):
     log: LogRecord
     runs: dict[int, int]
     errors: dict[str, dict[str, dict[str, float | None]] | None]
-    noise: dict[str, NoiseRecord]
+    noise: dict[str, Sigma]
     parameters: dict[str, OwnRecord]
     residual_over_noise: float | None = None
 
@@ -181,7 +143,7 @@ class CalibrationRecord(_Record):
     parameters: dict[str, ParameterRecord]
     combinations: list[CombinationRecord]
     errors: dict[str, dict[str, dict[str, float | None]] | None]
-    noise: dict[str, NoiseRecord]
+    noise: dict[str, Sigma]
     noise_floor: dict[str, float | None]
     status: str
     message: str
@@ -197,11 +159,11 @@ class CalibrationRecord(_Record):
     layout: list[dict[str, Any]]
     log: LogRecord
     versions: dict[str, str]
-    columns: dict[str, ColumnRecord] = {}
+    columns: dict[str, Foreign] = {}
     read_with: dict[str, str] = {}
     effects: list[str] = []
     own_effects: list[str] = []
-    goodness_of_fit: GoodnessRecord | None = None
+    goodness_of_fit: GoodnessOfFit | None = None
     logs: list[FittedLogRecord] = []
 
 
@@ -483,7 +445,6 @@ def _checked(
                 f"'wiring' of {where} must pair {', '.join(model.channels)} with 1 or -1; it has "
                 f"{[channel, sign]!r}: fit the log again."
             )
-    goodness = record.goodness_of_fit
     column = {k: np.array([_float(getattr(entries[n], k)) for n in names]) for k in ("value", "std")}
     return Fit(
         model=model,
@@ -504,18 +465,18 @@ def _checked(
             for c in record.combinations
         ),
         zeros={run: np.array([d[zero] for zero in zeros]) for run, d in record.zero_deviations.items()},
-        noise=Noise({c: Sigma(s.value, s.source) for c, s in record.noise.items()}),
+        noise=Noise(record.noise),
         noise_floor={c: _float(v) for c, v in record.noise_floor.items()},
         status=record.status,
         message=record.message,
-        goodness=None if goodness is None else GoodnessOfFit.from_dict(_plain(goodness)),
+        goodness=record.goodness_of_fit,
         solver=_plain(record.solver),
         log=_plain(record.log),
         seconds=record.seconds,
         notes=tuple(record.notes),
         undetermined_by_log=tuple(record.undetermined_by_log),
         wiring=None if record.wiring is None else tuple((c, s) for c, s in record.wiring),
-        columns={c: Foreign(e.name, e.scale, e.counts_per_turn) for c, e in record.columns.items()},
+        columns=record.columns,
         read_with=record.read_with,
         logs=tuple(_plain(one) for one in record.logs),
         versions=record.versions,

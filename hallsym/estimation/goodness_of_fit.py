@@ -163,13 +163,6 @@ class GoodnessOfFit:
             "by_channel": dict(self.by_channel),
         }
 
-    @staticmethod
-    def from_dict(raw: Mapping[str, Any]) -> "GoodnessOfFit":
-        """Read what `to_dict` wrote; what follows from the rest is computed again."""
-        stored = {name: raw[name] for name in GoodnessOfFit.__dataclass_fields__}
-        by_run = {int(run): float(value) for run, value in raw["by_run"].items()}
-        return GoodnessOfFit(**{**stored, "by_run": by_run})
-
 
 def goodness_of(point: Point, estimated: int) -> GoodnessOfFit:
     """Return the goodness of fit at a point, of whose parameters `estimated` were fitted to these runs."""

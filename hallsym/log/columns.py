@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 
 from hallsym.errors import InputError, nearest, quoted
@@ -27,7 +28,7 @@ class Foreign:
 
     name: str
     scale: float = 1.0
-    counts_per_turn: float | None = None
+    counts_per_turn: Annotated[float, msgspec.Meta(ge=2, le=1e100)] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record, as a column file has it."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+import msgspec
 
 from hallsym.errors import InputError, nearest
 from hallsym.units import UNITS, quantity, split_unit
@@ -15,7 +17,7 @@ from hallsym.units import UNITS, quantity, split_unit
 class Sigma:
     """One standard deviation in the channel's SI unit, and whether a person gave it or we estimated it."""
 
-    value: float
+    value: Annotated[float, msgspec.Meta(ge=0)]
     source: Literal["given", "estimated"]
 
 
