@@ -200,38 +200,21 @@ def _listed(expressions: Iterable[str]) -> str:
 
 SAMPLES = 20_000
 """Samples of a log that stand for a further recording; the information of more is proportional to them."""
-BETTER = 2.0
-"""Factor by which an uncertainty must fall beyond what the same motion once more makes, to be told."""
 SHARED = 1e-6
 """Sine of the angle within which two structural null directions are one."""
 
 
 @dataclass(frozen=True)
-class Gained:
-    """A parameter that a further recording determines (`before` is None) or determines better.
-
-    `std`: its standard uncertainty with both recordings, `before`: with the log and the same motion once
-    more; both in `unit`.
-    """
-
-    parameter: str
-    unit: str
-    std: float
-    before: float | None
-
-
-@dataclass(frozen=True)
 class FurtherReport:
-    """What a log and one further recording determine together: `rank` of `of` directions; what is gained."""
+    """What a log and one further recording determine together: `rank` of `of` directions.
+
+    `determined`: standard uncertainties, in SI, of the parameters that the same motion once more leaves open.
+    """
 
     recording: str
     rank: int
     of: int
-    gained: tuple[Gained, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the record that `hallsym sensitivity --json` prints."""
-        return {**vars(self), "gained": [vars(gained) for gained in self.gained]}
+    determined: Mapping[str, float]
 
 
 def further_reports(evidence: Evidence, log: Log) -> tuple[FurtherReport, ...]:
@@ -255,12 +238,8 @@ thousandth of its bounds."""
 
 def _report(evidence: Evidence, text: str, again: np.ndarray, rank: int, known: np.ndarray) -> FurtherReport:
     parameters = evidence.model.parameters
-    gained = [
-        Gained(p.name, p.unit, float(std), None if np.isnan(before) else float(before))
-        for p, before, std in zip(parameters, again, known, strict=True)
-        if np.isfinite(std) and (np.isnan(before) or before > BETTER * std)
-    ]
-    return FurtherReport(text, rank, sum(p.width > 0 for p in parameters), tuple(gained))
+    new = {p.name: float(known[k]) for k, p in enumerate(parameters) if np.isnan(again[k]) and known[k] > 0}
+    return FurtherReport(text, rank, sum(p.width > 0 for p in parameters), new)
 
 
 def _together(
@@ -479,7 +458,7 @@ class Identifiability(Shown):
             ],
             "structural": _space(self.structural),
             "practical": _space(self.practical),
-            "further": [report.to_dict() for report in self.further],
+            "further": [vars(report) for report in self.further],
             "outputs": {c: vars(entry) for c, entry in self.outputs.items()},
             "nuisance": self.offsets.to_dict(),
             "uncertainty": {"method": self.intervals.method, "reason": self.intervals.reason},

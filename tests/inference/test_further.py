@@ -37,12 +37,12 @@ def test_another_gap_tells_a_harmonic_from_ends(harmonic_or_ends):
     assert (found.practical.rank, found.practical.of) == (6, 8)
     gap, turned = found.further
     assert (gap.rank, turned.rank) == (8, 6)
-    assert {g.parameter for g in gap.gained if g.before is None} == {"a2", "b2", "ends_cos", "ends_sin"}
-    assert turned.gained == ()
+    assert set(gap.determined) == {"a2", "b2", "ends_cos", "ends_sin"}
+    assert turned.determined == {}
 
 
 def test_it_is_what_a_recording_at_both_gaps_determines(harmonic_or_ends):
-    told = {g.parameter: g.std for g in judged(harmonic_or_ends, sweeps(GAP), a2=0.013).further[0].gained}
+    told = judged(harmonic_or_ends, sweeps(GAP), a2=0.013).further[0].determined
     both = judged(harmonic_or_ends, sweeps(GAP, WIDER), a2=0.013)
     assert both.practical.rank == 8
     for name, std in told.items():
@@ -51,7 +51,7 @@ def test_it_is_what_a_recording_at_both_gaps_determines(harmonic_or_ends):
 
 def test_a_recording_that_adds_nothing_is_said_to():
     found = judged(build("halbach"), sweeps(GAP, WIDER))
-    assert [(f.rank, f.gained) for f in found.further] == [(4, ()), (4, ())]
+    assert [(f.rank, f.determined) for f in found.further] == [(4, {}), (4, {})]
 
 
 def test_a_turned_mover_tells_tilts_of_all_sensors_from_their_places():
@@ -65,7 +65,7 @@ def test_a_turned_mover_tells_tilts_of_all_sensors_from_their_places():
     assert (found.practical.rank, found.practical.of) == (8, 10)
     gap, turned = found.further
     assert (gap.rank, turned.rank) == (8, 9)
-    assert {g.parameter for g in turned.gained if g.before is None} == {f"tiltx_{k}" for k in range(3)}
+    assert set(turned.determined) == {f"tiltx_{k}" for k in range(3)}
 
 
 @pytest.mark.parametrize("name", ["halbach", "halbach_planar"])

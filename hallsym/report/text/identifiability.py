@@ -7,8 +7,6 @@ import numpy as np
 from hallsym.inference import (
     Change,
     CombinationReport,
-    FurtherReport,
-    Gained,
     Identifiability,
     NullDirection,
     NullSpace,
@@ -35,7 +33,7 @@ def report_text(report: Identifiability) -> str:
     if report.combinations:
         parts += ["", combinations_text(report.combinations)]
     parts += ["", *null_text(report.structural, report.practical)]
-    parts += ["", further_text(report.further)] if report.further else []
+    parts += ["", further_text(report)] if report.further else []
     parts += ["", effects_text(report)]
     parts += ["", outputs_text(report), "", *offsets_text(report.offsets)]
     parts += [f"uncertainty: {report.intervals.method} ({report.intervals.reason})"]
@@ -113,10 +111,13 @@ def _direction(direction: NullDirection) -> str:
     return f"  {named}: only {' and '.join(direction.determined)}"
 
 
-def further_text(further: Sequence[FurtherReport]) -> str:
+def further_text(report: Identifiability) -> str:
     """Return what each further recording would determine beside this one."""
     rows = [["with another recording", "practical rank", "then determined (1 sigma)"]]
-    rows += [[f.recording, f"{f.rank} of {f.of}", _gained(f.gained)] for f in further]
+    for f in report.further:
+        sized = [f"{n} ({_size(std, report[n].unit)})" for n, std in f.determined.items()]
+        more = f" and {len(sized) - LISTED} more" if len(sized) > LISTED else ""
+        rows.append([f.recording, f"{f.rank} of {f.of}", ", ".join(sized[:LISTED]) + more or "nothing more"])
     return grid(rows, words=True)
 
 
@@ -124,18 +125,9 @@ LISTED = 8
 """Gains of a further recording that are listed; all are in the JSON record."""
 
 
-def _gained(gained: Sequence[Gained]) -> str:
-    new = [g for g in gained if g.before is None]
-    better = sorted((g for g in gained if g.before is not None), key=lambda g: -(g.before or 0.0) / g.std)
-    said = [f"{g.parameter} ({_size(g)})" for g in new]
-    said += [f"{g.parameter} {(g.before or 0.0) / g.std:.2g} x as well ({_size(g)})" for g in better]
-    rest = len(said) - LISTED
-    return ", ".join(said[:LISTED]) + (f" and {rest} more" if rest > 0 else "") or "nothing more"
-
-
-def _size(gained: Gained) -> str:
-    factor, unit = parameter_unit(gained.unit)
-    return f"{gained.std * factor:.2g} {unit}".replace(" 1", "")
+def _size(std: float, unit: str) -> str:
+    factor, shown = parameter_unit(unit)
+    return f"{std * factor:.2g} {shown}".replace(" 1", "")
 
 
 def effects_text(report: Identifiability) -> str:
