@@ -1,7 +1,6 @@
 """`hallsym plan`: what to record next."""
 
 from argparse import Namespace
-from pathlib import Path
 from typing import Any
 
 from hallsym.cli import OK
@@ -26,10 +25,7 @@ from hallsym.model import Model
 from hallsym.records import named
 from hallsym.report.text.plan import plan_text
 from hallsym.simulation import (
-    Campaign,
     is_the_papers,
-    paper_campaign,
-    read_campaign,
     table8_noise,
     write_campaign,
 )
@@ -41,7 +37,7 @@ def add(sub: Any) -> None:
         sub, "plan", run,
         "Choose vertical settings and trajectories that tell most about the parameters, from the ranges,\n"
         "frequencies and time that you state, and write them as a campaign file that a lab can follow and\n"
-        "'hallsym simulate' runs. Compares the plan with the 57 runs of the paper's Table 6.",
+        "'hallsym simulate' runs.",
         "examples:\n"
         "  hallsym plan ranges.toml -o next.toml --runs 20\n"
         "  hallsym plan ranges.toml -o next.toml --minutes 30 --criterion max-u --values calib.json\n"
@@ -70,9 +66,6 @@ def add(sub: Any) -> None:
         help="calibration to plan for (default: fitted to the log of --after, else the published or "
         "example values)",
     )  # fmt: skip
-    parser.add_argument(
-        "--compare", metavar="TOML", help="campaign to compare with (default: Table 6, for its own layout)"
-    )
     parser.add_argument("--seed", type=seed, default=0, help="of the order of exchanges (default 0)")
     model_options(parser, "stage31")
     log_options(parser)
@@ -89,12 +82,11 @@ def run(options: Namespace) -> int:
     show("finding values")
     model, values, told = _truth(options, machine, log)
     noise, source = _noise(options, ranges, model, values, log)
-    against, name = _against(options, ranges, model)
     show("choosing runs")
     found = plan(
         ranges, model, values, noise,
         criterion=options.criterion, runs=options.runs, minutes=options.minutes, after=log,
-        against=against, against_name=name, seed=options.seed,
+        seed=options.seed,
     )  # fmt: skip
     settings = len({setting for _, setting, _ in found.groups()})
     advice = (
@@ -109,7 +101,7 @@ def run(options: Namespace) -> int:
         from hallsym.report.figures.plan import coverage
         from hallsym.report.figures.saving import save_figures
 
-        draw = {"coverage": lambda: coverage(found, log or against, "recorded" if log else name)}
+        draw = {"coverage": lambda: coverage(found, log)}
         written += save_figures(draw, plots_place(options, options.ranges, model.name))
     say(
         options, found.to_dict() | {"notes": notes}, lambda: f"{plan_text(found)}\n",
@@ -152,14 +144,6 @@ def _noise(
         return known.std, f"noise as in {options.values}."
     if is_the_papers(model):
         return dict(table8_noise(model, values).sigma), "noise that reproduces Table 8."
-    return None, ""
-
-
-def _against(options: Namespace, ranges: Ranges, model: Model) -> tuple[Campaign | None, str]:
-    if options.compare:
-        return read_campaign(options.compare), Path(options.compare).name
-    if is_the_papers(model):
-        return paper_campaign(ranges.step_s, ranges.seconds_per_run), "Table 6"
     return None, ""
 
 

@@ -1,6 +1,6 @@
 """`plan`: choose what to record next, and say what it would determine."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -11,7 +11,7 @@ from hallsym.errors import InputError, nearest
 from hallsym.estimation import columns_of, cost_near, noise_of
 from hallsym.experiment.criteria import CRITERIA
 from hallsym.experiment.ranges import Ranges
-from hallsym.experiment.study import Choice, Outcome, Study, Worst, study
+from hallsym.experiment.study import Choice, Study, Worst, study
 from hallsym.families import build, default_model
 from hallsym.log import Log, Meta, Noise, check_log, check_noise_keys
 from hallsym.model import Model
@@ -22,48 +22,6 @@ from hallsym.simulation import Campaign
 FORMAT = "hallsym plan 1"
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Another campaign (`name`, `runs`, `seconds` recorded) and plans by the same criterion.
-
-    `other`: what the campaign determines, `planned`: what a plan of as many runs does; None where the
-    campaign does not determine the model. `runs_same_value`, `runs_same_std`: how many planned runs reach its
-    criterion, and its every standard uncertainty; None where more than its own.
-    """
-
-    name: str
-    runs: int
-    seconds: float
-    other: Outcome | None = None
-    planned: Outcome | None = None
-    runs_same_value: int | None = None
-    runs_same_std: int | None = None
-
-    @property
-    def factor(self) -> np.ndarray | None:
-        """How many times smaller each standard uncertainty of the plan is, (q,); None as for `other`."""
-        return self.other.std / self.planned.std if self.other and self.planned else None
-
-    def to_dict(self, names: tuple[str, ...], pose: tuple[str, ...]) -> dict[str, Any]:
-        """Return the record for JSON."""
-        record: dict[str, Any] = {"name": self.name, "runs": self.runs, "seconds": self.seconds}
-        if self.other is None or self.planned is None:
-            return record | {"determined": False}
-        for outcome, ending in ((self.other, ""), (self.planned, "_as_many")):
-            record |= {
-                f"value{ending}": outcome.value,
-                f"std{ending}": named(names, outcome.std),
-                f"position_std{ending}": named(pose, outcome.position),
-                f"worst_std{ending}": outcome.worst.std,
-            }
-        return record | {
-            "determined": True,
-            "std_factor": named(names, self.factor),
-            "runs_same_value": self.runs_same_value,
-            "runs_same_std": self.runs_same_std,
-        }
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Shown):
     """What to record next.
@@ -72,8 +30,7 @@ class Plan(Shown):
     the criterion. `before`, `after`: the worst-determined combination without and with these
     runs (None where nothing was recorded before). `std`: (q,) standard uncertainty of each of `names`
     afterwards, SI. `position`: (n_pose,) worst standard uncertainty that the parameters leave in the decoded
-    position over the ranges, SI. `comparison`: with another campaign. `recorded`: runs of the log that the
-    plan adds to.
+    position over the ranges, SI. `recorded`: runs of the log that the plan adds to.
     """
 
     study: Study
@@ -83,7 +40,6 @@ class Plan(Shown):
     after: Worst
     std: np.ndarray
     position: np.ndarray
-    comparison: Comparison | None
     recorded: int
     seconds: float
 
@@ -122,7 +78,6 @@ class Plan(Shown):
             "std": named(self.names, self.std),
             "position_std": named(model.pose, self.position),
             "reference": named(model.pose, ranges.references(model.pose)),
-            "comparison": self.comparison and self.comparison.to_dict(self.names, model.pose),
             "values": {n: float(v) for n, v in self.study.values.items()},
             "noise": dict(self.study.noise),
             "seed": self.study.seed,
@@ -140,8 +95,6 @@ def plan(
     runs: int | None = None,
     minutes: float | None = None,
     after: Log | None = None,
-    against: Campaign | None = None,
-    against_name: str = "the other campaign",
     seed: int = 0,
 ) -> Plan:
     """Choose the runs within `ranges` that tell most about the parameters of `model`.
@@ -149,8 +102,7 @@ def plan(
     `values`: parameter values by name, SI, over the nominal ones: what a run tells depends on them (with gain
     slopes of zero the tied model loses its x0, y0). `noise`: 1 sigma by column; the ranges' own where not
     given. `criterion`: one of `CRITERIA`. `runs`, `minutes`: over those of the ranges. `after`: a log that is
-    recorded already, to which the plan adds. `against`: a campaign to compare with. `seed`: of the order
-    in which exchanges are tried.
+    recorded already, to which the plan adds. `seed`: of the order in which exchanges are tried.
 
     Raises `InputError` where nothing is admissible, or where the model stays undetermined.
     """
@@ -176,7 +128,6 @@ def plan(
         after=found.directions.worst(total),
         std=found.std(total),
         position=found.position(total),
-        comparison=None if against is None else _compare(found, against, against_name),
         recorded=n_recorded,
         seconds=perf_counter() - began,
     )
@@ -217,37 +168,3 @@ def _order(found: Study, choice: Choice) -> list[int]:
 def _campaign(found: Study, choice: Choice) -> Campaign:
     chosen = (found.candidates[k].run for k in _order(found, choice) for _ in range(choice.counts[k]))
     return Campaign(found.ranges.step_s, tuple(chosen), noise=dict(found.noise))
-
-
-def _compare(study: Study, campaign: Campaign, name: str) -> Comparison:
-    """Compare `campaign`, recorded after what is known already, with plans of the study."""
-    information, runs = study.known + study.of(campaign), len(campaign.runs)
-    seconds = float(sum(run.duration_s for run in campaign.runs))
-    if not study.determined(information):
-        return Comparison(name, runs, seconds)
-    other = study.outcome(information)
-
-    def as_certain(n: int) -> bool:
-        found = study.choose(n).information
-        return study.determined(found) and bool(np.all(study.std(found) <= other.std * (1 + 1e-9)))
-
-    return Comparison(
-        name,
-        runs,
-        seconds,
-        other,
-        study.outcome(study.choose(runs).information),
-        _fewest(lambda n: study.choose(n).value >= other.value, runs),
-        _fewest(as_certain, runs),
-    )
-
-
-def _fewest(enough: Callable[[int], bool], most: int) -> int | None:
-    """Least n up to `most` that is enough, by bisection: more runs tell more."""
-    if not enough(most):
-        return None
-    low, high = 0, most
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if enough(middle) else (middle, high)
-    return high

@@ -153,21 +153,6 @@ class Choice:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """What recorded information determines.
-
-    `value`: the criterion. `std`: (q,) standard uncertainties of the study's `names`, `position`: (n_pose,)
-    worst one over the workspace that the parameters leave in the decoded position, SI. `worst`: the
-    worst-determined combination.
-    """
-
-    value: float
-    std: np.ndarray
-    position: np.ndarray
-    worst: Worst
-
-
-@dataclass(frozen=True, eq=False)
 class Study:
     """Candidates with their information (candidates, m, m) about the determinable `directions`.
 
@@ -222,15 +207,6 @@ class Study:
                 return n
         raise InputError(f"Even {MOST_RUNS} runs within these ranges do not determine {self.model.name}.")
 
-    def outcome(self, information: np.ndarray) -> Outcome:
-        """Return what information (m, m) that determines every direction gives."""
-        return Outcome(
-            self.value(information),
-            self.std(information),
-            self.position(information),
-            self.directions.worst(information),
-        )
-
     def std(self, information: np.ndarray) -> np.ndarray:
         """Return the standard uncertainties of `names`, (q,), SI."""
         return self.directions.std(self.gradients, information)
@@ -239,12 +215,6 @@ class Study:
         """Return the worst standard uncertainty over the workspace of each pose coordinate, (n_pose,), SI."""
         half = np.linalg.solve(np.linalg.cholesky(information), self.slopes.reshape(-1, len(information)).T)
         return np.sqrt(np.sum(half**2, axis=0)).reshape(self.slopes.shape[:2]).max(axis=0)
-
-    def of(self, campaign: Campaign) -> np.ndarray:
-        """Return the information (m, m) that a campaign would add."""
-        cost, factor = planned_cost(campaign.runs, campaign.step_s, self.model, self.values, self.noise)
-        p = self.model.vector(self.values)
-        return self.directions.reduced(np.tensordot(factor, cost.at(p).information(0.0), axes=1))
 
     def check(self, runs: int) -> None:
         """Refuse what no choice of `runs` runs can determine, and say what is missing."""

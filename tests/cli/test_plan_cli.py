@@ -48,7 +48,6 @@ def test_a_plan_is_written_simulated_fitted_and_continued(capsys, ranges, tmp_pa
     code, out, err = run(capsys, "plan", ranges(), "-o", campaign, *pictures)
     assert (code, err) == (0, "")
     assert "8 runs of 1 s" in out
-    assert "Table 6" in out
     assert (tmp_path / "pictures" / "coverage.png").read_bytes()[:4] == b"\x89PNG"
     planned = read_campaign(campaign)
     assert len(planned.runs) == 8
@@ -69,13 +68,9 @@ def test_json_holds_the_numbers_of_the_table(capsys, ranges):
     record = json.loads(out)
     assert code == 0
     assert sum(entry["count"] for entry in record["chosen"]) == record["runs"] == 8
-    other = record["comparison"]
-    assert other["runs"] == 57
-    for name, factor in other["std_factor"].items():
-        assert factor == pytest.approx(other["std"][name] / other["std_as_many"][name])
 
 
-def test_another_machine_states_its_noise_and_is_compared_only_when_asked(capsys, ranges, tmp_path):
+def test_another_machine_states_its_noise(capsys, ranges, tmp_path):
     machine = tmp_path / "machine.toml"
     probes = [("a", 0.2, 0.4, [0, 1]), ("b", -0.2, 0.4, [0, 1]), ("c", 0.1, 0.3, [1, 0])]
     machine.write_text(
@@ -88,16 +83,7 @@ def test_another_machine_states_its_noise_and_is_compared_only_when_asked(capsys
     assert code == 2
     assert "[noise]" in err
     noise = "[noise]\nhall_m = 5e-7\nx_ref_um = 0.5\ny_ref_um = 0.5\nrz_ref_urad = 0.5\n"
-    code, out, _ = run(capsys, "plan", ranges(RANGES + noise), "--machine", machine, "--json")
-    assert code == 0
-    assert json.loads(out)["comparison"] is None
-    level = tmp_path / "level.toml"
-    level.write_text(
-        '[[trajectory]]\nduration_s = 1\nx_m = { kind = "sine", amplitude = 3e-4, frequency_hz = 1 }\n'
-    )
-    code, out, _ = run(capsys, "plan", ranges(RANGES + noise), "--machine", machine, "--compare", level)
-    assert code == 0
-    assert "1 run that cannot determine stage31" in out
+    assert run(capsys, "plan", ranges(RANGES + noise), "--machine", machine, "--json")[0] == 0
 
 
 def test_units_and_defaults_of_a_ranges_file(ranges):

@@ -18,7 +18,7 @@ MODEL, TABLE6 = build("stage31"), paper_campaign(0.02)
 @pytest.fixture(scope="module")
 def planned():
     ranges = replace(paper_ranges(), step_s=0.02, levels=2, noise=SIGMAS)
-    return plan(ranges, MODEL, TRUTH, runs=10, against=TABLE6, against_name="Table 6")
+    return plan(ranges, MODEL, TRUTH, runs=10)
 
 
 def words(figure) -> list[str]:

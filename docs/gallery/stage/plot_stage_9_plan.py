@@ -15,5 +15,5 @@ noise = hallsym.table8_noise(hallsym.build("stage31")).sigma
 ranges = replace(hallsym.paper_ranges(), minutes=None, noise=noise)
 truth = hallsym.published.values("table7_estimates")
 table6 = hallsym.paper_campaign(ranges.step_s, ranges.seconds_per_run)
-plan = hallsym.plan(ranges, "stage31", truth, runs=20, against=table6, against_name="Table 6")
+plan = hallsym.plan(ranges, "stage31", truth, runs=20)
 figure = coverage(plan, table6, "Table 6")
