@@ -1,11 +1,8 @@
 """Results as plain numbers for JSON, and JSON data as the records that they must be."""
 
-import math
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import is_dataclass
-from types import UnionType
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from collections.abc import Iterable
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -37,26 +34,6 @@ def plain(record: Any) -> Any:
     return msgspec.json.decode(msgspec.json.encode(record, enc_hook=builtin))
 
 
-def with_nan(kind: Any, value: Any) -> Any:
-    """Return plain data of a `kind` with nan where `plain` wrote None for a number that cannot be missing.
-
-    What is not of that type stays as it is.
-    """
-    origin, args = get_origin(kind), get_args(kind)
-    if value is None:
-        return math.nan if kind is float else None
-    if origin in (Union, UnionType):
-        return with_nan(args[0], value)
-    if is_dataclass(kind) and isinstance(value, Mapping):
-        hints = get_type_hints(kind)
-        return {k: with_nan(hints.get(k), v) for k, v in value.items()}
-    if origin is tuple and isinstance(value, list | tuple):
-        return [with_nan(args[0], v) for v in value]
-    if origin is dict and isinstance(value, Mapping):
-        return {k: with_nan(args[1], v) for k, v in value.items()}
-    return value.item() if hasattr(value, "item") else value
-
-
 def structured(raw: Any, kind: type[Kind], where: str, remedy: str) -> Kind:
     """Return JSON data as `kind`, a `msgspec.Struct`: every key known, every value of its type and range.
 
@@ -72,27 +49,12 @@ def structured(raw: Any, kind: type[Kind], where: str, remedy: str) -> Kind:
     raise InputError(f"{_sentence(what, place, where, raw, kind)}; {remedy}.")
 
 
-def schema_of(kind: type, title: str, *, nullable: bool = False) -> dict[str, Any]:
-    """Return the JSON Schema of the files that hold a `kind`, from the types that validate them.
-
-    `nullable`: whether numbers that are not finite are written as null.
-    """
+def schema_of(kind: type, title: str) -> dict[str, Any]:
+    """Return the JSON Schema of the files that hold a `kind`, from the types that validate them."""
     import msgspec
 
-    schema = msgspec.json.schema(kind)
-    if nullable:
-        schema = _nullable(schema)
     dialect = "https://json-schema.org/draft/2020-12/schema"
-    return {"$schema": dialect, "title": title, **schema}
-
-
-def _nullable(schema: Any) -> Any:
-    if isinstance(schema, list):
-        return [_nullable(entry) for entry in schema]
-    if not isinstance(schema, dict):
-        return schema
-    made = {key: value if key == "default" else _nullable(value) for key, value in schema.items()}
-    return made | {"type": ["number", "null"]} if made.get("type") == "number" else made
+    return {"$schema": dialect, "title": title, **msgspec.json.schema(kind)}
 
 
 _TYPES = {

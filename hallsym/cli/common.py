@@ -283,7 +283,7 @@ def say(
     """Print the JSON record; or the text, then the notes, the names of the files that were written, and the
     words of the command that comes next."""
     if options.json:
-        print(json.dumps(record, indent=1))
+        print(json.dumps(record, indent=1, allow_nan=False))
         return
     progress.ended()
     lines = [f"note: {note}" for note in notes] + [f"wrote {path}" for path in wrote]

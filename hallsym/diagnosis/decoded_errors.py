@@ -8,7 +8,7 @@ import numpy as np
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Gap, Waves
 from hallsym.diagnosis.residuals import Base
-from hallsym.estimation.decoding import columns_of, nominal_variance, pose_errors
+from hallsym.estimation.decoding import check_decoded, columns_of, nominal_variance, pose_errors
 from hallsym.log import Block
 from hallsym.log.batches import Weigh, batches
 from hallsym.log.derived import extended
@@ -65,6 +65,7 @@ def decoded_errors(base: Base, runs: Iterable[int], keep: Weigh | None = None) -
                 error = decode(block)
                 if weights is not None:
                     error = error[:, weights[at] > 0]
+                check_decoded(error, model, base.log, block.run)
                 count += error.shape[1]
                 squares += (error**2).sum(axis=1)
                 peak = np.maximum(peak, np.abs(error).max(axis=1, initial=0.0))

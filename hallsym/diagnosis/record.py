@@ -6,7 +6,7 @@ from typing import Any
 
 from hallsym.estimation import KNOWN
 from hallsym.inference import Estimate
-from hallsym.records import plain, schema_of, structured, with_nan
+from hallsym.records import plain, schema_of, structured
 from hallsym.shown import Shown
 
 
@@ -368,19 +368,19 @@ class Diagnosis(Shown):
         if isinstance(floor, Mapping):
             outputs = {name: value for name, value in floor.items() if name != "source"}
             made["noise_floor"] = {"outputs": outputs, "source": floor.get("source")}
-        return structured(with_nan(cls, made), cls, where, "diagnose the log again")
+        return structured(made, cls, where, "diagnose the log again")
 
 
 def diagnosis_schema() -> dict[str, Any]:
     """Return the JSON Schema of a diagnosis as `Diagnosis.to_dict` writes it and `from_dict` reads it."""
-    schema = schema_of(Diagnosis, "hallsym diagnosis", nullable=True)
+    schema = schema_of(Diagnosis, "hallsym diagnosis")
     defined = schema["$defs"]
     defined["NoiseFloor"] = {
         "description": defined["NoiseFloor"]["description"],
         "type": "object",
         "properties": {"source": {"type": "string"}},
         "required": ["source"],
-        "additionalProperties": {"type": ["number", "null"]},
+        "additionalProperties": {"type": "number"},
     }
     defined["Diagnosis"]["properties"]["unexplained"]["anyOf"].append({"type": "object", "maxProperties": 0})
     return schema

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
+from hallsym.errors import InputError
 from hallsym.log import Log
 from hallsym.log.batches import Weigh, batches
 from hallsym.log.derived import extended
@@ -165,6 +166,17 @@ def pose_errors(model: Model, reading_variance: np.ndarray) -> Errors:
     return mapped
 
 
+def check_decoded(errors: np.ndarray, model: Model, log: Log, run: int) -> None:
+    """Raise `InputError` where decoded errors (n_pose, samples) of a run are not finite."""
+    lost = np.count_nonzero(~np.isfinite(errors).all(axis=0))
+    if lost:
+        raise InputError(
+            f"{lost} of {errors.shape[1]} samples of run {run} of {log.name} give no pose with the "
+            f"parameters of {model.name}: a channel is scaled, exchanged or dead, or an effect takes its "
+            "signal away."
+        )
+
+
 def error_tables(
     log: Log,
     model: Model,
@@ -197,8 +209,9 @@ def error_tables(
         for (p, zeros), errors, total in zip(versions, errors_of, sums, strict=True):
             own = np.array([zeros.get(block.run, none) for block in batch.blocks])
             error = errors(p, np.repeat(own, lengths, axis=0).T, batch.data)
-            for _, at in batch.parts():
+            for block, at in batch.parts():
                 e = error[:, at] if weights is None else error[:, at][:, weights[at] > 0]
+                check_decoded(e, model, log, block.run)
                 peak = np.maximum(e.max(axis=1, initial=0.0), -e.min(axis=1, initial=0.0))
                 total.append((e.shape[1], np.einsum("ij,ij->i", e, e), peak))
     return [_table(model, runs, total, span) for total in sums]

@@ -17,7 +17,7 @@ from hallsym.estimation.decoding import (
     nominal_variance,
 )
 from hallsym.estimation.gauss_newton import DROP, optimum
-from hallsym.estimation.goodness_of_fit import goodness_of
+from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.optimum import Solution
 from hallsym.estimation.plausible import Judgement, Wiring, as_read, judge, rewired, wiring_of
@@ -252,11 +252,15 @@ class Task:
         run raises the mean square of its channel by s^2 / n, and is found where that is more than chance.
         Where noise was estimated, that is beside the noise that all runs leave, which knows it better.
         """
-        fit = goodness_of(state.point, len(state.p) - len(state.determination.held))
-        columns = (*self.model.channels, *self.model.references)
-        told = fit.judged(self.noise, columns, self.log.meta.gap_threshold_rel)
+        told = self.goodness(state)
         left = told.residual_over_noise if told.noise_estimated else 1.0
         return told.sentence is None and left <= QUICKLY_KNOWN and told.worst_least <= max(left, 1.0)
+
+    def goodness(self, state: Solution) -> GoodnessOfFit:
+        """Return what a fit leaves, in multiples of the noise."""
+        fit = goodness_of(state.point, len(state.p) - len(state.determination.held))
+        columns = (*self.model.channels, *self.model.references)
+        return fit.judged(self.noise, columns, self.log.meta.gap_threshold_rel)
 
     def counting(self, what: str) -> Callable[[int], None]:
         """Return a progress callback that says which share of the log is done."""
@@ -297,9 +301,12 @@ class Task:
         versions = [(designed(self.model, state.p), {}), (state.p, state.zeros())]
         variance = state.fitted.reading_variance
         variance = np.array([nominal_variance(self.model, variance), variance])
-        before, after = error_tables(
-            self.log, self.model, versions, variance, keep, self.counting("tabulating errors"), self.noise.std
-        )
+        say = self.counting("tabulating errors")
+        try:
+            before, after = error_tables(self.log, self.model, versions, variance, keep, say, self.noise.std)
+        except InputError as error:
+            said = self.goodness(state).sentence
+            raise InputError(f"{said.partition('; next')[0]}; {error}" if said else error) from error
         return Errors(before, after, self.holdout)
 
     def suspicious(self, state: Solution, errors: Errors) -> bool:

@@ -255,11 +255,20 @@ def test_bad_logs_are_refused_in_one_sentence():
 
 def test_another_wavelength_and_a_silent_sensor_are_far_from_the_noise():
     model, log = halbach(NINE), recorded(halbach(NINE))
-    for column, factor in (("x_ref_m", 1.25), ("col_3_v", 0.01)):
-        data = {c: log.array(c) for c in log.columns} | {column: factor * log.array(column)}
-        fit = hallsym.fit(Log.from_arrays(data, log.noise), model, solver="direct", loss="none")
-        assert fit.goodness is not None
-        assert fit.goodness.worst > 30 * fit.goodness.limit
+    known = hallsym.fit(log, model, solver="direct")
+    scaled = {(c, f): f * log.array(c) for c, f in (("col_3_v", 0.01), ("x_ref_m", 1.25), ("col_3_v", 10.0))}
+    silent, *lost = (
+        Log.from_arrays({n: log.array(n) for n in log.columns} | {c: v}, log.noise)
+        for (c, _), v in scaled.items()
+    )
+    fit = hallsym.fit(silent, model, solver="direct", loss="none")
+    assert fit.goodness is not None
+    assert fit.goodness.worst > 30 * fit.goodness.limit
+    for other in lost:
+        with pytest.raises(InputError, match=r"does not describe .* run .*give no pose"):
+            hallsym.fit(other, model, solver="direct", loss="none")
+    with pytest.raises(InputError, match="give no pose"):
+        hallsym.evaluate(known, other)
 
 
 # -- a field measured on a real magnet -----------------------------------------------------------------------
