@@ -430,7 +430,7 @@ def complaint(code: int, err: str, seconds: float) -> str:
     """Return what is wrong with how a command ended, empty where nothing is."""
     if code == -1 or seconds > SECONDS:
         return f"took {seconds:.1f} s"
-    if code not in (0, 2, 3, 4):
+    if code not in (0, 1, 2, 3, 4):
         return f"exit code {code}"
     lines = err.strip().split("\n")
     if "Traceback" in err or "Warning" in err:

@@ -11,14 +11,16 @@ The stages lead one way, each from typed records to a typed record:
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+from hallsym.diagnosis.change_points import change_points
 from hallsym.diagnosis.confusable import Confusable, confusable
 from hallsym.diagnosis.noise import noise_of_rest
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import findings, report
+from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import select
 from hallsym.diagnosis.setup import Setup, prepare
@@ -73,6 +75,9 @@ def diagnose(
 def examine(setup: Setup) -> Examined:
     """Diagnose as `diagnose` does and return the fitted models too, which a page draws."""
     selection = select(setup)
+    others = without_events(setup, selection.fit.base.on_all)
+    if others is not setup and (again := select(others)).effects:
+        setup, selection = others, again
     found = validate(setup, selection)
     noise = noise_of_rest(found.counted, setup.runs)
     verdict = decide(setup, found, noise)
@@ -81,3 +86,17 @@ def examine(setup: Setup) -> Examined:
     alike = Confusable((), (), ()) if quiet else confusable(setup, found, named, verdict)
     diagnosis = report(setup, selection, found, named, verdict, alike, noise)
     return Examined(diagnosis, setup.fit, setup.base, found.base if diagnosis.effects else None)
+
+
+def without_events(setup: Setup, base: Base) -> Setup:
+    """Return the setup with holdout runs that step at `base` moved to the fitted ones, if any other judges.
+
+    An offset that changes within a run is known from that run alone.
+    """
+    tables = (residual_table(base, frozenset(runs)) for runs in (setup.runs, setup.holdout))
+    stepped = {s.run for s in change_points(*(t for t in tables if t)) if s.p_value < setup.policy.certain}
+    judging = tuple(run for run in setup.holdout if run not in stepped)
+    if setup.split or not judging or judging == setup.holdout:
+        return setup
+    runs = [run for run in setup.base.log.runs if run not in judging]
+    return replace(setup, runs=runs, holdout=judging, base=replace(setup.base, holdout=frozenset(judging)))

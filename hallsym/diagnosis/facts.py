@@ -5,7 +5,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from hallsym.diagnosis.change_points import change_points
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residual_table import ROOM, ResidualTable, residual_table
@@ -35,6 +34,10 @@ def instants(r: ResidualTable, holdout: Collection[int]) -> tuple[tuple[int, flo
         gains = _gains(r, k, fitted, tried)
         equal = tried[gains >= gains.max() * (1 - NIL)]
         best = equal[np.argmax(_gains(r, k, np.ones_like(fitted), equal))]
+        near = np.flatnonzero(fitted & (np.abs(np.arange(len(r.run)) - best) < SEGMENT))
+        finer = _gains(r, k, fitted, near) if len(near) else gains[:0]
+        if finer.max(initial=0.0) > gains.max() * (1 + NIL):
+            best = near[np.argmax(finer)]
         out.append((k, float(r.columns["campaign_s"][best])))
     return tuple(out)
 
@@ -128,27 +131,19 @@ def _two_levels(level: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return np.take_along_axis(explained, best[:, None], axis=1)[:, 0] / whole, 1 + best
 
 
-def _slips(base: Base, r: ResidualTable) -> tuple[tuple[tuple[int, float], ...], tuple[float, ...]]:
-    """Return the instants at which channels may slip, and the p-value of a step in the run of each.
-
-    None where no gain of the channels is fitted; 1 where the largest step of the run is in another channel.
-    """
+def _slips(base: Base, r: ResidualTable) -> tuple[tuple[int, float], ...]:
+    """Return the instants at which channels may slip; none where no gain of the channels is fitted."""
     model = base.model
     free = {model.names[k] for k in base.free}
     if not model.zeros or not free.issuperset(f"eta_{probe.label}" for probe in model.layout):
-        return (), ()
-    found = instants(r, base.holdout)
-    fitted = residual_table(base, set(base.log.runs) - base.holdout)
-    steps = {(s.run, s.channel): s.p_value for s in change_points(fitted)} if fitted else {}
-    runs = [int(r.run[np.abs(r.columns["campaign_s"] - t).argmin()]) for _, t in found]
-    return found, tuple(steps.get((run, k), 1.0) for run, (k, _) in zip(runs, found, strict=True))
+        return ()
+    return instants(r, base.holdout)
 
 
 def facts_of(base: Base, found: Survey) -> Facts:
     """Return what effects may know of the log; searched numbers come from the residual of `base`."""
     model, log = base.model, base.log
     r, values = residual_table(base, log.runs), _readings(log, model)
-    slips, chances = _slips(base, r) if r else ((), ())
     several = len(model.channels) > len(model.pose) and not model.zeros
     on_runs, on_runs_p = switched_runs(r) if r and several else ((), 1.0)
     return Facts(
@@ -159,8 +154,7 @@ def facts_of(base: Base, found: Survey) -> Facts:
         rails=rails_of(values),
         lines_hz=found.lines_hz,
         lines_tried=max(1, round(2 * MAINS_REACH_HZ * len(MAINS_HZ) * found.duration_s)),
-        instants=slips,
-        instants_p=chances,
+        instants=_slips(base, r) if r else (),
         instants_tried=len(model.layout) * (min(log.rows, ROOM) // SEGMENT + len(log.runs)),
         on_runs=on_runs,
         on_runs_tried=2 ** (len(log.runs) - 1),

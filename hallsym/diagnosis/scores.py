@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc
 
 from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
-from hallsym.diagnosis.policy import Policy
+from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.regression import FOLDS, NIL
 from hallsym.diagnosis.residuals import Base
@@ -40,7 +41,7 @@ class Score:
     effect, cross-validated within the fitted runs; what the references' noise makes of it does not count.
     `p_value`: from random signs of the runs' scores, corrected for all that was tried; `statistic`: what it
     rests on. `absorbed`: the model's own parameters can do the same. `place`: of the effect in the catalogue,
-    usual causes first.
+    usual causes first. `kept`: part of the gain that the references' noise has not made.
     """
 
     effect: Effect
@@ -53,6 +54,7 @@ class Score:
     p_value: float
     absorbed: bool = False
     place: int = 0
+    kept: float = 1.0
     statistic: float = -np.inf
 
 
@@ -142,8 +144,11 @@ class Screen:
         self.tables = [Table(normal_equations(base, new, self.length), part, channels) for new, part in parts]
         self.weigh(colour, remembers)
 
-    def weigh(self, colour: np.ndarray | None, remembers: float | None = None) -> None:
-        """Score with p-values for noise with this autocorrelation; None: without p-values."""
+    def weigh(self, colour: np.ndarray | None, remembers: float | None = None, peak: float = np.inf) -> None:
+        """Score with p-values for noise with this autocorrelation; None: without p-values.
+
+        `peak`: of the spectrum of the stated noise (`spectrum_peak`); infinity where it was not stated.
+        """
         places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in self.tried.values()))}
         variants = Counter(c.effect.name for c in self.tried.values())
         found, flipped = list[Score](), list[np.ndarray]()
@@ -165,6 +170,7 @@ class Screen:
                         size=scored.size,
                         bic=float(scored.bic[0]),
                         ratio=1 - (1 - table.ratio(key, self.runs)) * kept,
+                        kept=kept,
                         p_value=1.0,
                         absorbed=absorbed,
                         place=places[c.effect.name],
@@ -173,13 +179,37 @@ class Screen:
                 )
         joint = Joint(flipped)
         self.top = joint.top if flipped else None
-        least = joint.p_value(max((s.statistic for s in found), default=-np.inf))
+        most = {s.effect.name: max(variants[s.effect.name], s.variant.tried) for s in found}
+        each = [self._p_value(s, joint, peak, sum(most.values())) for s in found]
         units = len(self.tables[0].t.units(self.runs))
         unit = "run" if self.length is None else "stretch"
-        self.significance = Significance(least, least_p(units), units, unit)
-        each = [min(joint.p_value(s.statistic), EVENTS * s.variant.by_itself) for s in found]
+        self.significance = Significance(min(each, default=1.0), least_p(units), units, unit)
         found = [replace(s, p_value=p) for s, p in zip(found, each, strict=True)]
+        found = [
+            replace(s, ratio=min(s.ratio, self._ratio(s, peak))) if s.p_value < POLICY.false_alarm else s
+            for s in found
+        ]
         self.scores = sorted(found, key=lambda s: s.bic)
+
+    def _p_value(self, score: Score, joint: Joint, peak: float, tried: float) -> float:
+        """Return the p-value of a score by signs and by the stated noise (weighted Bonferroni)."""
+        signs = min(joint.p_value(score.statistic), EVENTS * score.variant.by_itself)
+        if score.absorbed or not np.isfinite(peak):
+            return signs
+        noise = tried * float(chdtrc(score.size, score.kept * score.gain / peak))
+        return min(1.0, signs / (1 - OF_NOISE), noise / OF_NOISE)
+
+    def _ratio(self, score: Score, peak: float) -> float:
+        """Return the gap metric with a candidate over that without, on the same runs less its optimism.
+
+        Runs that were left out are foreseen by fewer: six runs at heights of their own extrapolate.
+        """
+        if not np.isfinite(peak):
+            return np.inf
+        key = f"{score.effect.name}|{score.variant.label}"
+        table = next(t for t in self.tables if key in t.tried)
+        real = max(0.0, 1 - 2 * score.size * peak / max(score.gain, NIL))
+        return float(np.sqrt(max(1 - (1 - table.in_sample(key, self.runs) ** 2) * real * score.kept, 0.0)))
 
     def _flips(self, table: "Table", colour: np.ndarray, remembers: float | None) -> SignFlips:
         new = {key: (c.model, c.new) for key, c in table.tried.items()}
@@ -224,6 +254,8 @@ class Screen:
         return frozenset(key for table in self.tables for key in table.t.spoiled)
 
 
+OF_NOISE = 0.1
+"""Part of the error rate that the test by the stated noise has where there is one; signs have the rest."""
 EVENTS = 10.0
 """What the p-value of a single event is multiplied by, to stand beside those by signs (weighted Bonferroni).
 
@@ -353,6 +385,15 @@ class Table:
         squares = float(np.einsum("fi,fij,fj->", u, M, u))
         plain = float(np.einsum("fi,fij,fj->", none, M[:, pick[:, None], pick], none))
         return float(np.sqrt(squares / max(plain, 1e-300)))
+
+    def in_sample(self, key: str, runs: Sequence[int]) -> float:
+        """Return the gap metric with a candidate over that without, on the runs that it is fitted to."""
+        units = self.among(runs)[None].astype(float)
+        training = Training(self, units)
+        (M,) = np.tensordot(units, self.t.of(key, decoded=True), 1)
+        with_it, without = training.solved(key).by[0], training.solved(None).by[0]
+        pick = np.append(np.arange(self.own), len(M) - 1)
+        return float(np.sqrt(with_it @ M @ with_it / max(without @ M[np.ix_(pick, pick)] @ without, 1e-300)))
 
     def scored(self, stacks: Sequence[Sequence[int]], inflation: float) -> Iterator[tuple[str, "Scored"]]:
         """Score every candidate on stacks of runs."""

@@ -30,7 +30,7 @@ from hallsym.estimation.result import LowerBound, fit_of, lower_bound, result_of
 from hallsym.estimation.run_statistics import RunStatistics, joined
 from hallsym.estimation.task import Asked, Begun, Opened, Solved, Task, held_out, prepared
 from hallsym.log import Log, Noise
-from hallsym.log.batches import remembered
+from hallsym.log.batches import Weigh, remembered
 from hallsym.log.phase import nearest_turn
 from hallsym.log.quality.findings import name_of
 from hallsym.log.quality.gains import explained
@@ -764,7 +764,7 @@ class _Together:
         weigh = suspects = {g: remembered(rules[g], tasks[g].log.rows, columns) for g in loud}
         for left_over in reversed(range(ROUNDS)):
             for g in loud:
-                self.logs[g].begun = tasks[g].begin(tasks[g].summary(weigh[g]))
+                self.logs[g].begun = _weighed(tasks[g], weigh[g], clean[g])
             left = sum(self.logs[g].begun.samples for g in loud)
             if left < total:
                 self.asked.say(f"refitting without outliers ({100 * (1 - left / total):.2g} % of the weight)")
@@ -807,6 +807,12 @@ def restricted(found: Determination, sharing: Sharing, g: int) -> Determination:
     held = tuple(place[k] for k in found.held if k in place)
     return replace(found, scale=found.scale[chosen], null=found.null[chosen], held=held,
                    structural=tuple(structural))  # fmt: skip
+
+
+def _weighed(task: Task, weigh: Weigh, clean: Begun) -> Begun:
+    """Return the costs of a log with weights; those without, if no sample lost any."""
+    summary = task.summary(weigh)
+    return task.begin(summary) if summary.counts.sum() < clean.samples else clean
 
 
 def _left_out(total: float, left: float, loss: str) -> str:

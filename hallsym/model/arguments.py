@@ -22,9 +22,9 @@ class Facts:
     logged. `extremes`: quantiles of each reading, (n_quantiles, n_channels), high and low in turn.
     `rails`: lowest and highest value of each channel where it repeats, else -inf and inf. `lines_hz`:
     mains frequencies seen in the residuals, of `lines_tried` independent ones. `instants`: channel and
-    moment [s] at which it may have slipped, of `instants_tried` that were compared, and `instants_p`, the
-    p-value that the reading steps there by no chance. `on_runs`: runs in which an external field may have
-    been on, of `on_runs_tried` choices, and `on_runs_p`, the p-value that their offsets are two levels.
+    moment [s] at which it may have slipped, of `instants_tried` that were compared. `on_runs`: runs in which
+    an external field may have been on, of `on_runs_tried` choices, and `on_runs_p`, the p-value that their
+    offsets are two levels.
     """
 
     duration_s: float
@@ -36,7 +36,6 @@ class Facts:
     lines_tried: int = 1
     instants: tuple[tuple[int, float], ...] = ()
     instants_tried: int = 1
-    instants_p: tuple[float, ...] = ()
     on_runs: tuple[int, ...] = ()
     on_runs_tried: int = 1
     on_runs_p: float = 1.0

@@ -89,11 +89,8 @@ def slips(model: Model, facts: Facts) -> list[Try]:
             f"probe {names[k]} at {t:.6g} s",
             shapes=1,
             tried=facts.instants_tried,
-            by_itself=p,
         )
-        for (k, t), p in zip(
-            facts.instants, (*facts.instants_p, *(1.0 for _ in facts.instants)), strict=False
-        )
+        for k, t in facts.instants
     ]
 
 
