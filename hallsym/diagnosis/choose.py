@@ -7,7 +7,7 @@ from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.scores import Screen, candidates
 from hallsym.diagnosis.selection import refitted
-from hallsym.diagnosis.setup import base_of, fitted
+from hallsym.diagnosis.setup import base_of, fitted, readable
 from hallsym.diagnosis.survey import survey
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit
@@ -44,8 +44,8 @@ def model_on(
             model = effect.added(model, text)
             continue
         held, say = None if holdout is None else tuple(holdout), on_progress or (lambda _: None)
-        seen, known = fitted(log, model, held, drop_bad, say)
-        model = _shown(seen, known, effect)
+        seen, drop = readable(log, model, drop_bad)
+        model = _shown(seen, fitted(seen, model, held, drop, say), effect)
     return adapted(model, (), parameters or {}, own)
 
 

@@ -319,7 +319,12 @@ def _candidates(found: Validation, fits: tuple[Refitted, ...]) -> tuple[NotExclu
 
 
 def findings(setup: Setup, found: Validation) -> tuple[FoundEffect, ...]:
-    """Return what was found, by share of the excess; a wrong channel assignment wins a tie."""
+    """Return what was found, by share of the excess; a wrong channel assignment wins a tie.
+
+    What does not lower the error on the holdout runs is no finding.
+    """
+    if found.metric >= found.before.metric:
+        return ()
     spread = _standard_errors(found)
     out = [_effect(found, e, spread) for e in found.effects]
     out += [_fault(setup, found, f) for f in found.faults]

@@ -1,26 +1,30 @@
 """What a diagnosis starts from: the log, its fit, the runs that fit and those that judge, the catalogue."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 
+from hallsym.diagnosis.decoded_errors import FIRST, errors_of
+from hallsym.diagnosis.p_values import statistic_at
 from hallsym.diagnosis.policy import POLICY, Policy
-from hallsym.diagnosis.regression import FOLDS
+from hallsym.diagnosis.regression import FOLDS, NIL
 from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.sign_flips import MEMORIES
 from hallsym.diagnosis.survey import SEGMENT
 from hallsym.errors import InputError, counted
 from hallsym.estimation import fit, noise_of
 from hallsym.estimation.calibration import Fit
-from hallsym.estimation.decoding import logged_columns
+from hallsym.estimation.decoding import knows_rails, logged_columns
 from hallsym.estimation.gauss_newton import cost_near
 from hallsym.estimation.outliers import beside_rails
 from hallsym.estimation.plausible import Wiring, as_read
 from hallsym.families import build, default_model
 from hallsym.families.faults import FAULTS
 from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ
-from hallsym.log import Log, clean_log
+from hallsym.log import Log, clean_log, usable
 from hallsym.log.batches import HELD, remembered
 from hallsym.log.phase import continuous
 from hallsym.log.quality.runs import FEWEST_SAMPLES
@@ -143,7 +147,9 @@ def prepare(
     """
     began, say = perf_counter(), on_progress or (lambda _: None)
     model, timed = _built(log, model), "t_s" in log.columns
-    level, whole = _threshold(log, threshold, policy), log
+    level = _threshold(log, threshold, policy)
+    log, drop_bad = readable(log, model, drop_bad)
+    whole = log
     held, pieces = _whole_runs(log, holdout, policy), tuple[int, ...]()
     if not held and holdout is None:
         log, pieces = _pieces(log, model)
@@ -154,7 +160,7 @@ def prepare(
         raise _too_short(log)
     say("fitting the model")
     loss = "auto" if timed or not pieces else "none"
-    log, result = fitted(log, _inspecting(model, whole) if pieces else model, held, drop_bad, say, loss)
+    result = fitted(log, _inspecting(model, whole) if pieces else model, held, drop_bad, say, loss)
     result = replace(result, model=model)
     base = base_of(log, result)
     if log.rows > HELD:
@@ -191,18 +197,45 @@ def _pieces(log: Log, model: Model) -> tuple[Log, tuple[int, ...]]:
         return log, ()
     # a turn goes on from piece to piece: a short turn of the reference counts from one zero
     log = continuous(replace(log, noise=noise_of(log, model)), model)
-    return split(log, None if TIME in log.columns else _spikes(log, model))
+    return split(log) if TIME in log.columns else split(log, *_first_fit(log, model))
 
 
-def _spikes(log: Log, model: Model) -> np.ndarray | None:
-    """Return which knots are spikes: judged among their neighbours, which a group of knots separates."""
+def _first_fit(log: Log, model: Model) -> tuple[np.ndarray | None, int]:
+    """Return which knots are spikes, judged among their neighbours, and the knots of a block.
+
+    Blocks are as long as what the fit leaves remembers, so that no block foretells its neighbours.
+    """
     try:
         found = fit(log, model, solver="direct", resolve_wiring=True)
     except InputError:
-        return None  # the fit of the groups raises it again
-    if found.keep is None or found.source is None:
-        return None
-    return np.concatenate([found.keep(block) for block in found.source.blocks()]) == 0
+        return None, 1  # the fit of the groups raises it again
+    spikes = None
+    if found.keep is not None and found.source is not None:
+        spikes = np.concatenate([found.keep(block) for block in found.source.blocks()]) == 0
+    base = base_of(counted_off(log), replace(found, keep=None))
+    remembers = _remembers(base, spikes)
+    return spikes, 1 if remembers < 2 else int(MEMORIES * remembers)
+
+
+def _remembers(base: Base, spikes: np.ndarray | None) -> int:
+    """Return the knots after which the decoded error has forgotten, lines and what repeats taken off.
+
+    It has where white noise may be as correlated (Bartlett).
+    """
+    model, n, decode = base.model, base.log.rows, errors_of(base)
+    error = base.pose_weights[:, None] * np.hstack([decode(block) for block in base.log.blocks()])
+    shapes = [np.ones(n)]
+    for place in (base.log.array(c) / model.period.get(c, np.inf) for c in model.references):
+        shapes += [base.log.array(c) for c in model.references]
+        turn = 2 * np.pi * place * np.arange(1, FIRST + 1)[:, None]
+        shapes += [*np.cos(turn), *np.sin(turn)]
+    columns = np.array([x / max(float(np.abs(x).max()), 1e-300) for x in shapes])
+    if spikes is not None:
+        error, columns = error[:, ~spikes], columns[:, ~spikes]
+    error -= np.linalg.lstsq(columns.T, error.T, rcond=NIL)[0].T @ columns
+    own = np.fft.irfft((np.abs(np.fft.rfft(error, 2 * n)) ** 2).sum(axis=0))[:n]
+    chance = np.sqrt(statistic_at(POLICY.false_alarm, 1) / error.size)
+    return int(np.argmax(np.append(own[1:] < chance * own[0], True))) + 1
 
 
 def _inspecting(model: Model, whole: Log) -> Model:
@@ -213,34 +246,37 @@ def _inspecting(model: Model, whole: Log) -> Model:
     return replace(model, inspect=lambda m, log: replace(inspect(m, log), notes=inspect(m, whole).notes))
 
 
+def readable(log: Log, model: Model, drop_bad: bool) -> tuple[Log, bool]:
+    """Return the log without what no fit can use, and whether anything had to be left out.
+
+    Readings at their rails stay: they calibrate nothing, but show the rail.
+    """
+    columns = logged_columns(model)
+    cleaned = clean_log(log, columns, rails=False)
+    if not drop_bad:
+        if cleaned.rows == log.rows:
+            return log, False
+        with suppress(InputError):
+            usable(log, columns, rails=not knows_rails(model))
+            return log, False
+    return cleaned, True
+
+
 def fitted(
     log: Log, model: Model, held: tuple[int, ...] | None, drop_bad: bool, say: Say, loss: str = "auto"
-) -> tuple[Log, Fit]:
-    """Fit the model; samples that no fit can use are left out, and a note says so.
-
-    The log that is returned has readings at their rails: they calibrate nothing, but show the rail.
-    """
-
-    def without(drop: bool) -> Fit:
-        return fit(
-            log, model, solver="direct", holdout=held, loss=loss, resolve_wiring=True, drop_bad=drop,
-            on_progress=say,
-        )  # fmt: skip
-
-    if not drop_bad:
-        try:
-            return log, without(False)
-        except InputError:
-            if clean_log(log, logged_columns(model)).rows == log.rows:
-                raise
-    return clean_log(log, logged_columns(model), rails=False), without(True)
+) -> Fit:
+    """Fit the model by the direct method; `held` are held out."""
+    return fit(
+        log, model, solver="direct", holdout=held, loss=loss, resolve_wiring=True, drop_bad=drop_bad,
+        on_progress=say,
+    )  # fmt: skip
 
 
 def _whole_runs(log: Log, holdout: Sequence[int] | None, policy: Policy) -> tuple[int, ...]:
     """Return the holdout runs: as asked, the log's own, else every fifth; none if fewer than 2 are left."""
     if holdout is None:
         every = policy.holdout_every
-        holdout = log.meta.holdout or log.runs[every // 2 :: every]
+        holdout = [r for r in log.meta.holdout if r in log.runs] or log.runs[every // 2 :: every]
     return tuple(holdout) if len(log.runs) - len(set(holdout)) >= 2 else ()
 
 
@@ -281,15 +317,16 @@ LASTING = 40
 TIME = "t_s"
 
 
-def split(log: Log, spikes: np.ndarray | None = None) -> tuple[Log, tuple[int, ...]]:
+def split(log: Log, spikes: np.ndarray | None = None, length: int = 1) -> tuple[Log, tuple[int, ...]]:
     """Return the log in pieces as runs, with a note that says how it was done, and the pieces to hold out.
 
-    With time, pieces are stretches of it, every second held out. Without, samples are knots: every second is
-    held out, and a counter stands for the time that the log does not have. `spikes` (samples,) are left out.
+    With time, pieces are stretches of it, every second held out. Without, samples are knots, of which every
+    second is held out, or every second stretch of at least `length` where knots foretell their neighbours; a
+    counter stands for the time that the log does not have. `spikes` (samples,) are left out.
     """
     n, timed = log.rows, TIME in log.columns
-    at, count = np.arange(n), piece_count(n, timed)
-    piece = at * count // n if timed else knot_group(at, count)
+    at, count = np.arange(n), piece_count(n, timed, length)
+    piece = at * count // n if timed or length > 1 else knot_group(at, count)
     held = tuple(range(1, count, 2))
     order = np.argsort(piece, kind="stable")
     notes = []
@@ -300,7 +337,10 @@ def split(log: Log, spikes: np.ndarray | None = None) -> tuple[Log, tuple[int, .
         notes.append(f"{gone} of {n} knots {are} left out.")
     columns = {c: log.array(c)[order] for c in log.columns if c != "run"}
     columns = {TIME: at[: len(order)].astype(float)} | columns | {"run": piece[order]}
-    how = f"{count} {'slices of time' if timed else 'groups of single knots, each round the turn'}"
+    knots = (
+        "groups of single knots, each round the turn" if length == 1 else f"stretches of {n // count} knots"
+    )
+    how = f"{count} {'slices of time' if timed else knots}"
     short = Log.from_arrays(columns, log.noise, replace(log.meta, holdout=held), log.name)
     short = of_recording(short) if timed else short
     what = counted(len(log.runs), "run") if timed or len(log.runs) > 1 else "A table of knots"
@@ -321,7 +361,7 @@ def counted_off(log: Log) -> Log:
     return replace(counter, notes=log.notes, path=log.path, counted=True)
 
 
-def piece_count(n: int, timed: bool) -> int:
+def piece_count(n: int, timed: bool, length: int = 1) -> int:
     """How many pieces of `n` samples: those fitted are the folds, or as many as have the samples of a run.
 
     With time there are up to `SLICES` of them: of a machine that rests half of the time many still say
@@ -332,8 +372,9 @@ def piece_count(n: int, timed: bool) -> int:
         return min(SLICES, n // LASTING // 2 * 2)
     at = np.arange(n)
     for count in range(2 * FOLDS, POLICY.fewest, -4):  # half of it stays odd
-        smallest = n // count if timed else int(np.bincount(knot_group(at, count), minlength=count).min())
-        if smallest >= FEWEST_SAMPLES:
+        whole = timed or length > 1
+        smallest = n // count if whole else int(np.bincount(knot_group(at, count), minlength=count).min())
+        if smallest >= max(FEWEST_SAMPLES, length):
             return count
     return POLICY.fewest
 

@@ -44,7 +44,8 @@ class Held:
 class Validation:
     """What holds on the holdout runs, and what is left with it.
 
-    `start`: the fit without effects; `end`: the model with the effects that hold; `fit`: the same, fitted
+    `start`: the fit without effects; `dropped`: whether a selected effect does not hold.
+    `end`: the model with the effects that hold; `fit`: the same, fitted
     without the samples that are faults by themselves. Errors on the holdout runs: `before` without effects,
     `after` with them, `cured` also without faulty samples; `metric`: the gap without any fault of samples [m
     or rad]. `rest`: the structure of what `end` leaves. `floor_by_output`: noise of each output; `floor_was`:
@@ -58,6 +59,7 @@ class Validation:
     end: Base
     fit: Refitted
     effects: tuple[Held, ...]
+    dropped: bool
     judged: Judged | None
     before: DecodedErrors
     after: DecodedErrors
@@ -102,10 +104,11 @@ def validate(setup: Setup, selection: Selection) -> Validation:
     Samples that are a fault by themselves are left out, and the model is refitted without them.
     """
     before = decoded_errors(setup.as_logged(selection.start.base), setup.holdout)
-    unchanged = not selection.effects and not setup.miswired
+    selected = len(selection.effects)
+    effects = _holding(setup, selection, before)
+    unchanged = not effects and not setup.miswired
     fit, runs = selection.fit, frozenset(setup.runs)
     after = before if unchanged else decoded_errors(fit.base.on_all, setup.holdout)
-    effects = tuple(_held(setup, selection, e, before) for e in selection.effects)
     end = fit.base
     whole = survey(end.on_all, runs)
     kept = survey(end, runs) if end.keep else whole
@@ -130,6 +133,7 @@ def validate(setup: Setup, selection: Selection) -> Validation:
         end=end,
         fit=fit,
         effects=effects,
+        dropped=selected > len(effects),
         judged=_judged(setup, selection, selection.start) if effects else None,
         before=before,
         after=after,
@@ -158,6 +162,17 @@ def _error(left: Survey, values: float) -> float:
 
 
 # -- effects -------------------------------------------------------------------------------------------------
+
+
+def _holding(setup: Setup, selection: Selection, before: DecodedErrors) -> tuple[Held, ...]:
+    """Return the effects that hold; one whose interval of the shrinkage holds zero is dropped."""
+    while selection.effects:
+        effects = tuple(_held(setup, selection, e, before) for e in selection.effects)
+        low, weakest = min(((e.judged.interval() or (1.0,))[0], k) for k, e in enumerate(effects))
+        if low > 0:
+            return effects
+        selection.drop(effects[weakest].exact)
+    return ()
 
 
 def _held(setup: Setup, selection: Selection, effect: Exact, before: DecodedErrors) -> Held:
@@ -259,6 +274,8 @@ def decide(setup: Setup, found: Validation, noise: NoiseFinding | None = None) -
     rest = found.rest if base is found.end else lack_of_fit(base, setup.runs)
     loud = noise is not None and all_noise(setup, found, rest, metric, noise)
     gap = not loud and remains(rest, metric, found.floor, setup.threshold, setup.policy, found.error)
+    if found.dropped and not loud:
+        gap = gap or metric > worth_reporting(found.floor, setup.threshold, setup.policy)
     if not named:
         return "unexplained" if gap else LARGER if loud else "no gap"
     if gap and closed(before, after, found.floor.metric) < 1 - setup.policy.minor:

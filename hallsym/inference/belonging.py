@@ -302,5 +302,5 @@ def _together(
 
 def _test(name: str, p: float, level: float, sign: float = 1.0, sides: int = 1) -> BelongingTest:
     """Return a test on the scale of a normal distribution; `sides`: of the distribution that count."""
-    score = float(-ndtri(max(p / sides, SMALLEST))) * float(sign or 1.0)
+    score = float(-ndtri(np.clip(p / sides, SMALLEST, np.nextafter(1, 0)))) * float(sign or 1.0)
     return BelongingTest(name, p, score, float(-ndtri(level / sides)))

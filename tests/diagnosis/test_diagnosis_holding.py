@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 from test_diagnosis_rotary import HELD, machine, third
 
+from hallsym import bundled_campaign
 from hallsym.diagnosis import POLICY, diagnose, examine, prepare
 from hallsym.diagnosis.coordinates import coordinates
 from hallsym.diagnosis.refit import refit, with_model
@@ -126,3 +128,30 @@ def test_held_out_runs_take_no_part_in_the_choice():
     )
     assert [e.name for e in one.effects] == [e.name for e in other.effects] == ["third_harmonic_distortion"]
     assert one.fit.base.p == pytest.approx(other.fit.base.p, rel=1e-9)
+
+
+def test_runs_that_are_left_out_are_not_chosen_to_judge():
+    log = bundled_campaign()
+    dead = np.isin(log.array("run"), log.runs[2::5])
+    columns = {c: log.array(c) for c in log.columns}
+    columns["hall_a_m"] = np.where(dead, columns["hall_a_m"][0], columns["hall_a_m"])
+    for drop_bad in (True, False):
+        setup = prepare(Log.from_arrays(columns, log.noise, log.meta), "stage31", drop_bad=drop_bad)
+        assert not set(setup.holdout) & set(log.runs[2::5])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_record_says_what_its_numbers_say(seed):
+    """Knots with steps, slow errors and waves of any size: nothing is named that may do nothing."""
+    rng = np.random.default_rng(seed)
+    slow = gaussian_filter1d(rng.standard_normal(1200), 25)
+    for size in 10 ** rng.uniform(-4, -2, 3):
+        log = turn(pattern=size * rng.uniform(), noise=3e-4, size=1200)
+        wave = size * slow / slow.std()
+        log = Log.from_arrays({c: log.array(c) + wave * (c == "angle_rad") for c in log.columns})
+        found = diagnose(log, "rotary")
+        assert all(e.interval is None or e.interval[0] > 0 for e in found.effects)
+        assert found.metric.after < found.metric.before or not found.effects
+        assert ("falls to" in found.sentence) == bool(found.effects)
+        assert set(found.ranked) >= {e.name for e in found.effects}
+        assert found.verdict != "explained" or found.effects

@@ -1,16 +1,18 @@
 """Diagnoses of one turn: tables of knots and an overdriven input, made by numpy alone."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 
-from hallsym.diagnosis import diagnose
+from hallsym.diagnosis import diagnose, prepare
 from hallsym.diagnosis.regression import others
 from hallsym.diagnosis.setup import split
 from hallsym.errors import InputError
 from hallsym.estimation import fit
-from hallsym.log import Log, check_log
+from hallsym.log import Log, check_log, read_log
 from hallsym.report.text.diagnosis import diagnosis_text
 
 DEG = np.pi / 180
@@ -186,6 +188,33 @@ def test_a_turn_of_72_knots_is_diagnosed():
     angle = a + 4e-3 * np.sin(4 * a) + np.random.default_rng(4).normal(0, 2e-4, 72)
     found = diagnose(Log.from_arrays({"angle_ref_rad": a, "angle_rad": angle}), "rotary")
     assert found.ranked[0] in {"third_harmonic_distortion", "field_saturation", "odd_nonlinearity"}
+
+
+def test_magnet_errors_that_repeat_nowhere_foretell_no_other_stretch():
+    """A smooth line over 39 periods: knots beside each other know each other's error, stretches do not."""
+    a, rng = np.arange(3900) * 2 * np.pi / 100, np.random.default_rng(7)
+    slow = gaussian_filter1d(rng.standard_normal(len(a)), 30)
+    angle = a + 6e-3 * slow / slow.std() + rng.normal(0, 2e-5, len(a))
+    found = diagnose(Log.from_arrays({"angle_ref_rad": a, "angle_rad": angle}), "rotary")
+    assert any("stretches of" in note for note in found.notes)
+    assert found.verdict != "explained"
+    assert found.shrinkage.interval is None or found.shrinkage.interval[0] < 0
+    runs = prepare(table(LIKE_A_TABLE), "rotary").log
+    assert any("groups of single knots" in note for note in runs.notes)
+
+
+def test_a_measured_line_is_held_out_in_stretches():
+    """Three lines of undulators; interleaved knots said 30.5 to 30.6 % of the first."""
+    folder = next((p for p in Path(__file__).parents if (p / "shared").exists()), Path()) / "shared/real"
+    for name in ("carnauba_two_probes_5.5mm", "delta_sabia_phase04_raw_x0", "deltaB_phase07_x0"):
+        file = folder / "linear-hall-undulators" / f"{name}.csv"
+        if not file.is_file():
+            pytest.skip("no folder of recorded undulators beside the repository")
+        found = diagnose(read_log(file, columns={"angle_ref_deg": "ref_deg"}), "rotary")
+        assert found.verdict == "unexplained"
+        assert any("stretches of" in note for note in found.notes)
+        low, high = found.shrinkage.interval or (0.0, 1.0)
+        assert high - low > 0.2
 
 
 def test_all_folds_but_one_leave_nothing_where_nothing_is():
