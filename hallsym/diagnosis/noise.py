@@ -20,7 +20,7 @@ LARGER: Final = "noise larger than stated"
 
 def noise_of_rest(base: Base, runs: Sequence[int]) -> NoiseFinding | None:
     """Return the noise that `base` leaves on `runs`; None where they are too short to tell."""
-    zeros = {run: base.zeros_in(run) for run in runs}
+    zeros = {run: base.zeros_in(run) for run in (runs if base.timed else base.log.runs)}
     left = noise_left(base.log, base.model, base.p, zeros, base.covariance, base.sigma, base.keep)
     if left is None:
         return None

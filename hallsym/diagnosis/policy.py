@@ -7,7 +7,7 @@ stays beside the code that uses it.
 
 from dataclasses import dataclass
 
-from hallsym.estimation import UNSTRUCTURED
+from hallsym.estimation import WORTH_REPORTING
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Policy:
 
     # input: which runs judge, and which gap counts
 
-    worth_reporting: float = 0.05
+    worth_reporting: float = WORTH_REPORTING
     """Relative decrease of the gap metric from which on a gap is worth reporting.
 
     A choice; the user (--threshold) or the log (meta.json) may state another."""
@@ -96,12 +96,6 @@ class Policy:
     much; at twice that, unneeded parameters make an effect no competitor of a plainer one.
 
     What Kass and Raftery (1995) call very strong."""
-    unstructured: float = UNSTRUCTURED
-    """Relative excess of an estimated floor over what the effects leave above which it is lowered to that;
-    relative difference of two floors that a comparison notes.
-
-    A choice: noise is often stated from a recording at rest and is larger in motion."""
-
     # confusable effects
 
     separated: float = 5.0

@@ -178,7 +178,7 @@ class Bench:
         base = replace(setup.base, log=log, keep=None)
         setup.say("modelling the noise")
         stated = frozenset(c for c, known in setup.fit.noise.sigmas.items() if known.source == "given")
-        self.noise = simulated_noise(base, setup.runs, setup.floor.stated)
+        self.noise = simulated_noise(base, setup.runs, setup.floor.uncertain == 1.0)
         self.truth = machine_of(base, setup.floor.metric * self.noise.ratio, stated)
         self.reasons: dict[str, str] = {}
         self.injections = lru_cache(1)(self._injections)

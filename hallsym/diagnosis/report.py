@@ -34,7 +34,7 @@ from hallsym.diagnosis.residual_table import both
 from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.shares import sizes
-from hallsym.diagnosis.validation import QUIET, Held, Validation, Verdict, closed, worth_reporting
+from hallsym.diagnosis.validation import QUIET, Held, Validation, Verdict, closed
 from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit
 from hallsym.errors import InputError, counted
 from hallsym.estimation.calibration import Fit
@@ -72,7 +72,7 @@ def report(
         verdict=verdict,
         sentence=sentence(verdict, named, alike.instead_of, metric, unit, setup.held_out, noise),
         held_out=setup.held_out,
-        noise_floor=NoiseFloor(found.floor_by_output, _source(setup.fit)),
+        noise_floor=NoiseFloor(dict(setup.fit.noise_floor), _source(setup.fit)),
         gap_before=found.before.gap,
         gap_after=gap_after,
         metric=metric,
@@ -92,7 +92,7 @@ def report(
         threshold=setup.threshold,
         model=setup.fit.model.name,
         log=_log(setup),
-        notes=_notes(setup, found, verdict == "no gap"),
+        notes=tuple(dict.fromkeys(setup.fit.notes)),
         seconds=perf_counter() - setup.began,
         versions=dict(setup.fit.versions),
         waves=waves(found.start.base, found.base if named else None),
@@ -174,25 +174,6 @@ def _size(setup: Setup, found: Validation, where: Located, loud: bool) -> Sizes:
     fitted, held = both(start, setup.base.log.runs) if setup.miswired or loud else (where.fitted, where.held)
     errors = {"fitted": decoded_errors(start, setup.runs), "held_out": found.before}
     return sizes({"fitted": fitted, "held_out": held}, errors, setup.fit.noise_floor)
-
-
-def _notes(setup: Setup, found: Validation, quiet: bool) -> tuple[str, ...]:
-    """Return the notes of the fit, and what a noise floor needs said that the log contradicts."""
-    notes = list(setup.fit.notes)
-    if found.floor_was is not None:
-        notes.append(
-            f"The estimated noise was {found.floor_was:.3g} x the error with the effects found: a pattern "
-            "from sample to sample was taken for noise. That error serves as the noise floor; state the "
-            "noise (--noise) if you know it."
-        )
-    if quiet and found.before.metric > worth_reporting(found.floor, setup.threshold, setup.policy):
-        times = found.before.metric / found.floor.metric
-        notes.append(
-            f"The error is {times:.3g} x the {'stated' if found.floor.stated else 'estimated'} noise and "
-            "depends on nothing that the log holds: the noise is larger than that, or more correlated in "
-            "time."
-        )
-    return tuple(dict.fromkeys(notes))
 
 
 def _source(fit: Fit) -> str:
@@ -281,7 +262,7 @@ def model_error(
     `gap`, `metric`: the error that is left on the holdout runs. `lies`, `rest`: where it lies and
     its shape, where it is unexplained.
     """
-    floor = found.floor_by_output
+    floor = setup.fit.noise_floor
     known = metric <= found.floor.metric * (1 + setup.policy.negligible)
     above = {c: float(np.sqrt(max(v**2 - floor[c] ** 2, 0.0))) for c, v in gap.rmse.items()}
     counts = rest is not None and _placed(setup, rest)

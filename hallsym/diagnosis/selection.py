@@ -243,7 +243,8 @@ class Selection:
     def needed(self) -> bool:
         """Return whether what is left may hold another effect: it is above the floor, or that is unknown."""
         floor = self.setup.floor
-        return not floor.stated or self.fit.metric > floor.metric * (1 + self.policy.negligible)
+        unknown = floor.uncertain > 1 + self.policy.negligible
+        return unknown or self.fit.metric > floor.metric * (1 + self.policy.negligible)
 
     def step(
         self, at: Refitted, worth: Callable[[Score], bool] = lambda _: True

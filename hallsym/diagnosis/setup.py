@@ -39,10 +39,10 @@ LONG = (
 
 @dataclass(frozen=True)
 class Floor:
-    """The gap metric that noise leaves [m or rad], and whether all noise was stated by the user."""
+    """The gap metric that noise leaves [m or rad], and the factor within which it is known: 1 if stated."""
 
     metric: float
-    stated: bool
+    uncertain: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ def base_of(log: Log, result: Fit) -> Base:
 def floor_of(result: Fit, weights: np.ndarray) -> Floor:
     """Return the gap metric that noise alone leaves; `weights`: (n_pose,) of the pose metric."""
     metric = float(np.linalg.norm(weights * np.array(list(result.noise_floor.values()))))
-    return Floor(metric, all(s.source == "given" for s in result.noise.sigmas.values()))
+    return Floor(metric, result.goodness.uncertain if result.goodness else 1.0)
 
 
 def prepare(
@@ -151,8 +151,11 @@ def prepare(
     log, drop_bad = readable(log, model, drop_bad)
     whole = log
     held, pieces = _whole_runs(log, holdout, policy), tuple[int, ...]()
+    known = None if timed else _known(log, model)
+    if known is not None:
+        log = replace(log, noise=known.noise)
     if not held and holdout is None:
-        log, pieces = _pieces(log, model)
+        log, pieces = _pieces(log, model, known)
     if TIME not in log.columns:
         log = counted_off(log)
     held, sliced = held or pieces, log.recording is not None
@@ -191,24 +194,31 @@ def _built(log: Log, model: str | Model | Fit | None) -> Model:
     return model if isinstance(model, Model) else build(model or default_model(log.meta), meta=log.meta)
 
 
-def _pieces(log: Log, model: Model) -> tuple[Log, tuple[int, ...]]:
-    """Split a recording of too few runs if runs have no offsets; return the pieces to hold out."""
+def _pieces(log: Log, model: Model, known: Fit | None) -> tuple[Log, tuple[int, ...]]:
+    """Split a recording of too few runs if runs have no offsets; return the pieces to hold out.
+
+    `known`: its fit if it has no time.
+    """
     if log.rows < FEWEST or model.zeros or log.meta.holdout:
         return log, ()
     # a turn goes on from piece to piece: a short turn of the reference counts from one zero
     log = continuous(replace(log, noise=noise_of(log, model)), model)
-    return split(log) if TIME in log.columns else split(log, *_first_fit(log, model))
+    return split(log) if known is None else split(log, *_first_fit(log, known))
 
 
-def _first_fit(log: Log, model: Model) -> tuple[np.ndarray | None, int]:
+def _known(log: Log, model: Model) -> Fit | None:
+    """Return the fit of a log without time: its knots show their noise only side by side."""
+    try:
+        return fit(log, model, solver="direct", resolve_wiring=True)
+    except InputError:
+        return None  # the fit of the groups raises it again
+
+
+def _first_fit(log: Log, found: Fit) -> tuple[np.ndarray | None, int]:
     """Return which knots are spikes, judged among their neighbours, and the knots of a block.
 
     Blocks are as long as what the fit leaves remembers, so that no block foretells its neighbours.
     """
-    try:
-        found = fit(log, model, solver="direct", resolve_wiring=True)
-    except InputError:
-        return None, 1  # the fit of the groups raises it again
     spikes = None
     if found.keep is not None and found.source is not None:
         spikes = np.concatenate([found.keep(block) for block in found.source.blocks()]) == 0

@@ -19,6 +19,7 @@ from hallsym.diagnosis.selection import Exact, Selection
 from hallsym.diagnosis.setup import Floor, Setup
 from hallsym.diagnosis.shrinkage import Judged, foreseen
 from hallsym.diagnosis.survey import Survey, survey
+from hallsym.estimation import limit_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +49,10 @@ class Validation:
     `end`: the model with the effects that hold; `fit`: the same, fitted
     without the samples that are faults by themselves. Errors on the holdout runs: `before` without effects,
     `after` with them, `cured` also without faulty samples; `metric`: the gap without any fault of samples [m
-    or rad]. `rest`: the structure of what `end` leaves. `floor_by_output`: noise of each output; `floor_was`:
-    an estimated floor before it was lowered, over what it is now, else None. `variance`: of the fitted
-    samples' whitened residual; `fast`: rms of differences of neighbouring samples over that of the noise;
-    `inflation`: variance of a slow average over that of white noise; `error`:
-    standard error of the gap of the holdout runs, over itself, by noise of this memory.
+    or rad]. `rest`: the structure of what `end` leaves. `variance`: of the fitted samples' whitened residual;
+    `fast`: rms of differences of neighbouring samples over that of the noise; `inflation`: variance of a slow
+    average over that of white noise; `error`: standard error of the gap of the holdout runs, over itself, by
+    noise of this memory.
     """
 
     start: Refitted
@@ -67,8 +67,6 @@ class Validation:
     metric: float
     rest: LackOfFit
     floor: Floor
-    floor_by_output: dict[str, float]
-    floor_was: float | None
     faults: tuple[Fault, ...]
     miswired: bool
     variance: float
@@ -100,7 +98,6 @@ class Validation:
 def validate(setup: Setup, selection: Selection) -> Validation:
     """Judge on the holdout runs what was selected on the others.
 
-    A noise floor that was estimated from a log with the gap in it is lowered to what the effects leave.
     Samples that are a fault by themselves are left out, and the model is refitted without them.
     """
     before = decoded_errors(setup.as_logged(selection.start.base), setup.holdout)
@@ -114,9 +111,8 @@ def validate(setup: Setup, selection: Selection) -> Validation:
     kept = survey(end, runs) if end.keep else whole
     found = [f for f in faults(end, whole, setup.tested) if cures(f) >= setup.threshold]
     gap = decoded_errors(end.on_all, setup.runs).metric
-    floor = _lowered_floor(setup, gap, bool(effects), found)
     rest = lack_of_fit(end, setup.runs)
-    if gap <= floor.metric * (1 + setup.policy.negligible):
+    if gap <= setup.floor.metric * (1 + setup.policy.negligible):
         found = []
     if shaped(rest, setup.threshold, setup.policy):
         found = _beyond_shapes(found, rest)
@@ -126,8 +122,6 @@ def validate(setup: Setup, selection: Selection) -> Validation:
         cured = decoded_errors(fit.base, setup.holdout, fit.base.keep)
     smooth = sum(f.power for f in found if not f.record.rare)
     metric = cured.metric * float(np.sqrt(max(1 - smooth, 1e-6)))
-    lowered = floor is not setup.floor
-    scale = floor.metric / setup.floor.metric if lowered else 1.0
     return Validation(
         start=selection.start,
         end=end,
@@ -138,11 +132,9 @@ def validate(setup: Setup, selection: Selection) -> Validation:
         before=before,
         after=after,
         cured=cured,
-        metric=max(metric, min(floor.metric, cured.metric)),
+        metric=max(metric, min(setup.floor.metric, cured.metric)),
         rest=rest,
-        floor=floor,
-        floor_by_output={c: v * scale for c, v in setup.fit.noise_floor.items()},
-        floor_was=1 / scale if lowered else None,
+        floor=setup.floor,
         faults=tuple(found),
         miswired=setup.miswired is not None,
         variance=whole.variance,
@@ -206,19 +198,6 @@ def cures(fault: Fault) -> float:
     return 1 - float(np.sqrt(max(1 - fault.power, 0.0)))
 
 
-def _lowered_floor(setup: Setup, gap: float, explained: bool, found: Sequence[Fault]) -> Floor:
-    """Lower an estimated floor to what effects, or few steps of CORDIC, leave: it held a part of the gap.
-
-    `gap`: with the effects, on all samples of the fitted runs.
-    """
-    chip = sum(f.power for f in found if f.name == "cordic_steps")  # an error of each angle, no noise
-    least = gap * float(np.sqrt(max(1 - chip, 1e-6)))
-    floor = setup.floor
-    if floor.stated or not (explained or chip) or least * (1 + setup.policy.unstructured) >= floor.metric:
-        return floor
-    return replace(floor, metric=least)
-
-
 def _beyond_shapes(found: Sequence[Fault], rest: LackOfFit) -> list[Fault]:
     """Return the faults that are no part of a shape, which may look like late samples here and there."""
     least = max([rest.tones, *(s.drop for s in rest.shapes)])
@@ -228,9 +207,9 @@ def _beyond_shapes(found: Sequence[Fault], rest: LackOfFit) -> list[Fault]:
 # -- the verdict ---------------------------------------------------------------------------------------------
 
 
-def worth_reporting(floor: Floor, threshold: float, policy: Policy) -> float:
+def worth_reporting(floor: Floor, threshold: float) -> float:
     """Return the metric up to which nothing above the floor is worth reporting."""
-    return floor.metric * (1 + policy.negligible) / (1 - threshold)
+    return floor.metric * limit_of(floor.uncertain, threshold)
 
 
 def shaped(found: LackOfFit, threshold: float, policy: Policy) -> bool:
@@ -247,12 +226,12 @@ def remains(
 
     `error`: standard error of the metric, over itself, that noise of the residual's memory makes. A shape
     that predicts other runs and is worth the threshold is a gap by itself. A residual without a shape is a
-    gap only if it is above a stated floor, by more than chance.
+    gap if it is above all that the floor may be, by more than chance.
     """
     if shaped(found, threshold, policy):
         return True
     metric /= 1 + float(ndtri(1 - policy.false_alarm / 2)) * error
-    return floor.stated and metric > worth_reporting(floor, threshold, policy)
+    return metric > worth_reporting(floor, threshold)
 
 
 Verdict = Literal["no gap", "explained", "unexplained", "noise larger than stated"]
@@ -275,7 +254,9 @@ def decide(setup: Setup, found: Validation, noise: NoiseFinding | None = None) -
     loud = noise is not None and all_noise(setup, found, rest, metric, noise)
     gap = not loud and remains(rest, metric, found.floor, setup.threshold, setup.policy, found.error)
     if found.dropped and not loud:
-        gap = gap or metric > worth_reporting(found.floor, setup.threshold, setup.policy)
+        gap = gap or metric > worth_reporting(found.floor, setup.threshold)
+    if not named and not loud:  # what bends the fit of some runs may be small on those held out
+        gap = gap or bool(setup.fit.goodness and setup.fit.goodness.material)
     if not named:
         return "unexplained" if gap else LARGER if loud else "no gap"
     if gap and closed(before, after, found.floor.metric) < 1 - setup.policy.minor:
@@ -291,13 +272,14 @@ def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, n
     floor is known to, noise that is correlated is something on top of it.
     """
     floor, policy, threshold = found.floor, setup.policy, setup.threshold
-    if not (floor.stated and noise.larger) or noise.bounded:
+    stated = any(s.source == "given" for s in setup.fit.noise.sigmas.values())
+    if not stated or noise.interval[0] <= (1 + policy.negligible) * floor.uncertain or noise.bounded:
         return False
-    if metric <= worth_reporting(floor, threshold, policy) or shaped(rest, threshold, policy):
+    if metric <= worth_reporting(floor, threshold) or shaped(rest, threshold, policy):
         return False
     slow_on_top = not noise.white and abs(found.fast - 1.0) < policy.negligible
     known = replace(floor, metric=floor.metric * in_outputs(found.base, noise))
-    return not slow_on_top and metric <= worth_reporting(known, threshold, policy)
+    return not slow_on_top and metric <= worth_reporting(known, threshold)
 
 
 def closed(before: float, after: float, floor: float) -> float:

@@ -39,7 +39,7 @@ from hallsym.estimation.decoding import (
 from hallsym.estimation.evaluate import Evaluation, evaluate
 from hallsym.estimation.fit import LOSSES, fit
 from hallsym.estimation.gauss_newton import cost_near, zeros_of
-from hallsym.estimation.goodness_of_fit import UNSTRUCTURED, GoodnessOfFit
+from hallsym.estimation.goodness_of_fit import KNOWN, WORTH_REPORTING, GoodnessOfFit, limit_of
 from hallsym.estimation.identifiable import (
     Determination,
     determine,
@@ -56,7 +56,6 @@ from hallsym.estimation.optimum import SOLVERS, refit
 from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey
 from hallsym.estimation.plausible import as_read, rewired
 from hallsym.estimation.residual_noise import (
-    KNOWN,
     Residual,
     autoregressive,
     noise_at,
@@ -73,7 +72,7 @@ __all__ = [
     "LOSSES",
     "MANY",
     "SOLVERS",
-    "UNSTRUCTURED",
+    "WORTH_REPORTING",
     "Coefficients",
     "CombinationEstimate",
     "Cost",
@@ -104,6 +103,7 @@ __all__ = [
     "fit",
     "inverse",
     "least_information",
+    "limit_of",
     "load_fit",
     "logged_columns",
     "lower_bound",

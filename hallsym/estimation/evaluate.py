@@ -11,11 +11,13 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
+from hallsym.estimation.covariance import noise_floor, uncertain
 from hallsym.estimation.decoding import ErrorTable, knows_rails, logged_columns
-from hallsym.estimation.gauss_newton import Shifts, cost_near, judged, zeros_of
+from hallsym.estimation.gauss_newton import Shifts, cost_near, deviations_of, judged, zeros_of
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.plausible import as_read, lateness, rewired
+from hallsym.estimation.residual_noise import noise_followed
 from hallsym.estimation.task import Asked, Task, noise_of
 from hallsym.families import plain
 from hallsym.log import Log, Noise, as_log, clean_log, usable
@@ -113,13 +115,14 @@ def evaluate(
     noise = noise_of(seen, model)
     notes += recording_notes(seen, model, known.values, noise.std)
     found = judged(seen, model, known.values, noise.std, own_zero=own_zero)
+    if (followed := noise_followed(found.log, found.point, noise)) is not None:
+        noise, found = followed, judged(seen, model, known.values, followed.std, own_zero=own_zero)
     notes += _shift_notes(model, found.table, found.shifts, taken_out=own_zero)
-    goodness = found.goodness.judged(
-        noise, (*model.channels, *model.references), given.meta.gap_threshold_rel
-    )
+    floor = uncertain(found.point, noise, given.meta.gap_length_scale_m)
+    goodness = found.goodness.judged(floor, given.meta.gap_threshold_rel)
     return Evaluation(
-        model, found.table, goodness, found.noise_floor, noise, tuple(notes), known, given, found.zeros,
-        found.log,
+        model, found.table, goodness, noise_floor(found.point), noise, tuple(notes), known, given,
+        deviations_of(found.point), found.log,
     )  # fmt: skip
 
 

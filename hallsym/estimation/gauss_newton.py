@@ -8,7 +8,6 @@ from itertools import count
 import numpy as np
 
 import solvers
-from hallsym.estimation.covariance import noise_floor
 from hallsym.estimation.decoding import ErrorTable, error_tables, zero_shifts
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import Determination, determine
@@ -68,14 +67,13 @@ def deviations_of(point: Point) -> dict[int, np.ndarray]:
 class Judged:
     """Fixed parameters on another log: errors, zeros beside the calibration's, how well they fit it.
 
-    `zeros`: deviations by run. `log`: what was decoded, with the zeros of its references that were asked for.
+    `point`: of its cost. `log`: what was decoded, with the zeros of its references that were asked for.
     """
 
     table: ErrorTable
     shifts: Shifts
     goodness: GoodnessOfFit
-    noise_floor: Mapping[str, float]
-    zeros: Mapping[int, np.ndarray]
+    point: Point
     log: Log
 
 
@@ -93,7 +91,7 @@ def judged(
         cost = cost_near(log, model, p, noise)
     (table,) = error_tables(log, model, [(p, zeros_of(cost, p))], cost.reading_variance, sigma=noise)
     point = cost.at(p)
-    return Judged(table, shifts, goodness_of(point, 0), noise_floor(point), deviations_of(point), log)
+    return Judged(table, shifts, goodness_of(point, 0), point, log)
 
 
 @dataclass(frozen=True, eq=False)

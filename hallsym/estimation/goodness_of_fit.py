@@ -18,23 +18,18 @@ import numpy as np
 from scipy.special import chdtri
 
 from hallsym.estimation.likelihood import Point
-from hallsym.log import Noise
 from hallsym.model import Model
 from hallsym.records import named
 
-UNSTRUCTURED = 0.15
-"""Relative excess over a stated noise floor from which on it counts although nothing is known of its shape.
-
-A choice, the same for a fit, which looks at sizes alone, and for a diagnosis that finds no shape
-(`hallsym.diagnosis.policy`): noise is often stated from a recording at rest and is larger in motion."""
+KNOWN = 0.03
+"""Relative uncertainty of a noise floor: n samples know a standard deviation to 1 / sqrt(2 n), 560 to 3 %."""
+WORTH_REPORTING = 0.05
+"""Relative decrease of the error from which on a gap is worth reporting, unless the user or the log has
+another. A choice."""
 OUTWEIGHS = 2.0
 """Cost per degree of freedom from which on one channel in one run counts for itself.
 
 There the model leaves as much as the noise does."""
-ESTIMATED = 2.0
-"""Factor within which a noise floor is known that was estimated from differences of neighbouring samples.
-
-Noise that is correlated over two samples is read as half of what it is (measured: .27 for .515 um)."""
 CERTAIN = 3.0
 """Standard deviations from which on a cost per degree of freedom contradicts 1, and the scatter between runs
 what noise predicts (the same probability, 0.13 %)."""
@@ -52,10 +47,9 @@ class GoodnessOfFit:
     residuals: the number of readings less that of the estimates, fewer where noise is coloured.
     `by_run`, `by_channel`: rms residual over its standard deviation by noise. `worst_run`, `worst_channel`:
     where one channel in one run leaves most, `worst` times the noise; `worst_least` is the lower end of that
-    multiple, at 99 % for all runs and channels together. `limit`: multiple of the noise floor up to which a
-    residual is not worth reporting; `limit_anywhere`: the same for one channel in one run.
-    `noise_estimated`: the floor is known within a factor two. `what` is said not to describe the log where
-    the residual is material; `next_command` finds the cause.
+    multiple, at 99 % for all runs and channels together. `uncertain`: factor within which the noise floor is
+    known; `threshold`: relative decrease of the error that is worth reporting. `what` is said not to
+    describe the log where the residual is material; `next_command` finds the cause.
     """
 
     cost_per_degree_of_freedom: float
@@ -66,9 +60,8 @@ class GoodnessOfFit:
     worst_channel: str
     worst: float
     worst_least: float
-    limit: float = 1 + UNSTRUCTURED
-    limit_anywhere: float = OUTWEIGHS**0.5
-    noise_estimated: bool = False
+    uncertain: float = 1.0
+    threshold: float = WORTH_REPORTING
     next_command: str = ""
     what: str = "The model"
 
@@ -76,6 +69,21 @@ class GoodnessOfFit:
     def residual_over_noise(self) -> float:
         """Residual error in multiples of the noise floor, over all runs and channels."""
         return float(np.sqrt(self.cost_per_degree_of_freedom))
+
+    @property
+    def limit(self) -> float:
+        """Multiple of the noise floor up to which a residual is not worth reporting."""
+        return limit_of(self.uncertain, self.threshold)
+
+    @property
+    def limit_anywhere(self) -> float:
+        """The same for one channel in one run."""
+        return OUTWEIGHS**0.5 * self.uncertain
+
+    @property
+    def noise_estimated(self) -> bool:
+        """Whether a good part of the noise floor is noise that nobody stated."""
+        return self.uncertain > 1 + KNOWN
 
     @property
     def scatter(self) -> float:
@@ -133,21 +141,9 @@ class GoodnessOfFit:
         run = f"run {self.worst_run}, " if len(self.by_run) > 1 else ""
         return f"{run}channel {self.worst_channel}"
 
-    def judged(self, noise: Noise, columns: Sequence[str], threshold: float | None = None) -> "GoodnessOfFit":
-        """Return the record with the limits that hold for this noise.
-
-        `columns`: those whose noise makes the floor. `threshold`: relative decrease of the gap that the log
-        itself calls worth reporting.
-        """
-        estimated = any(noise[c].source == "estimated" for c in columns if c in noise)
-        known = ESTIMATED if estimated else 1.0
-        asked = 1.0 if threshold is None else 1.0 / (1.0 - threshold)
-        return replace(
-            self,
-            limit=max(1 + UNSTRUCTURED, asked, known),
-            limit_anywhere=OUTWEIGHS**0.5 * known,
-            noise_estimated=estimated,
-        )
+    def judged(self, uncertain: float, threshold: float | None = None) -> "GoodnessOfFit":
+        """Return the record for a floor known within a factor, and what the log calls worth reporting."""
+        return replace(self, uncertain=uncertain, threshold=threshold or WORTH_REPORTING)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record of calib.json and `--json`."""
@@ -158,10 +154,19 @@ class GoodnessOfFit:
             "significant": self.significant,
             "residual_over_noise": self.residual_over_noise,
             "scatter": self.scatter,
+            "limit": self.limit,
             **stored,
             "by_run": {str(run): value for run, value in self.by_run.items()},
             "by_channel": dict(self.by_channel),
         }
+
+
+def limit_of(uncertain: float, threshold: float) -> float:
+    """Return the multiple of a noise floor up to which nothing is worth reporting, of a fit or a diagnosis.
+
+    `uncertain`: factor within which the floor is known, beside the 3 % of a stated one.
+    """
+    return uncertain * (1 + KNOWN) / (1 - threshold)
 
 
 def goodness_of(point: Point, estimated: int) -> GoodnessOfFit:

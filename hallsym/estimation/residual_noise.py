@@ -16,20 +16,18 @@ from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.linalg import solve_banded, solve_toeplitz
-from scipy.special import chdtrc, stdtrit
+from scipy.special import chdtrc, ndtri, stdtrit
 
 from hallsym.estimation.decoding import columns_of
-from hallsym.estimation.goodness_of_fit import MAD
+from hallsym.estimation.goodness_of_fit import KNOWN, MAD
 from hallsym.estimation.likelihood import Point
 from hallsym.estimation.outliers import residuals
 from hallsym.families.play import stop_operator
-from hallsym.log import Block, Log
+from hallsym.log import Block, Log, Noise
 from hallsym.log.batches import Weigh, batches
 from hallsym.log.derived import extended
 from hallsym.model import Model
 
-KNOWN = 0.03
-"""Relative uncertainty of a noise floor: n samples know a standard deviation to 1 / sqrt(2 n), 560 to 3 %."""
 ORDER = 3
 """Order of the autoregression: a resonance and a drift, or the beginning of 1/f noise."""
 LAGS = 10
@@ -67,7 +65,8 @@ class ResidualNoise:
     the same of each channel. `coefficients`: (ORDER,) of the autoregression, the same for all channels.
     `kurtosis`: least of all channels, with its standard error `kurtosis_error` were they Gaussian.
     `correlation`: of neighbouring samples. `memory`: variance of a slow average over that of white noise.
-    `whiteness_p`: probability that white noise is as correlated. `samples`: that were looked at.
+    `whiteness_p`: probability that white noise is as correlated. `samples`: that were looked at. `within`:
+    factor within which it is the noise, were a gap in it.
     """
 
     ratio: float
@@ -81,6 +80,7 @@ class ResidualNoise:
     kurtosis: float
     kurtosis_error: float
     samples: int
+    within: float = 2.0
 
     @property
     def bounded(self) -> bool:
@@ -309,6 +309,8 @@ STILL = 5.0
 """An axis that moves less than this many sigma of its noise (rms) is at rest.
 
 Its logged place is then noise to 4 % of its variance, and that noise is in the residual too."""
+LEAST = 0.05
+"""Part of a first guess that a noise is at least, where stated ones beside it make all of a residual."""
 SLOW = 5.0
 """Noise over what differences of neighbouring samples have of it, from which on it is a disturbance.
 
@@ -338,10 +340,44 @@ def noise_left(
     data, values, used = _read(log, model, p, zeros, sigma, keep, most)
     if not len(used) or not used.any():
         return None
+    if not log.timed:
+        return _noise_of_knots(model, data, values[:, used], covariance, used)
     columns = np.array([row for row in _columns(model, data, sigma) if np.all(np.isfinite(row))])
     columns = columns.reshape(-1, len(used))[: int(used.sum()) // SHARE]
     found = Residual(values, covariance, data["run"], columns, used, bool(model.zeros))
     return residual_noise(found, model.channels)
+
+
+def _noise_of_knots(
+    model: Model, data: Mapping[str, np.ndarray], values: np.ndarray, covariance: np.ndarray, used: np.ndarray
+) -> ResidualNoise | None:
+    """Return the noise of knots, which have places and no times, by the median of their periodogram.
+
+    Waves of any number are lines in it, which do not move the median as long as they are less than half.
+    """
+    K, n = values.shape
+    if len(model.references) == 1:
+        values = values[:, np.argsort(data[model.references[0]][used], kind="stable")]
+    bins = (n - 1) // 2
+    if bins <= 2 * LAGS:
+        return None
+
+    def median_of(rows: np.ndarray) -> np.ndarray:
+        power = np.abs(np.fft.rfft(rows, axis=1)[:, 1 : bins + 1]) ** 2 / n
+        return np.asarray(np.median(power, axis=1) / np.log(2.0))
+
+    ratio = float(np.sqrt(median_of(np.linalg.cholesky(np.linalg.inv(covariance)).T @ values).mean()))
+    each = np.sqrt(median_of(values) / np.diag(covariance))
+    if not ratio > 0:
+        return None
+    spread = [float(np.exp(0.5 * ndtri(COVERED) / (np.log(2.0) * np.sqrt(m)))) for m in (bins * K, bins)]
+    by_channel = dict(zip(model.channels, each.tolist(), strict=True))
+    return ResidualNoise(
+        ratio, (ratio / spread[0], ratio * spread[0]), by_channel,
+        {c: (v / spread[1], v * spread[1]) for c, v in by_channel.items()},
+        np.zeros(ORDER), correlation=0.0, memory=1.0, whiteness_p=1.0,
+        kurtosis=GAUSSIAN, kurtosis_error=np.inf, samples=n, within=spread[0],
+    )  # fmt: skip
 
 
 def noise_at(
@@ -353,12 +389,32 @@ def noise_at(
     return noise_left(log, cost.summary.model, point.p, zeros, point.covariance.mean(axis=0), sigma, keep)
 
 
-def estimated_factor(left: ResidualNoise, point: Point, columns: Collection[str]) -> float:
+def noise_followed(log: Log, point: Point, noise: Noise, keep: Weigh | None = None) -> Noise | None:
+    """Return the noise with what a fit leaves in the place of what was estimated; None where that agrees.
+
+    Differences of neighbouring samples miss noise that is correlated, and take motion from sample to sample
+    for noise; what the fit leaves holds neither. `point`: of the fit with `noise`.
+    """
+    model = point.cost.summary.model
+    guessed = {c for c in (*model.channels, *model.references) if noise[c].source == "estimated"}
+    left = noise_at(log, point, noise.std, keep) if guessed and not log.counted else None
+    if left is None:
+        return None
+    factor = _factor(left, point, guessed)
+    if abs(factor - 1.0) <= KNOWN and left.within == noise[min(guessed)].within:
+        return None
+    return Noise({
+        c: replace(s, value=s.value * factor, within=left.within) if c in guessed else s
+        for c, s in noise.sigmas.items()
+    })  # fmt: skip
+
+
+def _factor(left: ResidualNoise, point: Point, columns: Collection[str]) -> float:
     """Return by what the noise of `columns` must be multiplied for a residual to have the noise `left`.
 
-    `point`: of the fit with the noise that `left` is a multiple of. 1 where the residual does not contradict
-    the noise, and where what is left is no noise: waves, steps between levels, or something so slow that
-    differences of neighbouring samples have next to nothing of it.
+    1 where the residual does not contradict the noise, and where what is left is larger and no noise: waves,
+    steps between levels, or something so slow that differences of neighbouring samples have next to nothing
+    of it.
     """
     model, cost = point.cost.summary.model, point.cost
     own = np.array([c in columns for c in model.channels])
@@ -367,8 +423,9 @@ def estimated_factor(left: ResidualNoise, point: Point, columns: Collection[str]
     if any(c in columns for c in model.references):  # what is not the readings' own is the references'
         readings = readings + point.covariance.mean(axis=0) - np.diag(cost.reading_variance)
     share = float(np.trace(precision @ readings)) / len(own)
-    ratio = left.ratio if left.interval[0] > 1.0 and not left.bounded and left.ratio < SLOW else 1.0
-    return float(np.sqrt(1.0 + (ratio**2 - 1.0) / max(share, 1e-300))) if share > 0 else 1.0
+    larger = left.interval[0] > 1.0 and not left.bounded and left.ratio < SLOW
+    ratio = left.ratio if larger or left.interval[1] < 1.0 else 1.0
+    return float(np.sqrt(max(1.0 + (ratio**2 - 1.0) / share, LEAST**2))) if share > 0 else 1.0
 
 
 Data = dict[str, np.ndarray]
@@ -418,7 +475,7 @@ def _columns(model: Model, data: Data, sigma: Mapping[str, float]) -> Iterator[n
     made = {c.name for c in model.computed}
     data = data | {c: _at_rest(v, data["run"], sigma.get(c, 0.0)) for c, v in data.items() if c in sigma}
     moves = [c for c in model.references if _moves(data[c], sigma.get(c, 0.0))]
-    place = {c: _beside(data, c) if "t_s" in data else data[c] for c in moves}
+    place = {c: _beside(data, c) for c in moves}
     turns = {c: 2 * np.pi / model.period[c] * place[c] for c in moves if c in model.period}
     lines = {c: _unit(place[c]) for c in moves if c not in turns}
     states = [c for c in dict.fromkeys((*model.state, "temperature_degc")) if c in data and c not in made]
@@ -485,9 +542,7 @@ def _edges(run: np.ndarray) -> list[int]:
 
 def _rates(data: Data, moves: Sequence[str]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield velocity and acceleration of each coordinate over their greatest values, run by run."""
-    t = data.get("t_s")
-    if t is None:
-        return
+    t = data["t_s"]
     for c in moves:
         v = _slope(data[c], t, data["run"], REACH)
         a = _slope(v, t, data["run"], REACH + 1)  # one more, so that the sample itself has no part in it

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from hallsym.estimation.calibration import Fit
-from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertainty
+from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertain, uncertainty
 from hallsym.estimation.gauss_newton import deviations_of
-from hallsym.estimation.goodness_of_fit import UNSTRUCTURED, diagnose_command
+from hallsym.estimation.goodness_of_fit import WORTH_REPORTING, diagnose_command, limit_of
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Point
 from hallsym.estimation.linearised import exact
@@ -50,7 +50,7 @@ class LowerBound:
     @property
     def near(self) -> bool:
         """Whether the optimum costs no more, beyond the expected, than what is worth reporting."""
-        return self.ratio <= self.expected * (1 + UNSTRUCTURED) ** 2
+        return self.ratio <= self.expected * limit_of(1.0, WORTH_REPORTING) ** 2
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record of calib.json and `--json`."""
@@ -159,7 +159,8 @@ def fit_of(
         seconds=perf_counter() - began,
         goodness=replace(
             estimate.goodness.judged(
-                task.noise, (*model.channels, *model.references), task.log.meta.gap_threshold_rel
+                uncertain(state.point, task.noise, task.log.meta.gap_length_scale_m),
+                task.log.meta.gap_threshold_rel,
             ),
             next_command=command,
         ),

@@ -26,6 +26,7 @@ from hallsym.estimation.likelihood import Coefficients, Cost, Point, cost_of
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.optimum import Solution, search
 from hallsym.estimation.plausible import lateness, rewired
+from hallsym.estimation.residual_noise import noise_followed
 from hallsym.estimation.result import LowerBound, fit_of, lower_bound, result_of
 from hallsym.estimation.run_statistics import RunStatistics, joined
 from hallsym.estimation.task import Asked, Begun, Opened, Solved, Task, held_out, prepared
@@ -481,9 +482,11 @@ def _whole(
         "lower_bound": None if bound is None else bound.to_dict(),
     }
     worst = max(fits, key=lambda fit: fit.goodness.residual_over_noise if fit.goodness else 0.0)
-    stated = fits[0].source.meta.gap_threshold_rel if fits[0].source else None
-    goodness = estimate.goodness.judged(noise, (*last.model.channels, *last.model.references), stated)
-    goodness = replace(goodness, next_command=worst.goodness.next_command if worst.goodness else "")
+    limits = max((fit.goodness for fit in fits if fit.goodness), key=lambda each: each.limit)
+    goodness = replace(
+        estimate.goodness, uncertain=limits.uncertain, threshold=limits.threshold,
+        next_command=worst.goodness.next_command if worst.goodness else "",
+    )  # fmt: skip
     names = sharing.joint.names
     return replace(
         last,
@@ -787,10 +790,10 @@ class _Together:
         return self.solve(self.asked.solver) if left < total else whole
 
     def _with_noise_left(self, state: Solution) -> Solution:
-        """Return the optimum with the noise that it leaves where that was estimated and is larger."""
+        """Return the optimum with the noise that it leaves where that was estimated."""
         changed = False
         for g, one in enumerate(self.logs):
-            noise = one.task.noise_left(self.of_log(state, g), one.keep)
+            noise = noise_followed(one.task.log, self.of_log(state, g).point, one.task.noise, one.keep)
             if noise is not None:
                 one.task = replace(one.task, log=replace(one.task.log, noise=noise))
                 one.begun = one.task.begin(one.begun.everything.summary)

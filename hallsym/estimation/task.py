@@ -9,7 +9,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.estimation import outliers, start
 from hallsym.estimation.calibration import Errors, Fit
-from hallsym.estimation.covariance import noise_floor
+from hallsym.estimation.covariance import noise_floor, uncertain
 from hallsym.estimation.decoding import (
     error_tables,
     knows_rails,
@@ -21,7 +21,7 @@ from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.optimum import Solution
 from hallsym.estimation.plausible import Judgement, Wiring, as_read, judge, rewired, wiring_of
-from hallsym.estimation.residual_noise import KNOWN, estimated_factor, noise_at
+from hallsym.estimation.residual_noise import noise_followed
 from hallsym.estimation.run_statistics import RunStatistics, summarise
 from hallsym.families import adapted, build, default_model
 from hallsym.log import Log, Noise, estimate_noise, usable
@@ -217,7 +217,7 @@ class Task:
         state = task.passes(begin, keep)
         if first is not None:
             state = task.elsewhere(state, first.model.names, keep)
-        if (noise := task.noise_left(state, keep)) is not None:
+        if (noise := noise_followed(task.log, state.point, task.noise, keep)) is not None:
             task = replace(task, log=replace(task.log, noise=noise))
             state = task.passes(state.p, keep)
         wiring = first.wiring if first else None
@@ -254,13 +254,17 @@ class Task:
         """
         told = self.goodness(state)
         left = told.residual_over_noise if told.noise_estimated else 1.0
-        return told.sentence is None and left <= QUICKLY_KNOWN and told.worst_least <= max(left, 1.0)
+        return (
+            told.sentence is None
+            and 1 / QUICKLY_KNOWN <= left <= QUICKLY_KNOWN
+            and told.worst_least <= max(left, 1.0)
+        )
 
     def goodness(self, state: Solution) -> GoodnessOfFit:
         """Return what a fit leaves, in multiples of the noise."""
         fit = goodness_of(state.point, len(state.p) - len(state.determination.held))
-        columns = (*self.model.channels, *self.model.references)
-        return fit.judged(self.noise, columns, self.log.meta.gap_threshold_rel)
+        known = uncertain(state.point, self.noise, self.log.meta.gap_length_scale_m)
+        return fit.judged(known, self.log.meta.gap_threshold_rel)
 
     def counting(self, what: str) -> Callable[[int], None]:
         """Return a progress callback that says which share of the log is done."""
@@ -321,21 +325,3 @@ class Task:
         if self.asked.loss == "tukey":
             return outliers.tukey(residual, covariance)
         return outliers.reject_spikes(residual, covariance, suspects, self.model.channels)
-
-    def noise_left(self, state: Solution, keep: Weigh | None) -> Noise | None:
-        """Return the noise that a fit leaves where its noise was estimated and is larger; None elsewhere.
-
-        Differences of neighbouring samples miss noise that is correlated; what the fit leaves does not.
-        """
-        columns = (*self.model.channels, *self.model.references)
-        guessed = frozenset(c for c in columns if self.noise[c].source == "estimated")
-        if not guessed:
-            return None
-        point = state.point
-        left = noise_at(self.log, point, self.noise.std, keep)
-        factor = 1.0 if left is None else estimated_factor(left, point, guessed)
-        if factor <= 1.0 + KNOWN:
-            return None
-        return Noise({
-            c: replace(s, value=s.value * factor) if c in guessed else s for c, s in self.noise.sigmas.items()
-        })  # fmt: skip

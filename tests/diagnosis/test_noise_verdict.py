@@ -57,14 +57,6 @@ def test_one_sensor_that_is_noisier_is_named() -> None:
     assert "in hall_b alone, white" in d.sentence
 
 
-def test_noise_as_stated_is_no_verdict_and_is_told_all_the_same() -> None:
-    d = diagnose(quiet())
-    assert d.verdict == "no gap"
-    assert d.noise is not None
-    assert not d.noise.larger
-    assert "noise: 0.99" in diagnosis_text(d) or "noise: 1" in diagnosis_text(d)
-
-
 def test_estimated_noise_is_never_larger_than_stated() -> None:
     d = diagnose(replace(quiet(noise="correlated"), noise=Noise({})))
     assert d.verdict == "no gap"

@@ -30,7 +30,7 @@ CONFUSABLE, SELECTION = (sys.modules[f"hallsym.diagnosis.{name}"] for name in ("
 """The modules; the package has functions of these names."""
 
 LEVEL = 0.05
-FLOOR = Floor(1e-6, stated=True)
+FLOOR = Floor(1e-6)
 CLEAN = LackOfFit(())
 
 
@@ -52,10 +52,12 @@ def shaped(drop: float, p: float) -> LackOfFit:
         (shaped(0.2, 0.01), 0.5, 0.0, True),  # a shape is a gap whatever the floor is said to be
     ],
 )
-def test_what_is_left_is_a_gap_above_a_stated_floor_or_with_a_shape(found, excess, error, gap):
+def test_what_is_left_is_a_gap_above_all_that_the_floor_may_be_or_with_a_shape(found, excess, error, gap):
     assert remains(found, excess * FLOOR.metric, FLOOR, LEVEL, POLICY, error) is gap
     if found is CLEAN:
-        assert not remains(found, excess * FLOOR.metric, Floor(1e-6, stated=False), LEVEL, POLICY, error)
+        twice = Floor(1e-6, uncertain=2.0)
+        assert not remains(found, excess * FLOOR.metric, twice, LEVEL, POLICY, error)
+        assert remains(found, 2 * excess * FLOOR.metric, twice, LEVEL, POLICY, error) is gap
 
 
 def validated(after: float, rest: LackOfFit) -> SimpleNamespace:

@@ -1,0 +1,80 @@
+"""`fit`, `evaluate` and `diagnose` say the same of one log, whatever is known of its noise."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_twins import Motion, machine
+
+from hallsym import Fit, evaluate, fit, read_log
+from hallsym.diagnosis import Diagnosis, diagnose
+from hallsym.log import Log, Noise, as_log
+
+ROOT = Path(__file__).parents[2]
+REAL = ROOT.parent / "shared" / "real"
+QUIET = {"seed": 3, "thin": 6, "pink": 0.0, "curvature": 0.0, "noise": "white"}
+
+
+def judged(log: Log, model: str) -> tuple[Fit, Diagnosis]:
+    """Ask all of one log, of which nobody may contradict another."""
+    found, d = fit(log, model, solver="direct"), diagnose(log, model)
+    known = evaluate(found, log).goodness
+    assert (known.material, known.limit) == (found.goodness.material, pytest.approx(found.goodness.limit))
+    if found.goodness.material or d.metric.before > 1.1 * found.goodness.limit * d.metric.floor:
+        assert found.goodness.material
+        assert d.verdict != "no gap"
+    return found, d
+
+
+@pytest.mark.parametrize("unstated", [(), ("z_m", "rx_rad", "ry_rad")])
+def test_noise_that_adds_nothing_to_the_error_need_not_be_stated(unstated: tuple[str, ...]) -> None:
+    log = machine("multisine", **QUIET)
+    for factor in (1.0, 1.3, 1.6, 2.5):
+        stated = {c: replace(s, value=s.value / factor) for c, s in log.noise.sigmas.items()}
+        known = Noise({c: s for c, s in stated.items() if c not in unstated})
+        found, d = judged(replace(log, noise=known), "stage31")
+        assert d.verdict == ("no gap" if factor == 1 else "noise larger than stated")
+        assert found.goodness.material is (factor > 1)
+        assert found.goodness.uncertain < 1.001
+
+
+@pytest.mark.parametrize(("name", "model"), [("campaign", "stage31"), ("encoder", "rotary_meng")])
+def test_bundled_logs_are_judged_alike(name: str, model: str) -> None:
+    found, d = judged(read_log(ROOT / "data" / name), model)
+    assert (d.verdict, found.goodness.material) == ("no gap", False)
+
+
+def test_a_gap_is_judged_alike() -> None:
+    def cubic(m: Motion, _: np.random.Generator) -> None:
+        m.reading = m.reading * (1 + 4e5 * m.reading**2)
+
+    found, d = judged(machine("multisine", (cubic,), **QUIET), "stage31")
+    assert (d.verdict, found.goodness.material) == ("explained", True)
+
+
+@pytest.mark.parametrize("size", [0.0, 3.0])
+def test_waves_of_any_number_are_not_the_noise_of_a_table(size: float) -> None:
+    """200 knots a turn, noise of .014 degrees, waves of 4, 50 and 100 periods a turn."""
+    ref, sigma = np.arange(200) * 2 * np.pi / 200, np.radians(0.014)
+    noise = np.random.default_rng(1).standard_normal(200)
+    error = sigma * (noise + size * sum(np.cos(n * ref + n) for n in (4, 50, 100)))
+    log = as_log({"angle_rad": (ref + error) % (2 * np.pi), "angle_ref_rad": ref})
+    found, _ = judged(log, "rotary")
+    assert found.noise_floor["angle_rad"] == pytest.approx(sigma, rel=0.2)
+    assert found.goodness.material is (size > 0)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not REAL.is_dir(), reason="no folder of recordings beside the repository")
+@pytest.mark.parametrize("folder", ["rotary-mechaduino-luts", "maker-tables", "linear-hall-undulators"])
+def test_recordings_whose_error_repeats_are_never_without_a_gap(folder: str) -> None:
+    columns = {
+        "rotary-mechaduino-luts": {"angle_count": "raw_count", "angle_ref_deg": "ref_angle_deg"},
+        "linear-hall-undulators": {"angle_ref_deg": "ref_deg"},
+    }.get(folder)
+    counts = 16384 if folder.startswith("rotary") else None
+    for file in sorted((REAL / folder).glob("*.csv"))[::2]:
+        found, d = judged(read_log(file, columns=columns, counts_per_turn=counts), "rotary")
+        assert found.goodness.material, file.name
+        assert d.verdict in ("explained", "unexplained"), file.name
