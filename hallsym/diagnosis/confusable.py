@@ -58,8 +58,8 @@ def confusable(
 def _alike(setup: Setup, one: Exact, inflation: float) -> list[Exact]:
     """Return the effects that the log cannot tell from the one selected."""
     rivals = _not_excluded(setup, one, inflation)
-    # parameters for which the log gives no reason make no rival
-    rivals = [r for r in rivals if r.bic - one.bic < 2 * setup.policy.as_good]
+    if setup.base.model.family.pairs:  # parameters for which the log gives no reason make no rival
+        rivals = [r for r in rivals if r.bic - one.bic < 2 * setup.policy.as_good]
     limit = setup.policy.separated**2 * one.fit.variance(inflation)
     return [r for r in rivals if one.fit.distance(r.fit) < limit][:SHOWN]
 

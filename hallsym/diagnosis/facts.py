@@ -34,7 +34,8 @@ def instants(r: ResidualTable, holdout: Collection[int]) -> tuple[tuple[int, flo
         gains = _gains(r, k, fitted, tried)
         equal = tried[gains >= gains.max() * (1 - NIL)]
         best = equal[np.argmax(_gains(r, k, np.ones_like(fitted), equal))]
-        near = np.flatnonzero(fitted & (np.abs(np.arange(len(r.run)) - best) < SEGMENT))
+        near = np.arange(max(equal[0] - SEGMENT, 0), min(equal[-1] + SEGMENT, len(r.run)))
+        near = near[fitted[near]]
         finer = _gains(r, k, fitted, near) if len(near) else gains[:0]
         if finer.max(initial=0.0) > gains.max() * (1 + NIL):
             best = near[np.argmax(finer)]

@@ -87,10 +87,6 @@ class Policy:
     """Starts refitted of an effect whose numbers were searched on a grid.
 
     The score of one grid point, such as a rail, says little of where a refit ends."""
-    same: float = 1.0
-    """Difference of BIC below which two effects fit the same on a log, and the more usual one goes first.
-
-    Half of it is the logarithm of their odds, 1.6 to 1."""
     as_good: float = 10.0
     """Difference of BIC up to which a variant with as few parameters as another effect explains as
     much; at twice that, unneeded parameters make an effect no competitor of a plainer one.

@@ -15,6 +15,7 @@ from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.regression import FOLDS, NIL
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.sign_flips import Joint, SignFlips, least_p, memory, searched, stretch
+from hallsym.diagnosis.spectrum import LEAST
 from hallsym.errors import InputError
 from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.decoding import columns_of
@@ -41,7 +42,8 @@ class Score:
     effect, cross-validated within the fitted runs; what the references' noise makes of it does not count.
     `p_value`: from random signs of the runs' scores, corrected for all that was tried; `statistic`: what it
     rests on. `absorbed`: the model's own parameters can do the same. `place`: of the effect in the catalogue,
-    usual causes first. `kept`: part of the gain that the references' noise has not made.
+    usual causes first. `kept`: part of the gain that the references' noise has not made. `p_by_noise`: the
+    p-value by the spectrum of the noise alone, 1 where that is not known.
     """
 
     effect: Effect
@@ -55,6 +57,7 @@ class Score:
     absorbed: bool = False
     place: int = 0
     kept: float = 1.0
+    p_by_noise: float = 1.0
     statistic: float = -np.inf
 
 
@@ -180,7 +183,17 @@ class Screen:
         joint = Joint(flipped)
         self.top = joint.top if flipped else None
         most = {s.effect.name: max(variants[s.effect.name], s.variant.tried) for s in found}
-        each = [self._p_value(s, joint, peak, sum(most.values())) for s in found]
+        found = [replace(s, p_by_noise=_by_noise(s, peak, sum(most.values()))) for s in found]
+        of_signs = 1.0 - OF_NOISE * np.isfinite(peak)
+        each = [
+            min(
+                1.0,
+                joint.p_value(s.statistic) / of_signs,
+                EVENTS * s.variant.by_itself,
+                s.p_by_noise / OF_NOISE,
+            )
+            for s in found
+        ]
         units = len(self.tables[0].t.units(self.runs))
         unit = "run" if self.length is None else "stretch"
         self.significance = Significance(min(each, default=1.0), least_p(units), units, unit)
@@ -190,14 +203,6 @@ class Screen:
             for s in found
         ]
         self.scores = sorted(found, key=lambda s: s.bic)
-
-    def _p_value(self, score: Score, joint: Joint, peak: float, tried: float) -> float:
-        """Return the p-value of a score by signs and by the stated noise (weighted Bonferroni)."""
-        signs = min(joint.p_value(score.statistic), EVENTS * score.variant.by_itself)
-        if score.absorbed or not np.isfinite(peak):
-            return signs
-        noise = tried * float(chdtrc(score.size, score.kept * score.gain / peak))
-        return min(1.0, signs / (1 - OF_NOISE), noise / OF_NOISE)
 
     def _ratio(self, score: Score, peak: float) -> float:
         """Return the gap metric with a candidate over that without, on the same runs less its optimism.
@@ -252,6 +257,13 @@ class Screen:
     def spoiled(self) -> frozenset[str]:
         """Candidates whose readings are not finite."""
         return frozenset(key for table in self.tables for key in table.t.spoiled)
+
+
+def _by_noise(score: Score, peak: float, tried: float) -> float:
+    """Return the p-value of a score by the spectrum of the noise, corrected for what was `tried`."""
+    if score.absorbed or not np.isfinite(peak):
+        return 1.0
+    return min(1.0, tried * max(float(chdtrc(score.size, score.kept * score.gain / peak)), LEAST))
 
 
 OF_NOISE = 0.1

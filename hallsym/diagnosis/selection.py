@@ -51,11 +51,11 @@ def refitted(
     stands: Callable[["Exact"], bool] = lambda _: True,
     policy: Policy = POLICY,
 ) -> list["Exact"]:
-    """Refit the promising effects exactly and return them, best first by BIC; none if none is `worth` it.
+    """Refit the promising effects exactly and return them, best first; none if none is `worth` it.
 
     Promising are those that explain nearly as much as the best one that is worth it, and lower the gap of
     runs that are left out. An effect whose refit does not `stand`, or that no start brings to parameters that
-    its cause can have, is left out. Of effects that fit the same on this log, the more usual one goes first.
+    its cause can have, is left out.
     """
     named = [s for s in by_name(scored) if not s.absorbed]
     least = policy.mostly * max((s.gain for s in named if worth(s)), default=np.inf)
@@ -72,8 +72,7 @@ def refitted(
             out.append(best)
     if not any(worth(e.score) for e in out):
         return []
-    best_of = min(e.bic for e in out)
-    return sorted(out, key=lambda e: (0, e.score.place) if e.bic - best_of < policy.same else (1, e.bic))
+    return ordered(out, scored, worth, policy)
 
 
 def _finer(base: Base, score: Score, runs: Sequence[int], facts: Facts, policy: Policy) -> Score:
@@ -90,11 +89,107 @@ def _exact(base: Base, score: Score, runs: Sequence[int], policy: Policy) -> Exa
     return Exact(score, fit, fit.bic(score.size, policy.inflation))
 
 
+# -- the order ---------------------------------------------------------------------------------------------
+
+
+def ordered(
+    exact: Sequence[Exact], scored: Sequence[Score], worth: Callable[[Score], bool], policy: Policy
+) -> list[Exact]:
+    """Order exact refits, best first; those that are not `worth` it behind those that are."""
+    first = _simpler_first(sorted(exact, key=lambda e: e.bic), scored, policy)
+    counted = [e for e in first if worth(e.score)]
+    return counted + [e for e in first if not worth(e.score)]
+
+
+def _simpler_first(exact: list[Exact], scored: Sequence[Score], policy: Policy) -> list[Exact]:
+    """Put an effect with fewer parameters first if it explains nearly all that the best one does.
+
+    Real machines have small imperfections of every kind. Many parameters take some of them along, which with
+    enough samples is significant and yet no evidence. The best effect stays first if it has a variant with as
+    few parameters that explains as much. Of two effects that fit the same on this log, the one with fewer
+    searched numbers goes first, then the one that comes first in the catalogue.
+    """
+    if not exact:
+        return exact
+    best = exact[0]
+    simpler = [e for e in exact[1:] if _simpler(e, best, scored, policy)]
+    if simpler:
+        return _first(min(simpler, key=lambda e: (e.score.size, e.bic)), exact)
+    same = [best, *(e for e in exact[1:] if _same(best, e))]
+    return _first(min(same, key=lambda e: (e.score.variant.tried, e.score.place)), exact)
+
+
+def _simpler(e: Exact, best: Exact, scored: Sequence[Score], policy: Policy) -> bool:
+    return (
+        e.score.size < best.score.size
+        and e.bic - best.bic <= policy.negligible * best.score.gain
+        and e.fit.metric <= best.fit.metric * (1 + policy.negligible)
+        and not any(
+            s.effect is best.score.effect
+            and s.size <= e.score.size
+            and s.gain >= (1 - policy.negligible) * e.score.gain
+            and s.bic <= e.score.bic + policy.as_good
+            for s in scored
+        )
+    )
+
+
+def _same(a: Exact, b: Exact) -> bool:
+    """Return whether two effects of one size leave the same, to less than the noise of one reading."""
+    return a.score.size == b.score.size and abs(b.fit.cost - a.fit.cost) * a.fit.readings <= a.fit.cost
+
+
+def plain_pairs_first(
+    exact: list[Exact], catalogue: Sequence[Effect], runs: Sequence[int], facts: Facts, policy: Policy
+) -> list[Exact]:
+    """Put a plain effect first if it and a second explain more than the flexible best one, by BIC.
+
+    An effect with many parameters may take small imperfections along and so explain more than the plain cause
+    does. Then the plain cause and one of the imperfections together explain as much with no more parameters,
+    and the flexible effect with a second one leaves nearly as much as these two.
+    """
+    if not exact:
+        return exact
+    best = exact[0]
+    plain = [
+        e
+        for e in exact[1:]
+        if e.score.size < best.score.size and e.score.gain >= policy.mostly * best.score.gain
+    ]
+    found: list[tuple[float, Exact, float]] = []
+    for e in plain:
+        second = _second(e, catalogue, runs, facts, policy)
+        if second is None or second.size + e.score.size > best.score.size:
+            continue
+        both = second.bic + e.score.size * float(np.log(max(e.fit.readings / policy.inflation, 2.0)))
+        if both < best.bic:
+            found.append((both, e, e.fit.cost - second.gain))
+    if not found:
+        return exact
+    _, first, left = min(found, key=lambda f: f[0])
+    second = _second(best, catalogue, runs, facts, policy)
+    if second is not None and best.fit.cost - second.gain < policy.half * left:
+        return exact
+    return _first(first, exact)
+
+
+def _second(
+    e: Exact, catalogue: Sequence[Effect], runs: Sequence[int], facts: Facts, policy: Policy
+) -> Score | None:
+    """Return the best second effect beside one, by its score."""
+    scores = _scores(e.fit.base, catalogue, runs, facts, policy)
+    return next((s for s in scores if not s.absorbed), None)
+
+
 def _scores(
     base: Base, effects: Sequence[Effect], runs: Sequence[int], facts: Facts, policy: Policy
 ) -> list[Score]:
     tried, _ = candidates(base, effects, facts)
     return Screen(base, tried, runs, policy.inflation).scores
+
+
+def _first(first: Exact, exact: Sequence[Exact]) -> list[Exact]:
+    return [first, *(e for e in exact if e is not first)]
 
 
 def cancels(fit: Refitted, names: Sequence[str], kept: float) -> bool:
@@ -166,7 +261,8 @@ def select(setup: Setup) -> "Selection":
     start = refit(setup.base, setup.runs)
     search = Selection(setup, start, start, Nested(setup.runs, setup.policy), {(): start})
     search.grow()
-    search.prune()
+    if len(search.effects) > 1 and search.reconsider():
+        search.grow()
     if setup.base.sliced:
         search.confirm()
     return search
@@ -254,6 +350,8 @@ class Selection:
         exact = refitted(
             at.base, screen.scores, self.runs, facts, worth, lambda e: self.stands(e, at), self.policy
         )
+        if self.setup.base.model.family.pairs:
+            exact = plain_pairs_first(exact, self.setup.catalogue, self.runs, facts, self.policy)
         return exact, screen
 
     def screen(self, at: Refitted, remembers: float | None = None) -> tuple[Screen, Facts]:
@@ -309,17 +407,19 @@ class Selection:
         keeps = lower and exact.bic < at.bic(0, self.policy.inflation)
         return keeps and not cancels(exact.fit, new, self.policy.half)
 
-    def prune(self) -> None:
-        """Drop effects that the others do not need, the weakest first.
-
-        In sample: a run that is left out may hold the only sign of an event.
-        """
-        while len(self.effects) > 1:
-            needs = [1 - self.fit.metric / self.without(e).metric for e in self.effects]
-            k = int(np.argmin(needs))
-            if needs[k] >= self.policy.half * self.setup.threshold:
-                break
-            self.drop(self.effects[k])
+    def reconsider(self) -> bool:
+        """Hold each effect against the catalogue, the others in place; return whether any was replaced."""
+        before, replaced = [f.name for f in self.effects], False
+        for k, effect in enumerate(self.effects):
+            if k + 1 == len(before) and not replaced:
+                break  # the last was chosen with the others in place
+            without = self.without(effect)
+            exact, _ = self.step(without)
+            if exact:
+                self.effects[k] = _selected(exact, without)
+                self.fit = exact[0].fit
+                replaced |= exact[0].name != effect.name
+        return [f.name for f in self.effects] != before
 
     def confirm(self) -> None:
         """Of slices of one recording, test the effects again by the memory of what all of them leave.

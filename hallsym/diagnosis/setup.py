@@ -262,14 +262,13 @@ def readable(log: Log, model: Model, drop_bad: bool) -> tuple[Log, bool]:
     Readings at their rails stay: they calibrate nothing, but show the rail.
     """
     columns = logged_columns(model)
-    cleaned = clean_log(log, columns, rails=False)
     if not drop_bad:
-        if cleaned.rows == log.rows:
+        if clean_log(log, columns).rows == log.rows:
             return log, False
         with suppress(InputError):
             usable(log, columns, rails=not knows_rails(model))
             return log, False
-    return cleaned, True
+    return clean_log(log, columns, rails=False), True
 
 
 def fitted(

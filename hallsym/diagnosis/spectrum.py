@@ -17,6 +17,8 @@ ORDER = 20
 """Lags of the autoregression: a resonance, and the beginning of 1/f noise within a run."""
 FREQUENCIES = 512
 """Frequencies at which its spectrum is looked at."""
+LEAST = 1e-9
+"""P-value by chi-square that is not gone below: nobody knows the tails of real noise so far out."""
 HEAVY = 5.0
 """Kurtosis from which on chi-square is not trusted: that of Student's t of 7 degrees of freedom."""
 

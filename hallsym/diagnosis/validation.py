@@ -157,14 +157,17 @@ def _error(left: Survey, values: float) -> float:
 
 
 def _holding(setup: Setup, selection: Selection, before: DecodedErrors) -> tuple[Held, ...]:
-    """Return the effects that hold; one whose interval of the shrinkage holds zero is dropped."""
-    while selection.effects:
+    """Return the effects that hold; one whose interval of the shrinkage holds zero is dropped.
+
+    One that the spectrum of the noise shows stays: no other run foresees what a single one carries.
+    """
+    while True:
         effects = tuple(_held(setup, selection, e, before) for e in selection.effects)
-        low, weakest = min(((e.judged.interval() or (1.0,))[0], k) for k, e in enumerate(effects))
-        if low > 0:
+        shown = [e for e in effects if e.exact.score.p_by_noise >= setup.policy.false_alarm]
+        weak = [(i[0], e.name) for e in shown if (i := e.judged.interval()) and i[0] <= 0]
+        if not weak:
             return effects
-        selection.drop(effects[weakest].exact)
-    return ()
+        selection.drop(*(e.exact for e in shown if e.name == min(weak)[1]))
 
 
 def _held(setup: Setup, selection: Selection, effect: Exact, before: DecodedErrors) -> Held:

@@ -113,6 +113,8 @@ class Family:
     """The same model in the form that is cheapest to evaluate sample by sample."""
     short: Callable[[Model], Model] = _itself
     """The same model in a form that many effects do not blow up; done to each model with an effect."""
+    pairs: bool = False
+    """Whether a diagnosis holds a flexible effect against pairs of plain ones."""
     most_effects: int = 3
     """Effects that a diagnosis adds at most."""
     further: tuple[Further, ...] = ()

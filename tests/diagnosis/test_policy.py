@@ -18,9 +18,10 @@ from test_diagnosis_turn import LIKE_A_TABLE, table
 from hallsym.diagnosis import POLICY, Diagnosis, diagnose, prepare
 from hallsym.diagnosis.confusable import smaller_findings
 from hallsym.diagnosis.lack_of_fit import LackOfFit, Shape
+from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.refit import refit, with_model
 from hallsym.diagnosis.scores import Score
-from hallsym.diagnosis.selection import cancels, select
+from hallsym.diagnosis.selection import Exact, cancels, ordered, select
 from hallsym.diagnosis.setup import Floor
 from hallsym.diagnosis.validation import decide, remains
 from hallsym.families import effect_named
@@ -65,7 +66,7 @@ def validated(after: float, rest: LackOfFit) -> SimpleNamespace:
     end = object()
     return SimpleNamespace(
         named=True, metric=after, before=SimpleNamespace(metric=4e-6), base=end, end=end, rest=rest,
-        floor=FLOOR, error=0.0,
+        floor=FLOOR, error=0.0, dropped=(),
     )  # fmt: skip
 
 
@@ -80,6 +81,41 @@ def test_a_gap_is_explained_only_where_nearly_all_is_closed():
 
 
 # -- which of two effects ----------------------------------------------------------------------------------
+
+
+def effect(name: str, size: int, cost: float, gap: float, ratio: float = 0.5, bic: float = 0.0) -> Exact:
+    """An exact refit that leaves squares `cost` of 1000 and the gap metric `gap`."""
+    score = Score(
+        SimpleNamespace(name=name, separate=()),
+        SimpleNamespace(tried=1),
+        None,
+        1000 - cost,
+        size,
+        bic,
+        ratio,
+        1e-9,
+    )
+    fit = SimpleNamespace(
+        cost=cost, metric=gap, readings=1000.0, distance=lambda _: 1.0,
+        variance=lambda inflation: inflation * cost / 1000.0,
+        base=SimpleNamespace(model=SimpleNamespace(channels=("a", "b"), effects=())),
+    )  # fmt: skip
+    return Exact(score, fit, bic)
+
+
+def first(exact: list[Exact], policy: Policy = POLICY) -> str:
+    scored = [e.score for e in exact]
+    return ordered(exact, scored, lambda _: True, policy)[0].score.effect.name
+
+
+def test_fewer_parameters_win_if_they_explain_nearly_as_much():
+    flexible = effect("flexible", 6, 100.0, 1.0e-6, bic=-90.0)
+    plain = effect("plain", 2, 110.0, 1.005e-6, bic=-80.0)
+    assert first([flexible, plain]) == "plain"
+    assert first([flexible, plain], replace(POLICY, negligible=0.001)) == "flexible"
+
+
+# -- confusable effects, and what separates them -------------------------------------------------------------
 
 
 # -- smaller findings --------------------------------------------------------------------------------------
@@ -125,6 +161,17 @@ def test_the_threshold_and_the_holdout_runs_follow_the_policy():
 def without(log: Log, model: str, **gates: float) -> tuple[Diagnosis, Diagnosis]:
     """Return the diagnosis with the policy and with some thresholds replaced."""
     return diagnose(log, model), diagnose(log, model, policy=replace(POLICY, **gates))
+
+
+@pytest.mark.slow
+def test_two_plain_effects_win_against_a_flexible_one(monkeypatch):
+    """One harmonic, an offset and a gain mismatch: a tilt of the magnet would take all along."""
+    kept = diagnose(machine(third), "rotary_ideal")
+    monkeypatch.setattr(SELECTION, "plain_pairs_first", lambda exact, *_: exact)
+    off = diagnose(machine(third), "rotary_ideal")
+    assert kept.verdict == "explained"
+    assert "third_harmonic_distortion" in kept.ranked
+    assert (off.verdict, off.ranked[0]) == ("unexplained", "magnet_tilt")  # what else it lists is its residue
 
 
 @pytest.mark.parametrize(

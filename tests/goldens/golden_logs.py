@@ -125,7 +125,6 @@ LOGS: dict[str, Recorded] = {
     "bundled_encoder": Recorded(ROOT / "data" / "encoder", (), "always"),
     "stage30_table6": Recorded(lambda: stage(2, "stage30", "stage30"), DIRECT),
     # the paper's vertical coupling, a late reading, an offset, a third harmonic
-    "stage30_vertical": Recorded(lambda: stage(10, base="stage30")),
     "stage31_late": Recorded(lambda: stage(11, change=late)),
     "rotary_ideal_offset": Recorded(lambda: encoder(34, "rotary_ideal")),
     "rotary_third_wave": Recorded(lambda: encoder(35, "rotary", 4e-3), diagnosed="always"),

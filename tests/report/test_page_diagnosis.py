@@ -162,18 +162,6 @@ def test_a_statement_that_was_not_confirmed_leaves_its_place_empty():
     assert not re.search(r"\bnan\b|\binf\b|\bNone\b(?!\.)", Outline(page).text)
 
 
-def test_numbers_that_do_not_exist_leave_their_place_empty():
-    record = a_record()
-    record["gap_before"]["rmse"]["x_m"] = None
-    record["effects"][0] |= {"shrinkage": None, "interval": [None, None], "share": None, "p_value": None}
-    record["effects"][1]["interval"] = None
-    record["where"][0]["share"] = None
-    page = page_of(record)
-    assert not re.search(r"\bnan\b|\binf\b|\bNone\b(?!:)", Outline(page).text)
-    assert "rmse y" in page
-    assert "rmse x" not in page
-
-
 def test_features_that_are_no_line_have_names_and_intervals():
     record = a_record()
     record["unexplained"]["curve"] = a_shape(line=False)

@@ -32,6 +32,7 @@ FAMILY = Family(
     ),
     direct=direct,
     short=short,
+    pairs=True,
     most_effects=6,
     decoder="angle",
 )  # fmt: skip
