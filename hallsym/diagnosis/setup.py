@@ -44,6 +44,11 @@ class Floor:
     metric: float
     uncertain: float = 1.0
 
+    @property
+    def least(self) -> float:
+        """The least that noise may leave: an estimate may hold steps between readings."""
+        return self.metric / self.uncertain
+
 
 @dataclass(frozen=True, eq=False)
 class Setup:

@@ -112,7 +112,7 @@ def validate(setup: Setup, selection: Selection) -> Validation:
     found = [f for f in faults(end, whole, setup.tested) if cures(f) >= setup.threshold]
     gap = decoded_errors(end.on_all, setup.runs).metric
     rest = lack_of_fit(end, setup.runs)
-    if gap <= setup.floor.metric * (1 + setup.policy.negligible):
+    if gap <= setup.floor.least * (1 + setup.policy.negligible):
         found = []
     if shaped(rest, setup.threshold, setup.policy):
         found = _beyond_shapes(found, rest)
@@ -132,7 +132,7 @@ def validate(setup: Setup, selection: Selection) -> Validation:
         before=before,
         after=after,
         cured=cured,
-        metric=max(metric, min(setup.floor.metric, cured.metric)),
+        metric=max(metric, min(setup.floor.least, cured.metric)),
         rest=rest,
         floor=setup.floor,
         faults=tuple(found),

@@ -13,7 +13,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 import hallsym
 
@@ -74,15 +73,6 @@ def add_noise(columns: Columns, sigma: Mapping[str, float], seed: int) -> None:
             columns[name] = columns[name] + level * rng.standard_normal(len(columns[name]))
 
 
-def late(columns: Columns) -> None:
-    """Readings 0.5 ms after the reference."""
-    for run in np.unique(columns["run"]):
-        rows = columns["run"] == run
-        t = columns["t_s"][rows]
-        for name in HALL:
-            columns[name][rows] = CubicSpline(t, columns[name][rows])(t - 5e-4)
-
-
 # -- an encoder --------------------------------------------------------------------------------------------
 
 
@@ -124,8 +114,7 @@ LOGS: dict[str, Recorded] = {
     "bundled_campaign": Recorded(ROOT / "data" / "campaign", (), "always"),
     "bundled_encoder": Recorded(ROOT / "data" / "encoder", (), "always"),
     "stage30_table6": Recorded(lambda: stage(2, "stage30", "stage30"), DIRECT),
-    # the paper's vertical coupling, a late reading, an offset, a third harmonic
-    "stage31_late": Recorded(lambda: stage(11, change=late)),
+    # an offset, a third harmonic
     "rotary_ideal_offset": Recorded(lambda: encoder(34, "rotary_ideal")),
     "rotary_third_wave": Recorded(lambda: encoder(35, "rotary", 4e-3), diagnosed="always"),
 }
