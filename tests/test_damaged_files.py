@@ -15,6 +15,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     return Workshop(tmp_path_factory.mktemp("damaged"))
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(seed=st.integers(0, 10**9), name=st.sampled_from(sorted(READERS)))
 def test_a_damaged_file_is_refused_or_says_what_it_is(workshop: Workshop, seed: int, name: str) -> None:

@@ -92,6 +92,7 @@ def changed(data: Any, path: tuple[Any, ...], value: Any) -> Any:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SCHEMAS)
 def test_what_a_schema_refuses_is_refused_in_one_sentence(kind, tmp_path):
     check, record = validator(kind), records(kind)[0]

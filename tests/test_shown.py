@@ -85,6 +85,7 @@ def test_pages_of_results(results: dict[str, Any], columns: dict[str, np.ndarray
     assert read.plot(columns) is not None
 
 
+@pytest.mark.slow
 def test_a_frame_of_any_library_gives_the_same_fit(
     columns: dict[str, np.ndarray], fit: hallsym.Fit, tmp_path: Path
 ) -> None:

@@ -25,13 +25,7 @@ from hallsym.cli.common import (
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, load_fit
 from hallsym.log import Noise, check_noise_keys
-from hallsym.report.text.budget import (
-    budget_text,
-    comparison_text,
-    curve_text,
-    position_words,
-    recorded_text,
-)
+from hallsym.report.text.budget import budget_text, comparison_text, curve_text, position_words, recorded_text
 from hallsym.trajectory import Curve, read_curve
 from hallsym.uncertainty import (
     Budget,

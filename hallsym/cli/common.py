@@ -22,13 +22,7 @@ from hallsym.families.user import load_effects
 from hallsym.log import MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
 from hallsym.model import Effect, Model
 from hallsym.records import named
-from hallsym.simulation import (
-    Campaign,
-    campaign_from,
-    paper_campaign,
-    read_campaign,
-    table8_noise,
-)
+from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
 from hallsym.terminal import fitted
 from hallsym.toml import column_of
 

@@ -5,14 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import NOT_DESCRIBED, OK
-from hallsym.cli.common import (
-    command,
-    log_options,
-    model_options,
-    progress_of,
-    reading_of,
-    say,
-)
+from hallsym.cli.common import command, log_options, model_options, progress_of, reading_of, say
 from hallsym.files import atomic_write
 from hallsym.fleets import fleet, machine_file, tolerance_file
 from hallsym.fleets.row import GOOD

@@ -24,11 +24,7 @@ from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.records import named
 from hallsym.report.text.plan import plan_text
-from hallsym.simulation import (
-    is_the_papers,
-    table8_noise,
-    write_campaign,
-)
+from hallsym.simulation import is_the_papers, table8_noise, write_campaign
 
 
 def add(sub: Any) -> None:

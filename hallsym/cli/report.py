@@ -6,15 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import (
-    command,
-    log_options,
-    open_log,
-    own_effects,
-    own_option,
-    reading_words,
-    say,
-)
+from hallsym.cli.common import command, log_options, open_log, own_effects, own_option, reading_words, say
 from hallsym.estimation import as_read, load_fit, logged_columns
 from hallsym.files import atomic_write
 from hallsym.log import check_log

@@ -23,15 +23,7 @@ from hallsym.diagnosis.record import Statement
 from hallsym.diagnosis.residual_table import ResidualTable, both, residual_table
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import Screened
-from hallsym.diagnosis.shares import (
-    clear,
-    of_frequencies,
-    of_links,
-    of_powers,
-    of_runs,
-    outputs,
-    sensors,
-)
+from hallsym.diagnosis.shares import clear, of_frequencies, of_links, of_powers, of_runs, outputs, sensors
 from hallsym.diagnosis.sign_flips import Joint
 from hallsym.diagnosis.words import percent, plain, shown
 

@@ -55,13 +55,7 @@ from hallsym.estimation.normal_equations import inverse, pseudo_inverse, solve
 from hallsym.estimation.optimum import SOLVERS, refit
 from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey
 from hallsym.estimation.plausible import as_read, rewired
-from hallsym.estimation.residual_noise import (
-    Residual,
-    autoregressive,
-    noise_at,
-    noise_left,
-    residual_noise,
-)
+from hallsym.estimation.residual_noise import Residual, autoregressive, noise_at, noise_left, residual_noise
 from hallsym.estimation.result import lower_bound
 from hallsym.estimation.run_statistics import summarise
 from hallsym.estimation.task import noise_of

@@ -10,12 +10,7 @@ from hallsym.errors import InputError
 from hallsym.estimation import outliers, start
 from hallsym.estimation.calibration import Errors, Fit
 from hallsym.estimation.covariance import noise_floor, uncertain
-from hallsym.estimation.decoding import (
-    error_tables,
-    knows_rails,
-    logged_columns,
-    nominal_variance,
-)
+from hallsym.estimation.decoding import error_tables, knows_rails, logged_columns, nominal_variance
 from hallsym.estimation.gauss_newton import DROP, optimum
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
 from hallsym.estimation.likelihood import Cost, cost_of

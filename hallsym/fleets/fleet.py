@@ -139,7 +139,7 @@ class Journal:
             return
         if self._stream is None:
             try:
-                self._stream = open(self.path, "a", encoding="utf-8")  # noqa: SIM115
+                self._stream = self.path.open("a", encoding="utf-8")
             except OSError as error:
                 raise InputError(f"Cannot write {self.path}: {reason(error)}.") from error
             self._stream.write("\n")  # ends a line that was cut short

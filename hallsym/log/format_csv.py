@@ -163,7 +163,7 @@ class CsvWriter:
     group_rows = 16_384
 
     def __init__(self, path: Path) -> None:
-        self._stream = open(path, "w", encoding="utf-8", newline="")  # noqa: SIM115 (closed by close)
+        self._stream = path.open("w", encoding="utf-8", newline="")
         self._delimiter = "\t" if path.suffix == ".tsv" else ","
         self._started = False
 

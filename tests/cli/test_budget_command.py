@@ -182,6 +182,7 @@ def test_a_log_that_leaves_parameters_open_exits_with_3(capsys, here, tmp_path):
 # -- pictures --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_pictures_are_written(capsys, here, tmp_path):
     said = ran(capsys, "calib.json", "log.csv", "--plots", str(tmp_path / "new"))
     for name in ("budget.png", "uncertainty_map.png"):

@@ -65,6 +65,7 @@ def test_another_delimiter_is_recognised_and_a_wrong_one_refused(capsys, written
     assert "leave --delimiter out" in refused(capsys, "fit", path, "--delimiter", ",")
 
 
+@pytest.mark.slow
 def test_info_shows_the_first_rows_and_suggests_a_column_file(capsys, written, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = written(name="log.csv")
@@ -256,6 +257,7 @@ def test_json_has_every_field_and_agrees_with_the_saved_file(capsys, written, tm
     assert load_fit(path).to_dict() == found
 
 
+@pytest.mark.slow
 def test_evaluate_reproduces_the_fit_on_its_own_log(capsys, written, tmp_path):
     log, path = written(), tmp_path / "calib.json"
     _, out, _ = run(capsys, "fit", log, "-o", path, "--solver", "direct", "--json")
@@ -268,6 +270,7 @@ def test_evaluate_reproduces_the_fit_on_its_own_log(capsys, written, tmp_path):
             assert found[what][name] == pytest.approx(value, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_evaluate_reads_the_channels_that_the_fit_resolved(capsys, written, tmp_path):
     log, path = written(swapped), tmp_path / "calib.json"
     _, out, _ = run(capsys, "fit", log, "-o", path, "--solver", "direct", "--resolve-wiring", "--json")
@@ -276,6 +279,7 @@ def test_evaluate_reads_the_channels_that_the_fit_resolved(capsys, written, tmp_
     assert json.loads(out)["logs"][0]["errors"]["rmse"] == pytest.approx(fitted, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_evaluate_by_run_lists_every_run(capsys, written, tmp_path):
     log, path = written(), tmp_path / "calib.json"
     run(capsys, "fit", log, "-o", path, "--solver", "direct")
@@ -322,6 +326,7 @@ def test_info_explains_a_model(capsys, name):
     assert ("repeats every 6.28319 rad" in out) == bool(model.period)
 
 
+@pytest.mark.slow
 def test_demo_prints_the_papers_steps(capsys, tmp_path):
     code, out, _ = run(capsys, "demo", "-o", tmp_path / "demo", "--json")
     steps = {s["step"]: s for s in json.loads(out)["steps"]}

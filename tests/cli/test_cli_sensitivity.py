@@ -52,6 +52,7 @@ def test_json_is_what_the_output_file_holds(folder, capsys, tmp_path):
     assert record["planned"] is False
 
 
+@pytest.mark.slow
 def test_profiles_of_all_are_in_the_record(folder, capsys):
     _, out, _ = run(capsys, folder / "calib.json", folder / "log.csv", "--profiles", "all", "--json")
     record = json.loads(out)
@@ -73,6 +74,7 @@ def test_a_plan_by_model_and_by_calibration(folder, capsys):
     assert "practical rank 9 of 21" in out
 
 
+@pytest.mark.slow
 def test_pictures_are_written(folder, capsys, tmp_path):
     words = ("--plots", tmp_path / "p", "--plot-format", "svg")
     code, out, _ = run(capsys, folder / "calib.json", folder / "log.csv", *words)

@@ -186,6 +186,7 @@ def test_holdout_ranges_without_end(capsys, log, runs):
 # -- campaigns and other TOML ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -257,6 +258,7 @@ def test_an_output_that_another_option_reads_is_refused(capsys, log, tmp_path):
         assert "which would be lost" in refused(capsys, *arguments)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
 @pytest.mark.parametrize("arguments", [["--version"], ["info"], ["info", "LOG", "--json"], ["--help"]])
 def test_a_full_standard_output(log, arguments):

@@ -70,6 +70,7 @@ def test_the_next_command_runs_as_it_is_printed(capsys, plain):
     assert "vertical" in out
 
 
+@pytest.mark.slow
 def test_evaluate_says_it_of_another_log(capsys, tmp_path):
     """A calibration of the machine as it was, on a log of a channel that reads 2 % less."""
     calibration = tmp_path / "calib.json"
@@ -91,6 +92,7 @@ def test_evaluate_says_it_of_another_log(capsys, tmp_path):
     assert (code, err) == (1, f"hallsym: {json.loads(out)['logs'][0]['goodness_of_fit']['statement']}\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wrong", "code", "says"),
     [

@@ -58,6 +58,7 @@ def read(case, pose):
 LATER = [pytest.param(c, marks=pytest.mark.slow) for c in CASES if c != QUICK]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", [QUICK, *LATER])
 def test_readings_of_a_pose_give_it_back(case):
     code, pose = made(case), poses(case, 2000)
@@ -87,6 +88,7 @@ def test_all_six_moving_stay_within_what_the_sums_themselves_resolve():
     assert (rms[3:] < 1.5e-6).all()
 
 
+@pytest.mark.slow
 def test_the_reference_decoder_is_least_squares_over_all_readings():
     d, pose = made(QUICK).decoupler, poses(QUICK, 200)
     assert np.abs(d.exact(read(QUICK, pose)) - pose).max() < 1e-12

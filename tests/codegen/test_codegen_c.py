@@ -62,6 +62,7 @@ def test_the_golden_copy_is_what_is_generated(golden):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("compiler", "level"), [("gcc", "-O0"), ("clang", "-O3")])
 def test_compilers_warn_of_nothing_and_give_the_stated_bits(golden, compiler, level):
     passes(golden, level, compiler=compiler)
@@ -159,6 +160,7 @@ int main(void)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["stage31", "exact_rotation"])
 @pytest.mark.parametrize("arithmetic", ["float", "q31"])
 def test_an_interrupt_while_a_zero_is_taken_sees_the_old_one(case, arithmetic, tmp_path):
@@ -231,6 +233,7 @@ def test_a_damaged_table_is_found(compiled):
 # -- Cortex-M ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_same_bits_on_a_cortex_m4f(golden):
     need("arm-none-eabi-gcc", "qemu-system-arm", "make")
     said = ran(golden, "make", "qemu")
@@ -250,6 +253,7 @@ def test_same_bits_on_other_cores(golden, machine):
     ran(golden, "make", "clean")
 
 
+@pytest.mark.slow
 def test_instructions_on_a_cortex_m4f_and_nothing_static_nothing_from_libraries(tmp_path):
     """The estimate of `firmware_cost` is that of the arithmetic alone."""
     typical = {}
@@ -270,6 +274,7 @@ def test_instructions_on_a_cortex_m4f_and_nothing_static_nothing_from_libraries(
 # -- proofs and MISRA ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_cppcheck_finds_no_misra_violation_that_is_not_listed(golden):
     need("cppcheck", "make")
     ran(golden, "make", "misra")
@@ -278,6 +283,7 @@ def test_cppcheck_finds_no_misra_violation_that_is_not_listed(golden):
 LATER = [pytest.param(c, marks=pytest.mark.slow) for c in ("four probes", "exact_rotation")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["stage31", *LATER])
 def test_eva_raises_no_alarm(tmp_path, case):
     proved_by_eva(written(made(case, jacobian=True), tmp_path / "fw"))
@@ -307,6 +313,7 @@ def test_the_header_is_also_cpp(golden, tmp_path):
     ran(golden, str(tmp_path / "user"))  # links by extern "C"; status 0: zero is in the box
 
 
+@pytest.mark.slow
 def test_the_self_test_runs_every_line_and_takes_every_branch_of_a_sample(golden, tmp_path):
     need("gcc", "gcov")
     out = str(tmp_path / "selftest")
@@ -320,6 +327,7 @@ def test_the_self_test_runs_every_line_and_takes_every_branch_of_a_sample(golden
     assert "Taken at least once:100.00%" in own
 
 
+@pytest.mark.slow
 def test_cmake_builds_it(golden, tmp_path):
     need("cmake", "gcc")
     ran(golden, "cmake", "-S", ".", "-B", str(tmp_path), "-DDECOUPLER_SELFTEST=ON")

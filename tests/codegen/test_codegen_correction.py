@@ -88,6 +88,7 @@ def test_a_range_holds_every_sample(name, x, wide, y, high, seed):
 # -- what a correction leaves --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["meng angle", pytest.param("harmonics volts", marks=SLOW), "clipped"])
 @pytest.mark.parametrize("form", [(64, 1, True), pytest.param((256, 3, False), marks=SLOW), (1024, 1, False)])
 def test_what_a_table_leaves_is_bounded_and_nearly_met(case, form):
@@ -183,6 +184,7 @@ WRITTEN = [
 LATER = [pytest.param(*case, marks=pytest.mark.slow) for case in WRITTEN[1:]]
 
 
+@pytest.mark.slow
 def test_a_table_that_is_as_near_as_its_proof_says_is_no_other_model():
     """What bits of a place that are cut off add (here 6e-12 rad) is rounding; beyond the proof by itself."""
     ellipse = {"Vx": 0.01175857, "Vy": -0.00784108, "Ax": 1.0, "Ay": 0.96567946, "beta": 0.01219565}
@@ -203,6 +205,7 @@ def test_the_table_of_entries_lies_in_the_parameters():
     assert "entries" in code.files["doc/report.md"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("case", "accuracy", "kind"), [WRITTEN[0], *LATER])
 def test_the_folder_passes_here_and_on_a_cortex_m4f_and_eva_raises_no_alarm(case, accuracy, kind, tmp_path):
     need("arm-none-eabi-gcc", "qemu-system-arm", "make", "cppcheck")

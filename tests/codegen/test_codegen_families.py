@@ -72,6 +72,7 @@ def fit():
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_its_folder_passes_its_self_test(fit, tmp_path):
     code = hallsym.generate(fit, jacobian=True)
     assert "MAGNITUDE(hall_b) < MAGNITUDE(hall_a)" in str(code.files["src/decoupler.c"])

@@ -146,6 +146,7 @@ def recorded(tmp_path, **spans):
 ARITHMETICS = ["float", pytest.param("q31", marks=pytest.mark.slow)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arithmetic", ARITHMETICS)
 def test_a_range_that_became_lopsided_is_cut_to_the_limit_that_the_code_has(tmp_path, capsys, arithmetic):
     out = tmp_path / "out"

@@ -112,6 +112,7 @@ def sources(folder):
     return (*paths, *files)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_three_decouplers_link_into_one_image(image, compiler):
     need(compiler)
@@ -208,6 +209,7 @@ def test_a_prefix_that_c_does_not_take_is_refused(name):
 # -- packages ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_installed_library_is_found_by_its_name(image, tmp_path):
     need("cmake", "gcc")
     installed = tmp_path / "installed"

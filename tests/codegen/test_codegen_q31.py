@@ -107,6 +107,7 @@ def test_other_models_compile_and_pass(tmp_path, case):
     passes(written(code, tmp_path / "fw"))
 
 
+@pytest.mark.slow
 def test_stated_bits_and_instructions_on_a_cortex_m0(folder):
     need("arm-none-eabi-gcc", "qemu-system-arm", "make")
     assert "as stated" in ran(folder, "make", "qemu")

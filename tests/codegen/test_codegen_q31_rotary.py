@@ -143,6 +143,7 @@ def test_an_encoder_that_needs_no_correction_has_no_table():
 # -- the C itself --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("case", "accuracy"), BUILT)
 def test_same_bits_here_and_on_a_cortex_m0(case, accuracy, tmp_path):
     need("arm-none-eabi-gcc", "qemu-system-arm", "make")

@@ -222,6 +222,7 @@ MOST = {("ellipse", "volts"): 130, ("meng", "angle"): 170}
 """Instructions of decoupler_step() in QEMU, whatever the inputs."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("case", "form"), [BUILT[0], pytest.param(*BUILT[1], marks=pytest.mark.slow)])
 def test_bits_instructions_and_proofs_on_a_cortex_m4f(case, form, tmp_path):
     need("arm-none-eabi-gcc", "qemu-system-arm", "make", "cppcheck")

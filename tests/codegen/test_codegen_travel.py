@@ -42,6 +42,7 @@ def read(x, z):
     return on_arrays(fit.model.reading)(fit.values, [], [x, z], [])[0]
 
 
+@pytest.mark.slow
 def test_readings_give_place_and_gap_back_over_all_of_the_board():
     rng, backend = np.random.default_rng(1), made().backend
     x, z = rng.uniform(-REACH, REACH, 4000), rng.uniform(*GAPS, 4000)
@@ -53,6 +54,7 @@ def test_readings_give_place_and_gap_back_over_all_of_the_board():
     assert np.abs(pose - [x, z])[:, inner].max() < 2e-5
 
 
+@pytest.mark.slow
 def test_nothing_steps_as_sensors_come_and_go():
     x = np.linspace(-REACH, REACH, 16_001)
     pose, _ = made().backend.step(read(x, np.full_like(x, 5e-3)).astype(np.float32))
@@ -98,6 +100,7 @@ def test_what_is_not_generated_is_refused_in_one_sentence():
         hallsym.generate(fit_of(18, 0.14))
 
 
+@pytest.mark.slow
 def test_the_folder_passes_its_self_test_without_undefined_behaviour(tmp_path):
     passes(written(made(), tmp_path / "fw"), *SANITIZED)
 

@@ -117,6 +117,7 @@ def test_stated_bounds_hold_over_random_inputs(case):
         assert 0 < met <= code.backend.error_bound[column]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("accuracy", [1e-7, 2e-8])
 def test_an_accuracy_that_is_asked_for_is_kept_by_more_rounds(accuracy):
     code = made(accuracy=accuracy)
@@ -212,6 +213,7 @@ def test_it_passes_its_self_test_without_undefined_behaviour(folder):
     passes(folder, *SANITIZED)
 
 
+@pytest.mark.slow
 def test_same_bits_and_at_most_160_instructions_on_a_cortex_m4f(folder):
     need("arm-none-eabi-gcc", "qemu-system-arm", "make")
     assert ran(folder, "make", "qemu").count("as stated") == 2
@@ -219,6 +221,7 @@ def test_same_bits_and_at_most_160_instructions_on_a_cortex_m4f(folder):
     assert undefined_symbols(folder) == {"decoupler_crc"}  # nothing of libm
 
 
+@pytest.mark.slow
 def test_cppcheck_finds_no_misra_violation_that_is_not_listed(folder):
     need("cppcheck", "make")
     ran(folder, "make", "misra")
@@ -249,6 +252,7 @@ def test_its_cost_is_counted_without_a_compiler_about_its_typical_gap():
     assert 100 < cost.instructions < 160
 
 
+@pytest.mark.slow
 def test_more_inputs_than_bits_share_them_and_flags_keep_their_own(tmp_path):
     need("gcc")
     fit = calibrated(sums(36), VALUES)

@@ -37,6 +37,7 @@ def slopes_of(library, inputs, shape):
     return call(*(a.ctypes.data_as(ctypes.c_void_p) for a in given)), out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["stage31", "vertical_offset_coupling", "exact_rotation"])
 def test_they_are_those_of_the_model(tmp_path, case):
     need("gcc")

@@ -77,6 +77,7 @@ def held_out() -> tuple[Diagnosis, int, float]:
     return diagnose(changed, "stage31"), run, when
 
 
+@pytest.mark.slow
 def test_a_slip_within_a_holdout_run_is_named_at_its_instant(held_out) -> None:
     """The run that slips is fitted, since its offset is known from itself alone; the others judge."""
     d, run, when = held_out

@@ -60,6 +60,7 @@ def test_a_hidden_effect_is_named_and_closes_the_gap(name: str, campaign: str) -
     assert low <= found.shrinkage.value <= high
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -91,6 +92,7 @@ def with_sigma(log: Log, factor: float) -> Log:
     return replace(log, noise=Noise(sigmas))
 
 
+@pytest.mark.slow
 def test_noise_stated_a_tenth_too_small_is_told_as_noise(quiet: tuple[Log, Diagnosis]) -> None:
     found = diagnose(with_sigma(quiet[0], 0.89))
     assert found.verdict == "noise larger than stated"
@@ -127,6 +129,7 @@ def speed_gain(model: Model) -> Model:
     return wide.with_step("transducer", step, effect="speed_gain", parameters=(slope,))
 
 
+@pytest.mark.slow
 def test_a_users_effect_is_found_and_a_broken_one_stops_nothing() -> None:
     def inject(m, _) -> None:
         m.reading = m.reading * (1 + 5.0 * np.gradient(m.pose[0], 0.002))
@@ -220,6 +223,7 @@ def fitted(log: Log) -> Base:
     return base_of(log, hallsym.fit(log, "stage31", solver="direct"))
 
 
+@pytest.mark.slow
 def test_structure_sees_a_curve_and_the_runs_gains_and_nothing_in_noise(quiet: tuple[Log, Diagnosis]) -> None:
     base = fitted(quiet[0])
     runs = [r for r in base.log.runs if r not in base.holdout]

@@ -74,6 +74,7 @@ def test_few_judges_give_no_interval_and_a_repair_scales_it():
     assert low < one.value < high
 
 
+@pytest.mark.slow
 def test_what_is_named_shrinks_the_gap_on_the_held_out_runs():
     found = diagnose(turn(pattern=1.5e-3, noise=7e-4), "rotary")
     assert [e.name for e in found.effects] == ["reference_pole_pairs"]
@@ -82,6 +83,7 @@ def test_what_is_named_shrinks_the_gap_on_the_held_out_runs():
     assert not named & {s.name for s in found.smaller_findings}
 
 
+@pytest.mark.slow
 def test_a_wave_that_is_nil_at_every_knot_stays_at_its_nominal_value():
     """200 knots sample 100 waves at their crossings: the sine is 0 at each of them."""
     examined = examine(prepare(turn(pattern=1.5e-3), "rotary_ideal"))
@@ -101,6 +103,7 @@ def residue_names(base):
     return {c.name for c in coordinates(residual_table(base, base.log.runs))}
 
 
+@pytest.mark.slow
 def test_the_search_is_repeated_without_each_group_of_runs():
     """All groups of a clear effect take the same path, and each run is judged by the others."""
     log = machine(third)
@@ -140,7 +143,7 @@ def test_runs_that_are_left_out_are_not_chosen_to_judge():
         assert not set(setup.holdout) & set(log.runs[2::5])
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [pytest.param(s, marks=[pytest.mark.slow] if s else []) for s in range(4)])
 def test_a_record_says_what_its_numbers_say(seed):
     """Knots with steps, slow errors and waves of any size: nothing is named that may do nothing."""
     rng = np.random.default_rng(seed)

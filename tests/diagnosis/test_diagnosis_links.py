@@ -55,6 +55,7 @@ def found(name: str) -> tuple[Base, Located]:
     return base, located(base, log.runs, screened(base, some()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "link"),
     [
@@ -70,6 +71,7 @@ def test_the_link_is_the_one_that_the_gap_was_put_in(name: str, link: str) -> No
     assert first.p_value < 0.01
 
 
+@pytest.mark.slow
 def test_a_table_holds_an_even_part_of_a_long_log(monkeypatch: pytest.MonkeyPatch) -> None:
     base, _ = found("odd_nonlinearity")
     module = sys.modules[residual_table.__module__]
@@ -103,6 +105,7 @@ def test_an_effect_of_a_user_counts_for_the_link_that_it_changes() -> None:
     assert "another link: none tested" in link.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", [k if k == "correlated" else pytest.param(k, marks=pytest.mark.slow) for k in NOISES]
 )

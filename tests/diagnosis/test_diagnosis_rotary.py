@@ -115,6 +115,7 @@ def test_names_the_cause_or_its_group(cause, name, alike):
     assert link == "reference" or not name.startswith("reference")
 
 
+@pytest.mark.slow
 def test_an_offset_of_the_ideal_encoder_is_no_eccentricity():
     """Off the axis there is a second harmonic as large as the constant part; here there is none."""
     found = diagnose(machine(offset, "ideal_arctan"))

@@ -183,6 +183,7 @@ def test_a_short_recording_is_taken_to_fewer_pieces_that_each_can_be_a_run(knots
     assert log.rows == knots
 
 
+@pytest.mark.slow
 def test_a_turn_of_72_knots_is_diagnosed():
     a = np.arange(72) * 2 * np.pi / 72
     angle = a + 4e-3 * np.sin(4 * a) + np.random.default_rng(4).normal(0, 2e-4, 72)
@@ -203,6 +204,7 @@ def test_magnet_errors_that_repeat_nowhere_foretell_no_other_stretch():
     assert any("groups of single knots" in note for note in runs.notes)
 
 
+@pytest.mark.slow
 def test_a_measured_line_is_held_out_in_stretches():
     """Three lines of undulators; interleaved knots said 30.5 to 30.6 % of the first."""
     folder = next((p for p in Path(__file__).parents if (p / "shared").exists()), Path()) / "shared/real"

@@ -80,6 +80,7 @@ def test_gains_that_follow_nothing_logged_are_the_runs_own() -> None:
     assert (first.by, first.at) == ("run", "gain of its own")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "campaign", "kind"),
     [
@@ -119,6 +120,7 @@ def stated(part: float) -> Noise:
 NOISES = {"white": {}, "correlated": {"correlation_s": 0.1}, "heavy": {"degrees_of_freedom": 4.0}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", [pytest.param(k, marks=pytest.mark.slow if k == "white" else ()) for k in NOISES]
 )

@@ -63,6 +63,7 @@ def check(path: Path) -> None:
     assert found == pytest.approx(said, rel=close), (d.ranked, said, found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", QUICK)
 def test_the_command_leaves_the_error_that_is_stated(name):
     check(folder_of(name))

@@ -41,6 +41,7 @@ def test_noise_larger_than_stated_is_told_as_such(noise: str, white: bool) -> No
     assert Diagnosis.from_dict(d.to_dict()).noise == d.noise
 
 
+@pytest.mark.slow
 def test_one_sensor_that_is_noisier_is_named() -> None:
     def loud(m: Motion, rng: np.random.Generator, out: dict) -> None:
         out["hall_b_m"] = out["hall_b_m"] + 2 * SIGMA["hall_b_m"] * rng.standard_normal(len(m.t))
@@ -57,6 +58,7 @@ def test_one_sensor_that_is_noisier_is_named() -> None:
     assert "in hall_b alone, white" in d.sentence
 
 
+@pytest.mark.slow
 def test_estimated_noise_is_never_larger_than_stated() -> None:
     d = diagnose(replace(quiet(noise="correlated"), noise=Noise({})))
     assert d.verdict == "no gap"
@@ -79,6 +81,7 @@ def sweep(m: Motion, _: np.random.Generator) -> None:
     m.reading = m.reading + 1.2e-6 * np.sin(2 * np.pi * (2 + 4 * m.t) * m.t + np.array([[0.0], [1.0], [2.0]]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "inject",
     [
@@ -104,6 +107,7 @@ def test_an_effect_beside_larger_noise_is_explained() -> None:
     assert d.noise.ratio == pytest.approx(1.4, rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_shape_is_a_gap_below_a_noise_that_is_stated_too_large() -> None:
     gap = unlisted(np.random.default_rng(5))["bump"]
     log = machine("multisine", (gap,), seed=3, thin=6, pink=0.0, curvature=0.0)

@@ -36,6 +36,7 @@ def test_noise_of_few_runs_is_no_gap(kind, machine, runs, stated, seed):
     assert (row["verdict"], row["effects"]) == ("no gap", [])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "stated", "seed"),
     [

@@ -30,6 +30,7 @@ def judged(log: Log, model: str) -> tuple[Fit, Diagnosis]:
     return found, d
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unstated", [(), ("z_m", "rx_rad", "ry_rad")])
 def test_noise_that_adds_nothing_to_the_error_need_not_be_stated(unstated: tuple[str, ...]) -> None:
     log = machine("multisine", **QUIET)
@@ -48,6 +49,7 @@ def test_bundled_logs_are_judged_alike(name: str, model: str) -> None:
     assert (d.verdict, found.goodness.material) == ("no gap", False)
 
 
+@pytest.mark.slow
 def test_a_gap_is_judged_alike() -> None:
     def cubic(m: Motion, _: np.random.Generator) -> None:
         m.reading = m.reading * (1 + 4e5 * m.reading**2)
@@ -56,6 +58,7 @@ def test_a_gap_is_judged_alike() -> None:
     assert (d.verdict, found.goodness.material) == ("explained", True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.0, 3.0])
 def test_waves_of_any_number_are_not_the_noise_of_a_table(size: float) -> None:
     """200 knots a turn, noise of .014 degrees, waves of 4, 50 and 100 periods a turn."""

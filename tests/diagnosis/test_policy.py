@@ -185,6 +185,7 @@ def test_an_effect_whose_parameters_undo_each_other_is_rejected(text, undone):
     assert cancels(fit, [n for n in wide.names if n not in setup.base.model.names], POLICY.half) is undone
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gate", ["most_refits", "mostly"])
 def test_effects_that_explain_nearly_as_much_are_refitted_too(gate):
     setup = prepare(machine(third), "ellipse")

@@ -174,6 +174,7 @@ def test_bounds_are_those_of_clopper_and_pearson() -> None:
     assert none == (0.0, pytest.approx(1 - every[0]))
 
 
+@pytest.mark.slow
 def test_a_curve_counts_trials_and_nine_in_ten_are_found(monkeypatch) -> None:
     said = iter(["no gap", "other"] + ["found"] * 8 + ["group"] + ["found"] * 9)  # largest size first
 
@@ -209,6 +210,7 @@ def test_an_interrupt_keeps_what_was_done(monkeypatch) -> None:
     assert "not run: time_skew" in power_text(s)
 
 
+@pytest.mark.slow
 def test_leaving_effects_out_changes_no_draw(monkeypatch) -> None:
     stubbed(monkeypatch, lambda name: ("no gap", "no gap", ()))
     one, two = (

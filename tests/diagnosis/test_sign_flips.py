@@ -77,6 +77,7 @@ def largest(kind, seed, size=0.0, runs=30, samples=40):
     return p_values(SignFlips(t, range(runs), {}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", ["white", *(pytest.param(k, marks=pytest.mark.slow) for k in ("heavy", "correlated"))]
 )

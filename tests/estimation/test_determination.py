@@ -2,16 +2,7 @@
 
 import numpy as np
 import pytest
-from twins import (
-    SIGMAS,
-    TRUTH,
-    combinations_of_effects,
-    cost_on,
-    phi,
-    record,
-    true_model,
-    with_noise,
-)
+from twins import SIGMAS, TRUTH, combinations_of_effects, cost_on, phi, record, true_model, with_noise
 
 from hallsym.estimation import Coefficients, determine, fit, scales, structural_null
 from hallsym.estimation.identifiable import linear_combinations, structural_rank

@@ -273,6 +273,7 @@ def cubic_up_to(limit: float):
     return tight
 
 
+@pytest.mark.slow
 def test_a_parameter_at_its_bound_has_no_interval_and_is_said(tmp_path) -> None:
     log = hidden("odd_nonlinearity", "raster", thin=24)  # cubes of about 0.01 to 0.03
     tight = diagnose_only(log, cubic_up_to(0.02))
@@ -321,6 +322,7 @@ EFFECTS = (speed_gain,)
 '''
 
 
+@pytest.mark.slow
 def test_an_effect_of_your_own_is_fitted_saved_and_read_back(tmp_path, capsys) -> None:
     (tmp_path / "my_effects.py").write_text(OWN)
     log = written(machine("multisine", seed=2, thin=12), tmp_path / "log.csv")

@@ -122,6 +122,7 @@ def test_more_noise_is_significant_and_material_above_the_limit():
     assert "residual error is 1.2 times the noise floor, worst in run " in more.sentence
 
 
+@pytest.mark.slow
 def test_an_estimated_floor_follows_the_noise_and_not_a_gap():
     noise = Noise({c: Sigma(s, "estimated") for c, s in SIGMAS.items()})
     columns = record(seed=4)

@@ -64,6 +64,7 @@ def test_noise_is_told_against_what_was_stated_channel_by_channel() -> None:
     assert all(low < r.by_channel[c] < high for c, (low, high) in r.intervals.items())
 
 
+@pytest.mark.slow
 def test_whiteness_has_the_rate_that_it_says() -> None:
     rng = np.random.default_rng(3)
     p = np.array([found(rng.standard_normal((3, 600)), functions=30).whiteness_p for _ in range(80)])

@@ -212,6 +212,7 @@ def test_an_effect_is_diagnosed():
     assert (found.verdict, found.ranked[0]) == ("explained", "gain_mismatch")
 
 
+@pytest.mark.slow
 def test_a_log_without_a_gap_has_none():
     model = halbach(NINE)
     assert hallsym.diagnose(recorded(model), model, holdout=[1, 4]).verdict == "no gap"

@@ -15,6 +15,7 @@ def recovered(model, seed):
     assert 0.6 < np.sqrt(np.mean(off**2)) < 1.6  # nor are the uncertainties larger than they need be
 
 
+@pytest.mark.slow
 def test_sensors_under_one_array_are_recovered():
     recovered(one_array(rows=1), 100)
 

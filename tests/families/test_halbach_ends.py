@@ -72,6 +72,7 @@ def travelling(count=24, stroke=0.1):
     return wide, values, Log.from_arrays(made, Noise.given(noise, tuple(made)))
 
 
+@pytest.mark.slow
 def test_a_log_over_many_periods_is_fitted_and_decoded_without_a_reference():
     wide, values, log = travelling()
     bare = halbach(wide.layout)
@@ -87,6 +88,7 @@ def test_a_log_over_many_periods_is_fitted_and_decoded_without_a_reference():
         hallsym.fit(log, bare, solver="direct")
 
 
+@pytest.mark.slow
 def test_the_decoded_place_has_no_step_as_sensors_come_and_go():
     wide, values, _ = travelling()
     x = np.arange(-0.105, 0.105, 1e-4)

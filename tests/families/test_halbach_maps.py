@@ -119,6 +119,7 @@ def test_the_period_of_a_field_is_found():
     check_the_period(made_up("raw"))
 
 
+@pytest.mark.slow
 def test_a_tilt_between_columns_is_found():
     check_the_tilt(made_up("raw"), made_up("corrected"))
 
@@ -132,6 +133,7 @@ def test_the_period_of_a_measured_field_is_found():
     check_the_period(measured("02", "raw"))
 
 
+@pytest.mark.slow
 @HERE
 def test_the_cross_axis_terms_of_a_laboratory_are_found_as_tilt():
     check_the_tilt(measured("04", "raw"), measured("04", "corrected"))

@@ -168,6 +168,7 @@ def longer_rows():
     return (*sums, *made)
 
 
+@pytest.mark.slow
 def test_rows_longer_than_the_arrays_are_taken_with_their_ends_and_refused_without():
     model = planar.halbach_planar(longer_rows())
     ended = planar_ends.array_edges(model)
@@ -274,6 +275,7 @@ def test_decoding_within_the_noise_over_the_thesis_box():
     assert np.all(np.abs(np.mean((error / std) ** 2, axis=1) - 1) < 0.3)
 
 
+@pytest.mark.slow
 def test_the_gain_of_many_readings_in_numbers_is_that_of_the_expression():
     model = planar.halbach_planar()
     p, weight = model.vector({"a1": 0.62, "a5": -0.002, "rx0": 3e-4}), np.linspace(0.5, 2, 24)

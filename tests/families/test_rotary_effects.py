@@ -225,6 +225,7 @@ def test_an_effect_of_known_size_is_fitted_saved_and_read_back(text: str, tmp_pa
     assert table["rmse"]["angle_rad"] == pytest.approx(rmse, rel=1e-3)  # spikes left out or not
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ["reference_pole_pairs", "time_skew", "third_harmonic_distortion"])
 def test_the_same_from_the_decoded_angle(text: str) -> None:
     kind, truth = KINDS[text]
@@ -244,6 +245,7 @@ def written(log: Log, path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_what_is_diagnosed_on_an_encoder_is_what_is_fitted() -> None:
     log = encoder(late, "angle")
     found = diagnose(log, "rotary")

@@ -90,6 +90,7 @@ def test_offsets_stay_what_they_are_in_volts():
     assert rmse(fit, "designed") == pytest.approx(0.01 / 0.5 / np.sqrt(2), rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_long_reference_is_decoded_on_its_own_turn():
     """500 ppm over three turns are 0.5 deg: of what the effect explains the noise is left, both ways."""
     log = voltages(sigma=2e-4, scale=5e-4, turns=5.0)
@@ -139,6 +140,7 @@ def test_the_side_that_an_encoder_is_seen_from_is_no_gap():
     assert set(stated.groups[0]) == {"sign_inversion", "channel_swap"}
 
 
+@pytest.mark.slow
 def test_evaluate_says_another_zero_and_takes_it_out(tmp_path, capsys):
     calib, other = tmp_path / "calib.json", tmp_path / "other.csv"
     assert main(["fit", str(knots(tmp_path / "a.csv")), *KNOTS, "-o", str(calib)]) == 3  # 50 waves a turn

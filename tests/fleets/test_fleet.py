@@ -49,6 +49,7 @@ def broken(tmp_path_factory):
 # -- rows --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_device_has_its_row_and_broken_ones_say_why(broken):
     _, known, found, _ = broken
     assert found.devices == tuple(f"dev{k}" for k in range(COUNT))
@@ -72,6 +73,7 @@ def test_every_device_has_its_row_and_broken_ones_say_why(broken):
                 assert rows[f"dev{k}"][f"value:{name}"] == pytest.approx(truth[name], abs=5 * std)
 
 
+@pytest.mark.slow
 def test_a_row_is_that_of_a_fit(broken):
     folder, _, found, _ = broken
     alone = hallsym.fit(folder / "dev0.parquet", "rotary", solver="direct")
@@ -123,6 +125,7 @@ def test_table_page_and_files_for_the_next_batch(broken, tmp_path, capsys):
     assert [row["verdict"] for row in load_fleet(files[3]).rows].count("good") == 9
 
 
+@pytest.mark.slow
 def test_a_table_of_logs_carries_names_and_covariates(broken, tmp_path):
     folder, *_ = broken
     table = tmp_path / "devices.csv"
@@ -168,6 +171,7 @@ def test_numbers_of_an_effect_that_are_left_open_are_those_of_each_log(tmp_path)
     assert {row["effects"] for row in found.rows} == {"mains_hum"}
 
 
+@pytest.mark.slow
 def test_a_parameter_at_its_bound_is_named(tmp_path):
     """Others make up for it, so that its device says nothing of how devices differ."""
     write_log(recorded(truths(1)[0] | {"beta": 0.02}, 0), tmp_path / "dev0.parquet")
@@ -303,6 +307,7 @@ def test_what_is_not_there_or_twice_is_one_sentence(broken, tmp_path):
     refused("Row 1", table)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_a_scheduler_that_does_not_answer_is_one_sentence(broken, monkeypatch):
     pytest.importorskip("distributed")
@@ -313,6 +318,7 @@ def test_a_scheduler_that_does_not_answer_is_one_sentence(broken, monkeypatch):
             hallsym.fleet(folder, "rotary", scheduler=address)
 
 
+@pytest.mark.slow
 def test_a_log_of_another_model_is_a_row_that_says_so(broken, tmp_path):
     folder, *_ = broken
     other = tmp_path / "odd"

@@ -146,6 +146,7 @@ def test_estimated_noise_has_students_reference() -> None:
     assert change.p_value == pytest.approx(2 * stats.norm.sf(0.5 / np.hypot(0.1, 0.2)), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_exit_code_tells_a_script(
     known: hallsym.Fit, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,6 +22,7 @@ def paper(correlation_s: float = 0.0) -> tuple[Cost, np.ndarray, Determination, 
     return cost, p, found, bootstrap(cost, p, found.held, replicates=400, seed=3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlation_s", [0.0, 0.1])
 def test_draws_are_refits(correlation_s):
     """Every tenth draw, refitted until it converges: the same to 2 % of the standard uncertainty."""

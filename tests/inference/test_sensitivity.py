@@ -105,6 +105,7 @@ def test_a_level_campaign_leaves_what_only_height_could_tell():
     assert found.structural.rank == 18
 
 
+@pytest.mark.slow
 def test_a_fixed_parameter_is_said_to_be_fixed_and_one_at_its_bound_to_be_there(fitted):
     log = bundled_campaign()
     changes = {
@@ -169,6 +170,7 @@ def test_zero_deviations_scatter_as_much_as_their_uncertainty_says():
     assert np.mean(squares) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_correlated_noise_is_met_by_resampling_runs():
     log = with_noise(record(seed=6, correlation_s=0.1))
     found = identify(fit(log, true_model(), solver="direct"), profiles="none")

@@ -62,6 +62,7 @@ def refused(path: Path, says: str, **options: Any) -> None:
     assert path.name in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [10**9, 100])
 def test_names_units_and_numbers_are_those_of_the_file(
     tmp_path: Path, suffix: str, limit: int, monkeypatch: pytest.MonkeyPatch

@@ -50,6 +50,7 @@ REAL = CASES.parent / "real"
 NO_RUNS = "No column 'run': all samples are taken as one run, number 0."
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not CASES.is_dir(), reason="no folder of cases beside the repository")
 def test_cases_pass_silently() -> None:
     folders = sorted(path for path in CASES.glob("*/*") if path.is_dir())

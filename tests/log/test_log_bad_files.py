@@ -109,6 +109,7 @@ def test_what_is_stated_of_a_csv_file_and_cannot_be(
     assert one_sentence(str(caught.value))
 
 
+@pytest.mark.slow
 def test_a_torn_line_far_inside_a_large_file_is_named(tmp_path: Path) -> None:
     lines = ["t_s;x_ref_um", "s;um", *(f"{k};{k},5" for k in range(200_000))]
     lines[150_000] = "149998"

@@ -145,6 +145,7 @@ def test_dark_backgrounds_are_not_printed(page: str):
         assert int(colour[0], 16) >= 14, colour
 
 
+@pytest.mark.slow
 def test_saved_calibration_gives_the_same_page(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write_log(record(seed=2), "log.csv")

@@ -110,6 +110,7 @@ def pages(tmp_path_factory) -> dict[str, Path]:
     return {name: folder / f"{name}.html" for name in texts}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["fit", "diagnosis"])
 def test_the_script_runs_under_its_own_policy(chromium, pages, name):
     shown = chromium.dom(pages[name])
@@ -128,6 +129,7 @@ def test_the_script_runs_under_its_own_policy(chromium, pages, name):
         assert shown.count('class="median0"') > 20  # before, under after
 
 
+@pytest.mark.slow
 def test_a_script_that_is_not_its_own_is_refused_and_the_charts_stay_without_it(chromium, pages, tmp_path):
     changed = tmp_path / "changed.html"
     text = pages["fit"].read_text(encoding="utf-8")
@@ -138,6 +140,7 @@ def test_a_script_that_is_not_its_own_is_refused_and_the_charts_stay_without_it(
     assert len(re.findall(r'<path d="m[^"]{300,}" class="line median">', shown)) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "width"), [("fit", 390), ("diagnosis", 1100)])
 def test_no_label_overlaps_or_is_cut_off_and_the_page_does_not_scroll_sideways(chromium, pages, name, width):
     answer = json.loads(chromium.framed(pages[name], width, f"tell({OVERLAPS})"))
@@ -147,6 +150,7 @@ def test_no_label_overlaps_or_is_cut_off_and_the_page_does_not_scroll_sideways(c
     assert width > 390 or answer["cut"] == []  # a wide window may leave a wide table to scroll
 
 
+@pytest.mark.slow
 def test_buttons_keys_and_mouse_zoom(chromium, pages):
     answer = chromium.ask(pages["diagnosis"], ZOOM, "--window-size=1100,900")
     start, halved, moved, out, dragged, all_ = json.loads(answer.replace("&gt;", ">"))
@@ -166,6 +170,7 @@ def test_buttons_keys_and_mouse_zoom(chromium, pages):
     assert all_[2] == start[2]
 
 
+@pytest.mark.slow
 def test_picker_hover_sorting_and_copying(chromium, pages):
     """What can be done on a page besides zooming, in one go: a browser takes long to start."""
     found = json.loads(chromium.ask(pages["fit"], DO, "--window-size=1100,900").replace("&gt;", ">"))
@@ -198,6 +203,7 @@ def axe() -> str:
     return script.replace("</script>", "<\\/script>")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "width", "dark"), [("fit", 1100, True), ("diagnosis", 390, False)])
 def test_axe_finds_nothing(chromium, pages, axe, name, width, dark):
     scheme = f"--blink-settings=preferredColorScheme={0 if dark else 1}"
@@ -205,6 +211,7 @@ def test_axe_finds_nothing(chromium, pages, axe, name, width, dark):
     assert json.loads(answer) == []
 
 
+@pytest.mark.slow
 def test_axe_finds_nothing_on_paper(chromium, pages, axe, tmp_path):
     """Chromium has no option for the media type, so the rules for print are made those of the window."""
     text = pages["diagnosis"].read_text(encoding="utf-8")
@@ -218,6 +225,7 @@ def test_axe_finds_nothing_on_paper(chromium, pages, axe, tmp_path):
     assert json.loads(answer) == []
 
 
+@pytest.mark.slow
 def test_print_has_vectors_only_and_few_pages(chromium, pages, tmp_path):
     chromium.run(pages["fit"], "--no-pdf-header-footer", f"--print-to-pdf={tmp_path / 'page.pdf'}")
     pdf = (tmp_path / "page.pdf").read_bytes()

@@ -139,6 +139,7 @@ def test_real_encoders_have_the_waves_that_are_known_of_them(name, waves):
         assert by_order[n] == pytest.approx(amplitude, abs=0.006)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_says_as_a_fit_does_that_nominal_parameters_do_not_decode():
     found = hallsym.diagnose(half_supply(2.5), "rotary")
     assert all(w.designed is None and not w.absorbed for w in found.waves)

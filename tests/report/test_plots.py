@@ -113,6 +113,7 @@ def test_pictures_are_whole_files_in_their_own_style(log: Log, fitted: Fit, tmp_
     assert sorted(p.name for p in (tmp_path / "new" / "folder").iterdir()) == sorted(p.name for p in written)
 
 
+@pytest.mark.slow
 def test_every_kind_of_file_names_its_source_and_is_the_same_every_time(
     fitted: Fit, survey: Survey, tmp_path: Path
 ) -> None:
@@ -190,6 +191,7 @@ def test_the_command_draws_an_evaluation(tmp_path: Path, capsys) -> None:
     assert "data/campaign, golden/calib.json" in path.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_errors_with_the_effects_are_those_of_the_diagnosis() -> None:
     """72 knots of a turn, whose readings have a harmonic."""
     a = np.arange(72) * 2 * np.pi / 72

@@ -71,6 +71,7 @@ def test_the_bound_of_any_curve_holds(order, seed, angles):
         assert np.abs(e[:, 1]).max() <= found.rotation_rad <= np.abs(e[:, 1]).max() * 1.3 + 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "nodes"), [("bernstein-chebyshev", 80), ("trigonometric", 50)])
 def test_the_bound_is_as_tight_where_control_points_are_large(method, nodes):
     """The curve of the stored numbers in 60 digits: sampling comes within 1 % of the bound."""

@@ -39,6 +39,7 @@ def test_nothing_is_written_if_one_output_cannot_be(capsys, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_everything_is_written(capsys, tmp_path):
     files = [tmp_path / name for name in ("c.json", "c.ngc", "c.csv")]
     outputs = [word for file in files for word in ("-o", file)]

@@ -33,6 +33,7 @@ def relative(found: np.ndarray, true: mpmath.matrix) -> float:
     return float(mpmath.norm(mpmath.matrix(found.tolist()) - true) / mpmath.norm(true))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n", "lu"), [(10, 1e-14), (20, 1e-10), (25, 1e-8), (50, 0.1)])
 def test_table_1(n, lu):
     t = np.arange(1, n + 1) / (n + 1)

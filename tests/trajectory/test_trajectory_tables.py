@@ -47,6 +47,7 @@ def test_table_3_needs_12_points_not_11_and_16_in_the_trigonometric_basis():
         assert bound(through(basis, fewest - 1), cycloid()).at_least > limit
 
 
+@pytest.mark.slow
 def test_table_3_polyline_by_distance_from_its_chords():
     curve, step = through("linear", 7), WHOLE / 6
     assert 1e6 * bound(curve, cycloid(), (0, step)).at_most == pytest.approx(27.67, abs=0.04)
@@ -121,6 +122,7 @@ def test_high_relative_accuracy_gains_nothing_on_rounded_points():
     assert hra == pytest.approx(1e-6, rel=0.8)  # the points are rounded by 1e-19 m
 
 
+@pytest.mark.slow
 def test_the_tool_says_which_method_is_best():
     choice = choose_curve(cycloid(), 0.05e-6)
     assert (choice.best.method.name, choice.best.points) == ("bernstein-chebyshev", 10)

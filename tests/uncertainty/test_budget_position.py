@@ -13,13 +13,7 @@ from twins import HALL, SIGMAS, phi, pm, record, true_model, with_noise
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, fit
 from hallsym.log import Log
-from hallsym.uncertainty import (
-    Settings,
-    notes,
-    over_log,
-    position_budget,
-    uncertainty_map,
-)
+from hallsym.uncertainty import Settings, notes, over_log, position_budget, uncertainty_map
 from hallsym.uncertainty.inputs import slopes
 
 POSE, STATE = ("x_m", "y_m", "rz_rad"), ("z_m", "rx_rad", "ry_rad")

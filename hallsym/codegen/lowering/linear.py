@@ -17,15 +17,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import (
-    Box,
-    Collected,
-    Decoupler,
-    Margin,
-    Step,
-    short,
-    unit,
-)
+from hallsym.codegen.decoupler import Box, Collected, Decoupler, Margin, Step, short, unit
 from hallsym.codegen.lowering.polynomials import Polynomial, PolynomialModel, Row
 from hallsym.errors import InputError
 from hallsym.model import Model

@@ -27,15 +27,7 @@ from hallsym.codegen.decoupler import (
     unit,
 )
 from hallsym.codegen.intervals import TINY, Enclosure, constant
-from hallsym.codegen.lowering.arrays import (
-    FIELD,
-    NEAR,
-    SAFE,
-    TILTED,
-    TRIALS,
-    Assembly,
-    ends_and_leaves,
-)
+from hallsym.codegen.lowering.arrays import FIELD, NEAR, SAFE, TILTED, TRIALS, Assembly, ends_and_leaves
 from hallsym.codegen.lowering.arrays_fit import (
     APART,
     SAMPLES,

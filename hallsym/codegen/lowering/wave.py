@@ -12,17 +12,7 @@ from math import pi
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import (
-    Box,
-    Collected,
-    Decoupler,
-    Flag,
-    Margin,
-    Step,
-    Values,
-    short,
-    unit,
-)
+from hallsym.codegen.decoupler import Box, Collected, Decoupler, Flag, Margin, Step, Values, short, unit
 from hallsym.codegen.intervals import Enclosure, constant, half_ulp
 from hallsym.codegen.lowering import arrays, mover, travel
 from hallsym.codegen.lowering.phase_curve import check_static

@@ -10,14 +10,7 @@ import numpy as np
 
 from hallsym.estimation import ErrorTable, Fit, as_read
 from hallsym.log import Log, Weigh
-from hallsym.report.data.survey import (
-    MOST_SETTINGS,
-    Group,
-    Survey,
-    held_out,
-    look_over,
-    settings,
-)
+from hallsym.report.data.survey import MOST_SETTINGS, Group, Survey, held_out, look_over, settings
 from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
@@ -35,12 +28,7 @@ from hallsym.report.figures.style import (
     panels,
     text_width,
 )
-from hallsym.report.words import (
-    largest,
-    name,
-    scale,
-    thinned,
-)
+from hallsym.report.words import largest, name, scale, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,16 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hallsym.log import Log
-from hallsym.report.figures.style import (
-    AFTER,
-    BEFORE,
-    SHADE,
-    key,
-    label_x,
-    label_y,
-    legend,
-    panels,
-)
+from hallsym.report.figures.style import AFTER, BEFORE, SHADE, key, label_x, label_y, legend, panels
 from hallsym.report.words import largest, name, scale
 from hallsym.simulation import Campaign
 

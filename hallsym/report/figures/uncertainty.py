@@ -7,16 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.report.figures.style import (
-    AFTER,
-    FAINT,
-    LINE,
-    WIDTH,
-    label_x,
-    label_y,
-    panels,
-    text_width,
-)
+from hallsym.report.figures.style import AFTER, FAINT, LINE, WIDTH, label_x, label_y, panels, text_width
 from hallsym.report.words import MINUS, largest, name, scale, setting, short, three
 from hallsym.units import fitting, typeset
 
