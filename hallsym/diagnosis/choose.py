@@ -7,10 +7,9 @@ from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.scores import Screen, candidates
 from hallsym.diagnosis.selection import refitted
-from hallsym.diagnosis.setup import base_of, fitted, readable
+from hallsym.diagnosis.setup import Setup, prepare
 from hallsym.diagnosis.survey import survey
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit
 from hallsym.families import adapted, build, default_model, effect_named
 from hallsym.log import Log
 from hallsym.model import Effect, Model
@@ -42,18 +41,15 @@ def model_on(
         effect = effect_named(text, model, own)
         if ":" in text or not effect.lacking(text):
             model = effect.added(model, text)
-            continue
-        held, say = None if holdout is None else tuple(holdout), on_progress or (lambda _: None)
-        seen, drop = readable(log, model, drop_bad)
-        model = _shown(seen, fitted(seen, model, held, drop, say), effect)
+        else:
+            setup = prepare(log, model, holdout=holdout, drop_bad=drop_bad, on_progress=on_progress)
+            model = _shown(setup, effect)
     return adapted(model, (), parameters or {}, own)
 
 
-def _shown(log: Log, known: Fit, effect: Effect) -> Model:
+def _shown(setup: Setup, effect: Effect) -> Model:
     """The model of a fit with one effect, in the form that its residual shows best."""
-    base = base_of(log, known)
-    holdout = set(known.log["holdout"])
-    runs = [r for r in base.log.runs if r not in holdout]
+    base, runs = setup.base, setup.runs
     seen = survey(base, runs)
     facts = facts_of(base, seen)
     tried, trouble = candidates(base, [effect], facts)
@@ -62,7 +58,7 @@ def _shown(log: Log, known: Fit, effect: Effect) -> Model:
     if not exact:
         reason = trouble.get(effect.name, "nothing in what the model leaves looks like it")
         raise InputError(
-            f"Effect {effect.name} cannot be found in {log.name}: {reason}; give its numbers as "
+            f"Effect {effect.name} cannot be found in {setup.log.name}: {reason}; give its numbers as "
             f"{effect.name}:{effect.lacking(effect.name)[0]}=..., or leave it out."
         )
-    return exact[0].score.variant.make(known.model)
+    return exact[0].score.variant.make(setup.fit.model)

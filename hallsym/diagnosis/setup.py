@@ -296,10 +296,7 @@ def _whole_runs(log: Log, holdout: Sequence[int] | None, policy: Policy) -> tupl
 
 def _too_short(log: Log) -> InputError:
     """Return what is wrong with a log of which nothing can be held out."""
-    short, few = (
-        log.rows < FEWEST,
-        "too few to hold any out and still choose an effect on the others",
-    )
+    short, few = log.rows < FEWEST, "too few to hold any out and still choose an effect on the others"
     if short and len(log.runs) == 1 and not log.timed:
         return InputError(f"{log.name} has {log.rows} samples, {few}; record at least {FEWEST}.")
     enough = f"at least {FEWEST} samples (it has {log.rows})." if short else "split a long one."

@@ -1,7 +1,4 @@
-"""The command that a diagnosis prints fits the model that it names, and leaves the error that it states.
-
-Every log of the golden results: slow. A few of them: fast.
-"""
+"""The command that a diagnosis prints fits the model that it names, and leaves the error that it states."""
 
 import sys
 from dataclasses import replace
@@ -26,7 +23,6 @@ CLOSE = 0.02
 reference's noise differs by what the effects change of the gains."""
 PIECES = 0.35
 """The same where pieces of one recording judged, which the command fits: few samples judge."""
-QUICK = ("rotary_third_wave",)
 
 
 def option(words: tuple[str, ...], name: str) -> list[str]:
@@ -42,9 +38,7 @@ def left(d: Diagnosis, path: Path) -> tuple[float, float]:
     result: Fit = hallsym.fit(
         log, wide, solver="direct", holdout=holdout, resolve_wiring="--resolve-wiring" in d.next_step
     )
-    if (
-        holdout
-    ):  # on the same samples: the table of a fit leaves out what looked like spikes without the effect
+    if holdout:  # on the same samples: a fit without the effect leaves out what looked like spikes
         base = replace(base_of(log, result), keep=None)
         return d.metric.after, decoded_errors(base, holdout).metric
     row = result.errors.rows()["fitted"]
@@ -64,12 +58,6 @@ def check(path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize("name", LOGS)
 def test_the_command_leaves_the_error_that_is_stated(name):
-    check(folder_of(name))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [n for n in LOGS if n not in QUICK])
-def test_the_command_of_every_golden_log(name):
     check(folder_of(name))

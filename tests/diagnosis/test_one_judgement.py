@@ -20,10 +20,8 @@ def judged(log: Log, model: str) -> tuple[Fit, Diagnosis]:
     """Ask all of one log, of which nobody may contradict another."""
     found, d = fit(log, model, solver="direct"), diagnose(log, model)
     known = evaluate(found, log).goodness
-    assert (known.material, known.limit) == (
-        found.goodness.material,
-        pytest.approx(found.goodness.limit, rel=1e-4),
-    )
+    assert known.material is found.goodness.material
+    assert known.limit == pytest.approx(found.goodness.limit, rel=1e-4)
     if found.goodness.material or d.metric.before > 1.1 * found.goodness.limit * d.metric.floor:
         assert found.goodness.material
         assert d.verdict != "no gap"

@@ -239,6 +239,15 @@ def test_the_name_alone_finds_the_numbers_of_an_encoder() -> None:
     assert float(text.rpartition("=")[2]) == pytest.approx(50.0, abs=0.06)
 
 
+def test_a_rail_is_found_in_a_table_without_time() -> None:
+    a = np.arange(400) * 2 * np.pi / 400
+    y, x = np.clip(np.sin(a), -0.8, 0.8), np.clip(np.cos(a), -0.8, 0.8)
+    read = np.unwrap(np.arctan2(y, x)) + np.random.default_rng(0).normal(0, 2e-4, 400)
+    table = Log.from_arrays({"angle_ref_rad": a, "angle_rad": read})
+    text = model_on(table, "rotary_ideal", ["saturation"]).texts["saturation"]
+    assert float(text.rpartition("=")[2]) == pytest.approx(0.8, abs=0.01)
+
+
 def written(log: Log, path: Path) -> Path:
     columns = [log.array(c) for c in log.columns]
     np.savetxt(path, np.column_stack(columns), delimiter=",", header=",".join(log.columns), comments="")

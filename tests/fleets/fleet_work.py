@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -53,10 +54,12 @@ def square(number: int) -> int:
 
 
 def ends_once(job: tuple[int, str]) -> int:
-    """Return a number; 7 ends its process the first time, 5 each time."""
+    """Return a number; 7 ends its process the first time, 5 each time, and not before 7 did."""
     number, folder = job
-    marker = Path(folder) / f"seen{number}"
+    marker = Path(folder) / "seen7"
     if number == 5 or (number == 7 and not marker.exists()):
+        while number == 5 and not marker.exists():
+            time.sleep(0.01)
         marker.touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return number

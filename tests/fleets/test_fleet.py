@@ -234,7 +234,7 @@ def test_work_comes_back_and_what_raises_is_named():
 
 @pytest.mark.slow
 def test_a_process_that_ends_leaves_the_others_and_is_named_when_it_ends_alone(tmp_path):
-    work = [(n, str(tmp_path)) for n in (7, *range(7), *range(8, 12))]  # 7 dies before 5 can
+    work = [(n, str(tmp_path)) for n in (7, *range(7), *range(8, 12))]
     found = {one[0]: result for one, result in completed(ends_once, work, workers=2)}
     assert isinstance(found.pop(5), Failed)
     assert found == {n: n for n in range(12) if n != 5}
