@@ -161,12 +161,7 @@ def _check_names(d: Decoupler) -> None:
 
 
 def _floats(
-    fit: Fit,
-    record: Mapping[str, Any],
-    box: Box,
-    given: Mapping[str, Any],
-    real: Real,
-    jacobian: bool,
+    fit: Fit, record: Mapping[str, Any], box: Box, given: Mapping[str, Any], real: Real, jacobian: bool
 ) -> FloatBackend:
     found = lower(fit, box, **given)
     _check_names(found)

@@ -53,9 +53,7 @@ def half_ulp(most: float, digits: int) -> float:
 
 
 def enclose(
-    expressions: Sequence[ca.SX],
-    inputs: Mapping[str, Enclosure],
-    digits: int | None = 24,
+    expressions: Sequence[ca.SX], inputs: Mapping[str, Enclosure], digits: int | None = 24
 ) -> list[Enclosure]:
     """Return the enclosure of each scalar expression over enclosures of its symbols, by name.
 

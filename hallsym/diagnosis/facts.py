@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from hallsym.diagnosis.change_points import change_points
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residual_table import ROOM, ResidualTable, residual_table
@@ -23,19 +24,21 @@ def instants(r: ResidualTable, holdout: Collection[int]) -> tuple[tuple[int, flo
 
     A step of gain and offset is taken off the residual, beside a gain of the channel and the mean of each
     run. Held-out runs take no part, but say on which side of it they lie where the others leave it open, like
-    their zero deviation. Within one there is no instant: nothing that is fitted would know its offset.
+    their zero deviation. Within one there is no instant: nothing that is fitted would know its offset. Within
+    a fitted run there is one if that run steps more than noise makes any run step (`change_points`).
     """
     first = np.diff(r.run, prepend=r.run[0] - 1) != 0
     within = np.arange(len(r.run)) - np.flatnonzero(first)[np.cumsum(first) - 1]
     fitted = ~np.isin(r.run, list(holdout))
-    tried = np.flatnonzero(first | (fitted & (within % SEGMENT == 0)))
+    steps = fitted & np.isin(r.run, [s.run for s in change_points(r) if s.p_value < POLICY.false_alarm])
+    tried = np.flatnonzero(first | (steps & (within % SEGMENT == 0)))
     out = []
     for k in range(len(r.channels)):
         gains = _gains(r, k, fitted, tried)
         equal = tried[gains >= gains.max() * (1 - NIL)]
         best = equal[np.argmax(_gains(r, k, np.ones_like(fitted), equal))]
         near = np.arange(max(equal[0] - SEGMENT, 0), min(equal[-1] + SEGMENT, len(r.run)))
-        near = near[fitted[near]]
+        near = near[steps[near]]
         finer = _gains(r, k, fitted, near) if len(near) else gains[:0]
         if finer.max(initial=0.0) > gains.max() * (1 + NIL):
             best = near[np.argmax(finer)]

@@ -176,11 +176,7 @@ def test_both_voltages_at_a_rail_at_once_say_no_angle():
 
 # -- the C itself --------------------------------------------------------------------------------------------
 
-WRITTEN = [
-    ("clipped", 5e-3, None),
-    ("meng angle", None, "table"),
-    ("clipped", 1e-3, None),
-]
+WRITTEN = [("clipped", 5e-3, None), ("meng angle", None, "table"), ("clipped", 1e-3, None)]
 LATER = [pytest.param(*case, marks=pytest.mark.slow) for case in WRITTEN[1:]]
 
 

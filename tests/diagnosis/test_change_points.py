@@ -4,6 +4,8 @@ Facts used: a mount that moves once makes a reading step at one instant; noise m
 size in every run.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from gap_twins import machine
@@ -11,6 +13,7 @@ from scipy.signal import lfilter
 
 from hallsym.diagnosis import Diagnosis, diagnose
 from hallsym.diagnosis.change_points import change_points
+from hallsym.diagnosis.facts import instants
 from hallsym.diagnosis.residual_table import ResidualTable, Spectrum
 from hallsym.log import Log
 
@@ -56,6 +59,15 @@ def test_a_step_is_found_at_its_instant_with_its_size() -> None:
 def test_too_few_runs_have_no_steps() -> None:
     x = noise(np.random.default_rng(9), 1.0)[:, : 5 * SAMPLES]
     assert change_points(table(x)) == ()
+
+
+def test_a_slip_between_runs_is_not_moved_into_one_by_noise() -> None:
+    """The run before it is held out; noise with a memory makes a few samples of the run before that fit."""
+    rng, sensed = np.random.default_rng(10), np.sin(0.07 * np.arange(RUNS * SAMPLES))[None]
+    for _ in range(10):
+        x = noise(rng, 30.0) + 2.0 * sensed * (np.arange(RUNS * SAMPLES) >= 8 * SAMPLES)
+        (found,) = instants(replace(table(x), sensed=sensed), holdout={7})
+        assert found == (0, pytest.approx(0.01 * 8 * SAMPLES))
 
 
 def slipped(run: int, *, gain: float) -> tuple[Log, float]:

@@ -62,11 +62,7 @@ def test_a_hidden_effect_is_named_and_closes_the_gap(name: str, campaign: str) -
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name",
-    [
-        "clock_jitter",
-        *(pytest.param(n, marks=SLOW) for n in ("outliers", "adc_quantisation")),
-    ],
+    "name", ["clock_jitter", *(pytest.param(n, marks=SLOW) for n in ("outliers", "adc_quantisation"))]
 )
 def test_a_fault_of_samples_is_named(name: str) -> None:
     found = diagnose(hidden(name, "multisine", kind=faulty))

@@ -58,10 +58,7 @@ def found(name: str) -> tuple[Base, Located]:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "link"),
-    [
-        ("odd_nonlinearity", "field"),
-        pytest.param("height_quadratic", "transducer", marks=pytest.mark.slow),
-    ],
+    [("odd_nonlinearity", "field"), pytest.param("height_quadratic", "transducer", marks=pytest.mark.slow)],
 )
 def test_the_link_is_the_one_that_the_gap_was_put_in(name: str, link: str) -> None:
     _, here = found(name)

@@ -160,8 +160,7 @@ class PolynomialModel:
         n = len(self.model.pose)
         return [
             Polynomial(
-                poly.variables,
-                {row: c for row, c in poly.terms.items() if sum(row) != 1 or not sum(row[:n])},
+                poly.variables, {row: c for row, c in poly.terms.items() if sum(row) != 1 or not sum(row[:n])}
             )
             for poly in self._pruned(self.displacement)
         ]

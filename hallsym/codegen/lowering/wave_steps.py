@@ -196,12 +196,7 @@ def phasor_steps(made: Collected, wave: Wave, readings: Mapping[str, ca.SX], tag
         seen.append(made.step(f"{axis}_seen{tag}", total, "" if seen else "[1] weighted sums"))
     shares = {
         n: [
-            made.entry(
-                f"{a}_{b}_{n}{tag}",
-                found.shares[n][i, j],
-                "1",
-                f"{AXES[a]} read of {AXES[b]} {n}",
-            )
+            made.entry(f"{a}_{b}_{n}{tag}", found.shares[n][i, j], "1", f"{AXES[a]} read of {AXES[b]} {n}")
             for i, a in enumerate(AXES)
             for j, b in enumerate(AXES)
         ]
@@ -383,11 +378,7 @@ def stored(values: Values, digits: int) -> dict[str, Enclosure]:
 
 
 def ranges_of(
-    steps: Sequence[Step],
-    columns: Sequence[str],
-    inputs: np.ndarray,
-    values: Values,
-    pose: Sequence[str],
+    steps: Sequence[Step], columns: Sequence[str], inputs: np.ndarray, values: Values, pose: Sequence[str]
 ) -> dict[str, tuple[float, float]]:
     """Return what trial inputs (n_inputs, s) make of each step, and some room; zeros are 0."""
     value: dict[str, Any] = {short(c): row for c, row in zip(columns, inputs, strict=True)}

@@ -210,12 +210,7 @@ class _Map:
 
 
 def gather(
-    log: Log,
-    fit: Fit,
-    *,
-    label: str = "decoded",
-    keep: Weigh | None = None,
-    after: Version | None = None,
+    log: Log, fit: Fit, *, label: str = "decoded", keep: Weigh | None = None, after: Version | None = None
 ) -> Gathered:
     """Read `log` twice, in blocks, for maps and series of the errors of a fit, which is called `label`.
 

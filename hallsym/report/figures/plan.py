@@ -81,12 +81,7 @@ def _paths(
 
 
 def _settings(
-    ax: Axes,
-    paths: list[np.ndarray],
-    at: tuple[int, int],
-    factors: list[float],
-    color: str,
-    full: bool,
+    ax: Axes, paths: list[np.ndarray], at: tuple[int, int], factors: list[float], color: str, full: bool
 ) -> None:
     """A disc for each setting, its area the number of runs; a line where the axes move within a run."""
     if not paths:
@@ -102,12 +97,7 @@ def _settings(
 
 
 def _motion(
-    ax: Axes,
-    paths: list[np.ndarray],
-    at: tuple[int, int],
-    factors: list[float],
-    color: str,
-    full: bool,
+    ax: Axes, paths: list[np.ndarray], at: tuple[int, int], factors: list[float], color: str, full: bool
 ) -> None:
     look: dict[str, Any] = {"lw": 0.9} if full else {"ls": "none", "marker": "o", "ms": 2.2, "mfc": "none"}
     for path in _distinct([p[list(at)] for p in paths]):

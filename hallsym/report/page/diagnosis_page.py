@@ -345,11 +345,7 @@ def rest_section(d: Diagnosis) -> Section:
 def _statements(statements: Sequence[Statement], title: str) -> list[Any]:
     drawn = [s for s in statements if math.isfinite(s.share)]
     rows = [
-        [
-            typeset(s.text),
-            "" if s.held_out is None else percent(max(s.held_out, 0.0), 0),
-            p_cell(s.p_value),
-        ]
+        [typeset(s.text), "" if s.held_out is None else percent(max(s.held_out, 0.0), 0), p_cell(s.p_value)]
         for s in statements
     ]
     chart = (

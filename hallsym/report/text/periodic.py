@@ -25,12 +25,7 @@ def periodic_text(found: PeriodicError, family: Family) -> str:
             f"{factor * rest:.3g} {unit} do not repeat (noise)"
         )
     rows = [
-        [
-            f"error of the {noun}, by remedy",
-            f"rms [{unit}]",
-            f"bought [{unit}]",
-            f"repeating, peak [{unit}]",
-        ]
+        [f"error of the {noun}, by remedy", f"rms [{unit}]", f"bought [{unit}]", f"repeating, peak [{unit}]"]
     ]
     remedies = [("nothing done", found.machine, found.rest)]
     if found.mount_orders:
