@@ -62,8 +62,8 @@ def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
     def certain(fault: Fault | None) -> bool:
         return fault is not None and fault.p_value * tested < POLICY.certain
 
-    # samples that are far off, each by itself, are spikes or late; only without them scatter is jitter
-    first = next(filter(certain, of_samples(found)), None)
+    # of single samples the largest: a few spikes beside jitter are not what makes its scatter
+    first = max(filter(certain, of_samples(found)), key=lambda f: f.power, default=None)
     chip = _chip(base, found)
     out = [f for f in (first, chip, _steps(base, found, chip)) if f is not None and certain(f)]
     return sorted(out, key=lambda f: -f.power)
@@ -86,11 +86,11 @@ def of_samples(found: Survey) -> Iterator[Fault]:
         of = "share" if size.unit == "1" else "jitter"
         return Fault(name, text, power / K / max(found.variance, NIL), {of: size}, p)
 
-    square, quartile = _filtered()
-    body, slope, error = _growth(z, size, bins, quartile)
+    white, beside = _filtered(1), _filtered(across)
+    body, slope, error = _growth(z, size, bins, float(np.quantile(white, 0.75)))
     growth = max(slope, 0.0)
-    expected = square * np.maximum(body + growth * size**2, NIL)
-    quiet = max(float(np.median(rest)) / statistic_at(0.5, across), NIL)
+    expected = float(white.mean()) * np.maximum(body + growth * size**2, NIL)
+    quiet = max(float(np.median(rest) / np.median(beside)), NIL)
     limit, far_z = quiet * far_from(across, n), far_from(1, n)
     spikes = rest > limit
     late = (z**2 > far_z * expected) & ~spikes
@@ -101,12 +101,12 @@ def of_samples(found: Survey) -> Iterator[Fault]:
         of_late = max(float(np.mean(np.where(spikes, 0.0, z**2 - expected))), 0.0) if late.any() else 0.0
         tail, share = of_spikes + of_late, 100 * float(spikes.mean())
         if of_spikes > POLICY.half * tail:  # a late sample is off along the motion only
-            p = as_many(_events(spikes), TAIL_KNOWN * exceeds(rest, across, limit) * n)
+            p = as_many(_events(spikes), TAIL_KNOWN * exceeds(rest, across, limit, beside) * n)
             text = f"{share:.2g} % of the samples are spikes"
             yield fault("outliers", text, tail, p, Estimate(share / 100, None, "1"))
         events, share = _events(late), 100 * float(late.mean())
         sides = round(0.5 * (events + abs(float(np.sign(z[late]).mean())) * events)) if events else 0
-        rare = as_many(events, exceeds(z**2 / expected, 1, far_z) * n)
+        rare = as_many(events, exceeds(z**2 / expected, 1, far_z, white) * n)
         p = max(rare, min(1.0, 2 * as_often(sides, events, 0.5)))
         text = f"{share:.2g} % of the samples are old"
         yield fault("dropped_samples", text, tail, p, Estimate(share / 100, None, "1"))
@@ -123,11 +123,10 @@ def far_from(freedom: int, samples: int) -> float:
 
 
 @cache
-def _filtered() -> tuple[float, float]:
-    """Mean square, and upper quartile of squares, that the running median leaves of white noise."""
-    white = np.random.default_rng(0).standard_normal(HELD)
-    squares = (white - median_filter(white, size=WINDOW)) ** 2
-    return float(squares.mean()), float(np.quantile(squares, 0.75))
+def _filtered(directions: int) -> np.ndarray:
+    """Squares that the running median leaves of white noise in so many directions, summed over them."""
+    white = np.random.default_rng(0).standard_normal((directions, HELD // directions))
+    return np.asarray(((white - median_filter(white, size=(1, WINDOW))) ** 2).sum(axis=0))
 
 
 def _events(far: np.ndarray) -> int:

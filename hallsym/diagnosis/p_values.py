@@ -35,16 +35,19 @@ def beyond(values: np.ndarray, noise: np.ndarray | None = None) -> float:
     return float(stdtr(n - 1, -total / error))
 
 
-def exceeds(values: np.ndarray, freedom: int, limit: float) -> float:
+def exceeds(values: np.ndarray, freedom: int, limit: float, white: np.ndarray) -> float:
     """Return the probability that one of `values` exceeds `limit`, as far as their body says.
 
-    `values`: (n,) squared distances with `freedom` directions. Their median and upper 5 % give the scale and
-    the weight of the tails of an F distribution (noise of Student's t; chi-square for Gaussian noise), so
-    that noise with heavy tails is expected to exceed often.
+    `values`: (n,) squared distances with `freedom` directions; `white`: the same of white noise of variance 1
+    that went the same way. Median and upper 5 % (the upper end of its 95 % interval) give the scale and the
+    weight of the tails of an F distribution (noise of Student's t), so that noise with heavy tails is
+    expected to exceed often.
     """
-    middle, high = np.quantile(values, [0.5, 0.95])
+    ends = 0.5, 0.95 + 1.96 * np.sqrt(0.05 * 0.95 / len(values))
+    middle, high = np.quantile(values, np.minimum(ends, 1.0)) / np.quantile(white, [0.5, 0.95])
     if middle <= 0.0:
         return 1.0
+    middle, high = middle * statistic_at(0.5, freedom), high * statistic_at(0.05, freedom)
 
     def heavier(logarithm: float) -> float:
         weight = 10.0**logarithm

@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 
 from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
-from hallsym.diagnosis.policy import POLICY, Policy
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.regression import FOLDS, NIL
 from hallsym.diagnosis.residuals import Base
@@ -224,27 +224,17 @@ class Screen:
         memories = self.lasting / max(remembers, NIL)
         return SignFlips(table.t, self.runs, noise, memories=memories, sliced=self.base.sliced)
 
-    def choices(
-        self, stacks: Sequence[Sequence[int]], level: float, taken: str | None, policy: Policy
-    ) -> list["Choice | None"]:
-        """Return what each of several sets of runs would choose: by BIC, of what lowers the gap by `level`.
-
-        `taken`: an effect that stays the choice where it is as good. To first order, from the products.
-        """
+    def choices(self, stacks: Sequence[Sequence[int]]) -> list["Choice"]:
+        """Return what each of several sets of runs would choose by BIC, to first order, from the products."""
         scored = [(key, table, s) for table in self.tables for key, s in table.scored(stacks, self.inflation)]
-        return [
-            _choice(
-                sorted(((s.bic[k], s.gain[k], key, table) for key, table, s in scored), key=lambda r: r[0]),
-                runs, level, taken, policy,
-            )
-            for k, runs in enumerate(stacks)
-        ]  # fmt: skip
+        best = (min(scored, key=lambda found: found[2].bic[k]) for k in range(len(stacks)))
+        return [Choice(table.tried[key].effect.name, key, table) for key, table, _ in best]
 
     def foreseen(
-        self, runs: Sequence[int], group: frozenset[int], choice: "Choice | None"
+        self, runs: Sequence[int], group: frozenset[int], choice: "Choice"
     ) -> dict[tuple[int, ...], float]:
         """Return the squared decoded errors of the runs of `group` as `runs` foresee them with a choice."""
-        table, key = (choice.table, choice.key) if choice else (self.tables[0], None)
+        table, key = choice.table, choice.key
         (by,) = Training(table, table.among(runs)[None]).solved(key).by
         squares = np.einsum("i,uij,j->u", by, table.t.of(key, decoded=True), by)
         out: dict[tuple[int, ...], float] = {}
@@ -296,29 +286,6 @@ class Choice(NamedTuple):
     name: str
     key: str
     table: "Table"
-
-
-def _choice(
-    ranked: Sequence[tuple[float, float, str, "Table"]],
-    runs: Sequence[int],
-    level: float,
-    taken: str | None,
-    policy: Policy,
-) -> Choice | None:
-    """Return what some runs would choose; `ranked`: BIC, gain, key and table of each variant, best first."""
-    most = max((gain for _, gain, *_ in ranked), default=0.0)
-    found: dict[str, tuple[float, Choice]] = {}
-    for least, gain, key, table in ranked:
-        name = table.tried[key].effect.name
-        if name in found or gain < policy.mostly * most or len(found) == policy.most_refits:
-            continue
-        if table.ratio(key, runs) <= 1 - level:
-            found[name] = least, Choice(name, key, table)
-    if not found:
-        return None
-    best = min(found.values(), key=lambda f: f[0])
-    own = found.get(taken or "")
-    return own[1] if own and own[0] - best[0] < policy.as_good else best[1]
 
 
 class Training:

@@ -315,11 +315,8 @@ class Selection:
             exact, screen = self.step(self.fit, worth)
             self.last = self.screened[-1].scores
             if not exact or not worth(exact[0].score):
-                if self.effects and self.needed():
-                    self.nested.step(screen, None, self.setup.threshold)
                 break
-            level = self.setup.threshold * (1.0 if count else self.policy.half)
-            self.nested.step(screen, exact[0].name, level)
+            self.nested.step(screen, exact[0].name)
             del screen
             self.effects.append(_selected(exact, self.fit))
             self.fit = exact[0].fit

@@ -104,16 +104,15 @@ class Nested:
         self.same = set(range(len(self.groups)))
         self.others: dict[tuple[int, ...], float] = {}
 
-    def step(self, screen: Screen, taken: str | None, level: float) -> None:
-        """Repeat one step: `taken` is the effect that all runs together chose, None where they ended.
+    def step(self, screen: Screen, taken: str) -> None:
+        """Repeat one step: `taken` is the effect that all runs together chose.
 
         A group that others would have chosen differently for is judged with that choice, to first order.
         """
         same = sorted(self.same)
         rests = [[run for run in self.runs if run not in self.groups[k]] for k in same]
-        choices = screen.choices(rests, level, taken, self.policy) if same else []
-        for k, rest, choice in zip(same, rests, choices, strict=True):
-            if (choice and choice.name) != taken:
+        for k, rest, choice in zip(same, rests, screen.choices(rests) if same else (), strict=True):
+            if choice.name != taken:
                 self.same.discard(k)
                 self.others |= screen.foreseen(rest, self.groups[k], choice)
 
