@@ -224,25 +224,6 @@ class Screen:
         memories = self.lasting / max(remembers, NIL)
         return SignFlips(table.t, self.runs, noise, memories=memories, sliced=self.base.sliced)
 
-    def choices(self, stacks: Sequence[Sequence[int]]) -> list["Choice"]:
-        """Return what each of several sets of runs would choose by BIC, to first order, from the products."""
-        scored = [(key, table, s) for table in self.tables for key, s in table.scored(stacks, self.inflation)]
-        best = (min(scored, key=lambda found: found[2].bic[k]) for k in range(len(stacks)))
-        return [Choice(table.tried[key].effect.name, key, table) for key, table, _ in best]
-
-    def foreseen(
-        self, runs: Sequence[int], group: frozenset[int], choice: "Choice"
-    ) -> dict[tuple[int, ...], float]:
-        """Return the squared decoded errors of the runs of `group` as `runs` foresee them with a choice."""
-        table, key = choice.table, choice.key
-        (by,) = Training(table, table.among(runs)[None]).solved(key).by
-        squares = np.einsum("i,uij,j->u", by, table.t.of(key, decoded=True), by)
-        out: dict[tuple[int, ...], float] = {}
-        for own, value in zip(table.t.runs, squares.tolist(), strict=True):
-            if not group.isdisjoint(own):
-                out[own] = out.get(own, 0.0) + value
-        return out
-
     @property
     def spoiled(self) -> frozenset[str]:
         """Candidates whose readings are not finite."""
@@ -278,14 +259,6 @@ def _parts(tried: dict[str, Candidate], own: int) -> Iterator[dict[str, Candidat
         part[key] = c
         size += more
     yield part
-
-
-class Choice(NamedTuple):
-    """A variant of an effect that was chosen, and the products that say so."""
-
-    name: str
-    key: str
-    table: "Table"
 
 
 class Training:

@@ -15,7 +15,6 @@ from hallsym.diagnosis.refit import Refitted, refit, with_effects, with_model
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score, Screen, by_name, candidates
 from hallsym.diagnosis.setup import Setup
-from hallsym.diagnosis.shrinkage import Nested
 from hallsym.diagnosis.sign_flips import MEMORIES, memory
 from hallsym.diagnosis.spectrum import spectrum_peak
 from hallsym.diagnosis.survey import memory_of_recording, survey
@@ -259,7 +258,7 @@ def select(setup: Setup) -> "Selection":
     Where an effect is replaced, the catalogue is tested again on the new residual.
     """
     start = refit(setup.base, setup.runs)
-    search = Selection(setup, start, start, Nested(setup.runs, setup.policy), {(): start})
+    search = Selection(setup, start, start, {(): start})
     search.grow()
     if len(search.effects) > 1 and search.reconsider():
         search.grow()
@@ -272,15 +271,14 @@ def select(setup: Setup) -> "Selection":
 class Selection:
     """The greedy search on the fitted runs, and what it selected.
 
-    `start`: the fit without effects; `fit`: with all `effects`. `nested`: the search without each group of
-    runs. `refits`: fits with some of the effects. `not_testable`: effect -> why this log cannot show it.
-    `screened`: every screening; `last`: scores of the one that found no further effect.
+    `start`: the fit without effects; `fit`: with all `effects`. `refits`: fits with some of the effects.
+    `not_testable`: effect -> why this log cannot show it. `screened`: every screening; `last`: scores of the
+    one that found no further effect.
     """
 
     setup: Setup
     start: Refitted
     fit: Refitted
-    nested: Nested
     refits: dict[tuple[Exact, ...], Refitted]
     effects: list[Exact] = field(default_factory=list)
     not_testable: dict[str, str] = field(default_factory=dict)
@@ -312,12 +310,10 @@ class Selection:
             beside = f" beside {count}" if count else ""
             self.setup.say(f"testing {len(self.setup.catalogue)} effects{beside}")
             worth = partial(self.worth, beside=count)
-            exact, screen = self.step(self.fit, worth)
+            exact = self.step(self.fit, worth)
             self.last = self.screened[-1].scores
             if not exact or not worth(exact[0].score):
                 break
-            self.nested.step(screen, exact[0].name)
-            del screen
             self.effects.append(_selected(exact, self.fit))
             self.fit = exact[0].fit
 
@@ -339,9 +335,7 @@ class Selection:
         unknown = floor.uncertain > 1 + self.policy.negligible
         return unknown or self.fit.metric > floor.metric * (1 + self.policy.negligible)
 
-    def step(
-        self, at: Refitted, worth: Callable[[Score], bool] = lambda _: True
-    ) -> tuple[list[Exact], Screen]:
+    def step(self, at: Refitted, worth: Callable[[Score], bool] = lambda _: True) -> list[Exact]:
         """Screen the catalogue at `at`; return exact refits, best first, if any effect is `worth` it."""
         screen, facts = self.screen(at)
         exact = refitted(
@@ -349,7 +343,7 @@ class Selection:
         )
         if self.setup.base.model.family.pairs:
             exact = plain_pairs_first(exact, self.setup.catalogue, self.runs, facts, self.policy)
-        return exact, screen
+        return exact
 
     def screen(self, at: Refitted, remembers: float | None = None) -> tuple[Screen, Facts]:
         """Screen the catalogue at `at`, for noise that forgets after so many samples; None: as it seems."""
@@ -411,7 +405,7 @@ class Selection:
             if k + 1 == len(before) and not replaced:
                 break  # the last was chosen with the others in place
             without = self.without(effect)
-            exact, _ = self.step(without)
+            exact = self.step(without)
             if exact:
                 self.effects[k] = _selected(exact, without)
                 self.fit = exact[0].fit
@@ -449,6 +443,17 @@ class Selection:
             base = with_effects(self.start.base, (e.score.variant for e in key), values)
             self.refits[key] = refit(base, self.runs)
         return self.refits[key]
+
+    @property
+    def others(self) -> list[Refitted]:
+        """What some runs might have selected instead: one effect left out, or another in its place."""
+        out: list[Refitted] = []
+        for e in self.effects:
+            without = self.without(e)
+            out.append(without)
+            if np.isclose(e.squares_before, without.cost):  # else the rivals were refitted beside others
+                out += [r.fit for r in e.rivals]
+        return out
 
     def screened_at(self, base: Base) -> Screened | None:
         """Return the last screening of the catalogue at a fit; None where there was none."""

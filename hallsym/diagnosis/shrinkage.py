@@ -1,9 +1,10 @@
 """How far the gap shrinks on runs that took part in neither the fit nor the choice: nested cross-validation.
 
-Groups of runs are left out in turn. Without each, the greedy search is repeated on the products of the other
-runs; where it takes another path, the group is judged with what it finds there. Where it takes the same path,
-the exact refit is moved to the minimum of the other runs by one Gauss-Newton step. The holdout runs are a
-group that was left out from the beginning. So every run judges, and none took part in what it judges.
+Groups of runs are left out in turn. Without each, every effect stands once more against what else was
+refitted for its place, with the others there, and against none: BIC on the other runs chooses. What it
+chooses is moved to the minimum of the other runs by one Gauss-Newton step, and judged on the group. The
+holdout runs are a group that was left out from the beginning. So every run judges, and none took part in what
+it judges.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from hallsym.diagnosis.policy import Policy
+from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.refit import Refitted, inside_bounds
 from hallsym.diagnosis.regression import FOLDS
-from hallsym.diagnosis.scores import Screen
+from hallsym.diagnosis.scores import bic
 
 Squares = Mapping[tuple[int, ...], float]
 """Squared decoded errors of each judging run (or of neighbouring runs of a log of very many)."""
@@ -78,44 +79,46 @@ class Judged:
         return float(stdtr(n - 1, self.log_ratio / self.error))
 
 
-def foreseen(fit: Refitted, groups: Sequence[frozenset[int]]) -> dict[tuple[int, ...], float]:
+def groups_of(runs: Sequence[int]) -> list[frozenset[int]]:
+    """Return the groups of the fitted runs that are left out in turn."""
+    return [frozenset(runs[k::FOLDS]) for k in range(min(FOLDS, len(runs)))]
+
+
+def foreseen(
+    fit: Refitted, groups: Sequence[frozenset[int]], others: Sequence[Refitted] = ()
+) -> dict[tuple[int, ...], float]:
     """Return the squared decoded errors of each run as the other runs foresee them.
 
-    A fitted run is judged by the fit moved to the minimum without its group; the others as they are.
+    A fitted run is judged by the fit moved to the minimum without its group, or by that of the `others` whose
+    BIC on the runs without the group is lower by more than a tie; the runs that were not fitted by `fit`.
     """
     t = fit.tangents
     fitted = set(fit.fitted.tolist())
     out = {t.runs[u]: float(fit.output[u]) for u in range(len(t.runs)) if u not in fitted}
     for group in groups:
-        tested = [u for u in fit.fitted if not group.isdisjoint(t.runs[u])]
-        others = [u for u in fit.fitted if group.isdisjoint(t.runs[u])]
-        v = np.append(-inside_bounds(fit.base, t.likelihood[others].sum(axis=0)), 1.0)
-        out |= {t.runs[u]: float(v @ fit.decoded[u] @ v) for u in tested}
+        ranked = [(_bic_without(other, group), k, other) for k, other in enumerate([fit, *others])]
+        bic, _, best = min(ranked)
+        out |= _without(fit if ranked[0][0] - bic < POLICY.as_good else best, group)
     return out
 
 
-class Nested:
-    """The greedy search, repeated without each group of runs."""
+def _without(fit: Refitted, group: frozenset[int]) -> dict[tuple[int, ...], float]:
+    """Return the squared decoded errors of the runs of a group, of a fit moved to the minimum without it."""
+    v, t = _moved(fit, group)[1], fit.tangents
+    tested = [u for u in fit.fitted if not group.isdisjoint(t.runs[u])]
+    return {t.runs[u]: float(v @ fit.decoded[u] @ v) for u in tested}
 
-    def __init__(self, runs: Sequence[int], policy: Policy) -> None:
-        """Begin the search of every group; `runs` are fitted."""
-        self.runs, self.policy = runs, policy
-        self.groups = [frozenset(runs[k::FOLDS]) for k in range(min(FOLDS, len(runs)))]
-        self.same = set(range(len(self.groups)))
-        self.others: dict[tuple[int, ...], float] = {}
 
-    def step(self, screen: Screen, taken: str) -> None:
-        """Repeat one step: `taken` is the effect that all runs together chose.
+def _bic_without(fit: Refitted, group: frozenset[int]) -> float:
+    """Return the BIC of a fit moved to the minimum without a group of runs."""
+    cost, _, readings = _moved(fit, group)
+    return float(bic(cost, readings / POLICY.inflation, len(fit.base.free), readings))
 
-        A group that others would have chosen differently for is judged with that choice, to first order.
-        """
-        same = sorted(self.same)
-        rests = [[run for run in self.runs if run not in self.groups[k]] for k in same]
-        for k, rest, choice in zip(same, rests, screen.choices(rests) if same else (), strict=True):
-            if choice.name != taken:
-                self.same.discard(k)
-                self.others |= screen.foreseen(rest, self.groups[k], choice)
 
-    def after(self, fit: Refitted) -> dict[tuple[int, ...], float]:
-        """Return the squares of each judging run with everything that was selected without it."""
-        return foreseen(fit, self.groups) | self.others
+def _moved(fit: Refitted, group: frozenset[int]) -> tuple[float, np.ndarray, float]:
+    """Return squares, direction (c,) and readings at the minimum of the runs that are not in a group."""
+    t = fit.tangents
+    rest = [u for u in fit.fitted if group.isdisjoint(t.runs[u])]
+    M = t.likelihood[rest].sum(axis=0)
+    v = np.append(-inside_bounds(fit.base, M), 1.0)
+    return float(v @ M @ v), v, float(t.count[rest].sum()) * len(fit.base.model.channels)

@@ -17,7 +17,7 @@ from hallsym.diagnosis.refit import Refitted, refit
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import Exact, Selection
 from hallsym.diagnosis.setup import Floor, Setup
-from hallsym.diagnosis.shrinkage import Judged, foreseen
+from hallsym.diagnosis.shrinkage import Judged, foreseen, groups_of
 from hallsym.diagnosis.survey import Survey, survey
 from hallsym.estimation import limit_of
 
@@ -174,23 +174,22 @@ def _held(setup: Setup, selection: Selection, effect: Exact, before: DecodedErro
     """Return an effect beside the fit without it.
 
     The score of an effect whose exact refit leaves far less than its score predicts says how well its tangent
-    fits, not whether the effect is there: the decrease on the judging runs is tested instead. One effect
-    alone is judged with the choice repeated without each group of runs.
+    fits, not whether the effect is there: the decrease on the judging runs is tested instead.
     """
     without, alone = selection.without(effect), len(selection.effects) == 1
     errors = before if alone else decoded_errors(without.base.on_all, setup.holdout)
-    judged = _judged(setup, selection, without, nested=alone)
+    judged = _judged(setup, selection, without)
     p = effect.score.p_value
     if effect.fit.cost < setup.policy.half * (effect.squares_before - effect.score.gain):
         p = judged.p_value
     return Held(effect, without, errors, p, judged)
 
 
-def _judged(setup: Setup, selection: Selection, without: Refitted, *, nested: bool = True) -> Judged:
+def _judged(setup: Setup, selection: Selection, without: Refitted) -> Judged:
     """Return all effects against the fit `without` some, on runs that took no part."""
-    search = selection.nested
-    after = search.after(selection.fit) if nested else foreseen(selection.fit, search.groups)
-    return Judged.of(foreseen(without, search.groups), after, setup.policy)
+    groups = groups_of(setup.runs)
+    after = foreseen(selection.fit, groups, selection.others)
+    return Judged.of(foreseen(without, groups), after, setup.policy)
 
 
 # -- faults of samples and the noise floor -----------------------------------------------------------------

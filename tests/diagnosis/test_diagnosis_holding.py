@@ -13,7 +13,7 @@ from hallsym.diagnosis.coordinates import coordinates
 from hallsym.diagnosis.refit import refit, with_model
 from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.selection import select
-from hallsym.diagnosis.shrinkage import Judged, foreseen
+from hallsym.diagnosis.shrinkage import Judged, foreseen, groups_of
 from hallsym.families import effects
 from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.log import Log
@@ -104,13 +104,15 @@ def residue_names(base):
 
 
 @pytest.mark.slow
-def test_the_search_is_repeated_without_each_group_of_runs():
-    """All groups of a clear effect take the same path, and each run is judged by the others."""
+def test_the_choice_is_repeated_without_each_group_of_runs():
+    """Without any group a clear effect is chosen again, and each run is judged by the others."""
     log = machine(third)
     setup = prepare(log, "ellipse")
     found = select(setup)
-    assert found.nested.same == set(range(len(setup.runs)))
-    squares = found.nested.after(found.fit)
+    groups = groups_of(setup.runs)
+    squares = foreseen(found.fit, groups, found.others)
+    assert len(found.others) > 1
+    assert squares == foreseen(found.fit, groups)
     assert set(squares) == {(r,) for r in log.runs}
     held = [k for k, runs in enumerate(found.fit.tangents.runs) if runs[0] in setup.holdout]
     for k in held:
@@ -118,6 +120,8 @@ def test_the_search_is_repeated_without_each_group_of_runs():
     own = foreseen(found.fit, [frozenset({r}) for r in setup.runs])
     for k in found.fit.fitted:  # a run that was left out is foreseen worse than it was fitted
         assert own[found.fit.tangents.runs[k]] > 0.999 * found.fit.output[k]
+    elsewhere = foreseen(found.start, groups, [found.fit])  # the runs without a group choose, not the first
+    assert all(elsewhere[run] == squares[run] for run in squares if run[0] in setup.runs)
 
 
 def test_held_out_runs_take_no_part_in_the_choice():
