@@ -9,9 +9,10 @@ it judges.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from scipy.special import stdtr, stdtrit
+from scipy.special import ndtri, stdtr, stdtrit
 
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.refit import Refitted, inside_bounds
@@ -26,8 +27,7 @@ Squares = Mapping[tuple[int, ...], float]
 class Judged:
     """Squared decoded errors of the judging runs, `before` and `after`, (runs,) each.
 
-    The shrinkage is judged on the logarithm of the ratio: its standard error is that of a jackknife over
-    runs, what happens within a run may be correlated.
+    Whole runs are the units: what happens within a run may be correlated.
     """
 
     before: np.ndarray
@@ -60,15 +60,16 @@ class Judged:
     def interval(self, scale: float = 1.0) -> tuple[float, float] | None:
         """Return the 95 % interval of the shrinkage on a new recording of as many runs; None of too few.
 
-        A new recording has a scatter of its own, as large as that of the runs that judge. `scale`: the gap
-        that other repairs leave, over that without them.
+        A new recording has these runs in another mixture: where each one got better, any mixture does.
+        `scale`: the gap that other repairs leave, over that without them.
         """
-        n = len(self.before)
+        n, outside = len(self.before), self.policy.false_alarm
         if n < self.policy.fewest:
             return None
-        half = float(stdtrit(n - 1, 1 - self.policy.false_alarm / 2)) * np.sqrt(2) * self.error
-        ends = (self.log_ratio + half, self.log_ratio - half)
-        return 1 - scale * float(np.exp(ends[0])), 1 - scale * float(np.exp(ends[1]))
+        mixtures = _mixtures(n, outside)
+        ratio = np.sqrt((mixtures @ self.after) / np.maximum(mixtures @ self.before, 1e-300))
+        low, high = 1 - scale * np.quantile(ratio, [1 - outside / 2, outside / 2])
+        return float(low), float(high)
 
     @property
     def p_value(self) -> float:
@@ -77,6 +78,21 @@ class Judged:
         if n < 2 or self.error <= 0:
             return 1.0
         return float(stdtr(n - 1, self.log_ratio / self.error))
+
+
+MIXTURES = 4000
+"""Mixtures drawn: the ends of a 95 % interval are those of 100 draws on each side."""
+
+
+@lru_cache(maxsize=16)
+def _mixtures(n: int, outside: float) -> np.ndarray:
+    """Return weights (MIXTURES, n) of `n` runs in a new recording: a Bayesian bootstrap (Rubin, 1981).
+
+    Its concentration gives a mean the variance of Student's interval for the difference of two recordings.
+    """
+    wider = float(stdtrit(n - 1, 1 - outside / 2) / ndtri(1 - outside / 2))
+    concentration = ((n - 1) / (2 * wider**2) - 1) / n  # below 6 runs none is so wide: nearly one run alone
+    return np.random.default_rng(0).dirichlet(np.full(n, max(concentration, 0.01)), MIXTURES)
 
 
 def groups_of(runs: Sequence[int]) -> list[frozenset[int]]:

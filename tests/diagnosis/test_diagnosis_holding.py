@@ -65,6 +65,16 @@ def test_the_interval_holds_new_recordings_of_as_many_runs(runs):
     assert held / 1000 == pytest.approx(0.95, abs=0.025)
 
 
+def test_an_effect_that_lowers_every_run_holds_no_zero_and_chance_does():
+    """One fast run gains most of it: the scatter about the mean says nothing against the others."""
+    rng = np.random.default_rng(3)
+    gap = np.append(rng.uniform(0.02, 0.1, 9), 3.0)
+    low, high = judged(1 + gap, np.ones(10)).interval()
+    assert 0 < low < 1 - np.sqrt(10 / (1 + gap).sum()) < high < 1 - 0.5
+    wrong = [judged(a, b).interval()[0] > 0 for a, b in rng.chisquare(30, (1000, 2, 6))]
+    assert np.mean(wrong) < 0.04  # 2.5 % on that side
+
+
 def test_few_judges_give_no_interval_and_a_repair_scales_it():
     before, after = np.arange(10.0, 16.0), np.arange(10.0, 4.0, -1.0)
     assert judged(before[:5], after[:5]).interval() is None
