@@ -25,7 +25,7 @@ from hallsym.estimation.calibration import (
     coverage_factor,
     load_fit,
 )
-from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertainty
+from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.decoding import (
     ErrorTable,
     columns_of,
@@ -51,6 +51,7 @@ from hallsym.estimation.identifiable import (
 )
 from hallsym.estimation.likelihood import Coefficients, Cost, cost_of
 from hallsym.estimation.linearised import exact
+from hallsym.estimation.noise_floor import noise_floor
 from hallsym.estimation.normal_equations import inverse, pseudo_inverse, solve
 from hallsym.estimation.optimum import SOLVERS, refit
 from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey

@@ -11,11 +11,11 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
-from hallsym.estimation.covariance import noise_floor, uncertain
 from hallsym.estimation.decoding import ErrorTable, knows_rails, logged_columns
 from hallsym.estimation.gauss_newton import Shifts, cost_near, deviations_of, judged, zeros_of
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.linearised import exact
+from hallsym.estimation.noise_floor import noise_floor, uncertain
 from hallsym.estimation.plausible import as_read, lateness, rewired
 from hallsym.estimation.residual_noise import noise_followed
 from hallsym.estimation.task import Asked, Task, noise_of

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from hallsym.estimation.likelihood import Point
+from hallsym.estimation.noise_floor import residual_over_floor
 from hallsym.model import Model
 from hallsym.records import named
 
@@ -43,15 +44,18 @@ MAD = 1.4826
 class GoodnessOfFit:
     """What a fit leaves, in multiples of the noise.
 
-    `cost_per_degree_of_freedom`: 1 where model and noise hold. `degrees_of_freedom`: effective ones of the
-    residuals: the number of readings less that of the estimates, fewer where noise is coloured.
-    `by_run`, `by_channel`: rms residual over its standard deviation by noise. `worst_run`, `worst_channel`:
-    where one channel in one run leaves most, `worst` times the noise; `worst_least` is the lower end of that
-    multiple, at 99 % for all runs and channels together. `uncertain`: factor within which the noise floor is
-    known; `threshold`: relative decrease of the error that is worth reporting. `what` is said not to
-    describe the log where the residual is material; `next_command` finds the cause.
+    `residual_over_noise`: the decoded residual error over the noise floor. What sensors say against each
+    other moves no pose, and counts in `cost_per_degree_of_freedom`: 1 where model and noise hold.
+    `degrees_of_freedom`: effective ones of the residuals: the number of readings less that of the estimates,
+    fewer where noise is coloured. `by_run`, `by_channel`: rms residual over its standard deviation by noise.
+    `worst_run`, `worst_channel`: where one channel in one run leaves most, `worst` times the noise;
+    `worst_least` is the lower end of that multiple, at 99 % for all runs and channels together. `uncertain`:
+    factor within which the noise floor is known; `threshold`: relative decrease of the error that is worth
+    reporting. `what` is said not to describe the log where the residual is material; `next_command` finds
+    the cause.
     """
 
+    residual_over_noise: float
     cost_per_degree_of_freedom: float
     degrees_of_freedom: float
     by_run: Mapping[int, float]
@@ -64,11 +68,6 @@ class GoodnessOfFit:
     threshold: float = WORTH_REPORTING
     next_command: str = ""
     what: str = "The model"
-
-    @property
-    def residual_over_noise(self) -> float:
-        """Residual error in multiples of the noise floor, over all runs and channels."""
-        return float(np.sqrt(self.cost_per_degree_of_freedom))
 
     @property
     def limit(self) -> float:
@@ -152,7 +151,6 @@ class GoodnessOfFit:
             "statement": self.sentence,
             "material": self.material,
             "significant": self.significant,
-            "residual_over_noise": self.residual_over_noise,
             "scatter": self.scatter,
             "limit": self.limit,
             **stored,
@@ -188,6 +186,7 @@ def goodness_of(point: Point, estimated: int) -> GoodnessOfFit:
     run, channel = np.unravel_index(int(np.argmax(least)), least.shape)
     by_run = np.sqrt(point.run_values[used] * cost.weights[used] / (K * cell[:, 0]))
     return GoodnessOfFit(
+        residual_over_noise=residual_over_floor(point) * float(np.sqrt(counts.sum() * K / dof)),
         cost_per_degree_of_freedom=point.value / dof,
         degrees_of_freedom=max(dof / coloured, 1.0),
         by_run=dict(zip((summary.runs[r] for r in used), by_run.tolist(), strict=True)),

@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 
 from hallsym.estimation.calibration import Fit
-from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertain, uncertainty
+from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.gauss_newton import deviations_of
 from hallsym.estimation.goodness_of_fit import WORTH_REPORTING, diagnose_command, limit_of
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Point
 from hallsym.estimation.linearised import exact
+from hallsym.estimation.noise_floor import noise_floor, uncertain
 from hallsym.estimation.normal_equations import pseudo_inverse, unit_scale
 from hallsym.estimation.plausible import composed
 from hallsym.estimation.task import Solved

@@ -9,11 +9,11 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.estimation import outliers, start
 from hallsym.estimation.calibration import Errors, Fit
-from hallsym.estimation.covariance import noise_floor, uncertain
 from hallsym.estimation.decoding import error_tables, knows_rails, logged_columns, nominal_variance
 from hallsym.estimation.gauss_newton import DROP, optimum
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
 from hallsym.estimation.likelihood import Cost, cost_of
+from hallsym.estimation.noise_floor import noise_floor, uncertain
 from hallsym.estimation.optimum import Solution
 from hallsym.estimation.plausible import Judgement, Wiring, as_read, judge, rewired, wiring_of
 from hallsym.estimation.residual_noise import noise_followed
@@ -248,7 +248,7 @@ class Task:
         Where noise was estimated, that is beside the noise that all runs leave, which knows it better.
         """
         told = self.goodness(state)
-        left = told.residual_over_noise if told.noise_estimated else 1.0
+        left = told.cost_per_degree_of_freedom**0.5 if told.noise_estimated else 1.0
         return (
             told.sentence is None
             and 1 / QUICKLY_KNOWN <= left <= QUICKLY_KNOWN

@@ -55,7 +55,7 @@ def test_fit_says_it_in_json_and_on_stderr(capsys):
 def test_the_right_model_is_no_news(capsys):
     code, out, err = run(capsys, "fit", CAMPAIGN, "--solver", "direct")
     assert (code, err) == (0, "")
-    assert out.startswith("The model describes this log: residual error is 1.01 times the noise floor.\n")
+    assert out.startswith("The model describes this log: residual error is 1.00 times the noise floor.\n")
     assert out.splitlines()[2].startswith("stage31 on ")
     assert out.splitlines()[-1].startswith("next: hallsym fit")
     assert "x the lower bound, a linear fit with 36 free coefficients" in out

@@ -151,6 +151,10 @@ def test_a_reference_that_is_late(runs):
     assert found.status == "converged"
     assert found.goodness.residual_over_noise > 6
     assert "next: hallsym.diagnose(log" in found.goodness.sentence
+    weights = found.model.family.pose_metric.weights(found.model.pose)
+    rmse, floor = (list(v.values()) for v in (found.errors.fitted.over()["rmse"], found.noise_floor))
+    decoded = np.linalg.norm(weights * rmse) / np.linalg.norm(weights * floor)
+    assert found.goodness.residual_over_noise == pytest.approx(decoded, rel=0.02)
 
 
 def early(by: tuple[float, ...], louder: float = 1.0, bent: float = 0.0) -> Log:
