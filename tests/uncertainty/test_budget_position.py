@@ -184,7 +184,7 @@ def test_notes_say_what_the_budget_does_not_hold():
         fitted(),
         undetermined_by_log=("a_A",),
         at_bound=("eta_B",),
-        goodness=replace(fitted().goodness, cost_per_degree_of_freedom=4.0),
+        goodness=replace(fitted().goodness, cost_per_degree_of_freedom=4.0, residual_over_noise=2.0),
     )
     said = " ".join(notes(known, Settings()))
     for word in ("a_A", "eta_B", "residual error is 2 times the noise floor", "from 1 reading"):
