@@ -157,8 +157,8 @@ class Screen:
         found, flipped = list[Score](), list[np.ndarray]()
         for table in self.tables:
             flips = self._flips(table, colour, remembers) if colour is not None else None
-            for key, scored in table.scored([self.runs], self.inflation):
-                c, absorbed = table.tried[key], bool(scored.absorbed[0])
+            for key, scored in table.scored(self.runs, self.inflation):
+                c, absorbed = table.tried[key], scored.absorbed
                 z = None if absorbed or flips is None else flips.statistic(key)
                 if z is not None:
                     # numbers that were searched elsewhere, and are not among the variants
@@ -169,9 +169,9 @@ class Screen:
                         effect=c.effect,
                         variant=c.variant,
                         model=c.model,
-                        gain=float(scored.gain[0]),
+                        gain=scored.gain,
                         size=scored.size,
-                        bic=float(scored.bic[0]),
+                        bic=scored.bic,
                         ratio=1 - (1 - table.ratio(key, self.runs)) * kept,
                         kept=kept,
                         p_value=1.0,
@@ -347,25 +347,26 @@ class Table:
         pick = np.append(np.arange(self.own), len(M) - 1)
         return float(np.sqrt(with_it @ M @ with_it / max(without @ M[np.ix_(pick, pick)] @ without, 1e-300)))
 
-    def scored(self, stacks: Sequence[Sequence[int]], inflation: float) -> Iterator[tuple[str, "Scored"]]:
-        """Score every candidate on stacks of runs."""
-        units = np.array([self.among(runs) for runs in stacks])
-        N = units @ self.t.count * self.channels
-        training = Training(self, units)
+    def scored(self, runs: Sequence[int], inflation: float) -> Iterator[tuple[str, "Scored"]]:
+        """Score every candidate on some runs."""
+        units = self.among(runs)
+        N = float(units @ self.t.count * self.channels)
+        training = Training(self, units[None])
         for key, c in self.tried.items():
             if key not in self.t.spoiled:
                 found, size = training.solved(key), len(c.new) + c.variant.shapes
-                criterion = bic(found.left, N / inflation, size, N)
-                yield key, Scored(np.maximum(found.plain - found.left, 0.0), criterion, size, found.absorbed)
+                criterion = float(bic(found.left[0], N / inflation, size, N))
+                gain = max(float(found.plain[0] - found.left[0]), 0.0)
+                yield key, Scored(gain, criterion, size, bool(found.absorbed[0]))
 
 
 class Scored(NamedTuple):
-    """The gain and BIC (F,) of a candidate on stacks of runs, its size, and where the model absorbs it."""
+    """The gain and BIC of a candidate, its size, and whether the model absorbs it."""
 
-    gain: np.ndarray
-    bic: np.ndarray
+    gain: float
+    bic: float
     size: int
-    absorbed: np.ndarray
+    absorbed: bool
 
 
 def bic(cost: Values, effective: Values, size: int, N: Values) -> np.ndarray:

@@ -101,7 +101,10 @@ def groups_of(runs: Sequence[int]) -> list[frozenset[int]]:
 
 
 def foreseen(
-    fit: Refitted, groups: Sequence[frozenset[int]], others: Sequence[Refitted] = ()
+    fit: Refitted,
+    groups: Sequence[frozenset[int]],
+    others: Sequence[Refitted] = (),
+    policy: Policy = POLICY,
 ) -> dict[tuple[int, ...], float]:
     """Return the squared decoded errors of each run as the other runs foresee them.
 
@@ -112,29 +115,19 @@ def foreseen(
     fitted = set(fit.fitted.tolist())
     out = {t.runs[u]: float(fit.output[u]) for u in range(len(t.runs)) if u not in fitted}
     for group in groups:
-        ranked = [(_bic_without(other, group), k, other) for k, other in enumerate([fit, *others])]
-        bic, _, best = min(ranked)
-        out |= _without(fit if ranked[0][0] - bic < POLICY.as_good else best, group)
+        moved = [(*_without(one, group, policy), one) for one in (fit, *others)]
+        best = min(moved, key=lambda m: m[0])
+        _, v, one = moved[0] if moved[0][0] - best[0] < policy.as_good else best
+        tested = [u for u in one.fitted if not group.isdisjoint(one.tangents.runs[u])]
+        out |= {one.tangents.runs[u]: float(v @ one.decoded[u] @ v) for u in tested}
     return out
 
 
-def _without(fit: Refitted, group: frozenset[int]) -> dict[tuple[int, ...], float]:
-    """Return the squared decoded errors of the runs of a group, of a fit moved to the minimum without it."""
-    v, t = _moved(fit, group)[1], fit.tangents
-    tested = [u for u in fit.fitted if not group.isdisjoint(t.runs[u])]
-    return {t.runs[u]: float(v @ fit.decoded[u] @ v) for u in tested}
-
-
-def _bic_without(fit: Refitted, group: frozenset[int]) -> float:
-    """Return the BIC of a fit moved to the minimum without a group of runs."""
-    cost, _, readings = _moved(fit, group)
-    return float(bic(cost, readings / POLICY.inflation, len(fit.base.free), readings))
-
-
-def _moved(fit: Refitted, group: frozenset[int]) -> tuple[float, np.ndarray, float]:
-    """Return squares, direction (c,) and readings at the minimum of the runs that are not in a group."""
+def _without(fit: Refitted, group: frozenset[int], policy: Policy) -> tuple[float, np.ndarray]:
+    """Return BIC and direction (c,) of a fit moved to the minimum of the runs that are not in a group."""
     t = fit.tangents
     rest = [u for u in fit.fitted if group.isdisjoint(t.runs[u])]
     M = t.likelihood[rest].sum(axis=0)
     v = np.append(-inside_bounds(fit.base, M), 1.0)
-    return float(v @ M @ v), v, float(t.count[rest].sum()) * len(fit.base.model.channels)
+    readings = float(t.count[rest].sum()) * len(fit.base.model.channels)
+    return float(bic(v @ M @ v, readings / policy.inflation, len(fit.base.free), readings)), v

@@ -188,7 +188,7 @@ def _held(setup: Setup, selection: Selection, effect: Exact, before: DecodedErro
 def _judged(setup: Setup, selection: Selection, without: Refitted) -> Judged:
     """Return all effects against the fit `without` some, on runs that took no part."""
     groups = groups_of(setup.runs)
-    after = foreseen(selection.fit, groups, selection.others)
+    after = foreseen(selection.fit, groups, selection.others, setup.policy)
     return Judged.of(foreseen(without, groups), after, setup.policy)
 
 

@@ -51,25 +51,29 @@ def noise_floor(point: Point, factors: Mapping[str, float] = MappingProxyType({}
         each = np.square(D) @ cost.reading_variance + np.square(D @ J) @ cost.column_variance
     else:
         covariance = cost.at(p).covariance if factors else point.covariance
-        each = np.einsum("mrik,mrik->mri", D @ covariance, D)
+        each = _decoded(D, covariance)
     variance = np.einsum("r,mri->i", share / m, each)
     return dict(zip(model.pose, np.sqrt(variance).tolist(), strict=True))
 
 
 def residual_over_floor(point: Point) -> float:
-    """Return the decoded residual over what noise leaves of it, as the pose metric weighs coordinates.
+    """Return the decoded residual over what noise makes of it, as the pose metric weighs coordinates.
 
-    The noise is as many degrees of freedom per reading as the residual: 1 where model and noise hold.
+    Its squares are over the number of samples: below 1 by the degrees of freedom that a fit takes.
     """
     cost, model = point.cost, point.cost.summary.model
     D, share, _, _ = _gains(point)
     left = point.squares / np.maximum(cost.summary.counts, 1.0)[:, None, None]
     weights = model.family.pose_metric.weights(model.pose, None)
     real, noise = (
-        float(weights**2 @ np.einsum("r,mrik,rkl,mril->i", share, D, S, D, optimize=True))
-        for S in (left, point.covariance)
+        float(np.einsum("r,mri,i->", share, _decoded(D, S), weights**2)) for S in (left, point.covariance)
     )
     return float(np.sqrt(real / noise)) if noise > 0 else 1.0
+
+
+def _decoded(D: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the variance of decoded coordinates, (m, r, n_pose), of readings with a covariance (r, K, K)."""
+    return np.asarray(np.einsum("mrik,mrik->mri", D @ covariance, D))
 
 
 def _gains(point: Point) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
