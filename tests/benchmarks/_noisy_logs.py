@@ -113,9 +113,11 @@ MACHINES = {"stage": stage, "rotary": encoder}
 
 def log_of(
     machine: str, kind: str, runs: int, seed: int, *, stated: bool = True, make=None, parameters=None,
-    fresh: bool = False, again: int = 0,
+    fresh: bool = False, again: int = 0, disturbed=None,
 ) -> Log:  # fmt: skip
     """Return one log. `make(model) -> model` adds the gap, `parameters` its size.
+
+    `disturbed(columns, model, sigma) -> columns`: a gap that is no model.
 
     `fresh`: the same machine on as many runs that were never seen, with other noise. `again`: the same
     motion recorded another time; each number draws other noise.
@@ -125,6 +127,8 @@ def log_of(
     rng = np.random.default_rng([seed, int(fresh), 1 + again])
     known = values | dict(parameters or {})
     columns = simulate(truth, {n: v for n, v in known.items() if n in truth.names}, campaign, seed=seed + 7)
+    if disturbed is not None:
+        columns = disturbed(columns, truth, sigma)
     edges = np.flatnonzero(np.diff(columns["run"], prepend=-1, append=-1))
     for name, s in sigma.items():
         if s:

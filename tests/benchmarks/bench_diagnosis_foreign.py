@@ -1,0 +1,141 @@
+"""What a diagnosis says of causes that the catalogue does not hold: none of them may be "explained".
+
+    python tests/benchmarks/bench_diagnosis_foreign.py
+    python tests/benchmarks/bench_diagnosis_foreign.py --runs 24 --size 8
+    python tests/benchmarks/bench_diagnosis_foreign.py --quick
+
+Each kind disturbs the readings of a stage and of an encoder, by so many times their noise before the model's
+own parameters take their part. The table says the gap over the noise floor, the verdict, and what was named.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from itertools import pairwise
+
+import numpy as np
+from _noisy_logs import MACHINES, log_of
+from scipy.signal import chirp, lfilter
+
+from hallsym.diagnosis import diagnose
+
+
+def rate(x: np.ndarray, order: int = 1) -> np.ndarray:
+    """Return a derivative of rows of x by the sample."""
+    for _ in range(order):
+        x = np.gradient(x, axis=1)
+    return x
+
+
+def scaled(x: np.ndarray) -> np.ndarray:
+    """Return rows of x between -1 and 1."""
+    low, high = x.min(axis=1, keepdims=True), x.max(axis=1, keepdims=True)
+    return (2 * x - low - high) / np.maximum(high - low, 1e-300)
+
+
+def switching(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Return a signal that switches between two levels, after 30 samples on average."""
+    return np.where(np.cumsum(rng.random(n) < 1 / 30) % 2, 1.0, -1.0)
+
+
+def rings(rng: np.random.Generator, n: int, every: int = 120) -> np.ndarray:
+    """Return decaying oscillations that start now and then."""
+    knocks = np.where(rng.random(n) < 1 / every, rng.choice([-1.0, 1.0], n), 0.0)
+    return np.asarray(lfilter([1.0], [1.0, -2 * 0.97 * np.cos(0.9), 0.97**2], knocks))
+
+
+def play(x: np.ndarray, width: float = 0.3) -> np.ndarray:
+    """Return what follows rows of x with a clearance."""
+    out = x.copy()
+    for k in range(1, x.shape[1]):
+        out[:, k] = np.clip(out[:, k - 1], x[:, k] - width, x[:, k] + width)
+    return out - x
+
+
+def levels(v: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return the error of a converter whose 64 levels are off, each by its own amount."""
+    return np.array([rng.standard_normal(65)[((row + 1) * 32).astype(int)] for row in scaled(v)])
+
+
+def relaxed(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Return a creep from the start of a run, of either sign."""
+    return rng.standard_normal() * np.exp(-np.arange(n) / (n / 6))
+
+
+# readings v (K, n) and pose x (P, n) of a run, generator of it, generator of the machine
+KINDS = {
+    "triangle over the reading": lambda v, x, own, all_: np.abs((3.5 * scaled(v)) % 2 - 1),
+    "square wave over the reading": lambda v, x, own, all_: np.sign(np.sin(9 * scaled(v))),
+    "uneven levels": lambda v, x, own, all_: levels(v, all_),
+    "dead band": lambda v, x, own, all_: np.clip(scaled(v), -0.1, 0.1),
+    "fine grating over the pose": lambda v, x, own, all_: np.sin(37 * np.pi * scaled(x)[:1]) + 0 * v,
+    "product of readings": lambda v, x, own, all_: scaled(v) * np.roll(scaled(v), 1, axis=0) ** 3,
+    "delay that follows the place": lambda v, x, own, all_: rate(v) * np.sin(5 * scaled(x)[:1]),
+    "squared speed": lambda v, x, own, all_: rate(v) ** 2 * np.sign(scaled(v)),
+    "acceleration times speed": lambda v, x, own, all_: rate(x)[:1] * rate(x, 2)[:1] + 0 * v,
+    "Stribeck friction": lambda v, x, own, all_: (
+        np.sign(rate(x))[:1] * np.exp(-np.abs(scaled(rate(x))[:1]) * 4) + 0 * v
+    ),
+    "play in the mount": lambda v, x, own, all_: play(scaled(v)),
+    "largest value so far": lambda v, x, own, all_: np.maximum.accumulate(scaled(v), axis=1),
+    "switching offset": lambda v, x, own, all_: np.array([switching(own, v.shape[1]) for _ in v]),
+    "random walk": lambda v, x, own, all_: np.cumsum(own.standard_normal(v.shape), axis=1),
+    "knocks that ring": lambda v, x, own, all_: np.array([rings(own, v.shape[1]) for _ in v]),
+    "ringing of all sensors": lambda v, x, own, all_: rings(own, v.shape[1])[None] + 0 * v,
+    "creep of either sign": lambda v, x, own, all_: np.array([relaxed(own, v.shape[1]) for _ in v]),
+    "a rising tone": lambda v, x, own, all_: chirp(np.arange(v.shape[1]), 0.01, v.shape[1], 0.2) + 0 * v,
+    "a pulse every 50 samples": lambda v, x, own, all_: (np.arange(v.shape[1]) % 50 == 7) + 0.0 * v,
+    "hum that follows the speed": lambda v, x, own, all_: (
+        np.abs(scaled(rate(x)))[:1] * np.sin(0.9 * np.arange(v.shape[1])) + 0 * v
+    ),
+}
+
+
+def disturbed(kind: str, size: float, seed: int):
+    """Return what adds a kind to the noise-free columns of a log."""
+
+    def make(columns: dict[str, np.ndarray], model, sigma: dict[str, float]) -> dict[str, np.ndarray]:
+        edges = np.flatnonzero(np.diff(columns["run"], prepend=-1, append=-1))
+        v, x = (np.array([columns[c] for c in names]) for names in (model.channels, model.references))
+        found = [
+            KINDS[kind](v[:, a:b], x[:, a:b], np.random.default_rng([seed, a]), np.random.default_rng(seed))
+            for a, b in pairwise(edges)
+        ]
+        e = np.hstack(found)
+        e = e - e.mean(axis=1, keepdims=True)
+        e = e / np.maximum(e.std(axis=1, keepdims=True), 1e-300)
+        return columns | {c: v[k] + size * sigma[c] * e[k] for k, c in enumerate(model.channels)}
+
+    return make
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=12, help="runs of each log")
+    parser.add_argument("--size", type=float, default=4.0, help="disturbance over the noise of a reading")
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--out", help="file for the rows as JSON lines")
+    parser.add_argument("--quick", action="store_true", help="two logs, to see that everything runs")
+    arguments = parser.parse_args()
+    cases = [(m, k) for k in KINDS for m in MACHINES][: 2 if arguments.quick else None]
+    wrong = quiet = 0
+    for n, (machine, kind) in enumerate(cases):
+        seed = arguments.first + n
+        made = disturbed(kind, arguments.size, seed)
+        d = diagnose(log_of(machine, "white", arguments.runs, seed, disturbed=made))
+        wrong, quiet = wrong + (d.verdict == "explained"), quiet + (d.verdict == "no gap")
+        names = ", ".join(f"{e.name} {e.share:.0%}" for e in d.effects)
+        print(
+            f"{machine:>6} {kind:<30} {d.metric.before / d.metric.floor:6.2f} x  {d.verdict:<25} {names}",
+            flush=True,
+        )
+        if arguments.out:
+            row = {"machine": machine, "kind": kind, "verdict": d.verdict, "named": names}
+            with open(arguments.out, "a", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
+    print(f'{len(cases)} logs: "explained" {wrong}, "no gap" {quiet}')
+
+
+if __name__ == "__main__":
+    main()
