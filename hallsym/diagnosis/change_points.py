@@ -14,10 +14,6 @@ from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.residual_table import ResidualTable
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 
-SCATTER, KNOWN = 0.6, 10
-"""Standard deviation of the logarithm of the largest step of a run of noise (simulated: 0.54 for white
-noise, 0.60 and 0.69 for a memory of 3 and 10 samples), and the runs that this counts for."""
-
 
 @dataclass(frozen=True)
 class ChangePoint:
@@ -56,14 +52,10 @@ def change_points(*tables: ResidualTable) -> tuple[ChangePoint, ...]:
 
 
 def _beyond(value: float, others: np.ndarray) -> float:
-    """Return the probability that one more of the same kind as `others` exceeds `value` (Student's t).
-
-    What few runs say of the scatter is joined by what noise makes of it (a moderated t, Smyth 2004).
-    """
+    """Return the probability that one more of the same kind as `others` exceeds `value` (Student's t)."""
     n = len(others)
-    freedom = KNOWN + n - 1
-    variance = (KNOWN * SCATTER**2 + float(((others - others.mean()) ** 2).sum())) / freedom
-    return float(stdtr(freedom, -(value - float(others.mean())) / np.sqrt(variance * (1 + 1 / n))))
+    error = float(others.std(ddof=1)) * np.sqrt(1 + 1 / n)
+    return float(stdtr(n - 1, -(value - float(others.mean())) / max(error, 1e-300)))
 
 
 def _largest(r: ResidualTable, at: slice) -> tuple[ChangePoint, float]:

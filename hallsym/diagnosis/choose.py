@@ -53,7 +53,7 @@ def _shown(setup: Setup, effect: Effect) -> Model:
     seen = survey(base, runs)
     facts = facts_of(base, seen)
     tried, trouble = candidates(base, [effect], facts)
-    ranked = Screen(base, tried, runs, POLICY.inflation, colour=seen.colour).scores if tried else []
+    ranked = Screen(base, tried, runs, colour=seen.colour).scores if tried else []
     exact = refitted(base, ranked, runs, facts, lambda s: s.p_value < POLICY.certain)
     if not exact:
         reason = trouble.get(effect.name, "nothing in what the model leaves looks like it")

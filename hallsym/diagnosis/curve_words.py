@@ -18,7 +18,7 @@ def described(r: ResidualTable, c: Curve, share: float, p: float, further: bool)
     text += _part(c)
     seen = (c.predicted**2).sum(axis=1) * np.diag(r.precision)
     k = int(np.argmax(seen))
-    if seen[k] > POLICY.mostly * seen.sum():
+    if seen[k] > POLICY.half * seen.sum():
         text += f"; seen by {plain(r.channels[k])} above all"
     return Statement(c.coordinate.name, "", share, p, text)
 
@@ -35,7 +35,7 @@ def _part(c: Curve) -> str:
         each = ""
     else:
         return ""
-    least = POLICY.mostly * (gain.sum() + offset.sum())
+    least = POLICY.half * (gain.sum() + offset.sum())
     what = "the gain" if gain.sum() > least else "the offset" if offset.sum() > least else ""
     said = ": ".join(filter(None, (what, each)))
     return f" ({said})" if said else ""

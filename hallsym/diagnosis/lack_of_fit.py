@@ -118,4 +118,6 @@ def _steady(run: np.ndarray, power: np.ndarray, certain: np.ndarray) -> bool:
     if not len(others) or not squares[certain].sum() > 0:
         return True
     line = varies[certain].sum() / squares[certain].sum()
-    return bool(np.mean(others <= line) < POLICY.false_alarm and line < POLICY.mostly * np.median(others))
+    return bool(
+        np.mean(others <= line) < POLICY.false_alarm and line < (1 - POLICY.minor) * np.median(others)
+    )

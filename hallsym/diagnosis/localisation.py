@@ -150,7 +150,7 @@ def _coordinates(tried: _Tried) -> tuple[list[Statement], list[Curve], Joint]:
         chance, least = joint.p_value, POLICY.negligible * excess
         good = [c for c in found if chance(c.statistic[0]) < POLICY.false_alarm and c.explained > least]
         best = max((c.explained for c in good), default=0.0)
-        if run and POLICY.mostly * run.share * excess > best:
+        if run and POLICY.half * run.share * excess > best:
             statements.append(run)
             break
         if not good:

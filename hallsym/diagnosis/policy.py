@@ -26,10 +26,6 @@ class Policy:
     """Corrected p-value below which an effect, a fault or a smaller finding is certain.
 
     The usual 1 %."""
-    beyond_doubt: float = 0.001
-    """Corrected p-value below which a single run, or the excess as a whole, is named.
-
-    A tenth of what makes an effect certain."""
     negligible: float = 0.03
     """Share below which nothing is a finding: of what a best effect explains and a plainer one leaves, and
     of the gap; of an excess, of the largest wave, of a noise floor.
@@ -47,12 +43,6 @@ class Policy:
     others must leave; of far samples that have others around them.
 
     A majority. An effect may be worth twice as much on the holdout runs, which decide."""
-    mostly: float = 0.7
-    """Part of the best effect's gain, to first order, from which on an effect is refitted exactly; of a
-    curve that one sensor makes if it is named; of the usual scatter of a spectrum's power,
-    below which a line is steady.
-
-    Simulated machines: a score does not hold all that a refit gains."""
     fewest: int = 6
     """Runs, or units of time, from which on their scatter says something: for an interval of the
     shrinkage, signs, a single run among others, pieces of a short recording.
@@ -77,10 +67,6 @@ class Policy:
     """Times that a channel must take its very highest or lowest value for that to be a rail.
 
     A turning point may fall on one step of the converter two or three times."""
-    inflation: float = 2.0
-    """Variance of a slow average over that of white noise, assumed by BIC during the search.
-
-    Unknown before the search ends; it only weighs parameters against squares."""
     most_refits: int = 6
     """Effects refitted exactly in one step. Cost: a refit takes about five passes over the log."""
     starts: int = 3

@@ -59,7 +59,7 @@ class Refitted:
         """Number of readings that were fitted."""
         return float(self.tangents.count[self.fitted].sum()) * len(self.base.model.channels)
 
-    def bic(self, size: int, inflation: float) -> float:
+    def bic(self, size: int, inflation: float = 1.0) -> float:
         """Return the BIC of `size` parameters, slow averages `inflation` times as noisy as of white noise."""
         return float(bic(self.cost, self.readings / inflation, size, self.readings))
 

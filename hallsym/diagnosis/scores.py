@@ -126,7 +126,6 @@ class Screen:
         base: Base,
         tried: dict[str, Candidate],
         runs: Sequence[int],
-        inflation: float,
         *,
         colour: np.ndarray | None = None,
         remembers: float | None = None,
@@ -136,7 +135,7 @@ class Screen:
         `remembers`: samples after which the noise has forgotten; None: as `colour` says, and of slices of a
         recording not at all.
         """
-        self.base, self.tried, self.runs, self.inflation = base, tried, tuple(runs), inflation
+        self.base, self.tried, self.runs = base, tried, tuple(runs)
         rows = base.log.rows / len(base.log.runs)
         self.length = None if colour is None else stretch(rows * len(runs), len(runs))
         self.lasting = self.length or rows
@@ -157,7 +156,7 @@ class Screen:
         found, flipped = list[Score](), list[np.ndarray]()
         for table in self.tables:
             flips = self._flips(table, colour, remembers) if colour is not None else None
-            for key, scored in table.scored(self.runs, self.inflation):
+            for key, scored in table.scored(self.runs):
                 c, absorbed = table.tried[key], scored.absorbed
                 z = None if absorbed or flips is None else flips.statistic(key)
                 if z is not None:
@@ -347,7 +346,7 @@ class Table:
         pick = np.append(np.arange(self.own), len(M) - 1)
         return float(np.sqrt(with_it @ M @ with_it / max(without @ M[np.ix_(pick, pick)] @ without, 1e-300)))
 
-    def scored(self, runs: Sequence[int], inflation: float) -> Iterator[tuple[str, "Scored"]]:
+    def scored(self, runs: Sequence[int]) -> Iterator[tuple[str, "Scored"]]:
         """Score every candidate on some runs."""
         units = self.among(runs)
         N = float(units @ self.t.count * self.channels)
@@ -355,7 +354,7 @@ class Table:
         for key, c in self.tried.items():
             if key not in self.t.spoiled:
                 found, size = training.solved(key), len(c.new) + c.variant.shapes
-                criterion = float(bic(found.left[0], N / inflation, size, N))
+                criterion = float(bic(found.left[0], N, size, N))
                 gain = max(float(found.plain[0] - found.left[0]), 0.0)
                 yield key, Scored(gain, criterion, size, bool(found.absorbed[0]))
 

@@ -57,13 +57,12 @@ def refitted(
     its cause can have, is left out.
     """
     named = [s for s in by_name(scored) if not s.absorbed]
-    least = policy.mostly * max((s.gain for s in named if worth(s)), default=np.inf)
+    least = policy.half * max((s.gain for s in named if worth(s)), default=np.inf)
     out: list[Exact] = []
     for first in [s for s in named if s.gain >= least and s.ratio < 1][: policy.most_refits]:
-        starts = [s for s in scored if s.effect is first.effect and s.gain >= policy.mostly * first.gain]
+        starts = [s for s in scored if s.effect is first.effect and s.gain >= policy.half * first.gain]
         found = [
-            _exact(base, _finer(base, score, runs, facts, policy), runs, policy)
-            for score in starts[: policy.starts if first.variant.tried > 1 else 1]
+            _exact(base, score, runs) for score in starts[: policy.starts if first.variant.tried > 1 else 1]
         ]
         possible = [e for e in found if e.score.effect.possible(e.fit.base.values)]
         best = min(possible, key=lambda e: e.bic, default=None)
@@ -74,18 +73,9 @@ def refitted(
     return ordered(out, scored, worth, policy)
 
 
-def _finer(base: Base, score: Score, runs: Sequence[int], facts: Facts, policy: Policy) -> Score:
-    """Refine a searched number around its best value."""
-    finer = score.effect.around(score.variant)
-    if finer is None:
-        return score
-    best = min([score, *_scores(base, [finer], runs, facts, policy)], key=lambda s: s.bic)
-    return replace(best, effect=score.effect, p_value=score.p_value)
-
-
-def _exact(base: Base, score: Score, runs: Sequence[int], policy: Policy) -> Exact:
+def _exact(base: Base, score: Score, runs: Sequence[int]) -> Exact:
     fit = refit(with_model(base, score.model), runs)
-    return Exact(score, fit, fit.bic(score.size, policy.inflation))
+    return Exact(score, fit, fit.bic(score.size))
 
 
 # -- the order ---------------------------------------------------------------------------------------------
@@ -153,14 +143,14 @@ def plain_pairs_first(
     plain = [
         e
         for e in exact[1:]
-        if e.score.size < best.score.size and e.score.gain >= policy.mostly * best.score.gain
+        if e.score.size < best.score.size and e.score.gain >= policy.half * best.score.gain
     ]
     found: list[tuple[float, Exact, float]] = []
     for e in plain:
         second = _second(e, catalogue, runs, facts, policy)
         if second is None or second.size + e.score.size > best.score.size:
             continue
-        both = second.bic + e.score.size * float(np.log(max(e.fit.readings / policy.inflation, 2.0)))
+        both = second.bic + e.score.size * float(np.log(max(e.fit.readings, 2.0)))
         if both < best.bic:
             found.append((both, e, e.fit.cost - second.gain))
     if not found:
@@ -184,7 +174,7 @@ def _scores(
     base: Base, effects: Sequence[Effect], runs: Sequence[int], facts: Facts, policy: Policy
 ) -> list[Score]:
     tried, _ = candidates(base, effects, facts)
-    return Screen(base, tried, runs, policy.inflation).scores
+    return Screen(base, tried, runs).scores
 
 
 def _first(first: Exact, exact: Sequence[Exact]) -> list[Exact]:
@@ -352,9 +342,7 @@ class Selection:
         told = faults(at.base, found, self.setup.tested)
         self.of_values = sum(f.power for f in told if f.record.of_values)
         tried, trouble = candidates(at.base, self.setup.catalogue, facts)
-        screen = Screen(
-            at.base, tried, self.runs, self.policy.inflation, colour=found.colour, remembers=remembers
-        )
+        screen = Screen(at.base, tried, self.runs, colour=found.colour, remembers=remembers)
         colour = self.weighed(screen, found.colour)
         ranked = screen.scores
         self.screened.append(Screened(at, ranked, screen.significance, screen.top, colour))
@@ -395,7 +383,7 @@ class Selection:
         lower = exact.fit.metric <= at.metric * (1 - self.policy.half * self.setup.threshold)
         known = at.base.model.names
         new = [n for n in exact.fit.base.model.names if n not in known]
-        keeps = lower and exact.bic < at.bic(0, self.policy.inflation)
+        keeps = lower and exact.bic < at.bic(0)
         return keeps and not cancels(exact.fit, new, self.policy.half)
 
     def reconsider(self) -> bool:

@@ -89,7 +89,7 @@ def _more_than_its(part: float, share: float) -> bool:
 
 def clear(r: ResidualTable) -> bool:
     """Whether the excess is more than chance: block by block, so that memory of the noise does not count."""
-    return beyond(means(r.squares - len(r.residual), r.part)) < POLICY.beyond_doubt
+    return beyond(means(r.squares - len(r.residual), r.part)) < POLICY.certain
 
 
 def means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -112,7 +112,7 @@ def of_runs(r: ResidualTable, told: float) -> list[Statement]:
         return []
     p = min(1.0, U * beyond_one(float(level[k]), np.delete(level, k)))
     share = float(np.clip(sums[k] / max(squares.sum(), 1e-300), 0.0, 1.0))
-    if p >= POLICY.beyond_doubt or not _more_than_its(1 / U, share):
+    if p >= POLICY.certain or not _more_than_its(1 / U, share):
         return []
     text = f"{percent(share)} of the excess lies in run {order[k]}, one of {U} fitted runs"
     return [Statement("run", f"run {order[k]}", share, p, text)]

@@ -115,7 +115,7 @@ def foreseen(
     fitted = set(fit.fitted.tolist())
     out = {t.runs[u]: float(fit.output[u]) for u in range(len(t.runs)) if u not in fitted}
     for group in groups:
-        moved = [(*_without(one, group, policy), one) for one in (fit, *others)]
+        moved = [(*_without(one, group), one) for one in (fit, *others)]
         best = min(moved, key=lambda m: m[0])
         _, v, one = moved[0] if moved[0][0] - best[0] < policy.as_good else best
         tested = [u for u in one.fitted if not group.isdisjoint(one.tangents.runs[u])]
@@ -123,11 +123,11 @@ def foreseen(
     return out
 
 
-def _without(fit: Refitted, group: frozenset[int], policy: Policy) -> tuple[float, np.ndarray]:
+def _without(fit: Refitted, group: frozenset[int]) -> tuple[float, np.ndarray]:
     """Return BIC and direction (c,) of a fit moved to the minimum of the runs that are not in a group."""
     t = fit.tangents
     rest = [u for u in fit.fitted if group.isdisjoint(t.runs[u])]
     M = t.likelihood[rest].sum(axis=0)
     v = np.append(-inside_bounds(fit.base, M), 1.0)
     readings = float(t.count[rest].sum()) * len(fit.base.model.channels)
-    return float(bic(v @ M @ v, readings / policy.inflation, len(fit.base.free), readings)), v
+    return float(bic(v @ M @ v, readings, len(fit.base.free), readings)), v

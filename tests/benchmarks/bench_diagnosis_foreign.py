@@ -45,14 +45,6 @@ def rings(rng: np.random.Generator, n: int, every: int = 120) -> np.ndarray:
     return np.asarray(lfilter([1.0], [1.0, -2 * 0.97 * np.cos(0.9), 0.97**2], knocks))
 
 
-def play(x: np.ndarray, width: float = 0.3) -> np.ndarray:
-    """Return what follows rows of x with a clearance."""
-    out = x.copy()
-    for k in range(1, x.shape[1]):
-        out[:, k] = np.clip(out[:, k - 1], x[:, k] - width, x[:, k] + width)
-    return out - x
-
-
 def levels(v: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return the error of a converter whose 64 levels are off, each by its own amount."""
     return np.array([rng.standard_normal(65)[((row + 1) * 32).astype(int)] for row in scaled(v)])
@@ -77,7 +69,7 @@ KINDS = {
     "Stribeck friction": lambda v, x, own, all_: (
         np.sign(rate(x))[:1] * np.exp(-np.abs(scaled(rate(x))[:1]) * 4) + 0 * v
     ),
-    "play in the mount": lambda v, x, own, all_: play(scaled(v)),
+    "root of the speed": lambda v, x, own, all_: np.sign(rate(v)) * np.sqrt(np.abs(rate(v))),
     "largest value so far": lambda v, x, own, all_: np.maximum.accumulate(scaled(v), axis=1),
     "switching offset": lambda v, x, own, all_: np.array([switching(own, v.shape[1]) for _ in v]),
     "random walk": lambda v, x, own, all_: np.cumsum(own.standard_normal(v.shape), axis=1),
@@ -85,7 +77,7 @@ KINDS = {
     "ringing of all sensors": lambda v, x, own, all_: rings(own, v.shape[1])[None] + 0 * v,
     "creep of either sign": lambda v, x, own, all_: np.array([relaxed(own, v.shape[1]) for _ in v]),
     "a rising tone": lambda v, x, own, all_: chirp(np.arange(v.shape[1]), 0.01, v.shape[1], 0.2) + 0 * v,
-    "a pulse every 50 samples": lambda v, x, own, all_: (np.arange(v.shape[1]) % 50 == 7) + 0.0 * v,
+    "a sawtooth in time": lambda v, x, own, all_: np.arange(v.shape[1]) % 50 + 0.0 * v,
     "hum that follows the speed": lambda v, x, own, all_: (
         np.abs(scaled(rate(x)))[:1] * np.sin(0.9 * np.arange(v.shape[1])) + 0 * v
     ),

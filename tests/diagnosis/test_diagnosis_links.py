@@ -40,7 +40,7 @@ def screened(base: Base, effects: tuple[Effect, ...]) -> Screened:
     runs = fitted_runs(base)
     seen = survey(base, frozenset(runs))
     tried, _ = candidates(base, effects, facts_of(base, seen))
-    screen = Screen(base, tried, runs, 2.0, colour=seen.colour)
+    screen = Screen(base, tried, runs, colour=seen.colour)
     return Screened(refit(base, runs), screen.scores, screen.significance, screen.top, seen.colour)
 
 
