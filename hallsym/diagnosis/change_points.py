@@ -11,7 +11,9 @@ import numpy as np
 from scipy.special import stdtr
 
 from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residual_table import ResidualTable
+from hallsym.estimation import pseudo_inverse
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 
 
@@ -59,19 +61,43 @@ def _beyond(value: float, others: np.ndarray) -> float:
 
 
 def _largest(r: ResidualTable, at: slice) -> tuple[ChangePoint, float]:
-    """Return the largest step of a run, and the logarithm of its squares over what it leaves of them."""
-    x = r.residual[:, at] - r.residual[:, at].mean(axis=1, keepdims=True)
-    n, k = x.shape[1], np.arange(FEWEST_SAMPLES, x.shape[1] - FEWEST_SAMPLES + 1)
-    sums = np.cumsum(x, axis=1)[:, k - 1]
-    explained = sums**2 * n / (k * (n - k))
-    whole = (x**2).sum(axis=1)
-    share = explained / np.maximum(whole, 1e-300)[:, None]
+    """Return the largest step of a run, and the logarithm of its squares over what it leaves of them.
+
+    Offset and sensitivity step together, as those of a probe that moves do; the run has both of its own.
+    """
+    n = at.stop - at.start
+    k = np.arange(FEWEST_SAMPLES, n - FEWEST_SAMPLES + 1)
+    found = [_steps(r.residual[c, at], r.sensed[c, at], k) for c in range(len(r.channels))]
+    share = np.array([explained / max(whole, 1e-300) for explained, _, whole in found])
     channel, place = np.unravel_index(int(np.argmax(share)), share.shape)
-    size = -float(sums[channel, place]) * n / (k[place] * (n - k[place]))
+    explained, size, _ = found[channel]
     most = float(share[channel, place])
     instant = float(r.columns["campaign_s"][at][k[place]])
     weight = float(1 / np.linalg.inv(r.precision)[channel, channel])
     step = ChangePoint(
-        int(r.run[at.start]), int(channel), instant, size, weight * float(explained[channel, place])
+        int(r.run[at.start]), int(channel), instant, float(size[place]), weight * float(explained[place])
     )
     return step, float(np.log(max(most, 1e-300) / max(1 - most, 1e-12)))
+
+
+def _steps(y: np.ndarray, x: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the squares that a step before each sample `k` takes off `y` (n,), its size, and all squares.
+
+    `x`: (n,) expected reading, which a step of the sensitivity multiplies; sizes are those at its mean.
+    """
+    x = x - x.mean()
+    own = np.vstack([np.ones_like(x), x / max(float(np.linalg.norm(x)), 1e-300)])
+    own[0] /= np.sqrt(len(x))
+    y = y - (own @ y) @ own
+
+    def later(values: np.ndarray) -> np.ndarray:
+        return np.asarray(np.cumsum(values[..., ::-1], axis=-1)[..., ::-1][..., k])
+
+    gram = np.array([[later(np.ones_like(x)), later(x)], [later(x), later(x * x)]])
+    across = np.array([later(own), later(own * x)])  # (step, own, k)
+    left = gram - np.einsum("ipt,jpt->ijt", across, across)
+    seen = np.einsum("iit->it", left) > NIL * np.einsum("iit->it", gram)  # else rounding
+    shared = np.array([later(y), later(x * y)]) * seen
+    inverse = pseudo_inverse((left * seen[:, None] * seen).transpose(2, 0, 1), NIL)
+    solved = np.einsum("tij,jt->it", inverse, shared)
+    return np.einsum("it,it->t", shared, solved), solved[0], float(y @ y)

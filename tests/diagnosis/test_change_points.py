@@ -11,7 +11,7 @@ import pytest
 from gap_twins import machine
 from scipy.signal import lfilter
 
-from hallsym.diagnosis import Diagnosis, diagnose
+from hallsym.diagnosis import POLICY, Diagnosis, diagnose
 from hallsym.diagnosis.change_points import change_points
 from hallsym.diagnosis.facts import instants
 from hallsym.diagnosis.residual_table import ResidualTable, Spectrum
@@ -24,9 +24,9 @@ def table(residual: np.ndarray) -> ResidualTable:
     """A table of one sensor, runs of equal length, 10 ms a sample."""
     n = residual.shape[1]
     run = np.arange(n) // SAMPLES
-    time = {"campaign_s": 0.01 * np.arange(n)}
+    time, sensed = {"campaign_s": 0.01 * np.arange(n)}, np.sin(0.07 * np.arange(n))[None]
     return ResidualTable(
-        ("m_m",), ("x_m",), ("x_ref_m",), (), run, residual, residual, residual, time, np.eye(1), run, run,
+        ("m_m",), ("x_m",), ("x_ref_m",), (), run, residual, sensed, residual, time, np.eye(1), run, run,
         run, np.eye(1), np.ones(1), {}, Spectrum(),
     )  # fmt: skip
 
@@ -54,6 +54,17 @@ def test_a_step_is_found_at_its_instant_with_its_size() -> None:
     assert found.instant_s == pytest.approx(0.01 * when, abs=0.03)
     assert found.size == pytest.approx(6.0, abs=1.0)
     assert found.p_value < 1e-3
+
+
+def test_a_step_of_the_sensitivity_alone_is_found_in_a_run_that_moves_about_zero() -> None:
+    """Eight runs, as many as a short campaign has; the offset does not step at all."""
+    x = noise(np.random.default_rng(11), 3.0)[:, : 8 * SAMPLES]
+    when = 5 * SAMPLES + 120
+    moved = table(x)
+    x[0, when : 6 * SAMPLES] += 8.0 * moved.sensed[0, when : 6 * SAMPLES]
+    found = min(change_points(table(x)), key=lambda s: s.p_value)
+    assert (found.run, found.p_value < POLICY.certain) == (5, True)
+    assert found.instant_s == pytest.approx(0.01 * when, abs=0.1)
 
 
 def test_too_few_runs_have_no_steps() -> None:
