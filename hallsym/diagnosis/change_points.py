@@ -96,8 +96,17 @@ def _steps(y: np.ndarray, x: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.
     gram = np.array([[later(np.ones_like(x)), later(x)], [later(x), later(x * x)]])
     across = np.array([later(own), later(own * x)])  # (step, own, k)
     left = gram - np.einsum("ipt,jpt->ijt", across, across)
-    seen = np.einsum("iit->it", left) > NIL * np.einsum("iit->it", gram)  # else rounding
-    shared = np.array([later(y), later(x * y)]) * seen
+    explained, coefficients = solved(left, gram, np.array([later(y), later(x * y)]))
+    return explained, coefficients[0], float(y @ y)
+
+
+def solved(left: np.ndarray, raw: np.ndarray, shared: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the squares (k,) that steps of offset and sensitivity take off, and their coefficients (2, k).
+
+    `left`, `raw`: (2, 2, k) products of the columns, less what is a run's own and in full; `shared`: (2, k)
+    what they have in common with the residual.
+    """
+    seen = np.einsum("iit->it", left) > NIL * np.einsum("iit->it", raw)  # else rounding
     inverse = pseudo_inverse((left * seen[:, None] * seen).transpose(2, 0, 1), NIL)
-    solved = np.einsum("tij,jt->it", inverse, shared)
-    return np.einsum("it,it->t", shared, solved), solved[0], float(y @ y)
+    coefficients = np.einsum("tij,jt->it", inverse, shared * seen)
+    return np.einsum("it,it->t", shared * seen, coefficients), coefficients

@@ -54,7 +54,7 @@ def _shown(setup: Setup, effect: Effect) -> Model:
     facts = facts_of(base, seen)
     tried, trouble = candidates(base, [effect], facts)
     ranked = Screen(base, tried, runs, colour=seen.colour).scores if tried else []
-    exact = refitted(base, ranked, runs, facts, lambda s: s.p_value < POLICY.certain)
+    exact = refitted(base, ranked, runs, lambda s: s.p_value < POLICY.certain)
     if not exact:
         reason = trouble.get(effect.name, "nothing in what the model leaves looks like it")
         raise InputError(

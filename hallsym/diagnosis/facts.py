@@ -5,14 +5,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from hallsym.diagnosis.change_points import change_points
+from hallsym.diagnosis.change_points import change_points, solved
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residual_table import ROOM, ResidualTable, residual_table
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.sign_flips import FLIPS
 from hallsym.diagnosis.survey import SEGMENT, Survey
-from hallsym.estimation import pseudo_inverse
 from hallsym.families.mechanisms import CUT, MAINS_HZ, MAINS_REACH_HZ
 from hallsym.log import Log
 from hallsym.log.batches import batches
@@ -73,9 +72,7 @@ def _gains(r: ResidualTable, k: int, counted: np.ndarray, at: np.ndarray) -> np.
     means = np.array([later(counted * 1.0), later(x)])
     raw = np.array([[means[0], means[1]], [means[1], later(x**2) + after(about**2)]])
     left = raw - means[:, None] * means / n - beside[:, None] * beside / whole
-    seen = np.einsum("iit->it", left) > NIL * np.einsum("iit->it", raw)  # else rounding
-    inverse = pseudo_inverse((left * seen[:, None] * seen).transpose(2, 0, 1), NIL)
-    return np.einsum("it,tij,jt->t", shared * seen, inverse, shared * seen)
+    return solved(left, raw, shared)[0]
 
 
 # -- two levels of offset among the runs ---------------------------------------------------------------------

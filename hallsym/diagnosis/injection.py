@@ -104,7 +104,7 @@ def injections(
         if own and effect.inject:
             add(effect, effect.inject(recording, draw))
         elif own:
-            gridded = effect.around(tried[own[0]].variant) is not None
+            gridded = any(effect.numbers[n].grid for n in tried[own[0]].variant.numbers)
             key = own[(len(own) - 1) // 2] if gridded else own[0]
             squares = np.diag(t.of(key, decoded=True).sum(axis=0))[len(base.free) : -1] / t.count.sum()
             strength = np.sqrt(np.maximum(squares, 0.0))

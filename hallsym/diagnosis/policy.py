@@ -34,13 +34,15 @@ class Policy:
     is known to 1 / sqrt(2 n), which is 3 % of 560 samples at rest."""
     minor: float = 0.1
     """Share up to which a part is minor: of the excess that named effects leave open in a gap that is
-    explained, of the threshold that a smaller finding is worth.
+    explained, of the threshold that a smaller finding is worth; by which a steady line
+    scatters less than the rest of a spectrum.
 
     Of a gap of twice the floor, a tenth of the excess is 14 % above the floor: a gap of its own."""
     half: float = 0.5
     """Part from which on something is the larger one: of the threshold from which on a first, certain
     effect is taken up, and that a refit must keep of its score; of what a parameter alone makes, that the
-    others must leave; of far samples that have others around them.
+    others must leave; of far samples that have others around them; of the best effect's gain, to
+    first order, from which on an effect is refitted exactly; of a curve that one sensor makes if named.
 
     A majority. An effect may be worth twice as much on the holdout runs, which decide."""
     fewest: int = 6

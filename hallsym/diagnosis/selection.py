@@ -45,7 +45,6 @@ def refitted(
     base: Base,
     scored: Sequence[Score],
     runs: Sequence[int],
-    facts: Facts,
     worth: Callable[[Score], bool],
     stands: Callable[["Exact"], bool] = lambda _: True,
     policy: Policy = POLICY,
@@ -328,9 +327,7 @@ class Selection:
     def step(self, at: Refitted, worth: Callable[[Score], bool] = lambda _: True) -> list[Exact]:
         """Screen the catalogue at `at`; return exact refits, best first, if any effect is `worth` it."""
         screen, facts = self.screen(at)
-        exact = refitted(
-            at.base, screen.scores, self.runs, facts, worth, lambda e: self.stands(e, at), self.policy
-        )
+        exact = refitted(at.base, screen.scores, self.runs, worth, lambda e: self.stands(e, at), self.policy)
         if self.setup.base.model.family.pairs:
             exact = plain_pairs_first(exact, self.setup.catalogue, self.runs, facts, self.policy)
         return exact

@@ -337,15 +337,15 @@ def time_drift(
     meaning: str,
     follow: Follow,
     parts: Sequence[int],
-    finer: Sequence[float] = (),
+    grid: bool = False,
     *,
     per: bool = False,
     **about: Any,
 ) -> Effect:
     """Return the effect that gains or offsets drift over the campaign: polynomials, or an exponential.
 
-    `parts`: of the campaign, tried as its time constant; the best one is then tried times `finer`. `per`: all
-    channels alike is tried too.
+    `parts`: of the campaign, tried as its time constant; `grid`: it may lie between them. `per`: all channels
+    alike is tried too.
     """
     duration = from_log(lambda facts: facts.duration_s, "length of the campaign", valid=POSITIVE)
     degrees = one_of({n: f"polynomial of degree {n}" for n in (1, 2, 3)}, "degree of the polynomial of time")
@@ -353,7 +353,7 @@ def time_drift(
         lambda facts: [facts.duration_s / n for n in parts],
         "time constant of the exponential that the drift follows instead",
         label="settling, {:.3g} s", instead=True, shapes=1,
-        finer=(lambda tau: [tau * f for f in finer]) if finer else None,
+        grid=grid,
     )  # fmt: skip
 
     def drift(

@@ -87,8 +87,8 @@ class Number:
     """An argument of an effect: what it means, which values it may have, and which a diagnosis tries.
 
     `choices`: the only values, with what each means. `instead`: the number belongs to a second form of
-    the effect, which is given in place of the numbers without this mark. `finer(name, value)`: tries
-    around the best value.
+    the effect, which is given in place of the numbers without this mark. `grid`: the values
+    are places between which it may lie.
     """
 
     meaning: str
@@ -97,7 +97,7 @@ class Number:
     choices: Mapping[Any, str] = field(default_factory=dict)
     valid: Valid = ANY
     instead: bool = False
-    finer: Callable[[str, float], list[Try]] | None = None
+    grid: bool = False
     kind: Any = float
 
     def read(self, what: str, text: str) -> Any:
@@ -159,13 +159,13 @@ def searched(
     instead: bool = False,
     shapes: int = 0,
     tried: Callable[[Facts], int] | None = None,
-    finer: Callable[[float], Sequence[float]] | None = None,
+    grid: bool = False,
     when: Callable[[Any, Model, Facts], bool] = always,
 ) -> Any:
     """Return an argument that is searched: each of `values`, or what `values(facts)` says of a log.
 
     `label`: a format or a function of the value. `tried(facts)`: how many values were compared, by
-    default those of a grid. `finer(value)`: values around the best one.
+    default those of a grid. `grid`: the values are places between which it may lie.
     """
 
     def one(name: str, value: Any, count: int) -> Try:
@@ -173,14 +173,11 @@ def searched(
         return Try({name: value}, text, shapes, count)
 
     def tries(name: str, model: Model, facts: Facts) -> list[Try]:
-        grid = values(facts) if callable(values) else values
-        count = tried(facts) if tried else 1 if callable(values) else len(grid)
-        return [one(name, v, count) for v in grid if when(v, model, facts)]
+        each = values(facts) if callable(values) else values
+        count = tried(facts) if tried else 1 if callable(values) else len(each)
+        return [one(name, v, count) for v in each if when(v, model, facts)]
 
-    def around(name: str, value: float) -> list[Try]:
-        return [one(name, v, 1) for v in finer(value)] if finer else []
-
-    return Number(meaning, tries, default, valid=valid, instead=instead, finer=around if finer else None)
+    return Number(meaning, tries, default, valid=valid, instead=instead, grid=grid)
 
 
 def from_log(value: Callable[[Facts], Any], meaning: str, *, valid: Valid = ANY) -> Any:

@@ -183,19 +183,6 @@ class Effect:
             out += [self._variant(tries) for tries in product(*tried)]
         return out
 
-    def around(self, variant: Variant) -> "Effect | None":
-        """Return the effect with finer values of the number that a variant searched; None if there is
-        none."""
-        finer = {n: self.numbers[n].finer for n in variant.numbers}
-        if not any(finer.values()):
-            return None
-
-        def tries(name: str, model: Model, facts: Facts) -> list[Try]:
-            value, around = variant.numbers[name], finer[name]
-            return around(name, value) if around else [Try({name: value})]
-
-        return replace(self, numbers={n: replace(self.numbers[n], tries=tries) for n in finer})
-
     def _variant(self, tries: Sequence[Try]) -> Variant:
         numbers = {name: value for t in tries for name, value in t.numbers.items()}
         text = self.text(**numbers)

@@ -117,10 +117,9 @@ def log_of(
 ) -> Log:  # fmt: skip
     """Return one log. `make(model) -> model` adds the gap, `parameters` its size.
 
-    `disturbed(columns, model, sigma) -> columns`: a gap that is no model.
-
-    `fresh`: the same machine on as many runs that were never seen, with other noise. `again`: the same
-    motion recorded another time; each number draws other noise.
+    `disturbed(columns, model, sigma) -> columns`: a gap that is no model. `fresh`: the same machine on as
+    many runs that were never seen, with other noise. `again`: the same motion recorded another time; each
+    number draws other noise.
     """
     model, values, campaign, sigma = MACHINES[machine](runs, np.random.default_rng([seed, int(fresh)]))
     truth = build(model) if make is None else make(build(model))

@@ -57,28 +57,32 @@ def relaxed(rng: np.random.Generator, n: int) -> np.ndarray:
 
 # readings v (K, n) and pose x (P, n) of a run, generator of it, generator of the machine
 KINDS = {
-    "triangle over the reading": lambda v, x, own, all_: np.abs((3.5 * scaled(v)) % 2 - 1),
-    "square wave over the reading": lambda v, x, own, all_: np.sign(np.sin(9 * scaled(v))),
-    "uneven levels": lambda v, x, own, all_: levels(v, all_),
-    "dead band": lambda v, x, own, all_: np.clip(scaled(v), -0.1, 0.1),
-    "fine grating over the pose": lambda v, x, own, all_: np.sin(37 * np.pi * scaled(x)[:1]) + 0 * v,
-    "product of readings": lambda v, x, own, all_: scaled(v) * np.roll(scaled(v), 1, axis=0) ** 3,
-    "delay that follows the place": lambda v, x, own, all_: rate(v) * np.sin(5 * scaled(x)[:1]),
-    "squared speed": lambda v, x, own, all_: rate(v) ** 2 * np.sign(scaled(v)),
-    "acceleration times speed": lambda v, x, own, all_: rate(x)[:1] * rate(x, 2)[:1] + 0 * v,
-    "Stribeck friction": lambda v, x, own, all_: (
+    "triangle over the reading": lambda v, x, of_run, of_machine: np.abs((3.5 * scaled(v)) % 2 - 1),
+    "square wave over the reading": lambda v, x, of_run, of_machine: np.sign(np.sin(9 * scaled(v))),
+    "uneven levels": lambda v, x, of_run, of_machine: levels(v, of_machine),
+    "dead band": lambda v, x, of_run, of_machine: np.clip(scaled(v), -0.1, 0.1),
+    "fine grating over the pose": lambda v, x, of_run, of_machine: np.sin(37 * np.pi * scaled(x)[:1]) + 0 * v,
+    "product of readings": lambda v, x, of_run, of_machine: scaled(v) * np.roll(scaled(v), 1, axis=0) ** 3,
+    "delay that follows the place": lambda v, x, of_run, of_machine: rate(v) * np.sin(5 * scaled(x)[:1]),
+    "squared speed": lambda v, x, of_run, of_machine: rate(v) ** 2 * np.sign(scaled(v)),
+    "acceleration times speed": lambda v, x, of_run, of_machine: rate(x)[:1] * rate(x, 2)[:1] + 0 * v,
+    "Stribeck friction": lambda v, x, of_run, of_machine: (
         np.sign(rate(x))[:1] * np.exp(-np.abs(scaled(rate(x))[:1]) * 4) + 0 * v
     ),
-    "root of the speed": lambda v, x, own, all_: np.sign(rate(v)) * np.sqrt(np.abs(rate(v))),
-    "largest value so far": lambda v, x, own, all_: np.maximum.accumulate(scaled(v), axis=1),
-    "switching offset": lambda v, x, own, all_: np.array([switching(own, v.shape[1]) for _ in v]),
-    "random walk": lambda v, x, own, all_: np.cumsum(own.standard_normal(v.shape), axis=1),
-    "knocks that ring": lambda v, x, own, all_: np.array([rings(own, v.shape[1]) for _ in v]),
-    "ringing of all sensors": lambda v, x, own, all_: rings(own, v.shape[1])[None] + 0 * v,
-    "creep of either sign": lambda v, x, own, all_: np.array([relaxed(own, v.shape[1]) for _ in v]),
-    "a rising tone": lambda v, x, own, all_: chirp(np.arange(v.shape[1]), 0.01, v.shape[1], 0.2) + 0 * v,
-    "a sawtooth in time": lambda v, x, own, all_: np.arange(v.shape[1]) % 50 + 0.0 * v,
-    "hum that follows the speed": lambda v, x, own, all_: (
+    "root of the speed": lambda v, x, of_run, of_machine: np.sign(rate(v)) * np.sqrt(np.abs(rate(v))),
+    "largest value so far": lambda v, x, of_run, of_machine: np.maximum.accumulate(scaled(v), axis=1),
+    "switching offset": lambda v, x, of_run, of_machine: np.array([switching(of_run, v.shape[1]) for _ in v]),
+    "random walk": lambda v, x, of_run, of_machine: np.cumsum(of_run.standard_normal(v.shape), axis=1),
+    "knocks that ring": lambda v, x, of_run, of_machine: np.array([rings(of_run, v.shape[1]) for _ in v]),
+    "ringing of all sensors": lambda v, x, of_run, of_machine: rings(of_run, v.shape[1])[None] + 0 * v,
+    "creep of either sign": lambda v, x, of_run, of_machine: np.array(
+        [relaxed(of_run, v.shape[1]) for _ in v]
+    ),
+    "a rising tone": lambda v, x, of_run, of_machine: (
+        chirp(np.arange(v.shape[1]), 0.01, v.shape[1], 0.2) + 0 * v
+    ),
+    "a sawtooth in time": lambda v, x, of_run, of_machine: np.arange(v.shape[1]) % 50 + 0.0 * v,
+    "hum that follows the speed": lambda v, x, of_run, of_machine: (
         np.abs(scaled(rate(x)))[:1] * np.sin(0.9 * np.arange(v.shape[1])) + 0 * v
     ),
 }

@@ -115,7 +115,7 @@ def test_a_fault_of_a_recording_has_a_remedy_and_is_injected() -> None:
 def bent(
     model: Model,
     order: int = one_of({3: "cubic", 5: "quintic"}, "power"),
-    width_m: float = searched((1.0, 2.0), "width", label=" of {:g}", finer=lambda w: [w / 2, w * 2]),
+    width_m: float = searched((1.0, 2.0), "width", label=" of {:g}"),
     length_s: float = from_log(lambda facts: facts.duration_s, "length"),
 ) -> Model:
     """A bend.
@@ -133,12 +133,6 @@ def test_a_signature_is_what_is_tried_and_typed() -> None:
     assert [v.tried for v in tried] == [2] * 4
     assert tried[0].text == "bent:width_m=1,length_s=60"
     assert tried[3].text == "bent:order=5,width_m=2,length_s=60"
-    finer = bent.around(tried[3])
-    assert finer is not None
-    assert [v.text for v in finer.variants(model, facts)] == [
-        "bent:order=5,width_m=1,length_s=60",
-        "bent:order=5,width_m=4,length_s=60",
-    ]
     assert bent.lacking("bent:width_m=3") == ("length_s",)
     wide = bent(model, width_m=1.0000000001, length_s=2.0)
     assert wide.parameters[-1].meaning == "size 3 1.0 2.0"  # as a calibration would build it again

@@ -40,7 +40,7 @@ DIRECTION = searched(
     valid=ANY,
     instead=True,
     shapes=1,
-    finer=lambda direction: [direction + STEP_DEG * k / 8 for k in (-4, -2, -1, 1, 2, 4)],
+    grid=True,
     when=lambda value, model, facts: not free_ellipse(model),
 )
 

@@ -27,8 +27,6 @@ from hallsym.families.rotary.effects.parts import (
 from hallsym.model import Model, Parameter, Signals, Way, effect
 from hallsym.model.derived import rate
 
-FINER = tuple(1.35**k for k in (-2, -1, 1, 2))
-
 
 def offset(model: Model, effect: str) -> Model:
     """A constant in each voltage."""
@@ -126,10 +124,10 @@ offset_temperature_drift = temperature_drift(
     "offset_temperature_drift", "Offsets follow the logged temperature.", offsets_follow
 )
 gain_time_drift = time_drift(
-    "gain_time_drift", "Gains drift smoothly over the campaign.", gains_follow, (16, 8, 4, 2), FINER,
+    "gain_time_drift", "Gains drift smoothly over the campaign.", gains_follow, (16, 8, 4, 2), True,
     needs=("t_s",),
 )  # fmt: skip
 offset_time_drift = time_drift(
-    "offset_time_drift", "Offsets drift smoothly over the campaign.", offsets_follow, (16, 8, 4, 2), FINER,
+    "offset_time_drift", "Offsets drift smoothly over the campaign.", offsets_follow, (16, 8, 4, 2), True,
     needs=("t_s",),
 )  # fmt: skip

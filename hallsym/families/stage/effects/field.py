@@ -76,7 +76,7 @@ def hysteresis(
         (2e-6, 6e-6, 1.5e-5, 4e-5, 1e-4, 2.5e-4),
         "half-width of the loop, in reading, where a fit begins",
         label=lambda width: f"half-width {1e6 * width:.3g} um",
-        finer=lambda width: [width * 1.22**k for k in (-3, -2, -1, 1, 2, 3)],
+        grid=True,
     ),
 ) -> Model:
     """Memory of the direction of motion.
