@@ -41,8 +41,8 @@ class Curve:
     `at`: (m,) places. `offset`, `gain`: (K, m), the residual is offset + gain * sensed / scale [m]; `gain`
     None where it has none. `spread`, `gain_spread`: standard errors of these, from runs left out in turn.
     `explained`: whitened squares that it removes from runs it was not fitted on. `statistic`: (draws,) with
-    random signs, that of the log first. `predicted`: (K, n); `says`: the same of other samples, None where
-    the coordinate does not vary.
+    random signs, that of the log first. `predicted`: (K, n), `foreseen`: the same without the fold of each
+    sample; `says`: of other samples, None where the coordinate does not vary.
     """
 
     coordinate: Coordinate
@@ -53,6 +53,7 @@ class Curve:
     explained: float
     statistic: np.ndarray
     predicted: np.ndarray
+    foreseen: np.ndarray
     says: Callable[[ResidualTable], np.ndarray | None]
     gain: np.ndarray | None = None
     gain_spread: np.ndarray | None = None
@@ -68,11 +69,12 @@ class Curve:
 class _Fit(NamedTuple):
     """Coefficients of a curve of all runs, (K, features), and without each fold, (folds, K, features).
 
-    `explained`: whitened squares that the latter remove from their folds. `statistic`: (draws,), of all
-    sensors.
+    `foreseen`: (K, n) what the latter predict of their folds, `explained`: whitened squares that this
+    removes. `statistic`: (draws,), of all sensors.
     """
 
     explained: float
+    foreseen: np.ndarray
     beta: np.ndarray
     left: np.ndarray
     statistic: np.ndarray
@@ -123,7 +125,7 @@ class Smooth:
     def curve(self, residual: np.ndarray) -> Curve:
         """Return the curve of a residual (K, n)."""
         fits = self._fits(residual)
-        explained, beta, left, _ = max(fits, key=lambda f: f.explained)
+        explained, foreseen, beta, left, _ = max(fits, key=lambda f: f.explained)
         z = np.max([f.statistic for f in fits], axis=0)
         U, m = len(left), len(self.at)
         error = np.sqrt((U - 1) / U * ((left - left.mean(axis=0)) ** 2).sum(axis=0))
@@ -135,8 +137,8 @@ class Smooth:
             return None if x is None else (beta[:, None] @ self._features(other, x))[:, 0]
 
         return Curve(
-            self.coordinate, self.values, self.at, beta[:, :m], error[:, :m], explained, z, predicted, says,
-            beta[:, m:] if both else None, error[:, m:] if both else None, self.scale,
+            self.coordinate, self.values, self.at, beta[:, :m], error[:, :m], explained, z, predicted, foreseen,
+            says, beta[:, m:] if both else None, error[:, m:] if both else None, self.scale,
         )  # fmt: skip
 
     def _fits(self, residual: np.ndarray) -> list["_Fit"]:
@@ -164,16 +166,11 @@ class Smooth:
                 q += own @ np.linalg.solve(gram.sum(axis=0) + penalty, own.T)
             left = np.stack([fit.left_out for fit in each], axis=1)
             beta = np.array([fit.all for fit in each])
-            out.append(_Fit(self._explains(left, residual), beta, left, of_products(q, r.run_of(r.block))))
+            parts = zip(left, self.folds, strict=True)
+            foreseen = np.hstack([(own[:, None] @ self.phi[:, :, s])[:, 0] for own, s in parts])
+            explained = float((foreseen * (r.precision @ (2 * residual - foreseen))).sum())
+            out.append(_Fit(explained, foreseen, beta, left, of_products(q, r.run_of(r.block))))
         return out
-
-    def _explains(self, left_out: np.ndarray, residual: np.ndarray) -> float:
-        """Squares that coefficients (folds, K, features), each of the other folds, remove."""
-        total = 0.0
-        for beta, s in zip(left_out, self.folds, strict=True):
-            says = (beta[:, None] @ self.phi[:, :, s])[:, 0]
-            total += float((says * (self.r.precision @ (2 * residual[:, s] - says))).sum())
-        return total
 
 
 class FineMap:
@@ -222,9 +219,12 @@ class FineMap:
 
         z = of_products(scores @ scores.T, r.run_of(r.block))
         predicted = np.take_along_axis(mean, self.bin, axis=1)
+        fold = np.unique(r.fold, return_inverse=True)[1]
+        foreseen = left[fold, np.arange(len(left[0]))[:, None], self.bin]
         return Curve(
-            self.coordinate, self.values, self.at, mean, error, explained, z, predicted, says, fine=True
-        )
+            self.coordinate, self.values, self.at, mean, error, explained, z, predicted, foreseen, says,
+            fine=True,
+        )  # fmt: skip
 
     def _bin(self, x: np.ndarray, r: ResidualTable) -> np.ndarray:
         return np.clip(((_by_sensor(x, r) - self.low) / self.width).astype(int), 0, self.bins - 1)
@@ -257,17 +257,17 @@ def _values(coordinate: Coordinate, r: ResidualTable) -> np.ndarray:
     return values
 
 
-def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return what a gain of its own in every run explains, and its statistic (draws,), that of the log first.
+def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Return what a gain of its own in every run explains, its statistic (draws,), and what it foresees (K, n).
 
-    Each stretch of a run is predicted by the other stretches of the same run.
+    Each stretch of a run is predicted by the other stretches of the same run. The first draw is the log.
     """
     products = r.sensed * (r.precision @ residual)
     parts = _slices(r.part)
     cross = np.array([products[:, s].sum(axis=1) for s in parts])
     gram = np.array([r.sensed[:, s] @ r.sensed[:, s].T * r.precision for s in parts])
     run = np.array([r.run[s.start] for s in parts])
-    explained, sums, variance, third = 0.0, 0.0, 0.0, 0.0
+    explained, sums, variance, third, foreseen = 0.0, 0.0, 0.0, 0.0, np.zeros_like(residual)
     signs = drawn(len(parts))
     even = level_weights(r, residual, r.part)[:, None] * cross
     for number in np.unique(run):
@@ -275,12 +275,15 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray
         if len(at) < PARTS or np.diag(gram[at].sum(axis=0)).min() <= 0:
             continue
         penalty = ridge(gram[at])
-        explained += float(regression(gram[at], cross[at], penalty).squares.sum())
+        found = regression(gram[at], cross[at], penalty)
+        explained += float(found.squares.sum())
+        for k, gain in zip(at, found.left_out, strict=True):
+            foreseen[:, parts[k]] = gain[:, None] * r.sensed[:, parts[k]]
         q = even[at] @ np.linalg.solve(gram[at].sum(axis=0) + penalty, even[at].T)
         q[np.abs(np.subtract.outer(at, at)) <= 1] = 0.0
         sums = sums + ((signs[:, at] @ q) * signs[:, at]).sum(axis=1)
         variance, third = (a + b for a, b in zip((variance, third), moments(q), strict=True))
-    return explained, of_sums(sums + np.zeros(len(signs)), variance, third, len(parts))
+    return explained, of_sums(sums + np.zeros(len(signs)), variance, third, len(parts)), foreseen
 
 
 def level_weights(r: ResidualTable, residual: np.ndarray, group: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ from hallsym.estimation.decoding import decoding_gain
 
 @dataclass(frozen=True)
 class Shape:
-    """How far a family of curves lowers the residual (rms) of runs it was not fitted on, and its p-value.
+    """How far a family of curves lowers the gap metric of runs it was not fitted on, and its p-value.
 
     `name`: of the coordinate that the residual may depend on.
     """
@@ -52,13 +52,13 @@ def lack_of_fit(base: Base, runs: frozenset[int]) -> LackOfFit:
     r = residual_table(base, runs)
     if r is None:
         return LackOfFit(())
-    total = max(float(r.squares.sum()), 1e-300)
-    explained, z = run_gains(r, r.residual)
-    found = [("gain of its own", explained, float((z >= z[0]).mean()))]
+    whole = max(r.metric(r.residual), 1e-300)
+    _, z, foreseen = run_gains(r, r.residual)
+    found = [("gain of its own", foreseen, float((z >= z[0]).mean()))]
     for c in coordinates(r):
         curves = [each.curve(r.residual) for each in over(r, c)]
-        found += [(c.name, x.explained, x.p_value) for x in curves]
-    shapes = [Shape(name, 1 - float(np.sqrt(1 - np.clip(x / total, 0.0, 1.0))), p) for name, x, p in found]
+        found += [(c.name, x.foreseen, x.p_value) for x in curves]
+    shapes = [Shape(name, 1 - r.metric(r.residual - x) / whole, p) for name, x, p in found]
     return LackOfFit(tuple(sorted(shapes, key=lambda s: -s.drop)), tones(base, runs))
 
 

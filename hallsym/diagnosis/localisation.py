@@ -127,7 +127,7 @@ class _Tried:
         Both are corrected for each other and for all that is no coordinate, by the tests that are returned.
         """
         found = [t.curve(left) for t in self.every if t.coordinate.name not in taken]
-        explained, own = run_gains(self.r, left)
+        explained, own, _ = run_gains(self.r, left)
         joint = Joint([*(c.statistic for c in found), own, *self.others])
         return found, _own_gain(explained / self.r.excess, joint.p_value(own[0])), joint
 

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hallsym.diagnosis.normal_equations import NormalEquations, coefficients, normal_equations
+from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations, within_bounds
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.scores import bic
 from hallsym.estimation import pseudo_inverse
@@ -161,17 +161,4 @@ def inside_bounds(base: Base, M: np.ndarray) -> np.ndarray:
     free = np.array(base.free, dtype=int)
     lower, upper = (b[free] - base.p[free] for b in base.model.bounds)
     lower, upper = np.minimum(lower, 0.0), np.maximum(upper, 0.0)
-    step, moving = np.zeros(len(free)), np.flatnonzero(seen(base, M))
-    for _ in range(len(moving)):
-        stopped = np.setdiff1d(np.arange(len(free)), moving)
-        left = M.copy()
-        left[:, -1] -= M[:, stopped] @ step[stopped]
-        step[moving] = coefficients(left, moving)
-        beyond = (step[moving] < lower[moving]) | (step[moving] > upper[moving])
-        step = np.clip(step, lower, upper)
-        if not beyond.any():
-            break
-        moving = moving[~beyond]
-        if not len(moving):
-            break
-    return step
+    return within_bounds(M, lower, upper, np.flatnonzero(seen(base, M)))

@@ -93,9 +93,9 @@ class ResidualTable:
     `residual`, `sensed`, `rate`: (K, n) residual, expected reading at the smoothed reference, and its rate.
     `columns`: (n,) each; of a periodic reference also `phase_<reference>`, the place within its period.
     `precision`: (K, K) inverse covariance of one residual. `fold`, `block`, `part`: (n,) index of the group
-    of runs, of the block for significance, of the stretch of a run. `output`: (n_pose, K) turns a residual
-    into decoded pose. `state`: logged columns that the model reads. `weights`: (n_pose,) of the pose metric.
-    `towards`: (K, n) of a periodic reference, turns a residual into an error of it. `period`: by reference.
+    of runs, of the block for significance, of the stretch of a run. `decoding`: (n_pose, K, n) turns a
+    residual into an error of the decoded pose, which `weights` (n_pose,) weigh in the pose metric. `state`:
+    logged columns that the model reads. `period`: by reference.
     `words`, `together`: what a person calls columns, and all of the state. `timed`: with a clock. `sliced`:
     of slices of one recording.
     """
@@ -113,14 +113,13 @@ class ResidualTable:
     fold: np.ndarray
     block: np.ndarray
     part: np.ndarray
-    output: np.ndarray
+    decoding: np.ndarray
     weights: np.ndarray
     sigma: Mapping[str, float]
     spectrum: Spectrum = field(default_factory=Spectrum)
     timed: bool = True
     sliced: bool = False
     period: Mapping[str, float] = field(default_factory=dict)
-    towards: Mapping[str, np.ndarray] = field(default_factory=dict)
     words: Mapping[str, str] = field(default_factory=dict)
     together: str = ""
 
@@ -139,6 +138,14 @@ class ResidualTable:
         """Sum of the whitened squares above what the noise explains."""
         return float(self.squares.sum()) - self.residual.size
 
+    def decoded(self, residual: np.ndarray) -> np.ndarray:
+        """Return the errors of the decoded pose that a residual (K, n) makes, (n_pose, n)."""
+        return np.asarray(np.einsum("ikn,kn->in", self.decoding, residual))
+
+    def metric(self, residual: np.ndarray) -> float:
+        """Return the gap metric of a residual (K, n)."""
+        return float(np.linalg.norm(self.weights[:, None] * self.decoded(residual)) / np.sqrt(len(self.run)))
+
 
 def residual_table(base: Base, runs: Iterable[int]) -> ResidualTable | None:
     """Return what `base` leaves on `runs`; None where no sample of them counts."""
@@ -155,24 +162,22 @@ def residual_table(base: Base, runs: Iterable[int]) -> ResidualTable | None:
         place, seen[piece.run] = seen[piece.run] + at, seen[piece.run] + len(piece.t)
         data = {c: v[at] for c, v in piece.data.items()}
         state = [data[c] for c in model.state]
-        if model.period:
-            (gain,) = decode(base.p, [data[c] for c in model.references], state, base.weight)
-            gain = np.asarray(gain).reshape(len(model.channels), len(model.pose), -1)
-        for k, c in enumerate(model.references):
+        (gain,) = decode(base.p, [data[c] for c in model.references], state, base.weight)
+        gain = np.asarray(gain).reshape(len(model.channels), len(model.pose), len(at)).swapaxes(0, 1)
+        for c in model.references:
             if c in model.period:
                 data[phase(c)] = data[f"d0_{c}"] % model.period[c]
-                data[f"towards_{c}"] = np.broadcast_to(gain[:, k], (len(gain), len(at)))
             data[f"d0_{c}"] = at_rest(data[f"d0_{c}"], base.sigma.get(c, 0.0))
         smooth = [data[f"d0_{c}"] for c in model.references]
         (sensed,) = read(base.p, base.zeros_in(piece.run), smooth, state)
         rows = {"residual": back @ piece.residual[:, at], "rate": back @ piece.speed[:, at], "sensed": sensed}
+        rows["decoding"] = gain
         for name, values in {**data, **rows, "run": np.full(len(at), piece.run), "place": place}.items():
             out.setdefault(name, []).append(values)
     if not out or sum(len(v) for v in out["run"]) == 0:
         return None
     joined = {c: np.concatenate(v, axis=-1) for c, v in out.items()}
     run = joined.pop("run")
-    spread = np.asarray(model.noise_gain(base.p, [float(joined[c].mean()) for c in model.state], base.weight))
     known = dict.fromkeys(run.tolist())
     fold, block, part = _blocks(run, joined.pop("place"), sum(seen[k] for k in known) / len(known))
     made = {c.name for c in model.computed}
@@ -185,13 +190,12 @@ def residual_table(base: Base, runs: Iterable[int]) -> ResidualTable | None:
         residual=joined.pop("residual"),
         sensed=joined.pop("sensed"),
         rate=joined.pop("rate"),
-        towards={c: joined.pop(f"towards_{c}") for c in model.references if c in model.period},
+        decoding=joined.pop("decoding"),
         columns=joined,
         precision=np.linalg.inv(base.covariance),
         fold=fold,
         block=block,
         part=part,
-        output=spread,
         weights=base.pose_weights,
         sigma=base.sigma,
         spectrum=spectrum,

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from hallsym.diagnosis.measurement_error import shared_noise
-from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
+from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations, within_bounds
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.regression import FOLDS, NIL
@@ -278,8 +278,12 @@ class Training:
         seen = squares > NIL * np.maximum(raw, 1e-300)
         inside = left[:, :-1, :-1] * (seen[:, :, None] & seen[:, None, :])
         theta = (pseudo_inverse(inside) @ (left[:, :-1, -1] * seen)[:, :, None])[:, :, 0]
+        if key:
+            lower, upper = table.limits(key)
+            for f in np.flatnonzero(((theta < lower) | (theta > upper)).any(axis=1)):
+                theta[f] = within_bounds(left[f], lower, upper, np.flatnonzero(seen[f]))
         v = np.ones((len(M), theta.shape[1] + 1))
-        v[:, :-1] = -(np.clip(theta, *table.limits(key)) if key else theta)
+        v[:, :-1] = -theta
         by_own = -(through @ v[:, :, None])[:, :, 0]
         squares_left = np.einsum("fi,fij,fj->f", v, left, v)
         return Solved(np.hstack([by_own, v]), left[:, -1, -1], squares_left, ~seen.any(axis=1))

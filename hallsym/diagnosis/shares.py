@@ -60,8 +60,8 @@ class Powers:
 
 def outputs(r: ResidualTable) -> Powers:
     """Return the squares of the residual as it moves the decoded pose."""
-    covariance = r.output @ np.linalg.inv(r.precision) @ r.output.T
-    return Powers("output", r.pose, (r.output @ r.residual) ** 2, np.diag(covariance).copy(), r.weights**2)
+    noise = np.square(np.einsum("ikn,kl->iln", r.decoding, np.linalg.cholesky(np.linalg.inv(r.precision))))
+    return Powers("output", r.pose, r.decoded(r.residual) ** 2, noise.sum(axis=1).mean(axis=1), r.weights**2)
 
 
 def sensors(r: ResidualTable) -> Powers:

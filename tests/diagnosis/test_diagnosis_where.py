@@ -161,7 +161,8 @@ def made_up(residual: np.ndarray, x: np.ndarray, runs: int = 30) -> ResidualTabl
     sensed = np.random.default_rng(9).uniform(-1, 1, (1, n))
     return ResidualTable(
         ("m_m",), ("x_m",), ("x_ref_m",), ("z_m",), run, residual, sensed, np.zeros((1, n)),
-        {"z_m": x}, np.eye(1), run, run, np.arange(n) * 4 * runs // n, np.eye(1), np.ones(1), {}, Spectrum(),
+        {"z_m": x}, np.eye(1), run, run, np.arange(n) * 4 * runs // n, np.ones((1, 1, n)), np.ones(1), {},
+        Spectrum(),
     )  # fmt: skip
 
 
@@ -229,9 +230,10 @@ def test_a_gain_of_every_run_is_told_from_noise() -> None:
     r = made_up(noise, rng.uniform(-1, 1, 12_000))
     gains = rng.standard_normal(30)[r.run]
     assert p_of(run_gains(r, noise)[1]) > 0.01
-    explained, statistic = run_gains(r, noise + gains * r.sensed)
+    explained, statistic, foreseen = run_gains(r, noise + gains * r.sensed)
     assert p_of(statistic) == LEAST
     assert explained == pytest.approx(float(((gains * r.sensed) ** 2).sum()), rel=0.1)
+    assert r.metric(noise + gains * r.sensed - foreseen) < 1.05 * r.metric(noise)
 
 
 @pytest.mark.parametrize("make", [pytest.param(Smooth, marks=pytest.mark.slow), FineMap])

@@ -1,10 +1,12 @@
 """Products of stacked rows are those of the columns written out, sample by sample."""
 
 import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
 
 import hallsym
 from hallsym import Log, Noise, NoiseModel
-from hallsym.diagnosis.normal_equations import Accumulator, normal_equations
+from hallsym.diagnosis.normal_equations import Accumulator, normal_equations, within_bounds
 from hallsym.diagnosis.setup import prepare
 from hallsym.estimation.decoding import decoding_gain
 from hallsym.families.halbach.effects import magnets, mechanics, transducer
@@ -56,3 +58,18 @@ def test_products_are_those_of_columns_written_out():
             a, b = found.of(key or None, decoded=decoded).sum(axis=0), squares[int(decoded)][np.ix_(own, own)]
             size = np.sqrt(np.outer(np.diag(b), np.diag(b)))
             assert np.all(np.abs(a - b) <= 1e-9 * size)
+
+
+def test_what_would_leave_its_bounds_stops_there_and_the_others_follow():
+    """Two columns that are nearly the same pull each other far out; clipped one by one they explain nothing."""
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        A = rng.standard_normal((200, 3))
+        A[:, 1] = A[:, 0] + 1e-3 * rng.standard_normal(200)
+        y = A[:, 0] + 5 * (A[:, 1] - A[:, 0]) / 1e-3 + 0.1 * rng.standard_normal(200)
+        columns = np.hstack([A, y[:, None]])
+        bound = np.array([2.0, 2.0, 2.0])
+        found = within_bounds(columns.T @ columns, -bound, bound, np.arange(3))
+        best = lsq_linear(A, y, (-bound, bound), tol=1e-12).x
+        assert np.all(np.abs(found) <= bound)
+        assert np.sum((y - A @ found) ** 2) == pytest.approx(np.sum((y - A @ best) ** 2), rel=1e-3)
