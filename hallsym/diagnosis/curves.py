@@ -137,8 +137,8 @@ class Smooth:
             return None if x is None else (beta[:, None] @ self._features(other, x))[:, 0]
 
         return Curve(
-            self.coordinate, self.values, self.at, beta[:, :m], error[:, :m], explained, z, predicted, foreseen,
-            says, beta[:, m:] if both else None, error[:, m:] if both else None, self.scale,
+            self.coordinate, self.values, self.at, beta[:, :m], error[:, :m], explained, z, predicted,
+            foreseen, says, beta[:, m:] if both else None, error[:, m:] if both else None, self.scale,
         )  # fmt: skip
 
     def _fits(self, residual: np.ndarray) -> list["_Fit"]:
@@ -258,7 +258,7 @@ def _values(coordinate: Coordinate, r: ResidualTable) -> np.ndarray:
 
 
 def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Return what a gain of its own in every run explains, its statistic (draws,), and what it foresees (K, n).
+    """Return what a gain of its own in every run explains, its statistic (draws,), what it foresees (K, n).
 
     Each stretch of a run is predicted by the other stretches of the same run. The first draw is the log.
     """

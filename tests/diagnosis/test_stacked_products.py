@@ -61,7 +61,7 @@ def test_products_are_those_of_columns_written_out():
 
 
 def test_what_would_leave_its_bounds_stops_there_and_the_others_follow():
-    """Two columns that are nearly the same pull each other far out; clipped one by one they explain nothing."""
+    """Two columns that are nearly the same pull each other far out; clipped alone they explain nothing."""
     rng = np.random.default_rng(4)
     for _ in range(20):
         A = rng.standard_normal((200, 3))
