@@ -23,7 +23,7 @@ from hallsym.diagnosis.report import findings, report
 from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import select
-from hallsym.diagnosis.setup import Setup, prepare
+from hallsym.diagnosis.setup import Setup, floors, prepare
 from hallsym.diagnosis.validation import QUIET, decide, validate
 from hallsym.estimation.calibration import Fit
 from hallsym.log import as_log
@@ -99,4 +99,6 @@ def without_events(setup: Setup, base: Base) -> Setup:
     if setup.split or not judging or judging == setup.holdout:
         return setup
     runs = [run for run in setup.base.log.runs if run not in judging]
-    return replace(setup, runs=runs, holdout=judging, base=replace(setup.base, holdout=frozenset(judging)))
+    floor, fitted = floors(setup.base, setup.floor.uncertain, judging, runs)
+    base = replace(setup.base, holdout=frozenset(judging))
+    return replace(setup, runs=runs, holdout=judging, base=base, floor=floor, floor_fitted=fitted)

@@ -72,7 +72,7 @@ def report(
         verdict=verdict,
         sentence=sentence(verdict, named, alike.instead_of, metric, unit, setup.held_out, noise),
         held_out=setup.held_out,
-        noise_floor=NoiseFloor(dict(setup.fit.noise_floor), _source(setup.fit)),
+        noise_floor=NoiseFloor(dict(found.floor.outputs), _source(setup.fit)),
         gap_before=found.before.gap,
         gap_after=gap_after,
         metric=metric,
@@ -173,7 +173,8 @@ def _size(setup: Setup, found: Validation, where: Located, loud: bool) -> Sizes:
     start = setup.as_logged(found.start.base)
     fitted, held = both(start, setup.base.log.runs) if setup.miswired or loud else (where.fitted, where.held)
     errors = {"fitted": decoded_errors(start, setup.runs), "held_out": found.before}
-    return sizes({"fitted": fitted, "held_out": held}, errors, setup.fit.noise_floor)
+    floors = {"fitted": setup.floor_fitted.outputs, "held_out": setup.floor.outputs}
+    return sizes({"fitted": fitted, "held_out": held}, errors, floors)
 
 
 def _source(fit: Fit) -> str:
@@ -262,7 +263,7 @@ def model_error(
     `gap`, `metric`: the error that is left on the holdout runs. `lies`, `rest`: where it lies and
     its shape, where it is unexplained.
     """
-    floor = setup.fit.noise_floor
+    floor = found.floor.outputs
     known = metric <= found.floor.metric * (1 + setup.policy.negligible)
     above = {c: float(np.sqrt(max(v**2 - floor[c] ** 2, 0.0))) for c, v in gap.rmse.items()}
     counts = rest is not None and _placed(setup, rest)

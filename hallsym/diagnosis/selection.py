@@ -320,7 +320,7 @@ class Selection:
 
     def needed(self) -> bool:
         """Return whether what is left may hold another effect: it is above the floor, or that is unknown."""
-        floor = self.setup.floor
+        floor = self.setup.floor_fitted
         unknown = floor.uncertain > 1 + self.policy.negligible
         return unknown or self.fit.metric > floor.metric * (1 + self.policy.negligible)
 

@@ -1,6 +1,6 @@
 """What a diagnosis starts from: the log, its fit, the runs that fit and those that judge, the catalogue."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from time import perf_counter
@@ -19,6 +19,8 @@ from hallsym.estimation import fit, noise_of
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.decoding import knows_rails, logged_columns
 from hallsym.estimation.gauss_newton import cost_near
+from hallsym.estimation.likelihood import Point
+from hallsym.estimation.noise_floor import noise_floor
 from hallsym.estimation.outliers import beside_rails
 from hallsym.estimation.plausible import Wiring, as_read
 from hallsym.families import build, default_model
@@ -39,8 +41,12 @@ LONG = (
 
 @dataclass(frozen=True)
 class Floor:
-    """The gap metric that noise leaves [m or rad], and the factor within which it is known: 1 if stated."""
+    """What noise alone leaves of the decoded pose on some runs: rmse by output, and as gap metric [m or rad].
 
+    `uncertain`: factor within which it is known, 1 if stated.
+    """
+
+    outputs: Mapping[str, float]
     metric: float
     uncertain: float = 1.0
 
@@ -57,7 +63,8 @@ class Setup:
     `log`: as it was fitted, with the channels as they were logged. `base`: the fit as the point where
     tangents are taken, channels assigned. Of a long log both hold every m-th sample. `runs` are fitted,
     `holdout` judge. `threshold`: relative decrease of the gap metric that counts. `split`: whether the runs
-    are pieces of one recording. `say`: reports progress.
+    are pieces of one recording. `floor`, `floor_fitted`: on the runs that judge and on the fitted ones.
+    `say`: reports progress.
     """
 
     log: Log
@@ -68,6 +75,7 @@ class Setup:
     threshold: float
     split: bool
     floor: Floor
+    floor_fitted: Floor
     catalogue: tuple[Effect, ...]
     policy: Policy
     say: Say
@@ -129,10 +137,23 @@ def base_of(log: Log, result: Fit) -> Base:
     )
 
 
-def floor_of(result: Fit, weights: np.ndarray) -> Floor:
-    """Return the gap metric that noise alone leaves; `weights`: (n_pose,) of the pose metric."""
-    metric = float(np.linalg.norm(weights * np.array(list(result.noise_floor.values()))))
-    return Floor(metric, result.goodness.uncertain if result.goodness else 1.0)
+def point_on(base: Base, *sides: Iterable[int]) -> list[Point]:
+    """Return the likelihood of `base` on the runs of each side, at its parameters."""
+    cost = cost_near(base.log, base.model, base.p, base.sigma, base.keep)
+    masks = (np.isin(cost.summary.runs, list(runs)) for runs in sides)
+    return [replace(cost, weights=cost.weights * mask).at(base.p) for mask in masks]
+
+
+def floors(base: Base, uncertain: float, *sides: Iterable[int]) -> list[Floor]:
+    """Return what noise alone leaves on the runs of each side: they may have been at other places.
+
+    Of a magnet array, for example, noise moves the pose by more at a wider gap.
+    """
+    found = [noise_floor(point) for point in point_on(base, *sides)]
+    return [
+        Floor(rmse, float(np.linalg.norm(base.pose_weights * list(rmse.values()))), uncertain)
+        for rmse in found
+    ]
 
 
 def prepare(
@@ -177,15 +198,18 @@ def prepare(
         base = base_of(log, result)
         if every > 1:
             result = replace(result, notes=(*result.notes, LONG.format(every=every)))
+    runs = [r for r in base.log.runs if r not in held]
+    floor, floor_fitted = floors(base, result.goodness.uncertain if result.goodness else 1.0, held, runs)
     return Setup(
         log=log,
         fit=result,
         base=replace(base, model=model.family.direct(base.model), timed=timed, sliced=sliced),
-        runs=[r for r in base.log.runs if r not in held],
+        runs=runs,
         holdout=held,
         threshold=level,
         split=bool(pieces),
-        floor=floor_of(result, base.pose_weights),
+        floor=floor,
+        floor_fitted=floor_fitted,
         catalogue=(*model.family.catalogue, *effects),
         policy=policy,
         say=say,

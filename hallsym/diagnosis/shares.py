@@ -170,11 +170,11 @@ def _joined(worth: Sequence[Worth]) -> list[Worth]:
 def sizes(
     residues: Mapping[str, ResidualTable | None],
     errors: Mapping[str, DecodedErrors],
-    floor: Mapping[str, float],
+    floors: Mapping[str, Mapping[str, float]],
 ) -> Sizes:
     """Return how large the gap is on each side, "fitted" and "held_out".
 
-    Outputs come from `errors`, the decoded pose; sensors from `residues`. `floor`: noise by output. P-values
+    Outputs come from `errors`, the decoded pose; sensors from `residues`. `floors`: noise by output. P-values
     come from blocks of samples.
     """
     out = Sizes()
@@ -183,7 +183,7 @@ def sizes(
             continue
         told = clear(r)
         rms = errors[side].rms
-        noise = np.array([floor.get(c, 0.0) for c in r.pose])
+        noise = np.array([floors[side].get(c, 0.0) for c in r.pose])
         seen = sensors(r)
         of = [(out.outputs, outputs(r), rms, noise), (out.sensors, seen, seen.rms, np.sqrt(seen.noise))]
         for store, powers, size, least in of:

@@ -16,10 +16,11 @@ from hallsym.diagnosis.record import NoiseFinding
 from hallsym.diagnosis.refit import Refitted, refit
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import Exact, Selection
-from hallsym.diagnosis.setup import Floor, Setup
+from hallsym.diagnosis.setup import Floor, Setup, point_on
 from hallsym.diagnosis.shrinkage import Judged, foreseen, groups_of
 from hallsym.diagnosis.survey import Survey, survey
 from hallsym.estimation import limit_of
+from hallsym.estimation.goodness_of_fit import goodness_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +113,7 @@ def validate(setup: Setup, selection: Selection) -> Validation:
     found = [f for f in faults(end, whole, setup.tested) if cures(f) >= setup.threshold]
     gap = decoded_errors(end.on_all, setup.runs).metric
     rest = lack_of_fit(end, setup.runs)
-    if gap <= setup.floor.least * (1 + setup.policy.negligible):
+    if gap <= setup.floor_fitted.least * (1 + setup.policy.negligible):
         found = []
     if shaped(rest, setup.threshold, setup.policy):
         found = _beyond_shapes(found, rest)
@@ -257,13 +258,26 @@ def decide(setup: Setup, found: Validation, noise: NoiseFinding | None = None) -
     gap = not loud and remains(rest, metric, found.floor, setup.threshold, setup.policy, found.error)
     if found.dropped and not loud:
         gap = gap or metric > worth_reporting(found.floor, setup.threshold)
-    if not named and not loud:  # what bends the fit of some runs may be small on those held out
-        gap = gap or bool(setup.fit.goodness and setup.fit.goodness.material)
+    if not named and not loud:
+        gap = gap or material(setup, found.end)
     if not named:
         return "unexplained" if gap else LARGER if loud else "no gap"
     if gap and closed(before, after, found.floor.metric) < 1 - setup.policy.minor:
         return "unexplained"
     return "explained"
+
+
+def material(setup: Setup, base: Base) -> bool:
+    """Return whether a fit says of `base`, found effects included, that it does not describe the fitted runs.
+
+    What bends the fit of some runs may be small on those held out; and redundant readings may leave much that
+    moves no pose, of which an effect can be the cause without being worth the threshold.
+    """
+    known = setup.fit.goodness
+    if known is None or base.model.effects == setup.base.model.effects:
+        return known is not None and known.material
+    (point,) = point_on(base, setup.runs)
+    return goodness_of(point, len(base.free)).judged(known.uncertain, setup.threshold).material
 
 
 def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, noise: NoiseFinding) -> bool:

@@ -120,7 +120,7 @@ def test_sizes_are_those_of_the_decoded_pose_and_of_the_readings() -> None:
     errors = {k: decoded_errors(base, runs) for k, runs in sides.items()}
     floor = {"x_m": 1e-6, "y_m": 0.5e-6, "rz_rad": 2e-6}
     fitted, held = both(base, base.log.runs)
-    size = sizes({"fitted": fitted, "held_out": held}, errors, floor)
+    size = sizes({"fitted": fitted, "held_out": held}, errors, dict.fromkeys(sides, floor))
     for side in sides:
         rows = {c: sides_[side] for c, sides_ in size.outputs.items()}
         assert {c: r.rms for c, r in rows.items()} == pytest.approx(errors[side].gap.rmse)

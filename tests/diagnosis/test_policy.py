@@ -31,7 +31,7 @@ CONFUSABLE, SELECTION = (sys.modules[f"hallsym.diagnosis.{name}"] for name in ("
 """The modules; the package has functions of these names."""
 
 LEVEL = 0.05
-FLOOR = Floor(1e-6)
+FLOOR = Floor({"x_m": 1e-6}, 1e-6)
 CLEAN = LackOfFit(())
 
 
@@ -56,7 +56,7 @@ def shaped(drop: float, p: float) -> LackOfFit:
 def test_what_is_left_is_a_gap_above_all_that_the_floor_may_be_or_with_a_shape(found, excess, error, gap):
     assert remains(found, excess * FLOOR.metric, FLOOR, LEVEL, POLICY, error) is gap
     if found is CLEAN:
-        twice = Floor(1e-6, uncertain=2.0)
+        twice = replace(FLOOR, uncertain=2.0)
         assert not remains(found, excess * FLOOR.metric, twice, LEVEL, POLICY, error)
         assert remains(found, 2 * excess * FLOOR.metric, twice, LEVEL, POLICY, error) is gap
 
