@@ -6,8 +6,11 @@ the model lacks, at a size that leaves so many times the noise floor.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, starmap
+from multiprocessing import get_context
 
 import numpy as np
 from scipy.signal import lfilter
@@ -21,6 +24,12 @@ ENCODER = {"v_sin_v": 6e-4, "v_cos_v": 6e-4, "angle_ref_rad": 3e-5}
 ENCODER_STEP, ENCODER_SAMPLES = 1e-3, 300
 RECORDING_S = 3.0
 RESONANCE_HZ, DAMPING = 41.0, 0.03
+WANDER, WANDER_MEMORY = 0.2, 1 / 3
+"""Share of the thermal wander in the power of the noise (half of the white noise beside it, as a standard
+deviation), and its memory over the length of the log.
+"""
+UNDERSTATED = 1.5
+UNSTATED = {"stage": ("z_m", "rx_rad", "ry_rad"), "rotary": ("v_cos_v",)}
 
 
 def autoregressive(samples: float):
@@ -71,6 +80,10 @@ KINDS = {
     "t3": student,
     "vibration": vibration,
 }
+WRONGLY_STATED = ("understated", "unstated")
+"""Kinds of white noise that is 1.5 times the stated one, or that is not stated in some columns."""
+EVERY = (*KINDS, "wander", *WRONGLY_STATED)
+"""All kinds; wander: a slow one that all channels have in common, beside white noise of each."""
 
 
 def stage(runs: int, rng: np.random.Generator) -> tuple[str, dict[str, float], Campaign, dict[str, float]]:
@@ -129,9 +142,30 @@ def log_of(
     if disturbed is not None:
         columns = disturbed(columns, truth, sigma)
     edges = np.flatnonzero(np.diff(columns["run"], prepend=-1, append=-1))
+    rows, draw = len(columns["run"]), KINDS.get(kind, white)
+    slow = autoregressive(WANDER_MEMORY * rows)(rng, rows, campaign.step_s) if kind == "wander" else None
     for name, s in sigma.items():
         if s:
-            noise = [KINDS[kind](rng, b - a, campaign.step_s) for a, b in pairwise(edges)]
-            columns[name] = columns[name] + s * np.concatenate(noise)
-    noise = Noise.given(sigma, tuple(columns)) if stated else Noise()
+            e = np.concatenate([draw(rng, b - a, campaign.step_s) for a, b in pairwise(edges)])
+            if slow is not None and name in truth.channels:
+                e = np.sqrt(1 - WANDER) * e + np.sqrt(WANDER) * slow
+            columns[name] = columns[name] + s * e
+    noise = Noise.given(said(machine, kind, sigma), tuple(columns)) if stated else Noise()
     return Log.from_arrays(columns, noise, Meta(base_model=model), f"{machine} {kind} {runs} {seed}")
+
+
+def said(machine: str, kind: str, sigma: dict[str, float]) -> dict[str, float]:
+    """Return the noise that is stated where it is `sigma`."""
+    if kind == "understated":
+        return {c: s / UNDERSTATED for c, s in sigma.items()}
+    left_out = UNSTATED[machine] if kind == "unstated" else ()
+    return {c: s for c, s in sigma.items() if c not in left_out}
+
+
+def done(call: Callable, settings: Sequence[tuple], workers: int) -> Iterator:
+    """Yield `call(*setting)` of each setting, in their order, on so many processes."""
+    if workers == 1:
+        yield from starmap(call, settings)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(call, *zip(*settings, strict=True))

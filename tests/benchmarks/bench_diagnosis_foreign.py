@@ -2,6 +2,7 @@
 
     python tests/benchmarks/bench_diagnosis_foreign.py
     python tests/benchmarks/bench_diagnosis_foreign.py --runs 24 --size 8
+    OPENBLAS_NUM_THREADS=1 python tests/benchmarks/bench_diagnosis_foreign.py --workers 2
     python tests/benchmarks/bench_diagnosis_foreign.py --quick
 
 Each kind disturbs the readings of a stage and of an encoder, by so many times their noise before the model's
@@ -15,7 +16,7 @@ import json
 from itertools import pairwise
 
 import numpy as np
-from _noisy_logs import MACHINES, log_of
+from _noisy_logs import MACHINES, done, log_of
 from scipy.signal import chirp, lfilter
 
 from hallsym.diagnosis import diagnose
@@ -106,28 +107,30 @@ def disturbed(kind: str, size: float, seed: int):
     return make
 
 
+def tried(machine: str, kind: str, runs: int, size: float, seed: int) -> dict:
+    """Diagnose one log."""
+    d = diagnose(log_of(machine, "white", runs, seed, disturbed=disturbed(kind, size, seed)))
+    names = ", ".join(f"{e.name} {e.share:.0%}" for e in d.effects)
+    gap = d.metric.before / d.metric.floor
+    return {"machine": machine, "kind": kind, "gap": gap, "verdict": d.verdict, "named": names}
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=12, help="runs of each log")
     parser.add_argument("--size", type=float, default=4.0, help="disturbance over the noise of a reading")
     parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
     parser.add_argument("--out", help="file for the rows as JSON lines")
     parser.add_argument("--quick", action="store_true", help="two logs, to see that everything runs")
     arguments = parser.parse_args()
     cases = [(m, k) for k in KINDS for m in MACHINES][: 2 if arguments.quick else None]
     wrong = quiet = 0
-    for n, (machine, kind) in enumerate(cases):
-        seed = arguments.first + n
-        made = disturbed(kind, arguments.size, seed)
-        d = diagnose(log_of(machine, "white", arguments.runs, seed, disturbed=made))
-        wrong, quiet = wrong + (d.verdict == "explained"), quiet + (d.verdict == "no gap")
-        names = ", ".join(f"{e.name} {e.share:.0%}" for e in d.effects)
-        print(
-            f"{machine:>6} {kind:<30} {d.metric.before / d.metric.floor:6.2f} x  {d.verdict:<25} {names}",
-            flush=True,
-        )
+    settings = [(*case, arguments.runs, arguments.size, arguments.first + n) for n, case in enumerate(cases)]
+    for row in done(tried, settings, arguments.workers):
+        wrong, quiet = wrong + (row["verdict"] == "explained"), quiet + (row["verdict"] == "no gap")
+        print("{machine:>6} {kind:<30} {gap:6.2f} x  {verdict:<25} {named}".format(**row), flush=True)
         if arguments.out:
-            row = {"machine": machine, "kind": kind, "verdict": d.verdict, "named": names}
             with open(arguments.out, "a", encoding="utf-8") as file:
                 file.write(json.dumps(row) + "\n")
     print(f'{len(cases)} logs: "explained" {wrong}, "no gap" {quiet}')
