@@ -13,7 +13,6 @@ from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.regression import FOLDS, NIL
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.sign_flips import MEMORIES
-from hallsym.diagnosis.survey import SEGMENT
 from hallsym.errors import InputError, counted
 from hallsym.estimation import fit, noise_of
 from hallsym.estimation.calibration import Fit
@@ -407,26 +406,11 @@ def thinned(base: Base, rows: int) -> tuple[Log, int]:
 
     They are about `rows`, or as many as motion and mains need.
     """
-    every = _every(base, rows)
-    return _kept(base, every, base.log.rows), every
+    every = spacing(base, rows)
+    return kept(base, every, base.log.rows), every
 
 
-def decimated(base: Base, rows: int) -> tuple[Log, str]:
-    """Return about `rows` samples of `base.log`; those that the fit left out are left out here too.
-
-    Samples are left out as far as motion and mains stay resolved, and then the ends of long runs. The text
-    says what was left out, "" for nothing.
-    """
-    log, every = base.log, _every(base, rows)
-    long = log.rows > rows * every
-    most = max(rows * every // len(log.runs), SEGMENT * every) if long else log.rows
-    said = [f"every {every}. sample"] if every > 1 else []
-    if long:
-        said.append(f"the first {most} samples of each run")
-    return _kept(base, every, most), " of ".join(said)
-
-
-def _kept(base: Base, every: int, most: int) -> Log:
+def kept(base: Base, every: int, most: int) -> Log:
     """Return every so many samples of the first `most` of each run that the fit has not left out."""
     log = base.log
     if every == 1 and most >= log.rows and base.keep is None:
@@ -447,7 +431,7 @@ def _kept(base: Base, every: int, most: int) -> Log:
     return Log.from_arrays(columns, log.noise, log.meta, log.name)
 
 
-def _every(base: Base, rows: int) -> int:
+def spacing(base: Base, rows: int) -> int:
     """Return how many samples one stands for where `rows` are wanted."""
     known, every = 1, -(-base.log.rows // rows)
     beyond = every + 1
