@@ -22,7 +22,6 @@ from hallsym.diagnosis.record import (
     LogRecord,
     Metric,
     ModelLeft,
-    NoiseFinding,
     NoiseFloor,
     NotExcluded,
     Shrinkage,
@@ -38,6 +37,7 @@ from hallsym.diagnosis.validation import QUIET, Held, Validation, Verdict, close
 from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit
 from hallsym.errors import InputError, counted
 from hallsym.estimation.calibration import Fit
+from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.families import added_effects
 from hallsym.families.faults import FAULTS
 from hallsym.inference import Estimate
@@ -52,7 +52,7 @@ def report(
     effects: tuple[FoundEffect, ...],
     verdict: Verdict,
     alike: Confusable,
-    noise: NoiseFinding | None = None,
+    noise: ResidualNoise | None = None,
 ) -> Diagnosis:
     """Return the diagnosis.
 
@@ -141,7 +141,7 @@ def _gap_after(found: Validation) -> Gap:
 
 
 def _located(
-    setup: Setup, selection: Selection, found: Validation, verdict: Verdict, loud: NoiseFinding | None
+    setup: Setup, selection: Selection, found: Validation, verdict: Verdict, loud: ResidualNoise | None
 ) -> tuple[Located, Located | None]:
     """Return where the gap lies and, if it is unexplained, where the rest lies.
 
@@ -191,7 +191,7 @@ def sentence(
     gap: Metric,
     unit: tuple[float, str],
     held_out: str,
-    noise: NoiseFinding | None,
+    noise: ResidualNoise | None,
 ) -> str:
     """Return the diagnosis in one or two sentences; gaps in `unit`, the factor and name a person reads.
 
