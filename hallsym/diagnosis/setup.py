@@ -30,10 +30,6 @@ from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.model import Effect, Model
 
 Say = Callable[[str], None]
-LONG = (
-    "The log is long: every {every}. sample of it is diagnosed, and parameters are as certain as these make "
-    "them. hallsym fit takes all of them."
-)
 
 
 @dataclass(frozen=True)
@@ -128,12 +124,6 @@ def base_of(log: Log, result: Fit) -> Base:
     )
 
 
-def floor_of(result: Fit, weights: np.ndarray) -> Floor:
-    """Return the gap metric that noise alone leaves; `weights`: (n_pose,) of the pose metric."""
-    metric = float(np.linalg.norm(weights * np.array(list(result.noise_floor.values()))))
-    return Floor(metric, result.goodness.uncertain if result.goodness else 1.0)
-
-
 def prepare(
     log: Log,
     model: str | Model | Fit | None = None,
@@ -166,8 +156,11 @@ def prepare(
     if not held:
         raise _too_short(log)
     say("fitting the model")
-    loss = "auto" if timed or not pieces else "none"
-    result = fitted(log, _inspecting(model, whole) if pieces else model, held, drop_bad, say, loss)
+    result = fit(
+        log, _inspecting(model, whole) if pieces else model, solver="direct", holdout=held,
+        loss="auto" if timed or not pieces else "none", resolve_wiring=True, drop_bad=drop_bad,
+        on_progress=say,
+    )  # fmt: skip
     result = replace(result, model=model)
     base = base_of(log, result)
     if log.rows > HELD:
@@ -175,7 +168,12 @@ def prepare(
         log, every = thinned(replace(base.on_all, log=log), HELD)
         base = base_of(log, result)
         if every > 1:
-            result = replace(result, notes=(*result.notes, LONG.format(every=every)))
+            long = (
+                f"The log is long: every {every}. sample of it is diagnosed, and parameters are as certain "
+                "as these make them. hallsym fit takes all of them."
+            )
+            result = replace(result, notes=(*result.notes, long))
+    metric = float(np.linalg.norm(base.pose_weights * np.array(list(result.noise_floor.values()))))
     return Setup(
         log=log,
         fit=result,
@@ -184,7 +182,7 @@ def prepare(
         holdout=held,
         threshold=level,
         split=bool(pieces),
-        floor=floor_of(result, base.pose_weights),
+        floor=Floor(metric, result.goodness.uncertain if result.goodness else 1.0),
         catalogue=(*model.family.catalogue, *effects),
         policy=policy,
         say=say,
@@ -273,16 +271,6 @@ def readable(log: Log, model: Model, drop_bad: bool) -> tuple[Log, bool]:
             usable(log, columns, rails=not knows_rails(model))
             return log, False
     return clean_log(log, columns, rails=False), True
-
-
-def fitted(
-    log: Log, model: Model, held: tuple[int, ...] | None, drop_bad: bool, say: Say, loss: str = "auto"
-) -> Fit:
-    """Fit the model by the direct method; `held` are held out."""
-    return fit(
-        log, model, solver="direct", holdout=held, loss=loss, resolve_wiring=True, drop_bad=drop_bad,
-        on_progress=say,
-    )  # fmt: skip
 
 
 def _whole_runs(log: Log, holdout: Sequence[int] | None, policy: Policy) -> tuple[int, ...]:

@@ -28,8 +28,6 @@ from hallsym.log.derived import extended
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 
-NOTHING: Mapping[str, np.ndarray] = MappingProxyType({})
-
 
 @dataclass(frozen=True, eq=False)
 class SimulatedMachine:
@@ -50,7 +48,7 @@ class SimulatedMachine:
         """Runs that are fitted."""
         return [r for r in self.base.log.runs if r not in self.base.holdout]
 
-    def log(self, readings: np.ndarray, reference: Mapping[str, np.ndarray] = NOTHING) -> Log:
+    def log(self, readings: np.ndarray, reference: Mapping[str, np.ndarray] = MappingProxyType({})) -> Log:
         """Return the log with other readings, (K, rows), and noise of the `reference` by column, (rows,)."""
         base = self.base
         rows = dict(zip(base.model.channels, readings, strict=True))
