@@ -9,9 +9,6 @@ from hallsym.diagnosis.residual_table import ResidualTable, phase
 from hallsym.estimation.residual_noise import STILL
 from hallsym.units import readable
 
-KNOTS = 9
-"""Knots of a smooth curve."""
-
 
 @dataclass(frozen=True)
 class Coordinate:
@@ -128,8 +125,8 @@ def unit_of(column: str) -> str:
 
 
 def knots(x: np.ndarray) -> np.ndarray:
-    """Return ends and inner knots of a smooth curve over x: quantiles, none closer than 2 % of the range."""
-    wanted = np.quantile(x, np.linspace(0.0, 1.0, KNOTS))
+    """Return up to 9 knots of a smooth curve over x, quantiles: none closer than 2 % of the range."""
+    wanted = np.quantile(x, np.linspace(0.0, 1.0, 9))
     low, high = wanted[0], wanted[-1]
     kept = [low]
     for k in wanted[1:-1]:

@@ -27,10 +27,6 @@ BENDS = (0.01, 0.3, 10.0)
 
 The curve that predicts runs left out best is taken: a free one runs wild beyond its runs, a stiff one follows
 no bend."""
-FINE = 96
-"""Bins of a fine map, at most; none narrower than 8 sigma of what places it, which is in the residual.
-
-With twice as many a ripple is predicted no better on runs left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +169,11 @@ class Smooth:
 
 
 class FineMap:
-    """Offsets in many narrow bins of a coordinate, each drawn towards 0 by what its samples can tell."""
+    """Offsets in many narrow bins of a coordinate, each drawn towards 0 by what its samples can tell.
+
+    No bin is narrower than 8 sigma of what places it, which is in the residual. There are up to 96: with
+    twice as many a ripple is predicted no better on runs left out.
+    """
 
     def __init__(self, r: ResidualTable, coordinate: Coordinate, moved: ResidualTable | None = None) -> None:
         """Take the residual on some runs; `moved`: the same with more noise in the references."""
@@ -181,7 +181,7 @@ class FineMap:
         self.values = x = _values(coordinate, r)
         low, high = np.quantile(_by_sensor(x, r), [0.002, 0.998])
         noise = max((r.sigma.get(c, 0.0) for c in r.sigma if c.endswith(f"_{coordinate.unit}")), default=0.0)
-        self.bins = int(np.clip((high - low) / max(8 * noise, 1e-300), 12, FINE))
+        self.bins = int(np.clip((high - low) / max(8 * noise, 1e-300), 12, 96))
         self.width = (high - low) / self.bins
         self.at = low + self.width * (np.arange(self.bins) + 0.5)
         self.low = low

@@ -11,15 +11,13 @@ from itertools import pairwise
 import numpy as np
 
 from hallsym.diagnosis.normal_equations import UNITS
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.residuals import Base, Piece, pieces
-from hallsym.diagnosis.sign_flips import FEWEST_UNITS, stretch
+from hallsym.diagnosis.sign_flips import stretch
 from hallsym.estimation.residual_noise import STILL
 from hallsym.families.mechanisms import MAINS_HZ
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.model.arrays import on_arrays
-
-MAINS_DRIFT = 0.2
-"""Distance from their frequency that the mains may drift by [Hz]: grid code of Europe (EU 2017/1485)."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ class Spectrum:
 
 def _bands(f: np.ndarray) -> dict[FrequencyBand, np.ndarray]:
     """Return the frequencies of each band: those of the mains, and the octaves of the others."""
-    wide = max(MAINS_DRIFT, 1.5 * f[1])
+    wide = max(0.2, 1.5 * f[1])  # Hz, that the mains may drift by: grid code of Europe (EU 2017/1485)
     out = {FrequencyBand(hz, hz): np.abs(f - hz) < wide for hz in MAINS_HZ}
     left = ~np.any(list(out.values()), axis=0)
     octave = np.floor(np.log2(np.maximum(f, 1.0)))
@@ -235,7 +233,7 @@ def _blocks(run: np.ndarray, place: np.ndarray, samples: float) -> tuple[np.ndar
     """
     _, first, order, counts = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
     fold = order * min(UNITS, len(first)) // len(first)
-    parts = max(PARTS, -(-2 * FEWEST_UNITS // len(first)))
+    parts = max(PARTS, -(-2 * POLICY.fewest_units // len(first)))
     within = np.arange(len(run)) - first[order]
     each = np.clip(counts // FEWEST_SAMPLES, 1, parts)[order]
     part = order * parts + within * each // counts[order]

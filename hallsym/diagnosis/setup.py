@@ -12,7 +12,6 @@ from hallsym.diagnosis.p_values import statistic_at
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.regression import FOLDS, NIL
 from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.sign_flips import MEMORIES
 from hallsym.errors import InputError, counted
 from hallsym.estimation import fit, noise_of
 from hallsym.estimation.calibration import Fit
@@ -226,7 +225,7 @@ def _first_fit(log: Log, found: Fit) -> tuple[np.ndarray | None, int]:
         spikes = np.concatenate([found.keep(block) for block in found.source.blocks()]) == 0
     base = base_of(counted_off(log), replace(found, keep=None))
     remembers = _remembers(base, spikes)
-    return spikes, 1 if remembers < 2 else int(MEMORIES * remembers)
+    return spikes, 1 if remembers < 2 else int(POLICY.memories * remembers)
 
 
 def _remembers(base: Base, spikes: np.ndarray | None) -> int:
@@ -305,13 +304,8 @@ def _threshold(log: Log, threshold: float | None, policy: Policy) -> float:
 
 FEWEST = POLICY.fewest * FEWEST_SAMPLES
 """Samples that a recording must have to be taken to pieces."""
-BLOCK = 4
-"""Knots of a block. Every second is held out, the other ones in the next block, so that a pattern of two or
-four knots (a stepper's) is seen on both sides."""
-SLICES = 100
-"""Slices of time that a recording is taken as at most: a score of 50 scatters as Gauss has it."""
-LASTING = 40
-"""Samples of a slice at least: four memories of noise that remembers ten, so that slices are independent."""
+LASTING = int(10 * POLICY.memories)
+"""Samples of a slice at least: slices of noise that remembers ten are independent."""
 TIME = "t_s"
 
 
@@ -362,12 +356,13 @@ def counted_off(log: Log) -> Log:
 def piece_count(n: int, timed: bool, length: int = 1) -> int:
     """How many pieces of `n` samples: those fitted are the folds, or as many as have the samples of a run.
 
-    With time there are up to `SLICES` of them: of a machine that rests half of the time many still say
-    something. Of knots an odd number is fitted, so that each group takes every phase of a pattern of two or
-    four; groups go round the turn, so that waves of it do not lean on another.
+    With time there are up to 100 of them: a score of 50 scatters as Gauss has it, and of a machine that
+    rests half of the time many still say something. Of knots an odd number is fitted, so that each group
+    takes every phase of a pattern of two or four; groups go round the turn, so that waves of it do not lean
+    on another.
     """
     if timed and n >= 2 * FOLDS * LASTING:
-        return min(SLICES, n // LASTING // 2 * 2)
+        return min(100, n // LASTING // 2 * 2)
     at = np.arange(n)
     for count in range(2 * FOLDS, POLICY.fewest, -4):  # half of it stays odd
         whole = timed or length > 1
@@ -378,8 +373,12 @@ def piece_count(n: int, timed: bool, length: int = 1) -> int:
 
 
 def knot_group(at: np.ndarray, count: int) -> np.ndarray:
-    """Return the group of `count` that each knot belongs to; odd groups are held out."""
-    return 2 * (at // 2 % (count // 2)) + (at + at // BLOCK) % 2
+    """Return the group of `count` that each knot belongs to; odd groups are held out.
+
+    Of four knots every second is held out, the other ones in the next four, so that a pattern of two or four
+    knots (a stepper's) is seen on both sides.
+    """
+    return 2 * (at // 2 % (count // 2)) + (at + at // 4) % 2
 
 
 # -- a long log ----------------------------------------------------------------------------------------------
