@@ -121,7 +121,8 @@ def _place(reference: str, r: ResidualTable) -> str:
 
 def unit_of(column: str) -> str:
     """Return the unit of a column: the end of its name."""
-    return {"degc": "degC", "1": "1"}.get(unit := column.rpartition("_")[2], unit)
+    unit = column.rpartition("_")[2]
+    return "degC" if unit == "degc" else unit
 
 
 def knots(x: np.ndarray) -> np.ndarray:

@@ -70,6 +70,11 @@ class Base:
         own = np.array([self.zeros_in(block.run) for block in batch.blocks])
         return np.repeat(own, np.diff(batch.edges), axis=0).T
 
+    def batches(self, model: Model | None = None) -> Iterator[Batch]:
+        """Return the log in batches with all columns that the model, or an extended one, reads."""
+        model = model or self.model
+        return batches(extended(self.log, model, self.sigma, self.values), columns_of(model))
+
     def to_pose(self, pose: Sequence[np.ndarray], state: Sequence[np.ndarray]) -> np.ndarray:
         """Return what turns readings at some samples into the decoded pose, (n_pose, K, samples)."""
         (gain,) = decoding_gain(self.model)(self.p, pose, state, self.weight)

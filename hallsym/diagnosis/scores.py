@@ -312,11 +312,11 @@ class Table:
         out[self.t.units(runs)] = True
         return out
 
-    def folds(self, runs: Sequence[int], count: int = FOLDS) -> np.ndarray:
+    def folds(self, runs: Sequence[int]) -> np.ndarray:
         """Return the units (F, units) of groups of runs that are left out in turn."""
         among = self.among(runs)
         own = list(dict.fromkeys(self.run[among].tolist()))
-        return np.array([among & np.isin(self.run, own[k::count]) for k in range(min(count, len(own)))])
+        return np.array([among & np.isin(self.run, own[k::FOLDS]) for k in range(min(FOLDS, len(own)))])
 
     def ratio(self, key: str, runs: Sequence[int]) -> float:
         """Return the gap metric with a candidate over that without, cross-validated within some runs."""

@@ -73,15 +73,10 @@ class Setup:
         return len(self.catalogue) + len(FAULTS)
 
     @property
-    def piece(self) -> str:
-        """What is held out as a whole: a run, or a piece of a recording of too few."""
-        pieces = "time slice" if self.base.timed else "knot group"
-        return pieces if self.split else "run"
-
-    @property
     def held_out(self) -> str:
         """What judges: holdout runs, or pieces of a recording of too few."""
-        return f"held-out {self.piece}" if self.split else "holdout run"
+        piece = "time slice" if self.base.timed else "knot group"
+        return f"held-out {piece}" if self.split else "holdout run"
 
     @property
     def miswired(self) -> Wiring | None:
@@ -353,7 +348,7 @@ def counted_off(log: Log) -> Log:
     return replace(counter, notes=log.notes, path=log.path, counted=True)
 
 
-def piece_count(n: int, timed: bool, length: int = 1) -> int:
+def piece_count(n: int, timed: bool, length: int) -> int:
     """How many pieces of `n` samples: those fitted are the folds, or as many as have the samples of a run.
 
     With time there are up to 100 of them: a score of 50 scatters as Gauss has it, and of a machine that

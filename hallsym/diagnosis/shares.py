@@ -221,7 +221,7 @@ class Link:
 
 
 def of_links(
-    base: Base, scored: Sequence[Score], r: ResidualTable, faults: Sequence[Fault] = ()
+    base: Base, scored: Sequence[Score], r: ResidualTable, faults: Sequence[Fault]
 ) -> list[Statement]:
     """Return statements on the links that can surely take up much of the excess of `r`.
 

@@ -19,12 +19,9 @@ from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.setup import kept, of_recording, spacing
 from hallsym.diagnosis.survey import SEGMENT
 from hallsym.estimation import autoregressive
-from hallsym.estimation.decoding import columns_of
 from hallsym.estimation.residual_noise import SETTLE
 from hallsym.families.faults import Recording
 from hallsym.log import Log, Noise, Sigma
-from hallsym.log.batches import batches
-from hallsym.log.derived import extended
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 
@@ -125,9 +122,8 @@ def machine_of(base: Base, floor_m: float, stated: Collection[str] | None = None
 def readings_of(base: Base, model: Model, p: np.ndarray) -> np.ndarray:
     """Return the readings (K, rows) of `model`, an extension of the base's, with values `p`."""
     run = on_arrays(model.reading)
-    log = extended(base.log, model, base.sigma, base.values)
     parts = []
-    for batch in batches(log, columns_of(model)):
+    for batch in base.batches(model):
         pose, state = batch.columns(model.references), batch.columns(model.state)
         parts.append(run(p, base.zeros_of(batch), pose, state)[0])
     return np.hstack(parts)
