@@ -16,9 +16,7 @@ if TYPE_CHECKING:
     from hallsym.codegen import Generated as Generated
     from hallsym.codegen import decouple as decouple
     from hallsym.codegen import generate as generate
-    from hallsym.diagnosis import DetectionPower as DetectionPower
     from hallsym.diagnosis import Diagnosis as Diagnosis
-    from hallsym.diagnosis import detection_power as detection_power
     from hallsym.diagnosis import diagnose as diagnose
     from hallsym.diagnosis import diagnosis_schema as diagnosis_schema
     from hallsym.errors import InputError as InputError
@@ -53,6 +51,8 @@ if TYPE_CHECKING:
     from hallsym.log import write_log as write_log
     from hallsym.model import Model as Model
     from hallsym.model import Parameter as Parameter
+    from hallsym.power import DetectionPower as DetectionPower
+    from hallsym.power import detection_power as detection_power
     from hallsym.simulation import Campaign as Campaign
     from hallsym.simulation import NoiseModel as NoiseModel
     from hallsym.simulation import bundled_campaign as bundled_campaign
@@ -84,7 +84,7 @@ if TYPE_CHECKING:
 
 _PUBLIC = {
     "hallsym.codegen": ("Generated", "decouple", "generate"),
-    "hallsym.diagnosis": ("DetectionPower", "Diagnosis", "detection_power", "diagnose", "diagnosis_schema"),
+    "hallsym.diagnosis": ("Diagnosis", "diagnose", "diagnosis_schema"),
     "hallsym.errors": ("InputError",),
     "hallsym.estimation": (
         "ErrorTable", "Evaluation", "Fit", "calibration_schema", "evaluate", "fit", "load_fit",
@@ -96,6 +96,7 @@ _PUBLIC = {
     "hallsym.inference": ("Belonging", "Identifiability", "belonging", "identify"),
     "hallsym.log": ("Log", "LogWriter", "Meta", "Noise", "meta_schema", "read_log", "write_log"),
     "hallsym.model": ("Model", "Parameter"),
+    "hallsym.power": ("DetectionPower", "detection_power"),
     "hallsym.simulation": (
         "Campaign", "NoiseModel", "bundled_campaign", "paper_campaign", "read_campaign", "simulate",
         "simulate_blocks", "table8_noise", "write_campaign",

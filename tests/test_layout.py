@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
-    "cli", "report", "fleets", "diagnosis", "codegen", "experiment", "sorting", "uncertainty",
+    "cli", "report", "fleets", "power", "diagnosis", "codegen", "experiment", "sorting", "uncertainty",
     "inference", "estimation", "simulation", "trajectory", "families", "log", "model",
 )  # fmt: skip
 """From the top down: a package imports those that stand after it, and what is flat (errors, units, files)."""

@@ -18,13 +18,14 @@ from hallsym.cli.common import (
     run_numbers,
     say,
 )
-from hallsym.diagnosis import REPEATS, Examined, detection_power, examine, model_on, prepare
+from hallsym.diagnosis import Examined, examine, model_on, prepare
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.families import default_model
 from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
 from hallsym.log import Log
 from hallsym.model import Effect, Model
+from hallsym.power import REPEATS, detection_power
 from hallsym.report.data.gather import gather, version_of
 from hallsym.report.page.diagnosis_page import diagnosis_page
 from hallsym.report.text.diagnosis import diagnosis_text

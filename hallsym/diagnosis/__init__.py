@@ -11,7 +11,6 @@ from hallsym.diagnosis.decoded_errors import errors_of
 from hallsym.diagnosis.engine import Examined, diagnose, examine, prepare
 from hallsym.diagnosis.noise import noise_text
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.power import REPEATS, CurvePoint, DetectionPower, Findable, Trial, detection_power
 from hallsym.diagnosis.record import (
     Band,
     CurveShape,
@@ -30,8 +29,7 @@ from hallsym.families.user import load_effects
 from hallsym.inference import Estimate
 
 __all__ = [
-    "POLICY", "QUIET", "REPEATS", "Band", "Base", "CurvePoint", "CurveShape", "DetectionPower",
-    "Diagnosis", "Estimate", "Examined", "Findable", "FoundEffect", "Separation", "Significance",
-    "Statement", "Trial", "Unexplained", "detection_power", "diagnose", "diagnosis_schema", "errors_of",
+    "POLICY", "QUIET", "Band", "Base", "CurveShape", "Diagnosis", "Estimate", "Examined", "FoundEffect",
+    "Separation", "Significance", "Statement", "Unexplained", "diagnose", "diagnosis_schema", "errors_of",
     "examine", "gap_text", "gap_unit", "load_effects", "model_on", "noise_text", "place_unit", "prepare",
 ]  # fmt: skip

@@ -5,14 +5,13 @@ that each other run seems to have: noise of any memory makes such steps in every
 """
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
-from scipy.special import stdtr
 
+from hallsym.diagnosis.p_values import beyond_one
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.regression import NIL
-from hallsym.diagnosis.residual_table import ResidualTable
+from hallsym.diagnosis.residual_table import ResidualTable, slices
 from hallsym.estimation import pseudo_inverse
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 
@@ -40,24 +39,16 @@ def change_points(*tables: ResidualTable) -> tuple[ChangePoint, ...]:
     """
     found, levels = [], []
     for r in tables:
-        edges = np.flatnonzero(np.diff(r.run, prepend=r.run[0] - 1, append=r.run[-1] + 1))
-        for low, high in pairwise(edges.tolist()):
-            if r.timed and high - low >= 2 * FEWEST_SAMPLES:
-                step, level = _largest(r, slice(low, high))
+        for at in slices(r.run):
+            if r.timed and at.stop - at.start >= 2 * FEWEST_SAMPLES:
+                step, level = _largest(r, at)
                 found.append(step)
                 levels.append(level)
     if len(found) < POLICY.fewest:
         return ()
     each = np.array(levels)
-    p = [min(1.0, len(each) * _beyond(v, np.delete(each, k))) for k, v in enumerate(each)]
+    p = [min(1.0, len(each) * beyond_one(v, np.delete(each, k))) for k, v in enumerate(each)]
     return tuple(replace(s, p_value=value) for s, value in zip(found, p, strict=True))
-
-
-def _beyond(value: float, others: np.ndarray) -> float:
-    """Return the probability that one more of the same kind as `others` exceeds `value` (Student's t)."""
-    n = len(others)
-    error = float(others.std(ddof=1)) * np.sqrt(1 + 1 / n)
-    return float(stdtr(n - 1, -(value - float(others.mean())) / max(error, 1e-300)))
 
 
 def _largest(r: ResidualTable, at: slice) -> tuple[ChangePoint, float]:

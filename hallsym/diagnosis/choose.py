@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from hallsym.diagnosis.facts import facts_of
-from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.scores import Screen, candidates
 from hallsym.diagnosis.selection import refitted
 from hallsym.diagnosis.setup import Setup, prepare
@@ -54,7 +53,7 @@ def _shown(setup: Setup, effect: Effect) -> Model:
     facts = facts_of(base, seen)
     tried, trouble = candidates(base, [effect], facts)
     ranked = Screen(base, tried, runs, colour=seen.colour).scores if tried else []
-    exact = refitted(base, ranked, runs, lambda s: s.p_value < POLICY.certain)
+    exact = refitted(base, ranked, runs, lambda s: s.p_value < setup.policy.certain)
     if not exact:
         reason = trouble.get(effect.name, "nothing in what the model leaves looks like it")
         raise InputError(

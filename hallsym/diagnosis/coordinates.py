@@ -9,9 +9,6 @@ from hallsym.diagnosis.residual_table import ResidualTable, phase
 from hallsym.estimation.residual_noise import STILL
 from hallsym.units import readable
 
-KNOTS = 9
-"""Knots of a smooth curve."""
-
 
 @dataclass(frozen=True)
 class Coordinate:
@@ -124,12 +121,13 @@ def _place(reference: str, r: ResidualTable) -> str:
 
 def unit_of(column: str) -> str:
     """Return the unit of a column: the end of its name."""
-    return {"degc": "degC", "1": "1"}.get(unit := column.rpartition("_")[2], unit)
+    unit = column.rpartition("_")[2]
+    return "degC" if unit == "degc" else unit
 
 
 def knots(x: np.ndarray) -> np.ndarray:
-    """Return ends and inner knots of a smooth curve over x: quantiles, none closer than 2 % of the range."""
-    wanted = np.quantile(x, np.linspace(0.0, 1.0, KNOTS))
+    """Return up to 9 knots of a smooth curve over x, quantiles: none closer than 2 % of the range."""
+    wanted = np.quantile(x, np.linspace(0.0, 1.0, 9))
     low, high = wanted[0], wanted[-1]
     kept = [low]
     for k in wanted[1:-1]:

@@ -49,15 +49,11 @@ def cordic(values: np.ndarray, spread: float, step: float = 0.0) -> Cordic | Non
     return None
 
 
-def _circle(k: Levels) -> np.ndarray:
-    """All levels of a turn, ascending from 0."""
-    return np.sort(np.mod(np.concatenate([k.angles, k.angles + pi]), tau))
-
-
 def _hits(v: np.ndarray, k: Levels) -> tuple[int, float, int]:
     """Values near a level at the best offset, their rms distance [rad], and how many offsets were tried."""
     bins = int(2 ** np.ceil(np.log2(tau / (TOLERANCE**2 * k.distance))))
-    width, at, reach = tau / bins, _circle(k), TOLERANCE * k.distance
+    width, reach = tau / bins, TOLERANCE * k.distance
+    at = np.sort(np.mod(np.concatenate([k.angles, k.angles + pi]), tau))  # all of a turn
     centres = (np.arange(bins) + 0.5) * width
     cost = np.minimum(_apart(centres, at) ** 2, reach**2)
     total = np.fft.irfft(np.fft.rfft(_held(v, bins)) * np.conj(np.fft.rfft(cost)), bins)
@@ -90,7 +86,6 @@ def _held(v: np.ndarray, bins: int) -> np.ndarray:
 def _apart(angles: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Signed distance of each angle within a turn from the nearest of `at`."""
     round_ = np.concatenate([at[-1:] - tau, at, at[:1] + tau])
-    after = np.searchsorted(round_, angles)
-    after = np.clip(after, 1, len(round_) - 1)
+    after = np.clip(np.searchsorted(round_, angles), 1, len(round_) - 1)
     above, below = round_[after] - angles, round_[after - 1] - angles
     return np.where(above < -below, above, below)

@@ -11,14 +11,13 @@ coordinate have in common because both hold the noise of the references (`measur
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from hallsym.diagnosis.coordinates import Coordinate, hats, knots
 from hallsym.diagnosis.regression import NIL, RIDGE, others, regression, ridge
-from hallsym.diagnosis.residual_table import PARTS, ResidualTable
+from hallsym.diagnosis.residual_table import PARTS, ResidualTable, slices
 from hallsym.diagnosis.sign_flips import drawn, moments, of_products, of_sums
 from hallsym.estimation.residual_noise import MEMORIES
 from hallsym.families.play import stop_operator
@@ -28,10 +27,6 @@ BENDS = (0.01, 0.3, 10.0)
 
 The curve that predicts runs left out best is taken: a free one runs wild beyond its runs, a stiff one follows
 no bend."""
-FINE = 96
-"""Bins of a fine map, at most; none narrower than 8 sigma of what places it, which is in the residual.
-
-With twice as many a ripple is predicted no better on runs left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +87,7 @@ class Smooth:
         free = MEMORIES if c.memory else np.arange(len(c.of) * (1.0 + c.gain))
         self.at = knots(values) if c.ordered else np.asarray(free)
         self.phi = self._features(r, values)
-        self.folds, self.blocks = _slices(r.fold), _slices(r.block)
+        self.folds, self.blocks = slices(r.fold), slices(r.block)
         there = None if moved is None else c.values(moved)
         by = np.zeros((*self.phi.shape[:2], 1))
         if moved is not None and there is not None:
@@ -174,7 +169,11 @@ class Smooth:
 
 
 class FineMap:
-    """Offsets in many narrow bins of a coordinate, each drawn towards 0 by what its samples can tell."""
+    """Offsets in many narrow bins of a coordinate, each drawn towards 0 by what its samples can tell.
+
+    No bin is narrower than 8 sigma of what places it, which is in the residual. There are up to 96: with
+    twice as many a ripple is predicted no better on runs left out.
+    """
 
     def __init__(self, r: ResidualTable, coordinate: Coordinate, moved: ResidualTable | None = None) -> None:
         """Take the residual on some runs; `moved`: the same with more noise in the references."""
@@ -182,7 +181,7 @@ class FineMap:
         self.values = x = _values(coordinate, r)
         low, high = np.quantile(_by_sensor(x, r), [0.002, 0.998])
         noise = max((r.sigma.get(c, 0.0) for c in r.sigma if c.endswith(f"_{coordinate.unit}")), default=0.0)
-        self.bins = int(np.clip((high - low) / max(8 * noise, 1e-300), 12, FINE))
+        self.bins = int(np.clip((high - low) / max(8 * noise, 1e-300), 12, 96))
         self.width = (high - low) / self.bins
         self.at = low + self.width * (np.arange(self.bins) + 0.5)
         self.low = low
@@ -263,7 +262,7 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray
     Each stretch of a run is predicted by the other stretches of the same run. The first draw is the log.
     """
     products = r.sensed * (r.precision @ residual)
-    parts = _slices(r.part)
+    parts = slices(r.part)
     cross = np.array([products[:, s].sum(axis=1) for s in parts])
     gram = np.array([r.sensed[:, s] @ r.sensed[:, s].T * r.precision for s in parts])
     run = np.array([r.run[s.start] for s in parts])
@@ -292,7 +291,7 @@ def level_weights(r: ResidualTable, residual: np.ndarray, group: np.ndarray) -> 
     It is 0 for a group that is fitted exactly, such as a single knot with a zero of its own.
     """
     squares = np.einsum("kn,kl,ln->n", residual, r.precision, residual)
-    means = np.array([squares[s].mean() for s in _slices(group)])
+    means = np.array([squares[s].mean() for s in slices(group)])
     some = means > NIL * means.mean()
     return np.where(some, 1.0 / np.sqrt(np.where(some, means, 1.0)), 0.0)
 
@@ -305,16 +304,10 @@ def _by_sensor(x: np.ndarray, r: ResidualTable) -> np.ndarray:
 def _memory(r: ResidualTable, width: float) -> np.ndarray:
     """Elastic part of a play of half-width `width` in what a sensor senses: its memory of the direction."""
     out = np.empty_like(r.sensed)
-    for s in _slices(r.run):
+    for s in slices(r.run):
         for k, row in enumerate(r.sensed[:, s]):
             out[k, s] = stop_operator(row, width)
     return out
-
-
-def _slices(group: np.ndarray) -> list[slice]:
-    """Consecutive samples of one group each."""
-    edges = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(group)]
-    return [slice(a, b) for a, b in pairwise(edges)]
 
 
 def _penalty(size: np.ndarray, m: int, bend: float) -> np.ndarray:

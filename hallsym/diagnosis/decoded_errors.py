@@ -8,10 +8,9 @@ import numpy as np
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Gap, Waves
 from hallsym.diagnosis.residuals import Base
-from hallsym.estimation.decoding import check_decoded, columns_of, nominal_variance, pose_errors
+from hallsym.estimation.decoding import check_decoded, nominal_variance, pose_errors
 from hallsym.log import Block
-from hallsym.log.batches import Weigh, batches
-from hallsym.log.derived import extended
+from hallsym.log.batches import Weigh
 from hallsym.log.phase import decoding, designed
 from hallsym.records import named
 
@@ -58,7 +57,7 @@ def decoded_errors(base: Base, runs: Iterable[int], keep: Weigh | None = None) -
     """Decode the samples of some runs that `keep` does not leave out, and return their errors."""
     model, wanted, decode = base.model, set(runs), errors_of(base)
     count, squares, peak = 0, np.zeros(len(model.pose)), np.zeros(len(model.pose))
-    for batch in batches(extended(base.log, model, base.sigma, base.values), columns_of(model)):
+    for batch in base.batches():
         weights = batch.weights(keep)
         for block, at in batch.parts():
             if block.run in wanted:
@@ -114,7 +113,7 @@ def _amplitudes(base: Base, periodic: Sequence[int], orders: Sequence[int]) -> t
     size = 1 + 2 * len(orders)
     M, b = np.zeros((len(columns), size, size)), np.zeros((len(columns), size))
     squares, seen = np.zeros(len(columns)), np.zeros((len(columns), 2 * FIRST), dtype=bool)
-    for batch in batches(extended(base.log, model, base.sigma, base.values), columns_of(model)):
+    for batch in base.batches():
         weights = batch.weights(base.keep)
         for block, at in batch.parts():
             errors = decode(block)

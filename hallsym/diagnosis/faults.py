@@ -26,16 +26,6 @@ from hallsym.log import Block, Log
 from hallsym.log.batches import HELD, Weigh
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 
-TAIL_KNOWN = 2.0
-"""Factor to which the body of noise with heavy tails tells how many samples lie beyond that.
-
-Student's t of 3 degrees of freedom in every reading and reference has up to 1.5 times as many."""
-SMOOTH = 0.25
-"""Correlation of neighbouring time shifts from which on they are no jitter, which has none.
-
-White noise has -0.08 after the running median, noise with a memory of 3 samples 0.3, a gap of the model that
-is sampled finely nearly 1."""
-
 
 @dataclass(frozen=True, eq=False)
 class Fault:
@@ -101,7 +91,7 @@ def of_samples(found: Survey) -> Iterator[Fault]:
         of_late = max(float(np.mean(np.where(spikes, 0.0, z**2 - expected))), 0.0) if late.any() else 0.0
         tail, share = of_spikes + of_late, 100 * float(spikes.mean())
         if of_spikes > POLICY.half * tail:  # a late sample is off along the motion only
-            p = as_many(_events(spikes), TAIL_KNOWN * exceeds(rest, across, limit, beside) * n)
+            p = as_many(_events(spikes), POLICY.tails * exceeds(rest, across, limit, beside) * n)
             text = f"{share:.2g} % of the samples are spikes"
             yield fault("outliers", text, tail, p, Estimate(share / 100, None, "1"))
         events, share = _events(late), 100 * float(late.mean())
@@ -110,7 +100,7 @@ def of_samples(found: Survey) -> Iterator[Fault]:
         p = max(rare, min(1.0, 2 * as_often(sides, events, 0.5)))
         text = f"{share:.2g} % of the samples are old"
         yield fault("dropped_samples", text, tail, p, Estimate(share / 100, None, "1"))
-    if z[1:] @ z[:-1] < SMOOTH * (z @ z):
+    if z[1:] @ z[:-1] < POLICY.smooth * (z @ z):
         rms, power = float(np.sqrt(growth)), growth * float(np.mean(size**2))
         p = student(slope / max(error, 1e-300), bins - 2)
         text = f"sampling instants scatter by {1e6 * rms:.3g} us rms"

@@ -18,7 +18,6 @@ from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.residuals import Base, found_once, pieces
 from hallsym.diagnosis.survey import SEGMENT
-from hallsym.estimation.decoding import decoding_gain
 
 
 @dataclass(frozen=True)
@@ -72,14 +71,13 @@ slow end are drift, and a median over four lobes is what lies between lines."""
 
 def tones(base: Base, runs: Iterable[int]) -> float:
     """Return by how much the gap metric of `runs` falls without the steady tones of the decoded error."""
-    model, spread, back = base.model, decoding_gain(base.model), np.linalg.inv(base.whiten)
+    model, back = base.model, np.linalg.inv(base.whiten)
     length, run, power = 2 * SEGMENT, [], []
     window = np.hanning(length)
     for piece in pieces(base, frozenset(runs)):
         pose, state = ([piece.data[c] for c in names] for names in (model.references, model.state))
-        (gain,) = spread(base.p, pose, state, base.weight)
-        D = gain.reshape(len(model.channels), len(model.pose), -1)
-        e = np.einsum("kis,ks->is", D, back @ piece.residual) * base.pose_weights[:, None]
+        e = np.einsum("iks,ks->is", base.to_pose(pose, state), back @ piece.residual)
+        e *= base.pose_weights[:, None]
         e = np.where(piece.used, e, 0.0)
         for low in range(0, e.shape[1] - length + 1, length):
             part = e[:, low : low + length]

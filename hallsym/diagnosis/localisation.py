@@ -83,7 +83,11 @@ def located(
         statements = [*steps, *statements]
     else:
         said = [*steps, *said]
-    return Located((*map(_worded, (*statements, *said)),), tuple(curves), fitted, held)
+    worded = (
+        s if s.p_value < POLICY.certain else replace(s, text=f"perhaps {s.text}")
+        for s in (*statements, *said)
+    )
+    return Located(tuple(worded), tuple(curves), fitted, held)
 
 
 def _steps(tables: Sequence[ResidualTable]) -> list[Statement]:
@@ -99,11 +103,6 @@ def _steps(tables: Sequence[ResidualTable]) -> list[Statement]:
             at = f"run {s.run} at {s.instant_s:.6g} s"
             out.append(Statement("run", at, share, s.p_value, f"{text} in {at}"))
     return sorted(out, key=lambda s: -s.share)
-
-
-def _worded(s: Statement) -> Statement:
-    """A statement that is not certain says so."""
-    return s if s.p_value < POLICY.certain else replace(s, text=f"perhaps {s.text}")
 
 
 class _Tried:

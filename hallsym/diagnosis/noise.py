@@ -9,42 +9,28 @@ from typing import Final
 
 import numpy as np
 
-from hallsym.diagnosis.record import NoiseFinding
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.words import plain
-from hallsym.estimation import KNOWN, noise_left
+from hallsym.estimation import noise_left
+from hallsym.estimation.residual_noise import ResidualNoise
 
 LARGER: Final = "noise larger than stated"
 """The verdict of a log whose excess over the stated noise is noise."""
 
 
-def noise_of_rest(base: Base, runs: Sequence[int]) -> NoiseFinding | None:
+def noise_of_rest(base: Base, runs: Sequence[int]) -> ResidualNoise | None:
     """Return the noise that `base` leaves on `runs`; None where they are too short to tell."""
     zeros = {run: base.zeros_in(run) for run in (runs if base.timed else base.log.runs)}
-    left = noise_left(base.log, base.model, base.p, zeros, base.covariance, base.sigma, base.keep)
-    if left is None:
-        return None
-    return NoiseFinding(
-        ratio=left.ratio,
-        interval=left.interval,
-        by_sensor=dict(left.by_channel),
-        larger_in=tuple(c for c, (low, _) in left.intervals.items() if low > 1 + KNOWN),
-        white=left.white,
-        whiteness_p=left.whiteness_p,
-        correlation=left.correlation,
-        memory=left.memory,
-        coefficients=tuple(left.coefficients.tolist()),
-        bounded=left.bounded,
-    )
+    return noise_left(base.log, base.model, base.p, zeros, base.covariance, base.sigma, base.keep)
 
 
-def with_noise(base: Base, noise: NoiseFinding) -> Base:
+def with_noise(base: Base, noise: ResidualNoise) -> Base:
     """Return a fit whose residual is held against the noise that is there and not the one that was stated."""
     larger = np.array([max(noise.by_sensor[c], 1.0) for c in base.model.channels])
     return replace(base, covariance=base.covariance * np.outer(larger, larger))
 
 
-def in_outputs(base: Base, noise: NoiseFinding) -> float:
+def in_outputs(base: Base, noise: ResidualNoise) -> float:
     """Return the gap metric that the noise makes over that of the noise floor.
 
     A noisy sensor may count for more in the pose than in the residuals of all sensors.
@@ -57,7 +43,7 @@ def in_outputs(base: Base, noise: NoiseFinding) -> float:
     return float(np.sqrt(real / known)) if known > 0 else noise.ratio
 
 
-def noise_text(noise: NoiseFinding, stated: bool) -> str:
+def noise_text(noise: ResidualNoise, stated: bool) -> str:
     """Return the noise in words."""
     low, high = noise.interval
     said = (
@@ -67,14 +53,9 @@ def noise_text(noise: NoiseFinding, stated: bool) -> str:
         everywhere = len(noise.larger_in) == len(noise.by_sensor)
         names = " and ".join(plain(c) for c in noise.larger_in)
         said += ", in every sensor" if everywhere else f", in {names} alone" if names else ""
-    return f"{said}, {colour_text(noise)}"
-
-
-def colour_text(noise: NoiseFinding) -> str:
-    """Return in words whether noise is white."""
     if noise.white:
-        return "white"
+        return f"{said}, white"
     return (
-        f"correlated in time (neighbouring samples by {noise.correlation:.2f}; a slow average varies "
+        f"{said}, correlated in time (neighbouring samples by {noise.correlation:.2f}; a slow average varies "
         f"{noise.memory:.3g} x as much as that of white noise)"
     )

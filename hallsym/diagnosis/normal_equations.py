@@ -17,7 +17,7 @@ import numpy as np
 from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation import pseudo_inverse, solve
-from hallsym.estimation.decoding import columns_of, decoding_gain
+from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log
 from hallsym.log.batches import Batch, batches
 from hallsym.log.derived import extended
@@ -354,10 +354,8 @@ class Accumulator:
         base, model = self.base, self.base.model
         if not self.decoded:
             return np.zeros((0, len(model.channels), len(batch)))
-        pose, state = batch.columns(model.references), batch.columns(model.state)
-        (spread,) = decoding_gain(model)(base.p, pose, state, base.weight)
-        spread = spread.reshape(len(model.channels), len(model.pose), len(batch))
-        return spread.swapaxes(0, 1) * base.pose_weights[:, None, None]
+        spread = base.to_pose(batch.columns(model.references), batch.columns(model.state))
+        return spread * base.pose_weights[:, None, None]
 
     def _near(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
         """Columns of zeros, parameters and residual, (own + 1, K, samples)."""

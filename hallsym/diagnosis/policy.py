@@ -35,7 +35,9 @@ class Policy:
     minor: float = 0.1
     """Share up to which a part is minor: of the excess that named effects leave open in a gap that is
     explained, of the threshold that a smaller finding is worth; by which a steady line
-    scatters less than the rest of a spectrum.
+    scatters less than the rest of a spectrum; of the error rate, which a test beside that by signs has: one
+    by the stated noise, and one of an event such as a step, which lies in one run, of which signs know
+    nothing.
 
     Of a gap of twice the floor, a tenth of the excess is 14 % above the floor: a gap of its own."""
     half: float = 0.5
@@ -51,6 +53,35 @@ class Policy:
 
     Student's t of 6 is 2.6 standard errors wide, of 4 it is 3.2, and the error is known to a factor of
     2."""
+
+    # noise: what is independent, and what its tails are like
+
+    fewest_units: int = 24
+    """Runs from which on runs are the units of signs; of fewer, stretches are, so that there are about as
+    many.
+
+    So many units have 2^23 different signs, far more than are drawn."""
+    forgotten: float = 0.02
+    """Autocorrelation below which a residual's memory ends.
+
+    Noise has it by chance after some 10,000 readings."""
+    memories: float = 4.0
+    """Memories of a residual from which on stretches of it are independent.
+
+    The scores of neighbouring stretches of an autoregressive residual then have a correlation of 3 %."""
+    heavy: float = 5.0
+    """Kurtosis from which on chi-square is not trusted.
+
+    That of Student's t of 7 degrees of freedom."""
+    tails: float = 2.0
+    """Factor to which the body of noise with heavy tails tells how many samples lie beyond that.
+
+    Student's t of 3 degrees of freedom in every reading and reference has up to 1.5 times as many."""
+    smooth: float = 0.25
+    """Correlation of neighbouring time shifts from which on they are no jitter, which has none.
+
+    White noise has -0.08 after the running median, noise with a memory of 3 samples 0.3, a gap of the model
+    that is sampled finely nearly 1."""
 
     # input: which runs judge, and which gap counts
 
@@ -80,6 +111,7 @@ class Policy:
     much; at twice that, unneeded parameters make an effect no competitor of a plainer one.
 
     What Kass and Raftery (1995) call very strong."""
+
     # confusable effects
 
     separated: float = 5.0

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from hallsym.estimation import KNOWN
+from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.inference import Estimate
 from hallsym.records import plain, schema_of, structured
 from hallsym.shown import Shown
@@ -103,35 +103,6 @@ class NoiseFloor:
 
     outputs: dict[str, float]
     source: str
-
-
-@dataclass(frozen=True)
-class NoiseFinding:
-    """Noise of the readings that the model with the effects found leaves, on the fitted runs.
-
-    `ratio`: its standard deviation over that of the noise floor, with a 95 % `interval`; `by_sensor`: the
-    same by sensor, `larger_in`: the sensors in which it is certainly larger. `white`: whether its samples may
-    be independent; `whiteness_p`: probability that white noise is as correlated. `correlation`: of
-    neighbouring samples, `memory`: variance of a slow average over that of white noise, `coefficients`: of
-    the autoregression. `bounded`: whether it is flatter than Gaussian noise, such as a wave or steps between
-    levels: no noise.
-    """
-
-    ratio: float
-    interval: tuple[float, float]
-    by_sensor: dict[str, float]
-    larger_in: tuple[str, ...]
-    white: bool
-    whiteness_p: float
-    correlation: float
-    memory: float
-    coefficients: tuple[float, ...]
-    bounded: bool = False
-
-    @property
-    def larger(self) -> bool:
-        """Whether it is larger than the noise floor by more than a floor is uncertain."""
-        return self.interval[0] > 1 + KNOWN
 
 
 @dataclass(frozen=True)
@@ -339,7 +310,7 @@ class Diagnosis(Shown):
     size: Sizes = field(default_factory=Sizes)
     next_step: tuple[str, ...] = ()
     waves: tuple[Waves, ...] = ()
-    noise: NoiseFinding | None = None
+    noise: ResidualNoise | None = None
     """The noise that is left, None where the log is too short to tell."""
     significance: Significance | None = None
     held_out: str = "holdout run"

@@ -15,9 +15,6 @@ from hallsym.estimation.gauss_newton import DROP, PASSES
 from hallsym.model import Model, Variant
 from solvers import gauss_newton
 
-CLOSE = 1e-5
-"""Relative decrease of the cost below which Gauss-Newton has converged."""
-
 
 @dataclass(frozen=True, eq=False)
 class Refitted:
@@ -134,14 +131,17 @@ def with_effects(base: Base, variants: Iterable[Variant], values: Mapping[str, f
 
 
 def refit(base: Base, runs: Sequence[int]) -> Refitted:
-    """Minimise the whitened residual of `runs` from `base`; every run's zeros follow its own samples."""
+    """Minimise the whitened residual of `runs` from `base`; every run's zeros follow its own samples.
+
+    It ends where a step lowers the cost by less than 1e-5 of it.
+    """
 
     def linearised(at: Base) -> Refitted:
         t = normal_equations(at, decoded=False)
         units = t.units(runs)
         return Refitted(at, t, units, float(t.likelihood[units, -1, -1].sum()))
 
-    return gauss_newton(linearised, base, lambda now, gained: gained <= CLOSE * now.cost, PASSES)[0]
+    return gauss_newton(linearised, base, lambda now, gained: gained <= 1e-5 * now.cost, PASSES)[0]
 
 
 def seen(base: Base, M: np.ndarray) -> np.ndarray:

@@ -14,7 +14,6 @@ from hallsym.diagnosis.decoded_errors import decoded_errors, waves
 from hallsym.diagnosis.faults import Fault, wiring_p, wirings
 from hallsym.diagnosis.localisation import Located, located
 from hallsym.diagnosis.noise import LARGER, noise_text, with_noise
-from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import (
     Diagnosis,
     FoundEffect,
@@ -22,7 +21,6 @@ from hallsym.diagnosis.record import (
     LogRecord,
     Metric,
     ModelLeft,
-    NoiseFinding,
     NoiseFloor,
     NotExcluded,
     Shrinkage,
@@ -38,6 +36,7 @@ from hallsym.diagnosis.validation import QUIET, Held, Validation, Verdict, close
 from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit
 from hallsym.errors import InputError, counted
 from hallsym.estimation.calibration import Fit
+from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.families import added_effects
 from hallsym.families.faults import FAULTS
 from hallsym.inference import Estimate
@@ -52,7 +51,7 @@ def report(
     effects: tuple[FoundEffect, ...],
     verdict: Verdict,
     alike: Confusable,
-    noise: NoiseFinding | None = None,
+    noise: ResidualNoise | None = None,
 ) -> Diagnosis:
     """Return the diagnosis.
 
@@ -67,10 +66,9 @@ def report(
     where, rest = _located(setup, selection, found, verdict, loud)
     left = unexplained(rest, 1 - share) if rest else None
     gap_after = found.before.gap if quiet else _gap_after(found)
-    unit = gap_unit(setup.fit.model.pose)
     return Diagnosis(
         verdict=verdict,
-        sentence=sentence(verdict, named, alike.instead_of, metric, unit, setup.held_out, noise),
+        sentence=sentence(setup, verdict, named, alike.instead_of, metric, noise),
         held_out=setup.held_out,
         noise_floor=NoiseFloor(dict(found.floor.outputs), _source(setup.fit)),
         gap_before=found.before.gap,
@@ -141,7 +139,7 @@ def _gap_after(found: Validation) -> Gap:
 
 
 def _located(
-    setup: Setup, selection: Selection, found: Validation, verdict: Verdict, loud: NoiseFinding | None
+    setup: Setup, selection: Selection, found: Validation, verdict: Verdict, loud: ResidualNoise | None
 ) -> tuple[Located, Located | None]:
     """Return where the gap lies and, if it is unexplained, where the rest lies.
 
@@ -186,21 +184,20 @@ def _source(fit: Fit) -> str:
 
 
 def sentence(
+    setup: Setup,
     verdict: str,
     effects: Sequence[FoundEffect],
     instead_of: Callable[[str], Sequence[str]],
     gap: Metric,
-    unit: tuple[float, str],
-    held_out: str,
-    noise: NoiseFinding | None,
+    noise: ResidualNoise | None,
 ) -> str:
-    """Return the diagnosis in one or two sentences; gaps in `unit`, the factor and name a person reads.
+    """Return the diagnosis in one or two sentences.
 
-    `instead_of`: effect -> what the log cannot tell from it. `held_out`: what judges. `noise`: that is left.
+    `instead_of`: effect -> what the log cannot tell from it. `noise`: that is left.
     """
-    judges = f"{held_out}s"
+    judges, unit = f"{setup.held_out}s", gap_unit(setup.fit.model.pose)
     before, after, floor = (gap_text(v, unit) for v in (gap.before, gap.after, gap.floor))
-    small = gap.before <= gap.floor * (1 + POLICY.negligible)
+    small = gap.before <= gap.floor * (1 + setup.policy.negligible)
     if verdict == "no gap":
         alone = f"noise alone gives {floor}"
         return f"No gap. The error on the {judges} is {before}; {alone}" + (
@@ -215,17 +212,13 @@ def sentence(
         return f"{hidden}, but the residual of the readings has a shape; no known effect explains it."
     if not effects:
         return f"{said}; no known effect explains it."
-    named = listed([_with_others(e.name, instead_of(e.name)) for e in effects])
+    alike = [(e.name, instead_of(e.name)) for e in effects]  # such as time_skew (or first_order_lag)
+    named = listed([f"{name} (or {' or '.join(others)})" if others else name for name, others in alike])
     rest = "" if verdict == "explained" else "; the rest has no known cause"
-    open_ = closed(gap.before, gap.after, gap.floor) < 1 - POLICY.minor
+    open_ = closed(gap.before, gap.after, gap.floor) < 1 - setup.policy.minor
     if verdict == "explained" and open_ and noise is not None and noise.larger:
         rest = f"; what is left follows nothing that is logged: noise, {noise.ratio:.3g} x the noise floor"
     return f"{said}. With {named} it falls to {after}{rest}."
-
-
-def _with_others(name: str, others: Sequence[str]) -> str:
-    """Return an effect with those that the log cannot tell from it: `time_skew (or first_order_lag)`."""
-    return f"{name} (or {' or '.join(others)})" if others else name
 
 
 def next_step(setup: Setup, found: Validation) -> tuple[str, ...]:
@@ -307,18 +300,13 @@ def findings(setup: Setup, found: Validation) -> tuple[FoundEffect, ...]:
     """
     if found.metric >= found.before.metric:
         return ()
-    spread = _standard_errors(found)
+    variance = found.fit.variance(1.0) * found.inflation  # of the slow averages of what is left
+    spread = np.sqrt(np.maximum(np.diag(found.fit.covariance()), 0.0) * variance)
     out = [_effect(found, e, spread) for e in found.effects]
     out += [_fault(setup, found, f) for f in found.faults]
     if setup.miswired:
         out.insert(0, _assignment(setup, found))
     return tuple(sorted(out, key=lambda e: -e.share))
-
-
-def _standard_errors(found: Validation) -> np.ndarray:
-    """Standard errors of all parameters, for the noise and the slow averages of what is left."""
-    noise = found.fit.variance(1.0)
-    return np.sqrt(np.maximum(np.diag(found.fit.covariance()), 0.0) * noise * found.inflation)
 
 
 def _effect(found: Validation, held: Held, spread: np.ndarray) -> FoundEffect:

@@ -6,20 +6,18 @@ At most `ROOM` samples are held, evenly decimated, so that memory does not grow 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
 from hallsym.diagnosis.normal_equations import UNITS
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.residuals import Base, Piece, pieces
-from hallsym.diagnosis.sign_flips import FEWEST_UNITS, stretch
-from hallsym.estimation.decoding import decoding_gain
+from hallsym.diagnosis.sign_flips import stretch
 from hallsym.estimation.residual_noise import STILL
 from hallsym.families.mechanisms import MAINS_HZ
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.model.arrays import on_arrays
-
-MAINS_DRIFT = 0.2
-"""Distance from their frequency that the mains may drift by [Hz]: grid code of Europe (EU 2017/1485)."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ class Spectrum:
 
 def _bands(f: np.ndarray) -> dict[FrequencyBand, np.ndarray]:
     """Return the frequencies of each band: those of the mains, and the octaves of the others."""
-    wide = max(MAINS_DRIFT, 1.5 * f[1])
+    wide = max(0.2, 1.5 * f[1])  # Hz, that the mains may drift by: grid code of Europe (EU 2017/1485)
     out = {FrequencyBand(hz, hz): np.abs(f - hz) < wide for hz in MAINS_HZ}
     left = ~np.any(list(out.values()), axis=0)
     octave = np.floor(np.log2(np.maximum(f, 1.0)))
@@ -150,8 +148,7 @@ class ResidualTable:
 def residual_table(base: Base, runs: Iterable[int]) -> ResidualTable | None:
     """Return what `base` leaves on `runs`; None where no sample of them counts."""
     model, wanted = base.model, frozenset(runs)
-    read, decode = on_arrays(model.reading), decoding_gain(model)
-    back = np.linalg.inv(base.whiten)
+    read, back = on_arrays(model.reading), np.linalg.inv(base.whiten)
     stride = max(1, -(-base.log.rows // ROOM))
     seen = Counter[int]()
     out: dict[str, list[np.ndarray]] = {}
@@ -162,16 +159,15 @@ def residual_table(base: Base, runs: Iterable[int]) -> ResidualTable | None:
         place, seen[piece.run] = seen[piece.run] + at, seen[piece.run] + len(piece.t)
         data = {c: v[at] for c, v in piece.data.items()}
         state = [data[c] for c in model.state]
-        (gain,) = decode(base.p, [data[c] for c in model.references], state, base.weight)
-        gain = np.asarray(gain).reshape(len(model.channels), len(model.pose), len(at)).swapaxes(0, 1)
+        decoding = base.to_pose([data[c] for c in model.references], state)
         for c in model.references:
             if c in model.period:
                 data[phase(c)] = data[f"d0_{c}"] % model.period[c]
             data[f"d0_{c}"] = at_rest(data[f"d0_{c}"], base.sigma.get(c, 0.0))
         smooth = [data[f"d0_{c}"] for c in model.references]
         (sensed,) = read(base.p, base.zeros_in(piece.run), smooth, state)
-        rows = {"residual": back @ piece.residual[:, at], "rate": back @ piece.speed[:, at], "sensed": sensed}
-        rows["decoding"] = gain
+        rows = {"residual": back @ piece.residual[:, at], "rate": back @ piece.speed[:, at]}
+        rows |= {"sensed": sensed, "decoding": decoding}
         for name, values in {**data, **rows, "run": np.full(len(at), piece.run), "place": place}.items():
             out.setdefault(name, []).append(values)
     if not out or sum(len(v) for v in out["run"]) == 0:
@@ -214,6 +210,12 @@ def both(base: Base, runs: Sequence[int]) -> tuple[ResidualTable | None, Residua
     return fitted, held
 
 
+def slices(group: np.ndarray) -> list[slice]:
+    """Return the consecutive samples of each group."""
+    edges = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(group)]
+    return [slice(a, b) for a, b in pairwise(edges)]
+
+
 def phase(reference: str) -> str:
     """Return the column of the place of a reference within its period."""
     return f"phase_{reference}"
@@ -231,7 +233,7 @@ def _blocks(run: np.ndarray, place: np.ndarray, samples: float) -> tuple[np.ndar
     """
     _, first, order, counts = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
     fold = order * min(UNITS, len(first)) // len(first)
-    parts = max(PARTS, -(-2 * FEWEST_UNITS // len(first)))
+    parts = max(PARTS, -(-2 * POLICY.fewest_units // len(first)))
     within = np.arange(len(run)) - first[order]
     each = np.clip(counts // FEWEST_SAMPLES, 1, parts)[order]
     part = order * parts + within * each // counts[order]

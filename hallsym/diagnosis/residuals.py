@@ -1,6 +1,6 @@
 """A fitted model on a log, and its residual, run by run: computed once for each log that fits in memory."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import wraps
 from typing import Any, TypeVar
@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 import numpy as np
 
-from hallsym.estimation.decoding import columns_of
+from hallsym.estimation.decoding import columns_of, decoding_gain
 from hallsym.log import Log
 from hallsym.log.batches import Batch, Weigh, batches, is_held
 from hallsym.log.derived import extended
@@ -69,6 +69,16 @@ class Base:
         """Return the zero deviations of every sample of a batch, (zeros, samples)."""
         own = np.array([self.zeros_in(block.run) for block in batch.blocks])
         return np.repeat(own, np.diff(batch.edges), axis=0).T
+
+    def batches(self, model: Model | None = None) -> Iterator[Batch]:
+        """Return the log in batches with all columns that the model, or an extended one, reads."""
+        model = model or self.model
+        return batches(extended(self.log, model, self.sigma, self.values), columns_of(model))
+
+    def to_pose(self, pose: Sequence[np.ndarray], state: Sequence[np.ndarray]) -> np.ndarray:
+        """Return what turns readings at some samples into the decoded pose, (n_pose, K, samples)."""
+        (gain,) = decoding_gain(self.model)(self.p, pose, state, self.weight)
+        return np.asarray(gain).reshape(len(self.model.channels), len(self.model.pose), -1).swapaxes(0, 1)
 
 
 Found = TypeVar("Found")

@@ -183,14 +183,11 @@ class Screen:
         self.top = joint.top if flipped else None
         most = {s.effect.name: max(variants[s.effect.name], s.variant.tried) for s in found}
         found = [replace(s, p_by_noise=_by_noise(s, peak, sum(most.values()))) for s in found]
-        of_signs = 1.0 - OF_NOISE * np.isfinite(peak)
+        # weighted Bonferroni: each test has its part of the error rate, signs have what is left
+        part = POLICY.minor
+        of_signs = 1.0 - part * np.isfinite(peak)
         each = [
-            min(
-                1.0,
-                joint.p_value(s.statistic) / of_signs,
-                EVENTS * s.variant.by_itself,
-                s.p_by_noise / OF_NOISE,
-            )
+            min(1.0, joint.p_value(s.statistic) / of_signs, s.variant.by_itself / part, s.p_by_noise / part)
             for s in found
         ]
         units = len(self.tables[0].t.units(self.runs))
@@ -236,12 +233,6 @@ def _by_noise(score: Score, peak: float, tried: float) -> float:
     return min(1.0, tried * max(float(chdtrc(score.size, score.kept * score.gain / peak)), LEAST))
 
 
-OF_NOISE = 0.1
-"""Part of the error rate that the test by the stated noise has where there is one; signs have the rest."""
-EVENTS = 10.0
-"""What the p-value of a single event is multiplied by, to stand beside those by signs (weighted Bonferroni).
-
-An event such as a step lies in one run, of which signs know nothing. A tenth of the error rate is its own."""
 PRODUCTS = 160_000
 """Products of a run that are kept from one pass, 1.3 MB, twice."""
 
@@ -321,11 +312,11 @@ class Table:
         out[self.t.units(runs)] = True
         return out
 
-    def folds(self, runs: Sequence[int], count: int = FOLDS) -> np.ndarray:
+    def folds(self, runs: Sequence[int]) -> np.ndarray:
         """Return the units (F, units) of groups of runs that are left out in turn."""
         among = self.among(runs)
         own = list(dict.fromkeys(self.run[among].tolist()))
-        return np.array([among & np.isin(self.run, own[k::count]) for k in range(min(count, len(own)))])
+        return np.array([among & np.isin(self.run, own[k::FOLDS]) for k in range(min(FOLDS, len(own)))])
 
     def ratio(self, key: str, runs: Sequence[int]) -> float:
         """Return the gap metric with a candidate over that without, cross-validated within some runs."""

@@ -15,7 +15,7 @@ from hallsym.diagnosis.refit import Refitted, refit, with_effects, with_model
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score, Screen, by_name, candidates
 from hallsym.diagnosis.setup import Setup
-from hallsym.diagnosis.sign_flips import MEMORIES, memory
+from hallsym.diagnosis.sign_flips import memory
 from hallsym.diagnosis.spectrum import spectrum_peak
 from hallsym.diagnosis.survey import memory_of_recording, survey
 from hallsym.model import Effect, Facts
@@ -359,7 +359,8 @@ class Selection:
         collect, where the noise was stated.
         """
         base = screen.base
-        whole = screen.length is None or base.sliced or screen.lasting >= MEMORIES * memory(colour)
+        lasting = screen.lasting >= self.policy.memories * memory(colour)
+        whole = screen.length is None or base.sliced or lasting
         offsets = len(base.model.zeros) > 0  # without them noise slower than a run is in no spectrum of a run
         if not screen.scores or (whole and not offsets):
             return colour

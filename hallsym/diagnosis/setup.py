@@ -12,8 +12,6 @@ from hallsym.diagnosis.p_values import statistic_at
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.regression import FOLDS, NIL
 from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.sign_flips import MEMORIES
-from hallsym.diagnosis.survey import SEGMENT
 from hallsym.errors import InputError, counted
 from hallsym.estimation import fit, noise_of
 from hallsym.estimation.calibration import Fit
@@ -33,10 +31,6 @@ from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.model import Effect, Model
 
 Say = Callable[[str], None]
-LONG = (
-    "The log is long: every {every}. sample of it is diagnosed, and parameters are as certain as these make "
-    "them. hallsym fit takes all of them."
-)
 
 
 @dataclass(frozen=True)
@@ -87,15 +81,10 @@ class Setup:
         return len(self.catalogue) + len(FAULTS)
 
     @property
-    def piece(self) -> str:
-        """What is held out as a whole: a run, or a piece of a recording of too few."""
-        pieces = "time slice" if self.base.timed else "knot group"
-        return pieces if self.split else "run"
-
-    @property
     def held_out(self) -> str:
         """What judges: holdout runs, or pieces of a recording of too few."""
-        return f"held-out {self.piece}" if self.split else "holdout run"
+        piece = "time slice" if self.base.timed else "knot group"
+        return f"held-out {piece}" if self.split else "holdout run"
 
     @property
     def miswired(self) -> Wiring | None:
@@ -188,8 +177,11 @@ def prepare(
     if not held:
         raise _too_short(log)
     say("fitting the model")
-    loss = "auto" if timed or not pieces else "none"
-    result = fitted(log, _inspecting(model, whole) if pieces else model, held, drop_bad, say, loss)
+    result = fit(
+        log, _inspecting(model, whole) if pieces else model, solver="direct", holdout=held,
+        loss="auto" if timed or not pieces else "none", resolve_wiring=True, drop_bad=drop_bad,
+        on_progress=say,
+    )  # fmt: skip
     result = replace(result, model=model)
     base = base_of(log, result)
     if log.rows > HELD:
@@ -197,7 +189,11 @@ def prepare(
         log, every = thinned(replace(base.on_all, log=log), HELD)
         base = base_of(log, result)
         if every > 1:
-            result = replace(result, notes=(*result.notes, LONG.format(every=every)))
+            long = (
+                f"The log is long: every {every}. sample of it is diagnosed, and parameters are as certain "
+                "as these make them. hallsym fit takes all of them."
+            )
+            result = replace(result, notes=(*result.notes, long))
     runs = [r for r in base.log.runs if r not in held]
     floor, floor_fitted = floors(base, result.goodness.uncertain if result.goodness else 1.0, held, runs)
     return Setup(
@@ -253,7 +249,7 @@ def _first_fit(log: Log, found: Fit) -> tuple[np.ndarray | None, int]:
         spikes = np.concatenate([found.keep(block) for block in found.source.blocks()]) == 0
     base = base_of(counted_off(log), replace(found, keep=None))
     remembers = _remembers(base, spikes)
-    return spikes, 1 if remembers < 2 else int(MEMORIES * remembers)
+    return spikes, 1 if remembers < 2 else int(POLICY.memories * remembers)
 
 
 def _remembers(base: Base, spikes: np.ndarray | None) -> int:
@@ -300,16 +296,6 @@ def readable(log: Log, model: Model, drop_bad: bool) -> tuple[Log, bool]:
     return clean_log(log, columns, rails=False), True
 
 
-def fitted(
-    log: Log, model: Model, held: tuple[int, ...] | None, drop_bad: bool, say: Say, loss: str = "auto"
-) -> Fit:
-    """Fit the model by the direct method; `held` are held out."""
-    return fit(
-        log, model, solver="direct", holdout=held, loss=loss, resolve_wiring=True, drop_bad=drop_bad,
-        on_progress=say,
-    )  # fmt: skip
-
-
 def _whole_runs(log: Log, holdout: Sequence[int] | None, policy: Policy) -> tuple[int, ...]:
     """Return the holdout runs: as asked, the log's own, else every fifth; none if fewer than 2 are left."""
     if holdout is None:
@@ -342,13 +328,8 @@ def _threshold(log: Log, threshold: float | None, policy: Policy) -> float:
 
 FEWEST = POLICY.fewest * FEWEST_SAMPLES
 """Samples that a recording must have to be taken to pieces."""
-BLOCK = 4
-"""Knots of a block. Every second is held out, the other ones in the next block, so that a pattern of two or
-four knots (a stepper's) is seen on both sides."""
-SLICES = 100
-"""Slices of time that a recording is taken as at most: a score of 50 scatters as Gauss has it."""
-LASTING = 40
-"""Samples of a slice at least: four memories of noise that remembers ten, so that slices are independent."""
+LASTING = int(10 * POLICY.memories)
+"""Samples of a slice at least: slices of noise that remembers ten are independent."""
 TIME = "t_s"
 
 
@@ -396,15 +377,16 @@ def counted_off(log: Log) -> Log:
     return replace(counter, notes=log.notes, path=log.path, counted=True)
 
 
-def piece_count(n: int, timed: bool, length: int = 1) -> int:
+def piece_count(n: int, timed: bool, length: int) -> int:
     """How many pieces of `n` samples: those fitted are the folds, or as many as have the samples of a run.
 
-    With time there are up to `SLICES` of them: of a machine that rests half of the time many still say
-    something. Of knots an odd number is fitted, so that each group takes every phase of a pattern of two or
-    four; groups go round the turn, so that waves of it do not lean on another.
+    With time there are up to 100 of them: a score of 50 scatters as Gauss has it, and of a machine that
+    rests half of the time many still say something. Of knots an odd number is fitted, so that each group
+    takes every phase of a pattern of two or four; groups go round the turn, so that waves of it do not lean
+    on another.
     """
     if timed and n >= 2 * FOLDS * LASTING:
-        return min(SLICES, n // LASTING // 2 * 2)
+        return min(100, n // LASTING // 2 * 2)
     at = np.arange(n)
     for count in range(2 * FOLDS, POLICY.fewest, -4):  # half of it stays odd
         whole = timed or length > 1
@@ -415,8 +397,12 @@ def piece_count(n: int, timed: bool, length: int = 1) -> int:
 
 
 def knot_group(at: np.ndarray, count: int) -> np.ndarray:
-    """Return the group of `count` that each knot belongs to; odd groups are held out."""
-    return 2 * (at // 2 % (count // 2)) + (at + at // BLOCK) % 2
+    """Return the group of `count` that each knot belongs to; odd groups are held out.
+
+    Of four knots every second is held out, the other ones in the next four, so that a pattern of two or four
+    knots (a stepper's) is seen on both sides.
+    """
+    return 2 * (at // 2 % (count // 2)) + (at + at // 4) % 2
 
 
 # -- a long log ----------------------------------------------------------------------------------------------
@@ -431,26 +417,11 @@ def thinned(base: Base, rows: int) -> tuple[Log, int]:
 
     They are about `rows`, or as many as motion and mains need.
     """
-    every = _every(base, rows)
-    return _kept(base, every, base.log.rows), every
+    every = spacing(base, rows)
+    return kept(base, every, base.log.rows), every
 
 
-def decimated(base: Base, rows: int) -> tuple[Log, str]:
-    """Return about `rows` samples of `base.log`; those that the fit left out are left out here too.
-
-    Samples are left out as far as motion and mains stay resolved, and then the ends of long runs. The text
-    says what was left out, "" for nothing.
-    """
-    log, every = base.log, _every(base, rows)
-    long = log.rows > rows * every
-    most = max(rows * every // len(log.runs), SEGMENT * every) if long else log.rows
-    said = [f"every {every}. sample"] if every > 1 else []
-    if long:
-        said.append(f"the first {most} samples of each run")
-    return _kept(base, every, most), " of ".join(said)
-
-
-def _kept(base: Base, every: int, most: int) -> Log:
+def kept(base: Base, every: int, most: int) -> Log:
     """Return every so many samples of the first `most` of each run that the fit has not left out."""
     log = base.log
     if every == 1 and most >= log.rows and base.keep is None:
@@ -471,7 +442,7 @@ def _kept(base: Base, every: int, most: int) -> Log:
     return Log.from_arrays(columns, log.noise, log.meta, log.name)
 
 
-def _every(base: Base, rows: int) -> int:
+def spacing(base: Base, rows: int) -> int:
     """Return how many samples one stands for where `rows` are wanted."""
     known, every = 1, -(-base.log.rows // rows)
     beyond = every + 1

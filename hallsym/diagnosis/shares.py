@@ -221,7 +221,7 @@ class Link:
 
 
 def of_links(
-    base: Base, scored: Sequence[Score], r: ResidualTable, faults: Sequence[Fault] = ()
+    base: Base, scored: Sequence[Score], r: ResidualTable, faults: Sequence[Fault]
 ) -> list[Statement]:
     """Return statements on the links that can surely take up much of the excess of `r`.
 
@@ -246,17 +246,14 @@ def of_links(
     said = []
     for link in sorted(found, key=(*LINKS, *found).index):
         own = found[link]
-        text = f"{own.name}; another link: {_best_of({k: f for k, f in found.items() if k != link})}"
+        other = max((k for k in found if k != link), key=lambda k: found[k].share, default=None)
+        beside = f"{other} {percent(found[other].share)}" if other else "none tested"
+        text = f"{own.name}; another link: {beside}"
         if own.p_value < POLICY.false_alarm and own.share >= max(POLICY.negligible, (1 - POLICY.minor) * top):
             text = f"{percent(own.share)} of the excess can come from the {link} ({text})"
             said.append(Statement("link", link, own.share, own.p_value, text))
     # of links that take up the same the first of the chain stands first, whatever the rounding
     return sorted(said, key=lambda s: -round(s.share, 6))
-
-
-def _best_of(found: dict[str, Link]) -> str:
-    link = max(found, key=lambda k: found[k].share, default=None)
-    return f"{link} {percent(found[link].share)}" if link else "none tested"
 
 
 def _link_of(base: Base, score: Score) -> str:

@@ -80,19 +80,16 @@ class Judged:
         return float(stdtr(n - 1, self.log_ratio / self.error))
 
 
-MIXTURES = 4000
-"""Mixtures drawn: the ends of a 95 % interval are those of 100 draws on each side."""
-
-
 @lru_cache(maxsize=16)
 def _mixtures(n: int, outside: float) -> np.ndarray:
-    """Return weights (MIXTURES, n) of `n` runs in a new recording: a Bayesian bootstrap (Rubin, 1981).
+    """Return weights (4000, n) of `n` runs in a new recording: a Bayesian bootstrap (Rubin, 1981).
 
-    Its concentration gives a mean the variance of Student's interval for the difference of two recordings.
+    The ends of a 95 % interval are those of 100 draws on each side. The concentration gives a mean the
+    variance of Student's interval for the difference of two recordings.
     """
     wider = float(stdtrit(n - 1, 1 - outside / 2) / ndtri(1 - outside / 2))
     concentration = ((n - 1) / (2 * wider**2) - 1) / n  # below 6 runs none is so wide: nearly one run alone
-    return np.random.default_rng(0).dirichlet(np.full(n, max(concentration, 0.01)), MIXTURES)
+    return np.random.default_rng(0).dirichlet(np.full(n, max(concentration, 0.01)), 4000)
 
 
 def groups_of(runs: Sequence[int]) -> list[frozenset[int]]:

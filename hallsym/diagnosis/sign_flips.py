@@ -28,19 +28,12 @@ from hallsym.estimation import pseudo_inverse
 
 FLIPS = 1999
 """Random signs that are drawn: p-values go down to 0.0005, and one of 0.05 is good to 0.005."""
-FEWEST_UNITS = 24
-"""Runs from which on runs are the units; of fewer, stretches are, so that there are about as many."""
-UNCORRELATED = 0.02
-"""Autocorrelation below which a residual's memory ends: noise has it by chance after some 10,000 readings."""
-MEMORIES = 4.0
-"""Memories of a residual from which on stretches of it are independent.
-
-The scores of neighbouring stretches of an autoregressive residual then have a correlation of 3 %."""
 
 
 def stretch(samples: float, runs: int) -> int | None:
     """Return the samples of a unit for so many samples in so many runs; None where a unit is a run."""
-    return None if runs >= FEWEST_UNITS else max(1, int(-(-samples // (runs * -(-FEWEST_UNITS // runs)))))
+    units = POLICY.fewest_units
+    return None if runs >= units else max(1, int(-(-samples // (runs * -(-units // runs)))))
 
 
 def clusters(run: np.ndarray, memories: float = 0.0) -> np.ndarray:
@@ -50,7 +43,7 @@ def clusters(run: np.ndarray, memories: float = 0.0) -> np.ndarray:
     few there are at least as many parts as say something of a scatter.
     """
     _, index, inverse, counts = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
-    long = (counts * memories / MEMORIES).astype(int)
+    long = (counts * memories / POLICY.memories).astype(int)
     parts = np.clip(long, -(-POLICY.fewest // len(counts)), counts)[inverse]
     within = np.arange(len(run)) - index[inverse]
     return np.unique(inverse * len(run) + within * parts // counts[inverse], return_inverse=True)[1]
@@ -61,7 +54,7 @@ def memory(colour: np.ndarray) -> float:
 
     `colour`: autocorrelation at lags 0, 1, ...
     """
-    ended = np.flatnonzero(colour < UNCORRELATED)
+    ended = np.flatnonzero(colour < POLICY.forgotten)
     return float(ended[0]) if len(ended) else np.inf
 
 

@@ -10,17 +10,14 @@ from collections.abc import Iterable
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residuals import Base, pieces
 
 ORDER = 20
 """Lags of the autoregression: a resonance, and the beginning of 1/f noise within a run."""
-FREQUENCIES = 512
-"""Frequencies at which its spectrum is looked at."""
 LEAST = 1e-9
 """P-value by chi-square that is not gone below: nobody knows the tails of real noise so far out."""
-HEAVY = 5.0
-"""Kurtosis from which on chi-square is not trusted: that of Student's t of 7 degrees of freedom."""
 
 
 def spectrum_peak(base: Base, runs: Iterable[int]) -> float:
@@ -36,8 +33,8 @@ def spectrum_peak(base: Base, runs: Iterable[int]) -> float:
         count += x.size
         fourth += float((x**4).sum())
     rho = products / max(count, 1)  # biased, so that it is positive definite
-    if not rho[0] > 0 or fourth / count > HEAVY * rho[0] ** 2:
+    if not rho[0] > 0 or fourth / count > POLICY.heavy * rho[0] ** 2:
         return np.inf
     phi = solve_toeplitz(rho[:-1] + NIL * rho[0] * (np.arange(ORDER) == 0), rho[1:])
-    turn = np.exp(-1j * np.outer(np.linspace(0, np.pi, FREQUENCIES), np.arange(1, ORDER + 1)))
+    turn = np.exp(-1j * np.outer(np.linspace(0, np.pi, 512), np.arange(1, ORDER + 1)))
     return max(1.0, float(rho[0] - phi @ rho[1:]) / float((np.abs(1 - turn @ phi) ** 2).min()))

@@ -12,7 +12,6 @@ from hallsym.diagnosis.faults import Fault, faults, without_tail
 from hallsym.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from hallsym.diagnosis.noise import LARGER, in_outputs
 from hallsym.diagnosis.policy import Policy
-from hallsym.diagnosis.record import NoiseFinding
 from hallsym.diagnosis.refit import Refitted, refit
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import Exact, Selection
@@ -21,6 +20,7 @@ from hallsym.diagnosis.shrinkage import Judged, foreseen, groups_of
 from hallsym.diagnosis.survey import Survey, survey
 from hallsym.estimation import limit_of
 from hallsym.estimation.goodness_of_fit import goodness_of
+from hallsym.estimation.residual_noise import ResidualNoise
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +242,7 @@ QUIET = ("no gap", LARGER)
 """Verdicts that name no effect."""
 
 
-def decide(setup: Setup, found: Validation, noise: NoiseFinding | None = None) -> Verdict:
+def decide(setup: Setup, found: Validation, noise: ResidualNoise | None = None) -> Verdict:
     """Return "explained" if what is named closes the gap, "no gap" if nothing is named and nothing is left.
 
     What is named must lower the gap by the threshold. A residual that is a gap by itself (`gap.remains`)
@@ -280,7 +280,7 @@ def material(setup: Setup, base: Base) -> bool:
     return goodness_of(point, len(base.free)).judged(known.uncertain, setup.threshold).material
 
 
-def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, noise: NoiseFinding) -> bool:
+def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, noise: ResidualNoise) -> bool:
     """Return whether what `metric` has above the stated floor is worth reporting, and noise explains it.
 
     No function of the motion, the state and time may predict the threshold; nor may waves or steps between

@@ -23,11 +23,10 @@ def place_unit(unit: str) -> tuple[float, str]:
     return (1.0, unit) if unit == "s" else reading_unit(unit)
 
 
-def shown(value: float, unit: str, *, sign: bool = False) -> str:
+def shown(value: float, unit: str) -> str:
     """Return a value with the unit that a person reads."""
     factor, name = place_unit(unit)
-    number = f"{value * factor:+.3g}" if sign and unit not in ("s", "degC") else f"{value * factor:.3g}"
-    return f"{number} {name}"
+    return f"{value * factor:.3g} {name}"
 
 
 def gap_unit(outputs: Iterable[str]) -> tuple[float, str]:

@@ -57,40 +57,36 @@ FEWEST_RUNS = 6
 """Runs from which on their scatter says how well a mean square is known."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class ResidualNoise:
     """Noise that a model leaves, in multiples of the noise that was stated or estimated before.
 
-    `ratio`: standard deviation over all channels; `interval`: its 95 % interval; `by_channel`, `intervals`:
-    the same of each channel. `coefficients`: (ORDER,) of the autoregression, the same for all channels.
-    `kurtosis`: least of all channels, with its standard error `kurtosis_error` were they Gaussian.
-    `correlation`: of neighbouring samples. `memory`: variance of a slow average over that of white noise.
-    `whiteness_p`: probability that white noise is as correlated. `samples`: that were looked at. `within`:
-    factor within which it is the noise, were a gap in it.
+    `ratio`: standard deviation over all sensors, with its 95 % `interval`; `by_sensor`: the same of each
+    sensor, `larger_in`: the sensors in which it is certainly larger. `white`: whether its samples may be
+    independent; `whiteness_p`: probability that white noise is as correlated. `correlation`: of neighbouring
+    samples, `memory`: variance of a slow average over that of white noise, `coefficients`: (ORDER,) of the
+    autoregression, the same for all sensors. `bounded`: whether it is flatter than Gaussian noise, such as a
+    wave, a sweep or steps between levels: no noise. `samples`: that were looked at. `within`: factor within
+    which it is the noise, were a gap in it.
     """
 
     ratio: float
     interval: tuple[float, float]
-    by_channel: Mapping[str, float]
-    intervals: Mapping[str, tuple[float, float]]
-    coefficients: np.ndarray
+    by_sensor: dict[str, float]
+    larger_in: tuple[str, ...]
+    white: bool
+    whiteness_p: float
     correlation: float
     memory: float
-    whiteness_p: float
-    kurtosis: float
-    kurtosis_error: float
-    samples: int
+    coefficients: tuple[float, ...]
+    bounded: bool = False
+    samples: int = 0
     within: float = 2.0
 
     @property
-    def bounded(self) -> bool:
-        """Whether it is flatter than Gaussian noise: a wave, a sweep or steps between levels, no noise."""
-        return self.kurtosis < GAUSSIAN - FLATTER * self.kurtosis_error
-
-    @property
-    def white(self) -> bool:
-        """Whether the samples may be independent of each other."""
-        return self.whiteness_p >= WHITE
+    def larger(self) -> bool:
+        """Whether it is larger than the noise floor by more than a floor is uncertain."""
+        return self.interval[0] > 1 + KNOWN
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,18 +128,20 @@ def residual_noise(r: Residual, channels: Sequence[str]) -> ResidualNoise | None
     fewer = 1.0 + 2.0 * float((rho[1:] ** 2).sum())
     raw = work.left(r.values) / np.sqrt(np.diag(r.covariance))[:, None]
     ratio, interval = work.size(left, kept, fewer)
-    each = [work.size(row[None], kept, fewer) for row in raw]
+    each = {c: work.size(row[None], kept, fewer) for c, row in zip(channels, raw, strict=True)}
+    whiteness_p = _whiteness(body_of, seen, len(left))
+    kurtosis = float(np.min((left**4).sum(axis=1) * work.count / (left**2).sum(axis=1) ** 2))
     return ResidualNoise(
         ratio=ratio,
         interval=interval,
-        by_channel={c: value for c, (value, _) in zip(channels, each, strict=True)},
-        intervals={c: ends for c, (_, ends) in zip(channels, each, strict=True)},
-        coefficients=phi,
+        by_sensor={c: value for c, (value, _) in each.items()},
+        larger_in=tuple(c for c, (_, (low, _)) in each.items() if low > 1 + KNOWN),
+        white=whiteness_p >= WHITE,
+        whiteness_p=whiteness_p,
         correlation=float(rho[1]),
         memory=float(max(1.0, 1.0 + 2.0 * rho[1:].sum())),
-        whiteness_p=_whiteness(body_of, seen, len(left)),
-        kurtosis=float(np.min((left**4).sum(axis=1) * work.count / (left**2).sum(axis=1) ** 2)),
-        kurtosis_error=float(np.sqrt(24.0 * fewer / work.free)),
+        coefficients=tuple(phi.tolist()),
+        bounded=kurtosis < GAUSSIAN - FLATTER * float(np.sqrt(24.0 * fewer / work.free)),
         samples=int(work.count),
     )
 
@@ -371,13 +369,20 @@ def _noise_of_knots(
     if not ratio > 0:
         return None
     spread = [float(np.exp(0.5 * ndtri(COVERED) / (np.log(2.0) * np.sqrt(m)))) for m in (bins * K, bins)]
-    by_channel = dict(zip(model.channels, each.tolist(), strict=True))
+    by_sensor = dict(zip(model.channels, each.tolist(), strict=True))
     return ResidualNoise(
-        ratio, (ratio / spread[0], ratio * spread[0]), by_channel,
-        {c: (v / spread[1], v * spread[1]) for c, v in by_channel.items()},
-        np.zeros(ORDER), correlation=0.0, memory=1.0, whiteness_p=1.0,
-        kurtosis=GAUSSIAN, kurtosis_error=np.inf, samples=n, within=spread[0],
-    )  # fmt: skip
+        ratio=ratio,
+        interval=(ratio / spread[0], ratio * spread[0]),
+        by_sensor=by_sensor,
+        larger_in=tuple(c for c, v in by_sensor.items() if v / spread[1] > 1 + KNOWN),
+        white=True,
+        whiteness_p=1.0,
+        correlation=0.0,
+        memory=1.0,
+        coefficients=(0.0,) * ORDER,
+        samples=n,
+        within=spread[0],
+    )
 
 
 def noise_at(

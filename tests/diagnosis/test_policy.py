@@ -17,12 +17,15 @@ from test_diagnosis_turn import LIKE_A_TABLE, table
 
 from hallsym.diagnosis import POLICY, Diagnosis, diagnose, prepare
 from hallsym.diagnosis.confusable import smaller_findings
+from hallsym.diagnosis.faults import of_samples
 from hallsym.diagnosis.lack_of_fit import LackOfFit, Shape
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.refit import refit, with_model
 from hallsym.diagnosis.scores import Score
 from hallsym.diagnosis.selection import Exact, cancels, ordered, select
 from hallsym.diagnosis.setup import Floor
+from hallsym.diagnosis.sign_flips import clusters, memory, stretch
+from hallsym.diagnosis.spectrum import spectrum_peak
 from hallsym.diagnosis.validation import decide, remains
 from hallsym.families import effect_named
 from hallsym.log import Log
@@ -132,6 +135,61 @@ def test_smaller_findings_are_certain_and_below_the_threshold():
     assert [f.name for f in smaller_findings(setup, selection, found)] == ["real", "chance"]
     setup.policy = replace(POLICY, minor=0.0)
     assert [f.name for f in smaller_findings(setup, selection, found)] == ["real", "tiny"]
+
+
+# -- what is independent, and what its tails are like --------------------------------------------------------
+
+
+def changed(monkeypatch, module: str, **gates: float) -> None:
+    monkeypatch.setattr(sys.modules[f"hallsym.diagnosis.{module}"], "POLICY", replace(POLICY, **gates))
+
+
+def test_units_are_runs_from_enough_runs_on(monkeypatch):
+    assert (stretch(1000, 10), stretch(1000, 24)) == (34, None)
+    changed(monkeypatch, "sign_flips", fewest_units=10)
+    assert stretch(1000, 10) is None
+
+
+def test_a_memory_ends_where_it_is_forgotten_and_several_memories_apart_is_independent(monkeypatch):
+    colour, run = np.array([1.0, 0.5, 0.1, 0.01]), np.zeros(40, int)
+    assert (memory(colour), clusters(run, memories=1.0).max() + 1) == (3.0, 10)
+    changed(monkeypatch, "sign_flips", forgotten=0.2, memories=2.0)
+    assert (memory(colour), clusters(run, memories=1.0).max() + 1) == (2.0, 20)
+
+
+def test_noise_with_heavy_tails_has_no_spectrum_to_go_by(monkeypatch):
+    white = np.random.default_rng(0).standard_normal((2, 5000))
+    piece = SimpleNamespace(used=np.ones(5000, bool), residual=white)
+    monkeypatch.setattr(sys.modules["hallsym.diagnosis.spectrum"], "pieces", lambda *_: [piece])
+    assert 1.0 <= spectrum_peak(None, ()) < 1.3  # of 20 lags of 10,000 numbers, each to 6 %
+    changed(monkeypatch, "spectrum", heavy=2.9)
+    assert spectrum_peak(None, ()) == np.inf
+
+
+def sampled(z: np.ndarray, rest: np.ndarray) -> dict[str, float]:
+    """P-values of what single samples are, which move at random speeds; jitter grows with these."""
+    size = np.random.default_rng(1).uniform(0.5, 2.0, len(z))
+    found = SimpleNamespace(instants=(z * size, size, rest), values=[0, 0], variance=1.0)
+    return {f.name: f.p_value for f in of_samples(found)}
+
+
+def test_tails_of_the_noise_are_expected_to_hold_more_spikes_than_its_body_tells(monkeypatch):
+    rng = np.random.default_rng(2)
+    rest = rng.standard_normal(4000) ** 2
+    rest[500:4000:500] += 100.0
+    quiet = rng.standard_normal(4000)
+    p = sampled(quiet, rest)["outliers"]
+    changed(monkeypatch, "faults", tails=1.0)
+    assert sampled(quiet, rest)["outliers"] < 0.1 * p
+
+
+def test_time_shifts_that_last_are_no_jitter(monkeypatch):
+    rng = np.random.default_rng(3)
+    shifts, rest = np.repeat(rng.standard_normal(2000), 2), rng.standard_normal(4000) ** 2
+    assert "clock_jitter" not in sampled(shifts, rest)
+    assert "clock_jitter" in sampled(rng.permutation(shifts), rest)
+    changed(monkeypatch, "faults", smooth=0.9)
+    assert "clock_jitter" in sampled(shifts, rest)
 
 
 # -- input -------------------------------------------------------------------------------------------------

@@ -58,10 +58,11 @@ def test_a_gap_is_no_noise() -> None:
 def test_noise_is_told_against_what_was_stated_channel_by_channel() -> None:
     noise = coloured(np.random.default_rng(2), 4000, 0) * np.array([[1.0], [1.0], [2.0]])
     r = found(noise, stated=0.5)
-    assert list(r.by_channel) == list(CHANNELS)
-    assert list(r.by_channel.values()) == pytest.approx([2.0, 2.0, 4.0], rel=0.05)
+    assert list(r.by_sensor) == list(CHANNELS)
+    assert list(r.by_sensor.values()) == pytest.approx([2.0, 2.0, 4.0], rel=0.05)
     assert r.ratio == pytest.approx(2 * np.sqrt((1 + 1 + 4) / 3), rel=0.03)
-    assert all(low < r.by_channel[c] < high for c, (low, high) in r.intervals.items())
+    assert r.larger_in == CHANNELS
+    assert found(noise, stated=1.0).larger_in == ("c",)
 
 
 @pytest.mark.slow

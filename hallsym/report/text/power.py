@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from hallsym.diagnosis import CurvePoint, DetectionPower, Findable, Trial, gap_text, gap_unit
+from hallsym.diagnosis import gap_text, gap_unit
+from hallsym.power import CurvePoint, DetectionPower, Findable, Trial
 from hallsym.report.tables import grid
 from hallsym.units import parameter_unit
 

@@ -11,15 +11,15 @@ from gap_twins import Inject, Motion, U, gains, machine
 import hallsym
 from hallsym import NoiseModel
 from hallsym.cli.main import main
-from hallsym.diagnosis import REPEATS, Base, DetectionPower, detection_power, diagnose, prepare
-from hallsym.diagnosis.injection import Injection, generator, injections, sized
-from hallsym.diagnosis.power import NO_EFFECT, RATIOS, Bench, clopper_pearson
-from hallsym.diagnosis.setup import decimated
-from hallsym.diagnosis.simulated_machine import SimulatedMachine, machine_of, simulated_noise
+from hallsym.diagnosis import Base, diagnose, prepare
 from hallsym.families import effects
 from hallsym.families.faults import ages
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log, Noise
+from hallsym.power import REPEATS, DetectionPower, detection_power
+from hallsym.power.detection import NO_EFFECT, RATIOS, Bench, clopper_pearson
+from hallsym.power.injection import Injection, generator, injections, sized
+from hallsym.power.simulated_machine import SimulatedMachine, decimated, machine_of, simulated_noise
 from hallsym.report.text.power import power_text
 from hallsym.simulation import Campaign, Run
 

@@ -14,11 +14,11 @@ from scipy.optimize import brentq
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.scores import Candidate, candidates
-from hallsym.diagnosis.simulated_machine import SimulatedMachine, readings_of
 from hallsym.diagnosis.words import gap_text, gap_unit
 from hallsym.families.faults import FAULTS, Draw, Injection, Noisy, RecordingFault, Size
 from hallsym.model import Effect, Facts
 from hallsym.model.arguments import example_facts
+from hallsym.power.simulated_machine import SimulatedMachine, readings_of
 
 
 def sized(

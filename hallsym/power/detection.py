@@ -17,17 +17,15 @@ from typing import Any
 import numpy as np
 from scipy.special import betaincinv
 
-from hallsym.diagnosis.engine import diagnose, prepare
-from hallsym.diagnosis.injection import Injection, generator, injections, sized
-from hallsym.diagnosis.record import Diagnosis
-from hallsym.diagnosis.setup import Setup, decimated
-from hallsym.diagnosis.simulated_machine import machine_of, simulated_noise
-from hallsym.diagnosis.validation import QUIET
+from hallsym.diagnosis import QUIET, Diagnosis, diagnose, prepare
+from hallsym.diagnosis.setup import Setup
 from hallsym.errors import InputError, nearest
 from hallsym.estimation.calibration import INTERVAL, Fit
 from hallsym.families.faults import FAULTS
 from hallsym.log import Log
 from hallsym.model import Effect, Model
+from hallsym.power.injection import Injection, generator, injections, sized
+from hallsym.power.simulated_machine import decimated, machine_of, simulated_noise
 
 NO_EFFECT = "no effect"
 """Name of a trial without an injection."""

@@ -16,18 +16,14 @@ from hallsym.diagnosis.noise import noise_of_rest, noise_text
 from hallsym.diagnosis.normal_equations import coefficients, normal_equations
 from hallsym.diagnosis.residual_table import at_rest
 from hallsym.diagnosis.residuals import Base, pieces
-from hallsym.diagnosis.setup import of_recording
+from hallsym.diagnosis.setup import kept, of_recording, spacing
+from hallsym.diagnosis.survey import SEGMENT
 from hallsym.estimation import autoregressive
-from hallsym.estimation.decoding import columns_of
 from hallsym.estimation.residual_noise import SETTLE
 from hallsym.families.faults import Recording
 from hallsym.log import Log, Noise, Sigma
-from hallsym.log.batches import batches
-from hallsym.log.derived import extended
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
-
-NOTHING: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +45,7 @@ class SimulatedMachine:
         """Runs that are fitted."""
         return [r for r in self.base.log.runs if r not in self.base.holdout]
 
-    def log(self, readings: np.ndarray, reference: Mapping[str, np.ndarray] = NOTHING) -> Log:
+    def log(self, readings: np.ndarray, reference: Mapping[str, np.ndarray] = MappingProxyType({})) -> Log:
         """Return the log with other readings, (K, rows), and noise of the `reference` by column, (rows,)."""
         base = self.base
         rows = dict(zip(base.model.channels, readings, strict=True))
@@ -76,6 +72,21 @@ class SimulatedMachine:
                 M = by * products[units].sum(axis=0) / max(t.count[units].sum(), 1.0)
                 found.append((float(np.sqrt(max(v @ M @ v, 0.0))), float(np.sqrt(max(M[-1, -1], 0.0)))))
         return max(found)
+
+
+def decimated(base: Base, rows: int) -> tuple[Log, str]:
+    """Return about `rows` samples of `base.log`; those that the fit left out are left out here too.
+
+    Samples are left out as far as motion and mains stay resolved, and then the ends of long runs. The text
+    says what was left out, "" for nothing.
+    """
+    log, every = base.log, spacing(base, rows)
+    long = log.rows > rows * every
+    most = max(rows * every // len(log.runs), SEGMENT * every) if long else log.rows
+    said = [f"every {every}. sample"] if every > 1 else []
+    if long:
+        said.append(f"the first {most} samples of each run")
+    return kept(base, every, most), " of ".join(said)
 
 
 def machine_of(base: Base, floor_m: float, stated: Collection[str] | None = None) -> SimulatedMachine:
@@ -111,9 +122,8 @@ def machine_of(base: Base, floor_m: float, stated: Collection[str] | None = None
 def readings_of(base: Base, model: Model, p: np.ndarray) -> np.ndarray:
     """Return the readings (K, rows) of `model`, an extension of the base's, with values `p`."""
     run = on_arrays(model.reading)
-    log = extended(base.log, model, base.sigma, base.values)
     parts = []
-    for batch in batches(log, columns_of(model)):
+    for batch in base.batches(model):
         pose, state = batch.columns(model.references), batch.columns(model.state)
         parts.append(run(p, base.zeros_of(batch), pose, state)[0])
     return np.hstack(parts)
