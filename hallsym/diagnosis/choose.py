@@ -52,8 +52,9 @@ def _shown(setup: Setup, effect: Effect) -> Model:
     seen = survey(base, runs)
     facts = facts_of(base, seen)
     tried, trouble = candidates(base, [effect], facts)
-    ranked = Screen(base, tried, runs, colour=seen.colour).scores if tried else []
-    exact = refitted(base, ranked, runs, lambda s: s.p_value < setup.policy.certain)
+    screen = Screen(base, tried, runs)
+    screen.weigh(seen.colour, louder=seen.fast)
+    exact = refitted(base, screen.scores, runs, lambda s: s.p_value < setup.policy.certain)
     if not exact:
         reason = trouble.get(effect.name, "nothing in what the model leaves looks like it")
         raise InputError(

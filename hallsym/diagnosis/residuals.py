@@ -42,6 +42,11 @@ class Base:
     sliced: bool = False
 
     @property
+    def joined(self) -> bool:
+        """Whether noise goes on from run to run: they have no offsets to take it."""
+        return self.timed and not self.model.zeros
+
+    @property
     def on_all(self) -> "Base":
         """The same on all samples."""
         return self if self.keep is None else replace(self, keep=None)

@@ -60,6 +60,11 @@ class Score:
     p_by_noise: float = 1.0
     statistic: float = -np.inf
 
+    @property
+    def key(self) -> str:
+        """What the candidate is called."""
+        return f"{self.effect.name}|{self.variant.label}"
+
 
 def candidates(
     base: Base, catalogue: Sequence[Effect], facts: Facts
@@ -115,90 +120,92 @@ def _extended(model: Model, effect: Effect, variant: Variant) -> tuple[Model, li
 class Screen:
     """The catalogue scored beside one fit, from one pass over the log.
 
-    One pass for all candidates, or for as many as have `PRODUCTS` together. `scores`: best first,
-    by BIC. `length`: samples of the stretches that are the units of p-values, None where runs are; `lasting`:
-    of a unit. `significance`: that any of them is there at all. `tables`: the products of each pass. `top`:
-    the largest statistic of all with each draw of signs, that of the log first.
+    One pass for all candidates, or for as many as have `PRODUCTS` together. `scores`: best first, by BIC,
+    with p-values once they are weighed. `length`: samples of the stretches that are the units of p-values,
+    None where runs are; `lasting`: of a unit. `significance`: that any of them is there at all. `tables`: the
+    products of each pass. `top`: the largest statistic of all with each draw of signs, that of the log first.
     """
 
     def __init__(
-        self,
-        base: Base,
-        tried: dict[str, Candidate],
-        runs: Sequence[int],
-        *,
-        colour: np.ndarray | None = None,
-        remembers: float | None = None,
+        self, base: Base, tried: dict[str, Candidate], runs: Sequence[int], *, tested: bool = True
     ) -> None:
-        """Score `tried` on `runs`; `colour`: autocorrelation of the residual, None: without p-values.
-
-        `remembers`: samples after which the noise has forgotten; None: as `colour` says, and of slices of a
-        recording not at all.
-        """
+        """Score `tried` on `runs`; `tested`: for p-values (`weigh`), for which few runs are cut."""
         self.base, self.tried, self.runs = base, tried, tuple(runs)
         rows = base.log.rows / len(base.log.runs)
-        self.length = None if colour is None else stretch(rows * len(runs), len(runs))
+        self.length = stretch(rows * len(runs), len(runs)) if tested else None
         self.lasting = self.length or rows
         parts = (
             ({k: (c.model, c.new) for k, c in part.items()}, part) for part in _parts(tried, len(base.free))
         )
         channels = len(base.model.channels)
         self.tables = [Table(normal_equations(base, new, self.length), part, channels) for new, part in parts]
-        self.weigh(colour, remembers)
-
-    def weigh(self, colour: np.ndarray | None, remembers: float | None = None, peak: float = np.inf) -> None:
-        """Score with p-values for noise with this autocorrelation; None: without p-values.
-
-        `peak`: of the spectrum of the stated noise (`spectrum_peak`); infinity where it was not stated.
-        """
-        places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in self.tried.values()))}
-        variants = Counter(c.effect.name for c in self.tried.values())
-        found, flipped = list[Score](), list[np.ndarray]()
-        for table in self.tables:
-            flips = self._flips(table, colour, remembers) if colour is not None else None
-            for key, scored in table.scored(self.runs):
-                c, absorbed = table.tried[key], scored.absorbed
-                z = None if absorbed or flips is None else flips.statistic(key)
-                if z is not None:
-                    # numbers that were searched elsewhere, and are not among the variants
-                    flipped.append(searched(z, c.variant.tried / variants[c.effect.name]))
-                kept = 1.0 if flips is None or z is None else flips.kept(key)
-                found.append(
-                    Score(
-                        effect=c.effect,
-                        variant=c.variant,
-                        model=c.model,
-                        gain=scored.gain,
-                        size=scored.size,
-                        bic=scored.bic,
-                        ratio=1 - (1 - table.ratio(key, self.runs)) * kept,
-                        kept=kept,
-                        p_value=1.0,
-                        absorbed=absorbed,
-                        place=places[c.effect.name],
-                        statistic=-np.inf if z is None else float(flipped[-1][0]),
-                    )
+        places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in tried.values()))}
+        self.scores = sorted(
+            (
+                Score(
+                    effect=c.effect,
+                    variant=c.variant,
+                    model=c.model,
+                    gain=scored.gain,
+                    size=scored.size,
+                    bic=scored.bic,
+                    ratio=table.ratio(key, self.runs),
+                    p_value=1.0,
+                    absorbed=scored.absorbed,
+                    place=places[c.effect.name],
                 )
-        joint = Joint(flipped)
-        self.top = joint.top if flipped else None
-        most = {s.effect.name: max(variants[s.effect.name], s.variant.tried) for s in found}
-        found = [replace(s, p_by_noise=_by_noise(s, peak, sum(most.values()))) for s in found]
+                for table in self.tables
+                for key, scored in table.scored(self.runs)
+                for c in [table.tried[key]]
+            ),
+            key=lambda s: s.bic,
+        )
+
+    def weigh(
+        self,
+        colour: np.ndarray,
+        remembers: float | None = None,
+        peak: float = np.inf,
+        louder: float = 1.0,
+    ) -> None:
+        """Give the scores their p-values, for noise with the autocorrelation `colour`.
+
+        `remembers`: samples after which the noise has forgotten; None: as `colour` says, and of slices of a
+        recording not at all. `peak`: of the spectrum of the stated noise (`spectrum_peak`); infinity where it
+        was not stated. `louder`: variance of the noise over that which was stated. Nobody knows then whether
+        it is the references', so everything is tested with their noise as stated and as loud, and the larger
+        p-value counts.
+        """
+        sizes = (1.0, louder) if louder > (1 + POLICY.negligible) ** 2 else (1.0,)
+        variants = Counter(s.effect.name for s in self.scores)
+        flips = {k: f for table in self.tables for k, f in self._flips(table, colour, remembers, sizes)}
+        drawn: dict[str, list[np.ndarray]] = {}
+        for s in self.scores:
+            z = [] if s.absorbed else [f.statistic(s.key) for f in flips[s.key]]
+            # numbers that were searched elsewhere, and are not among the variants
+            tried = s.variant.tried / variants[s.effect.name]
+            drawn[s.key] = [searched(each, tried) for each in z if each is not None]
+        joints = [Joint(each) for each in zip(*filter(None, drawn.values()), strict=True)] or [Joint(())]
+        self.top = joints[0].top if any(drawn.values()) else None
+        most = {s.effect.name: max(variants[s.effect.name], s.variant.tried) for s in self.scores}
         # weighted Bonferroni: each test has its part of the error rate, signs have what is left
         part = POLICY.minor
         of_signs = 1.0 - part * np.isfinite(peak)
-        each = [
-            min(1.0, joint.p_value(s.statistic) / of_signs, s.variant.by_itself / part, s.p_by_noise / part)
-            for s in found
-        ]
+        out = []
+        for s in self.scores:
+            z0 = [float(z[0]) for z in drawn[s.key]] or [-np.inf]
+            kept = min((f.kept(s.key) for f in flips[s.key]), default=1.0) if drawn[s.key] else 1.0
+            s = replace(s, kept=kept, ratio=1 - (1 - s.ratio) * kept, statistic=z0[0])
+            s = replace(s, p_by_noise=_by_noise(s, peak, sum(most.values())))
+            signs = max(joint.p_value(z) for joint, z in zip(joints, z0, strict=False))
+            p = min(1.0, signs / of_signs, s.variant.by_itself / part, s.p_by_noise / part)
+            ratio = min(s.ratio, self._ratio(s, peak)) if p < POLICY.false_alarm else s.ratio
+            out.append(replace(s, p_value=p, ratio=ratio))
+        self.scores = out
         units = len(self.tables[0].t.units(self.runs))
         unit = "run" if self.length is None else "stretch"
-        self.significance = Significance(min(each, default=1.0), least_p(units), units, unit)
-        found = [replace(s, p_value=p) for s, p in zip(found, each, strict=True)]
-        found = [
-            replace(s, ratio=min(s.ratio, self._ratio(s, peak))) if s.p_value < POLICY.false_alarm else s
-            for s in found
-        ]
-        self.scores = sorted(found, key=lambda s: s.bic)
+        least = min((s.p_value for s in out), default=1.0)
+        self.significance = Significance(least, least_p(units), units, unit)
 
     def _ratio(self, score: Score, peak: float) -> float:
         """Return the gap metric with a candidate over that without, on the same runs less its optimism.
@@ -207,18 +214,25 @@ class Screen:
         """
         if not np.isfinite(peak):
             return np.inf
-        key = f"{score.effect.name}|{score.variant.label}"
-        table = next(t for t in self.tables if key in t.tried)
+        table = next(t for t in self.tables if score.key in t.tried)
         real = max(0.0, 1 - 2 * score.size * peak / max(score.gain, NIL))
-        return float(np.sqrt(max(1 - (1 - table.in_sample(key, self.runs) ** 2) * real * score.kept, 0.0)))
+        squares = 1 - table.in_sample(score.key, self.runs) ** 2
+        return float(np.sqrt(max(1 - squares * real * score.kept, 0.0)))
 
-    def _flips(self, table: "Table", colour: np.ndarray, remembers: float | None) -> SignFlips:
+    def _flips(
+        self, table: "Table", colour: np.ndarray, remembers: float | None, sizes: Sequence[float]
+    ) -> Iterator[tuple[str, list[SignFlips]]]:
+        """Yield what flips the signs of each candidate, for noise of the references of these variances."""
         new = {key: (c.model, c.new) for key, c in table.tried.items()}
         noise = shared_noise(self.base, new, self.length, colour)
         if remembers is None:
             remembers = 0.0 if self.base.sliced else memory(colour)
         memories = self.lasting / max(remembers, NIL)
-        return SignFlips(table.t, self.runs, noise, memories=memories, sliced=self.base.sliced)
+        scaled = ({key: size * v for key, v in noise.items()} for size in sizes)
+        flips = [
+            SignFlips(table.t, self.runs, own, memories=memories, joined=self.base.joined) for own in scaled
+        ]
+        return ((key, flips) for key in new)
 
     @property
     def spoiled(self) -> frozenset[str]:

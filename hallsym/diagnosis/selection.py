@@ -17,7 +17,7 @@ from hallsym.diagnosis.scores import Score, Screen, by_name, candidates
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.sign_flips import memory
 from hallsym.diagnosis.spectrum import spectrum_peak
-from hallsym.diagnosis.survey import memory_of_recording, survey
+from hallsym.diagnosis.survey import Survey, memory_of_recording, survey
 from hallsym.model import Effect, Facts
 
 
@@ -173,7 +173,7 @@ def _scores(
     base: Base, effects: Sequence[Effect], runs: Sequence[int], facts: Facts, policy: Policy
 ) -> list[Score]:
     tried, _ = candidates(base, effects, facts)
-    return Screen(base, tried, runs).scores
+    return Screen(base, tried, runs, tested=False).scores
 
 
 def _first(first: Exact, exact: Sequence[Exact]) -> list[Exact]:
@@ -339,8 +339,8 @@ class Selection:
         told = faults(at.base, found, self.setup.tested)
         self.of_values = sum(f.power for f in told if f.record.of_values)
         tried, trouble = candidates(at.base, self.setup.catalogue, facts)
-        screen = Screen(at.base, tried, self.runs, colour=found.colour, remembers=remembers)
-        colour = self.weighed(screen, found.colour)
+        screen = Screen(at.base, tried, self.runs)
+        colour = self.weighed(screen, found, remembers)
         ranked = screen.scores
         self.screened.append(Screened(at, ranked, screen.significance, screen.top, colour))
         self.not_testable |= trouble
@@ -351,27 +351,26 @@ class Selection:
             self.not_testable |= {s.effect.name: absorbed for s in by_name(ranked) if s.absorbed}
         return screen, facts
 
-    def weighed(self, screen: Screen, colour: np.ndarray) -> np.ndarray:
+    def weighed(self, screen: Screen, found: Survey, remembers: float | None) -> np.ndarray:
         """Weigh a screen by the noise that the best effect leaves; return its autocorrelation.
 
         A slow effect makes a residual that remembers as long as it lasts. Where stretches seem to depend on
         each other, what the best effect leaves tells whether the noise does; and how much of it a column may
         collect, where the noise was stated.
         """
-        base = screen.base
+        base, colour, peak = screen.base, found.colour, np.inf
         lasting = screen.lasting >= self.policy.memories * memory(colour)
         whole = screen.length is None or base.sliced or lasting
         offsets = len(base.model.zeros) > 0  # without them noise slower than a run is in no spectrum of a run
-        if not screen.scores or (whole and not offsets):
-            return colour
-        left = refit(with_model(base, screen.scores[0].model), self.runs)
-        beside = colour if whole else survey(left.base, self.runs).colour
-        if memory(beside) >= memory(colour):
-            beside = colour
-        peak = spectrum_peak(left.base, self.runs) if offsets else np.inf
-        if beside is not colour or np.isfinite(peak):
-            screen.weigh(beside, peak=peak)
-        return beside
+        if screen.scores and (offsets or base.joined or not whole):
+            left = refit(with_model(base, screen.scores[0].model), self.runs)
+            if not whole and memory(beside := survey(left.base, self.runs).colour) < memory(colour):
+                colour = beside
+            peak = spectrum_peak(left.base, self.runs) if offsets else np.inf
+            if base.joined and not base.sliced:
+                remembers = memory_of_recording(left.base, frozenset(self.runs))
+        screen.weigh(colour, remembers, peak, found.fast)
+        return colour
 
     def stands(self, exact: Exact, at: Refitted) -> bool:
         """Return whether a refit keeps what its score promised, and its parameters do not undo each other.

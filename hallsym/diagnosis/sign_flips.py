@@ -86,12 +86,13 @@ class SignFlips:
         noise: Mapping[tuple[int, int], np.ndarray],
         *,
         memories: float = 0.0,
-        sliced: bool = False,
+        joined: bool = False,
     ) -> None:
         """Take the products of some runs, the model's own parameters as fitted to them.
 
         `noise`: what the candidates' columns have in common with the residual by the references' noise.
-        `memories`: of the residual that a unit lasts. `sliced`: whether all runs are slices of one recording.
+        `memories`: of the residual that a unit lasts. `joined`: whether noise goes on from run to
+        run, which have no offsets to take it.
         """
         self.units = t.units(runs)
         self.t, self.own = t, t.span[""].stop
@@ -102,7 +103,7 @@ class SignFlips:
         self.known = M[:, :n, :n]
         self.b = self.JJ @ (total[:n, -1] - self.shared[:, :n].sum(axis=0))
         self.left = M[:, :n, -1] - self.known @ self.b - self.shared[:, :n]
-        run = np.unique([t.runs[u][0] * (not sliced) for u in self.units], return_inverse=True)[1]
+        run = np.unique([t.runs[u][0] * (not joined) for u in self.units], return_inverse=True)[1]
         cluster = clusters(run, memories)
         self.cluster = np.arange(cluster.max() + 1)[:, None] == cluster
         self.zeros: np.ndarray | None = None

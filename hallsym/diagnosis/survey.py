@@ -102,14 +102,15 @@ def _memory(rest: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
 
 
 def memory_of_recording(base: Base, runs: frozenset[int]) -> float:
-    """Return the samples after which the residual of `base` has forgotten; `runs` are slices of a recording.
+    """Return the samples after which the residual of `base` has forgotten, from run to run.
 
     It remembers to the last lag at which white noise would hardly be as correlated (Bartlett), all lags
     counted; noise that remembers long may have forgotten earlier. What lies between slices is unknown.
     """
     found = list(pieces(base, runs))
     t = np.concatenate([p.t for p in found])
-    place = np.round((t - t[0]) / max(float(np.median(np.diff(t))), 1e-300)).astype(int)
+    step = max(float(np.median(np.diff(t))), 1e-300)
+    place = np.round((t - t[0]) / step).astype(int) if base.sliced else np.arange(len(t))
     n = int(place.max()) + 1
     rest = np.hstack([np.where(p.used, p.residual, 0.0) for p in found])
     series, there = np.zeros((len(rest), n)), np.zeros((1, n))

@@ -24,10 +24,10 @@ ENCODER = {"v_sin_v": 6e-4, "v_cos_v": 6e-4, "angle_ref_rad": 3e-5}
 ENCODER_STEP, ENCODER_SAMPLES = 1e-3, 300
 RECORDING_S = 3.0
 RESONANCE_HZ, DAMPING = 41.0, 0.03
-WANDER, WANDER_MEMORY = 0.2, 1 / 3
-"""Share of the thermal wander in the power of the noise (half of the white noise beside it, as a standard
-deviation), and its memory over the length of the log.
-"""
+WANDER = 0.2
+"""Share of the thermal wander in the power of the noise: half of the white noise beside it, as a standard
+deviation. It remembers for as long as a run lasts. An encoder's offset that wanders for longer drifts through
+the recording, and a diagnosis says so."""
 UNDERSTATED = 1.5
 UNSTATED = {"stage": ("z_m", "rx_rad", "ry_rad"), "rotary": ("v_cos_v",)}
 
@@ -143,7 +143,8 @@ def log_of(
         columns = disturbed(columns, truth, sigma)
     edges = np.flatnonzero(np.diff(columns["run"], prepend=-1, append=-1))
     rows, draw = len(columns["run"]), KINDS.get(kind, white)
-    slow = autoregressive(WANDER_MEMORY * rows)(rng, rows, campaign.step_s) if kind == "wander" else None
+    memory = rows / (len(edges) - 1)
+    slow = autoregressive(memory)(rng, rows, campaign.step_s) if kind == "wander" else None
     for name, s in sigma.items():
         if s:
             e = np.concatenate([draw(rng, b - a, campaign.step_s) for a, b in pairwise(edges)])

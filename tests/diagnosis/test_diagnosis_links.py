@@ -40,7 +40,8 @@ def screened(base: Base, effects: tuple[Effect, ...]) -> Screened:
     runs = fitted_runs(base)
     seen = survey(base, frozenset(runs))
     tried, _ = candidates(base, effects, facts_of(base, seen))
-    screen = Screen(base, tried, runs, colour=seen.colour)
+    screen = Screen(base, tried, runs)
+    screen.weigh(seen.colour)
     return Screened(refit(base, runs), screen.scores, screen.significance, screen.top, seen.colour)
 
 
