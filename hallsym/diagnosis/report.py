@@ -293,8 +293,8 @@ def findings(setup: Setup, found: Validation) -> tuple[FoundEffect, ...]:
     """
     if found.metric >= found.before.metric:
         return ()
-    variance = found.fit.variance(1.0) * found.inflation  # of the slow averages of what is left
-    spread = np.sqrt(np.maximum(np.diag(found.fit.covariance()), 0.0) * variance)
+    fit, known = found.fit, np.maximum(np.diag(found.fit.covariance()), 0.0)
+    spread = np.sqrt(known * fit.variance(1.0) * found.inflation)  # of the slow averages of what is left
     out = [_effect(found, e, spread) for e in found.effects]
     out += [_fault(setup, found, f) for f in found.faults]
     if setup.miswired:
