@@ -7,11 +7,6 @@ from scipy.optimize import brentq
 from scipy.special import bdtrc, chdtrc, chdtri, fdtrc, fdtri, gammainc, stdtr
 
 
-def chance(statistic: float, freedom: float) -> float:
-    """Return the probability that chi-square with `freedom` degrees exceeds `statistic`."""
-    return float(chdtrc(freedom, max(statistic, 0.0)))
-
-
 def statistic_at(p: float, freedom: float) -> float:
     """Return the value that chi-square with `freedom` degrees exceeds with probability `p`."""
     return float(chdtri(freedom, min(max(p, 1e-300), 1.0)))
@@ -32,7 +27,7 @@ def beyond(values: np.ndarray, noise: np.ndarray | None = None) -> float:
     total = float(np.sum(values))
     if error <= 0.0:
         return 1.0 if total <= 0 else 0.0
-    return float(stdtr(n - 1, -total / error))
+    return student(total / error, n - 1)
 
 
 def exceeds(values: np.ndarray, freedom: int, limit: float, white: np.ndarray) -> float:
@@ -55,7 +50,7 @@ def exceeds(values: np.ndarray, freedom: int, limit: float, white: np.ndarray) -
 
     lightest, heaviest = 4.0, 0.0
     if heavier(lightest) >= 0.0:
-        return chance(limit * statistic_at(0.5, freedom) / float(middle), freedom)
+        return float(chdtrc(freedom, limit * statistic_at(0.5, freedom) / float(middle)))
     weight = 10.0 ** (brentq(heavier, heaviest, lightest) if heavier(heaviest) > 0.0 else heaviest)
     return float(fdtrc(freedom, weight, limit * float(fdtri(freedom, weight, 0.5)) / float(middle)))
 
@@ -79,4 +74,4 @@ def beyond_one(value: float, others: np.ndarray) -> float:
     """Return the probability that one more of the same kind as `others` exceeds `value` (Student's t)."""
     n = len(others)
     spread = float(np.std(others, ddof=1)) * np.sqrt(1 + 1 / n)
-    return float(stdtr(n - 1, -(value - float(others.mean())) / max(spread, 1e-300)))
+    return student((value - float(others.mean())) / max(spread, 1e-300), n - 1)

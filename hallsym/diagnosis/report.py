@@ -259,7 +259,9 @@ def model_error(
     floor = found.floor.outputs
     known = metric <= found.floor.metric * (1 + setup.policy.negligible)
     above = {c: float(np.sqrt(max(v**2 - floor[c] ** 2, 0.0))) for c, v in gap.rmse.items()}
-    counts = rest is not None and _placed(setup, rest)
+    curve = rest.curve if rest else None
+    placed = (*setup.base.model.references, *setup.base.model.state)  # the coordinates that a position has
+    counts = curve is not None and curve.line and curve.column.removeprefix("d0_") in placed
     share = lies.statements[0].share if lies is not None and lies.statements and counts else 0.0
     left = float(np.sqrt(max(1 - share, 0.0)))
     return ModelLeft(
@@ -267,14 +269,6 @@ def model_error(
         shape_counts=counts,
         candidates=_candidates(found, alike.fits),
     )
-
-
-def _placed(setup: Setup, rest: Unexplained) -> bool:
-    """Return whether the rest goes with a coordinate that a position has: of its pose or its state."""
-    if rest.curve is None or not rest.curve.line:
-        return False
-    model = setup.base.model
-    return rest.curve.column.removeprefix("d0_") in (*model.references, *model.state)
 
 
 def _candidates(found: Validation, fits: tuple[Refitted, ...]) -> tuple[NotExcluded, ...]:
@@ -300,8 +294,8 @@ def findings(setup: Setup, found: Validation) -> tuple[FoundEffect, ...]:
     """
     if found.metric >= found.before.metric:
         return ()
-    variance = found.fit.variance(1.0) * found.inflation  # of the slow averages of what is left
-    spread = np.sqrt(np.maximum(np.diag(found.fit.covariance()), 0.0) * variance)
+    fit, known = found.fit, np.maximum(np.diag(found.fit.covariance()), 0.0)
+    spread = np.sqrt(known * fit.variance(1.0) * found.inflation)  # of the slow averages of what is left
     out = [_effect(found, e, spread) for e in found.effects]
     out += [_fault(setup, found, f) for f in found.faults]
     if setup.miswired:

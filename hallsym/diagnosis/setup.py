@@ -186,7 +186,9 @@ def prepare(
     base = base_of(log, result)
     if log.rows > HELD:
         say("decimating the log")
-        log, every = thinned(replace(base.on_all, log=log), HELD)
+        logged = replace(base.on_all, log=log)
+        every = spacing(logged, HELD)
+        log = kept(logged, every, log.rows)
         base = base_of(log, result)
         if every > 1:
             long = (
@@ -412,15 +414,6 @@ PER_PERIOD = 12
 """Samples per period of the fastest motion that a decimated log keeps."""
 
 
-def thinned(base: Base, rows: int) -> tuple[Log, int]:
-    """Return every m-th sample of each run of `base.log`, and m.
-
-    They are about `rows`, or as many as motion and mains need.
-    """
-    every = spacing(base, rows)
-    return kept(base, every, base.log.rows), every
-
-
 def kept(base: Base, every: int, most: int) -> Log:
     """Return every so many samples of the first `most` of each run that the fit has not left out."""
     log = base.log
@@ -443,7 +436,7 @@ def kept(base: Base, every: int, most: int) -> Log:
 
 
 def spacing(base: Base, rows: int) -> int:
-    """Return how many samples one stands for where `rows` are wanted."""
+    """Return how many samples one stands for where `rows` are wanted: fewer if motion or mains need more."""
     known, every = 1, -(-base.log.rows // rows)
     beyond = every + 1
     while beyond - known > 1:
