@@ -30,19 +30,6 @@ def with_noise(base: Base, noise: ResidualNoise) -> Base:
     return replace(base, covariance=base.covariance * np.outer(larger, larger))
 
 
-def in_outputs(base: Base, noise: ResidualNoise) -> float:
-    """Return the gap metric that the noise makes over that of the noise floor.
-
-    A noisy sensor may count for more in the pose than in the residuals of all sensors.
-    """
-    model, here = base.model, base.log.columns
-    state = [float(np.mean(base.log.array(c))) if c in here else 0.0 for c in model.state]
-    spread = np.asarray(model.noise_gain(base.p, state, base.weight)) * base.pose_weights[:, None]
-    covariances = base.covariance, with_noise(base, noise).covariance
-    known, real = (float(np.einsum("ik,kl,il->", spread, C, spread)) for C in covariances)
-    return float(np.sqrt(real / known)) if known > 0 else noise.ratio
-
-
 def noise_text(noise: ResidualNoise, stated: bool) -> str:
     """Return the noise in words."""
     low, high = noise.interval

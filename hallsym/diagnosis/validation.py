@@ -10,7 +10,7 @@ from scipy.special import ndtri
 from hallsym.diagnosis.decoded_errors import DecodedErrors, decoded_errors
 from hallsym.diagnosis.faults import Fault, faults, without_tail
 from hallsym.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
-from hallsym.diagnosis.noise import LARGER, in_outputs
+from hallsym.diagnosis.noise import LARGER
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.refit import Refitted, refit
 from hallsym.diagnosis.residuals import Base
@@ -51,9 +51,8 @@ class Validation:
     without the samples that are faults by themselves. Errors on the holdout runs: `before` without effects,
     `after` with them, `cured` also without faulty samples; `metric`: the gap without any fault of samples [m
     or rad]. `rest`: the structure of what `end` leaves. `variance`: of the fitted samples' whitened residual;
-    `fast`: rms of differences of neighbouring samples over that of the noise; `inflation`: variance of a slow
-    average over that of white noise; `error`: standard error of the gap of the holdout runs, over itself, by
-    noise of this memory.
+    `inflation`: variance of a slow average over that of white noise; `error`: standard error of the gap of
+    the holdout runs, over itself, by noise of this memory.
     """
 
     start: Refitted
@@ -71,7 +70,6 @@ class Validation:
     faults: tuple[Fault, ...]
     miswired: bool
     variance: float
-    fast: float
     inflation: float
     error: float
 
@@ -139,7 +137,6 @@ def validate(setup: Setup, selection: Selection) -> Validation:
         faults=tuple(found),
         miswired=setup.miswired is not None,
         variance=whole.variance,
-        fast=float(np.sqrt(kept.fast)),
         inflation=kept.inflation,
         error=_error(kept, after.count * len(setup.fit.model.pose)),
     )
@@ -283,19 +280,16 @@ def material(setup: Setup, base: Base) -> bool:
 def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, noise: ResidualNoise) -> bool:
     """Return whether what `metric` has above the stated floor is worth reporting, and noise explains it.
 
-    No function of the motion, the state and time may predict the threshold; nor may waves or steps between
-    levels be in it. Where differences of neighbouring samples have the stated noise in full, within what a
-    floor is known to, noise that is correlated is something on top of it.
+    No function of the motion, the state and time may predict the threshold.
     """
-    floor, policy, threshold = found.floor, setup.policy, setup.threshold
+    floor, base = found.floor, found.base
     stated = any(s.source == "given" for s in setup.fit.noise.sigmas.values())
-    if not stated or noise.interval[0] <= (1 + policy.negligible) * floor.uncertain or noise.bounded:
+    if not stated or shaped(rest, setup.threshold, setup.policy):
         return False
-    if metric <= worth_reporting(floor, threshold) or shaped(rest, threshold, policy):
-        return False
-    slow_on_top = not noise.white and abs(found.fast - 1.0) < policy.negligible
-    known = replace(floor, metric=floor.metric * in_outputs(found.base, noise))
-    return not slow_on_top and metric <= worth_reporting(known, threshold)
+    here = base.log.columns
+    state = [float(np.mean(base.log.array(c))) if c in here else 0.0 for c in base.model.state]
+    in_pose = noise.in_pose(base.model, base.p, state, base.covariance, base.pose_weights)
+    return noise.makes(metric / floor.metric, in_pose, floor.uncertain, setup.threshold)
 
 
 def closed(before: float, after: float, floor: float) -> float:

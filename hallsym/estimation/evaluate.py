@@ -17,7 +17,7 @@ from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.noise_floor import noise_floor, uncertain
 from hallsym.estimation.plausible import as_read, lateness, rewired
-from hallsym.estimation.residual_noise import noise_followed
+from hallsym.estimation.residual_noise import noise_followed, with_noise
 from hallsym.estimation.task import Asked, Task, noise_of
 from hallsym.families import plain
 from hallsym.log import Log, Noise, as_log, clean_log, usable
@@ -120,6 +120,7 @@ def evaluate(
     notes += _shift_notes(model, found.table, found.shifts, taken_out=own_zero)
     floor = uncertain(found.point, noise, given.meta.gap_length_scale_m)
     goodness = found.goodness.judged(floor, given.meta.gap_threshold_rel)
+    goodness = with_noise(goodness, found.log, found.point, noise)
     return Evaluation(
         model, found.table, goodness, noise_floor(found.point), noise, tuple(notes), known, given,
         deviations_of(found.point), found.log,

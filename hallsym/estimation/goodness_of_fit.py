@@ -51,8 +51,9 @@ class GoodnessOfFit:
     `worst_run`, `worst_channel`: where one channel in one run leaves most, `worst` times the noise;
     `worst_least` is the lower end of that multiple, at 99 % for all runs and channels together. `uncertain`:
     factor within which the noise floor is known; `threshold`: relative decrease of the error that is worth
-    reporting. `what` is said not to describe the log where the residual is material; `next_command` finds
-    the cause.
+    reporting. `noise`: what is left over the stated noise, if that is noise and makes the residual so large;
+    else 0. `what` is said not to describe the log where the residual is material; `next_command` finds the
+    cause.
     """
 
     residual_over_noise: float
@@ -66,6 +67,7 @@ class GoodnessOfFit:
     worst_least: float
     uncertain: float = 1.0
     threshold: float = WORTH_REPORTING
+    noise: float = 0.0
     next_command: str = ""
     what: str = "The model"
 
@@ -129,6 +131,11 @@ class GoodnessOfFit:
         """Return `what` with the numbers that say so; None where all is well."""
         if not self.material:
             return None
+        if self.noise:
+            return (
+                f"The noise is larger than stated: residual error is {_times(self.residual_over_noise)} the "
+                f"noise floor, and that is noise, {_times(self.noise)} the stated"
+            )
         return (
             f"{what}: residual error is {_times(self.residual_over_noise)} the noise floor{self._guessed}, "
             f"worst in {self.where} ({_times(self.worst)})"

@@ -19,7 +19,7 @@ from scipy.linalg import solve_banded, solve_toeplitz
 from scipy.special import chdtrc, ndtri, stdtrit
 
 from hallsym.estimation.decoding import columns_of
-from hallsym.estimation.goodness_of_fit import KNOWN, MAD
+from hallsym.estimation.goodness_of_fit import KNOWN, MAD, GoodnessOfFit, limit_of
 from hallsym.estimation.likelihood import Point
 from hallsym.estimation.outliers import residuals
 from hallsym.families.play import stop_operator
@@ -87,6 +87,45 @@ class ResidualNoise:
     def larger(self) -> bool:
         """Whether it is larger than the noise floor by more than a floor is uncertain."""
         return self.interval[0] > 1 + KNOWN
+
+    @property
+    def slow_on_top(self) -> bool:
+        """Whether differences of neighbouring samples have the stated noise in full, and more is correlated.
+
+        Then it is not noise of another size but something slow on top of it.
+        """
+        rho = correlations(np.array(self.coefficients), 3)
+        fast = self.ratio * float(np.sqrt((6 - 8 * rho[1] + 2 * rho[2]) / 6))  # of second differences
+        return not self.white and abs(fast - 1.0) < KNOWN
+
+    def in_pose(
+        self,
+        model: Model,
+        p: np.ndarray,
+        state: Sequence[float],
+        covariance: np.ndarray,
+        weights: np.ndarray,
+    ) -> float:
+        """Return the gap metric that this noise makes over that of a residual of `covariance` (K, K).
+
+        A noisy sensor may count for more in the pose than in the residuals of all sensors. `state`: means.
+        `weights`: (n_pose,) of the pose metric.
+        """
+        spread = np.asarray(model.noise_gain(p, state, 1 / np.diag(covariance))) * weights[:, None]
+        larger = np.array([max(self.by_sensor[c], 1.0) for c in model.channels])
+        each = covariance, covariance * np.outer(larger, larger)
+        known, real = (float(np.einsum("ik,kl,il->", spread, C, spread)) for C in each)
+        return float(np.sqrt(real / known)) if known > 0 else self.ratio
+
+    def makes(self, over: float, in_pose: float, uncertain: float, threshold: float) -> bool:
+        """Return whether this noise makes an error worth reporting, `over` times a floor, all by itself.
+
+        `in_pose`: error that it makes over the floor, which is known within `uncertain`. Waves, steps between
+        levels and what is slow on top of the stated noise are no noise.
+        """
+        limit = limit_of(uncertain, threshold)
+        sure = self.interval[0] > (1 + KNOWN) * uncertain and not self.bounded and not self.slow_on_top
+        return sure and limit < over <= in_pose * limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -392,6 +431,24 @@ def noise_at(
     cost = point.cost
     zeros = dict(zip(cost.summary.runs, point.zeros, strict=True))
     return noise_left(log, cost.summary.model, point.p, zeros, point.covariance.mean(axis=0), sigma, keep)
+
+
+def with_noise(
+    known: GoodnessOfFit, log: Log, point: Point, noise: Noise, keep: Weigh | None = None
+) -> GoodnessOfFit:
+    """Return the goodness of a fit that says so where its excess is noise that is larger than stated."""
+    model = point.cost.summary.model
+    stated = any(s.source == "given" for s in noise.sigmas.values())
+    if not stated or known.residual_over_noise <= known.limit or not known.significant:
+        return known
+    left = noise_at(log, point, noise.std, keep)
+    if left is None:
+        return known
+    state, covariance = point.cost.summary.mean_state.mean(axis=0), point.covariance.mean(axis=0)
+    weights = model.family.pose_metric.weights(model.pose, log.meta.gap_length_scale_m)
+    in_pose = left.in_pose(model, point.p, state.tolist(), covariance, weights)
+    noisy = left.makes(known.residual_over_noise, in_pose, known.uncertain, known.threshold)
+    return replace(known, noise=left.ratio) if noisy else known
 
 
 def noise_followed(log: Log, point: Point, noise: Noise, keep: Weigh | None = None) -> Noise | None:

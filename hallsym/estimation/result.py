@@ -25,6 +25,7 @@ from hallsym.estimation.linearised import exact
 from hallsym.estimation.noise_floor import noise_floor, uncertain
 from hallsym.estimation.normal_equations import pseudo_inverse, unit_scale
 from hallsym.estimation.plausible import composed
+from hallsym.estimation.residual_noise import with_noise
 from hallsym.estimation.task import Solved
 from hallsym.families import added_effects
 from hallsym.log.phase import home_notes
@@ -159,9 +160,15 @@ def fit_of(
         },
         seconds=perf_counter() - began,
         goodness=replace(
-            estimate.goodness.judged(
-                uncertain(state.point, task.noise, task.log.meta.gap_length_scale_m),
-                task.log.meta.gap_threshold_rel,
+            with_noise(
+                estimate.goodness.judged(
+                    uncertain(state.point, task.noise, task.log.meta.gap_length_scale_m),
+                    task.log.meta.gap_threshold_rel,
+                ),
+                task.log,
+                state.point,
+                task.noise,
+                solved.keep,
             ),
             next_command=command,
         ),

@@ -42,6 +42,9 @@ def test_noise_that_adds_nothing_to_the_error_need_not_be_stated(unstated: tuple
         found, d = judged(replace(log, noise=known), "stage31")
         assert d.verdict == ("no gap" if factor == 1 else "noise larger than stated")
         assert found.goodness.material is (factor > 1)
+        said = found.goodness.sentence or ""
+        assert said.startswith("The noise is larger than stated") is (factor > 1), said
+        assert found.goodness.noise == pytest.approx(factor if factor > 1 else 0.0, rel=0.05)
         assert found.goodness.uncertain < 1.001
 
 
@@ -57,7 +60,7 @@ def test_a_gap_is_judged_alike() -> None:
         m.reading = m.reading * (1 + 4e5 * m.reading**2)
 
     found, d = judged(machine("multisine", (cubic,), **QUIET), "stage31")
-    assert (d.verdict, found.goodness.material) == ("explained", True)
+    assert (d.verdict, found.goodness.material, found.goodness.noise) == ("explained", True, 0.0)
 
 
 @pytest.mark.slow

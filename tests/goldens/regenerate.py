@@ -28,9 +28,21 @@ def rounded(value: Any, digits: int) -> Any:
     return float(f"{value:.{digits}g}") if isinstance(value, float) else value
 
 
+def written(value: Any, depth: int = 1) -> str:
+    """Return JSON in which a list or an object stands on one line if it fits."""
+    text, space = json.dumps(value), " " * depth
+    if not isinstance(value, dict | list) or len(text) + depth <= 110:
+        return text
+    named = isinstance(value, dict)
+    keys = [f"{json.dumps(k)}: " for k in value] if named else [""] * len(value)
+    each = (k + written(v, depth + 1) for k, v in zip(keys, value.values() if named else value, strict=True))
+    inside = f",\n{space}".join(each)
+    return f"{'{['[not named]}\n{space}{inside}\n{space[1:]}{'}]'[not named]}"
+
+
 if __name__ == "__main__":
     for name, golden in GOLDENS.items():
         if any(name == w or (w.endswith("/") and name.startswith(w)) for w in sys.argv[1:]):
             result = rounded(golden.make(), DIGITS.get(golden.kind, 17))
-            (HERE / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+            (HERE / f"{name}.json").write_text(written(result) + "\n", encoding="utf-8")
             print(f"recorded {name}")
