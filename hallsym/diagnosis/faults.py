@@ -64,8 +64,8 @@ def of_samples(found: Survey) -> Iterator[Fault]:
 
     The residual is split into what a time shift explains (z) and the rest, each into body and tail. The body
     is judged by quartiles, which rare samples do not move: its growth with speed is jitter. What the mean of
-    squares has beyond that is the tail: samples that are late, or spikes. Both are held against what the body
-    makes expect; late ones also against as many that are early.
+    squares has beyond that is the tail: samples that are late, or spikes. Spikes are held against what the
+    body makes expect, late ones against as many that are early: noise has both, however heavy its tails.
     """
     (z, size, rest), K = found.instants, len(found.values)
     n, bins, across = len(z), 2 * POLICY.fewest, max(K - 1, 1)
@@ -96,8 +96,7 @@ def of_samples(found: Survey) -> Iterator[Fault]:
             yield fault("outliers", text, tail, p, Estimate(share / 100, None, "1"))
         events, share = _events(late), 100 * float(late.mean())
         sides = round(0.5 * (events + abs(float(np.sign(z[late]).mean())) * events)) if events else 0
-        rare = as_many(events, exceeds(z**2 / expected, 1, far_z, white) * n)
-        p = max(rare, min(1.0, 2 * as_often(sides, events, 0.5)))
+        p = min(1.0, 2 * as_often(sides, events, 0.5))
         text = f"{share:.2g} % of the samples are old"
         yield fault("dropped_samples", text, tail, p, Estimate(share / 100, None, "1"))
     if z[1:] @ z[:-1] < POLICY.smooth * (z @ z):
