@@ -5,9 +5,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from hallsym.diagnosis.change_points import change_points, solved
+from hallsym.diagnosis.change_points import solved
+from hallsym.diagnosis.p_values import statistic_at
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residual_table import ROOM, ResidualTable, residual_table
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.sign_flips import FLIPS
@@ -18,34 +18,38 @@ from hallsym.log.batches import batches
 from hallsym.model import Facts, Model
 
 
-def instants(r: ResidualTable, holdout: Collection[int]) -> tuple[tuple[int, float], ...]:
+def instants(r: ResidualTable, holdout: Collection[int], slow: float) -> tuple[tuple[int, float], ...]:
     """Return, for each channel, the instant [s since the log began] at which a step explains most.
 
     A step of gain and offset is taken off the residual, beside a gain of the channel and the mean of each
     run. Held-out runs take no part, but say on which side of it they lie where the others leave it open, like
-    their zero deviation. Within one there is no instant: nothing that is fitted would know its offset. Within
-    a fitted run there is one if that run steps more than noise makes any run step (`change_points`).
+    their zero deviation. It lies within a run, a fitted one, if it explains more there than any between runs
+    does by more than noise: `slow` is the variance of a slow average of the whitened residual.
     """
     first = np.diff(r.run, prepend=r.run[0] - 1) != 0
     within = np.arange(len(r.run)) - np.flatnonzero(first)[np.cumsum(first) - 1]
     fitted = ~np.isin(r.run, list(holdout))
-    steps = fitted & np.isin(r.run, [s.run for s in change_points(r) if s.p_value < POLICY.false_alarm])
-    tried = np.flatnonzero(first | (steps & (within % SEGMENT == 0)))
+    between, inside = np.flatnonzero(first), np.flatnonzero(fitted & (within % SEGMENT == 0) & ~first)
+    noise = np.diag(np.linalg.inv(r.precision)) * slow * statistic_at(POLICY.certain / (1 + len(inside)), 2)
     out = []
     for k in range(len(r.channels)):
-        gains = _gains(r, k, fitted, tried)
-        equal = tried[gains >= gains.max() * (1 - NIL)]
-        best = equal[np.argmax(_gains(r, k, np.ones_like(fitted), equal))]
-        near = np.arange(max(equal[0] - SEGMENT, 0), min(equal[-1] + SEGMENT, len(r.run)))
-        near = near[steps[near]]
-        finer = _gains(r, k, fitted, near) if len(near) else gains[:0]
-        if finer.max(initial=0.0) > gains.max() * (1 + NIL):
-            best = near[np.argmax(finer)]
+        gains, inner = (step_gains(r, k, fitted, at) for at in (between, inside))
+        most = float(gains.max())
+        if inner.max(initial=0.0) > most + noise[k]:
+            best = inside[np.argmax(inner)]
+            near = np.arange(max(best - SEGMENT, 0), min(best + SEGMENT, len(r.run)))
+            near = near[(r.run[near] == r.run[best]) & ~first[near]]
+            best = near[np.argmax(step_gains(r, k, fitted, near))]
+        else:
+            open_ = gains >= most - noise[k]  # and not only elsewhere in the log
+            index = np.cumsum(np.diff(open_, prepend=False))
+            equal = between[index == index[np.argmax(gains)]]
+            best = equal[np.argmax(step_gains(r, k, np.ones_like(fitted), equal))]
         out.append((k, float(r.columns["campaign_s"][best])))
     return tuple(out)
 
 
-def _gains(r: ResidualTable, k: int, counted: np.ndarray, at: np.ndarray) -> np.ndarray:
+def step_gains(r: ResidualTable, k: int, counted: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Return the squares that a step of channel k at each sample of `at` takes off the `counted` ones."""
     _, run, sizes = np.unique(r.run, return_inverse=True, return_counts=True)
     n = sizes[run[at]]
@@ -132,13 +136,13 @@ def _two_levels(level: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return np.take_along_axis(explained, best[:, None], axis=1)[:, 0] / whole, 1 + best
 
 
-def _slips(base: Base, r: ResidualTable) -> tuple[tuple[int, float], ...]:
+def _slips(base: Base, r: ResidualTable, found: Survey) -> tuple[tuple[int, float], ...]:
     """Return the instants at which channels may slip; none where no gain of the channels is fitted."""
     model = base.model
     free = {model.names[k] for k in base.free}
     if not model.zeros or not free.issuperset(f"eta_{probe.label}" for probe in model.layout):
         return ()
-    return instants(r, base.holdout)
+    return instants(r, base.holdout, found.variance * found.inflation)
 
 
 def facts_of(base: Base, found: Survey) -> Facts:
@@ -155,7 +159,7 @@ def facts_of(base: Base, found: Survey) -> Facts:
         rails=rails_of(values),
         lines_hz=found.lines_hz,
         lines_tried=max(1, round(2 * MAINS_REACH_HZ * len(MAINS_HZ) * found.duration_s)),
-        instants=_slips(base, r) if r else (),
+        instants=_slips(base, r, found) if r else (),
         instants_tried=len(model.layout) * (min(log.rows, ROOM) // SEGMENT + len(log.runs)),
         on_runs=on_runs,
         on_runs_tried=2 ** (len(log.runs) - 1),

@@ -55,14 +55,14 @@ def refitted(
     runs that are left out. An effect whose refit does not `stand`, or that no start brings to parameters that
     its cause can have, is left out.
     """
-    named = [s for s in by_name(scored) if not s.absorbed]
+    # an effect goes by the best of its variants that are worth it: one with more numbers may be less certain
+    named = [s for s in by_name(sorted(scored, key=lambda s: not worth(s))) if not s.absorbed]
     least = policy.half * max((s.gain for s in named if worth(s)), default=np.inf)
     out: list[Exact] = []
     for first in [s for s in named if s.gain >= least and s.ratio < 1][: policy.most_refits]:
-        starts = [s for s in scored if s.effect is first.effect and s.gain >= policy.half * first.gain]
-        found = [
-            _exact(base, score, runs) for score in starts[: policy.starts if first.variant.tried > 1 else 1]
-        ]
+        again = [s for s in scored if s.effect is first.effect and s.gain >= policy.half * first.gain]
+        starts = again[: policy.starts] if first.variant.tried > 1 else [first]
+        found = [_exact(base, score, runs) for score in starts]
         possible = [e for e in found if e.score.effect.possible(e.fit.base.values)]
         best = min(possible, key=lambda e: e.bic, default=None)
         if best is not None and stands(best):
@@ -181,7 +181,7 @@ def _first(first: Exact, exact: Sequence[Exact]) -> list[Exact]:
 
 
 def cancels(fit: Refitted, names: Sequence[str], kept: float) -> bool:
-    """Return whether parameters of the same readings undo each other.
+    """Return whether parameters of the same readings and unit undo each other.
 
     Then all of them make less than `kept` of what one alone makes, such as a cubic and a quintic term.
     Parameters that do nothing where the others are nil, such as a rail of what is not clipped, have no size.
@@ -190,11 +190,12 @@ def cancels(fit: Refitted, names: Sequence[str], kept: float) -> bool:
     at = [model.names.index(n) for n in names]
     p[at] = model.nominal[at]
     slope = slope_of(model, p, names)
-    same: dict[tuple[int, ...], list[str]] = {}
+    units = {q.name: q.unit for q in model.parameters}
+    same: dict[tuple[str, tuple[int, ...]], list[str]] = {}
     for k, name in enumerate(names):
         moved_readings = tuple(slope.channel[slope.column == k].tolist())
         if moved_readings:
-            same.setdefault(moved_readings, []).append(name)
+            same.setdefault((units[name], moved_readings), []).append(name)
     return any(
         kept * max(_alone(fit, [n]) for n in group) > _alone(fit, group)
         for group in same.values()
@@ -354,22 +355,25 @@ class Selection:
     def weighed(self, screen: Screen, found: Survey, remembers: float | None) -> np.ndarray:
         """Weigh a screen by the noise that the best effect leaves; return its autocorrelation.
 
-        A slow effect makes a residual that remembers as long as it lasts. Where stretches seem to depend on
-        each other, what the best effect leaves tells whether the noise does; and how much of it a column may
-        collect, where the noise was stated.
+        A slow effect makes a residual that remembers as long as it lasts, a fast one is no noise. So what the
+        best effect leaves tells whether stretches depend on each other, whether the noise is louder than
+        stated, and how much of it a column may collect, where it was stated.
         """
-        base, colour, peak = screen.base, found.colour, np.inf
+        base, colour, peak, louder = screen.base, found.colour, np.inf, found.fast
         lasting = screen.lasting >= self.policy.memories * memory(colour)
         whole = screen.length is None or base.sliced or lasting
         offsets = len(base.model.zeros) > 0  # without them noise slower than a run is in no spectrum of a run
-        if screen.scores and (offsets or base.joined or not whole):
+        loud = louder > (1 + self.policy.negligible) ** 2
+        if screen.scores and (offsets or base.joined or loud or not whole):
             left = refit(with_model(base, screen.scores[0].model), self.runs)
-            if not whole and memory(beside := survey(left.base, self.runs).colour) < memory(colour):
+            seen = survey(left.base, self.runs)
+            louder = seen.fast
+            if not whole and memory(beside := seen.colour) < memory(colour):
                 colour = beside
             peak = spectrum_peak(left.base, self.runs) if offsets else np.inf
             if base.joined and not base.sliced:
                 remembers = memory_of_recording(left.base, frozenset(self.runs))
-        screen.weigh(colour, remembers, peak, found.fast)
+        screen.weigh(colour, remembers, peak, louder)
         return colour
 
     def stands(self, exact: Exact, at: Refitted) -> bool:
