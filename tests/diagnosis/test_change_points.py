@@ -27,7 +27,7 @@ def table(residual: np.ndarray) -> ResidualTable:
     time, sensed = {"campaign_s": 0.01 * np.arange(n)}, np.sin(0.07 * np.arange(n))[None]
     return ResidualTable(
         ("m_m",), ("x_m",), ("x_ref_m",), (), run, residual, sensed, residual, time, np.eye(1), run, run,
-        run, np.eye(1), np.ones(1), {}, Spectrum(),
+        run, np.eye(1), np.ones(1), {}, POLICY, Spectrum(),
     )  # fmt: skip
 
 
