@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hallsym.diagnosis.p_values import beyond_one
-from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residual_table import ResidualTable, slices
 from hallsym.estimation import pseudo_inverse
@@ -44,7 +43,7 @@ def change_points(*tables: ResidualTable) -> tuple[ChangePoint, ...]:
                 step, level = _largest(r, at)
                 found.append(step)
                 levels.append(level)
-    if len(found) < POLICY.fewest:
+    if not found or len(found) < tables[0].policy.fewest:
         return ()
     each = np.array(levels)
     p = [min(1.0, len(each) * beyond_one(v, np.delete(each, k))) for k, v in enumerate(each)]

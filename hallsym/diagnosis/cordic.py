@@ -6,7 +6,7 @@ from math import pi, tau
 import numpy as np
 
 from hallsym.diagnosis.p_values import as_often
-from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.regression import NIL
 from hallsym.families.cordic import CHIP_STEPS, Levels, levels
 
@@ -25,7 +25,7 @@ class Cordic:
     p_value: float
 
 
-def cordic(values: np.ndarray, spread: float, step: float = 0.0) -> Cordic | None:
+def cordic(values: np.ndarray, policy: Policy, spread: float, step: float = 0.0) -> Cordic | None:
     """Return the fewest steps of CORDIC that explain the distinct `values` [rad] of an angle, None for none.
 
     The zero register of a chip may turn all of them by any angle. `spread`: rms of what a model leaves [rad].
@@ -37,14 +37,14 @@ def cordic(values: np.ndarray, spread: float, step: float = 0.0) -> Cordic | Non
     tried = [
         k
         for k in map(levels, CHIP_STEPS)
-        if k.rms**2 > POLICY.negligible * spread**2
-        and (1 - POLICY.minor) * len(v) <= 4 * len(k.angles)  # rounded to counts a level has two at most
+        if k.rms**2 > policy.negligible * spread**2
+        and (1 - policy.minor) * len(v) <= 4 * len(k.angles)  # rounded to counts a level has two at most
         and not 2 * TOLERANCE < step / k.distance < 1 - TOLERANCE
     ]
     for k in tried:
         near, off, bins = _hits(v, k)
         p = min(1.0, as_often(near, len(v), 2 * TOLERANCE) * bins * len(tried))
-        if near >= (1 - POLICY.minor) * len(v) and p < 1.0 and off < _off_even(v, k.distance, bins):
+        if near >= (1 - policy.minor) * len(v) and p < 1.0 and off < _off_even(v, k.distance, bins):
             return Cordic(k, p)
     return None
 

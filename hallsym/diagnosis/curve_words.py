@@ -4,7 +4,7 @@ import numpy as np
 
 from hallsym.diagnosis.coordinates import unit_of
 from hallsym.diagnosis.curves import MEMORIES, Curve
-from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.record import Band, CurveShape, Statement
 from hallsym.diagnosis.residual_table import ResidualTable, phase
 from hallsym.diagnosis.words import percent, plain
@@ -15,15 +15,15 @@ from hallsym.units import readable
 def described(r: ResidualTable, c: Curve, share: float, p: float, further: bool) -> Statement:
     """Return the statement that `share` of the excess follows a curve, a `further` one beside others."""
     text = f"{'a further ' if further else ''}{percent(share)} of the excess goes with {c.coordinate.name}"
-    text += _part(c)
+    text += _part(c, r.policy)
     seen = (c.predicted**2).sum(axis=1) * np.diag(r.precision)
     k = int(np.argmax(seen))
-    if seen[k] > POLICY.half * seen.sum():
+    if seen[k] > r.policy.half * seen.sum():
         text += f"; seen by {plain(r.channels[k])} above all"
     return Statement(c.coordinate.name, "", share, p, text)
 
 
-def _part(c: Curve) -> str:
+def _part(c: Curve, policy: Policy) -> str:
     """Whether the gain or the offset follows the coordinate above all, and which part of several."""
     names = [readable(n)[2].capitalize() for n in c.coordinate.of] if c.coordinate.gain else []
     if names:
@@ -35,7 +35,7 @@ def _part(c: Curve) -> str:
         each = ""
     else:
         return ""
-    least = POLICY.half * (gain.sum() + offset.sum())
+    least = policy.half * (gain.sum() + offset.sum())
     what = "the gain" if gain.sum() > least else "the offset" if offset.sum() > least else ""
     said = ": ".join(filter(None, (what, each)))
     return f" ({said})" if said else ""

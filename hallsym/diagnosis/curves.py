@@ -164,7 +164,7 @@ class Smooth:
             parts = zip(left, self.folds, strict=True)
             foreseen = np.hstack([(own[:, None] @ self.phi[:, :, s])[:, 0] for own, s in parts])
             explained = float((foreseen * (r.precision @ (2 * residual - foreseen))).sum())
-            out.append(_Fit(explained, foreseen, beta, left, of_products(q, r.run_of(r.block))))
+            out.append(_Fit(explained, foreseen, beta, left, of_products(q, r.run_of(r.block), r.policy)))
         return out
 
 
@@ -216,7 +216,7 @@ class FineMap:
             x = self.coordinate.values(other)
             return None if x is None else np.take_along_axis(mean, self._bin(x, other), axis=1)
 
-        z = of_products(scores @ scores.T, r.run_of(r.block))
+        z = of_products(scores @ scores.T, r.run_of(r.block), r.policy)
         predicted = np.take_along_axis(mean, self.bin, axis=1)
         fold = np.unique(r.fold, return_inverse=True)[1]
         foreseen = left[fold, np.arange(len(left[0]))[:, None], self.bin]
@@ -282,7 +282,8 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray
         q[np.abs(np.subtract.outer(at, at)) <= 1] = 0.0
         sums = sums + ((signs[:, at] @ q) * signs[:, at]).sum(axis=1)
         variance, third = (a + b for a, b in zip((variance, third), moments(q), strict=True))
-    return explained, of_sums(sums + np.zeros(len(signs)), variance, third, len(parts)), foreseen
+    statistic = of_sums(sums + np.zeros(len(signs)), variance, third, enough=len(parts) >= r.policy.fewest)
+    return explained, statistic, foreseen
 
 
 def level_weights(r: ResidualTable, residual: np.ndarray, group: np.ndarray) -> np.ndarray:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Gap, Waves
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation.decoding import check_decoded, nominal_variance, pose_errors
@@ -95,7 +94,7 @@ def waves(model: Base, after: Base | None) -> tuple[Waves, ...]:
         sizes = np.array([size[j] for size, _ in found[0 if plainly else 1 :]])
         largest = float(sizes.max(initial=0.0))
         for n, amplitudes in zip(orders, sizes.T.tolist(), strict=True):
-            if max(amplitudes) >= POLICY.negligible * largest > 0:
+            if max(amplitudes) >= model.policy.negligible * largest > 0:
                 own, left, *rest = amplitudes if plainly else (None, *amplitudes)
                 name = pose[k] if len(pose) > 1 else ""
                 out.append(Waves(n, own, left, rest[0] if rest else None, known.get(n, ()), name))

@@ -7,7 +7,7 @@ import numpy as np
 
 from hallsym.diagnosis.change_points import solved
 from hallsym.diagnosis.p_values import statistic_at
-from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.residual_table import ROOM, ResidualTable, residual_table
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.sign_flips import FLIPS
@@ -30,7 +30,7 @@ def instants(r: ResidualTable, holdout: Collection[int], slow: float) -> tuple[t
     within = np.arange(len(r.run)) - np.flatnonzero(first)[np.cumsum(first) - 1]
     fitted = ~np.isin(r.run, list(holdout))
     between, inside = np.flatnonzero(first), np.flatnonzero(fitted & (within % SEGMENT == 0) & ~first)
-    noise = np.diag(np.linalg.inv(r.precision)) * slow * statistic_at(POLICY.certain / (1 + len(inside)), 2)
+    noise = np.diag(np.linalg.inv(r.precision)) * slow * statistic_at(r.policy.certain / (1 + len(inside)), 2)
     out = []
     for k in range(len(r.channels)):
         gains, inner = (step_gains(r, k, fitted, at) for at in (between, inside))
@@ -91,7 +91,7 @@ def switched_runs(r: ResidualTable) -> tuple[tuple[int, ...], float]:
     level. The p-value is the share of as many Gaussian offsets that split as well by chance.
     """
     runs, index, n = np.unique(r.run, return_inverse=True, return_counts=True)
-    if len(runs) < POLICY.fewest:
+    if len(runs) < r.policy.fewest:
         return (), 1.0
     whitened = np.linalg.cholesky(r.precision).T @ r.residual
     mean = np.array([np.bincount(index, row) for row in whitened]).T / n[:, None]
@@ -156,7 +156,7 @@ def facts_of(base: Base, found: Survey) -> Facts:
         columns=tuple(c for c in log.columns if base.timed or c != "t_s"),
         temperature=_mean(log, "temperature_degc") if "temperature_degc" in log.columns else None,
         extremes=np.vstack([np.quantile(values, [1 - share, share], axis=1) for share in CUT]),
-        rails=rails_of(values),
+        rails=rails_of(values, base.policy),
         lines_hz=found.lines_hz,
         lines_tried=max(1, round(2 * MAINS_REACH_HZ * len(MAINS_HZ) * found.duration_s)),
         instants=_slips(base, r, found) if r else (),
@@ -178,11 +178,11 @@ def _readings(log: Log, model: Model) -> np.ndarray:
     return np.hstack([np.array(b.columns(model.channels))[:, ::thin] for b in batches(log, model.channels)])
 
 
-def rails_of(readings: np.ndarray) -> tuple[tuple[float, float], ...]:
+def rails_of(readings: np.ndarray, policy: Policy) -> tuple[tuple[float, float], ...]:
     """Return lowest and highest value of each channel (K, n) where it repeats; -inf and inf where not."""
     ends = readings.min(axis=1), readings.max(axis=1)
     low, high = (
-        np.where((readings == end[:, None]).sum(axis=1) < POLICY.rail_repeats, none, end).tolist()
+        np.where((readings == end[:, None]).sum(axis=1) < policy.rail_repeats, none, end).tolist()
         for end, none in zip(ends, (-np.inf, np.inf), strict=True)
     )
     return tuple(zip(low, high, strict=True))

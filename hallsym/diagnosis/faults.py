@@ -13,7 +13,7 @@ from scipy.ndimage import median_filter
 
 from hallsym.diagnosis.cordic import cordic
 from hallsym.diagnosis.p_values import as_many, as_often, beyond, exceeds, statistic_at, student
-from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.survey import WINDOW, Survey
@@ -50,16 +50,16 @@ def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
     """
 
     def certain(fault: Fault | None) -> bool:
-        return fault is not None and fault.p_value * tested < POLICY.certain
+        return fault is not None and fault.p_value * tested < base.policy.certain
 
     # of single samples the largest: a few spikes beside jitter are not what makes its scatter
-    first = max(filter(certain, of_samples(found)), key=lambda f: f.power, default=None)
+    first = max(filter(certain, of_samples(found, base.policy)), key=lambda f: f.power, default=None)
     chip = _chip(base, found)
     out = [f for f in (first, chip, _steps(base, found, chip)) if f is not None and certain(f)]
     return sorted(out, key=lambda f: -f.power)
 
 
-def of_samples(found: Survey) -> Iterator[Fault]:
+def of_samples(found: Survey, policy: Policy) -> Iterator[Fault]:
     """Yield what single samples may be, by precedence, each with the p-value that it has by itself.
 
     The residual is split into what a time shift explains (z) and the rest, each into body and tail. The body
@@ -68,7 +68,7 @@ def of_samples(found: Survey) -> Iterator[Fault]:
     body makes expect, late ones against as many that are early: noise has both, however heavy its tails.
     """
     (z, size, rest), K = found.instants, len(found.values)
-    n, bins, across = len(z), 2 * POLICY.fewest, max(K - 1, 1)
+    n, bins, across = len(z), 2 * policy.fewest, max(K - 1, 1)
     if n < bins * FEWEST_SAMPLES:
         return
 
@@ -81,17 +81,17 @@ def of_samples(found: Survey) -> Iterator[Fault]:
     growth = max(slope, 0.0)
     expected = float(white.mean()) * np.maximum(body + growth * size**2, NIL)
     quiet = max(float(np.median(rest) / np.median(beside)), NIL)
-    limit, far_z = quiet * far_from(across, n), far_from(1, n)
+    limit, far_z = quiet * far_from(across, n, policy), far_from(1, n, policy)
     spikes = rest > limit
     late = (z**2 > far_z * expected) & ~spikes
     far = spikes | late
     near = np.convolve(far, np.ones(2 * WINDOW + 1), "same") > WINDOW
-    if far.any() and (far & near).sum() < POLICY.half * far.sum():  # each by itself
+    if far.any() and (far & near).sum() < policy.half * far.sum():  # each by itself
         of_spikes = float((rest[spikes] + z[spikes] ** 2).sum()) / n
         of_late = max(float(np.mean(np.where(spikes, 0.0, z**2 - expected))), 0.0) if late.any() else 0.0
         tail, share = of_spikes + of_late, 100 * float(spikes.mean())
-        if of_spikes > POLICY.half * tail:  # a late sample is off along the motion only
-            p = as_many(_events(spikes), POLICY.tails * exceeds(rest, across, limit, beside) * n)
+        if of_spikes > policy.half * tail:  # a late sample is off along the motion only
+            p = as_many(_events(spikes), policy.tails * exceeds(rest, across, limit, beside) * n)
             text = f"{share:.2g} % of the samples are spikes"
             yield fault("outliers", text, tail, p, Estimate(share / 100, None, "1"))
         events, share = _events(late), 100 * float(late.mean())
@@ -99,16 +99,16 @@ def of_samples(found: Survey) -> Iterator[Fault]:
         p = min(1.0, 2 * as_often(sides, events, 0.5))
         text = f"{share:.2g} % of the samples are old"
         yield fault("dropped_samples", text, tail, p, Estimate(share / 100, None, "1"))
-    if z[1:] @ z[:-1] < POLICY.smooth * (z @ z):
+    if z[1:] @ z[:-1] < policy.smooth * (z @ z):
         rms, power = float(np.sqrt(growth)), growth * float(np.mean(size**2))
         p = student(slope / max(error, 1e-300), bins - 2)
         text = f"sampling instants scatter by {1e6 * rms:.3g} us rms"
         yield fault("clock_jitter", text, power, p, Estimate(rms, None, "s"))
 
 
-def far_from(freedom: int, samples: int) -> float:
+def far_from(freedom: int, samples: int, policy: Policy) -> float:
     """Return the chi-square of a sample that is far: none of so many Gaussian samples exceeds it."""
-    return statistic_at(POLICY.certain / samples, freedom)
+    return statistic_at(policy.certain / samples, freedom)
 
 
 @cache
@@ -143,10 +143,11 @@ def _steps(base: Base, found: Survey, chip: Fault | None) -> Fault | None:
     """The fault that readings come in steps."""
     steps = found.adc_step
     # a chip's levels lie as evenly as steps nearly everywhere, and are named by what makes them
-    if not steps.any() or (chip and steps.max() > POLICY.half * chip.parameters["distance"].value):
+    half = base.policy.half
+    if not steps.any() or (chip and steps.max() > half * chip.parameters["distance"].value):
         return None
     power = float(np.diag(np.linalg.inv(base.covariance)) @ steps**2) / 12 / len(steps) / found.variance
-    if power * POLICY.half > 1:  # no rounding: readings as even as their knots
+    if power * half > 1:  # no rounding: readings as even as their knots
         return None
     sized = list(zip(base.model.channels, steps.tolist(), strict=True))
     units = {c: c.rpartition("_")[2] for c, _ in sized}
@@ -165,7 +166,8 @@ def _chip(base: Base, found: Survey) -> Fault | None:
     if base.model.channels != base.model.pose or len(found.values) != 1:
         return None
     sigma = float(np.sqrt(base.covariance[0, 0]))
-    seen = cordic(found.values[0], sigma * float(np.sqrt(found.variance)), float(found.adc_step[0]))
+    spread, step = sigma * float(np.sqrt(found.variance)), float(found.adc_step[0])
+    seen = cordic(found.values[0], base.policy, spread, step)
     if seen is None:
         return None
     chip = seen.levels
@@ -184,11 +186,11 @@ def without_tail(base: Base) -> Weigh:
     """Return weights 0 for samples that are far off the model, on top of those left out already."""
     residual = residuals(base.model, base.p, base.zeros)
     whiten, K = base.whiten, len(base.model.channels)
-    limit = far_from(K, base.log.rows)
+    limit = far_from(K, base.log.rows, base.policy)
 
     def weigh(block: Block) -> np.ndarray:
         distance = ((whiten @ residual(block)) ** 2).sum(axis=0)
-        typical = max(float(np.median(distance)) / statistic_at(0.5, K), POLICY.half)
+        typical = max(float(np.median(distance)) / statistic_at(0.5, K), base.policy.half)
         near = (distance < limit * typical).astype(float)
         return near if base.keep is None else near * base.keep(block)
 

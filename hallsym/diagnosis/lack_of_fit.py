@@ -14,7 +14,7 @@ from scipy.ndimage import median_filter
 from hallsym.diagnosis.coordinates import coordinates
 from hallsym.diagnosis.curves import over, run_gains
 from hallsym.diagnosis.p_values import statistic_at
-from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.residuals import Base, found_once, pieces
 from hallsym.diagnosis.survey import SEGMENT
@@ -84,20 +84,20 @@ def tones(base: Base, runs: Iterable[int]) -> float:
             part = (part - part.mean(axis=1, keepdims=True)) * window
             run.append(piece.run)
             power.append((np.abs(np.fft.rfft(part, axis=1)) ** 2).sum(axis=0))
-    if len(run) < POLICY.fewest:
+    if len(run) < base.policy.fewest:
         return 0.0
     P = np.sum(power, axis=0)
     smooth = median_filter(P, 4 * LOBE - 1, mode="reflect")
     freedom = 2 * len(model.pose) * len(run)
-    certain = P * freedom > smooth * statistic_at(POLICY.certain / len(P), freedom)
+    certain = P * freedom > smooth * statistic_at(base.policy.certain / len(P), freedom)
     certain[:LOBE] = False
-    if not _steady(np.array(run), np.array(power), certain):
+    if not _steady(np.array(run), np.array(power), certain, base.policy):
         return 0.0
     share = float(np.where(certain, P - smooth, 0.0).sum() / max(P.sum(), 1e-300))
     return 1 - float(np.sqrt(max(1 - share, 0.0)))
 
 
-def _steady(run: np.ndarray, power: np.ndarray, certain: np.ndarray) -> bool:
+def _steady(run: np.ndarray, power: np.ndarray, certain: np.ndarray, policy: Policy) -> bool:
     """Return whether lines have the same power (segments, frequencies) all through a run, unlike noise.
 
     Of few segments some noise is steady by chance, so no more of the other frequencies may be as steady than
@@ -117,5 +117,5 @@ def _steady(run: np.ndarray, power: np.ndarray, certain: np.ndarray) -> bool:
         return True
     line = varies[certain].sum() / squares[certain].sum()
     return bool(
-        np.mean(others <= line) < POLICY.false_alarm and line < (1 - POLICY.minor) * np.median(others)
+        np.mean(others <= line) < policy.false_alarm and line < (1 - policy.minor) * np.median(others)
     )

@@ -18,7 +18,7 @@ from hallsym.diagnosis.curve_words import described
 from hallsym.diagnosis.curves import Curve, over, run_gains
 from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.measurement_error import WHITE, with_noise
-from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.record import Statement
 from hallsym.diagnosis.residual_table import ResidualTable, both, residual_table
 from hallsym.diagnosis.residuals import Base
@@ -59,7 +59,7 @@ def located(
     """
     fitted, held = both(base, runs)
     steps = _steps([r for r in (fitted, held) if r is not None])
-    if fitted is None or fitted.excess <= POLICY.negligible * fitted.residual.size:
+    if fitted is None or fitted.excess <= base.policy.negligible * fitted.residual.size:
         return Located(tuple(steps), (), fitted, held)
     tried = _Tried(base, fitted, screened)
     statements, curves, joint = _coordinates(tried)
@@ -77,14 +77,14 @@ def located(
     counted = [replace(s, p_value=max(s.p_value, joint.p_value(s.statistic))) for s in scores]
     said = of_links(base, counted, fitted, bad) if counted else []
     for p, statistics in tried.powers:
-        said += of_powers(p, [joint.p_value(z[0]) for z in statistics])
+        said += of_powers(p, [joint.p_value(z[0]) for z in statistics], base.policy)
     said += [*mains, *(() if noisy else octaves), *of_runs(fitted, told)]
     if steps and steps[0].share > told:
         statements = [*steps, *statements]
     else:
         said = [*steps, *said]
     worded = (
-        s if s.p_value < POLICY.certain else replace(s, text=f"perhaps {s.text}")
+        s if s.p_value < base.policy.certain else replace(s, text=f"perhaps {s.text}")
         for s in (*statements, *said)
     )
     return Located(tuple(worded), tuple(curves), fitted, held)
@@ -97,7 +97,7 @@ def _steps(tables: Sequence[ResidualTable]) -> list[Statement]:
     for s in change_points(*tables):
         r = side[s.run]
         share = float(np.clip(s.squares / r.excess, 0.0, 1.0)) if r.excess > 0 else 0.0
-        if s.p_value < POLICY.certain and share >= POLICY.negligible:
+        if s.p_value < r.policy.certain and share >= r.policy.negligible:
             size = shown(abs(s.size), unit_of(r.channels[s.channel]))
             text = f"{percent(share)} of the excess is a step of {plain(r.channels[s.channel])} by {size}"
             at = f"run {s.run} at {s.instant_s:.6g} s"
@@ -128,7 +128,7 @@ class _Tried:
         found = [t.curve(left) for t in self.every if t.coordinate.name not in taken]
         explained, own, _ = run_gains(self.r, left)
         joint = Joint([*(c.statistic for c in found), own, *self.others])
-        return found, _own_gain(explained / self.r.excess, joint.p_value(own[0])), joint
+        return found, _own_gain(explained / self.r.excess, joint.p_value(own[0]), self.r.policy), joint
 
 
 # -- coordinates -------------------------------------------------------------------------------------------
@@ -141,22 +141,22 @@ def _coordinates(tried: _Tried) -> tuple[list[Statement], list[Curve], Joint]:
     where no coordinate explains most of what it does. The tests that are returned are those of all
     coordinates, beside which the rest is tested.
     """
-    r, excess = tried.r, tried.r.excess
+    r, excess, policy = tried.r, tried.r.excess, tried.r.policy
     statements, curves, left = list[Statement](), list[Curve](), r.residual
     found, run, first_joint = tried.curves(left, [])
     joint = first_joint
     while True:
-        chance, least = joint.p_value, POLICY.negligible * excess
-        good = [c for c in found if chance(c.statistic[0]) < POLICY.false_alarm and c.explained > least]
+        chance, least = joint.p_value, policy.negligible * excess
+        good = [c for c in found if chance(c.statistic[0]) < policy.false_alarm and c.explained > least]
         best = max((c.explained for c in good), default=0.0)
-        if run and POLICY.half * run.share * excess > best:
+        if run and policy.half * run.share * excess > best:
             statements.append(run)
             break
         if not good:
             break
-        first = next(c for c in good if c.explained >= (1 - POLICY.minor) * best)
+        first = next(c for c in good if c.explained >= (1 - policy.minor) * best)
         share = min(first.explained / excess, 1.0 - sum(s.share for s in statements))
-        if share < POLICY.negligible:
+        if share < policy.negligible:
             break
         statements.append(described(r, first, share, chance(first.statistic[0]), bool(statements)))
         curves.append(first)
@@ -165,8 +165,8 @@ def _coordinates(tried: _Tried) -> tuple[list[Statement], list[Curve], Joint]:
     return statements, curves, first_joint
 
 
-def _own_gain(share: float, p: float) -> Statement | None:
-    if p >= POLICY.false_alarm or share <= POLICY.negligible:
+def _own_gain(share: float, p: float, policy: Policy) -> Statement | None:
+    if p >= policy.false_alarm or share <= policy.negligible:
         return None
     share = min(share, 1.0)
     text = f"{percent(share)} of the excess is a gain that differs from run to run and follows nothing logged"

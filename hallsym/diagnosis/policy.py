@@ -1,8 +1,8 @@
 """Every threshold that decides a diagnosis: its meaning, and where its value comes from.
 
-A diagnosis reads its thresholds from one `Policy`, so a test can change one of them and watch the decision
-change: `tests/diagnosis/test_policy.py` does so for each. What is only numerical, such as a rank tolerance,
-stays beside the code that uses it.
+A diagnosis reads its thresholds from one `Policy`, which its `Base` carries, so a test can change one of them
+and watch the decision change: `tests/diagnosis/test_policy.py` does so for each. What is only numerical, such
+as a rank tolerance, stays beside the code that uses it.
 """
 
 from dataclasses import dataclass
@@ -122,4 +122,4 @@ class Policy:
 
 
 POLICY = Policy()
-"""The thresholds of `diagnose`."""
+"""The thresholds of a diagnosis that is given no others."""

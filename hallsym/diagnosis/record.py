@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from hallsym.diagnosis.policy import Policy
 from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.inference import Estimate
 from hallsym.records import plain, schema_of, structured
@@ -111,8 +112,8 @@ class Shrinkage:
 
     `value`: 1 - gap after / gap before, on `judges` runs that took part in neither fit nor choice: the
     holdout runs, and every fitted run with the search repeated without it. `interval`: 95 % of recordings of
-    as many runs lie within; None below 6 judges. `share_closed`: part of the excess above the noise floor
-    that is closed on the holdout runs (squares); `parameters_added`: to the model.
+    as many runs lie within; None below `fewest` judges. `share_closed`: part of the excess above the noise
+    floor that is closed on the holdout runs (squares); `parameters_added`: to the model.
     """
 
     value: float
@@ -120,6 +121,7 @@ class Shrinkage:
     share_closed: float
     parameters_added: int
     judges: int = 0
+    fewest: int = Policy.fewest
 
 
 @dataclass(frozen=True)
@@ -324,6 +326,8 @@ class Diagnosis(Shown):
         for wave in data["waves"]:
             if not wave["coordinate"]:
                 del wave["coordinate"]
+        if self.shrinkage.fewest == Policy.fewest:
+            del data["shrinkage"]["fewest"]
         if self.held_out == "holdout run":
             del data["held_out"]
         return data

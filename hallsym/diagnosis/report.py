@@ -109,9 +109,8 @@ def _shrinkage(found: Validation, metric: Metric, share: float, quiet: bool) -> 
     held = [u for u in range(len(start.output)) if u not in set(start.fitted.tolist())]
     rewired = start.gap(np.array(held)) / found.before.metric if found.miswired and held else 1.0
     scale = found.metric / found.after.metric * min(rewired, 1.0)
-    return Shrinkage(
-        1 - scale * (1 - judged.value), judged.interval(scale), share, added, judges=len(judged.before)
-    )
+    value, interval = 1 - scale * (1 - judged.value), judged.interval(scale)
+    return Shrinkage(value, interval, share, added, len(judged.before), judged.policy.fewest)
 
 
 def unexplained(found: Located, share: float) -> Unexplained:

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from hallsym.diagnosis.normal_equations import UNITS
-from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.diagnosis.sign_flips import stretch
 from hallsym.estimation.residual_noise import STILL
@@ -114,6 +114,7 @@ class ResidualTable:
     decoding: np.ndarray
     weights: np.ndarray
     sigma: Mapping[str, float]
+    policy: Policy
     spectrum: Spectrum = field(default_factory=Spectrum)
     timed: bool = True
     sliced: bool = False
@@ -175,7 +176,8 @@ def residual_table(base: Base, runs: Iterable[int]) -> ResidualTable | None:
     joined = {c: np.concatenate(v, axis=-1) for c, v in out.items()}
     run = joined.pop("run")
     known = dict.fromkeys(run.tolist())
-    fold, block, part = _blocks(run, joined.pop("place"), sum(seen[k] for k in known) / len(known))
+    samples = sum(seen[k] for k in known) / len(known)
+    fold, block, part = _blocks(run, joined.pop("place"), samples, base.policy)
     made = {c.name for c in model.computed}
     return ResidualTable(
         channels=model.channels,
@@ -194,6 +196,7 @@ def residual_table(base: Base, runs: Iterable[int]) -> ResidualTable | None:
         part=part,
         weights=base.pose_weights,
         sigma=base.sigma,
+        policy=base.policy,
         spectrum=spectrum,
         timed=base.timed,
         sliced=base.sliced,
@@ -226,18 +229,20 @@ def at_rest(x: np.ndarray, sigma: float) -> np.ndarray:
     return x if len(x) == 0 or np.std(x) > STILL * sigma else np.full(len(x), x.mean())
 
 
-def _blocks(run: np.ndarray, place: np.ndarray, samples: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _blocks(
+    run: np.ndarray, place: np.ndarray, samples: float, policy: Policy
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Group of runs to leave out, block for significance and stretch of a run of each sample.
 
     `place`: of each sample within its run; `samples`: of a run. Blocks are the units of the scores.
     """
     _, first, order, counts = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
     fold = order * min(UNITS, len(first)) // len(first)
-    parts = max(PARTS, -(-2 * POLICY.fewest_units // len(first)))
+    parts = max(PARTS, -(-2 * policy.fewest_units // len(first)))
     within = np.arange(len(run)) - first[order]
     each = np.clip(counts // FEWEST_SAMPLES, 1, parts)[order]
     part = order * parts + within * each // counts[order]
-    length = stretch(samples * len(first), len(first))
+    length = stretch(samples * len(first), len(first), policy)
     if length is None:
         return fold, fold, part
     return fold, order * (1 + int(place.max()) // length) + place // length, part

@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 import numpy as np
 
+from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.estimation.decoding import columns_of, decoding_gain
 from hallsym.log import Log
 from hallsym.log.batches import Batch, Weigh, batches, is_held
@@ -25,7 +26,7 @@ class Base:
     `p`: (n,) values; `zeros`: displacement by run; `covariance`: (K, K) of one residual; `free`: index of
     parameters that the fit moves; `pose_weights`: (n_pose,) of the pose metric; `holdout`: holdout runs;
     `timed`: whether the log holds time, and not a counter in its place. `sliced`: whether the runs are slices
-    of one recording, one after the other.
+    of one recording, one after the other. `policy`: thresholds of what is decided on it.
     """
 
     log: Log
@@ -40,6 +41,7 @@ class Base:
     keep: Weigh | None = None
     timed: bool = True
     sliced: bool = False
+    policy: Policy = POLICY
 
     @property
     def joined(self) -> bool:

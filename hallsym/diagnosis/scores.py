@@ -10,7 +10,6 @@ from scipy.special import chdtrc
 
 from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations, within_bounds
-from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.regression import FOLDS, NIL
 from hallsym.diagnosis.residuals import Base
@@ -132,7 +131,7 @@ class Screen:
         """Score `tried` on `runs`; `tested`: for p-values (`weigh`), for which few runs are cut."""
         self.base, self.tried, self.runs = base, tried, tuple(runs)
         rows = base.log.rows / len(base.log.runs)
-        self.length = stretch(rows * len(runs), len(runs)) if tested else None
+        self.length = stretch(rows * len(runs), len(runs), base.policy) if tested else None
         self.lasting = self.length or rows
         parts = (
             ({k: (c.model, c.new) for k, c in part.items()}, part) for part in _parts(tried, len(base.free))
@@ -176,7 +175,7 @@ class Screen:
         it is the references', so everything is tested with their noise as stated and as loud, and the larger
         p-value counts.
         """
-        sizes = (1.0, louder) if louder > (1 + POLICY.negligible) ** 2 else (1.0,)
+        sizes = (1.0, louder) if louder > (1 + self.base.policy.negligible) ** 2 else (1.0,)
         variants = Counter(s.effect.name for s in self.scores)
         flips = {k: f for table in self.tables for k, f in self._flips(table, colour, remembers, sizes)}
         drawn: dict[str, list[np.ndarray]] = {}
@@ -189,7 +188,7 @@ class Screen:
         self.top = joints[0].top if any(drawn.values()) else None
         most = {s.effect.name: max(variants[s.effect.name], s.variant.tried) for s in self.scores}
         # weighted Bonferroni: each test has its part of the error rate, signs have what is left
-        part = POLICY.minor
+        part = self.base.policy.minor
         of_signs = 1.0 - part * np.isfinite(peak)
         out = []
         for s in self.scores:
@@ -199,7 +198,7 @@ class Screen:
             s = replace(s, p_by_noise=_by_noise(s, peak, sum(most.values())))
             signs = max(joint.p_value(z) for joint, z in zip(joints, z0, strict=False))
             p = min(1.0, signs / of_signs, s.variant.by_itself / part, s.p_by_noise / part)
-            ratio = min(s.ratio, self._ratio(s, peak)) if p < POLICY.false_alarm else s.ratio
+            ratio = min(s.ratio, self._ratio(s, peak)) if p < self.base.policy.false_alarm else s.ratio
             out.append(replace(s, p_value=p, ratio=ratio))
         self.scores = out
         units = len(self.tables[0].t.units(self.runs))
@@ -224,13 +223,15 @@ class Screen:
     ) -> Iterator[tuple[str, list[SignFlips]]]:
         """Yield what flips the signs of each candidate, for noise of the references of these variances."""
         new = {key: (c.model, c.new) for key, c in table.tried.items()}
-        noise = shared_noise(self.base, new, self.length, colour)
+        base = self.base
+        noise = shared_noise(base, new, self.length, colour)
         if remembers is None:
-            remembers = 0.0 if self.base.sliced else memory(colour)
+            remembers = 0.0 if base.sliced else memory(colour, base.policy)
         memories = self.lasting / max(remembers, NIL)
         scaled = ({key: size * v for key, v in noise.items()} for size in sizes)
         flips = [
-            SignFlips(table.t, self.runs, own, memories=memories, joined=self.base.joined) for own in scaled
+            SignFlips(table.t, self.runs, own, base.policy, memories=memories, joined=base.joined)
+            for own in scaled
         ]
         return ((key, flips) for key in new)
 

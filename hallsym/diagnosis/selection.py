@@ -9,7 +9,7 @@ import numpy as np
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.faults import faults
 from hallsym.diagnosis.normal_equations import slope_of
-from hallsym.diagnosis.policy import POLICY, Policy
+from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.refit import Refitted, refit, with_effects, with_model
 from hallsym.diagnosis.residuals import Base
@@ -47,7 +47,6 @@ def refitted(
     runs: Sequence[int],
     worth: Callable[[Score], bool],
     stands: Callable[["Exact"], bool] = lambda _: True,
-    policy: Policy = POLICY,
 ) -> list["Exact"]:
     """Refit the promising effects exactly and return them, best first; none if none is `worth` it.
 
@@ -55,6 +54,7 @@ def refitted(
     runs that are left out. An effect whose refit does not `stand`, or that no start brings to parameters that
     its cause can have, is left out.
     """
+    policy = base.policy
     # an effect goes by the best of its variants that are worth it: one with more numbers may be less certain
     named = [s for s in by_name(sorted(scored, key=lambda s: not worth(s))) if not s.absorbed]
     least = policy.half * max((s.gain for s in named if worth(s)), default=np.inf)
@@ -69,7 +69,7 @@ def refitted(
             out.append(best)
     if not any(worth(e.score) for e in out):
         return []
-    return ordered(out, scored, worth, policy)
+    return ordered(out, scored, worth)
 
 
 def _exact(base: Base, score: Score, runs: Sequence[int]) -> Exact:
@@ -80,16 +80,14 @@ def _exact(base: Base, score: Score, runs: Sequence[int]) -> Exact:
 # -- the order ---------------------------------------------------------------------------------------------
 
 
-def ordered(
-    exact: Sequence[Exact], scored: Sequence[Score], worth: Callable[[Score], bool], policy: Policy
-) -> list[Exact]:
+def ordered(exact: Sequence[Exact], scored: Sequence[Score], worth: Callable[[Score], bool]) -> list[Exact]:
     """Order exact refits, best first; those that are not `worth` it behind those that are."""
-    first = _simpler_first(sorted(exact, key=lambda e: e.bic), scored, policy)
+    first = _simpler_first(sorted(exact, key=lambda e: e.bic), scored)
     counted = [e for e in first if worth(e.score)]
     return counted + [e for e in first if not worth(e.score)]
 
 
-def _simpler_first(exact: list[Exact], scored: Sequence[Score], policy: Policy) -> list[Exact]:
+def _simpler_first(exact: list[Exact], scored: Sequence[Score]) -> list[Exact]:
     """Put an effect with fewer parameters first if it explains nearly all that the best one does.
 
     Real machines have small imperfections of every kind. Many parameters take some of them along, which with
@@ -100,14 +98,15 @@ def _simpler_first(exact: list[Exact], scored: Sequence[Score], policy: Policy) 
     if not exact:
         return exact
     best = exact[0]
-    simpler = [e for e in exact[1:] if _simpler(e, best, scored, policy)]
+    simpler = [e for e in exact[1:] if _simpler(e, best, scored)]
     if simpler:
         return _first(min(simpler, key=lambda e: (e.score.size, e.bic)), exact)
     same = [best, *(e for e in exact[1:] if _same(best, e))]
     return _first(min(same, key=lambda e: (e.score.variant.tried, e.score.place)), exact)
 
 
-def _simpler(e: Exact, best: Exact, scored: Sequence[Score], policy: Policy) -> bool:
+def _simpler(e: Exact, best: Exact, scored: Sequence[Score]) -> bool:
+    policy = best.fit.base.policy
     return (
         e.score.size < best.score.size
         and e.bic - best.bic <= policy.negligible * best.score.gain
@@ -128,7 +127,7 @@ def _same(a: Exact, b: Exact) -> bool:
 
 
 def plain_pairs_first(
-    exact: list[Exact], catalogue: Sequence[Effect], runs: Sequence[int], facts: Facts, policy: Policy
+    exact: list[Exact], catalogue: Sequence[Effect], runs: Sequence[int], facts: Facts
 ) -> list[Exact]:
     """Put a plain effect first if it and a second explain more than the flexible best one, by BIC.
 
@@ -138,15 +137,12 @@ def plain_pairs_first(
     """
     if not exact:
         return exact
-    best = exact[0]
-    plain = [
-        e
-        for e in exact[1:]
-        if e.score.size < best.score.size and e.score.gain >= policy.half * best.score.gain
-    ]
+    best, half = exact[0], exact[0].fit.base.policy.half
+    smaller = [e for e in exact[1:] if e.score.size < best.score.size]
+    plain = [e for e in smaller if e.score.gain >= half * best.score.gain]
     found: list[tuple[float, Exact, float]] = []
     for e in plain:
-        second = _second(e, catalogue, runs, facts, policy)
+        second = _second(e, catalogue, runs, facts)
         if second is None or second.size + e.score.size > best.score.size:
             continue
         both = second.bic + e.score.size * float(np.log(max(e.fit.readings, 2.0)))
@@ -155,35 +151,27 @@ def plain_pairs_first(
     if not found:
         return exact
     _, first, left = min(found, key=lambda f: f[0])
-    second = _second(best, catalogue, runs, facts, policy)
-    if second is not None and best.fit.cost - second.gain < policy.half * left:
+    second = _second(best, catalogue, runs, facts)
+    if second is not None and best.fit.cost - second.gain < half * left:
         return exact
     return _first(first, exact)
 
 
-def _second(
-    e: Exact, catalogue: Sequence[Effect], runs: Sequence[int], facts: Facts, policy: Policy
-) -> Score | None:
+def _second(e: Exact, catalogue: Sequence[Effect], runs: Sequence[int], facts: Facts) -> Score | None:
     """Return the best second effect beside one, by its score."""
-    scores = _scores(e.fit.base, catalogue, runs, facts, policy)
+    tried, _ = candidates(e.fit.base, catalogue, facts)
+    scores = Screen(e.fit.base, tried, runs, tested=False).scores
     return next((s for s in scores if not s.absorbed), None)
-
-
-def _scores(
-    base: Base, effects: Sequence[Effect], runs: Sequence[int], facts: Facts, policy: Policy
-) -> list[Score]:
-    tried, _ = candidates(base, effects, facts)
-    return Screen(base, tried, runs, tested=False).scores
 
 
 def _first(first: Exact, exact: Sequence[Exact]) -> list[Exact]:
     return [first, *(e for e in exact if e is not first)]
 
 
-def cancels(fit: Refitted, names: Sequence[str], kept: float) -> bool:
+def cancels(fit: Refitted, names: Sequence[str]) -> bool:
     """Return whether parameters of the same readings and unit undo each other.
 
-    Then all of them make less than `kept` of what one alone makes, such as a cubic and a quintic term.
+    Then all of them make less than half of what one alone makes, such as a cubic and a quintic term.
     Parameters that do nothing where the others are nil, such as a rail of what is not clipped, have no size.
     """
     model, p = fit.base.model, fit.base.p.copy()
@@ -197,7 +185,7 @@ def cancels(fit: Refitted, names: Sequence[str], kept: float) -> bool:
         if moved_readings:
             same.setdefault((units[name], moved_readings), []).append(name)
     return any(
-        kept * max(_alone(fit, [n]) for n in group) > _alone(fit, group)
+        fit.base.policy.half * max(_alone(fit, [n]) for n in group) > _alone(fit, group)
         for group in same.values()
         if len(group) > 1
     )
@@ -328,9 +316,9 @@ class Selection:
     def step(self, at: Refitted, worth: Callable[[Score], bool] = lambda _: True) -> list[Exact]:
         """Screen the catalogue at `at`; return exact refits, best first, if any effect is `worth` it."""
         screen, facts = self.screen(at)
-        exact = refitted(at.base, screen.scores, self.runs, worth, lambda e: self.stands(e, at), self.policy)
+        exact = refitted(at.base, screen.scores, self.runs, worth, lambda e: self.stands(e, at))
         if self.setup.base.model.family.pairs:
-            exact = plain_pairs_first(exact, self.setup.catalogue, self.runs, facts, self.policy)
+            exact = plain_pairs_first(exact, self.setup.catalogue, self.runs, facts)
         return exact
 
     def screen(self, at: Refitted, remembers: float | None = None) -> tuple[Screen, Facts]:
@@ -360,7 +348,7 @@ class Selection:
         stated, and how much of it a column may collect, where it was stated.
         """
         base, colour, peak, louder = screen.base, found.colour, np.inf, found.fast
-        lasting = screen.lasting >= self.policy.memories * memory(colour)
+        lasting = screen.lasting >= self.policy.memories * memory(colour, self.policy)
         whole = screen.length is None or base.sliced or lasting
         offsets = len(base.model.zeros) > 0  # without them noise slower than a run is in no spectrum of a run
         loud = louder > (1 + self.policy.negligible) ** 2
@@ -368,8 +356,8 @@ class Selection:
             left = refit(with_model(base, screen.scores[0].model), self.runs)
             seen = survey(left.base, self.runs)
             louder = seen.fast
-            if not whole and memory(beside := seen.colour) < memory(colour):
-                colour = beside
+            if not whole:
+                colour = min(colour, seen.colour, key=lambda c: memory(c, self.policy))
             peak = spectrum_peak(left.base, self.runs) if offsets else np.inf
             if base.joined and not base.sliced:
                 remembers = memory_of_recording(left.base, frozenset(self.runs))
@@ -385,7 +373,7 @@ class Selection:
         known = at.base.model.names
         new = [n for n in exact.fit.base.model.names if n not in known]
         keeps = lower and exact.bic < at.bic(0)
-        return keeps and not cancels(exact.fit, new, self.policy.half)
+        return keeps and not cancels(exact.fit, new)
 
     def reconsider(self) -> bool:
         """Hold each effect against the catalogue, the others in place; return whether any was replaced."""

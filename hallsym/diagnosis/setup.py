@@ -71,9 +71,13 @@ class Setup:
     floor: Floor
     floor_fitted: Floor
     catalogue: tuple[Effect, ...]
-    policy: Policy
     say: Say
     began: float
+
+    @property
+    def policy(self) -> Policy:
+        """The thresholds."""
+        return self.base.policy
 
     @property
     def tested(self) -> int:
@@ -170,12 +174,12 @@ def prepare(
     if known is not None:
         log = replace(log, noise=known.noise)
     if not held and holdout is None:
-        log, pieces = _pieces(log, model, known)
+        log, pieces = _pieces(log, model, known, policy)
     if TIME not in log.columns:
         log = counted_off(log)
     held, sliced = held or pieces, log.recording is not None
     if not held:
-        raise _too_short(log)
+        raise _too_short(log, policy)
     say("fitting the model")
     result = fit(
         log, _inspecting(model, whole) if pieces else model, solver="direct", holdout=held,
@@ -201,7 +205,7 @@ def prepare(
     return Setup(
         log=log,
         fit=result,
-        base=replace(base, model=model.family.direct(base.model), timed=timed, sliced=sliced),
+        base=replace(base, model=model.family.direct(base.model), timed=timed, sliced=sliced, policy=policy),
         runs=runs,
         holdout=held,
         threshold=level,
@@ -209,7 +213,6 @@ def prepare(
         floor=floor,
         floor_fitted=floor_fitted,
         catalogue=(*model.family.catalogue, *effects),
-        policy=policy,
         say=say,
         began=began,
     )
@@ -221,16 +224,16 @@ def _built(log: Log, model: str | Model | Fit | None) -> Model:
     return model if isinstance(model, Model) else build(model or default_model(log.meta), meta=log.meta)
 
 
-def _pieces(log: Log, model: Model, known: Fit | None) -> tuple[Log, tuple[int, ...]]:
+def _pieces(log: Log, model: Model, known: Fit | None, policy: Policy) -> tuple[Log, tuple[int, ...]]:
     """Split a recording of too few runs if runs have no offsets; return the pieces to hold out.
 
     `known`: its fit if it has no time.
     """
-    if log.rows < FEWEST or model.zeros or log.meta.holdout:
+    if log.rows < fewest(policy) or model.zeros or log.meta.holdout:
         return log, ()
     # a turn goes on from piece to piece: a short turn of the reference counts from one zero
     log = continuous(replace(log, noise=noise_of(log, model)), model)
-    return split(log) if known is None else split(log, *_first_fit(log, known))
+    return split(log, policy, *(() if known is None else _first_fit(log, known, policy)))
 
 
 def _known(log: Log, model: Model) -> Fit | None:
@@ -241,7 +244,7 @@ def _known(log: Log, model: Model) -> Fit | None:
         return None  # the fit of the groups raises it again
 
 
-def _first_fit(log: Log, found: Fit) -> tuple[np.ndarray | None, int]:
+def _first_fit(log: Log, found: Fit, policy: Policy) -> tuple[np.ndarray | None, int]:
     """Return which knots are spikes, judged among their neighbours, and the knots of a block.
 
     Blocks are as long as what the fit leaves remembers, so that no block foretells its neighbours.
@@ -249,9 +252,9 @@ def _first_fit(log: Log, found: Fit) -> tuple[np.ndarray | None, int]:
     spikes = None
     if found.keep is not None and found.source is not None:
         spikes = np.concatenate([found.keep(block) for block in found.source.blocks()]) == 0
-    base = base_of(counted_off(log), replace(found, keep=None))
+    base = replace(base_of(counted_off(log), replace(found, keep=None)), policy=policy)
     remembers = _remembers(base, spikes)
-    return spikes, 1 if remembers < 2 else int(POLICY.memories * remembers)
+    return spikes, 1 if remembers < 2 else int(policy.memories * remembers)
 
 
 def _remembers(base: Base, spikes: np.ndarray | None) -> int:
@@ -271,7 +274,7 @@ def _remembers(base: Base, spikes: np.ndarray | None) -> int:
         error, columns = error[:, ~spikes], columns[:, ~spikes]
     error -= np.linalg.lstsq(columns.T, error.T, rcond=NIL)[0].T @ columns
     own = np.fft.irfft((np.abs(np.fft.rfft(error, 2 * n)) ** 2).sum(axis=0))[:n]
-    chance = np.sqrt(statistic_at(POLICY.false_alarm, 1) / error.size)
+    chance = np.sqrt(statistic_at(base.policy.false_alarm, 1) / error.size)
     return int(np.argmax(np.append(own[1:] < chance * own[0], True))) + 1
 
 
@@ -306,12 +309,13 @@ def _whole_runs(log: Log, holdout: Sequence[int] | None, policy: Policy) -> tupl
     return tuple(holdout) if len(log.runs) - len(set(holdout)) >= 2 else ()
 
 
-def _too_short(log: Log) -> InputError:
+def _too_short(log: Log, policy: Policy) -> InputError:
     """Return what is wrong with a log of which nothing can be held out."""
-    short, few = log.rows < FEWEST, "too few to hold any out and still choose an effect on the others"
+    least, few = fewest(policy), "too few to hold any out and still choose an effect on the others"
+    short = log.rows < least
     if short and len(log.runs) == 1 and not log.timed:
-        return InputError(f"{log.name} has {log.rows} samples, {few}; record at least {FEWEST}.")
-    enough = f"at least {FEWEST} samples (it has {log.rows})." if short else "split a long one."
+        return InputError(f"{log.name} has {log.rows} samples, {few}; record at least {least}.")
+    enough = f"at least {least} samples (it has {log.rows})." if short else "split a long one."
     return InputError(
         f"{log.name} has {counted(len(log.runs), 'run')}, {few} (2 to fit and 1 to judge on at least); "
         f"record more runs or {enough}"
@@ -328,14 +332,17 @@ def _threshold(log: Log, threshold: float | None, policy: Policy) -> float:
 # -- pieces of a recording -----------------------------------------------------------------------------------
 
 
-FEWEST = POLICY.fewest * FEWEST_SAMPLES
-"""Samples that a recording must have to be taken to pieces."""
-LASTING = int(10 * POLICY.memories)
-"""Samples of a slice at least: slices of noise that remembers ten are independent."""
 TIME = "t_s"
 
 
-def split(log: Log, spikes: np.ndarray | None = None, length: int = 1) -> tuple[Log, tuple[int, ...]]:
+def fewest(policy: Policy) -> int:
+    """Return the samples that a recording must have to be taken to pieces."""
+    return policy.fewest * FEWEST_SAMPLES
+
+
+def split(
+    log: Log, policy: Policy, spikes: np.ndarray | None = None, length: int = 1
+) -> tuple[Log, tuple[int, ...]]:
     """Return the log in pieces as runs, with a note that says how it was done, and the pieces to hold out.
 
     With time, pieces are stretches of it, every second held out. Without, samples are knots, of which every
@@ -343,7 +350,7 @@ def split(log: Log, spikes: np.ndarray | None = None, length: int = 1) -> tuple[
     counter stands for the time that the log does not have. `spikes` (samples,) are left out.
     """
     n, timed = log.rows, TIME in log.columns
-    at, count = np.arange(n), piece_count(n, timed, length)
+    at, count = np.arange(n), piece_count(n, timed, length, policy)
     piece = at * count // n if timed or length > 1 else knot_group(at, count)
     held = tuple(range(1, count, 2))
     order = np.argsort(piece, kind="stable")
@@ -379,7 +386,7 @@ def counted_off(log: Log) -> Log:
     return replace(counter, notes=log.notes, path=log.path, counted=True)
 
 
-def piece_count(n: int, timed: bool, length: int) -> int:
+def piece_count(n: int, timed: bool, length: int, policy: Policy) -> int:
     """How many pieces of `n` samples: those fitted are the folds, or as many as have the samples of a run.
 
     With time there are up to 100 of them: a score of 50 scatters as Gauss has it, and of a machine that
@@ -387,15 +394,16 @@ def piece_count(n: int, timed: bool, length: int) -> int:
     takes every phase of a pattern of two or four; groups go round the turn, so that waves of it do not lean
     on another.
     """
-    if timed and n >= 2 * FOLDS * LASTING:
-        return min(100, n // LASTING // 2 * 2)
+    lasting = int(10 * policy.memories)  # slices of noise that remembers ten samples are independent
+    if timed and n >= 2 * FOLDS * lasting:
+        return min(100, n // lasting // 2 * 2)
     at = np.arange(n)
-    for count in range(2 * FOLDS, POLICY.fewest, -4):  # half of it stays odd
+    for count in range(2 * FOLDS, policy.fewest, -4):  # half of it stays odd
         whole = timed or length > 1
         smallest = n // count if whole else int(np.bincount(knot_group(at, count), minlength=count).min())
         if smallest >= max(FEWEST_SAMPLES, length):
             return count
-    return POLICY.fewest
+    return policy.fewest
 
 
 def knot_group(at: np.ndarray, count: int) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from hallsym.diagnosis.decoded_errors import DecodedErrors
 from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.p_values import beyond, beyond_one, statistic_at
-from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.record import Size, Sizes, Statement
 from hallsym.diagnosis.residual_table import FrequencyBand, ResidualTable
 from hallsym.diagnosis.residuals import Base
@@ -70,26 +70,21 @@ def sensors(r: ResidualTable) -> Powers:
     return Powers("sensor", r.channels, r.residual**2, noise, 1 / noise)
 
 
-def of_powers(p: Powers, p_values: Sequence[float]) -> list[Statement]:
+def of_powers(p: Powers, p_values: Sequence[float], policy: Policy) -> list[Statement]:
     """Which of several outputs or sensors have more than their part of the excess."""
     said = []
     for k, (name, chance) in enumerate(zip(p.names, p_values, strict=False)):
         share = float(np.clip(p.shares[k], 0.0, 1.0))
-        if chance < POLICY.false_alarm and _more_than_its(p.parts[k], share):
+        if chance < policy.false_alarm and share >= p.parts[k] + policy.minor:
             seen = "is seen by" if p.kind == "sensor" else "lies in"
             text = f"{percent(share)} of the excess {seen} {plain(name)}, one of {len(p.names)} {p.kind}s"
             said.append(Statement(p.kind, name, share, chance, text))
     return sorted(said, key=lambda s: -s.share)
 
 
-def _more_than_its(part: float, share: float) -> bool:
-    """Whether a share of the excess is more than what noise of one size everywhere would have there."""
-    return share >= part + POLICY.minor
-
-
 def clear(r: ResidualTable) -> bool:
     """Whether the excess is more than chance: block by block, so that memory of the noise does not count."""
-    return beyond(means(r.squares - len(r.residual), r.part)) < POLICY.certain
+    return beyond(means(r.squares - len(r.residual), r.part)) < r.policy.certain
 
 
 def means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -108,11 +103,11 @@ def of_runs(r: ResidualTable, told: float) -> list[Statement]:
     sums, counts = np.bincount(index, squares), np.bincount(index)
     level = np.log(sums / counts + len(r.residual))
     k, U = int(np.argmax(level)), len(order)
-    if POLICY.fewest > U or sums[k] <= 0 or told > POLICY.half:
+    if r.policy.fewest > U or sums[k] <= 0 or told > r.policy.half:
         return []
     p = min(1.0, U * beyond_one(float(level[k]), np.delete(level, k)))
     share = float(np.clip(sums[k] / max(squares.sum(), 1e-300), 0.0, 1.0))
-    if p >= POLICY.certain or not _more_than_its(1 / U, share):
+    if p >= r.policy.certain or share < 1 / U + r.policy.minor:
         return []
     text = f"{percent(share)} of the excess lies in run {order[k]}, one of {U} fitted runs"
     return [Statement("run", f"run {order[k]}", share, p, text)]
@@ -139,14 +134,14 @@ def of_frequencies(r: ResidualTable, told: float) -> tuple[list[Statement], list
         over, part = power[band] - own, float(own.sum() / everything.sum())
         share = float(over.sum()) / excess
         p = min(1.0, len(white) * beyond(over / everything))
-        named = band.mains or told <= POLICY.half
-        if p < POLICY.certain and named and _more_than_its(part, share):
+        named = band.mains or told <= r.policy.half
+        if p < r.policy.certain and named and share >= part + r.policy.minor:
             worth.append((share, band, p))
     mains, octaves, rest = list[Statement](), list[Statement](), 1.0
     for share, band, p in sorted(_joined(worth), key=lambda w: -w[0]):
         share = min(share, rest)  # bands below the noise make the others more than the whole
         rest -= share
-        if share >= POLICY.negligible:
+        if share >= r.policy.negligible:
             text = f"{percent(share)} of the excess lies at {band.name}"
             (mains if band.mains else octaves).append(Statement("frequency", band.name, share, p, text))
     return mains, octaves
@@ -242,14 +237,15 @@ def of_links(
             add(_link_of(base, s), s.effect.name, (1 - s.ratio**2) * whole / excess, s.p_value)
     for f in faults:
         add(f.record.link, f.name, f.power, f.p_value)
-    top = max((f.share for f in found.values() if f.p_value < POLICY.false_alarm), default=0.0)
+    likely = [f for f in found.values() if f.p_value < r.policy.false_alarm]
+    least = max(r.policy.negligible, (1 - r.policy.minor) * max((f.share for f in likely), default=0.0))
     said = []
     for link in sorted(found, key=(*LINKS, *found).index):
         own = found[link]
         other = max((k for k in found if k != link), key=lambda k: found[k].share, default=None)
         beside = f"{other} {percent(found[other].share)}" if other else "none tested"
         text = f"{own.name}; another link: {beside}"
-        if own.p_value < POLICY.false_alarm and own.share >= max(POLICY.negligible, (1 - POLICY.minor) * top):
+        if own in likely and own.share >= least:
             text = f"{percent(own.share)} of the excess can come from the {link} ({text})"
             said.append(Statement("link", link, own.share, own.p_value, text))
     # of links that take up the same the first of the chain stands first, whatever the rounding

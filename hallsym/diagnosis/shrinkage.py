@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import ndtri, stdtr, stdtrit
 
-from hallsym.diagnosis.policy import POLICY, Policy
+from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.refit import Refitted, inside_bounds
 from hallsym.diagnosis.regression import FOLDS
 from hallsym.diagnosis.scores import bic
@@ -98,10 +98,7 @@ def groups_of(runs: Sequence[int]) -> list[frozenset[int]]:
 
 
 def foreseen(
-    fit: Refitted,
-    groups: Sequence[frozenset[int]],
-    others: Sequence[Refitted] = (),
-    policy: Policy = POLICY,
+    fit: Refitted, groups: Sequence[frozenset[int]], others: Sequence[Refitted] = ()
 ) -> dict[tuple[int, ...], float]:
     """Return the squared decoded errors of each run as the other runs foresee them.
 
@@ -114,7 +111,7 @@ def foreseen(
     for group in groups:
         moved = [(*_without(one, group), one) for one in (fit, *others)]
         best = min(moved, key=lambda m: m[0])
-        _, v, one = moved[0] if moved[0][0] - best[0] < policy.as_good else best
+        _, v, one = moved[0] if moved[0][0] - best[0] < fit.base.policy.as_good else best
         tested = [u for u in one.fitted if not group.isdisjoint(one.tangents.runs[u])]
         out |= {one.tangents.runs[u]: float(v @ one.decoded[u] @ v) for u in tested}
     return out

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import log_ndtr, ndtri, stdtr
 
 from hallsym.diagnosis.normal_equations import NormalEquations
-from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.regression import NIL
 from hallsym.estimation import pseudo_inverse
 
@@ -30,31 +30,31 @@ FLIPS = 1999
 """Random signs that are drawn: p-values go down to 0.0005, and one of 0.05 is good to 0.005."""
 
 
-def stretch(samples: float, runs: int) -> int | None:
+def stretch(samples: float, runs: int, policy: Policy) -> int | None:
     """Return the samples of a unit for so many samples in so many runs; None where a unit is a run."""
-    units = POLICY.fewest_units
+    units = policy.fewest_units
     return None if runs >= units else max(1, int(-(-samples // (runs * -(-units // runs)))))
 
 
-def clusters(run: np.ndarray, memories: float = 0.0) -> np.ndarray:
+def clusters(run: np.ndarray, policy: Policy, memories: float = 0.0) -> np.ndarray:
     """Return which units (units,) scatter together: those of a run, or of parts of it that are independent.
 
     `run`: (units,) where each lies, in order. `memories`: of the residual that a unit lasts. Where runs are
     few there are at least as many parts as say something of a scatter.
     """
     _, index, inverse, counts = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
-    long = (counts * memories / POLICY.memories).astype(int)
-    parts = np.clip(long, -(-POLICY.fewest // len(counts)), counts)[inverse]
+    long = (counts * memories / policy.memories).astype(int)
+    parts = np.clip(long, -(-policy.fewest // len(counts)), counts)[inverse]
     within = np.arange(len(run)) - index[inverse]
     return np.unique(inverse * len(run) + within * parts // counts[inverse], return_inverse=True)[1]
 
 
-def memory(colour: np.ndarray) -> float:
+def memory(colour: np.ndarray, policy: Policy) -> float:
     """Return the samples after which a residual has forgotten, infinity where no end of it is seen.
 
     `colour`: autocorrelation at lags 0, 1, ...
     """
-    ended = np.flatnonzero(colour < POLICY.forgotten)
+    ended = np.flatnonzero(colour < policy.forgotten)
     return float(ended[0]) if len(ended) else np.inf
 
 
@@ -84,6 +84,7 @@ class SignFlips:
         t: NormalEquations,
         runs: Sequence[int],
         noise: Mapping[tuple[int, int], np.ndarray],
+        policy: Policy,
         *,
         memories: float = 0.0,
         joined: bool = False,
@@ -104,7 +105,7 @@ class SignFlips:
         self.b = self.JJ @ (total[:n, -1] - self.shared[:, :n].sum(axis=0))
         self.left = M[:, :n, -1] - self.known @ self.b - self.shared[:, :n]
         run = np.unique([t.runs[u][0] * (not joined) for u in self.units], return_inverse=True)[1]
-        cluster = clusters(run, memories)
+        cluster = clusters(run, policy, memories)
         self.cluster = np.arange(cluster.max() + 1)[:, None] == cluster
         self.zeros: np.ndarray | None = None
         if t.offsets is not None and len(self.cluster) > run.max() + 1:
@@ -192,18 +193,18 @@ def standardised(q: np.ndarray) -> np.ndarray:
     return np.asarray((x - x[1:].mean()) / max(float(x[1:].std()), 1e-300))
 
 
-def of_products(q: np.ndarray, run: np.ndarray) -> np.ndarray:
+def of_products(q: np.ndarray, run: np.ndarray, policy: Policy) -> np.ndarray:
     """Return the statistic (1 + FLIPS,) of products `q` (units, units) of the units' scores, observed first.
 
     `run`: (units,) where each lies. Products within a cluster, and of neighbours in the same run, are left
     out, so that noise that goes on from one to the next does not count. The sum is given as the normal score
     of the gamma distribution with the mean, variance and skewness that the signs give it.
     """
-    k, cluster = np.arange(len(q)), clusters(run)
+    k, cluster = np.arange(len(q)), clusters(run, policy)
     near = (np.abs(k[:, None] - k) <= 1) & (run[:, None] == run)
     q = np.where(near | (cluster[:, None] == cluster), 0.0, q)
     signs = drawn(len(q))
-    return of_sums(((signs @ q) * signs).sum(axis=1), *moments(q), len(q))
+    return of_sums(((signs @ q) * signs).sum(axis=1), *moments(q), enough=len(q) >= policy.fewest)
 
 
 def moments(q: np.ndarray) -> tuple[float, float]:
@@ -211,9 +212,12 @@ def moments(q: np.ndarray) -> tuple[float, float]:
     return 2 * float((q**2).sum()), 8 * float(np.einsum("ij,ji->", q @ q, q))
 
 
-def of_sums(sums: np.ndarray, variance: float, third: float, units: int) -> np.ndarray:
-    """Return sums (1 + FLIPS,) of products over signs as normal scores; -inf where there is no evidence."""
-    if variance <= 0 or units < POLICY.fewest:
+def of_sums(sums: np.ndarray, variance: float, third: float, *, enough: bool) -> np.ndarray:
+    """Return sums (1 + FLIPS,) of products over signs as normal scores; -inf where there is no evidence.
+
+    `enough`: whether there are enough units to say anything.
+    """
+    if variance <= 0 or not enough:
         return np.full(len(sums), -np.inf)
     skewness = max(third / variance**1.5, NIL)
     x = np.cbrt(np.maximum(1 + skewness / 2 * sums / np.sqrt(variance), 0.0))  # Wilson and Hilferty 1931

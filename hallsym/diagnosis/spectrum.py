@@ -10,7 +10,6 @@ from collections.abc import Iterable
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
-from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residuals import Base, pieces
 
@@ -33,7 +32,7 @@ def spectrum_peak(base: Base, runs: Iterable[int]) -> float:
         count += x.size
         fourth += float((x**4).sum())
     rho = products / max(count, 1)  # biased, so that it is positive definite
-    if not rho[0] > 0 or fourth / count > POLICY.heavy * rho[0] ** 2:
+    if not rho[0] > 0 or fourth / count > base.policy.heavy * rho[0] ** 2:
         return np.inf
     phi = solve_toeplitz(rho[:-1] + NIL * rho[0] * (np.arange(ORDER) == 0), rho[1:])
     turn = np.exp(-1j * np.outer(np.linspace(0, np.pi, 512), np.arange(1, ORDER + 1)))

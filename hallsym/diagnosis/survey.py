@@ -13,7 +13,7 @@ from scipy.ndimage import median_filter
 
 from hallsym.diagnosis.cordic import TOLERANCE
 from hallsym.diagnosis.p_values import as_often, statistic_at
-from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residuals import Base, Piece, found_once, pieces
 from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ
@@ -62,9 +62,9 @@ def survey(base: Base, runs: frozenset[int]) -> Survey:
         instants.append(_instants(piece))
     squares = np.hstack(rest) ** 2
     variance = _mean(squares)
-    colour, inflation = _memory(rest[1:])
+    colour, inflation = _memory(rest[1:], base.policy)
     values = tuple(map(np.unique, np.hstack(readings)))
-    steps = [_step(v) for v in values]
+    steps = [_step(v, base.policy) for v in values]
     return Survey(
         duration_s=float(times[-1][-1] - times[0][0]) if times else 0.0,
         variance=variance,
@@ -84,7 +84,7 @@ def _mean(values: np.ndarray) -> float:
     return float(values.mean()) if values.size else 1.0
 
 
-def _memory(rest: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
+def _memory(rest: Sequence[np.ndarray], policy: Policy) -> tuple[np.ndarray, float]:
     """Return the autocorrelation (SEGMENT,) of blocks (K, n), and the variance of a slow average for it.
 
     The memory ends where white noise may be as correlated (Bartlett), at 95 %.
@@ -96,7 +96,7 @@ def _memory(rest: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
         own = np.fft.irfft(power.sum(axis=0), 2 * n)[: min(n, SEGMENT)]
         products[: len(own)] += own
     rho = products / max(products[0], 1e-300)
-    chance = np.sqrt(statistic_at(POLICY.false_alarm, 1) / max(sum(r.size for r in rest), 1))
+    chance = np.sqrt(statistic_at(policy.false_alarm, 1) / max(sum(r.size for r in rest), 1))
     end = np.argmax(np.append(rho[1:] < chance, True))
     return rho, max(1.0, 1.0 + 2.0 * float(rho[1 : 1 + end].sum()))
 
@@ -115,13 +115,13 @@ def memory_of_recording(base: Base, runs: frozenset[int]) -> float:
     rest = np.hstack([np.where(p.used, p.residual, 0.0) for p in found])
     series, there = np.zeros((len(rest), n)), np.zeros((1, n))
     series[:, place], there[:, place] = rest - rest.mean(axis=1, keepdims=True), 1.0
-    lags = np.arange(1, max(2, n // (2 * POLICY.fewest)))
+    lags = np.arange(1, max(2, n // (2 * base.policy.fewest)))
     sums, pairs = (
         np.fft.irfft((np.abs(np.fft.rfft(x, 2 * n)) ** 2).sum(axis=0), 2 * n) for x in (series, there)
     )
     seen = np.maximum(pairs[lags], 1.0) * len(rest)
     rho = sums[lags] / seen / max(float(np.mean(rest**2)), 1e-300)
-    chance = np.sqrt(statistic_at(POLICY.false_alarm / len(lags), 1) / seen)
+    chance = np.sqrt(statistic_at(base.policy.false_alarm / len(lags), 1) / seen)
     return float(np.max(lags[np.abs(rho) > chance], initial=0))
 
 
@@ -136,7 +136,7 @@ def _instants(piece: Piece) -> np.ndarray:
     return np.array([z, size, (quick**2).sum(axis=0) - z**2])
 
 
-def _step(v: np.ndarray) -> tuple[float, float]:
+def _step(v: np.ndarray, policy: Policy) -> tuple[float, float]:
     """Step between the ascending values of a channel, 0 for none, and how likely that is by chance.
 
     Of values without steps a distance is near a whole number of any step with probability 2 TOLERANCE.
@@ -149,7 +149,7 @@ def _step(v: np.ndarray) -> tuple[float, float]:
     q = float(np.median(gaps[gaps < 1.5 * q]))
     whole = np.abs(gaps / q - np.round(gaps / q)) < TOLERANCE
     p = as_often(int(whole.sum()), len(gaps), 2 * TOLERANCE)
-    return (q, p) if whole.mean() > 1 - POLICY.minor else (0.0, p)
+    return (q, p) if whole.mean() > 1 - policy.minor else (0.0, p)
 
 
 # -- hum of the mains ----------------------------------------------------------------------------------------

@@ -11,7 +11,6 @@ from hallsym.diagnosis.decoded_errors import DecodedErrors, decoded_errors
 from hallsym.diagnosis.faults import Fault, faults, without_tail
 from hallsym.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from hallsym.diagnosis.noise import LARGER
-from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.refit import Refitted, refit
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import Exact, Selection
@@ -113,7 +112,7 @@ def validate(setup: Setup, selection: Selection) -> Validation:
     rest = lack_of_fit(end, setup.runs)
     if gap <= setup.floor_fitted.least * (1 + setup.policy.negligible):
         found = []
-    if shaped(rest, setup.threshold, setup.policy):
+    if shaped(setup, rest):
         found = _beyond_shapes(found, rest)
     cured = after
     if any(f.record.rare for f in found):
@@ -186,7 +185,7 @@ def _held(setup: Setup, selection: Selection, effect: Exact, before: DecodedErro
 def _judged(setup: Setup, selection: Selection, without: Refitted) -> Judged:
     """Return all effects against the fit `without` some, on runs that took no part."""
     groups = groups_of(setup.runs)
-    after = foreseen(selection.fit, groups, selection.others, setup.policy)
+    after = foreseen(selection.fit, groups, selection.others)
     return Judged.of(foreseen(without, groups), after, setup.policy)
 
 
@@ -212,26 +211,23 @@ def worth_reporting(floor: Floor, threshold: float) -> float:
     return floor.metric * limit_of(floor.uncertain, threshold)
 
 
-def shaped(found: LackOfFit, threshold: float, policy: Policy) -> bool:
+def shaped(setup: Setup, rest: LackOfFit) -> bool:
     """Return whether a residual has a shape, or tones, that are worth the threshold by themselves."""
-    need = 1 - (1 - threshold) / (1 + policy.negligible)
-    best = found.best(policy.false_alarm)
-    return found.tones >= need or (best is not None and best.drop >= need)
+    need = 1 - (1 - setup.threshold) / (1 + setup.policy.negligible)
+    best = rest.best(setup.policy.false_alarm)
+    return rest.tones >= need or (best is not None and best.drop >= need)
 
 
-def remains(
-    found: LackOfFit, metric: float, floor: Floor, threshold: float, policy: Policy, error: float
-) -> bool:
+def remains(setup: Setup, found: Validation, rest: LackOfFit, metric: float) -> bool:
     """Return whether a residual of size `metric` is a gap although no effect is named for it.
 
-    `error`: standard error of the metric, over itself, that noise of the residual's memory makes. A shape
-    that predicts other runs and is worth the threshold is a gap by itself. A residual without a shape is a
-    gap if it is above all that the floor may be, by more than chance.
+    A shape that predicts other runs and is worth the threshold is a gap by itself. A residual without a shape
+    is a gap if it is above all that the floor may be, by more than chance.
     """
-    if shaped(found, threshold, policy):
+    if shaped(setup, rest):
         return True
-    metric /= 1 + float(ndtri(1 - policy.false_alarm / 2)) * error
-    return metric > worth_reporting(floor, threshold)
+    metric /= 1 + float(ndtri(1 - setup.policy.false_alarm / 2)) * found.error
+    return metric > worth_reporting(found.floor, setup.threshold)
 
 
 Verdict = Literal["no gap", "explained", "unexplained", "noise larger than stated"]
@@ -252,7 +248,7 @@ def decide(setup: Setup, found: Validation, noise: ResidualNoise | None = None) 
     base, metric = (found.base, after) if named else (found.start.base, before)
     rest = found.rest if base is found.end else lack_of_fit(base, setup.runs)
     loud = noise is not None and all_noise(setup, found, rest, metric, noise)
-    gap = not loud and remains(rest, metric, found.floor, setup.threshold, setup.policy, found.error)
+    gap = not loud and remains(setup, found, rest, metric)
     if found.dropped and not loud:
         gap = gap or metric > worth_reporting(found.floor, setup.threshold)
     if not named and not loud:
@@ -284,7 +280,7 @@ def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, n
     """
     floor, base = found.floor, found.base
     stated = any(s.source == "given" for s in setup.fit.noise.sigmas.values())
-    if not stated or shaped(rest, setup.threshold, setup.policy):
+    if not stated or shaped(setup, rest):
         return False
     here = base.log.columns
     state = [float(np.mean(base.log.array(c))) if c in here else 0.0 for c in base.model.state]

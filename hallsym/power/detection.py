@@ -237,8 +237,9 @@ class Bench:
         setup = self.setup
         try:
             found = diagnose(
-                log, setup.fit.model, holdout=setup.holdout, effects=self.own, threshold=setup.threshold
-            )
+                log, setup.fit.model, holdout=setup.holdout, effects=self.own, threshold=setup.threshold,
+                policy=setup.policy,
+            )  # fmt: skip
         except InputError:
             return "refused", "refused", ()
         outcome, named = _outcome(found, name)

@@ -12,7 +12,6 @@ import numpy as np
 from scipy.optimize import brentq
 
 from hallsym.diagnosis.normal_equations import normal_equations
-from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.scores import Candidate, candidates
 from hallsym.diagnosis.words import gap_text, gap_unit
 from hallsym.families.faults import FAULTS, Draw, Injection, Noisy, RecordingFault, Size
@@ -34,7 +33,7 @@ def sized(
     Or why there is none. `beside`: an imperfection of the readings, (K, rows), whose gap is part of it. On
     the held-out runs; `anywhere`: on the fitted runs, or in the readings, where it is larger there.
     """
-    wanted, near = truth.floor_m * float(np.sqrt(ratio**2 - 1)), POLICY.negligible
+    wanted, near = truth.floor_m * float(np.sqrt(ratio**2 - 1)), truth.base.policy.negligible
     tiny, seen = np.finfo(float).eps, dict[float, tuple[float, float]]()
 
     def over(level: float) -> float:
@@ -68,7 +67,7 @@ def sized(
         reason = f"the model's own parameters absorb it: of {gap_text(raw, unit)} they leave {share}"
     elif over(high) < -near:
         reason = f"at the bounds of its parameters it {makes}"
-    elif abs(over(best)) > -np.log(POLICY.half):
+    elif abs(over(best)) > -np.log(truth.base.policy.half):
         reason = f"it comes in steps, the nearest of which {makes}"
     if reason and np.any(beside):  # what it makes by itself
         return sized(truth, injection, ratio, anywhere=anywhere)
@@ -148,7 +147,7 @@ def _effect(
     for unit in set(units):
         same = np.array([u == unit for u in units]) & (raw > 0)  # the width of a loop shows not by itself
         total = float(np.sqrt((raw[same] ** 2).sum()))
-        if total * reach[same].max(initial=0.0) > POLICY.negligible * truth.floor_m:
+        if total * reach[same].max(initial=0.0) > base.policy.negligible * truth.floor_m:
             each[same] = truth.floor_m / total
     draw = rng.uniform(0.5, 1.0, len(new)) * rng.choice([-1.0, 1.0], len(new))
     direction = each * np.where(lower >= 0, np.abs(draw), draw)

@@ -27,7 +27,7 @@ def table(residual: np.ndarray) -> ResidualTable:
     time, sensed = {"campaign_s": 0.01 * np.arange(n)}, np.sin(0.07 * np.arange(n))[None]
     return ResidualTable(
         ("m_m",), ("x_m",), ("x_ref_m",), (), run, residual, sensed, residual, time, np.eye(1), run, run,
-        run, np.eye(1), np.ones(1), {}, Spectrum(),
+        run, np.eye(1), np.ones(1), {}, POLICY, Spectrum(),
     )  # fmt: skip
 
 
@@ -80,6 +80,26 @@ def test_a_slip_between_runs_is_not_moved_into_one_by_noise() -> None:
         # noise that remembers 30 samples: a slow average of white noise varies 60 times less
         (found,) = instants(replace(table(x), sensed=sensed), holdout={7}, slow=60.0)
         assert found == (0, pytest.approx(0.01 * 8 * SAMPLES))
+
+
+def test_a_slip_within_a_run_lies_there_and_not_between_runs() -> None:
+    """Eight runs, two of them held out: too few to say that this run steps more than others do."""
+    n = 8 * SAMPLES
+    sensed, when = np.sin(0.07 * np.arange(n))[None], 4 * SAMPLES + 60
+    for seed in range(10):
+        x = noise(np.random.default_rng(seed), 3.0)[:, :n] + 2.0 * sensed * (np.arange(n) >= when)
+        (found,) = instants(replace(table(x), sensed=sensed), holdout={2, 5}, slow=6.0)
+        assert found == (0, pytest.approx(0.01 * when, abs=0.3))
+
+
+def test_what_the_fitted_runs_leave_open_a_held_out_one_decides() -> None:
+    """Run 7 rests and shows no gain: the slip is before or after it, and run 8, which is held out, has it."""
+    n = RUNS * SAMPLES
+    sensed = np.sin(0.07 * np.arange(n))[None] * (np.arange(n) // SAMPLES != 7)
+    for seed in range(10):
+        x = noise(np.random.default_rng(seed), 3.0) + 2.0 * sensed * (np.arange(n) >= 8 * SAMPLES)
+        (found,) = instants(replace(table(x), sensed=sensed), holdout={8}, slow=6.0)
+        assert 0.07 * SAMPLES - 1e-9 <= found[1] <= 0.08 * SAMPLES + 1e-9
 
 
 def slipped(run: int, *, gain: float) -> tuple[Log, float]:

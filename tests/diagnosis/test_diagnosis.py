@@ -274,7 +274,7 @@ def test_rails_are_where_readings_repeat() -> None:
     log = machine("multisine", seed=5, thin=6)
     top = float(np.sort(log.array("hall_a_m"))[-20])
     data = {c: log.array(c) for c in log.columns} | {"hall_a_m": np.minimum(log.array("hall_a_m"), top)}
-    rails = rails_of(np.array([data[c] for c in hallsym.build("stage31").channels]))
+    rails = rails_of(np.array([data[c] for c in hallsym.build("stage31").channels]), POLICY)
     assert rails == ((-np.inf, top), (-np.inf, np.inf), (-np.inf, np.inf))
 
 

@@ -16,7 +16,7 @@ from scipy import stats
 from test_stacked_products import whitened
 
 import hallsym
-from hallsym.diagnosis import Base
+from hallsym.diagnosis import POLICY, Base
 from hallsym.diagnosis.faults import faults, of_samples, wiring_p, wirings
 from hallsym.diagnosis.normal_equations import Accumulator, normal_equations
 from hallsym.diagnosis.p_values import as_many, as_often, exceeds, student
@@ -34,7 +34,7 @@ TESTED = 30
 
 
 def p_values(found: Survey) -> dict[str, float]:
-    return {f.name: f.p_value for f in of_samples(found)} | {"adc_quantisation": found.step_p}
+    return {f.name: f.p_value for f in of_samples(found, POLICY)} | {"adc_quantisation": found.step_p}
 
 
 def fitted(log: Log) -> Base:
@@ -69,7 +69,7 @@ def test_noise_without_a_fault_is_no_fault(noise: str) -> None:
     base = fitted(machine("multisine", seed=11, thin=6, noise=noise))
     found = survey(base, frozenset(base.log.runs))
     assert faults(base, found, TESTED) == []
-    assert min(f.p_value for f in of_samples(found)) > 0.01 / TESTED
+    assert min(f.p_value for f in of_samples(found, POLICY)) > 0.01 / TESTED
 
 
 @pytest.mark.parametrize("name", ["outliers", "dropped_samples", "clock_jitter", "adc_quantisation"])

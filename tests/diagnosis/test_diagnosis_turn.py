@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from hallsym.diagnosis import diagnose, prepare
+from hallsym.diagnosis import POLICY, diagnose, prepare
 from hallsym.diagnosis.regression import others
 from hallsym.diagnosis.setup import split
 from hallsym.errors import InputError
@@ -141,7 +141,7 @@ def test_the_same_delay_is_called_by_its_usual_name():
 @pytest.mark.parametrize("knots", [200, 400])
 def test_groups_of_knots_go_round_the_turn_and_see_every_phase_of_a_stepper(knots):
     a = np.arange(knots) * 2 * np.pi / knots
-    log, held = split(Log.from_arrays({"angle_ref_rad": a, "angle_rad": a}))
+    log, held = split(Log.from_arrays({"angle_ref_rad": a, "angle_rad": a}), POLICY)
     assert sum(log.array("run")[k] in held for k in range(knots)) == knots // 2
     for run in set(log.runs) - set(held):
         at = log.array("t_s")[log.array("run") == run].astype(int)
@@ -152,7 +152,7 @@ def test_groups_of_knots_go_round_the_turn_and_see_every_phase_of_a_stepper(knot
 @pytest.mark.parametrize(("samples", "slices"), [(900, 22), (2000, 50), (4535, 100), (60_000, 100)])
 def test_a_recording_is_taken_as_many_slices_of_forty_samples_or_more(samples, slices):
     t = 1e-3 * np.arange(samples)
-    log, held = split(Log.from_arrays({"t_s": t, "angle_ref_rad": t, "angle_rad": t}))
+    log, held = split(Log.from_arrays({"t_s": t, "angle_ref_rad": t, "angle_rad": t}), POLICY)
     assert (len(log.runs), len(held)) == (slices, slices // 2)
     assert np.bincount(log.array("run").astype(int)).min() >= 40
     assert np.array_equal(log.array("t_s"), t)  # in the order of the recording
@@ -165,7 +165,7 @@ def test_a_slice_that_turns_back_smoothly_is_not_saturated():
     hz, size = rng.uniform(0.3, 2), rng.uniform(2, 12)
     a = size * np.sin(2 * np.pi * hz * t)
     volts = {c: f(a) + rng.normal(0, 6e-4, len(t)) for c, f in (("v_sin_v", np.sin), ("v_cos_v", np.cos))}
-    log, held = split(Log.from_arrays({"t_s": t, "angle_ref_rad": a, **volts}))
+    log, held = split(Log.from_arrays({"t_s": t, "angle_ref_rad": a, **volts}), POLICY)
     assert fit(log, "ellipse", solver="direct", holdout=held).errors
     with pytest.raises(InputError, match=r"v_cos_v .* is saturated"):
         fit(replace(log, recording=None), "ellipse", solver="direct", holdout=held)
@@ -176,7 +176,7 @@ def test_a_slice_that_turns_back_smoothly_is_not_saturated():
 def test_a_short_recording_is_taken_to_fewer_pieces_that_each_can_be_a_run(knots, timed):
     a = np.arange(knots) * 2 * np.pi / knots
     time = {"t_s": 1e-3 * np.arange(knots)} if timed else {}
-    log, held = split(Log.from_arrays({**time, "angle_ref_rad": a, "angle_rad": a}))
+    log, held = split(Log.from_arrays({**time, "angle_ref_rad": a, "angle_rad": a}), POLICY)
     sizes = np.bincount(log.array("run").astype(int))
     assert sizes.min() >= 8
     assert len(sizes) == 2 * len(held) >= 6

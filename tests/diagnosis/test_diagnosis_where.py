@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from twins import SIGMAS, record
 
 import hallsym
-from hallsym.diagnosis import Base
+from hallsym.diagnosis import POLICY, Base
 from hallsym.diagnosis.coordinates import Coordinate, hats, knots
 from hallsym.diagnosis.curve_words import shape
 from hallsym.diagnosis.curves import FineMap, Smooth, run_gains
@@ -162,7 +162,7 @@ def made_up(residual: np.ndarray, x: np.ndarray, runs: int = 30) -> ResidualTabl
     return ResidualTable(
         ("m_m",), ("x_m",), ("x_ref_m",), ("z_m",), run, residual, sensed, np.zeros((1, n)),
         {"z_m": x}, np.eye(1), run, run, np.arange(n) * 4 * runs // n, np.ones((1, 1, n)), np.ones(1), {},
-        Spectrum(),
+        POLICY, Spectrum(),
     )  # fmt: skip
 
 

@@ -5,8 +5,11 @@ simulated logs twice, with the policy and with one threshold switched off.
 """
 
 import sys
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,21 +17,28 @@ from gap_twins import listed
 from gap_twins import machine as stage
 from test_diagnosis_rotary import machine, third
 from test_diagnosis_turn import LIKE_A_TABLE, table
+from test_survey import encoder
 
-from hallsym.diagnosis import POLICY, Diagnosis, diagnose, prepare
-from hallsym.diagnosis.confusable import smaller_findings
+import hallsym
+from hallsym.diagnosis import POLICY, Base, Diagnosis, diagnose, prepare
+from hallsym.diagnosis.confusable import confusable, smaller_findings
+from hallsym.diagnosis.facts import facts_of, switched_runs
 from hallsym.diagnosis.faults import of_samples
 from hallsym.diagnosis.lack_of_fit import LackOfFit, Shape
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.refit import refit, with_model
+from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.scores import Score
-from hallsym.diagnosis.selection import Exact, cancels, ordered, select
-from hallsym.diagnosis.setup import Floor
+from hallsym.diagnosis.selection import Exact, Selection, cancels, ordered, refitted, select
+from hallsym.diagnosis.setup import Floor, Setup
+from hallsym.diagnosis.shares import clear
 from hallsym.diagnosis.sign_flips import clusters, memory, stretch
 from hallsym.diagnosis.spectrum import spectrum_peak
+from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.validation import decide, remains
 from hallsym.families import effect_named
 from hallsym.log import Log
+from hallsym.report.text.diagnosis import shrinks_text
 
 CONFUSABLE, SELECTION = (sys.modules[f"hallsym.diagnosis.{name}"] for name in ("confusable", "selection"))
 """The modules; the package has functions of these names."""
@@ -57,11 +67,12 @@ def shaped(drop: float, p: float) -> LackOfFit:
     ],
 )
 def test_what_is_left_is_a_gap_above_all_that_the_floor_may_be_or_with_a_shape(found, excess, error, gap):
-    assert remains(found, excess * FLOOR.metric, FLOOR, LEVEL, POLICY, error) is gap
+    setup, of = SimpleNamespace(threshold=LEVEL, policy=POLICY), SimpleNamespace(floor=FLOOR, error=error)
+    assert remains(setup, of, found, excess * FLOOR.metric) is gap
     if found is CLEAN:
-        twice = replace(FLOOR, uncertain=2.0)
-        assert not remains(found, excess * FLOOR.metric, twice, LEVEL, POLICY, error)
-        assert remains(found, 2 * excess * FLOOR.metric, twice, LEVEL, POLICY, error) is gap
+        of.floor = replace(FLOOR, uncertain=2.0)
+        assert not remains(setup, of, found, excess * FLOOR.metric)
+        assert remains(setup, of, found, 2 * excess * FLOOR.metric) is gap
 
 
 def validated(after: float, rest: LackOfFit) -> SimpleNamespace:
@@ -86,7 +97,15 @@ def test_a_gap_is_explained_only_where_nearly_all_is_closed():
 # -- which of two effects ----------------------------------------------------------------------------------
 
 
-def effect(name: str, size: int, cost: float, gap: float, ratio: float = 0.5, bic: float = 0.0) -> Exact:
+def effect(
+    name: str,
+    size: int,
+    cost: float,
+    gap: float,
+    ratio: float = 0.5,
+    bic: float = 0.0,
+    policy: Policy = POLICY,
+) -> Exact:
     """An exact refit that leaves squares `cost` of 1000 and the gap metric `gap`."""
     score = Score(
         SimpleNamespace(name=name, separate=()),
@@ -101,21 +120,28 @@ def effect(name: str, size: int, cost: float, gap: float, ratio: float = 0.5, bi
     fit = SimpleNamespace(
         cost=cost, metric=gap, readings=1000.0, distance=lambda _: 1.0,
         variance=lambda inflation: inflation * cost / 1000.0,
-        base=SimpleNamespace(model=SimpleNamespace(channels=("a", "b"), effects=())),
+        base=SimpleNamespace(
+            model=SimpleNamespace(channels=("a", "b"), effects=()), values={}, policy=policy
+        ),
     )  # fmt: skip
     return Exact(score, fit, bic)
 
 
-def first(exact: list[Exact], policy: Policy = POLICY) -> str:
-    scored = [e.score for e in exact]
-    return ordered(exact, scored, lambda _: True, policy)[0].score.effect.name
+def first(policy: Policy, variant_bic: float | None = None) -> str:
+    """Which of a flexible and a plain effect goes first; the flexible one may have a variant as plain."""
+    flexible = effect("flexible", 6, 100.0, 1.0e-6, bic=-90.0, policy=policy)
+    plain = effect("plain", 2, 110.0, 1.005e-6, bic=-80.0, policy=policy)
+    scored = [flexible.score, plain.score]
+    if variant_bic is not None:
+        scored.append(replace(flexible.score, size=2, bic=variant_bic))
+    return ordered([flexible, plain], scored, lambda _: True)[0].score.effect.name
 
 
 def test_fewer_parameters_win_if_they_explain_nearly_as_much():
-    flexible = effect("flexible", 6, 100.0, 1.0e-6, bic=-90.0)
-    plain = effect("plain", 2, 110.0, 1.005e-6, bic=-80.0)
-    assert first([flexible, plain]) == "plain"
-    assert first([flexible, plain], replace(POLICY, negligible=0.001)) == "flexible"
+    assert first(POLICY) == "plain"
+    assert first(replace(POLICY, negligible=0.001)) == "flexible"
+    assert first(POLICY, -75.0) == "flexible"
+    assert first(replace(POLICY, as_good=1.0), -75.0) == "plain"
 
 
 # -- smaller findings --------------------------------------------------------------------------------------
@@ -140,56 +166,55 @@ def test_smaller_findings_are_certain_and_below_the_threshold():
 # -- what is independent, and what its tails are like --------------------------------------------------------
 
 
-def changed(monkeypatch, module: str, **gates: float) -> None:
-    monkeypatch.setattr(sys.modules[f"hallsym.diagnosis.{module}"], "POLICY", replace(POLICY, **gates))
+def test_units_are_runs_from_enough_runs_on():
+    assert (stretch(1000, 10, POLICY), stretch(1000, 24, POLICY)) == (34, None)
+    assert stretch(1000, 10, replace(POLICY, fewest_units=10)) is None
 
 
-def test_units_are_runs_from_enough_runs_on(monkeypatch):
-    assert (stretch(1000, 10), stretch(1000, 24)) == (34, None)
-    changed(monkeypatch, "sign_flips", fewest_units=10)
-    assert stretch(1000, 10) is None
-
-
-def test_a_memory_ends_where_it_is_forgotten_and_several_memories_apart_is_independent(monkeypatch):
+@pytest.mark.parametrize(
+    ("policy", "ends", "parts"), [(POLICY, 3.0, 10), (replace(POLICY, forgotten=0.2, memories=2.0), 2.0, 20)]
+)
+def test_a_memory_ends_where_it_is_forgotten_and_several_memories_apart_is_independent(policy, ends, parts):
     colour, run = np.array([1.0, 0.5, 0.1, 0.01]), np.zeros(40, int)
-    assert (memory(colour), clusters(run, memories=1.0).max() + 1) == (3.0, 10)
-    changed(monkeypatch, "sign_flips", forgotten=0.2, memories=2.0)
-    assert (memory(colour), clusters(run, memories=1.0).max() + 1) == (2.0, 20)
+    assert (memory(colour, policy), clusters(run, policy, memories=1.0).max() + 1) == (ends, parts)
 
 
 def test_noise_with_heavy_tails_has_no_spectrum_to_go_by(monkeypatch):
     white = np.random.default_rng(0).standard_normal((2, 5000))
     piece = SimpleNamespace(used=np.ones(5000, bool), residual=white)
     monkeypatch.setattr(sys.modules["hallsym.diagnosis.spectrum"], "pieces", lambda *_: [piece])
-    assert 1.0 <= spectrum_peak(None, ()) < 1.3  # of 20 lags of 10,000 numbers, each to 6 %
-    changed(monkeypatch, "spectrum", heavy=2.9)
-    assert spectrum_peak(None, ()) == np.inf
+    base = SimpleNamespace(policy=POLICY)
+    assert 1.0 <= spectrum_peak(base, ()) < 1.3  # of 20 lags of 10,000 numbers, each to 6 %
+    base.policy = replace(POLICY, heavy=2.9)
+    assert spectrum_peak(base, ()) == np.inf
 
 
-def sampled(z: np.ndarray, rest: np.ndarray) -> dict[str, float]:
+def sampled(z: np.ndarray, rest: np.ndarray, policy: Policy = POLICY) -> dict[str, float]:
     """P-values of what single samples are, which move at random speeds; jitter grows with these."""
     size = np.random.default_rng(1).uniform(0.5, 2.0, len(z))
     found = SimpleNamespace(instants=(z * size, size, rest), values=[0, 0], variance=1.0)
-    return {f.name: f.p_value for f in of_samples(found)}
+    return {f.name: f.p_value for f in of_samples(found, policy)}
 
 
-def test_tails_of_the_noise_are_expected_to_hold_more_spikes_than_its_body_tells(monkeypatch):
+def spiky() -> tuple[np.ndarray, np.ndarray]:
+    """Samples of which seven are spikes."""
     rng = np.random.default_rng(2)
     rest = rng.standard_normal(4000) ** 2
     rest[500:4000:500] += 100.0
-    quiet = rng.standard_normal(4000)
-    p = sampled(quiet, rest)["outliers"]
-    changed(monkeypatch, "faults", tails=1.0)
-    assert sampled(quiet, rest)["outliers"] < 0.1 * p
+    return rng.standard_normal(4000), rest
 
 
-def test_time_shifts_that_last_are_no_jitter(monkeypatch):
+def test_tails_of_the_noise_are_expected_to_hold_more_spikes_than_its_body_tells():
+    p = sampled(*spiky())["outliers"]
+    assert sampled(*spiky(), replace(POLICY, tails=1.0))["outliers"] < 0.1 * p
+
+
+def test_time_shifts_that_last_are_no_jitter():
     rng = np.random.default_rng(3)
     shifts, rest = np.repeat(rng.standard_normal(2000), 2), rng.standard_normal(4000) ** 2
     assert "clock_jitter" not in sampled(shifts, rest)
     assert "clock_jitter" in sampled(rng.permutation(shifts), rest)
-    changed(monkeypatch, "faults", smooth=0.9)
-    assert "clock_jitter" in sampled(shifts, rest)
+    assert "clock_jitter" in sampled(shifts, rest, replace(POLICY, smooth=0.9))
 
 
 # -- input -------------------------------------------------------------------------------------------------
@@ -208,6 +233,91 @@ def test_the_threshold_and_the_holdout_runs_follow_the_policy():
     other = replace(POLICY, worth_reporting=0.2, holdout_every=3)
     setup = prepare(runs_of(8), "ellipse", policy=other)
     assert (setup.threshold, setup.holdout) == (0.2, (1, 4, 7))
+
+
+# -- every threshold of a diagnosis is that of the policy it was given --------------------------------------
+
+
+def of_setup(look: Callable[[Setup], Any]) -> Callable[[Policy], Any]:
+    """Return what `look` sees in a machine with a third harmonic, prepared with a policy."""
+    return lambda policy: look(prepare(machine(third), "ellipse", policy=policy))
+
+
+def of_base(look: Callable[[Base, frozenset[int]], Any]) -> Callable[[Policy], Any]:
+    """Return what `look` sees in the fit of that machine and its fitted runs."""
+    return of_setup(lambda setup: look(setup.base, frozenset(setup.runs)))
+
+
+def search(setup: Setup) -> Selection:
+    start = refit(setup.base, setup.runs)
+    return Selection(setup, start, start, {(): start})
+
+
+def refits(policy: Policy) -> int:
+    """How many starts of ten effects are refitted, five of each."""
+    made = [effect(str(k), 1, 100.0, 1e-6, policy=policy) for k in range(10)]
+    for e in made:
+        e.score.effect.possible, e.score.variant.tried = lambda _: True, 9
+    count = list[str]()
+
+    def exact(_: Any, score: Score, __: Any) -> Exact:
+        count.append(score.effect.name)
+        return made[int(score.effect.name)]
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(SELECTION, "_exact", exact)
+        refitted(made[0].fit.base, [e.score for e in made for _ in range(5)], (), lambda _: True)
+    return len(count)
+
+
+def not_told_apart(policy: Policy) -> tuple[str, ...]:
+    """What is confusable with an effect of which another leaves 3 standard deviations more."""
+    base = SimpleNamespace(model=SimpleNamespace(pose=("x_m",), family=SimpleNamespace(pairs=False)))
+    one = replace(effect("one", 1, 100.0, 1e-6), rivals=(effect("other", 1, 101.0, 1e-6),))
+    found = SimpleNamespace(inflation=1.0, effects=[SimpleNamespace(name="one", exact=one)])
+    return confusable(SimpleNamespace(policy=policy, base=base), found, (), "explained").ranked
+
+
+CHANGES: dict[str, tuple[float, Callable[[Policy], Any]]] = {
+    "false_alarm": (0.0, of_setup(lambda s: search(s).worth(SimpleNamespace(p_value=0.03, ratio=0.5), 0))),
+    "certain": (0.0, of_base(lambda base, runs: clear(residual_table(base, runs)))),
+    "negligible": (1e6, of_setup(lambda setup: search(setup).needed())),
+    "minor": (1.0, of_base(lambda base, runs: survey(base, runs).adc_step.any())),
+    "half": (1.0, of_setup(lambda s: search(s).worth(SimpleNamespace(p_value=0.0, ratio=0.97), 0))),
+    "fewest": (100, of_base(lambda base, _: switched_runs(residual_table(base, base.log.runs)))),
+    "fewest_units": (2, of_base(lambda base, runs: residual_table(base, runs).block.max())),
+    "forgotten": (2.0, of_base(lambda base, runs: memory(survey(base, runs).colour, base.policy))),
+    "memories": (8.0, lambda policy: len(prepare(encoder(runs=1, samples=2000), policy=policy).log.runs)),
+    "heavy": (1.0, of_base(spectrum_peak)),
+    "tails": (1.0, lambda policy: sampled(*spiky(), policy)),
+    "smooth": (-1.0, lambda policy: sampled(*spiky(), policy)),
+    "worth_reporting": (0.2, of_setup(lambda setup: setup.threshold)),
+    "holdout_every": (3, lambda policy: prepare(runs_of(8), "ellipse", policy=policy).holdout),
+    "rail_repeats": (1, of_base(lambda base, runs: facts_of(base, survey(base, runs)).rails)),
+    "most_refits": (1, refits),
+    "starts": (1, refits),
+    "as_good": (1.0, lambda policy: first(policy, -75.0)),
+    "separated": (1.0, not_told_apart),
+}
+"""For each threshold another value, and what that changes."""
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Policy)])
+def test_every_threshold_is_read_from_the_policy_that_was_given(name):
+    value, decided = CHANGES[name]
+    assert decided(POLICY) != decided(replace(POLICY, **{name: value}))
+
+
+def test_a_report_says_below_how_many_runs_there_is_no_interval():
+    found = diagnose(machine(third), "ellipse", policy=replace(POLICY, fewest=50))
+    assert found.shrinkage.interval is None
+    again = Diagnosis.from_dict(found.to_dict())
+    assert "no 95 % interval: it needs at least 50 runs" in shrinks_text(again)
+
+
+def test_no_decision_reads_the_thresholds_of_all_diagnoses():
+    source = Path(hallsym.__file__).parent
+    assert [str(f) for f in source.rglob("*.py") if "POLICY." in f.read_text()] == []
 
 
 # -- whole diagnoses, with the policy and with one threshold switched off -----------------------------------
@@ -238,7 +348,7 @@ def test_an_effect_whose_parameters_undo_each_other_is_rejected(text, undone):
     setup = prepare(table(LIKE_A_TABLE), "rotary")
     wide = effect_named(text, setup.base.model).added(setup.base.model, text)
     fit = refit(with_model(setup.base, wide), setup.runs)
-    assert cancels(fit, [n for n in wide.names if n not in setup.base.model.names], POLICY.half) is undone
+    assert cancels(fit, [n for n in wide.names if n not in setup.base.model.names]) is undone
 
 
 @pytest.mark.slow
@@ -246,7 +356,8 @@ def test_an_effect_whose_parameters_undo_each_other_is_rejected(text, undone):
 def test_effects_that_explain_nearly_as_much_are_refitted_too(gate):
     setup = prepare(machine(third), "ellipse")
     (kept,), (off,) = (
-        select(replace(setup, policy=policy)).effects for policy in (POLICY, replace(POLICY, **{gate: 1}))
+        select(replace(setup, base=replace(setup.base, policy=policy))).effects
+        for policy in (POLICY, replace(POLICY, **{gate: 1}))
     )
     alike = {kept.name, *(r.name for r in kept.rivals)}
     assert alike == {"third_harmonic_distortion", "field_saturation", "odd_nonlinearity"}

@@ -74,7 +74,7 @@ def largest(kind, seed, size=0.0, runs=30, samples=40):
     columns[4] *= np.repeat(np.arange(runs) < 2, samples)  # an effect that two runs show
     residual = noise_of(kind, rng, n) + size * columns[6]
     t = products(columns, residual, 4, runs, samples, [(4, 5), (5, 6), (6, 8), (8, 11), (11, 14)])
-    return p_values(SignFlips(t, range(runs), {}))
+    return p_values(SignFlips(t, range(runs), {}, POLICY))
 
 
 @pytest.mark.slow
@@ -98,7 +98,7 @@ def test_noise_that_wanders_over_whole_runs_is_no_effect():
         columns = np.array([np.ones(n), speed, speed**2, rng.standard_normal(n)])
         noise = np.repeat(rng.standard_normal(runs), each * samples) + rng.standard_normal(n)
         t = products(columns, noise, 1, runs * each, samples, [(1, 2), (2, 3), (3, 4)], each)
-        p.append(min(p_values(SignFlips(t, range(runs), {}))))
+        p.append(min(p_values(SignFlips(t, range(runs), {}, POLICY))))
     assert stats.kstest(p, "uniform").pvalue > 1e-3
     assert stats.binomtest(int((np.array(p) <= 0.05).sum()), len(p), 0.05).pvalue > 1e-3
 
@@ -118,24 +118,24 @@ def test_numbers_that_were_searched_count():
 
 
 def test_few_runs_are_cut_into_stretches():
-    assert stretch(24_000, 24) is None
-    assert stretch(8000, 8) == 334  # three stretches of each of eight runs of 1000 samples
+    assert stretch(24_000, 24, POLICY) is None
+    assert stretch(8000, 8, POLICY) == 334  # three stretches of each of eight runs of 1000 samples
 
 
 def test_the_memory_of_a_residual_ends_where_it_is_uncorrelated():
     lags = np.arange(64)
-    assert memory(0.9**lags) == 38  # 2 %
-    assert memory(0.99**lags) == np.inf  # no end is seen
+    assert memory(0.9**lags, POLICY) == 38  # 2 %
+    assert memory(0.99**lags, POLICY) == np.inf  # no end is seen
 
 
 def test_parts_of_a_run_that_are_four_memories_long_scatter_by_themselves():
     three_each = np.repeat(np.arange(8), 3)
-    assert len(set(clusters(three_each, 4.0))) == 24
-    assert list(clusters(three_each, 3.9)[:6]) == [0, 0, 1, 2, 2, 3]
-    assert list(clusters(three_each, 1.0)) == list(three_each)
+    assert len(set(clusters(three_each, POLICY, 4.0))) == 24
+    assert list(clusters(three_each, POLICY, 3.9)[:6]) == [0, 0, 1, 2, 2, 3]
+    assert list(clusters(three_each, POLICY, 1.0)) == list(three_each)
     recording = np.zeros(50, dtype=int)
-    assert len(set(clusters(recording))) == POLICY.fewest
-    assert list(np.bincount(clusters(recording, 0.8))) == [5] * 10
+    assert len(set(clusters(recording, POLICY))) == POLICY.fewest
+    assert list(np.bincount(clusters(recording, POLICY, 0.8))) == [5] * 10
 
 
 def test_the_least_p_value_is_stated():

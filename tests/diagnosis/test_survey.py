@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import hallsym
+from hallsym.diagnosis import POLICY
 from hallsym.diagnosis.faults import faults, of_samples
 from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.setup import base_of, split
@@ -80,7 +81,7 @@ def white(rng, n):
 @pytest.mark.parametrize(("noise", "least", "most"), [(white, 0, 10), (ringing, 60, 333)])
 def test_slices_of_a_recording_tell_how_long_its_noise_remembers(noise, least, most):
     """Of every second slice of 40 samples, so also where the noise remembers longer than a slice."""
-    log, held = split(encoder(runs=1, samples=4000, noise=noise))
+    log, held = split(encoder(runs=1, samples=4000, noise=noise), POLICY)
     base = based(log)
     assert least <= memory_of_recording(base, frozenset(set(log.runs) - set(held))) <= most
 
@@ -110,7 +111,7 @@ def test_heavy_tails_are_no_spikes_and_spikes_are():
         return SIGMA * (rng.standard_normal((2, n)) + 12 * (rng.random((2, n)) < 0.003))
 
     for seed in range(4):
-        seen = of_samples(surveyed(encoder(noise=heavy, samples=2000, seed=seed)))
+        seen = of_samples(surveyed(encoder(noise=heavy, samples=2000, seed=seed)), POLICY)
         assert min(f.p_value for f in seen) > 0.01
     base = based(encoder(noise=spiky, samples=2000))
     (found,) = faults(base, survey(base, frozenset(base.log.runs)), 30)

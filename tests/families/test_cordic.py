@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.diagnosis import diagnose
+from hallsym.diagnosis import POLICY, diagnose
 from hallsym.diagnosis.cordic import cordic
 from hallsym.families.cordic import cordic_angle, levels, worst_of
 from hallsym.log import Log, Meta, Noise
@@ -50,7 +50,7 @@ def test_levels_are_what_the_arithmetic_gives(steps):
        more=st.sampled_from([2, 3, 6, None]))  # fmt: skip
 def test_steps_are_told_at_any_zero_and_through_a_rounding(steps, zero, seed, more):
     bits = None if more is None else steps + more
-    found = cordic(chip(steps, 300, seed, bits, zero), levels(steps).rms)
+    found = cordic(chip(steps, 300, seed, bits, zero), POLICY, levels(steps).rms)
     assert found is not None
     assert found.levels.steps == steps
     assert found.p_value < 1e-6
@@ -60,15 +60,15 @@ def test_steps_are_told_at_any_zero_and_through_a_rounding(steps, zero, seed, mo
 @given(distance=st.floats(1e-3, 3e-2), steps=st.integers(5, 10), count=st.sampled_from([60, 800]))
 def test_equal_steps_are_no_cordic(distance, steps, count):
     a = np.random.default_rng(count).uniform(0, TURN, count)
-    assert cordic(np.round(a / distance) * distance, levels(steps).rms, distance) is None
+    assert cordic(np.round(a / distance) * distance, POLICY, levels(steps).rms, distance) is None
     # a motor that goes from step to step, read by an encoder that is off by a tenth of one
     near = np.round(a / distance) * distance + 0.1 * distance * np.sin(a)
-    assert cordic(near, levels(steps).rms) is None
+    assert cordic(near, POLICY, levels(steps).rms) is None
 
 
 def test_noise_after_the_computation_hides_it():
     a = chip(8, 1000, 1) + np.random.default_rng(2).normal(0, worst_of(8), 1000)
-    assert cordic(a, levels(8).rms) is None
+    assert cordic(a, POLICY, levels(8).rms) is None
 
 
 def recorded(steps=None, bits=14, seed=1, noise=3.5e-4, stated=True):

@@ -6,7 +6,6 @@ from dataclasses import asdict
 from textwrap import fill
 
 from hallsym.diagnosis import (
-    POLICY,
     QUIET,
     Diagnosis,
     Estimate,
@@ -214,7 +213,7 @@ def shrinks_text(d: Diagnosis) -> str:
         known = "" if s.interval is None else f" (95 % of recordings like it: {_ends(s.interval)} %)"
         return f"The gap shrinks by {_percent(s.value)}{known}. {alone}" if known else alone
     known = (
-        f"no 95 % interval: it needs at least {POLICY.fewest} {piece}s"
+        f"no 95 % interval: it needs at least {s.fewest} {piece}s"
         if s.interval is None
         else f"95 % of recordings like it: {_ends(s.interval)} %"
     )
