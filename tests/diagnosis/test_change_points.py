@@ -89,7 +89,7 @@ def test_a_slip_within_a_run_lies_there_and_not_between_runs() -> None:
     for seed in range(10):
         x = noise(np.random.default_rng(seed), 3.0)[:, :n] + 2.0 * sensed * (np.arange(n) >= when)
         (found,) = instants(replace(table(x), sensed=sensed), holdout={2, 5}, slow=6.0)
-        assert found == (0, pytest.approx(0.01 * when, abs=0.3))
+        assert found == (0, pytest.approx(0.01 * when, abs=0.6))
 
 
 def test_what_the_fitted_runs_leave_open_a_held_out_one_decides() -> None:
