@@ -121,7 +121,7 @@ def array_of(layout: Layout) -> Array:
 
 def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
     """Set the field at each channel: harmonics 1 and 5, with the tilt of each sensor's axis."""
-    s["wave"] = lambda k, h: wave(s, layout, k, h)
+    s["waves"] = cache(lambda h: waves(s, layout, h))
     s["seen"] = lambda k: seen_by(s, layout, k)
     s["amplitude"] = ca.sqrt(p["a1"] ** 2 + p["b1"] ** 2)
     s["crest"] = -ca.atan2(p["b1"], p["a1"]) / array_of(layout).wavenumber
@@ -136,36 +136,36 @@ def harmonic(s: Signals, k: int, h: int, a: ca.SX, b: ca.SX) -> ca.SX:
 
     Bz = a cos + b sin of h k (x - x_j); outside the magnets curl B = 0 = div B, so Bx = a sin - b cos.
     """
-    cos, sin = s["wave"](k, h)
+    cos, sin = (wave[k] for wave in s["waves"](h))
     b = s["turn"] * b
     slope = s["tilted"][k][0]
     vertical, along = a * cos + b * sin, a * sin - b * cos
     return vertical if slope.is_zero() else ca.cos(slope) * vertical + ca.sin(slope) * along
 
 
-def wave(s: Signals, layout: Layout, k: int, h: int) -> tuple[ca.SX, ca.SX]:
-    """Return exp(-h k (z - level)) times cosine and sine of h k (x - x_j), the mean of the elements.
+def waves(s: Signals, layout: Layout, h: int) -> tuple[ca.SX, ca.SX]:
+    """Return exp(-h k (z - level)) cos h k (x - x_j) and the sine of it, (channels,): means of the elements.
 
     What is moved or placed otherwise turns and scales the waves of the logged x and z: exactly.
     """
-    array, sensor = array_of(layout), sensors(layout)[k]
+    array, places = array_of(layout), [[x for x, _ in sensor.positions] for sensor in sensors(layout)]
     q = h * array.wavenumber
     fade = ca.exp(-q * (s["z_m"] - array.level_m))
-    cosine, sine = (
-        s.derive(f"fade {h} * {f.__name__} {h}kx", fade * f(q * s["x_m"])) for f in (ca.cos, ca.sin)
+    pair = tuple(s.derive(f"fade {h} * {f.__name__} {h}kx", fade * f(q * s["x_m"])) for f in (ca.cos, ca.sin))
+    along, up = (
+        ca.vertcat(*(m[c] for m in s["moved"])) - ca.vertcat(*(at[i] for at in s["placed"]))
+        for c, i in (("x_m", 0), ("z_m", 2))
     )
-    moved, (dx, _, dz) = s["moved"][k], s["placed"][k]
-    along, up = moved["x_m"] - dx, moved["z_m"] - dz
-    if not s["stretch"].is_zero():
-        share = 1 / (1 + s["stretch"]) - 1
-        up = up + share * (s["z_m"] + up - array.level_m)
-        each = [along - x + share * (s["x_m"] + along - x) for x, _ in sensor.positions]
-    else:
-        each = [along - x for x, _ in sensor.positions]
-    near = ca.exp(-q * up)
-    each = [links.turned((cosine, sine), q * shift) for shift in each]
-    cos, sin = (sum(parts) * near / len(each) for parts in zip(*each, strict=True))
-    return cos, sin
+    share = 1 / (1 + s["stretch"]) - 1
+    up = up + share * (s["z_m"] + up - array.level_m)
+    cos, sin = ca.SX(0), ca.SX(0)
+    for e in range(max(map(len, places))):
+        shift = along - ca.DM([row[e % len(row)] for row in places])
+        there = ca.DM([float(e < len(row)) for row in places])
+        c, v = links.turned(pair, q * (shift + share * (s["x_m"] + shift)))
+        cos, sin = cos + there * c, sin + there * v
+    size = ca.exp(-q * up) / ca.DM([len(row) for row in places])
+    return cos * size, sin * size
 
 
 def seen_by(s: Signals, layout: Layout, k: int) -> list[links.Seen]:

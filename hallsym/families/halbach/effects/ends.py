@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from math import pi
 
 import casadi as ca
@@ -78,8 +79,16 @@ def endless(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 def missing(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return what the ends of the array take from the field of the endless one; zero far from them."""
+    straight, quarter = _missing(array)(u, gap)
+    return straight, quarter
+
+
+@cache
+def _missing(array: Array) -> ca.Function:
+    """`(u, gap) -> straight, quarter` of `missing`; made once, it is called for every element."""
+    u, gap = ca.SX.sym("u"), ca.SX.sym("gap")
     own, all_ = finite(array, u, gap), endless(array, u, gap)
-    return own[0] - all_[0], own[1] - all_[1]
+    return ca.Function("missing", [u, gap], [own[0] - all_[0], own[1] - all_[1]])
 
 
 def nearest(array: Array, u: ca.SX, elements: int = 1) -> ca.SX:
