@@ -3,6 +3,7 @@
 from collections.abc import Collection
 from functools import lru_cache
 
+import casadi as ca
 import numpy as np
 
 from hallsym.diagnosis.change_points import solved
@@ -138,9 +139,10 @@ def _two_levels(level: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def _slips(base: Base, r: ResidualTable, found: Survey) -> tuple[tuple[int, float], ...]:
     """Return the instants at which channels may slip; none where no gain of the channels is fitted."""
-    model = base.model
-    free = {model.names[k] for k in base.free}
-    if not model.zeros or not free.issuperset(f"eta_{probe.label}" for probe in model.layout):
+    s = base.model.symbols
+    channel, parameter = ca.jacobian(s.full(s.gain), s.parameters).sparsity().get_triplet()
+    fitted = {k for k, j in zip(channel, parameter, strict=True) if j in base.free}
+    if not base.model.zeros or len(fitted) < len(base.model.channels):
         return ()
     return instants(r, base.holdout, found.variance * found.inflation)
 

@@ -151,7 +151,9 @@ def waves(s: Signals, layout: Layout, h: int) -> tuple[ca.SX, ca.SX]:
     array, places = array_of(layout), [[x for x, _ in sensor.positions] for sensor in sensors(layout)]
     q = h * array.wavenumber
     fade = ca.exp(-q * (s["z_m"] - array.level_m))
-    pair = tuple(s.derive(f"fade {h} * {f.__name__} {h}kx", fade * f(q * s["x_m"])) for f in (ca.cos, ca.sin))
+    cosine, sine = (
+        s.derive(f"fade {h} * {f.__name__} {h}kx", fade * f(q * s["x_m"])) for f in (ca.cos, ca.sin)
+    )
     along, up = (
         ca.vertcat(*(m[c] for m in s["moved"])) - ca.vertcat(*(at[i] for at in s["placed"]))
         for c, i in (("x_m", 0), ("z_m", 2))
@@ -162,7 +164,7 @@ def waves(s: Signals, layout: Layout, h: int) -> tuple[ca.SX, ca.SX]:
     for e in range(max(map(len, places))):
         shift = along - ca.DM([row[e % len(row)] for row in places])
         there = ca.DM([float(e < len(row)) for row in places])
-        c, v = links.turned(pair, q * (shift + share * (s["x_m"] + shift)))
+        c, v = links.turned((cosine, sine), q * (shift + share * (s["x_m"] + shift)))
         cos, sin = cos + there * c, sin + there * v
     size = ca.exp(-q * up) / ca.DM([len(row) for row in places])
     return cos * size, sin * size
