@@ -31,8 +31,8 @@ from hallsym.estimation.result import LowerBound, fit_of, lower_bound, result_of
 from hallsym.estimation.run_statistics import RunStatistics, joined
 from hallsym.estimation.task import Asked, Begun, Opened, Solved, Task, held_out, prepared
 from hallsym.log import Log, Noise
-from hallsym.log.batches import Weigh, remembered
-from hallsym.log.phase import nearest_turn
+from hallsym.log.batches import Weigh, batches, remembered
+from hallsym.log.phase import continuous, nearest_turn
 from hallsym.log.quality.findings import name_of
 from hallsym.log.quality.gains import explained
 from hallsym.model import Model
@@ -814,8 +814,9 @@ def restricted(found: Determination, sharing: Sharing, g: int) -> Determination:
 
 def _weighed(task: Task, weigh: Weigh, clean: Begun) -> Begun:
     """Return the costs of a log with weights; those without, if no sample lost any."""
-    summary = task.summary(weigh)
-    return task.begin(summary) if summary.counts.sum() < clean.samples else clean
+    whole = batches(continuous(task.log, task.model), columns_of(task.model))
+    lost = any((np.asarray(b.weights(weigh)) < 1).any() for b in whole)  # most logs have no spike
+    return task.begin(task.summary(weigh)) if lost else clean
 
 
 def _left_out(total: float, left: float, loss: str) -> str:
