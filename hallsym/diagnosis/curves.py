@@ -20,7 +20,7 @@ from hallsym.diagnosis.regression import NIL, RIDGE, others, regression, ridge
 from hallsym.diagnosis.residual_table import PARTS, ResidualTable, slices
 from hallsym.diagnosis.sign_flips import drawn, moments, of_products, of_sums
 from hallsym.estimation.residual_noise import MEMORIES
-from hallsym.families.play import stop_operator
+from hallsym.families.play import stop_operators
 
 BENDS = (0.01, 0.3, 10.0)
 """Weights of the bending penalty against the data that are tried, from free knots to nearly a straight line.
@@ -109,7 +109,8 @@ class Smooth:
             phi = np.array([hats(row, self.at) for row in _by_sensor(x, r)])
         elif c.memory:
             size = float(np.std(self.r.sensed))
-            phi = np.stack([_memory(r, size * w) for w in MEMORIES], axis=1)
+            edges = [*(s.start for s in slices(r.run)), len(r.run)]
+            phi = stop_operators(r.sensed, edges, [size * w for w in MEMORIES])
         else:
             old, new = (np.array([of.columns[n] for n in c.of]) for of in (self.r, r))
             middle = old.mean(axis=1, keepdims=True) if c.gain else 0.0
@@ -300,15 +301,6 @@ def level_weights(r: ResidualTable, residual: np.ndarray, group: np.ndarray) -> 
 def _by_sensor(x: np.ndarray, r: ResidualTable) -> np.ndarray:
     """Return values of a coordinate for each sensor, (K, n)."""
     return x if x.ndim == 2 else np.broadcast_to(x, r.residual.shape)
-
-
-def _memory(r: ResidualTable, width: float) -> np.ndarray:
-    """Elastic part of a play of half-width `width` in what a sensor senses: its memory of the direction."""
-    out = np.empty_like(r.sensed)
-    for s in slices(r.run):
-        for k, row in enumerate(r.sensed[:, s]):
-            out[k, s] = stop_operator(row, width)
-    return out
 
 
 def _penalty(size: np.ndarray, m: int, bend: float) -> np.ndarray:

@@ -22,7 +22,7 @@ from hallsym.estimation.decoding import columns_of
 from hallsym.estimation.goodness_of_fit import KNOWN, MAD, GoodnessOfFit, limit_of
 from hallsym.estimation.likelihood import Point
 from hallsym.estimation.outliers import residuals
-from hallsym.families.play import stop_operator
+from hallsym.families.play import stop_operators
 from hallsym.log import Block, Log, Noise
 from hallsym.log.batches import Weigh, batches
 from hallsym.log.derived import extended
@@ -575,13 +575,12 @@ def _columns(model: Model, data: Data, sigma: Mapping[str, float]) -> Iterator[n
 
 def _within_runs(data: Data, lines: Data) -> Iterator[np.ndarray]:
     """Yield the time within a run and its square, and what coordinates remember of their direction."""
-    runs = [slice(a, b) for a, b in pairwise(_edges(data["run"]))]
-    t = np.concatenate([_unit(data["t_s"][s]) for s in runs])
+    edges = _edges(data["run"])
+    t = np.concatenate([_unit(data["t_s"][a:b]) for a, b in pairwise(edges)])
     yield from (t, t * t)
-    for x in lines.values():
-        size = float(np.std(x))
-        for width in MEMORIES:
-            yield np.concatenate([stop_operator(x[s], width * size) for s in runs])
+    scaled = [x / max(float(np.std(x)), 1e-300) for x in lines.values()]
+    for plays in stop_operators(np.array(scaled), edges, MEMORIES) if scaled else ():
+        yield from plays
 
 
 def _beside(data: Data, column: str) -> np.ndarray:

@@ -2,8 +2,12 @@
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
+
+SIDE_BY_SIDE = 10
+"""Samples of a run per run, row and width up to which all are followed side by side, sample by sample."""
 
 
 def stop_operator(u: np.ndarray, width: float) -> np.ndarray:
@@ -12,6 +16,28 @@ def stop_operator(u: np.ndarray, width: float) -> np.ndarray:
     z follows du / width and stops at +-1: between turning points it has a closed form.
     """
     return _stops_from(u, width, (0.0,))[0][0] if len(u) else np.empty(0)
+
+
+def stop_operators(u: np.ndarray, edges: Sequence[int], widths: Sequence[float]) -> np.ndarray:
+    """Return `stop_operator` of each row of u (m, n) and each width, (m, widths, n), from 0 at each edge.
+
+    `edges`: (runs + 1,) where runs begin and the last one ends.
+    """
+    m, n, lengths = len(u), u.shape[1], np.diff(edges)
+    longest = int(lengths.max(initial=0))
+    if longest > SIDE_BY_SIDE * m * len(widths) * len(lengths):
+        each = [[[stop_operator(x[a:b], w) for a, b in pairwise(edges)] for w in widths] for x in u]
+        return np.array([[np.concatenate(runs) for runs in row] for row in each])
+    place = np.arange(n) - np.repeat(np.asarray(edges[:-1]), lengths)
+    run = np.repeat(np.arange(len(lengths)), lengths)
+    moved = np.zeros((longest, m, len(lengths)))
+    moved[place, :, run] = np.diff(u, prepend=0.0).T
+    moved[0] = 0.0
+    states = np.zeros((longest, len(widths), m, len(lengths)))
+    over = 1 / np.asarray(widths)[:, None, None]
+    for k in range(1, longest):
+        np.clip(states[k - 1] + moved[k] * over, -1.0, 1.0, out=states[k])
+    return np.ascontiguousarray(states[place, :, :, run].transpose(2, 1, 0))
 
 
 def stop_state(u: np.ndarray, width: float) -> np.ndarray:

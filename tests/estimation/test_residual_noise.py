@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 import hallsym
 from hallsym.estimation import Residual, autoregressive, noise_at, residual_noise
 from hallsym.estimation.residual_noise import ResidualNoise
+from hallsym.families.play import stop_operators
 from hallsym.log import Noise
 
 CHANNELS = ("a", "b", "c")
@@ -130,3 +131,19 @@ def test_stated_noise_stays_as_stated() -> None:
     assert left is not None
     assert left.ratio == pytest.approx(2.0, rel=0.03)
     assert left.white
+
+
+@pytest.mark.parametrize("lengths", [(3, 40, 1, 17), (900,)])
+def test_plays_side_by_side_are_plays_one_by_one(lengths):
+    rng, widths = np.random.default_rng(5), [0.3, 2.0]
+    u = np.cumsum(rng.standard_normal((2, sum(lengths))), axis=1)
+    edges = np.cumsum([0, *lengths]).tolist()
+    found = stop_operators(u, edges, widths)
+    for x, row in zip(u, found, strict=True):
+        for w, z in zip(widths, row, strict=True):
+            state = 0.0
+            expected = []
+            for k in range(len(x)):
+                state = 0.0 if k in edges else float(np.clip(state + (x[k] - x[k - 1]) / w, -1, 1))
+                expected.append(state)
+            assert z == pytest.approx(expected, abs=1e-12)
