@@ -2,7 +2,8 @@
 
 Signs of runs have no power where one run, or four, carry an effect. So the squares that a candidate takes off
 the residual are held against chi-square as well, times that value. The spectrum is that of an autoregression
-of what the best effect leaves: what is not in the catalogue stays in it and raises it.
+of what the best effect leaves, and at one period a run, which so few lags do not know, what is seen there.
+What is not in the catalogue stays in it and raises it.
 """
 
 from collections.abc import Iterable
@@ -24,11 +25,14 @@ def spectrum_peak(base: Base, runs: Iterable[int]) -> float:
 
     At least 1, and infinity where heavy tails make it no measure of what a column collects.
     """
-    products, count, fourth = np.zeros(ORDER + 1), 0, 0.0
+    products, count, fourth, slow, rows = np.zeros(ORDER + 1), 0, 0.0, 0.0, 0
     for piece in pieces(base, frozenset(runs)):
         x = np.where(piece.used, piece.residual, 0.0)
         for lag in range(min(ORDER + 1, x.shape[1])):
             products[lag] += float((x[:, lag:] * x[:, : x.shape[1] - lag]).sum())
+        once = np.exp(-2j * np.pi * np.arange(x.shape[1]) / x.shape[1])
+        slow += float((np.abs(x @ once) ** 2).sum()) / x.shape[1]
+        rows += len(x)
         count += x.size
         fourth += float((x**4).sum())
     rho = products / max(count, 1)  # biased, so that it is positive definite
@@ -36,4 +40,5 @@ def spectrum_peak(base: Base, runs: Iterable[int]) -> float:
         return np.inf
     phi = solve_toeplitz(rho[:-1] + NIL * rho[0] * (np.arange(ORDER) == 0), rho[1:])
     turn = np.exp(-1j * np.outer(np.linspace(0, np.pi, 512), np.arange(1, ORDER + 1)))
-    return max(1.0, float(rho[0] - phi @ rho[1:]) / float((np.abs(1 - turn @ phi) ** 2).min()))
+    fast = float(rho[0] - phi @ rho[1:]) / float((np.abs(1 - turn @ phi) ** 2).min())
+    return max(1.0, fast, slow / rows)

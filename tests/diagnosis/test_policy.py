@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from gap_twins import listed
 from gap_twins import machine as stage
+from scipy.signal import lfilter
 from test_diagnosis_rotary import machine, third
 from test_diagnosis_turn import LIKE_A_TABLE, table
 from test_survey import encoder
@@ -180,13 +181,26 @@ def test_a_memory_ends_where_it_is_forgotten_and_several_memories_apart_is_indep
 
 
 def test_noise_with_heavy_tails_has_no_spectrum_to_go_by(monkeypatch):
-    white = np.random.default_rng(0).standard_normal((2, 5000))
-    piece = SimpleNamespace(used=np.ones(5000, bool), residual=white)
-    monkeypatch.setattr(sys.modules["hallsym.diagnosis.spectrum"], "pieces", lambda *_: [piece])
+    white = np.random.default_rng(0).standard_normal((60, 2, 500))
+    made = [SimpleNamespace(used=np.ones(500, bool), residual=run) for run in white]
+    monkeypatch.setattr(sys.modules["hallsym.diagnosis.spectrum"], "pieces", lambda *_: made)
     base = SimpleNamespace(policy=POLICY)
-    assert 1.0 <= spectrum_peak(base, ()) < 1.3  # of 20 lags of 10,000 numbers, each to 6 %
+    assert 1.0 <= spectrum_peak(base, ()) < 1.3  # of 20 lags, and of 120 numbers of one period a run
     base.policy = replace(POLICY, heavy=2.9)
     assert spectrum_peak(base, ()) == np.inf
+
+
+def test_noise_that_lasts_for_a_run_has_a_spectrum_of_its_own_there(monkeypatch):
+    """First order with a memory of a run, a fifth of the power: few lags see little of it beside offsets."""
+    rng, n = np.random.default_rng(1), 500
+    a = np.exp(-1 / n)
+    slow = lfilter([np.sqrt(0.2 * (1 - a * a))], [1, -a], rng.standard_normal((60, 2, 6 * n)))[..., -n:]
+    noise = rng.standard_normal((60, 2, n)) + slow
+    made = [SimpleNamespace(used=np.ones(n, bool), residual=x - x.mean(axis=1)[:, None]) for x in noise]
+    monkeypatch.setattr(sys.modules["hallsym.diagnosis.spectrum"], "pieces", lambda *_: made)
+    lag = (np.arange(n) + 0.5) / n
+    expected = 1 + 0.2 * n * 2 * np.mean((1 - lag) * np.exp(-lag) * np.cos(2 * np.pi * lag))
+    assert spectrum_peak(SimpleNamespace(policy=POLICY), ()) == pytest.approx(expected, rel=0.25)
 
 
 def sampled(z: np.ndarray, rest: np.ndarray, policy: Policy = POLICY) -> dict[str, float]:
