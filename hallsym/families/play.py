@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,12 +11,33 @@ SIDE_BY_SIDE = 10
 """Samples of a run per run, row and width up to which all are followed side by side, sample by sample."""
 
 
+class Travel(NamedTuple):
+    """A motion `u` (n,) between its turning points.
+
+    `edges`: samples of these and of both ends; `strokes`: from each to the next; `stroke`, `along`: (n - 1,)
+    on which one each sample after the first lies, and how far along it.
+    """
+
+    u: np.ndarray
+    edges: np.ndarray
+    strokes: np.ndarray
+    stroke: np.ndarray
+    along: np.ndarray
+
+
+def travel(u: np.ndarray) -> Travel:
+    """Return a motion with its turning points, which are the same for a play of any width."""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(np.sign(np.diff(u))) != 0) + 1, [len(u) - 1]])
+    stroke = np.repeat(np.arange(len(edges) - 1), np.diff(edges))
+    return Travel(u, edges, np.diff(u[edges]), stroke, u[1:] - u[edges[stroke]])
+
+
 def stop_operator(u: np.ndarray, width: float) -> np.ndarray:
     """Return the elastic part of a play of half-width `width`, -1 to 1, starting from 0.
 
     z follows du / width and stops at +-1: between turning points it has a closed form.
     """
-    return _stops_from(u, width, (0.0,))[0][0] if len(u) else np.empty(0)
+    return _stops_from(travel(u), width, (0.0,))[0][0] if len(u) else np.empty(0)
 
 
 def stop_operators(u: np.ndarray, edges: Sequence[int], widths: Sequence[float]) -> np.ndarray:
@@ -40,17 +62,15 @@ def stop_operators(u: np.ndarray, edges: Sequence[int], widths: Sequence[float])
     return np.ascontiguousarray(states[place, :, :, run].transpose(2, 1, 0))
 
 
-def stop_state(u: np.ndarray, width: float) -> np.ndarray:
+def stop_state(motion: Travel, width: float) -> np.ndarray:
     """Return state and d state / d width of a play whose state at the first sample nobody knows, (2, n).
 
     From every start s in [-1, 1] the state is clip(s + U, low, high): U the travel over the width, low and
     high the states from -1 and 1. Returned is the mean over all starts; once the motion has covered 2 width,
     low and high are one and the state is known.
     """
-    if len(u) == 0:
-        return np.zeros((2, 0))
-    (low, by_low), (high, by_high) = _stops_from(u, width, (-1.0, 1.0))
-    U = (u - u[0]) / width
+    (low, by_low), (high, by_high) = _stops_from(motion, width, (-1.0, 1.0))
+    U = (motion.u - motion.u[0]) / width
     a, b = np.clip(low - U, -1.0, 1.0), np.clip(high - U, -1.0, 1.0)
     inside = ((b + U) ** 2 - (a + U) ** 2) / 2
     mean = 0.5 * (low * (a + 1) + inside + high * (1 - b))
@@ -58,12 +78,10 @@ def stop_state(u: np.ndarray, width: float) -> np.ndarray:
     return np.array([mean, slope])
 
 
-def _stops_from(u: np.ndarray, width: float, starts: Sequence[float]) -> list[tuple[np.ndarray, np.ndarray]]:
+def _stops_from(motion: Travel, width: float, starts: Sequence[float]) -> list[tuple[np.ndarray, np.ndarray]]:
     """State from each start, and its slope with the width: both in closed form between turning points."""
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(np.sign(np.diff(u))) != 0) + 1, [len(u) - 1]])
-    strokes = np.diff(u[edges]) / width
-    stroke = np.repeat(np.arange(len(strokes)), np.diff(edges))
-    along = (u[1:] - u[edges[stroke]]) / width
+    u, edges, stroke = motion.u, motion.edges, motion.stroke
+    strokes, along = motion.strokes / width, motion.along / width
     out: list[tuple[np.ndarray, np.ndarray]] = []
     for start, states in zip(starts, _states(strokes, starts), strict=True):
         stopped = np.maximum.accumulate(np.where(np.abs(states) < 1.0, 0, np.arange(len(states))))

@@ -20,7 +20,7 @@ from hallsym.estimation.linearised import summarise_at
 from hallsym.families import adapted, build, effects
 from hallsym.families.faults import FAULTS
 from hallsym.families.mechanisms import nonlinearity, port
-from hallsym.families.play import stop_state
+from hallsym.families.play import stop_state, travel
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
 from hallsym.model import Parameter
@@ -218,12 +218,15 @@ def test_an_unknown_start_of_a_play_is_the_mean_over_all_starts(seed: int, width
         states.append(z.copy())
     weights = np.full(801, 1 / 800)
     weights[[0, -1]] /= 2
-    mean, slope = stop_state(u, width)
+    mean, slope = stop_state(travel(u), width)
     assert np.allclose(mean, np.array(states) @ weights, atol=1e-4)
     covered = np.maximum.accumulate(u) - np.minimum.accumulate(u) >= 2 * width
     assert np.all(np.ptp(np.array(states)[covered], axis=1) < 1e-9)
     # the state is smooth in the width but at turning points that just reach the end of the loop
-    steps = [(stop_state(u, width + h)[0] - stop_state(u, width - h)[0]) / (2 * h) for h in (1e-6, 2e-6)]
+    steps = [
+        (stop_state(travel(u), width + h)[0] - stop_state(travel(u), width - h)[0]) / (2 * h)
+        for h in (1e-6, 2e-6)
+    ]
     smooth = np.abs(steps[0] - steps[1]) < 1e-6
     assert smooth.mean() > 0.9
     assert np.allclose(steps[0][smooth], slope[smooth], atol=1e-5)

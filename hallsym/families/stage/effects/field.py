@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.families.mechanisms import EVEN, ODD, P, add_terms, free, nonlinearity, powers_to
-from hallsym.families.play import stop_state
+from hallsym.families.play import stop_state, travel
 from hallsym.families.stage.effects.parts import AXES, SENSED, UNIT, across, labels
 from hallsym.model import Model, Parameter, Signals, Way, effect
 from hallsym.model.arguments import one_of, searched
@@ -121,7 +121,8 @@ def _play(what: str, model: Model, k: int, width: float) -> Computed:
         def column(s: Stretch) -> np.ndarray:
             if what == "width":
                 return np.full(len(s.data["t_s"]), at)
-            both = s.once(("play", label, at), lambda: stop_state(_sensed(model, k, s), at))
+            motion = s.once(("travel", label), lambda: travel(_sensed(model, k, s)))
+            both = s.once(("play", label, at), lambda: stop_state(motion, at))
             return both[("state", "slope").index(what)]
 
         return Computed(f"{what}_{label}_{width:.6g}", AXES, column, taken, f"{at:.17g}")
