@@ -89,15 +89,20 @@ def examine(setup: Setup) -> Examined:
 
 
 def without_events(setup: Setup, base: Base) -> Setup:
-    """Return the setup with holdout runs that step at `base` moved to the fitted ones, if any other judges.
+    """Return the setup with holdout runs that step at `base` moved to the fitted ones.
 
-    An offset that changes within a run is known from that run alone.
+    An offset that changes within a run is known from that run alone. The nearest other run judges in its
+    place, the later one of two: a step is seen after it.
     """
     tables = (residual_table(base, frozenset(runs)) for runs in (setup.runs, setup.holdout))
     stepped = {s.run for s in change_points(*(t for t in tables if t)) if s.p_value < setup.policy.certain}
-    judging = tuple(run for run in setup.holdout if run not in stepped)
-    if setup.split or not judging or judging == setup.holdout:
+    free = [run for run in setup.runs if run not in stepped]
+    if setup.split or not free or stepped.isdisjoint(setup.holdout):
         return setup
+    instead = (
+        run if run not in stepped else min(free, key=lambda r: (abs(r - run), -r)) for run in setup.holdout
+    )
+    judging = tuple(dict.fromkeys(instead))
     runs = [run for run in setup.base.log.runs if run not in judging]
     floor, fitted = floors(setup.base, setup.floor.uncertain, judging, runs)
     base = replace(setup.base, holdout=frozenset(judging))

@@ -129,3 +129,12 @@ def test_a_slip_within_a_holdout_run_is_named_at_its_instant(held_out) -> None:
     assert run not in d.validation_runs
     (slip,) = (e for e in d.effects if e.name == "mount_slip")
     assert float(slip.text.rpartition("=")[2]) == pytest.approx(when, abs=0.1)
+
+
+@pytest.mark.slow
+def test_the_next_run_judges_in_the_place_of_one_that_slips() -> None:
+    """The other holdout run lies before the slip and cannot show it."""
+    changed, _ = slipped(6, gain=0.02)
+    d = diagnose(changed, "stage31", holdout=(2, 6))
+    assert d.validation_runs == (2, 7)
+    assert (d.verdict, d.ranked[0]) == ("explained", "mount_slip")
