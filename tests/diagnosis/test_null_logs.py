@@ -66,6 +66,20 @@ def test_one_in_twenty_null_logs_has_a_p_value_below_five_per_cent(rows):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "machine"),
+    [
+        ("understated", "stage"),  # the references are as loud as what is left
+        ("wander", "rotary"),  # lasts for a run: runs without offsets are one recording
+    ],
+)
+def test_noise_that_the_statement_leaves_out_has_no_small_p_value_more_often(kind, machine):
+    drawn = [s for s in settings(48, 97_000, (kind,)) if s[1] == machine]
+    p = [tried(*setting)["p"] for setting in drawn]
+    assert binomtest(sum(x < LEVEL for x in p), len(p), LEVEL, alternative="greater").pvalue > SELDOM
+
+
+@pytest.mark.slow
 def test_no_effect_is_named_and_hardly_a_place(rows):
     assert [row["effects"] for row in rows if row["effects"]] == []
     for false in (

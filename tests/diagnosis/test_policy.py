@@ -231,6 +231,17 @@ def test_time_shifts_that_last_are_no_jitter():
     assert "clock_jitter" in sampled(shifts, rest, replace(POLICY, smooth=0.9))
 
 
+@pytest.mark.parametrize("one_sided", [True, False])
+def test_late_samples_are_all_late_and_noise_is_as_often_early(one_sided):
+    """One sample in twenty-five is far off, by anything from 6 to 30 standard deviations."""
+    rng = np.random.default_rng(4)
+    z, rest = rng.standard_normal(4000), rng.standard_normal(4000) ** 2
+    off = rng.uniform(6.0, 30.0, 160)
+    z[::25] = off if one_sided else off * rng.choice([-1.0, 1.0], 160)
+    p = sampled(z, rest)["dropped_samples"]
+    assert p < 1e-20 if one_sided else p > POLICY.false_alarm
+
+
 # -- input -------------------------------------------------------------------------------------------------
 
 
@@ -362,7 +373,11 @@ def test_an_effect_whose_parameters_undo_each_other_is_rejected(text, undone):
     setup = prepare(table(LIKE_A_TABLE), "rotary")
     wide = effect_named(text, setup.base.model).added(setup.base.model, text)
     fit = refit(with_model(setup.base, wide), setup.runs)
-    assert cancels(fit, [n for n in wide.names if n not in setup.base.model.names]) is undone
+    new = [n for n in wide.names if n not in setup.base.model.names]
+    assert cancels(fit, new) is undone
+    units = (replace(q, unit=q.name) if q.name in new else q for q in fit.base.model.parameters)
+    apart = replace(fit.base.model, parameters=tuple(units))
+    assert not cancels(replace(fit, base=replace(fit.base, model=apart)), new)  # no two of one unit
 
 
 @pytest.mark.slow
