@@ -12,11 +12,11 @@ F is unbiased, docs/theory.md). F is quadratic in a run's zeros d_i: they are el
 gradient and Hessian below are those of the cost that is left.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
@@ -130,25 +130,32 @@ class Cost:
     reading_variance: np.ndarray
     column_variance: np.ndarray
     weights: np.ndarray
-
     anchor: "Point | None" = None
     """A point whose derivatives by run are shared by every re-weighting (`anchored`)."""
     planned: bool = False
     """The logged columns hold the motion itself, without noise: a campaign that is not recorded yet."""
+    parts: tuple["Cost", ...] = ()
+    """The costs of several logs of one device, of which this one is the sum; its variances are means then."""
+    chosen: tuple[np.ndarray, ...] = ()
+    """Which of the parameters each of the `parts` has, (n,) each."""
 
     @property
     def shares(self) -> "tuple[tuple[Cost, np.ndarray], ...]":
         """The costs that this one is the sum of, and which of its parameters each has: itself, and all."""
-        return ((self, np.arange(len(self.summary.model.names))),)
+        if not self.parts:
+            return ((self, np.arange(len(self.summary.model.names))),)
+        return tuple(zip(self.parts, self.chosen, strict=True))
 
     @property
     def by_population(self) -> bool:
         """Whether `population` gives F of many points at once."""
-        return self.summary.features.n_zero == 0 and len(self.summary.runs) == 1
+        return self.summary.features.n_zero == 0 and len(self.summary.runs) == max(len(self.parts), 1)
 
     @cached_property
     def noise_in_features(self) -> np.ndarray:
         """Q_i = sum over columns of variance * mean outer product of feature slopes, (runs, f, f)."""
+        if self.parts:
+            return np.concatenate([part.noise_in_features for part in self.parts])
         return self.summary.noise_in_features(self.column_variance)
 
     @cached_property
@@ -187,6 +194,8 @@ class Cost:
 
     def population(self, points: np.ndarray) -> np.ndarray:
         """Return F of whole populations, (m, n) -> (m,), for a merged summary (no zeros, one run)."""
+        if self.parts:
+            return np.sum([part.population(points[:, chosen]) for part, chosen in self.shares], axis=0)
         (R_f,), (R_m,) = self.triangles
         X = self.coefficients.population(points)
         A = R_m - R_f @ X
@@ -215,39 +224,44 @@ class Point:
 
     def __init__(self, cost: Cost, p: np.ndarray) -> None:
         self.cost, self.p = cost, p
-        (c, dc, rows), runs = cost.coefficients.slopes(p), len(cost.weights)
-        together = int(np.clip(TOGETHER * SLOPES // max(dc.size, 1), 1, TOGETHER))
-        starts = range(0, max(runs, 1), together)
-        self._parts: Sequence[Any] = [
-            _Runs(cost, c, dc, rows, slice(start, min(start + together, runs))) for start in starts
-        ]
+        self._parts: list[_Runs] = []
+        first = 0
+        for log, (share, chosen) in enumerate(cost.shares):
+            (c, dc, rows), runs = share.coefficients.slopes(p[chosen]), len(share.weights)
+            together = int(np.clip(TOGETHER * SLOPES // max(dc.size, 1), 1, TOGETHER))
+            for start in range(0, max(runs, 1), together):
+                at = slice(start, min(start + together, runs))
+                self._parts.append(
+                    _Runs(share, c, dc, rows, at, log, slice(first + at.start, first + at.stop))
+                )
+            first += runs
         self._kept: list[Derivatives] | None = None
-        self.zeros = self._joined([part.zeros for part in self._parts])
-        self.run_values = self._joined([part.values for part in self._parts])
+        self.zeros = self._joined("zeros")
+        self.run_values = self._joined("values")
         self.value = float(cost.weights @ self.run_values)
 
     @property
     def covariance(self) -> np.ndarray:
         """Covariance of a residual in each run, (r, K, K)."""
-        return self._joined([part.covariance for part in self._parts])
+        return self._joined("covariance")
 
     @property
     def squares(self) -> np.ndarray:
         """Sum of the products of a run's residuals, channel by channel, (r, K, K)."""
-        return self._joined([part.squares for part in self._parts])
+        return self._joined("squares")
 
     @property
     def feature_products(self) -> np.ndarray:
         """Sum of the products of each feature with each channel's residual, (r, f, K)."""
-        return self._joined([part.feature_products for part in self._parts])
+        return self._joined("feature_products")
 
     @property
     def W(self) -> np.ndarray:
         """Inverse of `covariance`."""
-        return self._joined([part.W for part in self._parts])
+        return self._joined("W")
 
-    @staticmethod
-    def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
+    def _joined(self, name: str) -> np.ndarray:
+        parts = [getattr(part, name) for part in self._parts]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def reweighted(self, cost: Cost) -> "Point":
@@ -260,38 +274,50 @@ class Point:
         """Keep gradient and Hessian of every run, for re-weightings."""
         self._kept = [part.derivatives() for part in self._parts]
 
-    def _derivatives(self) -> Iterable["Derivatives"]:
-        return self._kept or (part.derivatives() for part in self._parts)
+    def _of_parts(self) -> "Iterator[tuple[_Runs, np.ndarray]]":
+        """Yield the runs that are handled together, and which parameters they have."""
+        chosen = [which for _, which in self.cost.shares]
+        return ((part, chosen[part.log]) for part in self._parts)
+
+    def _derivatives(self) -> "Iterator[tuple[_Runs, np.ndarray, Derivatives]]":
+        """Yield the same with gradients and Hessians of the runs."""
+        kept = self._kept or (part.derivatives() for part in self._parts)
+        return ((*part, found) for part, found in zip(self._of_parts(), kept, strict=True))
 
     def derivatives(self) -> tuple[float, np.ndarray, np.ndarray]:
         """Return F, its gradient (n,) and its exact Hessian (n, n), the zeros eliminated."""
         n = len(self.p)
         gradient, hessian = np.zeros(n), np.zeros((n, n))
-        bend: np.ndarray | float = 0.0
-        for part, (gradients, hessians) in zip(self._parts, self._derivatives(), strict=True):
-            weights = self.cost.weights[part.at]
-            gradient += weights @ gradients
-            hessian += np.einsum("r,rij->ij", weights, hessians)
-            bend = bend + np.tensordot(part.loads * weights[:, None], part.G, axes=(0, 0))
-        hessian += self.cost.coefficients.curvature(self.p, np.asarray(bend))
+        bend: dict[int, np.ndarray] = {}
+        for part, chosen, (gradients, hessians) in self._derivatives():
+            weights = self.cost.weights[part.here]
+            gradient[chosen] += weights @ gradients
+            hessian[np.ix_(chosen, chosen)] += np.einsum("r,rij->ij", weights, hessians)
+            own = np.tensordot(part.loads * weights[:, None], part.G, axes=(0, 0))
+            bend[part.log] = bend.get(part.log, 0.0) + own
+        for load, (share, chosen) in zip(bend.values(), self.cost.shares, strict=True):
+            hessian[np.ix_(chosen, chosen)] += share.coefficients.curvature(self.p[chosen], load)
         return self.value, gradient, 0.5 * (hessian + hessian.T)
 
     @cached_property
     def run_gradients(self) -> np.ndarray:
         """Gradient of each run's own F, shape (r, n): what the run-block covariance is made of."""
-        return self._joined([gradients for gradients, _ in self._derivatives()])
+        out = np.zeros((len(self.run_values), len(self.p)))
+        for part, chosen, (gradients, _) in self._derivatives():
+            out[part.here, chosen] = gradients
+        return out
 
     @property
     def run_hessians(self) -> np.ndarray:
         """Exact Hessian of each run's own F with its zeros eliminated, shape (r, n, n)."""
-        hessians = self._joined([hessians for _, hessians in self._derivatives()])
-        bends = [
-            self.cost.coefficients.curvature(self.p, load[:, None, None] * G)
-            for part in self._parts
-            for load, G in zip(part.loads, part.G, strict=True)
-        ]
-        hessians = hessians + np.array(bends)
-        return 0.5 * (hessians + np.swapaxes(hessians, 1, 2))
+        out = np.zeros((len(self.run_values), *2 * self.p.shape))
+        for part, chosen, (_, hessians) in self._derivatives():
+            bends = [
+                part.cost.coefficients.curvature(self.p[chosen], load[:, None, None] * G)
+                for load, G in zip(part.loads, part.G, strict=True)
+            ]
+            out[part.here, chosen[:, None], chosen] = hessians + np.array(bends)
+        return 0.5 * (out + np.swapaxes(out, 1, 2))
 
     def information(self, noise_factor: float = 1.0, free: np.ndarray | None = None) -> np.ndarray:
         """Expected information of each run, shape (r, n, n), the zeros eliminated; of the parameters `free`.
@@ -300,21 +326,25 @@ class Point:
         out (1: what the true motion tells; 2: nothing for a motion no larger than its noise).
         """
         k = np.arange(len(self.p)) if free is None else free
-        out = np.empty((len(self.cost.weights), len(k), len(k)))
-        for part in self._parts:
-            out[part.at] = part.information(noise_factor)[:, k[:, None], k]
+        out = np.zeros((len(self.run_values), len(k), len(k)))
+        for part, chosen in self._of_parts():
+            own = np.flatnonzero(np.isin(chosen, k))
+            at = np.searchsorted(k, chosen[own])
+            out[part.here, at[:, None], at] = part.information(noise_factor)[:, own[:, None], own]
         return out
 
     def total_information(self, noise_factor: float = 1.0) -> np.ndarray:
         """Expected information of all runs by their weights, (n, n)."""
         total = np.zeros((len(self.p),) * 2)
-        for part in self._parts:
-            total += np.tensordot(self.cost.weights[part.at], part.information(noise_factor), axes=1)
+        for part, chosen in self._of_parts():
+            own = np.tensordot(self.cost.weights[part.here], part.information(noise_factor), axes=1)
+            total[np.ix_(chosen, chosen)] += own
         return total
 
     def zero_covariance(self, covariance: np.ndarray) -> np.ndarray:
         """Covariance of each run's zero displacements [m^2], (r, z, z); `covariance`: of the parameters."""
-        return self._joined([part.zero_covariance(covariance) for part in self._parts])
+        each = [part.zero_covariance(covariance[np.ix_(chosen, chosen)]) for part, chosen in self._of_parts()]
+        return np.concatenate(each)
 
 
 TOGETHER, SLOPES = 128, 20_000
@@ -324,13 +354,17 @@ Derivatives = tuple[np.ndarray, np.ndarray]
 
 
 class _Runs:
-    """The cost of some runs at one parameter vector.
+    """The cost of some runs of one log at one parameter vector: the runs `at` of its `cost`.
 
     Shapes: r runs, m rows of a triangle, f features, K channels, n parameters, z zeros, v = z + n.
     """
 
-    def __init__(self, cost: Cost, c: np.ndarray, dc: np.ndarray, rows: Rows | None, at: slice) -> None:
+    def __init__(
+        self, cost: Cost, c: np.ndarray, dc: np.ndarray, rows: Rows | None, at: slice, log: int, here: slice
+    ) -> None:
+        """`log`: number of the log, `here`: the runs among those of all logs."""
         self.cost, self.c, self.dc, self.rows, self.at = cost, c, dc, rows, at
+        self.log, self.here = log, here
         self.R_f, R_m = (part[at] for part in cost.triangles)
         self.Q, base = cost.noise_in_features[at], c[0]
         # a zero's own features have no slope, so X may leave the zeros out in Q X

@@ -7,8 +7,6 @@ is that of the sum of their costs (`joint_cost`). No sample is read more often t
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from functools import cached_property
-from itertools import accumulate
 from time import perf_counter
 from typing import Any
 
@@ -22,7 +20,7 @@ from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.decoding import ErrorTable, columns_of
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import Determination, determine
-from hallsym.estimation.likelihood import Coefficients, Cost, Point, cost_of
+from hallsym.estimation.likelihood import Coefficients, Cost, cost_of
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.optimum import Solution, search
 from hallsym.estimation.plausible import lateness, rewired
@@ -116,127 +114,16 @@ def _combination_of_log(one: Combination, own: Collection[str], log: str) -> Com
     )
 
 
-@dataclass(frozen=True, eq=False)
-class JointCost(Cost):
-    """The sum of the costs of several logs; `parts` and `chosen` as `Cost.shares` pairs them.
+def joint_cost(sharing: Sharing, costs: Sequence[Cost], numbers: Sequence[dict[int, int]]) -> Cost:
+    """Return the sum of the costs of the logs; `numbers`: of each log, run -> number among all.
 
-    Its runs are those of the logs one after the other, under other numbers where two logs have the same.
-    `reading_variance` and `column_variance` are means over the samples; each part has its own.
+    Its variances are means over the samples; each log has its own.
     """
-
-    parts: tuple[Cost, ...] = ()
-    chosen: tuple[np.ndarray, ...] = ()
-
-    @property
-    def shares(self) -> tuple[tuple[Cost, np.ndarray], ...]:
-        """The cost of each log, with the index of its parameters."""
-        return tuple(zip(self.parts, self.chosen, strict=True))
-
-    @property
-    def by_population(self) -> bool:
-        """Whether every part can."""
-        return all(part.by_population for part in self.parts)
-
-    @cached_property
-    def noise_in_features(self) -> np.ndarray:
-        """Of every run by the noise of its own log, (runs, f, f)."""
-        return np.concatenate([part.noise_in_features for part in self.parts])
-
-    def runs_of(self, log: int) -> slice:
-        """Return where the runs of a log stand among all."""
-        ends = [0, *accumulate(len(part.weights) for part in self.parts)]
-        return slice(ends[log], ends[log + 1])
-
-    def weighted(self, weights: np.ndarray) -> "JointCost":
-        """Return the same cost with other run weights."""
-        weights = np.asarray(weights, dtype=float)
-        parts = tuple(part.weighted(weights[self.runs_of(g)]) for g, part in enumerate(self.parts))
-        return replace(self, weights=weights, parts=parts)
-
-    def anchored(self, p: np.ndarray) -> "JointCost":
-        """Return a cost whose re-weightings share what has been computed at `p`."""
-        parts = tuple(part.anchored(p[chosen]) for part, chosen in self.shares)
-        return replace(self, parts=parts)
-
-    def population(self, points: np.ndarray) -> np.ndarray:
-        """Return F of whole populations, (m, n) -> (m,), of parts that are merged."""
-        return np.sum([part.population(points[:, chosen]) for part, chosen in self.shares], axis=0)
-
-    def at(self, p: np.ndarray) -> "JointPoint":
-        """Return everything the cost knows at one parameter vector."""
-        return JointPoint(self, np.asarray(p, dtype=float))
-
-
-class JointPoint(Point):
-    """The joint cost at one parameter vector: what `Point` knows, for the runs of all logs."""
-
-    def __init__(self, cost: JointCost, p: np.ndarray) -> None:
-        self.cost, self.p, self.joint = cost, p, cost
-        self.points = [part.at(p[chosen]) for part, chosen in cost.shares]
-        self._parts = self.points
-        self.zeros = self._joined([point.zeros for point in self.points])
-        self.run_values = self._joined([point.run_values for point in self.points])
-        self.value = float(sum(point.value for point in self.points))
-
-    def keep_derivatives(self) -> None:
-        """Keep gradient and Hessian of every run."""
-        for point in self.points:
-            point.keep_derivatives()
-
-    def derivatives(self) -> tuple[float, np.ndarray, np.ndarray]:
-        """Return F, its gradient (n,) and its exact Hessian (n, n)."""
-        n = len(self.p)
-        gradient, hessian = np.zeros(n), np.zeros((n, n))
-        for point, chosen in zip(self.points, self.joint.chosen, strict=True):
-            _, part, square = point.derivatives()
-            gradient[chosen] += part
-            hessian[np.ix_(chosen, chosen)] += square
-        return self.value, gradient, hessian
-
-    @cached_property
-    def run_gradients(self) -> np.ndarray:
-        """Gradient of each run's own F, (r, n)."""
-        out = np.zeros((len(self.run_values), len(self.p)))
-        for g, (point, chosen) in enumerate(zip(self.points, self.joint.chosen, strict=True)):
-            out[self.joint.runs_of(g), chosen] = point.run_gradients
-        return out
-
-    @property
-    def run_hessians(self) -> np.ndarray:
-        """Exact Hessian of each run's own F, (r, n, n)."""
-        return self._spread([point.run_hessians for point in self.points])
-
-    def information(self, noise_factor: float = 1.0, free: np.ndarray | None = None) -> np.ndarray:
-        """Expected information of each run, (r, n, n), of the parameters `free`."""
-        k = np.arange(len(self.p)) if free is None else free
-        return self._spread([point.information(noise_factor) for point in self.points])[:, k[:, None], k]
-
-    def total_information(self, noise_factor: float = 1.0) -> np.ndarray:
-        """Expected information of all runs by their weights, (n, n)."""
-        return np.tensordot(self.cost.weights, self.information(noise_factor), axes=1)
-
-    def zero_covariance(self, covariance: np.ndarray) -> np.ndarray:
-        """Covariance of each run's zero displacements [m^2], (r, z, z)."""
-        return self._joined([
-            point.zero_covariance(covariance[np.ix_(chosen, chosen)])
-            for point, chosen in zip(self.points, self.joint.chosen, strict=True)
-        ])  # fmt: skip
-
-    def _spread(self, matrices: Sequence[np.ndarray]) -> np.ndarray:
-        """Return matrices of the parameters of each log as those of all, (r, n, n)."""
-        out = np.zeros((len(self.run_values), len(self.p), len(self.p)))
-        for g, (own, chosen) in enumerate(zip(matrices, self.joint.chosen, strict=True)):
-            out[self.joint.runs_of(g), chosen[:, None], chosen] = own
-        return out
-
-
-def joint_cost(sharing: Sharing, costs: Sequence[Cost], numbers: Sequence[dict[int, int]]) -> JointCost:
-    """Return the sum of the costs of the logs; `numbers`: of each log, run -> number among all."""
     counts = np.array([cost.weights @ cost.summary.counts for cost in costs])
     share = counts / max(counts.sum(), 1e-300)
     summary = joined([numbered(cost.summary, known) for cost, known in zip(costs, numbers, strict=True)])
     features = replace(summary.features, model=sharing.joint)
-    return JointCost(
+    return Cost(
         replace(summary, features=features),
         Coefficients(features, summary.centre),
         share @ [cost.reading_variance for cost in costs],
