@@ -16,7 +16,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
@@ -24,28 +23,10 @@ import numpy as np
 from hallsym.estimation.normal_equations import eliminate, solve
 from hallsym.estimation.run_statistics import RunStatistics
 from hallsym.model.arrays import on_arrays
-from hallsym.model.features import Features
+from hallsym.model.features import Features, Rows
 
 SPARSE = 4
 """Features per channel, over those that move the channel, from which on only these are multiplied."""
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Slopes (1 + n_zeros, m, n) of the coefficients of m pairs of a `channel` and a `feature`, (m,) each."""
-
-    channel: np.ndarray
-    feature: np.ndarray
-    slope: np.ndarray
-
-
-@runtime_checkable
-class Linear(Protocol):
-    """Features whose coefficients are linear in the parameters: most are nil, and none is written out."""
-
-    def linear(self, p: np.ndarray) -> tuple[np.ndarray, Rows]:
-        """Return the coefficients (1 + n_zeros, n_features, n_channels) and the slopes that are not nil."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,24 +74,18 @@ class Coefficients:
         Where most features move a channel the slopes are as `first` gives them, and stand at None. Else they
         are those that are not nil, (1 + n_zeros, m, n), of m pairs of a channel and a feature.
         """
-        if isinstance(self.features, Linear):
-            c, rows = self.features.linear(p)
-            if SPARSE * len(rows.channel) >= c[0].size:
-                dense = np.zeros((*c.shape[:2], len(p), c.shape[2]))
-                dense[:, rows.feature, :, rows.channel] = np.swapaxes(rows.slope, 0, 1)
-                return c, dense, None
+        if (linear := self.features.linear(p)) is None:
+            return *self.first(p), None
+        c, rows = linear
+        if SPARSE * len(rows.channel) < c[0].size:
             return c, rows.slope, rows
-        c, dense = self.first(p)
-        moved = np.any(c[1:] != 0, axis=0).T | np.any(dense != 0, axis=(0, 2)).T
-        k, at = np.nonzero(moved)
-        if SPARSE * len(k) >= moved.size:
-            return c, dense, None
-        slope = np.swapaxes(dense[:, at, :, k], 0, 1)
-        return c, slope, Rows(k, at, slope)
+        dense = np.zeros((*c.shape[:2], len(p), c.shape[2]))
+        dense[:, rows.feature, :, rows.channel] = np.swapaxes(rows.slope, 0, 1)
+        return c, dense, None
 
     def curvature(self, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return sum of weights * d2 coefficient / dp2, shape (n, n), weights shaped as coefficients."""
-        if isinstance(self.features, Linear):
+        if self.features.point is not None:  # a tangent has none
             return np.zeros((len(p), len(p)))
         flat = np.swapaxes(weights, 1, 2).ravel()
         return self.features.expansion[1](p, self.centre, flat)

@@ -18,14 +18,13 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.estimation.likelihood import Rows
 from hallsym.estimation.run_statistics import RunStatistics, summarised
 from hallsym.log import Log
 from hallsym.log.batches import Batch, Weigh
 from hallsym.log.derived import extended
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
-from hallsym.model.features import Features, find_features
+from hallsym.model.features import Features, Rows, find_features
 
 READINGS, SAMPLES, SMALLEST = 360, 40, 5.0
 """Readings, and poses and states at least, at which it is asked what no recording can determine; and decades

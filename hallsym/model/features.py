@@ -22,6 +22,15 @@ MAX_DEGREE = 6
 
 
 @dataclass(frozen=True, eq=False)
+class Rows:
+    """Slopes (1 + n_zeros, m, n) of the coefficients of m pairs of a `channel` and a `feature`, (m,) each."""
+
+    channel: np.ndarray
+    feature: np.ndarray
+    slope: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Features:
     """Monomials of a model's reading, those that carry the zeros of a run first.
 
@@ -147,6 +156,13 @@ class Features:
     @property
     def point(self) -> np.ndarray | None:
         """Parameters (n,) that the features were taken at, if they depend on them."""
+        return None
+
+    def linear(self, p: np.ndarray) -> tuple[np.ndarray, Rows] | None:
+        """Return coefficients and slopes where coefficients are linear in the parameters, and most are nil.
+
+        The coefficients (1 + n_zeros, n_features, n_channels), and the slopes that are not nil.
+        """
         return None
 
     def slope_rows(self, p: np.ndarray) -> np.ndarray | None:
