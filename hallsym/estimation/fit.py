@@ -71,8 +71,8 @@ def fit(
     '1.36 um'
 
     `model`: a name or a Model; the log's own `base_model`, else what its columns suggest. `solver`: "hybrid"
-    (SHTLBO and a closed form, then IPOPT), "direct" (closed form, then IPOPT) or a global method for the
-    hybrid.
+    (SHTLBO and a closed form, refined by IPOPT), "direct" (closed form alone) or a global method for the
+    hybrid; Newton's method ends all, or IPOPT where that does not converge.
     `holdout`: runs that take no part in the fit; the log's own by default. Their zero deviations are
     estimated from themselves. `loss`: "auto" takes out isolated spikes if there are any and says so, "reject"
     always looks for them, "tukey" weighs every sample by Tukey's biweight, "none" is plain least squares.

@@ -20,8 +20,9 @@ WARM: dict[str, Any] = {"mu_init": 1e-9, "bound_push": 1e-9, "bound_frac": 1e-9}
 """IPOPT's barrier for a start that is close already: 4 evaluations instead of 9."""
 SCREENED, ELSEWHERE = 100, 2
 """Latin-hypercube points that are looked at, and how many of the best that are apart are refined too."""
-POLISH, MORE = 10, 200
-"""Steps of Newton's method after IPOPT, at most; and where IPOPT itself did not end at an optimum."""
+ROUNDING = 1e-14
+"""Part of the cost below which a promise of Newton's method is rounding: values are then good to 1e-5 of their
+standard uncertainty, where the usual 1e-12 leaves 4e-4."""
 SAME = 1e-6
 """Relative difference of cost within which two optima are the same."""
 
@@ -84,13 +85,12 @@ def search(
     *,
     solver: str,
     seed: int,
-    newton_first: bool = False,
 ) -> Search:
     """Minimise `fitted` from the start `first` and, unless `solver` is "direct", from a global search.
 
     The global search and its local refinements run on `merged`, where the zeros are projected out and the
-    whole population is evaluated at once; IPOPT then refines the best of them on the exact cost.
-    `newton_first`: Newton's method alone where it converges, which from a closed form it nearly always does.
+    whole population is evaluated at once. Newton's method refines the best of them on the exact cost, which
+    from a closed form nearly always converges; where it does not, IPOPT does.
     """
     free = np.array([k for k in range(len(first)) if k not in found.held], dtype=int)
     if len(free) == 0:
@@ -109,27 +109,22 @@ def search(
             size=SIZE,
         )
         first = scaled.from_unit(explored.x)
-    # restarted at an optimum IPOPT may look for it among rounding errors, thousands of evaluations long
-    steps = MORE if newton_first else 1
-    local = solvers.newton(scaled.problem(fitted), scaled.to_unit(first), max_iterations=steps)
-    if local.status != "converged":
-        local = solvers.ipopt(scaled.problem(fitted), scaled.to_unit(first), **WARM)
-    # IPOPT stops within its tolerance; from there Newton's method needs a step or two to reach rounding
-    more = POLISH if local.status == "converged" else MORE
-    alone = newton_first and local.status == "converged"
-    polished = local if alone else solvers.newton(scaled.problem(fitted), local.x, max_iterations=more)
-    endings = {part.status for part in (explored, local, polished) if part is not None}
-    # IPOPT's own verdict is that of a Newton step; where it found none, the steps after it decide
-    ended = local if local.status == "converged" else polished
-    status = "interrupted" if "interrupted" in endings else ended.status
+    exact = scaled.problem(fitted)
+    stages = [explored] if explored else []
+    stages.append(ended := solvers.newton(exact, scaled.to_unit(first), tolerance=ROUNDING))
+    if ended.status != "converged":
+        stages.append(local := solvers.ipopt(exact, scaled.to_unit(first), **WARM))
+        # IPOPT stops within its tolerance; from there Newton's method needs a step or two to reach rounding
+        stages.append(solvers.newton(exact, local.x))
+        # IPOPT's own verdict is that of a Newton step; where it found none, the steps after it decide
+        ended = local if local.status == "converged" else stages[-1]
+    status = "interrupted" if any(s.status == "interrupted" for s in stages) else ended.status
     return Search(
-        p=scaled.from_unit(polished.x),
-        cost=polished.cost * scaled.samples(fitted),
+        p=scaled.from_unit(stages[-1].x),
+        cost=stages[-1].cost * scaled.samples(fitted),
         status=status,
         message=_message(status, ended, solver),
-        evaluations=local.evaluations * (not alone)
-        + polished.evaluations
-        + (explored.evaluations if explored else 0),
+        evaluations=sum(s.evaluations for s in stages),
         starts=1 if explored is None else len(explored.local),
         share=1.0 if explored is None else float(explored.share),
     )
@@ -142,8 +137,8 @@ def _message(status: str, ended: solvers.Result, solver: str) -> str:
         return "stopped by the user; these are the best values so far"
     if status == "budget":
         return (
-            f"neither IPOPT nor {MORE} further Newton steps reached an optimum; parameters may be able to "
-            f"replace each other on this log (see 'hallsym sensitivity'), or start elsewhere with {elsewhere}"
+            "neither Newton's method nor IPOPT reached an optimum; parameters may be able to "
+            "replace each other on this log (see 'hallsym sensitivity'), or start elsewhere with {elsewhere}"
         )
     if status == "failed":
         return f"the best point found is no optimum; start elsewhere with {elsewhere} ({ended.message})"

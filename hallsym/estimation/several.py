@@ -569,9 +569,7 @@ class _Together:
         held = list(found.held)
         first[held] = np.clip(model.nominal, *model.bounds)[held]
         self.asked.say(f"solving with {solver}")
-        best = search(
-            fitted, merged, first, found, solver=solver, seed=self.asked.seed, newton_first=self.asked.quick
-        )
+        best = search(fitted, merged, first, found, solver=solver, seed=self.asked.seed)
         best = replace(best, p=nearest_turn(model, best.p))
         return Solution(everything, fitted, found, best)
 
