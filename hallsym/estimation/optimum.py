@@ -21,8 +21,8 @@ WARM: dict[str, Any] = {"mu_init": 1e-9, "bound_push": 1e-9, "bound_frac": 1e-9}
 SCREENED, ELSEWHERE = 100, 2
 """Latin-hypercube points that are looked at, and how many of the best that are apart are refined too."""
 ROUNDING = 1e-14
-"""Part of the cost below which a promise of Newton's method is rounding: values are then good to 1e-5 of their
-standard uncertainty, where the usual 1e-12 leaves 4e-4."""
+"""Part of the cost below which a promise of Newton's method is rounding: values are then good to 1e-5 of
+their standard uncertainty, where the usual 1e-12 leaves 4e-4."""
 SAME = 1e-6
 """Relative difference of cost within which two optima are the same."""
 
