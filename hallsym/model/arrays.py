@@ -82,7 +82,7 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
         raise NotImplementedError(f"on_arrays needs dense outputs; densify {function.name()} first")
 
     @np.errstate(divide="ignore", over="ignore", invalid="ignore")
-    def evaluated(inputs: Sequence[Sequence], shape: tuple[int, ...]) -> list[np.ndarray]:
+    def evaluated(inputs: Sequence[Sequence], shape: tuple[int, ...], real: type) -> list[np.ndarray]:
         work: list = [None] * function.sz_w()
         out: list[list] = [[0.0] * n for n in rows]
         for kind, op, a, b, target in zip(*program, strict=True):
@@ -96,19 +96,22 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
                 work[target] = op
             else:
                 out[b][target] = work[a]
-        return [_stack(entries, shape) for entries in out]
+        return [_stack(entries, shape, real) for entries in out]
 
     most = max(FEWEST, WORK // (function.sz_w() + sum(rows)))
 
     def run(*inputs: Sequence) -> list[np.ndarray]:
-        shape = np.broadcast_shapes(*{getattr(v, "shape", ()) for column in inputs for v in column})
+        kinds = {kind for column in inputs for kind in _kinds(column)}
+        shape = np.broadcast_shapes(*(of for of, _ in kinds))
+        # a long double stays one: ranks are decided in extended precision
+        real = np.longdouble if any(type_ == np.longdouble for _, type_ in kinds) else float
         if len(shape) != 1 or shape[0] <= most:
-            return evaluated(inputs, shape)
+            return evaluated(inputs, shape, real)
         parts = []
         for low in range(0, shape[0], most):
             here = slice(low, min(low + most, shape[0]))
             own = [[v if np.size(v) == 1 else v[here] for v in column] for column in inputs]
-            parts.append(evaluated(own, (here.stop - low,)))
+            parts.append(evaluated(own, (here.stop - low,), real))
         return [np.concatenate(own, axis=-1) for own in zip(*parts, strict=True)]
 
     return run
@@ -168,10 +171,15 @@ def _compile(function: ca.Function, real: type) -> tuple[list, ...]:
     return tuple(list(values) for values in zip(*program, strict=True))
 
 
-def _stack(entries: list, shape: tuple[int, ...]) -> np.ndarray:
-    # a long double stays one: ranks are decided in extended precision
-    wide = any(getattr(entry, "dtype", None) == np.longdouble for entry in entries)
-    result = np.empty((len(entries), *shape), dtype=np.longdouble if wide else float)
+def _kinds(column: Sequence) -> set[tuple[tuple[int, ...], Any]]:
+    """Return shape and type of the entries of an input."""
+    if isinstance(column, np.ndarray):
+        return {(column.shape[1:], column.dtype)}
+    return {(getattr(v, "shape", ()), getattr(v, "dtype", None)) for v in column}
+
+
+def _stack(entries: list, shape: tuple[int, ...], real: type) -> np.ndarray:
+    result = np.empty((len(entries), *shape), dtype=real)
     for row, entry in enumerate(entries):
         result[row] = entry
     return result
