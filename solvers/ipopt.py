@@ -64,7 +64,7 @@ class Recent:
             self.calls += 1
             f, gradient, hessian = self.derivatives(x)
             self.f, self.gradient = float(f), gradient * self.unit
-            self.hessian = (hessian * self.unit2).T[self.upper_triangle]
+            self.hessian = hessian * self.unit2
         except BaseException as error:
             self.error = error
             return False
@@ -139,7 +139,7 @@ class _Hessian(_Part):
 
     def values(self, given: Buffers) -> tuple[Any, ...]:
         multiplier = 0.0 if given[2] is None else np.frombuffer(given[2])[0]
-        return (multiplier * self.recent.hessian,)
+        return (multiplier * self.recent.hessian.T[self.recent.upper_triangle],)
 
 
 class Callbacks:
@@ -189,8 +189,6 @@ class Ipopt:
         self.callbacks = Callbacks(self.recent)
         options = QUIET | self.callbacks.options | {"ipopt": inner}
         self.solver = casadi.nlpsol("refine", "ipopt", self.callbacks.nlp, options)
-        self.gradient = self.solver.get_function("nlp_grad_f")
-        self.triangle = self.solver.get_function("nlp_hess_l")
 
     def solve(self, x0: ArrayLike) -> Result:
         """Refine one point."""
@@ -271,15 +269,17 @@ class _Attempt:
 
     def take(self, x: FloatArray, evaluations: int) -> FloatArray:
         """Keep `x` if it is strictly better; return the slope there, the gradient by `u`."""
-        try:
-            f, slope = self.ipopt.gradient(x / self.unit, 1.0)
-        except RuntimeError:
-            self.after_python_error()
-            raise
-        if -np.inf < float(f) < self.f:
-            self.x, self.f = x, float(f)
+        there = self.at(x)
+        if -np.inf < there.f < self.f:
+            self.x, self.f = x, there.f
         self.history.append((evaluations, self.f))
-        return np.array(slope).ravel()
+        return there.gradient
+
+    def at(self, x: FloatArray) -> Recent:
+        """Return value and derivatives at `x`."""
+        self.ipopt.recent.at(memoryview(x / self.unit))
+        self.after_python_error()
+        return self.ipopt.recent
 
     def after_python_error(self) -> None:
         """Raise what Python derivatives raised within IPOPT, after keeping the best point so far."""
@@ -293,9 +293,7 @@ class _Attempt:
     def left(self) -> tuple[FloatArray, float, str]:
         """The slope, how much lower the cost could still be, and why this is no optimum ("" if it is one)."""
         u, low, high = self.x / self.unit, self.lower / self.unit, self.upper / self.unit
-        slope = np.array(self.ipopt.gradient(u, 1.0)[1]).ravel()
-        triangle = np.array(casadi.DM(self.ipopt.triangle(u, 1.0, 1.0, [])))
-        hessian = triangle + np.triu(triangle, 1).T
+        slope, hessian = self.at(self.x).gradient, self.ipopt.recent.hessian
         left, rounding = what_is_left(slope, hessian, u, low, high)
         if curves_down(hessian, u, low, high):
             return slope, left, CURVED
