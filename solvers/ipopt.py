@@ -277,7 +277,7 @@ class _Attempt:
 
     def at(self, x: FloatArray) -> Recent:
         """Return value and derivatives at `x`."""
-        self.ipopt.recent.at(memoryview(x / self.unit))
+        self.ipopt.recent.at((x / self.unit).data)
         self.after_python_error()
         return self.ipopt.recent
 

@@ -11,7 +11,7 @@ from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.scores import bic
 from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.covariance import AT_BOUND
-from hallsym.estimation.gauss_newton import DROP, PASSES
+from hallsym.estimation.optimum import DROP, PASSES
 from hallsym.model import Model, Variant
 from solvers import gauss_newton
 

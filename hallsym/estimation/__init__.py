@@ -2,19 +2,18 @@
 
 The path of a fit, file by file:
 
-- `run_statistics`: the log, read once, becomes one small triangle per run (`linearised`: for models that have
-  no such statistics).
-- `likelihood`: the cost of those runs with exact derivatives; `normal_equations` eliminates each run's own
-  offsets.
-- `start`, `plausible`: a closed-form start, and checks that reference and channels belong together.
-- `identifiable`: which parameters the data determine, and which are therefore held.
-- `optimum`: global search, IPOPT, Newton; `gauss_newton`: by passes over the log.
+- `task`: one log as it is fitted: checked, reduced, judged, and the `Fit` that comes of it.
+- `factors`: the log, read once, becomes one small triangle per run, whose own offsets are eliminated.
+- `likelihood`: the cost of those runs with exact derivatives.
+- `plausible`: checks that reference and channels belong together.
+- `identifiable`: which parameters the data determine, and which are therefore fixed.
+- `optimum`: a closed-form start, global search, Newton, IPOPT; Gauss-Newton by passes over the log.
 - `outliers`, `decoding`: samples that are left out; errors of the decoded pose.
-- `residual_noise`: the noise that is left, its size and colour; `goodness_of_fit`: its size in multiples of
-  the noise; `covariance`: standard uncertainties, and those that show between runs.
-- `result`, `calibration`: the record that is printed and saved; `evaluate`: a calibration on another log.
+- `residual_noise`: the residual noise, its size and autocorrelation; `goodness_of_fit`: its size in multiples
+  of the stated noise; `covariance`: standard uncertainties, and those that show between runs.
+- `calibration`: the record that is printed and saved; `evaluate`: a calibration on another log.
 
-`task` puts these in order, `fit` is what users call; `several` fits logs of one device together.
+`fit` puts these in order and is what users call; `several` fits logs of one device together.
 """
 
 from hallsym.estimation.calibration import (
@@ -37,8 +36,8 @@ from hallsym.estimation.decoding import (
     nominal_variance,
 )
 from hallsym.estimation.evaluate import Evaluation, evaluate
+from hallsym.estimation.factors import exact, inverse, pseudo_inverse, solve, summarise
 from hallsym.estimation.fit import LOSSES, fit
-from hallsym.estimation.gauss_newton import cost_near, zeros_of
 from hallsym.estimation.goodness_of_fit import KNOWN, WORTH_REPORTING, GoodnessOfFit, limit_of
 from hallsym.estimation.identifiable import (
     Determination,
@@ -49,17 +48,13 @@ from hallsym.estimation.identifiable import (
     structural_directions,
     structural_null,
 )
-from hallsym.estimation.likelihood import Coefficients, Cost, cost_of
-from hallsym.estimation.linearised import exact
+from hallsym.estimation.likelihood import Coefficients, Cost, cost_near, cost_of, zeros_of
 from hallsym.estimation.noise_floor import noise_floor
-from hallsym.estimation.normal_equations import inverse, pseudo_inverse, solve
 from hallsym.estimation.optimum import SOLVERS, refit
 from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey
 from hallsym.estimation.plausible import as_read, rewired
 from hallsym.estimation.residual_noise import Residual, autoregressive, noise_at, noise_left, residual_noise
-from hallsym.estimation.result import lower_bound
-from hallsym.estimation.run_statistics import summarise
-from hallsym.estimation.task import noise_of
+from hallsym.estimation.task import lower_bound, noise_of
 from hallsym.families import added_effects
 
 __all__ = [

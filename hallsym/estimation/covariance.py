@@ -20,10 +20,10 @@ import numpy as np
 from scipy.special import chdtri, ndtr
 
 from hallsym.estimation.calibration import CombinationEstimate
+from hallsym.estimation.factors import inverse, solve
 from hallsym.estimation.goodness_of_fit import CERTAIN, GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import UNDETERMINED, Determination, linear_combinations
 from hallsym.estimation.likelihood import Cost, Point
-from hallsym.estimation.normal_equations import inverse, solve
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.quantities import combination, linear

@@ -11,20 +11,53 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
-from hallsym.estimation.decoding import ErrorTable, knows_rails, logged_columns
-from hallsym.estimation.gauss_newton import Shifts, cost_near, deviations_of, judged, zeros_of
-from hallsym.estimation.goodness_of_fit import GoodnessOfFit
-from hallsym.estimation.linearised import exact
+from hallsym.estimation.decoding import ErrorTable, error_tables, knows_rails, logged_columns, zero_shifts
+from hallsym.estimation.factors import exact
+from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
+from hallsym.estimation.likelihood import Point, cost_near, deviations_of, zeros_of
 from hallsym.estimation.noise_floor import noise_floor, uncertain
 from hallsym.estimation.plausible import as_read, lateness, rewired
 from hallsym.estimation.residual_noise import noise_followed, with_noise
 from hallsym.estimation.task import Asked, Task, noise_of
 from hallsym.families import plain
 from hallsym.log import Log, Noise, as_log, clean_log, usable
-from hallsym.log.phase import LISTED
+from hallsym.log.phase import LISTED, rehomed
 from hallsym.model import Model
 from hallsym.shown import Shown
 from hallsym.units import readable
+
+Shifts = Mapping[str, Mapping[int, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Fixed parameters on another log: errors, zeros beside the calibration's, how well they fit it.
+
+    `point`: of its cost. `log`: what was decoded, with the zeros of its references that were asked for.
+    """
+
+    table: ErrorTable
+    shifts: Shifts
+    goodness: GoodnessOfFit
+    point: Point
+    log: Log
+
+
+def judged(
+    log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float], *, own_zero: bool = False
+) -> Judged:
+    """Return what fixed parameters make of another log; each run's zeros are estimated from that run.
+
+    `own_zero`: so is the zero of a reference that repeats, which the calibration has one of.
+    """
+    cost = cost_near(log, model, p, noise)
+    shifts = zero_shifts(log, model, p, zeros_of(cost, p), cost.reading_variance, noise)
+    if own_zero and shifts:
+        log = rehomed(log, shifts, model)
+        cost = cost_near(log, model, p, noise)
+    (table,) = error_tables(log, model, [(p, zeros_of(cost, p))], cost.reading_variance, sigma=noise)
+    point = cost.at(p)
+    return Judged(table, shifts, goodness_of(point, 0), point, log)
 
 
 def recording_notes(log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float]) -> tuple[str, ...]:

@@ -20,8 +20,10 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from hallsym.estimation.normal_equations import eliminate, solve
-from hallsym.estimation.run_statistics import RunStatistics
+from hallsym.estimation.factors import RunStatistics, eliminate, exact, solve, summarise, summarise_at
+from hallsym.log import Log
+from hallsym.log.batches import Weigh
+from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.features import Features, Rows
 
@@ -493,3 +495,39 @@ def cost_of(summary: RunStatistics, noise: Mapping[str, float]) -> Cost:
         np.array([noise.get(c, 0.0) ** 2 for c in (*model.references, *model.state)]),
         np.ones(len(summary.runs)),
     )
+
+
+SETTLED = 1e-9
+"""Change [m] of a run's zeros below which they are settled."""
+MOST = 40
+"""Rounds of settling the zeros of the runs, at most."""
+
+
+Zeros = Mapping[int, np.ndarray]
+
+
+def cost_near(
+    log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float], weigh: Weigh | None = None
+) -> Cost:
+    """Return the likelihood of a log near `p`, the zeros of each run settled at `p`; exact at `p`."""
+    if exact(model):
+        return cost_of(summarise(log, model, weigh), noise)
+    zeros: Zeros = {}
+    for _ in range(MOST):
+        cost = cost_of(summarise_at(log, model, p, zeros, noise, weigh), noise)
+        before, zeros = zeros, zeros_of(cost, p)
+        if all(np.abs(z - before.get(run, 0.0)).max(initial=0.0) < SETTLED for run, z in zeros.items()):
+            break
+    return cost
+
+
+def zeros_of(cost: Cost, p: np.ndarray) -> dict[int, np.ndarray]:
+    """Return the zeros of every run at `p`."""
+    return dict(zip(cost.summary.runs, cost.at(p).zeros, strict=True))
+
+
+def deviations_of(point: Point) -> dict[int, np.ndarray]:
+    """Return the zero deviations of every run at a point in reading space, as a calibration keeps them."""
+    summary = point.cost.summary
+    read = point.zeros * summary.model.zero_scale(point.p, summary.first_state)
+    return dict(zip(summary.runs, read, strict=True))

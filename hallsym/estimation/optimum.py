@@ -1,16 +1,85 @@
-"""Find the optimum of a likelihood on run statistics: global search, IPOPT, and quick refits."""
+"""The optimum of a likelihood: a start by linear least squares, global search, Newton, IPOPT, Gauss-Newton.
 
-from collections.abc import Sequence
+A model with run statistics is searched and refined on them. One without is fitted by Gauss-Newton steps, one
+pass over the log each.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import count
 from typing import Any
 
 import numpy as np
 
 import solvers
-from hallsym.estimation.identifiable import Determination, determine_at, scales
-from hallsym.estimation.likelihood import Cost, Point
+from hallsym.errors import InputError
+from hallsym.estimation.factors import summarise_at
+from hallsym.estimation.identifiable import Determination, determine, determine_at, scales
+from hallsym.estimation.likelihood import Cost, Point, Zeros, cost_near, cost_of, zeros_of
+from hallsym.log import Log
+from hallsym.log.batches import Weigh
 from hallsym.model import Model
+
+MOVED = 4.0
+"""A column counts as moved when its energy is more than this many times its noise's (rms twice the noise)."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearFit:
+    """Unconstrained coefficients of a merged cost, shape (n_features, n_channels).
+
+    `moved`: which features moved. `unexplained`: (n_channels,) share of each channel's variance that the
+    features leave, 0 for a channel that hears only noise.
+    """
+
+    coefficients: np.ndarray
+    moved: np.ndarray
+    unexplained: np.ndarray
+
+
+def linear_fit(cost: Cost) -> LinearFit:
+    """Solve for the coefficients of features that moved; the others keep their nominal value."""
+    model = cost.summary.model
+    R_f, R_m = (part[0] for part in cost.triangles)
+    energy = np.einsum("ij,ij->j", R_f, R_f)
+    noise = cost.summary.counts[0] * np.einsum("jj->j", cost.noise_in_features[0])
+    moved = energy > MOVED * noise
+    nominal = cost.coefficients.first(model.nominal)[0][0]
+    size = np.sqrt(np.where(moved, energy, 1.0))
+    target = R_m - R_f @ nominal
+    change, *_ = np.linalg.lstsq((R_f / size)[:, moved], target, rcond=1e-9)
+    coefficients = nominal.copy()
+    coefficients[moved] += change / size[moved, None]
+    left = target - (R_f / size)[:, moved] @ change
+    total = np.einsum("ij,ij->j", R_m, R_m)
+    heard = total > MOVED * cost.summary.counts[0] * cost.reading_variance
+    share = np.einsum("ij,ij->j", left, left) / np.maximum(total, 1e-300)
+    return LinearFit(coefficients, moved, np.where(heard, share, 0.0))
+
+
+def closed_form(cost: Cost, linear: LinearFit) -> np.ndarray:
+    """Return the family's closed-form start (nominal values if it has none), shape (n,)."""
+    features = cost.summary.features
+    if features.model.closed_form is None:
+        return features.model.nominal
+    # a family thinks of columns that start at zero, not at the centre of the log
+    at_zero = features.shift(-cost.coefficients.centre) @ linear.coefficients
+    named = {features.label(j): at_zero[j] for j in range(features.size)}
+    return features.model.closed_form(features.model, named)
+
+
+def check_reference(model: Model, unexplained: np.ndarray, where: str) -> None:
+    """Raise `InputError` when the reference explains less than half of a channel's variance."""
+    for channel, share in zip(model.channels, unexplained, strict=True):
+        if share > 0.5:
+            explained = 100 * max(1 - share, 0)
+            raise InputError(
+                f"The reference of {where} explains only {explained:.0f} % of the variation of {channel} "
+                "(expected more than 90 %); it does not belong to these readings, or outliers hide that it "
+                "does: check file, clock and columns, or fit with --loss auto."
+            )
+
 
 SOLVERS = ("hybrid", "direct", *solvers.EXPLORERS)
 """hybrid is SHTLBO, closed form, IPOPT; direct leaves the global search out; the others replace SHTLBO."""
@@ -110,21 +179,21 @@ def search(
         )
         first = scaled.from_unit(explored.x)
     exact = scaled.problem(fitted)
-    stages = [explored] if explored else []
-    stages.append(ended := solvers.newton(exact, scaled.to_unit(first), tolerance=ROUNDING))
+    endings: list[solvers.Result] = [explored] if explored else []
+    endings.append(ended := solvers.newton(exact, scaled.to_unit(first), tolerance=ROUNDING))
     if ended.status != "converged":
-        stages.append(local := solvers.ipopt(exact, scaled.to_unit(first), **WARM))
+        endings.append(local := solvers.ipopt(exact, scaled.to_unit(first), **WARM))
         # IPOPT stops within its tolerance; from there Newton's method needs a step or two to reach rounding
-        stages.append(solvers.newton(exact, local.x))
+        endings.append(solvers.newton(exact, local.x))
         # IPOPT's own verdict is that of a Newton step; where it found none, the steps after it decide
-        ended = local if local.status == "converged" else stages[-1]
-    status = "interrupted" if any(s.status == "interrupted" for s in stages) else ended.status
+        ended = local if local.status == "converged" else endings[-1]
+    status = "interrupted" if any(s.status == "interrupted" for s in endings) else ended.status
     return Search(
-        p=scaled.from_unit(stages[-1].x),
-        cost=stages[-1].cost * scaled.samples(fitted),
+        p=scaled.from_unit(endings[-1].x),
+        cost=endings[-1].cost * scaled.samples(fitted),
         status=status,
         message=_message(status, ended, solver),
-        evaluations=sum(s.evaluations for s in stages),
+        evaluations=sum(s.evaluations for s in endings),
         starts=1 if explored is None else len(explored.local),
         share=1.0 if explored is None else float(explored.share),
     )
@@ -138,7 +207,7 @@ def _message(status: str, ended: solvers.Result, solver: str) -> str:
     if status == "budget":
         return (
             "neither Newton's method nor IPOPT reached an optimum; parameters may be able to "
-            "replace each other on this log (see 'hallsym sensitivity'), or start elsewhere with {elsewhere}"
+            f"replace each other on this log (see 'hallsym sensitivity'), or start elsewhere with {elsewhere}"
         )
     if status == "failed":
         return f"the best point found is no optimum; start elsewhere with {elsewhere} ({ended.message})"
@@ -221,3 +290,99 @@ class Scaled:
             (upper[free] - self._origin) / self.scale,
             derivatives=derivatives,
         )
+
+
+PASSES = 40
+DROP = 1e-3
+"""Decrease of the cost, per unit of what a degree of freedom leaves, that is not worth another pass: it moves
+no parameter by more than 0.03 standard uncertainties."""
+REMEDY = (
+    "start the effect from other numbers (--effect NAME:number=VALUE; 'hallsym diagnose' finds some) "
+    "or leave it out"
+)
+"""What helps where passes over the log do not converge."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Pass:
+    """The cost of all runs, and of the fitted ones, linearised at `p`.
+
+    `before`: what the last pass found determined, None in the first.
+    """
+
+    everything: Cost
+    fitted: Cost
+    p: np.ndarray
+    before: Determination | None
+
+    @cached_property
+    def cost(self) -> float:
+        return self.fitted.at(self.p).value
+
+    @cached_property
+    def _found(self) -> tuple[Determination, np.ndarray]:
+        """What is determined here, and where the search begins.
+
+        What is held stays at its value while the rank does not change, else it goes to its nominal value.
+        """
+        found, before, model = determine(self.fitted, self.p), self.before, self.fitted.summary.model
+        if before is not None and before.null.shape == found.null.shape:
+            return replace(found, held=before.held), self.p
+        p, held = self.p.copy(), list(found.held)
+        p[held] = np.clip(model.nominal, *model.bounds)[held]
+        return found, p
+
+    @property
+    def determination(self) -> Determination:
+        return self._found[0]
+
+    @cached_property
+    def target(self) -> Search:
+        """The optimum of the linearised cost inside the bounds."""
+        found, begin = self._found
+        return search(self.fitted, self.fitted, begin, found, solver="direct", seed=0)
+
+    def moved(self, share: float) -> tuple[np.ndarray, Zeros]:
+        if share == 1.0:
+            return self.target.p, zeros_of(self.everything, self.target.p)
+        begin = self._found[1]
+        return begin + share * (self.target.p - begin), zeros_of(self.everything, begin)
+
+
+def optimum(
+    log: Log,
+    model: Model,
+    noise: Mapping[str, float],
+    start: np.ndarray,
+    holdout: Sequence[int],
+    weigh: Weigh | None,
+    say: Callable[[str], None],
+) -> Solution:
+    """Minimise the cost of the runs that are not held out, from `start` (n,), inside the bounds."""
+    number, evaluations, before = count(1), 0, None
+
+    def linearise(at: tuple[np.ndarray, Zeros]) -> _Pass:
+        say(f"pass {next(number)} over the log")
+        p, zeros = at
+        everything = cost_of(summarise_at(log, model, p, zeros, noise, weigh), noise)
+        return _Pass(everything, everything.without(holdout), p, before)
+
+    def converged(now: _Pass, gained: float) -> bool:
+        nonlocal evaluations, before
+        evaluations, before = evaluations + now.target.evaluations, now.determination
+        readings = float(now.fitted.summary.counts.sum()) * len(model.channels)
+        return now.cost - now.target.cost <= DROP * max(now.cost / readings, 1e-300)
+
+    first = np.clip(np.asarray(start, dtype=float), *model.bounds)
+    zeros = zeros_of(cost_near(log, model, first, noise, weigh), first) if model.zeros else {}
+    best, outcome = solvers.gauss_newton(linearise, (first, zeros), converged, PASSES)
+    found = replace(best.target, evaluations=evaluations)
+    if outcome != "converged":
+        passes = next(number) - 1
+        said = {
+            "budget": "the cost still falls",
+            "stuck": "no step along the tangent lowers the cost any more",
+        }[outcome] + f" after {passes} passes over the log"
+        # the minimum of the tangent is no optimum then: the best point that was passed is the result
+        found = replace(found, p=best.p, cost=best.cost, status="not converged", message=f"{said}; {REMEDY}")
+    return Solution(best.everything, best.fitted, best.determination, found)

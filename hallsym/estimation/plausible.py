@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hallsym.errors import InputError
+from hallsym.estimation.factors import RunStatistics, projected
 from hallsym.estimation.likelihood import Cost
+from hallsym.estimation.optimum import MOVED, LinearFit
 from hallsym.estimation.outliers import residuals
-from hallsym.estimation.run_statistics import RunStatistics, projected
-from hallsym.estimation.start import MOVED, LinearFit
 from hallsym.log import Log, Noise
 from hallsym.log.phase import continuous
 from hallsym.log.quality.explain import Explanation

@@ -1,38 +1,34 @@
 """Several logs of one device: shared parameters, each log with its own runs, noise and outliers.
 
-Every log is checked, summarised and judged by itself (`Task`), with one centre for all, and only the optimum
-is that of the sum of their costs (`joint_cost`). No sample is read more often than by a fit of one log.
+Their cost is the sum of the costs of all (`joint_cost`), and their fit one calibration with a record of each.
 """
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from time import perf_counter
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from hallsym.errors import InputError, nearest
-from hallsym.estimation import outliers, start
+from hallsym.errors import InputError
 from hallsym.estimation.calibration import CombinationEstimate, Errors, Fit, Joint
 from hallsym.estimation.covariance import Uncertainty, uncertainty
-from hallsym.estimation.decoding import ErrorTable, columns_of
+from hallsym.estimation.decoding import ErrorTable
+from hallsym.estimation.factors import RunStatistics, joined
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
-from hallsym.estimation.identifiable import Determination, determine
-from hallsym.estimation.likelihood import Coefficients, Cost, cost_of
-from hallsym.estimation.linearised import exact
-from hallsym.estimation.optimum import Solution, search
-from hallsym.estimation.plausible import lateness, rewired
-from hallsym.estimation.residual_noise import noise_followed
-from hallsym.estimation.result import LowerBound, fit_of, lower_bound, result_of
-from hallsym.estimation.run_statistics import RunStatistics, joined
-from hallsym.estimation.task import Asked, Begun, Opened, Solved, Task, held_out, prepared
+from hallsym.estimation.identifiable import Determination
+from hallsym.estimation.likelihood import Coefficients, Cost
+from hallsym.estimation.optimum import Solution
+from hallsym.estimation.task import (
+    Begun,
+    LowerBound,
+    Solved,
+    fit_of,
+    lower_bound,
+)
 from hallsym.log import Log, Noise
-from hallsym.log.batches import Weigh, batches, remembered
-from hallsym.log.phase import continuous, nearest_turn
 from hallsym.log.quality.findings import name_of
-from hallsym.log.quality.gains import explained
 from hallsym.model import Model
 from hallsym.model.model import Combination, Signals, Step
 from hallsym.units import UNITS
@@ -447,245 +443,6 @@ def _notes(fits: Sequence[Fit], numbers: Sequence[Mapping[int, int]], sharing: S
     return tuple(dict.fromkeys(out))
 
 
-CLEARLY = 2.0
-"""Cost of a fit over that of another reading of the log from which on the other is right: noise alone makes
-them equal, to a few percent."""
-ROUNDS = 12
-"""Of taking outliers out and fitting again, at most."""
-
-
-def fit_several(
-    logs: Sequence[Log],
-    holdout_logs: Sequence[Log],
-    models: Sequence[Model],
-    per_log: Sequence[str],
-    asked: Asked,
-    *,
-    alone: bool,
-    began: float,
-) -> Fit:
-    """Return the fit of several logs, or of one `alone`; `models`: of logs and held-out logs, in order."""
-    every, model = [*logs, *holdout_logs], models[0]
-    check_same(every, models)
-    if not exact(model):
-        raise InputError(
-            f"Model {model.name} with {', '.join(model.effects)} has no run statistics, so several "
-            "logs cannot be fitted together with it; fit them without the effects, or one at a time."
-        )
-    names = labels(every)
-    own = _own_parameters(model, per_log, len(logs), bool(holdout_logs))
-    opened = _opened(every, model, len(logs), asked)
-    check_gains(every, opened[0].task.model, [one.begun for one in opened])
-    together = _Together(opened[: len(logs)], Sharing.of(model, own, names[: len(logs)]), asked)
-    solution, errors = together.optimum()
-    members = [
-        one.solved(together.of_log(solution, g), errors[g] if errors else None)
-        for g, one in enumerate(together.logs)
-    ]
-    if alone:
-        return result_of(members[0], began)
-    judged = [_judged(one, members[-1].solution) for one in opened[len(logs) :]]
-    return several_fit(together.sharing, solution, members, judged, names, together.numbers, began)
-
-
-def _own_parameters(model: Model, per_log: Sequence[str], logs: int, holdout: bool) -> tuple[str, ...]:
-    """Return the parameters that each log has of its own, by names and patterns."""
-    found: list[str] = []
-    for pattern in per_log:
-        named = [name for name in model.names if fnmatchcase(name, pattern)]
-        if not named:
-            raise InputError(
-                f"Model {model.name} has no parameter {pattern!r}{nearest(pattern, list(model.names))}; "
-                f"each log can have its own of {', '.join(model.names)}."
-            )
-        found += [name for name in named if name not in found]
-    if found and logs < 2:
-        raise InputError("Parameters per log need two logs at least; give another log, or leave them out.")
-    if found and holdout:
-        raise InputError(
-            f"A held-out log cannot have a {found[0]} of its own, since nothing of it is fitted; leave "
-            "per-log parameters or held-out logs out, or hold out some runs of that log."
-        )
-    return tuple(found)
-
-
-def _opened(logs: Sequence[Log], model: Model, fitted: int, asked: Asked) -> list[Opened]:
-    """Return every log checked, summarised about the centre of the first, and judged."""
-    out: list[Opened] = []
-    centre: np.ndarray | None = None
-    known = {run for log in logs[:fitted] for run in log.runs}
-    if fitted > 1 and (lost := [run for run in asked.holdout or () if run not in known]):
-        raise InputError(f"Held-out run {lost[0]} is in none of the {fitted} logs.")
-    for k, log in enumerate(logs):
-        asked.say(f"checking {log.name}")
-        ready, said, mounted = prepared(log, model, drop_bad=asked.drop_bad)
-        held = log.meta.holdout if asked.holdout is None else tuple(asked.holdout)
-        held = held if fitted == 1 else tuple(r for r in held if r in ready.runs)
-        task = Task(ready, model, held_out(ready, held) if k < fitted else (), asked, centre=centre)
-        found = task.opened()
-        centre = found.begun.everything.summary.centre
-        found.mounted, found.notes = mounted.wiring, (*said, *found.judged.notes)
-        out.append(found)
-    return out
-
-
-class _Together:
-    """The logs that are fitted, and their common optimum."""
-
-    def __init__(self, logs: list[Opened], sharing: Sharing, asked: Asked) -> None:
-        self.logs, self.sharing, self.asked = logs, sharing, asked
-        self.numbers = run_numbers([one.begun.everything.summary.runs for one in logs])
-
-    def optimum(self) -> tuple[Solution, list[Errors] | None]:
-        """Return the optimum without outliers, for the noise that each log shows, and errors by log.
-
-        No errors where a quick fit of one log shows nothing amiss.
-        """
-        state = self.solve(self.asked.solver)
-        self._refuse_references(state)
-        if self.asked.quick and not self.logs[0].judged.spiky and self.logs[0].task.in_order(state):
-            self._check()
-            return state, None
-        errors = self.errors(state)
-        whole, state = state, self._without_outliers(state, errors)
-        for g, one in enumerate(self.logs):
-            if one.judged.spiky:
-                again = one.task.judge(one.begun)
-                again.refuse()
-                one.notes += again.notes
-            one.notes += _late(one, self.of_log(state, g))
-        self._check()
-        state = self._with_noise_left(state)
-        return state, errors if state is whole else self.errors(state)
-
-    def solve(self, solver: str, begin_at: np.ndarray | None = None) -> Solution:
-        """Minimise the sum of the costs as they are."""
-        everything = self._sum([one.begun.everything for one in self.logs], self.numbers)
-        fitted = self._sum([one.begun.fitted for one in self.logs], self.numbers)
-        merged = self._sum([one.begun.merged for one in self.logs], [{0: g} for g in range(len(self.logs))])
-        model = self.sharing.joint
-        first = np.clip(self._first() if begin_at is None else begin_at, *model.bounds)
-        found: Determination = determine(fitted, first)
-        held = list(found.held)
-        first[held] = np.clip(model.nominal, *model.bounds)[held]
-        self.asked.say(f"solving with {solver}")
-        best = search(fitted, merged, first, found, solver=solver, seed=self.asked.seed)
-        best = replace(best, p=nearest_turn(model, best.p))
-        return Solution(everything, fitted, found, best)
-
-    def _sum(self, costs: list[Cost], numbers: Sequence[dict[int, int]]) -> Cost:
-        return costs[0] if len(costs) == 1 else joint_cost(self.sharing, costs, numbers)
-
-    def _refuse_references(self, state: Solution) -> None:
-        """Refuse a reference where its sign or order explains the log, and not that of the channels.
-
-        By linear slopes both may; what the fit leaves tells. `state`: the fit with the channels resolved.
-        """
-        for g, one in enumerate(self.logs):
-            for other in one.found.whole if one.wiring is not None else ():
-                if not other.only_references or any(c.factor != 1 for c in other.changes):
-                    continue
-                as_meant = tuple((c.source, c.sign) for c in other.references)
-                task = replace(one.task, log=rewired(one.given, one.task.model.references, as_meant))
-                turned = replace(one, task=task, begun=task.begin(task.summary()))
-                both = _Together([*self.logs[:g], turned, *self.logs[g + 1 :]], self.sharing, self.asked)
-                if CLEARLY * both.solve("direct").search.cost < state.search.cost:
-                    raise InputError(explained(one.given, task.model, [other]).sentence)
-
-    def _check(self) -> None:
-        """Refuse a reference that does not belong."""
-        for one in self.logs:
-            start.check_reference(one.task.model, one.begun.linear.unexplained, one.task.log.name)
-
-    def _first(self) -> np.ndarray:
-        """Return where the search begins: the closed form of all runs, of own parameters that of each log."""
-        if self.asked.start is not None:
-            every = [np.asarray(self.asked.start, dtype=float)] * len(self.logs)
-        elif len(self.logs) == 1:
-            every = [start.closed_form(self.logs[0].begun.merged, self.logs[0].begun.linear)]
-        else:
-            parts = [numbered(one.begun.fitted.summary, known)
-                     for one, known in zip(self.logs, self.numbers, strict=True)]  # fmt: skip
-            pooled = cost_of(joined(parts).merged(), self.logs[0].task.noise.std)
-            shared = start.closed_form(pooled, start.linear_fit(pooled))
-            of_own = np.isin(self.sharing.model.names, self.sharing.own)
-            every = [
-                np.where(of_own, start.closed_form(one.begun.merged, one.begun.linear), shared)
-                if of_own.any() else shared
-                for one in self.logs
-            ]  # fmt: skip
-        first = np.zeros(len(self.sharing.joint.names))
-        for chosen, values in zip(self.sharing.chosen, every, strict=True):
-            first[chosen] = values
-        return first
-
-    def of_log(self, state: Solution, g: int) -> Solution:
-        """Return the optimum as one log sees it: its runs, its parameters."""
-        if len(self.logs) == 1:
-            return state
-        everything, fitted = state.everything.shares[g][0], state.fitted.shares[g][0]
-        return Solution(
-            everything, fitted, restricted(state.determination, self.sharing, g),
-            replace(state.search, p=self.sharing.of_log(g, state.p)),
-        )  # fmt: skip
-
-    def errors(self, state: Solution) -> list[Errors]:
-        """Return the error tables of every log."""
-        return [one.task.errors(self.of_log(state, g), one.keep) for g, one in enumerate(self.logs)]
-
-    def _suspicious(self, state: Solution, errors: Sequence[Errors]) -> list[int]:
-        """Return the logs in which outliers are looked for."""
-        if self.asked.loss != "auto":
-            return [] if self.asked.loss == "none" else list(range(len(self.logs)))
-        return [g for g, own in enumerate(errors)
-                if self.logs[g].task.suspicious(self.of_log(state, g), own)]  # fmt: skip
-
-    def _without_outliers(self, state: Solution, errors: Sequence[Errors]) -> Solution:
-        """Take outliers out of the logs that show any and fit again, until the same samples are left."""
-        if not (loud := self._suspicious(state, errors)):
-            return state
-        whole, tasks = state, {g: self.logs[g].task for g in loud}
-        clean = {g: self.logs[g].begun for g in loud}
-        total, before = sum(begun.samples for begun in clean.values()), -1.0
-        columns = (*self.sharing.model.references, *self.sharing.model.channels)
-        rules = {g: outliers.column_spikes(columns) for g in loud}
-        weigh = suspects = {g: remembered(rules[g], tasks[g].log.rows, columns) for g in loud}
-        for left_over in reversed(range(ROUNDS)):
-            for g in loud:
-                self.logs[g].begun = _weighed(tasks[g], weigh[g], clean[g])
-            left = sum(self.logs[g].begun.samples for g in loud)
-            if left < total:
-                self.asked.say(f"refitting without outliers ({100 * (1 - left / total):.2g} % of the weight)")
-                state = self.solve("direct")
-            self._check()
-            if abs(left - before) <= 1e-6 * total or not left_over:
-                break
-            before = left
-            rules = {g: tasks[g].weigh(self.of_log(state, g), suspects[g]) for g in loud}
-            weigh = {g: remembered(rules[g], tasks[g].log.rows, columns_of(tasks[g].model)) for g in loud}
-        for g, begun in clean.items():
-            one, wrong_for = self.logs[g], rules[g].wrong_for
-            if one.begun.samples < begun.samples:
-                one.keep = weigh[g]
-                one.notes += (_left_out(begun.samples, one.begun.samples, self.asked.loss),)
-            else:
-                one.begun = begun
-            if wrong_for:
-                one.notes += outliers.too_many_note(sorted(wrong_for, key=columns.index))
-        return self.solve(self.asked.solver) if left < total else whole
-
-    def _with_noise_left(self, state: Solution) -> Solution:
-        """Return the optimum with the noise that it leaves where that was estimated."""
-        changed = False
-        for g, one in enumerate(self.logs):
-            noise = noise_followed(one.task.log, self.of_log(state, g).point, one.task.noise, one.keep)
-            if noise is not None:
-                one.task = replace(one.task, log=replace(one.task.log, noise=noise))
-                one.begun = one.task.begin(one.begun.everything.summary)
-                changed = True
-        return self.solve("direct", state.p) if changed else state
-
-
 def restricted(found: Determination, sharing: Sharing, g: int) -> Determination:
     """Return what is determined of the parameters of one log."""
     chosen, names = sharing.chosen[g], sharing.model.names
@@ -695,36 +452,3 @@ def restricted(found: Determination, sharing: Sharing, g: int) -> Determination:
     held = tuple(place[k] for k in found.held if k in place)
     return replace(found, scale=found.scale[chosen], null=found.null[chosen], held=held,
                    structural=tuple(structural))  # fmt: skip
-
-
-def _weighed(task: Task, weigh: Weigh, clean: Begun) -> Begun:
-    """Return the costs of a log with weights; those without, if no sample lost any."""
-    whole = batches(continuous(task.log, task.model), columns_of(task.model))
-    lost = any((np.asarray(b.weights(weigh)) < 1).any() for b in whole)  # most logs have no spike
-    return task.begin(task.summary(weigh)) if lost else clean
-
-
-def _left_out(total: float, left: float, loss: str) -> str:
-    """Return what to say of the weight that outliers lost."""
-    share = f"{100 * (total - left) / total:.2g} %"
-    if loss == "tukey":
-        return f"Tukey's biweight took {share} of the weight."
-    return (
-        f"{total - left:.0f} of {total:.0f} samples ({share}) are isolated spikes and were left out of fit "
-        "and error tables (--loss none keeps them)."
-    )
-
-
-def _late(one: Opened, state: Solution) -> tuple[str, ...]:
-    late = lateness(one.task.log, one.task.model, state.p, state.zeros(), state.fitted)
-    return () if late is None else (late,)
-
-
-def _judged(one: Opened, known: Solution) -> Solved:
-    """Return a held-out log, decoded with the parameters of the others; all of its runs are held out."""
-    everything = one.begun.everything
-    state = Solution(everything, everything, known.determination, known.search)
-    errors = replace(one.task.errors(state, None), holdout=everything.summary.runs)
-    one.notes += _late(one, state)
-    start.check_reference(one.task.model, one.begun.linear.unexplained, one.task.log.name)
-    return one.solved(state, errors)

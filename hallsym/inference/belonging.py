@@ -19,7 +19,7 @@ from hallsym.errors import InputError
 from hallsym.estimation import Evaluation, Fit, GoodnessOfFit, fit, noise_at
 from hallsym.estimation.calibration import coverage_factor
 from hallsym.estimation.covariance import BY_RUNS
-from hallsym.estimation.normal_equations import SINGULAR, pseudo_inverse, unit_scale
+from hallsym.estimation.factors import SINGULAR, pseudo_inverse, unit_scale
 from hallsym.inference.parameter_changes import Estimate, ParameterChange, changes, welch
 from hallsym.log import Noise, Sigma
 

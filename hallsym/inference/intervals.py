@@ -9,8 +9,8 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.estimation import MANY, coverage_factor
 from hallsym.estimation.covariance import BY_RUNS
+from hallsym.estimation.factors import inverse
 from hallsym.estimation.likelihood import Cost
-from hallsym.estimation.normal_equations import inverse
 from hallsym.inference.bootstrap import bootstrap
 from hallsym.inference.evidence import Evidence
 from hallsym.inference.profiles import Profile, profile, skewness

@@ -18,8 +18,8 @@ import scipy
 
 import solvers
 from hallsym.estimation.calibration import INTERVAL
+from hallsym.estimation.factors import pseudo_inverse
 from hallsym.estimation.likelihood import Cost
-from hallsym.estimation.normal_equations import pseudo_inverse
 from hallsym.estimation.optimum import Scaled, scaled_around
 from hallsym.model.quantities import Quantity
 

@@ -179,7 +179,7 @@ def _kinds(column: Sequence) -> set[tuple[tuple[int, ...], Any]]:
 
 
 def _stack(entries: list, shape: tuple[int, ...], real: type) -> np.ndarray:
-    result = np.empty((len(entries), *shape), dtype=real)
+    result: np.ndarray = np.empty((len(entries), *shape), dtype=real)
     for row, entry in enumerate(entries):
         result[row] = entry
     return result

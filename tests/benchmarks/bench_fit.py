@@ -21,7 +21,7 @@ import numpy as np
 from scipy import optimize, sparse
 
 from hallsym.estimation import Cost, Fit, cost_of, determine, fit, refit, summarise
-from hallsym.estimation.start import closed_form, linear_fit
+from hallsym.estimation.optimum import closed_form, linear_fit
 from hallsym.families import build, published
 from hallsym.inference import identify, profile, tangent
 from hallsym.inference.bootstrap import bootstrap

@@ -14,7 +14,7 @@ import numpy as np
 import hallsym
 import solvers
 from hallsym.estimation import cost_of, determine, noise_of, summarise
-from hallsym.estimation.start import closed_form, linear_fit
+from hallsym.estimation.optimum import closed_form, linear_fit
 
 BUDGET, SIZE, KEEP, SAME = 20_100, 100, 3, 1e-6
 

@@ -15,8 +15,8 @@ from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose, load_effects, model_on
 from hallsym.errors import InputError
 from hallsym.estimation import cost_near, cost_of, error_tables, exact, zeros_of
-from hallsym.estimation.gauss_newton import judged
-from hallsym.estimation.linearised import summarise_at
+from hallsym.estimation.evaluate import judged
+from hallsym.estimation.factors import summarise_at
 from hallsym.families import adapted, build, effects
 from hallsym.families.faults import FAULTS
 from hallsym.families.mechanisms import nonlinearity, port

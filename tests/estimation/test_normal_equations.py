@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hallsym.estimation import inverse, pseudo_inverse, solve
-from hallsym.estimation.normal_equations import eliminate
+from hallsym.estimation.factors import eliminate
 
 RUNS, OFFSETS, SHARED = 6, 3, 5
 UNITS = 10.0 ** np.array([-6, -6, -6, 0, 3, -7, 5, 0])

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from twins import SIGMAS, Chopped, cost_on, record, true_model, with_noise
 
 from hallsym.estimation import cost_of, determine, refit, summarise
-from hallsym.estimation.run_statistics import RunStatistics
+from hallsym.estimation.factors import RunStatistics
 from hallsym.log import Log
 
 EXACT_STATE = {**SIGMAS, "z_m": 0.0, "rx_rad": 0.0, "ry_rad": 0.0}

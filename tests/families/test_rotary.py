@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import hallsym
 from hallsym.estimation import cost_of, refit, summarise
-from hallsym.estimation.gauss_newton import judged
+from hallsym.estimation.evaluate import judged
 from hallsym.families.cordic import cordic_angle
 from hallsym.families.published import table
 from hallsym.families.rotary import FAMILY

@@ -10,7 +10,7 @@ import hallsym
 from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose, model_on
 from hallsym.errors import InputError
-from hallsym.estimation.gauss_newton import judged
+from hallsym.estimation.evaluate import judged
 from hallsym.families import adapted, build, effects
 from hallsym.families.faults import FAULTS
 from hallsym.families.rotary import FAMILY as ROTARY_FAMILY

@@ -12,7 +12,7 @@ import hallsym
 from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose
 from hallsym.errors import InputError
-from hallsym.estimation.gauss_newton import judged
+from hallsym.estimation.evaluate import judged
 from hallsym.families import build, default_model
 from hallsym.log import Log, Meta, Noise, check_log, continuous, wrapped
 from hallsym.report.text.fit import circumstances

@@ -15,7 +15,7 @@ import hallsym
 from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose
 from hallsym.errors import InputError
-from hallsym.estimation.gauss_newton import judged
+from hallsym.estimation.evaluate import judged
 from hallsym.log import Log, Meta, Noise, read_log
 
 ROOT = Path(__file__).resolve().parents[2]
