@@ -1,0 +1,252 @@
+"""What the engine costs, each piece of work beside a peer in the same process.
+
+    OPENBLAS_NUM_THREADS=1 python tests/benchmarks/bench_engine.py
+    python tests/benchmarks/bench_engine.py --quick
+    python tests/benchmarks/bench_engine.py --only diagnosis
+
+`s`: processor seconds, the least of several turns where a turn is short. `peer`: what it is compared with, in
+processor seconds of the same process: for a fit of a log in memory Gauss-Newton as someone with numpy writes
+it, the offsets of each run eliminated, from the closed form of ours; for a fit from a file reading that file
+alone; for a diagnosis a direct fit of the same log. `MB`: peak memory of the process, which holds the log,
+numpy, scipy and CasADi too. Each row is a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+from _noisy_logs import log_of
+from bench_fit import MODEL, SIGMA, ByHand, in_memory, refits
+
+from hallsym import diagnose, fit, read_log, write_log
+from hallsym.families import effect_named, published
+from hallsym.families.halbach.layout import Sensor
+from hallsym.families.halbach.planar import halbach_planar, pinwheel
+from hallsym.log import Log, Meta, Noise
+from hallsym.model.arrays import on_arrays
+from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simulate, sine
+
+SETTLED = 1e-12
+"""Relative decrease of the cost below which the peer stops."""
+AXES = {"x_m": 300e-6, "y_m": 500e-6, "rz_rad": 300e-6, "z_m": 1e-4, "rx_rad": 2e-4, "ry_rad": 2e-4}
+PACE, STEP_S = (1.0, 1.55, 1.25, 0.35, 0.45, 0.3), 4e-3
+LATE_S = 1e-4
+TURNS = 7
+HALBACH = Path(__file__).parents[2] / "data" / "halbach"
+Row = tuple[float, float, str]
+"""Processor seconds, those of the peer, and what the peer is."""
+
+
+def least(turns: int, action: Callable[[], Any]) -> tuple[float, Any]:
+    """Return the least processor seconds of several turns, and what the last one returned."""
+    seconds = []
+    for _ in range(turns):
+        began = process_time()
+        answer = action()
+        seconds.append(process_time() - began)
+    return min(seconds), answer
+
+
+def by_hand(task: ByHand, free: Sequence[int]) -> float:
+    """Return the cost that Gauss-Newton reaches: parameters of all runs, the offsets of a run eliminated."""
+    x, n, runs = task.start.copy(), len(MODEL.names), int(task.run[-1]) + 1
+    starts, before = np.searchsorted(task.run, np.arange(runs)), np.inf
+    while True:
+        H, g, cost, follow = np.zeros((n, n)), np.zeros(n), 0.0, []
+        for k, s in enumerate(task.sigma):
+            expected, slopes = task.probe(k, x)
+            left, J = (task.readings[k] - expected) / s, slopes / s
+            cost += float(left @ left)
+            own, J = J[:, 7], J[:, :7]
+            square = np.add.reduceat(own * own, starts)
+            across = np.add.reduceat(J * own[:, None], starts)
+            mean = np.add.reduceat(own * left, starts)
+            at = task.where[k]
+            H[np.ix_(at, at)] += J.T @ J - across.T @ (across / square[:, None])
+            g[at] += J.T @ left - across.T @ (mean / square)
+            follow.append((at, across, mean, square))
+        if before - cost <= SETTLED * cost:
+            return cost
+        before, step = cost, np.zeros(n)
+        unit = 1 / np.sqrt(np.diag(H)[free])
+        step[free] = unit * np.linalg.solve(H[np.ix_(free, free)] * np.outer(unit, unit), unit * g[free])
+        x[:n] += step
+        for k, (at, across, mean, square) in enumerate(follow):
+            x[n:].reshape(-1, 3)[:, k] += (mean - across @ step[at]) / square
+
+
+def campaign(samples: int) -> dict[str, np.ndarray]:
+    """The paper's campaign with so many samples in each of its 57 runs."""
+    values = published.values("table7_estimates")
+    return simulate(MODEL, values, paper_campaign(step_s=1.0 / samples), NoiseModel(SIGMA), seed=872)
+
+
+def moving(runs: int, samples: int, speed: float) -> Log:
+    """Runs that move every axis at once, some of them `speed` times in each second."""
+    rng, made = np.random.default_rng(0), []
+    for _ in range(runs):
+        motion = {
+            axis: sine(a * rng.uniform(0.5, 1), speed * f * rng.uniform(0.8, 1.2), rng.uniform(0, 6.28))
+            for (axis, a), f in zip(AXES.items(), PACE, strict=True)
+        }
+        made.append(Run(samples * STEP_S, {}, motion))
+    values = published.values("table7_estimates")
+    columns = simulate(MODEL, values, Campaign(STEP_S, tuple(made)), NoiseModel(SIGMA), seed=1)
+    return Log.from_arrays(columns, Noise.given(SIGMA, tuple(columns)))
+
+
+def direct(samples: int, stated: bool) -> Row:
+    """A direct fit of a log in memory."""
+    columns = campaign(samples)
+    exact = in_memory(columns, exact=True)
+    known = fit(exact, MODEL, solver="direct", loss="none")
+    task, free = ByHand(exact), [k for k, n in enumerate(MODEL.names) if n not in known.held]
+    seconds, cost = least(TURNS, lambda: by_hand(task, free))
+    assert abs(cost / known.solver["cost"] - 1) < 1e-9
+
+    def ours() -> Any:
+        log = in_memory(columns) if stated else Log.from_arrays(columns)
+        return fit(log, MODEL, solver="direct")
+
+    ours()
+    return least(TURNS, ours)[0], seconds, "Gauss-Newton by hand"
+
+
+def hybrid(samples: int) -> Row:
+    """The default fit."""
+    columns = campaign(samples)
+    fit(in_memory(columns), MODEL)
+    seconds, _ = least(TURNS, lambda: fit(in_memory(columns), MODEL))
+    return seconds, least(TURNS, lambda: fit(in_memory(columns), MODEL, solver="direct"))[0], "direct"
+
+
+def refitted(samples: int) -> Row:
+    """A refit to runs drawn with replacement."""
+    columns = campaign(samples)
+    peer, found = least(TURNS, lambda: fit(in_memory(columns), MODEL, solver="direct"))
+    return least(TURNS, lambda: refits(found, 200))[0] / 200, peer, "direct"
+
+
+def from_file(samples: int, suffix: str, fitted: bool) -> Row:
+    """Read a file, and fit what it holds."""
+    columns = campaign(samples)
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, f"log.{suffix}")
+        write_log(in_memory(columns), path)
+        Path(folder, "meta.json").write_text(json.dumps({"noise_1sigma": SIGMA}))
+
+        def bare() -> Any:
+            if suffix == "csv":
+                return pyarrow.csv.read_csv(path, pyarrow.csv.ReadOptions(use_threads=False))
+            return pyarrow.parquet.read_table(path, use_threads=False)
+
+        def ours() -> Any:
+            log = read_log(folder if fitted else path)
+            return (
+                fit(log, MODEL, solver="direct") if fitted else sum(len(b.data["t_s"]) for b in log.blocks())
+            )
+
+        ours()
+        return least(TURNS, ours)[0], least(TURNS, bare)[0], "reading alone"
+
+
+def diagnosed(log: Log) -> Row:
+    """A diagnosis, the first of its process, beside a direct fit of the same log."""
+    seconds, _ = least(1, lambda: diagnose(log))
+    return seconds, least(3, lambda: fit(log, solver="direct"))[0], "direct"
+
+
+def skewed(runs: int) -> Log:
+    """The paper's machine with references that are late, at 1.2 times the noise floor or so."""
+    late = effect_named("time_skew", MODEL)
+    made = {"make": lambda model: late.added(model, "time_skew"), "parameters": {"tau_time_skew": LATE_S}}
+    return log_of("stage", "white", runs, 5, **made)
+
+
+def mover() -> Log:
+    """A planar mover over 72 single sensors, 1,700 samples of smooth motion in all six coordinates."""
+    sums = [one for one in pinwheel() if isinstance(one, Sensor)]
+    arrays = [one for one in pinwheel() if not isinstance(one, Sensor)]
+    single = [
+        Sensor(f"hall_{k}_{j}_v", (place,), one.array)
+        for k, one in enumerate(sums)
+        for j, place in enumerate(one.positions)
+    ]
+    model, rng, runs, n = halbach_planar((*single, *arrays)), np.random.default_rng(2), 10, 170
+    turns = rng.uniform(0.5, 2.0, (runs, 6, 1)) * np.linspace(0, 2 * np.pi, n) + rng.uniform(
+        0, 6, (runs, 6, 1)
+    )
+    stroke = np.array([0.0125, 0.0125, 2e-3, 0.01, 0.01, 0.01])[:, None]
+    poses = np.hstack([*(np.sin(turns) * stroke)]) + np.array([0, 0, 6.5e-3, 0, 0, 0])[:, None]
+    sigma = dict.fromkeys(model.channels, 1e-4) | dict.fromkeys(model.references, 1e-7)
+    (volts,) = on_arrays(model.reading)(model.nominal, [], [*poses], [])
+    columns = dict(zip((*model.references, *model.channels), (*poses, *volts), strict=True))
+    columns = {c: v + sigma[c] * rng.standard_normal(len(v)) for c, v in columns.items()}
+    clock = {"run": np.repeat(np.arange(runs), n), "t_s": 1e-2 * np.arange(runs * n)}
+    known, probes = Noise.given(sigma, tuple(columns)), [dict(part.entry) for part in model.layout]
+    return Log.from_arrays(clock | columns, known, Meta(base_model=model.name, probes=probes))
+
+
+def quick_fit(machine: str) -> Row:
+    """One fit of a fleet, of a log in memory, beside a direct fit with error tables."""
+    log = log_of(machine, "white", 57 if machine == "stage" else 8, 5)
+    fit(log, solver="direct", quick=True)
+    peer, _ = least(7, lambda: fit(log, solver="direct"))
+    return least(7, lambda: fit(log, solver="direct", quick=True))[0], peer, "direct"
+
+
+def of_machine(make: Callable[..., Log], *how: Any) -> Row:
+    """A diagnosis of a log that is made in the process."""
+    return diagnosed(make(*how))
+
+
+WORK: dict[str, tuple[str, Callable[..., Row], tuple]] = {
+    "direct fit 57 x 500, noise stated": ("1.5", direct, (500, True)),
+    "direct fit 57 x 500, noise not stated": ("2.5", direct, (500, False)),
+    "hybrid 57 x 500": ("50 ms", hybrid, (500,)),
+    "refit 57 x 500": ("2 ms", refitted, (500,)),
+    "57 x 5000 from Parquet": ("3.5", from_file, (5000, "parquet", True)),
+    "62 MB of CSV, read": ("450 ms", from_file, (6000, "csv", False)),
+    "fleet, one encoder": ("11 ms", quick_fit, ("rotary",)),
+    "fleet, one stage": ("17 ms", quick_fit, ("stage",)),
+    "diagnosis, no effect": ("1.5 s", of_machine, (log_of, "stage", "white", 57, 5)),
+    "diagnosis, one effect": ("3 s", of_machine, (skewed, 57)),
+    "diagnosis of an array, 2,400 rows": ("5 s", of_machine, (read_log, HALBACH)),
+    "diagnosis of a mover, 72 sensors": ("40 s, 1 GB", of_machine, (mover,)),
+    "diagnosis, 2,000 runs of 50": ("8 s, 400 MB", of_machine, (moving, 2000, 50, 20.0)),
+    "diagnosis, long: 57 x 88,000": ("30 s, 400 MB", of_machine, (moving, 57, 88_000, 2.0)),
+}
+"""Name of each piece of work: what is wanted of it (a ratio to its peer, or a time), what measures it."""
+
+
+def measured(name: str) -> tuple[str, Row, float]:
+    """Measure one piece of work; return its name, its row and the peak memory of this process [MB]."""
+    _, action, how = WORK[name]
+    return name, action(*how), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", default="", help="rows whose name holds this")
+    parser.add_argument("--quick", action="store_true", help="fits of logs in memory alone")
+    asked = parser.parse_args()
+    chosen = [name for name in WORK if asked.only in name and (not asked.quick or "57 x 500" in name)]
+    print("| work | s | peer | s | x | wanted | MB |\n|---|---|---|---|---|---|---|")
+    for name in chosen:
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            _, (seconds, peer, what), most = pool.submit(measured, name).result()
+        ratio = f"{what} | {peer:.3g} | {seconds / peer:.3g}"
+        print(f"| {name} | {seconds:.3g} | {ratio} | {WORK[name][0]} | {most:.0f} |", flush=True)
