@@ -9,6 +9,7 @@ import json
 import re
 import string
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -230,10 +231,14 @@ def _model(source: Source, name: str | None, meta: Meta) -> Model:
             total += BARE * len(told[:1])
         return total / len(_stems(model))
 
-    stated = name or meta.base_model
-    names = [stated] if stated else [family.default for family in FAMILIES]
     own = tuple(si_name(n) for n in source.names if _own(n))
-    return max((form for name in names for form in _forms(name, own, meta)), key=fits)
+    if stated := name or meta.base_model:
+        return max(_forms(stated, own, meta), key=fits)
+    found: list[Model] = []
+    for family in FAMILIES:
+        with suppress(InputError):  # of a family whose code fails, which nobody has asked for
+            found += _forms(family.default, own, meta)
+    return max(found, key=fits)
 
 
 def _forms(name: str, own: tuple[str, ...], meta: Meta) -> list[Model]:
