@@ -66,7 +66,7 @@ def of_magnets(s: Signals, model: Model, shares: Mapping[tuple[str, int], ca.SX]
         field = _magnets(array, tuple(of), part)
         return field(e.u - s["crest"], e.height, e.up, e.along, size, ca.vertcat(*of.values()))
 
-    rows = [s["seen"](k) for k in range(len(model.channels))]
+    rows = [s.functions["seen"](s, k) for k in range(len(model.channels))]
     return ca.vertcat(*(sum(map(seen_by, row), ca.SX(0)) / len(row) for row in rows))
 
 
@@ -161,7 +161,7 @@ def forbidden_harmonics(
     def step(s: Signals, p: P) -> None:
         rows = []
         for k in range(len(model.channels)):
-            rows.append(s["harmonic"](k, order, p[f"a{order}"], p[f"b{order}"]))
+            rows.append(s.functions["harmonic"](s, k, order, p[f"a{order}"], p[f"b{order}"]))
         s["field"] = s["field"] + ca.vertcat(*rows)
 
     new = tuple(

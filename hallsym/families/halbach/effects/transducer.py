@@ -5,7 +5,7 @@ import casadi as ca
 from hallsym.errors import InputError
 from hallsym.families.halbach import links
 from hallsym.families.halbach.layout import arrays, sensors
-from hallsym.families.halbach.links import FIELD, LATER
+from hallsym.families.halbach.links import FIELD, FILTER, LATER
 from hallsym.families.mechanisms import (
     EVEN,
     LOW_PASS,
@@ -119,7 +119,7 @@ def first_order_lag(
         for coordinate, column in zip(model.pose, model.references, strict=True):
             links.move(s, coordinate, s[f"d1_{column}"] * later + s[f"d2_{column}"] * later**2 / 2)
 
-        def low_passed(field: ca.SX) -> ca.SX:
+        def low_passed(s: Signals, field: ca.SX) -> ca.SX:
             tau = ca.vertcat(*(p[n] for n in names)) if per == "channel" else p[names[0]]
             out = slope = field
             for n, factor in enumerate(LOW_PASS, start=1):
@@ -127,7 +127,7 @@ def first_order_lag(
                 out = out + factor * tau**n * slope
             return ca.substitute(out, later, ca.SX(0))
 
-        s["filters"].append(low_passed)
+        s.functions[FILTER] = low_passed
 
     return model.with_columns(*columns).with_step("clock", step, effect="first_order_lag", parameters=new)
 
