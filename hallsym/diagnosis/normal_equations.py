@@ -143,8 +143,9 @@ def _rows_of(
 ) -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
     """Function, channels and columns of a `Slope` with respect to some parameters at their values."""
     s = model.symbols
-    slope = ca.jacobian(s.full(s.reading), s.parameters[index])
-    slope = ca.sparsify(ca.substitute(slope, s.parameters[index], ca.DM(at)))
+    slope = ca.jacobian(s.reading, s.parameters[index])  # what is derived depends on no parameter
+    known = ca.vertcat(s.parameters[index], s.derived), ca.vertcat(ca.SX(ca.DM(at)), s.derived_as)
+    slope = ca.sparsify(ca.substitute(slope, *known))
     channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
     order = np.lexsort((column, channel))
     entries = slope.nonzeros()

@@ -10,6 +10,7 @@ leave behind, so there is one copy of the mathematics.
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import takewhile
 from typing import Any
 
 import casadi as ca
@@ -47,17 +48,43 @@ class Signals(dict):
 
     Keys set before the first step: the columns of pose and state. `derive` adds a data-only quantity (such
     as 1 - cos Rz) that is not polynomial in the columns, so that readings stay polynomial in data.
+    `functions`: what a step leaves for later ones to call with the signals of that moment.
     """
 
     def __init__(self, columns: Iterable[str]) -> None:
         super().__init__({name: ca.SX.sym(name) for name in columns})
         self.derived: dict[str, tuple[ca.SX, ca.SX]] = {}
+        self.functions: dict[str, Callable[..., Any]] = {}
+
+    def copied(self) -> "Signals | None":
+        """Return the signals for another chain that goes on from here.
+
+        None where one is no expression, number or container of these: it may hold these very signals.
+        """
+        out = Signals(())
+        try:
+            out.update({k: ca.SX(v) if isinstance(v, ca.SX) else _copied(v) for k, v in self.items()})
+        except TypeError:
+            return None
+        out.derived, out.functions = dict(self.derived), dict(self.functions)
+        return out
 
     def derive(self, name: str, expression: ca.SX) -> ca.SX:
         """Return the symbol that stands for `expression` of the columns; made at the first call."""
         if name not in self.derived:
             self.derived[name] = (ca.SX.sym(name), expression)
         return self.derived[name][0]
+
+
+def _copied(value: Any) -> Any:
+    """A value whose containers are new ones. Raises `TypeError` where it may hold what is not seen here."""
+    if isinstance(value, ca.SX | ca.DM | float | int | str):
+        return value
+    if isinstance(value, dict):
+        return {key: _copied(v) for key, v in value.items()}
+    if type(value) in (list, tuple):
+        return type(value)([_copied(v) for v in value])
+    raise TypeError
 
 
 Step = Callable[[Signals, Mapping[str, ca.SX]], None]
@@ -136,6 +163,8 @@ class Model:
     inspect: "Callable[..., Inspection] | None" = None
     """`(model, log, fitted=True)`: what the family says of a log before it is fitted, or judged. Raises
     `InputError`."""
+    before: "Model | None" = field(default=None, repr=False)
+    """The model that this one was made from; it shares the expressions up to the first step that differs."""
 
     def with_step(
         self,
@@ -161,6 +190,7 @@ class Model:
             parameters=self.parameters + parameters,
             zeros=self.zeros + zeros,
             effects=(*self.effects, effect),
+            before=self,
         )
 
     def with_columns(self, *columns: "str | Computed") -> "Model":
@@ -171,7 +201,7 @@ class Model:
             if name not in state:
                 state.append(name)
                 computed += [] if isinstance(column, str) else [column]
-        return replace(self, state=tuple(state), computed=tuple(computed))
+        return replace(self, state=tuple(state), computed=tuple(computed), before=self)
 
     def with_parameters(self, changes: Mapping[str, Mapping[str, Any]]) -> "Model":
         """Return a model with other nominal values or bounds: `{"H1x": {"nominal": .2, "lower": .1}}`."""
@@ -185,7 +215,7 @@ class Model:
         def changed(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
             return tuple(replace(p, **dict(changes.get(p.name, {}))) for p in parameters)
 
-        model = replace(self, parameters=changed(self.parameters), zeros=changed(self.zeros))
+        model = replace(self, parameters=changed(self.parameters), zeros=changed(self.zeros), before=self)
         for p in (*model.parameters, *model.zeros):
             if not p.lower <= p.upper:
                 raise InputError(
@@ -255,27 +285,37 @@ class Model:
     # -- expressions -------------------------------------------------------------------------------------
 
     @cached_property
-    def _chain(self) -> tuple[Signals, dict[str, ca.SX], dict[str, ca.SX]]:
-        signals = Signals((*self.pose, *self.state))
-        p = {name: ca.SX.sym(name) for name in self.names}
-        zeros = {z.name: ca.SX.sym(z.name) for z in self.zeros}
-        for _, step in self.steps:
+    def _chain(self) -> "Chain":
+        before = self.before
+        while before and "_chain" not in before.__dict__:  # one that nobody has asked for
+            before = before.before
+        known = before._chain if before else Chain({}, {}, {}, [], Signals(()))
+        pairs = zip(self.steps, before.steps if before else (), known.snapshots[1:], strict=False)
+        start = sum(1 for _ in takewhile(lambda own: own[0] is own[1] and own[2] is not None, pairs))
+        signals = (known.snapshots[start].copied() if start else None) or Signals(())
+        for column in (*self.pose, *self.state):
+            signals.setdefault(column, known.columns.setdefault(column, ca.SX.sym(column)))
+        p = {name: known.parameters.get(name, ca.SX.sym(name)) for name in self.names}
+        zeros = {z.name: known.zeros.get(z.name, ca.SX.sym(z.name)) for z in self.zeros}
+        snapshots = [*known.snapshots[:start], signals.copied()]
+        for _, step in self.steps[start:]:
             step(signals, {**p, **zeros})
-        return signals, p, zeros
+            snapshots.append(signals.copied())
+        return Chain(known.columns, p, zeros, snapshots, signals)
 
     @cached_property
     def symbols(self) -> "Symbols":
         """The symbols and the reading of the chain, with derived quantities still symbols of their own."""
-        signals, p, zeros = self._chain
+        chain = self._chain
+        signals = chain.signals
+        derived = list(signals.derived.values())
         return Symbols(
-            parameters=ca.vertcat(*p.values()),
-            zeros=ca.vertcat(*zeros.values()) if zeros else ca.SX(0, 1),
+            parameters=ca.vertcat(*chain.parameters.values()),
+            zeros=_column(chain.zeros.values()),
             pose=ca.vertcat(*(signals[c] for c in self.pose)),
-            state=ca.vertcat(*(signals[c] for c in self.state)) if self.state else ca.SX(0, 1),
-            derived=ca.vertcat(*(s for s, _ in signals.derived.values())) if signals.derived else ca.SX(0, 1),
-            derived_as=ca.vertcat(*(e for _, e in signals.derived.values()))
-            if signals.derived
-            else ca.SX(0, 1),
+            state=_column(signals[c] for c in self.state),
+            derived=_column(s for s, _ in derived),
+            derived_as=_column(e for _, e in derived),
             reading=signals["reading"],
             gain=signals["gain"] if "gain" in signals else ca.SX.ones(len(self.channels)),
             displacement=signals["displacement"] if "displacement" in signals else ca.SX(0, 1),
@@ -382,13 +422,33 @@ class Model:
     @cached_property
     def combined(self) -> ca.Function:
         """Values of the readable combinations, `(parameters) -> (n_combinations,)`."""
-        _, p, _ = self._chain
+        p = self._chain.parameters
         values = [c.value(p) for c in self.combinations]
         return ca.Function(
             "combined",
             [ca.vertcat(*p.values())],
             [ca.densify(ca.vertcat(*values)) if values else ca.DM(0, 1)],
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """The symbols of a model and its signals at the end of the chain, which longer chains go on from.
+
+    `columns`: of all models that share them. `snapshots`: the signals before each step and after the last,
+    None where they cannot be copied (`Signals.copied`).
+    """
+
+    columns: dict[str, ca.SX]
+    parameters: dict[str, ca.SX]
+    zeros: dict[str, ca.SX]
+    snapshots: list[Signals | None]
+    signals: Signals
+
+
+def _column(entries: Iterable[ca.SX]) -> ca.SX:
+    listed = list(entries)
+    return ca.vertcat(*listed) if listed else ca.SX(0, 1)
 
 
 @dataclass(frozen=True, eq=False)
