@@ -2,13 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from hallsym.diagnosis.policy import Policy
 from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.inference import Estimate
 from hallsym.records import plain, schema_of, structured
 from hallsym.shown import Shown
+
+LARGER: Final = "noise larger than stated"
+"""The verdict of a log whose excess over the stated noise is noise."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """The Diagnosis, put together from what the stages found. Nothing is decided here."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from time import perf_counter
 
 import casadi as ca
@@ -9,12 +10,11 @@ import numpy as np
 from hallsym.codegen import cost_of
 from hallsym.codegen.operations import graph
 from hallsym.diagnosis.confusable import Confusable, smaller_findings
-from hallsym.diagnosis.curve_words import shape
 from hallsym.diagnosis.decoded_errors import decoded_errors, waves
 from hallsym.diagnosis.faults import Fault, wiring_p, wirings
-from hallsym.diagnosis.localisation import Located, located
-from hallsym.diagnosis.noise import LARGER, noise_text, with_noise
+from hallsym.diagnosis.localisation import Located, located, shape, sizes
 from hallsym.diagnosis.record import (
+    LARGER,
     Diagnosis,
     FoundEffect,
     Gap,
@@ -31,9 +31,8 @@ from hallsym.diagnosis.refit import Refitted
 from hallsym.diagnosis.residual_table import both
 from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Setup
-from hallsym.diagnosis.shares import sizes
 from hallsym.diagnosis.validation import QUIET, Held, Validation, Verdict, closed
-from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit
+from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit, noise_text
 from hallsym.errors import InputError, counted
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.residual_noise import ResidualNoise
@@ -147,7 +146,8 @@ def _located(
     """
     start, runs = found.start.base, setup.base.log.runs
     if loud is not None:
-        start = with_noise(start, loud)
+        larger = np.array([max(loud.by_sensor[c], 1.0) for c in start.model.channels])
+        start = replace(start, covariance=start.covariance * np.outer(larger, larger))
     plain = start.on_all
     floor = found.floor.metric * (1.0 if loud is None else loud.ratio)
     if found.before.metric > floor * (1 + setup.policy.negligible):

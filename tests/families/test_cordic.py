@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import hallsym
 from hallsym.cli.main import main
 from hallsym.diagnosis import POLICY, diagnose
-from hallsym.diagnosis.cordic import cordic
+from hallsym.diagnosis.faults import cordic
 from hallsym.families.cordic import cordic_angle, levels, worst_of
 from hallsym.log import Log, Meta, Noise
 from hallsym.simulation import read_campaign
