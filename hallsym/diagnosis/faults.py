@@ -16,6 +16,7 @@ from scipy.special import chdtrc, fdtrc, fdtri, gammainc, stdtr
 from hallsym.diagnosis.p_values import as_often, beyond, statistic_at
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.regression import NIL
+from hallsym.diagnosis.residual_table import sums
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.survey import TOLERANCE, WINDOW, Survey
 from hallsym.diagnosis.words import shown
@@ -321,12 +322,9 @@ def wiring_p(base: Base, log: Log, runs: Sequence[int]) -> float:
     `base` holds the log as rewired. The score of a run is what its readings differ by from the rewired ones,
     times what the model leaves of them; its noise is the same times what is left after rewiring.
     """
-    wanted = frozenset(runs)
-    scores: dict[int, float] = {}
-    noise: dict[int, float] = {}
-    whiten = base.whiten
+    wanted, whiten, found = frozenset(runs), base.whiten, []
     for now, was in zip(pieces(base, wanted), pieces(replace(base, log=log), wanted), strict=True):
         moved = (whiten @ (was.readings - now.readings)) * now.used
-        scores[now.run] = scores.get(now.run, 0.0) + float((moved * was.residual).sum())
-        noise[now.run] = noise.get(now.run, 0.0) + float((moved * now.residual).sum())
-    return beyond(np.array(list(scores.values())), np.array(list(noise.values())))
+        found.append((now.run, (moved * was.residual).sum(), (moved * now.residual).sum()))
+    run, score, noise = np.array(found).T
+    return beyond(sums(score, run), sums(noise, run))

@@ -1,8 +1,9 @@
 """The Diagnosis, put together from what the stages found. Nothing is decided here."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from time import perf_counter
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -65,6 +66,8 @@ def report(
     where, rest = _located(setup, selection, found, verdict, loud)
     left = unexplained(rest, 1 - share) if rest else None
     gap_after = found.before.gap if quiet else _gap_after(found)
+    log = setup.fit.log
+    span = {column: (low, high) for column, (low, high) in log["span"].items()}
     return Diagnosis(
         verdict=verdict,
         sentence=sentence(setup, verdict, named, alike.instead_of, metric, noise),
@@ -88,7 +91,7 @@ def report(
         smaller_findings=smaller_findings(setup, selection, found, effects if quiet else ()),
         threshold=setup.threshold,
         model=setup.fit.model.name,
-        log=_log(setup),
+        log=LogRecord(log["path"], log["sha256"], log["rows"], log["runs"], tuple(log["holdout"]), span),
         notes=tuple(dict.fromkeys(setup.fit.notes)),
         seconds=perf_counter() - setup.began,
         versions=dict(setup.fit.versions),
@@ -116,18 +119,6 @@ def unexplained(found: Located, share: float) -> Unexplained:
     """Return what is left, as `located` found it; `share`: part of the gap above the noise floor."""
     curve = found.curves[0] if found.curves else None
     return Unexplained(share, shape(curve, found.fitted) if curve and found.fitted else None)
-
-
-def _log(setup: Setup) -> LogRecord:
-    log = setup.fit.log
-    return LogRecord(
-        path=log["path"],
-        sha256=log["sha256"],
-        rows=log["rows"],
-        runs=log["runs"],
-        holdout=tuple(log["holdout"]),
-        span={column: (low, high) for column, (low, high) in log["span"].items()},
-    )
 
 
 def _gap_after(found: Validation) -> Gap:
@@ -347,19 +338,36 @@ def _note(ended: Sequence[str], blind: Sequence[str]) -> str:
     return " ".join(said)
 
 
+def _repaired(
+    setup: Setup,
+    name: str,
+    variant: str,
+    p_value: float,
+    shrinkage: float,
+    share: float,
+    cost: str = "no parameter: a repair, not a model",
+    parameters: Mapping[str, Estimate] = MappingProxyType({}),
+) -> FoundEffect:
+    """Return a fault of the recording; `p_value`: uncorrected."""
+    return FoundEffect(
+        name=name,
+        link=FAULTS[name].link,
+        variant=variant,
+        parameters=dict(parameters),
+        p_value=min(1.0, p_value * setup.tested),
+        shrinkage=shrinkage,
+        interval=None,
+        share=share,
+        cost=cost,
+        note=f"{name} {FAULTS[name].refusal}",
+    )
+
+
 def _fault(setup: Setup, found: Validation, fault: Fault) -> FoundEffect:
     scale = found.fault_scale
-    return FoundEffect(
-        name=fault.name,
-        link=fault.record.link,
-        variant=fault.text,
-        parameters=fault.parameters,
-        p_value=min(1.0, fault.p_value * setup.tested),
-        shrinkage=1 - scale,
-        interval=None,
-        share=_share(found, (1 - scale**2) * found.after.metric**2),
-        cost="no parameter: a repair, not a model",
-        note=_repair(fault.name),
+    share = _share(found, (1 - scale**2) * found.after.metric**2)
+    return _repaired(
+        setup, fault.name, fault.text, fault.p_value, 1 - scale, share, parameters=fault.parameters
     )
 
 
@@ -374,25 +382,15 @@ def _assignment(setup: Setup, found: Validation) -> FoundEffect:
     model, wiring = setup.base.model, setup.miswired or ()
     swapped = [c for c, (source, _) in zip(model.channels, wiring, strict=True) if source != c]
     flipped = [source for source, sign in wiring if sign < 0]
-    name = "channel_swap" if swapped else "sign_inversion"
-    drop = 1 - found.metric / found.before.metric
-    p = wiring_p(found.start.base, setup.log, setup.runs) * setup.tested * wirings(len(model.channels))
-    return FoundEffect(
-        name=name,
-        link="electronics",
-        variant=f"{' and '.join(swapped)} exchanged" if swapped else f"{' and '.join(flipped)} inverted",
-        parameters={},
-        p_value=min(1.0, p),
-        shrinkage=drop,
-        interval=None,
-        share=closed(found.before.metric, found.metric, found.floor.metric),
-        cost="no parameter: the channel assignment is corrected",
-        note=_repair(name),
+    return _repaired(
+        setup,
+        "channel_swap" if swapped else "sign_inversion",
+        f"{' and '.join(swapped)} exchanged" if swapped else f"{' and '.join(flipped)} inverted",
+        wiring_p(found.start.base, setup.log, setup.runs) * wirings(len(model.channels)),
+        1 - found.metric / found.before.metric,
+        closed(found.before.metric, found.metric, found.floor.metric),
+        "no parameter: the channel assignment is corrected",
     )
-
-
-def _repair(name: str) -> str:
-    return f"{name} {FAULTS[name].refusal}"
 
 
 def operations(model: Model) -> int:

@@ -1,9 +1,8 @@
 """The simulated machine of the detection power: a fitted model on recorded motion, and its noise.
 
 The recorded reference, smoothed, vertical state, time and temperature are taken as the truth. The noise is
-that of the log as it is: as large and as correlated in time as what the fit leaves
-(`hallsym.diagnosis.survey.noise_of_rest`), in the readings and in the reference. What is stated of it is what the log
-states, and no more.
+that of the log as it is: as large and as correlated in time as what the fit leaves (`noise_of_rest`), in the
+readings and in the reference. What is stated of it is what the log states, and no more.
 """
 
 from collections.abc import Collection, Mapping, Sequence
