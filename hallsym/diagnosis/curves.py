@@ -13,10 +13,10 @@ What a curve, or a gain of every run, predicts on runs (or stretches) that it wa
 fit, whatever the noise floor is said to be.
 """
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
 from math import tau
-from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -38,9 +38,9 @@ class Coordinate:
     """What a residual may depend on: its `name`, the `column` behind it, the unit of that.
 
     `gain`: it may also change the gain. `own`: every sensor has its own, from `sensed` or `rate`. `fine`: the
-    residual may have fine structure over it. `period`: of a place within a period, in `unit`. `of`: several
-    columns that together are the coordinate, and `memory`: the direction of motion of each sensor; neither
-    is a place on a line. `clocked`: it exists only in a log with time.
+    residual may have fine structure over it. `of`: several columns that together are the coordinate, and
+    `memory`: the direction of motion of each sensor; neither is a place on a line. `clocked`: it exists only
+    in a log with time.
     """
 
     name: str
@@ -49,7 +49,6 @@ class Coordinate:
     gain: bool = True
     own: bool = False
     fine: bool = False
-    period: float | None = None
     of: tuple[str, ...] = ()
     memory: bool = False
     clocked: bool = False
@@ -84,14 +83,12 @@ def coordinates(r: ResidualTable) -> tuple[Coordinate, ...]:
     words, references = model.family.words, model.references
     stems = {c: readable(c)[2].removesuffix("_ref").replace("_", " ") for c in (*references, *model.state)}
     of = {c: f" of {stems[c]}" if len(references) > 1 else "" for c in references}
+    turn = {c: "turn" if unit_of(c) == "rad" else "period" for c in references}
     phases = [
-        Coordinate(
-            f"place in the {'turn' if unit_of(c) == 'rad' else 'period'}{of[c]}", phase(c), unit_of(c),
-            gain=False, fine=True, period=model.period[c],
-        )
+        Coordinate(f"place in the {turn[c]}{of[c]}", phase(c), unit_of(c), gain=False, fine=True)
         for c in references
         if c in model.period
-    ]  # fmt: skip
+    ]
     if len(phases) == len(references):
         motion = [Coordinate(f"speed{of[c]}", f"d1_{c}", f"{unit_of(c)}/s", clocked=True) for c in references]
         known = [*phases, *motion]
@@ -107,15 +104,14 @@ def coordinates(r: ResidualTable) -> tuple[Coordinate, ...]:
             if unit_of(c) == "rad":
                 far = np.ptp(r.columns[f"d0_{c}"]) > tau
                 places[c] = f"place in the turn of {stems[c]}" if far else f"angle {stems[c]}"
+        rates = tuple(f"d2_{c}" for c in references)
         known = [
             *states,
             *phases,
             Coordinate("the reading itself", "sensed", reading, gain=False, own=True, fine=True),
             Coordinate("direction of motion", "direction", "1", gain=False, own=True, memory=True),
             Coordinate("velocity", "rate", f"{reading}/s", own=True),
-            Coordinate(
-                "acceleration", "acceleration", "m/s2", gain=False, of=tuple(f"d2_{c}" for c in references)
-            ),
+            Coordinate("acceleration", "acceleration", "m/s2", gain=False, of=rates),
             *(Coordinate(words.get(c, places[c]), f"d0_{c}", unit_of(c), fine=True) for c in references),
         ]
     known = [
@@ -166,88 +162,80 @@ no bend."""
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """How a residual follows a coordinate.
+    """How a residual follows the coordinate that it was fitted `over`.
 
-    `at`: (m,) places. `offset`, `gain`: (K, m), the residual is offset + gain * sensed / scale [m]; `gain`
-    None where it has none. `spread`, `gain_spread`: standard errors of these, from runs left out in turn.
-    `explained`: whitened squares that it removes from runs it was not fitted on. `statistic`: (draws,) with
-    random signs, that of the log first. `predicted`: (K, n), `foreseen`: the same without the fold of each
-    sample; `says`: of other samples, None where the coordinate does not vary.
+    `beta`: (K, features) offsets at the m places `over.at`, then gains, if any: the residual is offset +
+    gain * sensed / scale [m]. `left`: (folds, K, features) the same with runs left out in turn, `foreseen`:
+    (K, n) what that predicts of them, `explained`: whitened squares that this removes. `statistic`: (draws,)
+    with random signs, that of the log first.
     """
 
-    coordinate: Coordinate
-    at: np.ndarray
-    offset: np.ndarray
-    spread: np.ndarray
+    over: "_Over"
+    beta: np.ndarray
+    left: np.ndarray
+    foreseen: np.ndarray
     explained: float
     statistic: np.ndarray
-    predicted: np.ndarray
-    foreseen: np.ndarray
-    says: Callable[[ResidualTable], np.ndarray | None]
-    gain: np.ndarray | None = None
-    gain_spread: np.ndarray | None = None
-    scale: float = 1.0
 
     @property
     def p_value(self) -> float:
         """P-value of this curve alone: the share of draws with as large a statistic."""
         return float((self.statistic >= self.statistic[0]).mean())
 
+    @property
+    def coordinate(self) -> Coordinate:
+        """What the residual follows."""
+        return self.over.coordinate
 
-class _Fit(NamedTuple):
-    """Coefficients of a curve of all runs, (K, features), and without each fold, (folds, K, features).
+    @property
+    def offset(self) -> np.ndarray:
+        """Offsets at each place, (K, m)."""
+        return self.beta[:, : len(self.over.at)]
 
-    `foreseen`: (K, n) what the latter predict of their folds, `explained`: whitened squares that this
-    removes. `statistic`: (draws,), of all sensors.
-    """
+    @property
+    def gain(self) -> np.ndarray | None:
+        """Gains at each place, (K, m); None where it has none."""
+        gain = self.beta[:, len(self.over.at) :]
+        return gain if self.coordinate.ordered and gain.size else None
 
-    explained: float
-    foreseen: np.ndarray
-    beta: np.ndarray
-    left: np.ndarray
-    statistic: np.ndarray
+    @property
+    def spread(self) -> np.ndarray:
+        """Standard errors of the coefficients (K, features), by a jackknife over the folds."""
+        U = len(self.left)
+        return np.sqrt((U - 1) / U * ((self.left - self.left.mean(axis=0)) ** 2).sum(axis=0))
+
+    def says(self, r: ResidualTable) -> np.ndarray | None:
+        """Return the residual (K, n) of some samples; None where the coordinate does not vary."""
+        x = self.over.values if r is self.over.r else self.coordinate.values(r)
+        return None if x is None else self.over.predicted(self.beta, r, x)
+
+    @cached_property
+    def predicted(self) -> np.ndarray:
+        """The residual (K, n) of the samples that it was fitted to."""
+        return self.over.predicted(self.beta, self.over.r, self.over.values)
 
 
 class _Over:
-    """A residual over one coordinate, (K, n) `values`; `there`: those with more noise in the references."""
+    """A residual over one coordinate: its `values` and, with more noise in the references, those `there`.
+
+    `at`: places at which there is an offset. `scale`: of the expected reading, by which gains are stated.
+    """
+
+    at: np.ndarray
+    scale = 1.0
 
     def __init__(self, r: ResidualTable, coordinate: Coordinate, moved: ResidualTable | None = None) -> None:
         """Take the residual on some runs; `moved`: the same with more noise in the references."""
         values = coordinate.values(r)
         if values is None:
             raise ValueError(f"{coordinate.name} does not vary")
-        self.r, self.coordinate, self.values, self.moved = r, coordinate, values, moved
+        self.r, self.coordinate, self.values = r, coordinate, values
         self.there = None if moved is None else coordinate.values(moved)
-        self.scale = float(np.sqrt(np.mean(r.sensed**2))) or 1.0
+        self.change = 0.0 if moved is None else moved.residual - r.residual
 
     def predicted(self, coefficients: np.ndarray, r: ResidualTable, x: np.ndarray) -> np.ndarray:
-        """Return what coefficients (K, m) predict of samples where the coordinate has the values `x`."""
+        """Return what coefficients (K, features) predict where the coordinate has the values `x`."""
         raise NotImplementedError
-
-    def made(self, at: np.ndarray, fit: _Fit) -> Curve:
-        """Return the curve of a fit: its first coefficients are offsets at the places `at`, others gains."""
-        m, U = len(at), len(fit.left)
-        error = np.sqrt((U - 1) / U * ((fit.left - fit.left.mean(axis=0)) ** 2).sum(axis=0))
-        both = self.coordinate.ordered and fit.beta.shape[1] > m
-
-        def says(other: ResidualTable) -> np.ndarray | None:
-            x = self.coordinate.values(other)
-            return None if x is None else self.predicted(fit.beta, other, x)
-
-        return Curve(
-            coordinate=self.coordinate,
-            at=at,
-            offset=fit.beta[:, :m],
-            spread=error[:, :m],
-            explained=fit.explained,
-            statistic=fit.statistic,
-            predicted=self.predicted(fit.beta, self.r, self.values),
-            foreseen=fit.foreseen,
-            says=says,
-            gain=fit.beta[:, m:] if both else None,
-            gain_spread=error[:, m:] if both else None,
-            scale=self.scale,
-        )
 
 
 class Smooth(_Over):
@@ -257,13 +245,14 @@ class Smooth(_Over):
         """Take the residual on some runs; `moved`: the same with more noise in the references."""
         super().__init__(r, coordinate, moved)
         c = coordinate
+        self.scale = float(np.sqrt(np.mean(r.sensed**2))) or 1.0
         free = MEMORIES if c.memory else np.arange(len(c.of) * (1.0 + c.gain))
         self.at = knots(self.values) if c.ordered else np.asarray(free)
         self.phi = self._features(r, self.values)
         self.folds, self.blocks = slices(r.fold), slices(r.block)
         self.shared = [np.zeros((len(self.phi), 1, 1))] * 2
         if moved is not None and self.there is not None:
-            change = r.precision @ (moved.residual - r.residual)
+            change = r.precision @ self.change
             by = (self._features(moved, self.there) - self.phi) * change[:, None, :]
             self.shared = [sums(by, group).swapaxes(1, 2) for group in (r.fold, r.block)]
         self.own = 1 / r.variance
@@ -289,7 +278,7 @@ class Smooth(_Over):
         return np.concatenate([phi, phi * (r.sensed / self.scale)[:, None, :]], axis=1) if c.gain else phi
 
     def predicted(self, coefficients: np.ndarray, r: ResidualTable, x: np.ndarray) -> np.ndarray:
-        """Return what coefficients (K, features) predict where the coordinate has the values `x`."""
+        """Return the residual (K, n) where the coordinate has the values `x`."""
         phi = self.phi if r is self.r else self._features(r, x)
         return np.asarray((coefficients[:, None] @ phi)[:, 0])
 
@@ -297,9 +286,9 @@ class Smooth(_Over):
         """Return the curve of a residual (K, n): the bending penalty that predicts runs left out best."""
         fits = self._fits(residual)
         z = np.max([f.statistic for f in fits], axis=0)
-        return self.made(self.at, max(fits, key=lambda f: f.explained)._replace(statistic=z))
+        return replace(max(fits, key=lambda f: f.explained), statistic=z)
 
-    def _fits(self, residual: np.ndarray) -> list[_Fit]:
+    def _fits(self, residual: np.ndarray) -> list[Curve]:
         """Fit the coefficients of each sensor to its own residual, for each bending penalty."""
         r = self.r
         level = level_weights(r, residual, r.block)[:, None]
@@ -325,7 +314,7 @@ class Smooth(_Over):
             foreseen = np.hstack([(own[:, None] @ self.phi[:, :, s])[:, 0] for own, s in parts])
             explained = float((foreseen * (r.precision @ (2 * residual - foreseen))).sum())
             statistic = of_products(q, r.run_of(r.block), r.base.policy)
-            out.append(_Fit(explained, foreseen, beta, left, statistic))
+            out.append(Curve(self, beta, left, foreseen, explained, statistic))
         return out
 
 
@@ -350,14 +339,14 @@ class FineMap(_Over):
         self.prior = r.residual.size / max(r.excess, 1e-3 * r.residual.size)
         self.shared: list[np.ndarray | float] = [0.0, 0.0]
         if moved is not None and self.there is not None:
-            change, there = moved.residual - r.residual, self._bin(self.there, r)
+            there = self._bin(self.there, r)
             self.shared = [
-                self._sums(change, group, there) - self._sums(change, group, self.bin)
+                self._sums(self.change, group, there) - self._sums(self.change, group, self.bin)
                 for group in (r.fold, r.block)
             ]
 
     def predicted(self, coefficients: np.ndarray, r: ResidualTable, x: np.ndarray) -> np.ndarray:
-        """Return the offsets (K, bins) where the coordinate has the values `x`."""
+        """Return the offsets (K, n) where the coordinate has the values `x`."""
         return np.take_along_axis(coefficients, self._bin(x, r), axis=1)
 
     def curve(self, residual: np.ndarray) -> Curve:
@@ -375,7 +364,7 @@ class FineMap(_Over):
         scores = (of_blocks * np.sqrt(weight / (N + self.prior))).reshape(len(of_blocks), -1)
         z = of_products(scores @ scores.T, r.run_of(r.block), r.base.policy)
         foreseen = left[_index(r.fold), np.arange(len(residual))[:, None], self.bin]
-        return self.made(self.at, _Fit(explained, foreseen, S / (N + self.prior), left, z))
+        return Curve(self, S / (N + self.prior), left, foreseen, explained, z)
 
     def _bin(self, x: np.ndarray, r: ResidualTable) -> np.ndarray:
         return np.clip(((_by_sensor(x, r) - self.low) / self.width).astype(int), 0, self.bins - 1)
@@ -508,27 +497,25 @@ slow end are drift, and a median over four lobes is what lies between lines."""
 
 def tones(base: Base, runs: Iterable[int]) -> float:
     """Return by how much the gap metric of `runs` falls without the steady tones of the decoded error."""
-    model, back = base.model, np.linalg.inv(base.whiten)
-    length, run, power = 2 * SEGMENT, [], []
-    window = np.hanning(length)
+    model, back, length = base.model, np.linalg.inv(base.whiten), 2 * SEGMENT
+    run, power = [], [np.zeros((0, SEGMENT + 1))]
     for piece in pieces(base, frozenset(runs)):
         pose, state = ([piece.data[c] for c in names] for names in (model.references, model.state))
         e = np.einsum("iks,ks->is", base.to_pose(pose, state), back @ piece.residual)
-        e *= base.pose_weights[:, None]
-        e = np.where(piece.used, e, 0.0)
-        for low in range(0, e.shape[1] - length + 1, length):
-            part = e[:, low : low + length]
-            part = (part - part.mean(axis=1, keepdims=True)) * window
-            run.append(piece.run)
-            power.append((np.abs(np.fft.rfft(part, axis=1)) ** 2).sum(axis=0))
+        e = np.where(piece.used, e * base.pose_weights[:, None], 0.0)
+        parts = e[:, : e.shape[1] // length * length].reshape(len(e), -1, length)
+        parts = (parts - parts.mean(axis=2, keepdims=True)) * np.hanning(length)
+        run += [piece.run] * parts.shape[1]
+        power.append((np.abs(np.fft.rfft(parts)) ** 2).sum(axis=0))
     if len(run) < base.policy.fewest:
         return 0.0
-    P = np.sum(power, axis=0)
+    each = np.concatenate(power)
+    P = each.sum(axis=0)
     smooth = median_filter(P, 4 * LOBE - 1, mode="reflect")
     freedom = 2 * len(model.pose) * len(run)
     certain = P * freedom > smooth * statistic_at(base.policy.certain / len(P), freedom)
     certain[:LOBE] = False
-    if not _steady(np.array(run), np.array(power), certain, base.policy):
+    if not _steady(np.array(run), each, certain, base.policy):
         return 0.0
     share = float(np.where(certain, P - smooth, 0.0).sum() / max(P.sum(), 1e-300))
     return 1 - float(np.sqrt(max(1 - share, 0.0)))
@@ -542,17 +529,14 @@ def _steady(run: np.ndarray, power: np.ndarray, certain: np.ndarray, policy: Pol
     of one segment are held against each other.
     """
     _, index, count = np.unique(run, return_inverse=True, return_counts=True)
-    _, group, count = np.unique(
-        np.where(count[index] > 1, index, -1), return_inverse=True, return_counts=True
-    )
-    means = np.array([power[group == k].mean(axis=0) for k in range(len(count))]).clip(1e-300)
-    varies = ((power - means[group]) ** 2 / means[group]).sum(axis=0)
-    squares = (count - 1) @ means
+    alone = count[index] == 1
+    _, group, count = np.unique(np.where(alone, -1, index), return_inverse=True, return_counts=True)
+    level = np.array([power[group == k].mean(axis=0) for k in range(len(count))]).clip(1e-300)
+    varies = ((power - level[group]) ** 2 / level[group]).sum(axis=0)
+    squares = (count - 1) @ level
     beside = np.convolve(certain, np.ones(3), mode="same") > 0  # a part of the line's power is theirs
-    others = varies[~beside] / np.maximum(squares[~beside], 1e-300)
-    if not len(others) or not squares[certain].sum() > 0:
+    rest = varies[~beside] / np.maximum(squares[~beside], 1e-300)
+    if not len(rest) or not squares[certain].sum() > 0:
         return True
     line = varies[certain].sum() / squares[certain].sum()
-    return bool(
-        np.mean(others <= line) < policy.false_alarm and line < (1 - policy.minor) * np.median(others)
-    )
+    return bool(np.mean(rest <= line) < policy.false_alarm and line < (1 - policy.minor) * np.median(rest))

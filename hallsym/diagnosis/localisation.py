@@ -9,7 +9,7 @@ sensor is named when it has more than its part: noise that is larger than it was
 and is no place where a gap lies.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -213,11 +213,11 @@ NAMES = {"sensed": "reading_m", "rate": "reading_rate_m_s"}
 def shape(c: Curve, r: ResidualTable) -> CurveShape:
     """Return a curve as data; the bands at 95 % come from runs left out in turn."""
     channels, references = r.base.model.channels, r.base.model.references
-    value, spread, scale, gain = c.offset, c.spread, 1.0, False
-    if c.gain is not None and c.gain_spread is not None and _size(c.gain) > _size(c.offset):
-        value, spread, scale, gain = c.gain, c.gain_spread, c.scale, True
+    m = len(c.over.at)
+    gain = c.gain is not None and _size(c.gain) > _size(c.offset)
+    part, scale = (slice(m, None), c.over.scale) if gain else (slice(m), 1.0)
     column = {**NAMES, **{phase(x): x for x in references}}.get(c.coordinate.column, c.coordinate.column)
-    wide = coverage_factor(np.inf) * spread
+    value, wide = c.beta[:, part], coverage_factor(np.inf) * c.spread[:, part]
     bands = (np.stack([value, value - wide, value + wide], axis=1) / scale).tolist()
     labels, names = None, [readable(n)[2] for n in c.coordinate.of]
     if c.coordinate.memory:
@@ -233,7 +233,7 @@ def shape(c: Curve, r: ResidualTable) -> CurveShape:
         unit=c.coordinate.unit,
         kind="gain" if gain else "offset",
         value_unit="1" if gain else unit_of(channels[0]),
-        grid=tuple(c.at.tolist()),
+        grid=tuple(c.over.at.tolist()),
         labels=labels,
         readings={channel: Band(*map(tuple, each)) for channel, each in zip(channels, bands, strict=True)},
     )
@@ -434,16 +434,14 @@ def of_links(base: Base, scored: Sequence[Score], out: Powers, faults: Sequence[
     """
     whole, noise = float(out.weight @ out.squares.mean(axis=1)), float(out.weight @ out.noise)
     excess = max(whole - noise, 1e-300)
-
-    def claims() -> Iterator[Link]:
-        for s in by_name(scored):
-            if not s.absorbed:
-                yield Link(_link_of(base, s), s.effect.name, (1 - s.ratio**2) * whole / excess, s.p_value)
-        for f in faults:
-            yield Link(f.record.link, f.name, f.power, f.p_value)
-
+    claims = [
+        Link(_link_of(base, s), s.effect.name, (1 - s.ratio**2) * whole / excess, s.p_value)
+        for s in by_name(scored)
+        if not s.absorbed
+    ]
+    claims += [Link(f.record.link, f.name, f.power, f.p_value) for f in faults]
     found: dict[str, Link] = {}
-    for claim in claims():
+    for claim in claims:
         if claim.link not in found or claim.share > found[claim.link].share:
             found[claim.link] = claim._replace(share=float(np.clip(claim.share, 0.0, 1.0)))
     policy = base.policy

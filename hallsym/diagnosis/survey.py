@@ -146,22 +146,18 @@ def spectrum_peak(base: Base, runs: Iterable[int]) -> float:
     period a run, which so few lags do not know, what is seen there. What is not in the catalogue stays in it
     and raises it. At least 1, and infinity where heavy tails make it no measure of what a column collects.
     """
-    products, count, fourth, slow, rows = np.zeros(ORDER + 1), 0, 0.0, 0.0, 0
-    for piece in pieces(base, frozenset(runs)):
-        x = np.where(piece.used, piece.residual, 0.0)
-        products += products_at_lags(x, ORDER + 1)
-        once = np.exp(-2j * np.pi * np.arange(x.shape[1]) / x.shape[1])
-        slow += float((np.abs(x @ once) ** 2).sum()) / x.shape[1]
-        rows += len(x)
-        count += x.size
-        fourth += float((x**4).sum())
-    rho = products / max(count, 1)  # biased, so that it is positive definite
-    if not rho[0] > 0 or fourth / count > base.policy.heavy * rho[0] ** 2:
+    rest = [np.where(piece.used, piece.residual, 0.0) for piece in pieces(base, frozenset(runs))]
+    count = max(sum(x.size for x in rest), 1)
+    products = sum((products_at_lags(x, ORDER + 1) for x in rest), np.zeros(ORDER + 1))
+    rho = products / count  # biased, so that it is positive definite
+    if not rho[0] > 0 or sum(float((x**4).sum()) for x in rest) / count > base.policy.heavy * rho[0] ** 2:
         return np.inf
+    once = ((np.abs(np.fft.fft(x)[:, 1 % x.shape[1]]) ** 2).sum() / x.shape[1] for x in rest)
+    slow = float(sum(once)) / sum(len(x) for x in rest)
     phi = solve_toeplitz(rho[:-1] + NIL * rho[0] * (np.arange(ORDER) == 0), rho[1:])
     turn = np.exp(-1j * np.outer(np.linspace(0, np.pi, 512), np.arange(1, ORDER + 1)))
     fast = float(rho[0] - phi @ rho[1:]) / float((np.abs(1 - turn @ phi) ** 2).min())
-    return max(1.0, fast, slow / rows)
+    return max(1.0, fast, slow)
 
 
 def noise_of_rest(base: Base, runs: Sequence[int]) -> ResidualNoise | None:
