@@ -87,35 +87,38 @@ class ResidualTable:
 
 def table_of(base: Base, runs: frozenset[int]) -> ResidualTable | None:
     """Return what `base` leaves on `runs`; None where no sample of them counts."""
-    model, sigma = base.model, base.sigma
-    read, back = on_arrays(model.reading), np.linalg.inv(base.whiten)
+    model, back = base.model, np.linalg.inv(base.whiten)
     stride = max(1, -(-base.log.rows // ROOM))
     seen = Counter[int]()
     out: dict[str, list[np.ndarray]] = {}
     for piece in pieces(base, runs):
         at = np.flatnonzero(piece.used)[::stride]
-        place, seen[piece.run] = seen[piece.run] + at, seen[piece.run] + len(piece.t)
         data = {c: v[at] for c, v in piece.data.items()}
-        state = [data[c] for c in model.state]
-        data["decoding"] = base.to_pose([data[c] for c in model.references], state)
         for c in model.references:
             if c in model.period:
                 data[phase(c)] = data[f"d0_{c}"] % model.period[c]
-            data[f"d0_{c}"] = at_rest(data[f"d0_{c}"], sigma.get(c, 0.0))
-        smooth = [data[f"d0_{c}"] for c in model.references]
-        (data["sensed"],) = read(base.p, base.zeros_in(piece.run), smooth, state)
+            data[f"d0_{c}"] = at_rest(data[f"d0_{c}"], base.sigma.get(c, 0.0))
         data |= {"residual": back @ piece.residual[:, at], "rate": back @ piece.speed[:, at]}
-        data |= {"run": np.full(len(at), piece.run), "place": place}
+        data |= {"run": np.full(len(at), piece.run), "place": seen[piece.run] + at}
+        seen[piece.run] += len(piece.t)
         for name, values in data.items():
             out.setdefault(name, []).append(values)
     if not out or sum(len(v) for v in out["run"]) == 0:
         return None
     joined = {c: np.concatenate(v, axis=-1) for c, v in out.items()}
-    run, place = joined["run"], joined.pop("place")
-    samples = sum(seen[k] for k in set(run.tolist()))
-    own = {name: joined.pop(name) for name in ("run", "residual", "sensed", "rate", "decoding")}
-    fold, block, part = _blocks(run, place, samples, base.policy)
-    return ResidualTable(base=base, columns=joined, fold=fold, block=block, part=part, **own)
+    residual, rate, run, place = (joined.pop(name) for name in ("residual", "rate", "run", "place"))
+    pose, smooth, state = (
+        [joined[c] for c in names]
+        for names in (model.references, [f"d0_{c}" for c in model.references], model.state)
+    )
+    parts = slices(run)
+    zeros = [base.zeros_in(int(run[s.start])) for s in parts]
+    each = np.repeat(zeros, [s.stop - s.start for s in parts], axis=0).T
+    (sensed,) = on_arrays(model.reading)(base.p, each, smooth, state)
+    fold, block, part = _blocks(run, place, sum(seen[k] for k in set(run.tolist())), base.policy)
+    return ResidualTable(
+        base, run, residual, sensed, rate, joined, base.to_pose(pose, state), fold, block, part
+    )
 
 
 residual_table = found_once(table_of)
