@@ -1,9 +1,8 @@
 """The Diagnosis, put together from what the stages found. Nothing is decided here."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from time import perf_counter
-from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -30,6 +29,7 @@ from hallsym.diagnosis.record import (
 )
 from hallsym.diagnosis.refit import Refitted
 from hallsym.diagnosis.residual_table import both
+from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import QUIET, Held, Validation, Verdict, closed
@@ -38,7 +38,7 @@ from hallsym.errors import InputError, counted
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.families import added_effects
-from hallsym.families.faults import FAULTS
+from hallsym.families.faults import WIRING
 from hallsym.inference import Estimate
 from hallsym.log.quality.gains import listed
 from hallsym.model import Model
@@ -287,9 +287,12 @@ def findings(setup: Setup, found: Validation) -> tuple[FoundEffect, ...]:
     fit, known = found.fit, np.maximum(np.diag(found.fit.covariance()), 0.0)
     spread = np.sqrt(known * fit.variance(1.0) * found.inflation)  # of the slow averages of what is left
     out = [_effect(found, e, spread) for e in found.effects]
-    out += [_fault(setup, found, f) for f in found.faults]
+    scale, before = found.fault_scale, found.before.metric
+    share = _share(found, (1 - scale**2) * found.after.metric**2)
+    out += [_repaired(setup, fault, 1 - scale, share) for fault in found.faults]
     if setup.miswired:
-        out.insert(0, _assignment(setup, found))
+        wrong, share = _assignment(setup, found.start.base), closed(before, found.metric, found.floor.metric)
+        out.insert(0, _repaired(setup, wrong, 1 - found.metric / before, share))
     return tuple(sorted(out, key=lambda e: -e.share))
 
 
@@ -338,59 +341,37 @@ def _note(ended: Sequence[str], blind: Sequence[str]) -> str:
     return " ".join(said)
 
 
-def _repaired(
-    setup: Setup,
-    name: str,
-    variant: str,
-    p_value: float,
-    shrinkage: float,
-    share: float,
-    cost: str = "no parameter: a repair, not a model",
-    parameters: Mapping[str, Estimate] = MappingProxyType({}),
-) -> FoundEffect:
-    """Return a fault of the recording; `p_value`: uncorrected."""
+def _repaired(setup: Setup, fault: Fault, shrinkage: float, share: float) -> FoundEffect:
+    """Return a fault of the recording, which no model holds, as an effect that was found."""
+    repair = "the channel assignment is corrected" if fault.name in WIRING else "a repair, not a model"
     return FoundEffect(
-        name=name,
-        link=FAULTS[name].link,
-        variant=variant,
-        parameters=dict(parameters),
-        p_value=min(1.0, p_value * setup.tested),
+        name=fault.name,
+        link=fault.record.link,
+        variant=fault.text,
+        parameters=fault.parameters,
+        p_value=min(1.0, fault.p_value * setup.tested),
         shrinkage=shrinkage,
         interval=None,
         share=share,
-        cost=cost,
-        note=f"{name} {FAULTS[name].refusal}",
+        cost=f"no parameter: {repair}",
+        note=f"{fault.name} {fault.record.refusal}",
     )
 
 
-def _fault(setup: Setup, found: Validation, fault: Fault) -> FoundEffect:
-    scale = found.fault_scale
-    share = _share(found, (1 - scale**2) * found.after.metric**2)
-    return _repaired(
-        setup, fault.name, fault.text, fault.p_value, 1 - scale, share, parameters=fault.parameters
-    )
+def _assignment(setup: Setup, base: Base) -> Fault:
+    """Return exchanged or inverted channels; `base`: the fit with the channels put right."""
+    channels, wiring = base.model.channels, setup.miswired or ()
+    swapped = [c for c, (source, _) in zip(channels, wiring, strict=True) if source != c]
+    flipped = [source for source, sign in wiring if sign < 0]
+    text = f"{' and '.join(swapped)} exchanged" if swapped else f"{' and '.join(flipped)} inverted"
+    p = wiring_p(base, setup.log, setup.runs) * wirings(len(channels))
+    return Fault("channel_swap" if swapped else "sign_inversion", text, 1.0, {}, p)
 
 
 def _share(found: Validation, squares: float) -> float:
     """Return the share of the excess above the floor that `squares` are."""
     excess = max(found.before.metric**2 - found.floor.metric**2, 1e-300)
     return float(np.clip(squares / excess, 0.0, 1.0))
-
-
-def _assignment(setup: Setup, found: Validation) -> FoundEffect:
-    """Return exchanged or inverted channels."""
-    model, wiring = setup.base.model, setup.miswired or ()
-    swapped = [c for c, (source, _) in zip(model.channels, wiring, strict=True) if source != c]
-    flipped = [source for source, sign in wiring if sign < 0]
-    return _repaired(
-        setup,
-        "channel_swap" if swapped else "sign_inversion",
-        f"{' and '.join(swapped)} exchanged" if swapped else f"{' and '.join(flipped)} inverted",
-        wiring_p(found.start.base, setup.log, setup.runs) * wirings(len(model.channels)),
-        1 - found.metric / found.before.metric,
-        closed(found.before.metric, found.metric, found.floor.metric),
-        "no parameter: the channel assignment is corrected",
-    )
 
 
 def operations(model: Model) -> int:
