@@ -11,7 +11,6 @@ and is no place where a gap lies.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -113,6 +112,11 @@ def located(
     return Located(tuple(worded), tuple(curves), fitted, held)
 
 
+def _statement(by: str, at: str, share: float, p: float, text: str) -> Statement:
+    """Return what `share` of the excess does, in words."""
+    return Statement(by, at, share, p, f"{percent(share)} of the excess {text}")
+
+
 def clear(r: ResidualTable) -> bool:
     """Whether the excess is more than chance: block by block, so that memory of the noise does not count."""
     return beyond(means(r.squares - len(r.residual), r.part)) < r.base.policy.certain
@@ -148,9 +152,8 @@ def _coordinates(
         best, share = max((c.explained for c in good), default=0.0), min(of_runs_own / excess, 1.0)
         certain = chance(own[0]) < policy.false_alarm and share > policy.negligible
         if certain and policy.half * share * excess > best:
-            text = "of the excess is a gain that differs from run to run and follows nothing logged"
-            said = f"{percent(share)} {text}"
-            statements.append(Statement("run", "gain of its own", share, chance(own[0]), said))
+            text = "is a gain that differs from run to run and follows nothing logged"
+            statements.append(_statement("run", "gain of its own", share, chance(own[0]), text))
             break
         if not good:
             break
@@ -158,7 +161,10 @@ def _coordinates(
         share = min(first.explained / excess, 1.0 - sum(s.share for s in statements))
         if share < policy.negligible:
             break
-        statements.append(described(r, first, share, chance(first.statistic[0]), bool(statements)))
+        statement = described(r, first, share, chance(first.statistic[0]))
+        if statements:
+            statement = replace(statement, text=f"a further {statement.text}")
+        statements.append(statement)
         curves.append(first)
         left = left - first.predicted
     return statements, curves, joints[0]
@@ -177,15 +183,14 @@ def _confirmed(statements: list[Statement], curves: list[Curve], held: ResidualT
     return [*out, *statements[len(out) :]]
 
 
-def described(r: ResidualTable, c: Curve, share: float, p: float, further: bool) -> Statement:
-    """Return the statement that `share` of the excess follows a curve, a `further` one beside others."""
-    text = f"{'a further ' if further else ''}{percent(share)} of the excess goes with {c.coordinate.name}"
-    text += _part(c, r.base.policy)
+def described(r: ResidualTable, c: Curve, share: float, p: float) -> Statement:
+    """Return the statement that `share` of the excess follows a curve."""
+    text = f"goes with {c.coordinate.name}{_part(c, r.base.policy)}"
     seen = (c.predicted**2).sum(axis=1) * np.diag(r.precision)
     k = int(np.argmax(seen))
     if seen[k] > r.base.policy.half * seen.sum():
         text += f"; seen by {plain(r.base.model.channels[k])} above all"
-    return Statement(c.coordinate.name, "", share, p, text)
+    return _statement(c.coordinate.name, "", share, p, text)
 
 
 def _part(c: Curve, policy: Policy) -> str:
@@ -257,8 +262,8 @@ def _steps(tables: Sequence[ResidualTable]) -> list[Statement]:
         share = float(np.clip(s.squares / r.excess, 0.0, 1.0)) if r.excess > 0 else 0.0
         if s.p_value < policy.certain and share >= policy.negligible:
             size, at = shown(abs(s.size), unit_of(channel)), f"run {s.run} at {s.instant_s:.6g} s"
-            text = f"{percent(share)} of the excess is a step of {plain(channel)} by {size} in {at}"
-            out.append(Statement("run", at, share, s.p_value, text))
+            text = f"is a step of {plain(channel)} by {size} in {at}"
+            out.append(_statement("run", at, share, s.p_value, text))
     return sorted(out, key=lambda s: -s.share)
 
 
@@ -278,8 +283,7 @@ def of_runs(r: ResidualTable, told: float) -> list[Statement]:
     if p >= policy.certain or share < 1 / U + policy.minor:
         return []
     name = f"run {list(dict.fromkeys(r.run.tolist()))[k]}"
-    text = f"{percent(share)} of the excess lies in {name}, one of {U} fitted runs"
-    return [Statement("run", name, share, p, text)]
+    return [_statement("run", name, share, p, f"lies in {name}, one of {U} fitted runs")]
 
 
 def of_frequencies(
@@ -309,8 +313,8 @@ def of_frequencies(
         share = min(share, rest)  # bands below the noise make the others more than the whole
         rest -= share
         if share >= policy.negligible:
-            text = f"{percent(share)} of the excess lies at {band.name}"
-            (mains if band.mains else octaves).append(Statement("frequency", band.name, share, p, text))
+            said = _statement("frequency", band.name, share, p, f"lies at {band.name}")
+            (mains if band.mains else octaves).append(said)
     return mains, octaves
 
 
@@ -374,8 +378,8 @@ def of_powers(p: Powers, p_values: Sequence[float], policy: Policy) -> list[Stat
         share = float(np.clip(above[k] / above.sum(), 0.0, 1.0)) if above.sum() > 0 else np.nan
         if chance < policy.false_alarm and share >= own[k] / own.sum() + policy.minor:
             seen = "is seen by" if p.kind == "sensor" else "lies in"
-            text = f"{percent(share)} of the excess {seen} {plain(name)}, one of {len(p.names)} {p.kind}s"
-            said.append(Statement(p.kind, name, share, chance, text))
+            text = f"{seen} {plain(name)}, one of {len(p.names)} {p.kind}s"
+            said.append(_statement(p.kind, name, share, chance, text))
     return sorted(said, key=lambda s: -s.share)
 
 
@@ -417,15 +421,6 @@ def sizes(
 # -- links of the chain --------------------------------------------------------------------------------------
 
 
-class Link(NamedTuple):
-    """The effect or fault `name` of a link, and the share of the excess that it takes up."""
-
-    link: str
-    name: str
-    share: float
-    p_value: float
-
-
 def of_links(base: Base, scored: Sequence[Score], out: Powers, faults: Sequence[Fault]) -> list[Statement]:
     """Return statements on the links that can surely take up much of the excess.
 
@@ -435,25 +430,25 @@ def of_links(base: Base, scored: Sequence[Score], out: Powers, faults: Sequence[
     whole, noise = float(out.weight @ out.squares.mean(axis=1)), float(out.weight @ out.noise)
     excess = max(whole - noise, 1e-300)
     claims = [
-        Link(_link_of(base, s), s.effect.name, (1 - s.ratio**2) * whole / excess, s.p_value)
+        Statement("link", _link_of(base, s), (1 - s.ratio**2) * whole / excess, s.p_value, s.effect.name)
         for s in by_name(scored)
         if not s.absorbed
     ]
-    claims += [Link(f.record.link, f.name, f.power, f.p_value) for f in faults]
-    found: dict[str, Link] = {}
+    claims += [Statement("link", f.record.link, f.power, f.p_value, f.name) for f in faults]
+    found: dict[str, Statement] = {}
     for claim in claims:
-        if claim.link not in found or claim.share > found[claim.link].share:
-            found[claim.link] = claim._replace(share=float(np.clip(claim.share, 0.0, 1.0)))
+        if claim.at not in found or claim.share > found[claim.at].share:
+            found[claim.at] = replace(claim, share=float(np.clip(claim.share, 0.0, 1.0)))
     policy = base.policy
     likely = [f for f in found.values() if f.p_value < policy.false_alarm]
     least = max(policy.negligible, (1 - policy.minor) * max((f.share for f in likely), default=0.0))
     said = []
-    for own in sorted(likely, key=lambda f: (*LINKS, *found).index(f.link)):
+    for own in sorted(likely, key=lambda f: (*LINKS, *found).index(f.at)):
         other = max((f for f in found.values() if f is not own), key=lambda f: f.share, default=None)
-        beside = f"{other.link} {percent(other.share)}" if other else "none tested"
-        text = f"{percent(own.share)} of the excess can come from the {own.link} ({own.name}; another link: "
+        beside = f"{other.at} {percent(other.share)}" if other else "none tested"
         if own.share >= least:
-            said.append(Statement("link", own.link, own.share, own.p_value, f"{text}{beside})"))
+            text = f"can come from the {own.at} ({own.text}; another link: {beside})"
+            said.append(_statement("link", own.at, own.share, own.p_value, text))
     # of links that take up the same the first of the chain stands first, whatever the rounding
     return sorted(said, key=lambda s: -round(s.share, 6))
 
