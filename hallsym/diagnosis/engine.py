@@ -14,11 +14,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from hallsym.diagnosis.confusable import Confusable, confusable
 from hallsym.diagnosis.facts import change_points
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Diagnosis
-from hallsym.diagnosis.report import findings, report
+from hallsym.diagnosis.report import Confusable, confusable, findings, report
 from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import select

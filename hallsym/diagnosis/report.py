@@ -1,7 +1,10 @@
-"""The Diagnosis, put together from what the stages found. Nothing is decided here."""
+"""The Diagnosis, put together from what the stages found, and what the log cannot tell apart.
+
+Confusable effects are exact refits that leave the same residual; a recording would separate them.
+"""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import casadi as ca
@@ -9,7 +12,6 @@ import numpy as np
 
 from hallsym.codegen import cost_of
 from hallsym.codegen.operations import graph
-from hallsym.diagnosis.confusable import Confusable, smaller_findings
 from hallsym.diagnosis.decoded_errors import decoded_errors, waves
 from hallsym.diagnosis.faults import Fault, wiring_p, wirings
 from hallsym.diagnosis.localisation import Located, located, shape, sizes
@@ -23,13 +25,16 @@ from hallsym.diagnosis.record import (
     ModelLeft,
     NoiseFloor,
     NotExcluded,
+    Separation,
     Shrinkage,
     Sizes,
+    SmallerFinding,
     Unexplained,
 )
 from hallsym.diagnosis.refit import Refitted
 from hallsym.diagnosis.residual_table import both
 from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.scores import by_name
 from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import QUIET, Held, Validation, Verdict, closed
@@ -41,7 +46,78 @@ from hallsym.families import added_effects
 from hallsym.families.faults import WIRING
 from hallsym.inference import Estimate
 from hallsym.log.quality.gains import listed
-from hallsym.model import Model
+from hallsym.model import Model, ways_text
+
+
+@dataclass(frozen=True, eq=False)
+class Confusable:
+    """Groups that this log cannot tell apart, what separates each, and all names that carry evidence."""
+
+    groups: tuple[tuple[str, ...], ...]
+    separate: tuple[Separation, ...]
+    ranked: tuple[str, ...]
+    fits: tuple[Refitted, ...] = ()
+    """Models that the log does not exclude, each with everything else that was found in place."""
+
+    def instead_of(self, name: str) -> list[str]:
+        """Return what the log cannot tell from an effect."""
+        return [other for group in self.groups if name in group for other in group if other != name][:SHOWN]
+
+
+def confusable(
+    setup: Setup, found: Validation, effects: Sequence[FoundEffect], verdict: Verdict
+) -> Confusable:
+    """Return the effects that this log cannot tell apart: exact refits that leave the same residual.
+
+    `ranked`: the effects by share, members of their groups, and, where they explain the gap, other effects
+    that the log does not exclude in their place. An effect that does not lower the gap on the holdout runs
+    has no evidence.
+    """
+    policy, pairs = setup.policy, setup.base.model.family.pairs
+    separate, fits, possible = list[Separation](), list[Refitted](), list[str]()
+    for held in found.effects:
+        one, rest = held.exact, {h.name for h in found.effects} - {held.name}
+        variance = one.fit.variance(found.inflation)  # of slow averages
+        limit = policy.separated**2 * variance
+        rivals = [r for r in one.rivals if r.fit.cost - one.fit.cost < limit]
+        possible += [r.name for r in rivals]
+        # parameters for which the log gives no reason make no rival
+        near = [r for r in rivals if not pairs or r.bic - one.bic < 2 * policy.as_good]
+        own = [(d, r) for r in near if (d := one.fit.distance(r.fit)) < limit][:SHOWN]
+        fits += [r.fit for _, r in own if rest <= set(r.fit.base.model.effects) and r.fit not in fits]
+        if own:
+            members = [one.score.effect, *(r.score.effect for _, r in own)]
+            ways = ways_text(way for e in members for way in e.separate)
+            sigma = float((min(d for d, _ in own) / variance) ** 0.5)
+            separate.append(Separation(tuple(e.name for e in members), ways, sigma))
+    groups = [s.group for s in separate]
+    if effects and effects[0].name in WIRING and len(setup.base.model.pose) == 1:
+        groups.insert(0, WIRING)  # either turns the angle round, and its zero is free
+    names = [e.name for e in effects if e.share > 0] + [name for group in groups for name in group]
+    names += possible if verdict == "explained" else []
+    return Confusable(tuple(groups), tuple(separate), tuple(dict.fromkeys(names)), tuple(fits))
+
+
+def smaller_findings(
+    setup: Setup, selection: Selection, found: Validation, below: Sequence[FoundEffect] = ()
+) -> tuple[SmallerFinding, ...]:
+    """Return the effects that are significant and worth less than the threshold.
+
+    First those that were named but are too small together (`below`), then those that score beside what was
+    selected.
+    """
+    out = [SmallerFinding(e.name, e.shrinkage, e.p_value) for e in below]
+    known = {h.name for h in found.effects}
+    for score in by_name(selection.last):
+        p, shrinkage = score.p_value, 1 - score.ratio
+        # what is worth more was judged, and not selected
+        small = setup.policy.minor * setup.threshold <= shrinkage < setup.threshold
+        if p < setup.policy.certain and small and score.effect.name not in known:
+            out.append(SmallerFinding(score.effect.name, shrinkage, p))
+    return tuple(out)
+
+
+# -- the record --------------------------------------------------------------------------------------------
 
 
 def report(

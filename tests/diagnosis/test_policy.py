@@ -22,13 +22,13 @@ from test_survey import encoder
 
 import hallsym
 from hallsym.diagnosis import POLICY, Base, Diagnosis, diagnose, prepare
-from hallsym.diagnosis.confusable import confusable, smaller_findings
 from hallsym.diagnosis.curves import LackOfFit, Shape
 from hallsym.diagnosis.facts import facts_of, switched_runs
 from hallsym.diagnosis.faults import of_samples
 from hallsym.diagnosis.localisation import clear
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.refit import refit, with_model
+from hallsym.diagnosis.report import confusable, smaller_findings
 from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.scores import Score
 from hallsym.diagnosis.selection import Exact, Selection, cancels, ordered, refitted, select
@@ -40,8 +40,8 @@ from hallsym.families import effect_named
 from hallsym.log import Log
 from hallsym.report.text.diagnosis import shrinks_text
 
-CONFUSABLE, SELECTION = (sys.modules[f"hallsym.diagnosis.{name}"] for name in ("confusable", "selection"))
-"""The modules; the package has functions of these names."""
+SELECTION = sys.modules["hallsym.diagnosis.selection"]
+"""The module; the package has a function of this name too."""
 
 LEVEL = 0.05
 FLOOR = Floor({"x_m": 1e-6}, 1e-6)
