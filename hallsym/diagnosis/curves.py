@@ -150,7 +150,7 @@ def hats(x: np.ndarray, at: np.ndarray) -> np.ndarray:
     return out
 
 
-# -- curves ---
+# -- curves --------------------------------------------------------------------------------------------------
 
 
 BENDS = (0.01, 0.3, 10.0)
@@ -443,7 +443,7 @@ def _penalty(size: np.ndarray, m: int, bend: float) -> np.ndarray:
     return np.kron(np.diag(weight), bend * D.T @ D + RIDGE * np.eye(m))
 
 
-# -- lack of fit ---
+# -- lack of fit ---------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

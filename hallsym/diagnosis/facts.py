@@ -151,7 +151,9 @@ def steps(
 
     # a step's columns less their mean in its run: of its offset they are 0 in the runs after it
     y, about = centred(y), centred(x)
-    x = x if lasting else about
+    if not lasting:  # each of size 1, so that sums over all runs round none away
+        own_size, level = (np.sqrt(np.bincount(index, v**2) / sizes) for v in (about, x))
+        x = about = about / np.where(own_size > NIL * level, own_size, np.inf)[index]
     size, common = np.maximum(whole(about**2), 1e-300), whole(about * y)
     beside = np.array([later(about), later(x * about) + after(about**2)])
     shared = np.array([later(y), later(x * y) + after(about * y)]) - beside * common / size
@@ -235,14 +237,14 @@ def _slips(base: Base, r: ResidualTable, found: Survey) -> tuple[tuple[int, floa
 
 def facts_of(base: Base, found: Survey) -> Facts:
     """Return what effects may know of the log; searched numbers come from the residual of `base`."""
-    model, log = base.model, base.log
+    model, log, warm = base.model, base.log, "temperature_degc"
     r, values = table_of(base, frozenset(log.runs)), _readings(log, model)
     several = len(model.channels) > len(model.pose) and not model.zeros
     on_runs, on_runs_p = switched_runs(r) if r and several else ((), 1.0)
     return Facts(
         duration_s=max(found.duration_s, 1e-6),
         columns=tuple(c for c in log.columns if base.timed or c != "t_s"),
-        temperature=_mean(log, "temperature_degc") if "temperature_degc" in log.columns else None,
+        temperature=float(log.array(warm).mean()) if warm in log.columns else None,
         extremes=np.vstack([np.quantile(values, [1 - share, share], axis=1) for share in CUT]),
         rails=rails_of(values, base.policy),
         lines_hz=found.lines_hz,
@@ -253,11 +255,6 @@ def facts_of(base: Base, found: Survey) -> Facts:
         on_runs_tried=2 ** (len(log.runs) - 1),
         on_runs_p=on_runs_p,
     )
-
-
-def _mean(log: Log, column: str) -> float:
-    sums = [(b.data[column].sum(), len(b)) for b in batches(log, (column,))]
-    return float(sum(s for s, _ in sums) / sum(n for _, n in sums))
 
 
 def _readings(log: Log, model: Model) -> np.ndarray:

@@ -203,7 +203,7 @@ def _chip(base: Base, found: Survey) -> Fault | None:
     seen = cordic(found.values[0], base.policy, spread, step)
     if seen is None:
         return None
-    chip = seen.levels
+    chip, p = seen
     fine = {
         "steps": Estimate(float(chip.steps), None, "1"),
         "distance": Estimate(chip.distance, None, "rad"),
@@ -212,23 +212,18 @@ def _chip(base: Base, found: Survey) -> Fault | None:
     many, worst = 2 * len(chip.angles), np.degrees(chip.worst)
     text = f"{chip.steps} steps of CORDIC: {many} angles a turn, up to {worst:.2g} deg off"
     power = (chip.rms / sigma) ** 2 / found.variance
-    return Fault("cordic_steps", text, power, fine, seen.p_value)
+    return Fault("cordic_steps", text, power, fine, p)
 
 
-# -- steps of CORDIC: only certain angles are read then ---
+# -- few steps of CORDIC: a decoded angle takes certain values only ------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Cordic:
-    """Steps of CORDIC that the values of a reading tell; `p_value`: of as many values being levels, over all
-    tried."""
-
-    levels: Levels
-    p_value: float
-
-
-def cordic(values: np.ndarray, policy: Policy, spread: float, step: float = 0.0) -> Cordic | None:
+def cordic(
+    values: np.ndarray, policy: Policy, spread: float, step: float = 0.0
+) -> tuple[Levels, float] | None:
     """Return the fewest steps of CORDIC that explain the distinct `values` [rad] of an angle, None for none.
+
+    With them, how likely it is that as many values are levels of any that were tried.
 
     The zero register of a chip may turn all of them by any angle. `spread`: rms of what a model leaves [rad].
     `step`: equal steps between the values where they have them: levels less than two of them apart are not
@@ -247,7 +242,7 @@ def cordic(values: np.ndarray, policy: Policy, spread: float, step: float = 0.0)
         near, off, bins = _hits(v, k)
         p = min(1.0, as_often(near, len(v), 2 * TOLERANCE) * bins * len(tried))
         if near >= (1 - policy.minor) * len(v) and p < 1.0 and off < _off_even(v, k.distance, bins):
-            return Cordic(k, p)
+            return k, p
     return None
 
 
@@ -293,7 +288,7 @@ def _apart(angles: np.ndarray, at: np.ndarray) -> np.ndarray:
     return np.where(above < -below, above, below)
 
 
-# -- what follows from faults ---
+# -- repairs -------------------------------------------------------------------------------------------------
 
 
 def without_tail(base: Base) -> Weigh:

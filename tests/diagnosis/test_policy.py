@@ -41,7 +41,7 @@ from hallsym.log import Log
 from hallsym.report.text.diagnosis import shrinks_text
 
 SELECTION = sys.modules["hallsym.diagnosis.selection"]
-"""The module; the package has a function of this name too."""
+"""The module whose functions a test replaces."""
 
 LEVEL = 0.05
 FLOOR = Floor({"x_m": 1e-6}, 1e-6)
