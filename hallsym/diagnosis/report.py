@@ -40,7 +40,6 @@ from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import QUIET, Held, Validation, Verdict, closed
 from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit, noise_text
 from hallsym.errors import InputError, counted
-from hallsym.estimation.calibration import Fit
 from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.families import added_effects
 from hallsym.families.faults import WIRING
@@ -141,14 +140,19 @@ def report(
     loud = noise if noise is not None and noise.larger and verdict != "unexplained" else None
     where, rest = _located(setup, selection, found, verdict, loud)
     left = unexplained(rest, 1 - share) if rest else None
-    gap_after = found.before.gap if quiet else _gap_after(found)
+    gap_after, cured = found.before.gap, found.cured.gap
+    if not quiet:  # faults of samples count by their power
+        power = found.metric / found.cured.metric
+        gap_after = Gap({c: v * power for c, v in cured.rmse.items()}, cured.peak)
+    given = {s.source == "given" for s in setup.fit.noise.sigmas.values()}
+    source = "stated and estimated" if len(given) == 2 else "stated" if given == {True} else "estimated"
     log = setup.fit.log
     span = {column: (low, high) for column, (low, high) in log["span"].items()}
     return Diagnosis(
         verdict=verdict,
         sentence=sentence(setup, verdict, named, alike.instead_of, metric, noise),
         held_out=setup.held_out,
-        noise_floor=NoiseFloor(dict(found.floor.outputs), _source(setup.fit)),
+        noise_floor=NoiseFloor(dict(found.floor.outputs), source),
         gap_before=found.before.gap,
         gap_after=gap_after,
         metric=metric,
@@ -197,12 +201,6 @@ def unexplained(found: Located, share: float) -> Unexplained:
     return Unexplained(share, shape(curve, found.fitted) if curve and found.fitted else None)
 
 
-def _gap_after(found: Validation) -> Gap:
-    """Return the gap with everything that was found; faults of samples count by their power."""
-    gap, share = found.cured.gap, found.metric / found.cured.metric
-    return Gap({c: v * share for c, v in gap.rmse.items()}, gap.peak)
-
-
 def _located(
     setup: Setup, selection: Selection, found: Validation, verdict: Verdict, loud: ResidualNoise | None
 ) -> tuple[Located, Located | None]:
@@ -239,11 +237,6 @@ def _size(setup: Setup, found: Validation, where: Located, loud: bool) -> Sizes:
     errors = {"fitted": decoded_errors(start, setup.runs), "held_out": found.before}
     floors = {"fitted": setup.floor_fitted.outputs, "held_out": setup.floor.outputs}
     return sizes({"fitted": fitted, "held_out": held}, errors, floors)
-
-
-def _source(fit: Fit) -> str:
-    given = {s.source == "given" for s in fit.noise.sigmas.values()}
-    return "stated and estimated" if len(given) == 2 else "stated" if given == {True} else "estimated"
 
 
 # -- sentences, and the next command -----------------------------------------------------------------------
@@ -330,23 +323,17 @@ def model_error(
     counts = curve is not None and curve.line and curve.column.removeprefix("d0_") in placed
     share = lies.statements[0].share if lies is not None and lies.statements and counts else 0.0
     left = float(np.sqrt(max(1 - share, 0.0)))
+    models = found.fit, *alike.fits  # each with its probability by BIC
+    bic = np.array([f.bic(len(f.base.free), found.inflation) for f in models])
+    weight = np.exp(-0.5 * (bic - bic.min()))
     return ModelLeft(
         rest={c: 0.0 if known else v * left for c, v in above.items()},
         shape_counts=counts,
-        candidates=_candidates(found, alike.fits),
-    )
-
-
-def _candidates(found: Validation, fits: tuple[Refitted, ...]) -> tuple[NotExcluded, ...]:
-    """Return the named model and those the log does not exclude, each with its probability by BIC."""
-    if not fits:
-        return ()
-    models = found.fit, *fits
-    bic = np.array([f.bic(len(f.base.free), found.inflation) for f in models])
-    weight = np.exp(-0.5 * (bic - bic.min()))
-    return tuple(
-        NotExcluded(tuple(added_effects(f.base.model)), f.base.values, float(w))
-        for f, w in zip(models, weight / weight.sum(), strict=True)
+        candidates=tuple(
+            NotExcluded(tuple(added_effects(f.base.model)), f.base.values, float(w))
+            for f, w in zip(models, weight / weight.sum(), strict=True)
+            if alike.fits
+        ),
     )
 
 
@@ -463,24 +450,18 @@ def firmware_cost(before: Model, after: Model, p: np.ndarray | None = None) -> s
 
     `p`: parameters of `after`, which decide how often a non-linear model is iterated; nominal by default.
     """
-    added = counted(len(after.parameters) - len(before.parameters), "parameter")
-    signals = [c.name for c in after.computed if c.name not in before.state]
-    text = f"{added}; {_work(before, after, p)}"
-    if signals:
-        some = ", ".join(signals[:SHOWN]) + (", ..." if len(signals) > SHOWN else "")
-        text += f" and {counted(len(signals), 'signal')} to compute ({some})"
-    return text
-
-
-def _work(before: Model, after: Model, p: np.ndarray | None) -> str:
     shared = None
     if p is not None:
         shared = before.vector({n: v for n, v in after.named(p).items() if n in before.names})
     try:
         old, new = cost_of(before, shared), cost_of(after, p)
+        work = f"C about {old.instructions} -> {new.instructions} instructions"
+        work += f", parameter table {old.table} -> {new.table} B"
     except InputError:
-        return f"decoding {operations(before)} -> {operations(after)} operations, no C"
-    return (
-        f"C about {old.instructions} -> {new.instructions} instructions, "
-        f"parameter table {old.table} -> {new.table} B"
-    )
+        work = f"decoding {operations(before)} -> {operations(after)} operations, no C"
+    text = f"{counted(len(after.parameters) - len(before.parameters), 'parameter')}; {work}"
+    signals = [c.name for c in after.computed if c.name not in before.state]
+    if signals:
+        some = ", ".join(signals[:SHOWN]) + (", ..." if len(signals) > SHOWN else "")
+        text += f" and {counted(len(signals), 'signal')} to compute ({some})"
+    return text
