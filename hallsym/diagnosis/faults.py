@@ -94,7 +94,8 @@ def of_samples(found: Survey, policy: Policy) -> Iterator[Fault]:
         of_late = max(float(np.mean(np.where(spikes, 0.0, z**2 - expected))), 0.0) if late.any() else 0.0
         tail, share = of_spikes + of_late, 100 * float(spikes.mean())
         if of_spikes > policy.half * tail:  # a late sample is off along the motion only
-            p = as_many(_events(spikes), policy.tails * exceeds(rest, across, limit, beside) * n)
+            expected_far = policy.tails * exceeds(rest, across, limit, beside) * n
+            p = float(gammainc(_events(spikes), max(expected_far, 1e-300)))  # Poisson
             text = f"{share:.2g} % of the samples are spikes"
             yield fault("outliers", text, tail, p, Estimate(share / 100, None, "1"))
         events, share = _events(late), 100 * float(late.mean())
@@ -132,11 +133,6 @@ def exceeds(values: np.ndarray, freedom: int, limit: float, white: np.ndarray) -
         return float(chdtrc(freedom, limit * statistic_at(0.5, freedom) / float(middle)))
     weight = 10.0 ** (brentq(heavier, heaviest, lightest) if heavier(heaviest) > 0.0 else heaviest)
     return float(fdtrc(freedom, weight, limit * float(fdtri(freedom, weight, 0.5)) / float(middle)))
-
-
-def as_many(count: int, expected: float) -> float:
-    """Return the probability of `count` or more rare events where `expected` are (Poisson)."""
-    return float(gammainc(count, max(expected, 1e-300))) if count > 0 else 1.0
 
 
 def far_from(freedom: int, samples: int, policy: Policy) -> float:
