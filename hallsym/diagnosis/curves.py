@@ -231,7 +231,7 @@ class _Over:
             raise ValueError(f"{coordinate.name} does not vary")
         self.r, self.coordinate, self.values = r, coordinate, values
         self.there = None if moved is None else coordinate.values(moved)
-        self.change = 0.0 if moved is None else moved.residual - r.residual
+        self.change = np.zeros(1) if moved is None else moved.residual - r.residual
 
     def predicted(self, coefficients: np.ndarray, r: ResidualTable, x: np.ndarray) -> np.ndarray:
         """Return what coefficients (K, features) predict where the coordinate has the values `x`."""
