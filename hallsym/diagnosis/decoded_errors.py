@@ -16,7 +16,7 @@ from hallsym.records import named
 
 @dataclass(frozen=True, eq=False)
 class DecodedErrors:
-    """Decoded errors of `count` samples: sums of `squares` and `peak`, (pose,) each, in SI.
+    """Decoded errors of `count` samples: `rms` and `peak` of each coordinate, (pose,) each, in SI.
 
     `weights`: (pose,) of the pose metric.
     """
@@ -24,13 +24,8 @@ class DecodedErrors:
     pose: tuple[str, ...]
     weights: np.ndarray
     count: int
-    squares: np.ndarray
+    rms: np.ndarray
     peak: np.ndarray
-
-    @property
-    def rms(self) -> np.ndarray:
-        """Root mean square of each coordinate, (pose,)."""
-        return np.sqrt(self.squares / max(self.count, 1))
 
     @property
     def metric(self) -> float:
@@ -43,10 +38,7 @@ class DecodedErrors:
         return Gap(named(self.pose, self.rms), named(self.pose, self.peak))
 
 
-Decode = Callable[[Block], np.ndarray]
-
-
-def errors_of(base: Base) -> Decode:
+def errors_of(base: Base) -> Callable[[Block], np.ndarray]:
     """Return `block -> (n_pose, samples)` errors of the decoded pose; the block needs the model's columns."""
     errors = pose_errors(base.model, np.diag(base.covariance))
     return lambda block: errors(base.p, base.zeros_in(block.run), block.data)
@@ -57,8 +49,9 @@ def decoded_errors(base: Base, runs: Iterable[int], keep: Weigh | None = None) -
     version = base.p, base.zeros
     (found,) = error_tables(base.log, base.model, [version], np.diag(base.covariance), keep, sigma=base.sigma)
     pick = np.isin(found.runs, list(runs))
-    squares, peak = found.squares[pick].sum(axis=0), found.peak[pick].max(axis=0, initial=0.0)
-    return DecodedErrors(found.pose, base.pose_weights, int(found.count[pick].sum()), squares, peak)
+    count, peak = int(found.count[pick].sum()), found.peak[pick].max(axis=0, initial=0.0)
+    rms = np.sqrt(found.squares[pick].sum(axis=0) / max(count, 1))
+    return DecodedErrors(found.pose, base.pose_weights, count, rms, peak)
 
 
 FIRST = 12
