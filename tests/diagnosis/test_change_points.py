@@ -5,6 +5,7 @@ size in every run.
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,9 +13,8 @@ from gap_twins import machine
 from scipy.signal import lfilter
 
 from hallsym.diagnosis import POLICY, Diagnosis, diagnose
-from hallsym.diagnosis.change_points import change_points
-from hallsym.diagnosis.facts import instants
-from hallsym.diagnosis.residual_table import ResidualTable, Spectrum
+from hallsym.diagnosis.facts import change_points, instants
+from hallsym.diagnosis.residual_table import ResidualTable
 from hallsym.log import Log
 
 RUNS, SAMPLES = 20, 250
@@ -25,10 +25,8 @@ def table(residual: np.ndarray) -> ResidualTable:
     n = residual.shape[1]
     run = np.arange(n) // SAMPLES
     time, sensed = {"campaign_s": 0.01 * np.arange(n)}, np.sin(0.07 * np.arange(n))[None]
-    return ResidualTable(
-        ("m_m",), ("x_m",), ("x_ref_m",), (), run, residual, sensed, residual, time, np.eye(1), run, run,
-        run, np.eye(1), np.ones(1), {}, POLICY, Spectrum(),
-    )  # fmt: skip
+    base = SimpleNamespace(covariance=np.eye(1), policy=POLICY, timed=True)
+    return ResidualTable(base, run, residual, sensed, residual, time, np.ones((1, 1, n)), run, run, run)
 
 
 def noise(rng: np.random.Generator, memory: float) -> np.ndarray:
