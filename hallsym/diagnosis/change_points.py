@@ -12,7 +12,7 @@ from hallsym.diagnosis.p_values import beyond_one
 from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residual_table import ResidualTable, slices
 from hallsym.estimation import pseudo_inverse
-from hallsym.log.quality.runs import FEWEST_SAMPLES
+from hallsym.log.quality.scan import FEWEST_SAMPLES
 
 
 @dataclass(frozen=True)

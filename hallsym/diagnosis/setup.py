@@ -27,7 +27,7 @@ from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ
 from hallsym.log import Log, clean_log, usable
 from hallsym.log.batches import HELD, remembered
 from hallsym.log.phase import continuous
-from hallsym.log.quality.runs import FEWEST_SAMPLES
+from hallsym.log.quality.scan import FEWEST_SAMPLES
 from hallsym.model import Effect, Model
 
 Say = Callable[[str], None]

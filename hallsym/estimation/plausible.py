@@ -17,9 +17,8 @@ from hallsym.estimation.run_statistics import RunStatistics, projected
 from hallsym.estimation.start import MOVED, LinearFit
 from hallsym.log import Log, Noise
 from hallsym.log.phase import continuous
-from hallsym.log.quality.explain import Explanation
 from hallsym.log.quality.findings import Fault, Finding
-from hallsym.log.quality.gains import Responses, judge_gains, said
+from hallsym.log.quality.gains import Explanation, Responses, judge_gains, said
 from hallsym.log.table import TableLike, View
 from hallsym.model import Model
 from hallsym.model.features import Features

@@ -256,7 +256,10 @@ class _Elimination:
 
         The elimination is I - Q with Q = U^T U and the offsets: its entries beside the diagonal are -Q.
         """
-        taken, over = self.covariances(self.basis, lags).sum(axis=0), np.repeat(1.0 / self.sizes, self.lengths)
+        taken, over = (
+            self.covariances(self.basis, lags).sum(axis=0),
+            np.repeat(1.0 / self.sizes, self.lengths),
+        )
         for lag, pairs in enumerate(self.pairs[: lags + 1]):
             taken[lag] += float(pairs @ over[: len(pairs)]) / max(float(pairs.sum()), 1.0)
         out = -taken / (1.0 - taken[0])

@@ -21,7 +21,7 @@ from hallsym.estimation.run_statistics import RunStatistics, summarise
 from hallsym.families import adapted, build, default_model
 from hallsym.log import Log, Noise, estimate_noise, usable
 from hallsym.log.batches import Weigh
-from hallsym.log.drop import Drop, without
+from hallsym.log.core import Drop, without
 from hallsym.log.phase import continuous, designed
 from hallsym.model import Inspection, Model
 from hallsym.terminal import Step

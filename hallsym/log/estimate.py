@@ -10,7 +10,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log
-from hallsym.log.noise import Noise, Sigma
+from hallsym.log.meta import Noise, Sigma
 from hallsym.log.phase import unwrapped
 from hallsym.model.arrays import median, medians, middles
 from hallsym.units import Array, si_unit

@@ -18,8 +18,7 @@ from hallsym.log.arrow import (
     only_time,
     said_of_times,
 )
-from hallsym.log.extras import load
-from hallsym.log.table import IN_MEMORY_ROWS, Source, label
+from hallsym.log.table import IN_MEMORY_ROWS, Source, label, load
 from hallsym.units import Array
 
 _BUFFER = 1 << 20

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.log.core import Log
-from hallsym.log.drop import Drop
-from hallsym.log.limits import is_reading, is_reference
+from hallsym.log.columns import is_reading, is_reference
+from hallsym.log.core import Drop, Log
 from hallsym.log.quality.findings import Finding, the
-from hallsym.log.quality.motion import OVER_NOISE, code, gains, stretches
-from hallsym.log.quality.scan import WHOLE_ROWS, Scan, Whole
+from hallsym.log.quality.scan import OVER_NOISE, WHOLE_ROWS, Scan, Whole, code, gains, stretches
 from hallsym.units import Array, si_symbol
 
 TURN = 2.6
