@@ -12,7 +12,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.decoding import ErrorTable, knows_rails, logged_columns
-from hallsym.estimation.gauss_newton import Shifts, cost_near, deviations_of, judged, zeros_of
+from hallsym.estimation.gauss_newton import Shifts, cost_near, deviations_of, judged
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.noise_floor import noise_floor, uncertain
@@ -42,8 +42,7 @@ def recording_notes(log: Log, model: Model, p: np.ndarray, noise: Mapping[str, f
     judged.refuse()
     if base is not model:
         return judged.notes
-    cost = cost_near(log, model, p, noise)
-    late = lateness(log, model, p, zeros_of(cost, p), cost)
+    late = lateness(log, cost_near(log, model, p, noise).at(p))
     return judged.notes if late is None else (*judged.notes, late)
 
 

@@ -5,13 +5,13 @@ Units, signs and order of channels and references, and references that are late 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.estimation.likelihood import Cost
+from hallsym.estimation.likelihood import Cost, Point
 from hallsym.estimation.outliers import residuals
 from hallsym.estimation.run_statistics import RunStatistics, projected
 from hallsym.estimation.start import MOVED, LinearFit
@@ -213,18 +213,17 @@ MOST, ALIKE = 0.8, 0.2
 """Share of the misfit that a delay must explain; relative difference of the channels' delays, at most."""
 
 
-def lateness(
-    log: Log, model: Model, p: np.ndarray, zeros: Mapping[int, np.ndarray], cost: Cost
-) -> str | None:
+def lateness(log: Log, point: Point) -> str | None:
     """Return a note where the readings follow references of another time; None where they do not.
 
     One parameter by channel: residuals r against the rate of the model's reading m, delay = r.m' / m'.m'.
+    `point`: of the cost at the optimum.
     """
-    counts = float(cost.summary.counts.sum())
-    noise = cost.at(p).covariance.mean(axis=0).diagonal()
-    if "t_s" not in log.columns or cost.at(p).value < MISFIT * counts * len(noise):
+    cost, model = point.cost, point.cost.summary.model
+    noise, used = point.covariance.mean(axis=0).diagonal(), set(cost.summary.runs)
+    if "t_s" not in log.columns or point.value < MISFIT * float(cost.summary.counts.sum()) * len(noise):
         return None
-    residual, used = residuals(model, p, zeros), set(cost.summary.runs)
+    residual = residuals(model, point.p, dict(zip(cost.summary.runs, point.zeros, strict=True)))
     sums, ticks, rows = np.zeros((3, len(model.channels))), list[float](), 0
     for block in log.blocks((*model.references, *model.state, *model.channels, "t_s")):
         t = block.data["t_s"]
