@@ -18,7 +18,7 @@ from hallsym.estimation.start import MOVED, LinearFit
 from hallsym.log import Log, Noise
 from hallsym.log.phase import continuous
 from hallsym.log.quality.findings import Fault, Finding
-from hallsym.log.quality.gains import Explanation, Responses, judge_gains, said
+from hallsym.log.quality.gains import Explanation, Responses, judge_gains, medians_of, said
 from hallsym.log.table import TableLike, View
 from hallsym.model import Model
 from hallsym.model.features import Features
@@ -91,10 +91,9 @@ def _freed(summary: RunStatistics, index: list[int]) -> tuple[np.ndarray, np.nda
 
 def _moves(energy: np.ndarray, own: np.ndarray, leads: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Return whether each reference (runs, j) moves apart from the others, beside the runs it leads."""
-    usual = np.where(leads, energy / counts[:, None], np.nan)
-    any_ = leads.any(axis=0)
-    usual[:, ~any_] = (energy / counts[:, None])[:, ~any_]
-    return np.asarray(own / counts[:, None] > AT_REST**2 * np.nanmedian(usual, axis=0))
+    mean = energy / counts[:, None]
+    usual = medians_of(mean, leads | ~leads.any(axis=0))
+    return np.asarray(own / counts[:, None] > AT_REST**2 * usual)
 
 
 def _regression(

@@ -93,7 +93,9 @@ class Log:
     @cached_property
     def runs(self) -> tuple[int, ...]:
         """Run ids in the order of recording."""
-        return tuple(dict.fromkeys(block.run for block in self.blocks((RUN,))))
+        order = RunOrder(self.name)
+        found = (order.segments(piece[RUN]) for piece in self.table.pieces((RUN,), CHUNK_ROWS))
+        return tuple(dict.fromkeys(run for segments in found for run, _, _ in segments))
 
     @cached_property
     def sha256(self) -> str:

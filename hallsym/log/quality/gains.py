@@ -172,11 +172,11 @@ def _usual(seen: Responses, lower: np.ndarray, upper: np.ndarray) -> Slopes:
     good = told & (seen.slopes >= low) & (seen.slopes <= high)
     kept = np.where(2 * good.sum(axis=0) >= told.sum(axis=0), good, told)
     moved = np.asarray(seen.moved.any(axis=0))
-    slopes, std = _medians(seen.slopes, kept), _medians(seen.std, kept)
+    slopes, std = medians_of(seen.slopes, kept), medians_of(seen.std, kept)
     return Slopes(slopes, std, moved, lower, upper)
 
 
-def _medians(values: np.ndarray, kept: np.ndarray) -> np.ndarray:
+def medians_of(values: np.ndarray, kept: np.ndarray) -> np.ndarray:
     """Median over runs of the values that are kept; 0 where none is."""
     ordered, count = np.sort(np.where(kept, values, np.inf), axis=0), kept.sum(axis=0)
     middle = np.maximum(np.array([(count - 1) // 2, count // 2]), 0)
