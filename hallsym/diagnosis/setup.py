@@ -17,8 +17,8 @@ from hallsym.estimation import fit, noise_of
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.decoding import knows_rails, logged_columns
 from hallsym.estimation.gauss_newton import cost_near
+from hallsym.estimation.goodness_of_fit import noise_floor
 from hallsym.estimation.likelihood import Point
-from hallsym.estimation.noise_floor import noise_floor
 from hallsym.estimation.outliers import beside_rails
 from hallsym.estimation.plausible import Wiring, as_read
 from hallsym.families import build, default_model

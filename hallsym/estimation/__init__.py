@@ -39,7 +39,7 @@ from hallsym.estimation.decoding import (
 from hallsym.estimation.evaluate import Evaluation, evaluate
 from hallsym.estimation.fit import LOSSES, fit
 from hallsym.estimation.gauss_newton import cost_near, zeros_of
-from hallsym.estimation.goodness_of_fit import KNOWN, WORTH_REPORTING, GoodnessOfFit, limit_of
+from hallsym.estimation.goodness_of_fit import KNOWN, WORTH_REPORTING, GoodnessOfFit, limit_of, noise_floor
 from hallsym.estimation.identifiable import (
     Determination,
     determine,
@@ -51,7 +51,6 @@ from hallsym.estimation.identifiable import (
 )
 from hallsym.estimation.likelihood import Coefficients, Cost, cost_of
 from hallsym.estimation.linearised import exact
-from hallsym.estimation.noise_floor import noise_floor
 from hallsym.estimation.normal_equations import inverse, pseudo_inverse, solve
 from hallsym.estimation.optimum import SOLVERS, refit
 from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey

@@ -20,7 +20,7 @@ from scipy.linalg.lapack import dtbtrs
 from scipy.special import chdtrc, ndtri, stdtrit
 
 from hallsym.estimation.decoding import columns_of
-from hallsym.estimation.goodness_of_fit import KNOWN, MAD, GoodnessOfFit, limit_of
+from hallsym.estimation.goodness_of_fit import KNOWN, MAD, GoodnessOfFit, limit_of, uncertain
 from hallsym.estimation.likelihood import Point
 from hallsym.estimation.outliers import residual_of
 from hallsym.families.play import stop_operators
@@ -434,8 +434,12 @@ def noise_at(
 def with_noise(
     known: GoodnessOfFit, log: Log, point: Point, noise: Noise, keep: Weigh | None = None
 ) -> GoodnessOfFit:
-    """Return the goodness of a fit that says so where its excess is noise that is larger than stated."""
-    model = point.cost.summary.model
+    """Return the goodness of a fit beside its floor, and where its excess is noise larger than stated, so.
+
+    `point`: of its cost at the optimum, with `noise`.
+    """
+    model, meta = point.cost.summary.model, log.meta
+    known = known.judged(uncertain(point, noise, meta.gap_length_scale_m), meta.gap_threshold_rel)
     stated = any(s.source == "given" for s in noise.sigmas.values())
     if not stated or known.residual_over_noise <= known.limit or not known.significant:
         return known

@@ -18,11 +18,10 @@ import numpy as np
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.gauss_newton import deviations_of
-from hallsym.estimation.goodness_of_fit import WORTH_REPORTING, diagnose_command, limit_of
+from hallsym.estimation.goodness_of_fit import WORTH_REPORTING, diagnose_command, limit_of, noise_floor
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Point
 from hallsym.estimation.linearised import exact
-from hallsym.estimation.noise_floor import noise_floor, uncertain
 from hallsym.estimation.normal_equations import pseudo_inverse, unit_scale
 from hallsym.estimation.plausible import composed
 from hallsym.estimation.residual_noise import with_noise
@@ -160,16 +159,7 @@ def fit_of(
         },
         seconds=perf_counter() - began,
         goodness=replace(
-            with_noise(
-                estimate.goodness.judged(
-                    uncertain(state.point, task.noise, task.log.meta.gap_length_scale_m),
-                    task.log.meta.gap_threshold_rel,
-                ),
-                task.log,
-                state.point,
-                task.noise,
-                solved.keep,
-            ),
+            with_noise(estimate.goodness, task.log, state.point, task.noise, solved.keep),
             next_command=command,
         ),
         notes=(

@@ -11,9 +11,8 @@ from hallsym.estimation import outliers, start
 from hallsym.estimation.calibration import Errors, Fit
 from hallsym.estimation.decoding import error_tables, knows_rails, logged_columns, nominal_variance
 from hallsym.estimation.gauss_newton import DROP, optimum
-from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
+from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of, noise_floor, uncertain
 from hallsym.estimation.likelihood import Cost, cost_of
-from hallsym.estimation.noise_floor import noise_floor, uncertain
 from hallsym.estimation.optimum import Solution
 from hallsym.estimation.plausible import Judgement, Wiring, as_read, judge, rewired, wiring_of
 from hallsym.estimation.residual_noise import noise_followed

@@ -104,7 +104,7 @@ def _are_even(times: Array) -> Array:
 
 
 def _even_spreads(rows: Array) -> Array:
-    """Return the spread of each order's differences (blocks, channels, orders) of rows (blocks, channels, n)."""
+    """Return the spread of the differences of rows (blocks, channels, n), (blocks, channels, orders)."""
     stacked = rows.reshape(-1, rows.shape[2])
     difference, out = stacked - stacked[:, :1], np.full((len(stacked), len(_ORDERS)), np.nan)
     done = 0
