@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.table import Arrays, load
+from hallsym.log.table import Arrays, Source, load
 from hallsym.log.text.cells import split_header
 from hallsym.units import Array
 
@@ -34,6 +34,18 @@ def only_time(names: Sequence[str], times: Iterable[int]) -> int | None:
     if len(places) != 1 or any(re.fullmatch("t(_[a-z]+)?", name) for name in others):
         return None
     return places[0]
+
+
+def name_the_time(source: Source, times: Iterable[int]) -> None:
+    """Let the only column of times be the time of the log, in seconds from its first sample."""
+    at = only_time(source.names, times)
+    if at is None or source.names[at] == f"{TIME}_s":
+        return
+    old = source.names[at]
+    source.names = (*source.names[:at], TIME, *source.names[at + 1 :])
+    source.units = {name: unit for name, unit in source.units.items() if name != old} | {TIME: "s"}
+    longer = {long: TIME if short == old else short for long, short in source.aliases.items()}
+    source.aliases = longer | ({old: TIME} if old != TIME else {})
 
 
 def said_of_times(name: str, where: str, form: str) -> str:

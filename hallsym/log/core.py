@@ -100,7 +100,15 @@ class Log:
     @cached_property
     def sha256(self) -> str:
         """SHA-256 of the data file; of the columns where there is no file. Computed on first use."""
-        return _hash_columns(self) if self.path is None else _hash_file(self.path)
+        if self.path is not None:
+            with open(self.path, "rb") as stream:
+                return hashlib.file_digest(stream, "sha256").hexdigest()
+        digest = hashlib.sha256()
+        for block in self.blocks():
+            for name, values in block.data.items():
+                digest.update(f"{name}:{block.run}:".encode())
+                digest.update(np.ascontiguousarray(values).tobytes())
+        return digest.hexdigest()
 
     def blocks(self, columns: Sequence[str] | None = None, size: int = CHUNK_ROWS) -> Iterator[Block]:
         """Yield consecutive blocks of one run each, of at most `size` samples, with `columns` (or all).
@@ -135,7 +143,8 @@ class Log:
         wanted = self.columns if columns is None else tuple(columns)
         parts = [block.data for block in self.blocks(wanted) if block.run == run]
         if not parts:
-            raise InputError(f"{self.name} has no run {run}; it has runs {_few(self.runs)}.")
+            known = ", ".join(map(str, self.runs[:12])) + (", ..." if len(self.runs) > 12 else "")
+            raise InputError(f"{self.name} has no run {run}; it has runs {known}.")
         return joined(parts, wanted)
 
     def array(self, column: str) -> Array:
@@ -148,8 +157,7 @@ class RunOrder:
 
     def __init__(self, where: str) -> None:
         self.where = where
-        self.current: int | None = None
-        self._seen: set[int] = set()
+        self._seen: dict[int, None] = {}
 
     def segments(self, run: Array) -> list[tuple[int, int, int]]:
         """Return (run id, start, stop) of the consecutive stretches of an integer array of shape (rows,)."""
@@ -158,19 +166,14 @@ class RunOrder:
         edges = [0, *(np.flatnonzero(run[1:] != run[:-1]) + 1).tolist(), len(run)]
         found = list(zip(run[edges[:-1]].tolist(), edges[:-1], edges[1:], strict=True))
         for ident, _, _ in found:
-            self._enter(ident)
+            current = next(reversed(self._seen), None)
+            if ident != current and ident in self._seen:
+                raise InputError(
+                    f"Run {ident} of {self.where} must be contiguous; it comes back after run {current},"
+                    " so sort the log by run or give each stretch its own number."
+                )
+            self._seen[ident] = None
         return found
-
-    def _enter(self, ident: int) -> None:
-        if ident == self.current:
-            return
-        if ident in self._seen:
-            raise InputError(
-                f"Run {ident} of {self.where} must be contiguous; it comes back after run {self.current},"
-                " so sort the log by run or give each stretch its own number."
-            )
-        self._seen.add(ident)
-        self.current = ident
 
 
 def run_notes(bindings: Mapping[str, Binding]) -> tuple[str, ...]:
@@ -181,24 +184,6 @@ def run_notes(bindings: Mapping[str, Binding]) -> tuple[str, ...]:
 
 def _float(values: Array) -> Array:
     return values.astype(np.float64, copy=False)
-
-
-def _few(runs: tuple[int, ...]) -> str:
-    return ", ".join(map(str, runs[:12])) + (", ..." if len(runs) > 12 else "")
-
-
-def _hash_file(path: Path) -> str:
-    with open(path, "rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _hash_columns(log: Log) -> str:
-    digest = hashlib.sha256()
-    for block in log.blocks():
-        for name, values in block.data.items():
-            digest.update(f"{name}:{block.run}:".encode())
-            digest.update(np.ascontiguousarray(values).tobytes())
-    return digest.hexdigest()
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from hallsym.errors import InputError, quoted
-from hallsym.log.arrow import TIME, Seconds, array_of, only_time, said_of_times
+from hallsym.log.arrow import Seconds, array_of, name_the_time, said_of_times
 from hallsym.log.table import Source, label, load
 from hallsym.log.text.cells import COMMA, MISSING, Convention, as_float
 from hallsym.log.text.encoding import END, Encoded, end_of, whole_lines
@@ -43,7 +43,7 @@ class CsvSource(Source):
         self.dialect: Dialect = sniffed(self.file, self.where, delimiter, decimal)
         self.names, self.units, self.aliases = self.dialect.names, self.dialect.units, self.dialect.aliases
         self.times = {self.names.index(name): form for name, form in self.dialect.times.items()}
-        self._name_the_time()
+        name_the_time(self, self.times)
         bytes_read = path.stat().st_size * (COMPRESSED if self.file.compressed else 1)
         self.small = file is not None or bytes_read <= IN_MEMORY_BYTES
         self.recognised = self.dialect.said(sheet)
@@ -56,19 +56,6 @@ class CsvSource(Source):
             about.append(_TORN.format(self.where))
         self.notes = tuple(about)
         self._rows: int | None = None
-
-    def _name_the_time(self) -> None:
-        """Let the only column of times be the time of the log, in seconds from its first sample."""
-        at = only_time(self.names, self.times)
-        if at is None or self.names[at] == f"{TIME}_s":
-            return
-        old = self.names[at]
-        self.names = (*self.names[:at], TIME, *self.names[at + 1 :])
-        self.units = {name: unit for name, unit in self.units.items() if name != old} | {TIME: "s"}
-        self.aliases = {long: short for long, short in self.aliases.items() if short != old}
-        self.aliases |= {old: TIME} | {
-            long: TIME for long, short in self.dialect.aliases.items() if short == old
-        }
 
     def count(self) -> int:
         """Return the number of rows; before the first read the lines are counted."""
