@@ -6,19 +6,19 @@ Units, signs and order of channels and references, and references that are late 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from hallsym.errors import InputError
 from hallsym.estimation.likelihood import Cost, Point
 from hallsym.estimation.outliers import residuals
 from hallsym.estimation.run_statistics import RunStatistics, projected
 from hallsym.estimation.start import MOVED, LinearFit
 from hallsym.log import Log, Noise
 from hallsym.log.phase import continuous
-from hallsym.log.quality.findings import Fault, Finding
-from hallsym.log.quality.gains import Explanation, Responses, judge_gains, medians_of, said
+from hallsym.log.quality.findings import Fault
+from hallsym.log.quality.gains import Explanation, Responses, judge_gains, medians_of
+from hallsym.log.quality.gains import Judgement as Judgement
 from hallsym.log.table import TableLike, View
 from hallsym.model import Model
 from hallsym.model.features import Features
@@ -253,49 +253,11 @@ def lateness(log: Log, point: Point) -> str | None:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Judgement:
-    """Findings on units, signs, order and runs, and what explains slopes of the whole log, the best first."""
-
-    findings: tuple[Finding, ...] = ()
-    whole: tuple[Explanation, ...] = ()
-    spiky: bool = False
-    """Whether spikes bend the slopes, so that nothing can be said before they are taken out."""
-
-    def resolved(self, before: Judgement) -> Judgement:
-        """Return this judgement of rewired channels with what else would explain those before."""
-        others = [e for e in before.whole if not e.only_channels]
-        if not others:
-            return self
-        text = f"Order and signs of channels are resolved; it would do as well that {said(others[0])}."
-        return replace(self, findings=(*self.findings, Finding(text[:-1])))
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What is worth a note."""
-        return tuple(f.sentence for f in self.findings if not f.refuse)
-
-    def refuse(self) -> None:
-        """Raise `InputError` for the first finding that is no matter of opinion."""
-        for finding in self.findings:
-            if finding.refuse:
-                raise InputError(finding.sentence)
-
-
 def judge(
     log: Log, everything: Cost, merged: Cost, linear: LinearFit, holdout: Collection[int] = ()
 ) -> Judgement:
     """Judge the columns of a log by its cost; a run in `holdout` is no reason to refuse."""
-    seen = responses_of(everything)
-    if seen is None:
-        return Judgement()
-    gains = judge_gains(log, seen, holdout, _moved(coupling_of(merged, linear), everything))
-    return Judgement(gains.findings, gains.whole)
-
-
-def _moved(coupling: np.ndarray | None, everything: Cost) -> np.ndarray | float:
-    """Return how far the state of each run moves the gain of each channel, relative, (runs, n_channels)."""
-    if coupling is None:
-        return 0.0
+    seen, coupling = responses_of(everything), coupling_of(merged, linear)
     state = everything.summary.first_state
-    return np.asarray(np.abs(state - np.median(state, axis=0)) @ np.abs(coupling))
+    moved = 0.0 if coupling is None else np.abs(state - np.median(state, axis=0)) @ np.abs(coupling)
+    return Judgement() if seen is None else judge_gains(log, seen, holdout, moved)

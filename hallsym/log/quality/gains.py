@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby, permutations, product
 from typing import Any
 
@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
+from hallsym.errors import InputError
 from hallsym.log.quality.findings import Finding, name_of
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
@@ -112,33 +113,54 @@ SEARCHED = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
-    """Findings on a log, and the columns that explain slopes of the whole log, the best explanation first."""
+class Judgement:
+    """Findings on units, signs, order and runs, and what explains slopes of the whole log, the best first."""
 
     findings: tuple[Finding, ...] = ()
     whole: tuple[Explanation, ...] = ()
+    spiky: bool = False
+    """Whether spikes bend the slopes, so that nothing can be said before they are taken out."""
+
+    def resolved(self, before: Judgement) -> Judgement:
+        """Return this judgement of rewired channels with what else would explain those before."""
+        others = [e for e in before.whole if not e.only_channels]
+        if not others:
+            return self
+        text = f"Order and signs of channels are resolved; it would do as well that {said(others[0])}."
+        return replace(self, findings=(*self.findings, Finding(text[:-1])))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is worth a note."""
+        return tuple(f.sentence for f in self.findings if not f.refuse)
+
+    def refuse(self) -> None:
+        """Raise `InputError` for the first finding that is no matter of opinion."""
+        for finding in self.findings:
+            if finding.refuse:
+                raise InputError(finding.sentence)
 
 
 def judge_gains(
     log: Any, seen: Responses, holdout: Collection[int] = (), moved_by_state: np.ndarray | float = 0.0
-) -> Judged:
+) -> Judgement:
     """Judge what the readings of a log answered to its references; no run in `holdout` is a refusal.
 
     `moved_by_state`: (runs, n_channels) relative change of gains by the state of each run, as the log has it.
     """
     model = seen.model
     if model.typical or model.computed or not np.all(np.isfinite(model.bounds)):
-        return Judged()
+        return Judgement()
     possible: tuple[np.ndarray, np.ndarray] | None = model.remember("slopes", lambda: _possible(model))
     if possible is None or not seen.moved.any():
-        return Judged()
+        return Judgement()
     if np.median(_worst(seen)) > ALIEN:  # slopes of what the references do not explain mean nothing
-        return Judged()
+        return Judgement()
     usual = _usual(seen, *possible)
     if not usual.possible():
         found = explanations(usual, model.references, model.channels, _units(log, model))
-        return Judged((explained(log, model, found),) if found else (), tuple(found))
-    return Judged(tuple(_by_run(log, seen, usual, holdout, moved_by_state)))
+        return Judgement((explained(log, model, found),) if found else (), tuple(found))
+    return Judgement(tuple(_by_run(log, seen, usual, holdout, moved_by_state)))
 
 
 def _units(log: Any, model: Model) -> Units:
