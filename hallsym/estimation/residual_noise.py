@@ -214,9 +214,10 @@ class _Elimination:
     def _centred(self, values: np.ndarray) -> np.ndarray:
         """Take the mean of each run, or of all where runs have no offsets, out of rows (m, n)."""
         means = np.add.reduceat(values * self.used, self.starts, axis=1) / self.sizes
-        out = values - np.repeat(means, self.lengths, axis=1)
+        out = np.repeat(means, self.lengths, axis=1)
+        np.subtract(values, out, out=out)
         out *= self.used
-        return np.asarray(out)
+        return out
 
     def left(self, values: np.ndarray) -> np.ndarray:
         """Return what is left of rows (m, n) without columns and offsets; 0 where samples do not count."""
@@ -294,7 +295,7 @@ def autoregressive(phi: np.ndarray, white: np.ndarray) -> np.ndarray:
 def _driven(phi: np.ndarray, drive: np.ndarray) -> np.ndarray:
     """Return x (m, n) with x[k] = phi[0] x[k - 1] + phi[1] x[k - 2] + ... + drive[k], from rest."""
     band = np.repeat(np.append(1.0, -phi)[:, None], drive.shape[1], axis=1)
-    return np.asarray(dtbtrs(np.asfortranarray(band), drive.T, uplo="L", diag="U")[0].T)
+    return np.asarray(dtbtrs(np.asfortranarray(band), drive.T, uplo="L", diag="U", overwrite_b=True)[0].T)
 
 
 def _stable(phi: np.ndarray) -> np.ndarray:
