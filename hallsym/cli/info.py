@@ -16,7 +16,7 @@ from hallsym.estimation.calibration import load_fit
 from hallsym.families import build, effects, family_called, models
 from hallsym.files import atomic_write
 from hallsym.log import Log, Meta, check_log, estimate_noise, open_source, spans
-from hallsym.log.limits import is_moving
+from hallsym.log.columns import is_moving
 from hallsym.log.table import Source
 from hallsym.report.tables import grid
 from hallsym.report.text.fit import fit_text

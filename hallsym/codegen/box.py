@@ -7,7 +7,7 @@ import numpy as np
 from hallsym.codegen.decoupler import Box, short
 from hallsym.errors import InputError, nearest
 from hallsym.estimation.calibration import Fit
-from hallsym.log.limits import limit_of
+from hallsym.log.columns import limit_of
 
 NEARLY = 0.9
 """Ends whose magnitudes differ by less than this ratio become one symmetric limit, the smaller of the two."""

@@ -23,7 +23,7 @@ from hallsym.estimation import pseudo_inverse
 from hallsym.families.mechanisms import CUT, MAINS_HZ, MAINS_REACH_HZ
 from hallsym.log import Log
 from hallsym.log.batches import batches
-from hallsym.log.quality.runs import FEWEST_SAMPLES
+from hallsym.log.quality.scan import FEWEST_SAMPLES
 from hallsym.model import Facts, Model
 
 

@@ -27,7 +27,7 @@ from hallsym.families.faults import FAULTS, RecordingFault
 from hallsym.inference import Estimate
 from hallsym.log import Block, Log
 from hallsym.log.batches import HELD, Weigh
-from hallsym.log.quality.runs import FEWEST_SAMPLES
+from hallsym.log.quality.scan import FEWEST_SAMPLES
 
 
 @dataclass(frozen=True, eq=False)

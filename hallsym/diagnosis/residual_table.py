@@ -17,7 +17,7 @@ from hallsym.diagnosis.residuals import Base, Piece, found_once, pieces
 from hallsym.diagnosis.sign_flips import stretch
 from hallsym.estimation.residual_noise import STILL
 from hallsym.families.mechanisms import MAINS_HZ
-from hallsym.log.quality.runs import FEWEST_SAMPLES
+from hallsym.log.quality.scan import FEWEST_SAMPLES
 from hallsym.model.arrays import on_arrays
 
 ROOM = 60_000

@@ -16,8 +16,8 @@ from hallsym.errors import InputError, counted
 from hallsym.estimation import fit, noise_of
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.decoding import knows_rails, logged_columns
+from hallsym.estimation.goodness_of_fit import noise_floor
 from hallsym.estimation.likelihood import Point, cost_near
-from hallsym.estimation.noise_floor import noise_floor
 from hallsym.estimation.outliers import beside_rails
 from hallsym.estimation.plausible import Wiring, as_read
 from hallsym.families import build, default_model
@@ -26,7 +26,7 @@ from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ
 from hallsym.log import Log, clean_log, usable
 from hallsym.log.batches import HELD, remembered
 from hallsym.log.phase import continuous
-from hallsym.log.quality.runs import FEWEST_SAMPLES
+from hallsym.log.quality.scan import FEWEST_SAMPLES
 from hallsym.model import Effect, Model
 
 Say = Callable[[str], None]

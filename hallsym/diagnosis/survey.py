@@ -19,7 +19,7 @@ from hallsym.diagnosis.residuals import Base, Piece, found_once, pieces
 from hallsym.estimation import noise_left
 from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ
-from hallsym.log.quality.runs import FEWEST_SAMPLES
+from hallsym.log.quality.scan import FEWEST_SAMPLES
 
 SEGMENT = 64
 """Samples over which the memory of a residual is added up: half of what a spectrum of it resolves."""

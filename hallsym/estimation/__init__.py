@@ -38,7 +38,7 @@ from hallsym.estimation.decoding import (
 from hallsym.estimation.evaluate import Evaluation, evaluate
 from hallsym.estimation.factors import exact, inverse, pseudo_inverse, solve, summarise
 from hallsym.estimation.fit import LOSSES, fit
-from hallsym.estimation.goodness_of_fit import KNOWN, WORTH_REPORTING, GoodnessOfFit, limit_of
+from hallsym.estimation.goodness_of_fit import KNOWN, WORTH_REPORTING, GoodnessOfFit, limit_of, noise_floor
 from hallsym.estimation.identifiable import (
     Determination,
     determine,
@@ -49,7 +49,6 @@ from hallsym.estimation.identifiable import (
     structural_null,
 )
 from hallsym.estimation.likelihood import Coefficients, Cost, cost_near, cost_of, zeros_of
-from hallsym.estimation.noise_floor import noise_floor
 from hallsym.estimation.optimum import SOLVERS, refit
 from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey
 from hallsym.estimation.plausible import as_read, rewired

@@ -1,6 +1,6 @@
 """Decode the pose from readings over a log and tabulate its errors against the reference."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -8,7 +8,7 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.log import Log
-from hallsym.log.batches import Weigh, batches
+from hallsym.log.batches import Batch, Weigh, batches
 from hallsym.log.derived import extended
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
@@ -136,6 +136,8 @@ def knows_rails(model: Model) -> bool:
     return "saturation" in model.effects
 
 
+Version = tuple[np.ndarray, Mapping[int, np.ndarray]]
+"""Parameters (n,), and zeros by run."""
 Errors = Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]
 
 
@@ -180,7 +182,7 @@ def check_decoded(errors: np.ndarray, model: Model, log: Log, run: int) -> None:
 def error_tables(
     log: Log,
     model: Model,
-    versions: Sequence[tuple[np.ndarray, Mapping[int, np.ndarray]]],
+    versions: Sequence[Version],
     reading_variance: np.ndarray,
     keep: Weigh | None = None,
     on_rows: Callable[[int], None] | None = None,
@@ -192,29 +194,55 @@ def error_tables(
     `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part. `sigma`: noise by
     column, for the columns that are computed; those of parameters are taken at the last version's.
     """
+    runs: list[int] = []
+    counts: list[np.ndarray] = []
+    sums: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in versions]
+    span: dict[str, tuple[float, float]] = {}
+    for batch, decoded in _decoded(log, model, versions, reading_variance, sigma, on_rows):
+        weights, starts = batch.weights(keep), batch.edges[:-1]
+        used = np.ones(len(batch), bool) if weights is None else weights > 0
+        runs += [block.run for block in batch.blocks]
+        counts.append(np.add.reduceat(used.astype(float), starts))
+        for column in (*model.references, *model.state) if used.any() else ():
+            values = batch.data[column] if used.all() else batch.data[column][used]
+            low, high = span.get(column, (np.inf, -np.inf))
+            span[column] = (min(low, float(values.min())), max(high, float(values.max())))
+        for error, total in zip(decoded, sums, strict=True):
+            if not np.isfinite(error).all():
+                for block, at in batch.parts():
+                    check_decoded(error[:, at][:, used[at]], model, log, block.run)
+            size = np.where(used, np.abs(error), 0.0)
+            total.append(
+                (np.add.reduceat(size**2, starts, axis=1), np.maximum.reduceat(size, starts, axis=1))
+            )
+    first = np.flatnonzero(np.diff(runs, prepend=runs[0] - 1))  # a run's blocks are consecutive
+    count = np.add.reduceat(np.concatenate(counts), first)
+    tables = []
+    for total in sums:
+        squares, peak = (np.concatenate(parts, axis=1).T for parts in zip(*total, strict=True))
+        each = np.add.reduceat(squares, first), np.maximum.reduceat(peak, first)
+        tables.append(ErrorTable(model.pose, tuple(runs[k] for k in first), count, *each, span))
+    return tables
+
+
+def _decoded(
+    log: Log,
+    model: Model,
+    versions: Sequence[Version],
+    reading_variance: np.ndarray,
+    sigma: Mapping[str, float] | None,
+    on_rows: Callable[[int], None] | None = None,
+) -> Iterator[tuple[Batch, list[np.ndarray]]]:
+    """Yield the log in batches, each with the errors (n_pose, samples) of every version."""
     variances = np.broadcast_to(reading_variance, (len(versions), len(model.channels)))
     errors_of, none = [pose_errors(model, v) for v in variances], np.zeros(len(model.zeros))
-    runs: list[int] = []
-    sums: list[list[tuple[int, np.ndarray, np.ndarray]]] = [[] for _ in versions]
-    span: dict[str, tuple[float, float]] = {}
     wide = extended(log, model, sigma, model.named(versions[-1][0]))
     for batch in batches(wide, columns_of(model), on_rows):
-        weights, lengths = batch.weights(keep), np.diff(batch.edges)
-        runs += [block.run for block in batch.blocks]
-        for column in (*model.references, *model.state):
-            used = batch.data[column] if weights is None else batch.data[column][weights > 0]
-            if used.size:
-                low, high = span.get(column, (np.inf, -np.inf))
-                span[column] = (min(low, float(used.min())), max(high, float(used.max())))
-        for (p, zeros), errors, total in zip(versions, errors_of, sums, strict=True):
+        errors = []
+        for (p, zeros), of in zip(versions, errors_of, strict=True):
             own = np.array([zeros.get(block.run, none) for block in batch.blocks])
-            error = errors(p, np.repeat(own, lengths, axis=0).T, batch.data)
-            for block, at in batch.parts():
-                e = error[:, at] if weights is None else error[:, at][:, weights[at] > 0]
-                check_decoded(e, model, log, block.run)
-                peak = np.maximum(e.max(axis=1, initial=0.0), -e.min(axis=1, initial=0.0))
-                total.append((e.shape[1], np.einsum("ij,ij->i", e, e), peak))
-    return [_table(model, runs, total, span) for total in sums]
+            errors.append(of(p, np.repeat(own, np.diff(batch.edges), axis=0).T, batch.data))
+        yield batch, errors
 
 
 def zero_shifts(
@@ -231,40 +259,16 @@ def zero_shifts(
     `error_tables`.
     """
     own = {c: model.period[c] for c in model.references if c in model.period}
-    if not own:
-        return {}
-    errors_of, none = pose_errors(model, reading_variance), np.zeros(len(model.zeros))
     sums: dict[str, dict[int, complex]] = {c: {} for c in own}
-    wide = extended(log, model, sigma, model.named(p))
-    for batch in batches(wide, columns_of(model)):
-        for block, _ in batch.parts():
-            error = errors_of(p, zeros.get(block.run, none), block.data)
-            for column, period in own.items():
-                turn = np.exp(2j * np.pi / period * error[model.references.index(column)])
-                sums[column][block.run] = sums[column].get(block.run, 0j) + complex(np.nansum(turn))
+    for batch, (error,) in _decoded(log, model, [(p, zeros)], reading_variance, sigma) if own else ():
+        for column, period in own.items():
+            turn = np.nan_to_num(np.exp(2j * np.pi / period * error[model.references.index(column)]))
+            for block, total in zip(batch.blocks, np.add.reduceat(turn, batch.edges[:-1]), strict=True):
+                sums[column][block.run] = sums[column].get(block.run, 0j) + complex(total)
     return {
         column: {run: float(np.angle(total)) * own[column] / (2 * np.pi) for run, total in runs.items()}
         for column, runs in sums.items()
     }
-
-
-def _table(
-    model: Model,
-    runs: Sequence[int],
-    blocks: Sequence[tuple[int, np.ndarray, np.ndarray]],
-    span: Mapping[str, tuple[float, float]],
-) -> ErrorTable:
-    """Join what the blocks of each run gave: a run's blocks are consecutive."""
-    starts = np.flatnonzero(np.r_[True, np.diff(runs) != 0])
-    count, squares, peak = (np.array(column) for column in zip(*blocks, strict=True))
-    return ErrorTable(
-        model.pose,
-        tuple(np.array(runs)[starts].tolist()),
-        np.add.reduceat(count.astype(float), starts),
-        np.add.reduceat(squares, starts),
-        np.maximum.reduceat(peak, starts),
-        span,
-    )
 
 
 def columns_of(model: Model) -> tuple[str, ...]:

@@ -13,9 +13,8 @@ from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.decoding import ErrorTable, error_tables, knows_rails, logged_columns, zero_shifts
 from hallsym.estimation.factors import exact
-from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
+from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of, noise_floor
 from hallsym.estimation.likelihood import Point, cost_near, deviations_of, zeros_of
-from hallsym.estimation.noise_floor import noise_floor, uncertain
 from hallsym.estimation.plausible import as_read, lateness, rewired
 from hallsym.estimation.residual_noise import noise_followed, with_noise
 from hallsym.estimation.task import Asked, Task, noise_of
@@ -75,8 +74,7 @@ def recording_notes(log: Log, model: Model, p: np.ndarray, noise: Mapping[str, f
     judged.refuse()
     if base is not model:
         return judged.notes
-    cost = cost_near(log, model, p, noise)
-    late = lateness(log, model, p, zeros_of(cost, p), cost)
+    late = lateness(log, cost_near(log, model, p, noise).at(p))
     return judged.notes if late is None else (*judged.notes, late)
 
 
@@ -151,9 +149,7 @@ def evaluate(
     if (followed := noise_followed(found.log, found.point, noise)) is not None:
         noise, found = followed, judged(seen, model, known.values, followed.std, own_zero=own_zero)
     notes += _shift_notes(model, found.table, found.shifts, taken_out=own_zero)
-    floor = uncertain(found.point, noise, given.meta.gap_length_scale_m)
-    goodness = found.goodness.judged(floor, given.meta.gap_threshold_rel)
-    goodness = with_noise(goodness, found.log, found.point, noise)
+    goodness = with_noise(found.goodness, found.log, found.point, noise)
     return Evaluation(
         model, found.table, goodness, noise_floor(found.point), noise, tuple(notes), known, given,
         deviations_of(found.point), found.log,

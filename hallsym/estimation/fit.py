@@ -426,7 +426,7 @@ def _left_out(total: float, left: float, loss: str) -> str:
 
 
 def _late(one: Opened, state: Solution) -> tuple[str, ...]:
-    late = lateness(one.task.log, one.task.model, state.p, state.zeros(), state.fitted)
+    late = lateness(one.task.log, state.point)
     return () if late is None else (late,)
 
 

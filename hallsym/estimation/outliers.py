@@ -36,21 +36,28 @@ TUKEY = 4.685
 """Tukey's biweight constant: 95 % efficient for Gaussian noise."""
 
 
-def residuals(model: Model, p: np.ndarray, zeros: Mapping[int, np.ndarray]) -> Callable[[Block], np.ndarray]:
-    """Return `block -> (n_channels, samples)`: reading minus the model's at the reference pose, in m."""
-    read, none = on_arrays(model.reading), np.zeros(len(model.zeros))
+def residual_of(model: Model) -> Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]:
+    """Return `(p, zeros, data) -> (n_channels, samples)`: reading minus the model's at the reference, SI.
 
-    def residual(block: Block) -> np.ndarray:
-        pose = [block.data[c] for c in model.references]
-        state = [block.data[c] for c in model.state]
-        (expected,) = read(p, zeros.get(block.run, none), pose, state)
-        left = np.array([block.data[c] for c in model.channels]) - expected
-        for k, channel in enumerate(model.channels):
-            if channel in model.period:
-                left[k] = wrapped(left[k], model.period[channel])
+    `zeros`: (z,), or (z, samples).
+    """
+    read = on_arrays(model.reading)
+    periods = [(k, model.period[c]) for k, c in enumerate(model.channels) if c in model.period]
+
+    def residual(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
+        pose, state = ([data[c] for c in names] for names in (model.references, model.state))
+        left = np.array([data[c] for c in model.channels]) - read(p, zeros, pose, state)[0]
+        for k, period in periods:
+            left[k] = wrapped(left[k], period)
         return left
 
     return residual
+
+
+def residuals(model: Model, p: np.ndarray, zeros: Mapping[int, np.ndarray]) -> Callable[[Block], np.ndarray]:
+    """Return `block -> (n_channels, samples)`: the same of a run with its zeros."""
+    residual, none = residual_of(model), np.zeros(len(model.zeros))
+    return lambda block: residual(p, zeros.get(block.run, none), block.data)
 
 
 @dataclass(eq=False)

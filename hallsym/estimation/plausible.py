@@ -5,21 +5,20 @@ Units, signs and order of channels and references, and references that are late 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from hallsym.errors import InputError
 from hallsym.estimation.factors import RunStatistics, projected
-from hallsym.estimation.likelihood import Cost
+from hallsym.estimation.likelihood import Cost, Point
 from hallsym.estimation.optimum import MOVED, LinearFit
 from hallsym.estimation.outliers import residuals
 from hallsym.log import Log, Noise
 from hallsym.log.phase import continuous
-from hallsym.log.quality.explain import Explanation
-from hallsym.log.quality.findings import Fault, Finding
-from hallsym.log.quality.gains import Responses, judge_gains, said
+from hallsym.log.quality.findings import Fault
+from hallsym.log.quality.gains import Explanation, Responses, judge_gains, medians_of
+from hallsym.log.quality.gains import Judgement as Judgement
 from hallsym.log.table import TableLike, View
 from hallsym.model import Model
 from hallsym.model.features import Features
@@ -92,10 +91,9 @@ def _freed(summary: RunStatistics, index: list[int]) -> tuple[np.ndarray, np.nda
 
 def _moves(energy: np.ndarray, own: np.ndarray, leads: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Return whether each reference (runs, j) moves apart from the others, beside the runs it leads."""
-    usual = np.where(leads, energy / counts[:, None], np.nan)
-    any_ = leads.any(axis=0)
-    usual[:, ~any_] = (energy / counts[:, None])[:, ~any_]
-    return np.asarray(own / counts[:, None] > AT_REST**2 * np.nanmedian(usual, axis=0))
+    mean = energy / counts[:, None]
+    usual = medians_of(mean, leads | ~leads.any(axis=0))
+    return np.asarray(own / counts[:, None] > AT_REST**2 * usual)
 
 
 def _regression(
@@ -214,18 +212,17 @@ MOST, ALIKE = 0.8, 0.2
 """Share of the misfit that a delay must explain; relative difference of the channels' delays, at most."""
 
 
-def lateness(
-    log: Log, model: Model, p: np.ndarray, zeros: Mapping[int, np.ndarray], cost: Cost
-) -> str | None:
+def lateness(log: Log, point: Point) -> str | None:
     """Return a note where the readings follow references of another time; None where they do not.
 
     One parameter by channel: residuals r against the rate of the model's reading m, delay = r.m' / m'.m'.
+    `point`: of the cost at the optimum.
     """
-    counts = float(cost.summary.counts.sum())
-    noise = cost.at(p).covariance.mean(axis=0).diagonal()
-    if "t_s" not in log.columns or cost.at(p).value < MISFIT * counts * len(noise):
+    cost, model = point.cost, point.cost.summary.model
+    noise, used = point.covariance.mean(axis=0).diagonal(), set(cost.summary.runs)
+    if "t_s" not in log.columns or point.value < MISFIT * float(cost.summary.counts.sum()) * len(noise):
         return None
-    residual, used = residuals(model, p, zeros), set(cost.summary.runs)
+    residual = residuals(model, point.p, dict(zip(cost.summary.runs, point.zeros, strict=True)))
     sums, ticks, rows = np.zeros((3, len(model.channels))), list[float](), 0
     for block in log.blocks((*model.references, *model.state, *model.channels, "t_s")):
         t = block.data["t_s"]
@@ -256,49 +253,11 @@ def lateness(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Judgement:
-    """Findings on units, signs, order and runs, and what explains slopes of the whole log, the best first."""
-
-    findings: tuple[Finding, ...] = ()
-    whole: tuple[Explanation, ...] = ()
-    spiky: bool = False
-    """Whether spikes bend the slopes, so that nothing can be said before they are taken out."""
-
-    def resolved(self, before: Judgement) -> Judgement:
-        """Return this judgement of rewired channels with what else would explain those before."""
-        others = [e for e in before.whole if not e.only_channels]
-        if not others:
-            return self
-        text = f"Order and signs of channels are resolved; it would do as well that {said(others[0])}."
-        return replace(self, findings=(*self.findings, Finding(text[:-1])))
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What is worth a note."""
-        return tuple(f.sentence for f in self.findings if not f.refuse)
-
-    def refuse(self) -> None:
-        """Raise `InputError` for the first finding that is no matter of opinion."""
-        for finding in self.findings:
-            if finding.refuse:
-                raise InputError(finding.sentence)
-
-
 def judge(
     log: Log, everything: Cost, merged: Cost, linear: LinearFit, holdout: Collection[int] = ()
 ) -> Judgement:
     """Judge the columns of a log by its cost; a run in `holdout` is no reason to refuse."""
-    seen = responses_of(everything)
-    if seen is None:
-        return Judgement()
-    gains = judge_gains(log, seen, holdout, _moved(coupling_of(merged, linear), everything))
-    return Judgement(gains.findings, gains.whole)
-
-
-def _moved(coupling: np.ndarray | None, everything: Cost) -> np.ndarray | float:
-    """Return how far the state of each run moves the gain of each channel, relative, (runs, n_channels)."""
-    if coupling is None:
-        return 0.0
+    seen, coupling = responses_of(everything), coupling_of(merged, linear)
     state = everything.summary.first_state
-    return np.asarray(np.abs(state - np.median(state, axis=0)) @ np.abs(coupling))
+    moved = 0.0 if coupling is None else np.abs(state - np.median(state, axis=0)) @ np.abs(coupling)
+    return Judgement() if seen is None else judge_gains(log, seen, holdout, moved)

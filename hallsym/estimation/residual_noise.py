@@ -12,18 +12,19 @@ C. Gourieroux, A. Monfort, E. Renault, J. Appl. Econometrics 8 (1993) S85, doi:1
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, pairwise
+from itertools import combinations
 
 import numpy as np
-from scipy.linalg import solve_banded, solve_toeplitz
+from scipy.linalg import solve_toeplitz
+from scipy.linalg.lapack import dtbtrs
 from scipy.special import chdtrc, ndtri, stdtrit
 
 from hallsym.estimation.decoding import columns_of
-from hallsym.estimation.goodness_of_fit import KNOWN, MAD, GoodnessOfFit, limit_of
+from hallsym.estimation.goodness_of_fit import KNOWN, MAD, GoodnessOfFit, limit_of, uncertain
 from hallsym.estimation.likelihood import Point
-from hallsym.estimation.outliers import residuals
+from hallsym.estimation.outliers import residual_of
 from hallsym.families.play import stop_operators
-from hallsym.log import Block, Log, Noise
+from hallsym.log import Log, Noise
 from hallsym.log.batches import Weigh, batches
 from hallsym.log.derived import extended
 from hallsym.model import Model
@@ -74,11 +75,11 @@ class ResidualNoise:
     interval: tuple[float, float]
     by_sensor: dict[str, float]
     larger_in: tuple[str, ...]
-    white: bool
-    whiteness_p: float
-    correlation: float
-    memory: float
-    coefficients: tuple[float, ...]
+    white: bool = True
+    whiteness_p: float = 1.0
+    correlation: float = 0.0
+    memory: float = 1.0
+    coefficients: tuple[float, ...] = (0.0,) * ORDER
     bounded: bool = False
     samples: int = 0
     within: float = 2.0
@@ -150,26 +151,28 @@ def residual_noise(r: Residual, channels: Sequence[str]) -> ResidualNoise | None
     work = _Elimination(r)
     if work.free <= 2 * LAGS:
         return None
-    whitened = np.linalg.cholesky(np.linalg.inv(r.covariance)).T @ r.values
-    left = work.left(whitened)
+    whiten = np.linalg.cholesky(np.linalg.inv(r.covariance)).T
+    raw = work.left(r.values)
+    left = whiten @ raw
     body = MAD * np.median(np.abs(left[:, r.used]), axis=1, keepdims=True)
     if not np.all(body > 0):
         return None
     # a spike also moves the offset of its run, by which all samples of the run would be correlated
     far = np.any(np.abs(left) > FAR * body, axis=0)
     body_of = _Elimination(replace(r, used=r.used & ~far)) if far.any() else work
-    near = body_of.left(whitened) if far.any() else left
+    near = whiten @ body_of.left(r.values) if far.any() else left
     scaled = near / np.sqrt(body_of.covariances(near, 0))
     white = np.random.default_rng(0).standard_normal((DRAWS, left.shape[1] + SETTLE))
     seen = body_of.covariances(scaled, LAGS).mean(axis=0)
     phi, kept = _autoregression(body_of, seen[: ORDER + 1], white)
     rho = correlations(phi, LONGEST)
     fewer = 1.0 + 2.0 * float((rho[1:] ** 2).sum())
-    raw = work.left(r.values) / np.sqrt(np.diag(r.covariance))[:, None]
     ratio, interval = work.size(left, kept, fewer)
-    each = {c: work.size(row[None], kept, fewer) for c, row in zip(channels, raw, strict=True)}
+    own = raw / np.sqrt(np.diag(r.covariance))[:, None]
+    each = {c: work.size(row[None], kept, fewer) for c, row in zip(channels, own, strict=True)}
     whiteness_p = _whiteness(body_of, seen, len(left))
-    kurtosis = float(np.min((left**4).sum(axis=1) * work.count / (left**2).sum(axis=1) ** 2))
+    squares = left**2
+    kurtosis = float(np.min((squares**2).sum(axis=1) * work.count / squares.sum(axis=1) ** 2))
     return ResidualNoise(
         ratio=ratio,
         interval=interval,
@@ -189,37 +192,38 @@ class _Elimination:
     """Takes columns and offsets of runs out of residuals, and sums products of what is left."""
 
     def __init__(self, r: Residual) -> None:
-        self.used = r.used.astype(float)
+        self.used, n = r.used.astype(float), len(r.run)
         self.count = float(self.used.sum())
-        _, self.index = np.unique(r.run, return_inverse=True)
-        self.runs = int(self.index.max()) + 1 if len(self.index) else 0
-        self.sizes = np.maximum(np.bincount(self.index, self.used, self.runs), 1.0)
-        self.offsets = r.offsets
+        self.starts = np.flatnonzero(np.diff(r.run, prepend=r.run[0] - 1)) if r.offsets else np.zeros(1, int)
+        self.lengths = np.diff(self.starts, append=n)
+        self.sizes = np.maximum(np.add.reduceat(self.used, self.starts), 1.0)
         X = self._centred(r.columns)
-        size, raw = (np.einsum("mn,mn->m", v, v) for v in (X, r.columns * self.used))
+        gram = X @ X.T
+        size, raw = np.diag(gram), np.square(r.columns) @ self.used
         seen = size > ROUNDING * np.maximum(raw, 1e-300)
-        X = X[seen] / np.sqrt(size[seen, None])
-        values, axes = np.linalg.eigh(X @ X.T) if len(X) else (np.zeros(0), np.zeros((0, 0)))
-        real = values > ROUNDING * max(len(X), 1)
-        self.X, self.root = X, axes[:, real] / np.sqrt(values[real])
-        own = self.runs if r.offsets else 1
-        self.free = self.count - own - int(real.sum())
-        same = [np.ones(len(self.index), bool)]
-        for lag in range(1, LAGS + 1):
-            same.append(self.index[lag:] == self.index[:-lag])
-        self.pairs = [self.used[: len(s)] * self.used[len(self.used) - len(s) :] * s for s in same]
+        unit = seen / np.sqrt(np.where(seen, size, 1.0))
+        values, axes = np.linalg.eigh(gram * np.outer(unit, unit))
+        real = values > ROUNDING * max(int(seen.sum()), 1)
+        self.basis = ((axes[:, real] / np.sqrt(values[real])).T * unit) @ X
+        self.free = self.count - len(self.starts) - len(self.basis)
+        self.runs = np.flatnonzero(np.diff(r.run, prepend=r.run[0] - 1))
+        index = np.repeat(np.arange(len(self.runs)), np.diff(self.runs, append=n))
+        same = [index[lag:] == index[: n - lag] for lag in range(LAGS + 1)]
+        self.pairs = [self.used[: len(s)] * self.used[n - len(s) :] * s for s in same]
 
     def _centred(self, values: np.ndarray) -> np.ndarray:
         """Take the mean of each run, or of all where runs have no offsets, out of rows (m, n)."""
-        if not self.offsets:
-            return (values - (values @ self.used / self.count)[:, None]) * self.used
-        sums = np.array([np.bincount(self.index, row * self.used, self.runs) for row in values])
-        return (values - (sums.reshape(-1, self.runs) / self.sizes)[:, self.index]) * self.used
+        means = np.add.reduceat(values * self.used, self.starts, axis=1) / self.sizes
+        out = np.repeat(means, self.lengths, axis=1)
+        np.subtract(values, out, out=out)
+        out *= self.used
+        return out
 
     def left(self, values: np.ndarray) -> np.ndarray:
         """Return what is left of rows (m, n) without columns and offsets; 0 where samples do not count."""
         y = self._centred(values)
-        return y - (self.root @ (self.root.T @ (self.X @ y.T))).T @ self.X
+        y -= (y @ self.basis.T) @ self.basis
+        return y
 
     def size(self, rows: np.ndarray, kept: float, fewer: float) -> tuple[float, tuple[float, float]]:
         """Return the rms of rows (m, n) before `kept` of their squares was left, and its 95 % interval.
@@ -227,25 +231,24 @@ class _Elimination:
         `fewer`: samples over independent ones. The interval is that of such noise with the tails that the
         rows have, or what the runs scatter by where that is more: noise is not the same in all of them.
         """
-        squares = (rows**2).mean(axis=0)
-        mean = max(float(squares.sum()) / self.count, 1e-300)
-        tails = [float((x**4).sum() * self.count / max(float((x**2).sum()) ** 2, 1e-300)) for x in rows]
+        squares = rows**2
+        mean = max(float(squares.mean(axis=0).sum()) / self.count, 1e-300)
+        tails = (squares**2).sum(axis=1) * self.count / np.maximum(squares.sum(axis=1) ** 2, 1e-300)
         error = float(np.sqrt(max(float(np.mean(tails)) - 1.0, 2.0) * fewer / (self.free * len(rows))))
-        factor = float(stdtrit(max(self.free, 1.0), COVERED))
-        if self.runs >= FEWEST_RUNS:
-            off = np.bincount(self.index, squares, self.runs) - mean * self.sizes
-            runs = float(np.sqrt((off**2).sum() * self.runs / (self.runs - 1))) / (mean * self.count)
-            if runs > error:
-                error, factor = runs, float(stdtrit(self.runs - 1, COVERED))
+        factor, runs = float(stdtrit(max(self.free, 1.0), COVERED)), len(self.runs)
+        if runs >= FEWEST_RUNS:
+            sizes = np.maximum(np.add.reduceat(self.used, self.runs), 1.0)
+            off = np.add.reduceat(squares.mean(axis=0), self.runs) - mean * sizes
+            scatter = float(np.sqrt((off**2).sum() * runs / (runs - 1))) / (mean * self.count)
+            if scatter > error:
+                error, factor = scatter, float(stdtrit(runs - 1, COVERED))
         ratio, spread = float(np.sqrt(mean / kept)), 0.5 * factor * error
         return ratio, (ratio * float(np.exp(-spread)), ratio * float(np.exp(spread)))
 
     def covariances(self, rows: np.ndarray, lags: int) -> np.ndarray:
         """Return the mean products of each row (m, n) with itself `lag` samples later, (m, lags + 1)."""
-        n = rows.shape[1]
-        out = np.zeros((len(rows), lags + 1))
-        for lag in range(lags + 1):
-            pairs = self.pairs[lag]
+        n, out = rows.shape[1], np.zeros((len(rows), lags + 1))
+        for lag, pairs in enumerate(self.pairs[: lags + 1]):
             out[:, lag] = (rows[:, lag:] * rows[:, : n - lag]) @ pairs / max(float(pairs.sum()), 1.0)
         return out
 
@@ -254,15 +257,15 @@ class _Elimination:
 
         The elimination is I - Q with Q = U^T U and the offsets: its entries beside the diagonal are -Q.
         """
-        taken = self.covariances(self.root.T @ self.X, lags).sum(axis=0)
-        size = self.sizes[self.index] if self.offsets else np.full(len(self.index), self.count)
-        n = len(self.index)
-        for lag in range(lags + 1):
-            pairs = self.pairs[lag]
-            taken[lag] += float(pairs @ (1.0 / size[: n - lag])) / max(float(pairs.sum()), 1.0)
+        taken, over = (
+            self.covariances(self.basis, lags).sum(axis=0),
+            np.repeat(1.0 / self.sizes, self.lengths),
+        )
+        for lag, pairs in enumerate(self.pairs[: lags + 1]):
+            taken[lag] += float(pairs @ over[: len(pairs)]) / max(float(pairs.sum()), 1.0)
         out = -taken / (1.0 - taken[0])
         out[0] = 1.0
-        return out
+        return np.asarray(out)
 
 
 def _autoregression(work: _Elimination, seen: np.ndarray, white: np.ndarray) -> tuple[np.ndarray, float]:
@@ -286,11 +289,13 @@ def _autoregression(work: _Elimination, seen: np.ndarray, white: np.ndarray) -> 
 
 def autoregressive(phi: np.ndarray, white: np.ndarray) -> np.ndarray:
     """Return noise of unit variance (m, n) with coefficients `phi` from white noise (m, n)."""
-    if not np.any(phi):
-        return white
-    band = np.concatenate([[1.0], -phi])[:, None] * np.ones(white.shape[1])
-    drive = np.sqrt(1.0 / gain_of(phi)) * white
-    return np.asarray(solve_banded((len(phi), 0), band, drive.T).T)
+    return _driven(phi, np.sqrt(1.0 / gain_of(phi)) * white) if np.any(phi) else white
+
+
+def _driven(phi: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """Return x (m, n) with x[k] = phi[0] x[k - 1] + phi[1] x[k - 2] + ... + drive[k], from rest."""
+    band = np.repeat(np.append(1.0, -phi)[:, None], drive.shape[1], axis=1)
+    return np.asarray(dtbtrs(np.asfortranarray(band), drive.T, uplo="L", diag="U", overwrite_b=True)[0].T)
 
 
 def _stable(phi: np.ndarray) -> np.ndarray:
@@ -303,18 +308,17 @@ def _stable(phi: np.ndarray) -> np.ndarray:
 
 
 def correlations(phi: np.ndarray, lags: int) -> np.ndarray:
-    """Return the autocorrelations of an autoregression at lags 0 .. `lags` - 1, as far as they matter."""
+    """Return the autocorrelations of an autoregression at lags 0 .. `lags` - 1."""
     p = len(phi)
     # Yule-Walker equations for the first p, then the recursion
-    A, b = np.eye(p), phi.copy()
-    for k in range(1, p + 1):
-        for j in range(1, p + 1):
-            if k != j:
-                A[k - 1, abs(k - j) - 1] -= phi[j - 1]
-    rho = [1.0, *np.linalg.solve(A, b).tolist()]
-    while len(rho) < min(lags, LONGEST):
-        rho.append(float(phi @ np.array(rho[: -p - 1 : -1])))
-    return np.array(rho[:lags])
+    A = np.eye(p)
+    for k in range(p):
+        for j in np.delete(np.arange(p), k):
+            A[k, abs(k - j) - 1] -= phi[j]
+    first = np.append(1.0, np.linalg.solve(A, phi))[:lags]
+    drive = np.zeros((1, lags))
+    drive[0, : len(first)] = [first[k] - phi[:k] @ first[:k][::-1] for k in range(len(first))]
+    return _driven(phi, drive)[0]
 
 
 def gain_of(phi: np.ndarray) -> float:
@@ -414,11 +418,6 @@ def _noise_of_knots(
         interval=(ratio / spread[0], ratio * spread[0]),
         by_sensor=by_sensor,
         larger_in=tuple(c for c, v in by_sensor.items() if v / spread[1] > 1 + KNOWN),
-        white=True,
-        whiteness_p=1.0,
-        correlation=0.0,
-        memory=1.0,
-        coefficients=(0.0,) * ORDER,
         samples=n,
         within=spread[0],
     )
@@ -436,8 +435,12 @@ def noise_at(
 def with_noise(
     known: GoodnessOfFit, log: Log, point: Point, noise: Noise, keep: Weigh | None = None
 ) -> GoodnessOfFit:
-    """Return the goodness of a fit that says so where its excess is noise that is larger than stated."""
-    model = point.cost.summary.model
+    """Return the goodness of a fit beside its floor, and where its excess is noise larger than stated, so.
+
+    `point`: of its cost at the optimum, with `noise`.
+    """
+    model, meta = point.cost.summary.model, log.meta
+    known = known.judged(uncertain(point, noise, meta.gap_length_scale_m), meta.gap_threshold_rel)
     stated = any(s.source == "given" for s in noise.sigmas.values())
     if not stated or known.residual_over_noise <= known.limit or not known.significant:
         return known
@@ -506,30 +509,28 @@ def _read(
     wanted = dict.fromkeys(
         (*columns_of(model), *(c for c in ("temperature_degc", "t_s") if c in log.columns))
     )
-    source = extended(log, model, sigma, model.named(p))
     left = dict.fromkeys(zeros, -(-most // max(len(zeros), 1)))
-    parts: list[Data] = []
-    values_of: list[np.ndarray] = []
-    counted: list[np.ndarray] = []
-    residual = residuals(model, p, zeros)
-    for batch in batches(source, tuple(wanted)):
-        for block, _ in batch.parts():
-            n = min(left.get(block.run, 0), len(next(iter(block.data.values()))))
-            if n == 0:
-                continue
-            left[block.run] -= n
-            data = {c: v[:n] for c, v in block.data.items()}
-            parts.append(data | {"run": np.full(n, block.run)})
-            values_of.append(residual(Block(block.run, data)))
-            counted.append(np.ones(n, bool) if keep is None else keep(block)[:n] > 0)
+    parts, counted = [{c: np.zeros(0) for c in ("run", *wanted)}], [np.zeros(0, bool)]
+    for batch in batches(extended(log, model, sigma, model.named(p)), tuple(wanted)):
+        pick = []
+        for block, at in batch.parts():
+            n = min(left.get(block.run, 0), at.stop - at.start)
+            if n:
+                left[block.run] -= n
+                pick.append(slice(at.start, at.start + n))
+                counted.append(np.ones(n, bool) if keep is None else keep(block)[:n] > 0)
+        if pick:
+            run = np.repeat([block.run for block in batch.blocks], np.diff(batch.edges))
+            parts += [{c: v[at] for c, v in {"run": run, **batch.data}.items()} for at in pick]
         if not any(left.values()):
             break
-    if not parts:
-        return {}, np.zeros((len(model.channels), 0)), np.zeros(0, bool)
-    values = np.hstack(values_of)
+    data = {c: np.concatenate([part[c] for part in parts]) for c in parts[0]}
+    runs, index = np.unique(data["run"], return_inverse=True)
+    none = np.zeros(len(model.zeros))
+    own = np.array([zeros.get(run, none) for run in runs.tolist()]).reshape(len(runs), len(none))
+    values = residual_of(model)(p, own[index].T, data)
     finite = np.isfinite(values).all(axis=0)
-    joined = {c: np.concatenate([part[c] for part in parts]) for c in parts[0]}
-    return joined, np.where(finite, values, 0.0), np.concatenate(counted) & finite
+    return data, np.where(finite, values, 0.0), np.concatenate(counted) & finite
 
 
 def _columns(model: Model, data: Data, sigma: Mapping[str, float]) -> Iterator[np.ndarray]:
@@ -560,23 +561,20 @@ def _columns(model: Model, data: Data, sigma: Mapping[str, float]) -> Iterator[n
         yield from _within_runs(data, lines)
     yield from (a * b for a, b in combinations(s, 2))
     yield from (a * a for a in s)
-    for k in range(2, CURVE + 1):
-        yield from (np.cos(k * np.pi * (x + 1) / 2) for x in lines.values())
+    waves = [np.cos(np.arange(1, CURVE + 1)[:, None] * np.pi * (x + 1) / 2) for x in lines.values()]
+    for k in range(1, CURVE):
+        yield from (wave[k] for wave in waves)
     yield from (a * a * x for a in s for x in q)
     for v, a in rates:
         yield from (w * x for w in (np.abs(v), v * np.abs(v), v, np.tanh(v / TURNS), a) for x in (1.0, *q))
-    for x, y in combinations(lines.values(), 2):
-        for j in range(1, PLACES + 1):
-            yield from (
-                np.cos(j * np.pi * (x + 1) / 2) * np.cos(k * np.pi * (y + 1) / 2)
-                for k in range(1, PLACES + 1)
-            )
+    for one, other in combinations(waves, 2):
+        yield from (x * y for x in one[:PLACES] for y in other[:PLACES])
 
 
 def _within_runs(data: Data, lines: Data) -> Iterator[np.ndarray]:
     """Yield the time within a run and its square, and what coordinates remember of their direction."""
     edges = _edges(data["run"])
-    t = np.concatenate([_unit(data["t_s"][a:b]) for a, b in pairwise(edges)])
+    t = _unit(data["t_s"], np.array(edges))
     yield from (t, t * t)
     scaled = [x / max(float(np.std(x)), 1e-300) for x in lines.values()]
     for plays in stop_operators(np.array(scaled), edges, MEMORIES) if scaled else ():
@@ -588,13 +586,17 @@ def _beside(data: Data, column: str) -> np.ndarray:
 
     The noise of a sample's own coordinate is in its residual: places beyond a turning point are noise.
     """
-    out = data[column].copy()
-    for first, last in pairwise(_edges(data["run"])):
-        x = data[column][first:last]
-        if len(x) > 4:
-            wide = np.concatenate([2 * x[0] - x[2:0:-1], x, 2 * x[-1] - x[-2:-4:-1]])
-            out[first:last] = (4.0 * (wide[1:-3] + wide[3:-1]) - wide[:-4] - wide[4:]) / 6.0
-    return out
+    x, edges = data[column], np.array(_edges(data["run"]))
+    first, last = (np.repeat(ends, np.diff(edges)) for ends in (edges[:-1], edges[1:] - 1))
+
+    def neighbour(steps: int) -> np.ndarray:
+        """Return the sample so many steps on; beyond the end of its run, mirrored there."""
+        at = np.arange(len(x)) + steps
+        inside = np.clip(at, first, last)
+        return np.asarray(2 * x[inside] - x[np.clip(2 * inside - at, first, last)])
+
+    near = (4.0 * (neighbour(-1) + neighbour(1)) - neighbour(-2) - neighbour(2)) / 6.0
+    return np.where(last - first >= 4, near, x)
 
 
 def _edges(run: np.ndarray) -> list[int]:
@@ -636,10 +638,11 @@ def _moves(x: np.ndarray, sigma: float) -> bool:
     return len(x) > 0 and float(np.std(x)) > max(STILL * sigma, 1e-300)
 
 
-def _unit(x: np.ndarray) -> np.ndarray:
-    """Scale a column to -1 .. 1 over its range."""
-    low, high = float(x.min()), float(x.max())
-    return (x - 0.5 * (low + high)) / max(0.5 * (high - low), 1e-300)
+def _unit(x: np.ndarray, edges: np.ndarray | None = None) -> np.ndarray:
+    """Scale a column to -1 .. 1 over its range, or between each two `edges`."""
+    edges = np.array([0, len(x)]) if edges is None else edges
+    low, high = (np.repeat(f.reduceat(x, edges[:-1]), np.diff(edges)) for f in (np.minimum, np.maximum))
+    return np.asarray((x - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-300))
 
 
 def _over(x: np.ndarray) -> np.ndarray:

@@ -22,17 +22,18 @@ from hallsym.estimation.goodness_of_fit import (
     diagnose_command,
     goodness_of,
     limit_of,
+    noise_floor,
+    uncertain,
 )
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost, Point, cost_of, deviations_of
-from hallsym.estimation.noise_floor import noise_floor, uncertain
 from hallsym.estimation.optimum import DROP, LinearFit, Solution, linear_fit, optimum
 from hallsym.estimation.plausible import Judgement, Wiring, as_read, composed, judge, rewired, wiring_of
 from hallsym.estimation.residual_noise import noise_followed, with_noise
 from hallsym.families import adapted, added_effects, build, default_model
 from hallsym.log import Log, Noise, estimate_noise, usable
 from hallsym.log.batches import Weigh
-from hallsym.log.drop import Drop, without
+from hallsym.log.core import Drop, without
 from hallsym.log.phase import continuous, designed, home_notes
 from hallsym.model import Inspection, Model
 from hallsym.terminal import Step
@@ -462,16 +463,7 @@ def fit_of(
         },
         seconds=perf_counter() - began,
         goodness=replace(
-            with_noise(
-                estimate.goodness.judged(
-                    uncertain(state.point, task.noise, task.log.meta.gap_length_scale_m),
-                    task.log.meta.gap_threshold_rel,
-                ),
-                task.log,
-                state.point,
-                task.noise,
-                solved.keep,
-            ),
+            with_noise(estimate.goodness, task.log, state.point, task.noise, solved.keep),
             next_command=command,
         ),
         notes=(

@@ -7,8 +7,7 @@ from hallsym.errors import InputError, nearest
 from hallsym.families import halbach, rotary, stage
 from hallsym.families.faults import FAULTS
 from hallsym.log import Meta
-from hallsym.log.columns import listed
-from hallsym.log.limits import is_moving
+from hallsym.log.columns import is_moving, listed
 from hallsym.model import Effect, Family, Model
 from hallsym.model.effect import as_effect, read_text
 from hallsym.reading import MOST_NUMBER

@@ -17,7 +17,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.families import FAMILIES, build
 from hallsym.log import Meta
-from hallsym.log.limits import likely_units, limit_of
+from hallsym.log.columns import likely_units, limit_of
 from hallsym.log.table import Source
 from hallsym.model import Model
 from hallsym.units import UNITS, Array, quantity, si_name, split_unit

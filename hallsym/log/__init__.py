@@ -2,13 +2,11 @@
 
 from hallsym.log.batches import Batch, Weigh, batches, remembered
 from hallsym.log.columns import MOST_RUN, Foreign, parse_column_option, read_column_file
-from hallsym.log.core import Block, Log
+from hallsym.log.core import Block, Drop, Log, without
 from hallsym.log.derived import extended
-from hallsym.log.drop import Drop, without
 from hallsym.log.estimate import estimate_noise
-from hallsym.log.guarded import MOST_ROWS
-from hallsym.log.meta import Meta, meta_schema
-from hallsym.log.noise import Noise, Sigma, check_noise_keys
+from hallsym.log.formats import MOST_ROWS
+from hallsym.log.meta import Meta, Noise, Sigma, check_noise_keys, meta_schema
 from hallsym.log.phase import continuous, near, unwrapped, wrapped
 from hallsym.log.quality.check import check_log, clean_log, on_rails, spans, usable
 from hallsym.log.quality.findings import Fault

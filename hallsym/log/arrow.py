@@ -1,14 +1,18 @@
-"""Arrow's columns as arrays; those of times (timestamp, time of day, duration) as seconds."""
+"""Arrow's columns and tables in memory as arrays; times, by their type or as text, as seconds."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from hallsym.log.extras import load
+from hallsym.errors import InputError
+from hallsym.log.table import Arrays, Source, load
+from hallsym.log.text.cells import split_header
 from hallsym.units import Array
 
 TIME = "t"
@@ -30,6 +34,18 @@ def only_time(names: Sequence[str], times: Iterable[int]) -> int | None:
     if len(places) != 1 or any(re.fullmatch("t(_[a-z]+)?", name) for name in others):
         return None
     return places[0]
+
+
+def name_the_time(source: Source, times: Iterable[int]) -> None:
+    """Let the only column of times be the time of the log, in seconds from its first sample."""
+    at = only_time(source.names, times)
+    if at is None or source.names[at] == f"{TIME}_s":
+        return
+    old = source.names[at]
+    source.names = (*source.names[:at], TIME, *source.names[at + 1 :])
+    source.units = {name: unit for name, unit in source.units.items() if name != old} | {TIME: "s"}
+    longer = {long: TIME if short == old else short for long, short in source.aliases.items()}
+    source.aliases = longer | ({old: TIME} if old != TIME else {})
 
 
 def said_of_times(name: str, where: str, form: str) -> str:
@@ -87,6 +103,111 @@ class Onward:
         return np.asarray(seconds + days)
 
 
+_CLOCK = r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d{1,9})?"
+_ZONE = r"(?:Z|[+-]\d{2}:?\d{2})"
+_DATES = {
+    "year first": r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}",
+    "day.month": r"\d{1,2}\.\d{1,2}\.\d{4}",  # dots: everywhere the day stands first
+    "open": r"\d{1,2}[-/]\d{1,2}[-/]\d{4}",
+}
+
+
+@dataclass(frozen=True)
+class TimeForm:
+    """How times are written: `date` as in `_DATES`, "" for a time of day alone; whether a zone is stated."""
+
+    date: str
+    zoned: bool
+
+    @property
+    def said(self) -> str:
+        """What the form is called."""
+        return "dates with times" if self.date else "times of day"
+
+
+def time_form(cells: Sequence[str]) -> TimeForm | None:
+    """Return the form that all cells of a column have; None where they are no times."""
+    if not cells:
+        return None
+    for date, pattern in {**_DATES, "": ""}.items():
+        start = rf"{pattern}[T ]\s*" if pattern else ""
+        for zone in ("", rf"\s*{_ZONE}") if date else ("",):
+            whole = re.compile(rf"\s*{start}{_CLOCK}{zone}\s*")
+            if all(whole.fullmatch(cell) for cell in cells):
+                return TimeForm(date, bool(zone))
+    return None
+
+
+class Seconds:
+    """Turns chunks of one column of times into seconds from its first one, in the order of the file."""
+
+    def __init__(self, form: TimeForm, what: str) -> None:
+        """Begin; `what` names the column in messages."""
+        self.form, self.what = form, what
+        self._day_first: bool | None = None
+        self._first: int | None = None
+        self._onward = Onward()
+        self._dates: set[str] = set()
+
+    def __call__(self, cells: Any) -> np.ndarray:
+        """Return seconds (samples,) of an Arrow array of strings; a missing cell is nan."""
+        arrow, compute = load("pyarrow"), load("pyarrow.compute")
+        text = compute.utf8_trim_whitespace(cells.cast(arrow.string()))
+        text = compute.replace_substring_regex(text, ",", ".")
+        if self.form.date == "open":
+            self._decide(text, compute)
+        for pattern, plain in self._steps():
+            text = compute.replace_substring_regex(text, pattern, plain)
+        kind = arrow.timestamp("ns", "UTC") if self.form.zoned else arrow.timestamp("ns")
+        try:
+            times = text.cast(kind).cast(arrow.int64())
+        except arrow.ArrowInvalid as error:
+            raise InputError(
+                f"{self.what} must hold {self.form.said} written alike in every line; one is not "
+                f"({str(error)[:80]}): put it right, or leave the line out."
+            ) from error
+        missing = np.asarray(compute.is_null(times))
+        values = np.asarray(compute.fill_null(times, 0), dtype=np.int64)
+        seconds = self._from_first(values, missing)
+        return seconds if self.form.date else self._onward(seconds)
+
+    def _from_first(self, values: np.ndarray, missing: np.ndarray) -> np.ndarray:
+        known = np.flatnonzero(~missing)
+        if self._first is None and len(known):
+            self._first = int(values[known[0]])
+        seconds = (values - (self._first or 0)) * 1e-9
+        seconds[missing] = np.nan
+        return seconds
+
+    def _decide(self, text: Any, compute: Any) -> None:
+        """Find which number of a date is the day, where that matters: not while all dates are the same."""
+        if self._day_first is not None:
+            return
+        dates = compute.unique(compute.replace_substring_regex(text, r"[-/](\d{4})\s.*$", r"/\1")).to_pylist()
+        pairs = [re.split("[-/]", date)[:2] for date in dates if date]
+        first, second = (max((int(pair[k]) for pair in pairs), default=0) for k in (0, 1))
+        self._dates |= {date for date in dates if date}
+        if max(first, second) > 12 and self._first is None:
+            self._day_first = first > 12
+        elif len(self._dates) > 1:
+            raise InputError(
+                f"{self.what} holds dates such as {min(self._dates)}, whose day may stand first or second: "
+                "write the year first, 2026-04-03."
+            )
+
+    def _steps(self) -> list[tuple[str, str]]:
+        """Return the replacements that make ISO 8601 of a time."""
+        pad = (r"(^|[-/. T])(\d)([-/.:])", r"\1" + r"0\2\3")
+        day, month = (r"\2", r"\1") if not self._day_first else (r"\1", r"\2")
+        swaps = {
+            "": [("^", "1970-01-01 ")],
+            "year first": [(r"^(\d{4})[-/.](\d\d)[-/.](\d\d)", r"\1-\2-\3")],
+            "day.month": [(r"^(\d\d)\.(\d\d)\.(\d{4})", r"\3-\2-\1")],
+            "open": [(r"^(\d\d)[-/](\d\d)[-/](\d{4})", rf"\3-{month}-{day}")],
+        }[self.form.date]
+        return [pad, pad, *swaps, (r"\s+", " "), (r" ?([+-]\d\d):?(\d\d)$", r"\1:\2"), (r" Z$", "Z")]
+
+
 _FLOATS = {"double": "float64", "float": "float32", "halffloat": "float16"}
 
 
@@ -114,3 +235,76 @@ def array_of(column: Any) -> Array:
         return np.empty(0, kind)
     data = np.frombuffer(column.buffers()[1], kind)
     return data[column.offset : column.offset + len(column)]
+
+
+def is_table(data: Any) -> bool:
+    """Say whether something is a table in memory and not the name of a file."""
+    return isinstance(data, Mapping) or hasattr(data, "__arrow_c_stream__")
+
+
+def source_of(data: Any, where: str) -> Arrays:
+    """Return the columns of numbers of a table: a dict of arrays, or what has `__arrow_c_stream__`.
+
+    A name may state its unit as in a file: `x_ref_um`, `x_ref [um]`. Columns of other things are left out.
+    """
+    columns, left_out, times = (_of_mapping if isinstance(data, Mapping) else _of_arrow)(data, where)
+    parts = {name: split_header(name) for name in columns}
+    names = list(columns)
+    at = only_time(names, [names.index(name) for name in times])
+    if at is not None and names[at] != f"{TIME}_s":
+        parts[names[at]] = (TIME, "s")
+    stems = Counter(stem for stem, _ in parts.values())
+    short = {name: stem if stems[stem] == 1 else name for name, (stem, _) in parts.items()}
+    source = Arrays({short[name]: values for name, values in columns.items()})
+    source.units = {short[name]: unit for name, (_, unit) in parts.items() if unit}
+    source.aliases = {name: short[name] for name in columns if short[name] != name}
+    source.left_out = left_out
+    source.notes = tuple(said_of_times(name, where, "times") for name in times)
+    return source
+
+
+Columns = tuple[dict[str, Array], dict[str, str], list[str]]
+"""Columns, why others are left out, and which of the columns hold times."""
+
+
+def _of_mapping(data: Mapping[Any, Any], where: str) -> Columns:
+    columns: dict[str, Array] = {}
+    left_out: dict[str, str] = {}
+    times: list[str] = []
+    for name, given in data.items():
+        values = np.asarray(given)
+        if values.dtype.kind in "mM" and values.ndim == 1:
+            values = _seconds(load("pyarrow").array(values.astype(f"{values.dtype.kind}8[ns]")))
+            times.append(str(name))
+        if values.dtype.kind not in "fiu":
+            left_out[str(name)] = "it holds no numbers"
+            continue
+        first = next(iter(columns.values()), values)
+        if values.ndim != 1 or len(values) != len(first):
+            raise InputError(
+                f"Column {name} of {where} must be a vector as long as the others; it is {values.shape}."
+            )
+        columns[str(name)] = values
+    return columns, left_out, times
+
+
+def _seconds(column: Any) -> Array:
+    return Moments(column.type, first_tick(column))(column)
+
+
+def _of_arrow(data: Any, where: str) -> Columns:
+    arrow = load("pyarrow")
+    try:
+        table = arrow.RecordBatchReader.from_stream(data).read_all()
+    except (arrow.ArrowException, TypeError, ValueError) as error:
+        raise InputError(f"{where} must be a table of columns; it is none ({error}).") from error
+    times = [field.name for field in table.schema if is_time(field.type)]
+    numeric = {field.name: is_numeric(field.type) or is_time(field.type) for field in table.schema}
+    if len(numeric) < len(table.schema):
+        raise InputError(f"Columns of {where} must have different names; one is there twice.")
+    columns = {
+        name: (_seconds if name in times else array_of)(table.column(name))
+        for name, holds in numeric.items()
+        if holds
+    }
+    return columns, {name: "it holds no numbers" for name, holds in numeric.items() if not holds}, times

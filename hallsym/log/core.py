@@ -5,16 +5,16 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.log.columns import RUN, Binding, bind
-from hallsym.log.meta import Meta
-from hallsym.log.noise import Noise
-from hallsym.log.table import CHUNK_ROWS, Arrays, Piece, Table, TableLike, joined
+from hallsym.log.meta import Meta, Noise
+from hallsym.log.table import CHUNK_ROWS, Arrays, Filtered, Piece, Table, TableLike, joined
 from hallsym.units import Array
 
 
@@ -93,12 +93,22 @@ class Log:
     @cached_property
     def runs(self) -> tuple[int, ...]:
         """Run ids in the order of recording."""
-        return tuple(dict.fromkeys(block.run for block in self.blocks((RUN,))))
+        order = RunOrder(self.name)
+        found = (order.segments(piece[RUN]) for piece in self.table.pieces((RUN,), CHUNK_ROWS))
+        return tuple(dict.fromkeys(run for segments in found for run, _, _ in segments))
 
     @cached_property
     def sha256(self) -> str:
         """SHA-256 of the data file; of the columns where there is no file. Computed on first use."""
-        return _hash_columns(self) if self.path is None else _hash_file(self.path)
+        if self.path is not None:
+            with open(self.path, "rb") as stream:
+                return hashlib.file_digest(stream, "sha256").hexdigest()
+        digest = hashlib.sha256()
+        for block in self.blocks():
+            for name, values in block.data.items():
+                digest.update(f"{name}:{block.run}:".encode())
+                digest.update(np.ascontiguousarray(values).tobytes())
+        return digest.hexdigest()
 
     def blocks(self, columns: Sequence[str] | None = None, size: int = CHUNK_ROWS) -> Iterator[Block]:
         """Yield consecutive blocks of one run each, of at most `size` samples, with `columns` (or all).
@@ -133,7 +143,8 @@ class Log:
         wanted = self.columns if columns is None else tuple(columns)
         parts = [block.data for block in self.blocks(wanted) if block.run == run]
         if not parts:
-            raise InputError(f"{self.name} has no run {run}; it has runs {_few(self.runs)}.")
+            known = ", ".join(map(str, self.runs[:12])) + (", ..." if len(self.runs) > 12 else "")
+            raise InputError(f"{self.name} has no run {run}; it has runs {known}.")
         return joined(parts, wanted)
 
     def array(self, column: str) -> Array:
@@ -146,8 +157,7 @@ class RunOrder:
 
     def __init__(self, where: str) -> None:
         self.where = where
-        self.current: int | None = None
-        self._seen: set[int] = set()
+        self._seen: dict[int, None] = {}
 
     def segments(self, run: Array) -> list[tuple[int, int, int]]:
         """Return (run id, start, stop) of the consecutive stretches of an integer array of shape (rows,)."""
@@ -156,19 +166,14 @@ class RunOrder:
         edges = [0, *(np.flatnonzero(run[1:] != run[:-1]) + 1).tolist(), len(run)]
         found = list(zip(run[edges[:-1]].tolist(), edges[:-1], edges[1:], strict=True))
         for ident, _, _ in found:
-            self._enter(ident)
+            current = next(reversed(self._seen), None)
+            if ident != current and ident in self._seen:
+                raise InputError(
+                    f"Run {ident} of {self.where} must be contiguous; it comes back after run {current},"
+                    " so sort the log by run or give each stretch its own number."
+                )
+            self._seen[ident] = None
         return found
-
-    def _enter(self, ident: int) -> None:
-        if ident == self.current:
-            return
-        if ident in self._seen:
-            raise InputError(
-                f"Run {ident} of {self.where} must be contiguous; it comes back after run {self.current},"
-                " so sort the log by run or give each stretch its own number."
-            )
-        self._seen.add(ident)
-        self.current = ident
 
 
 def run_notes(bindings: Mapping[str, Binding]) -> tuple[str, ...]:
@@ -181,19 +186,81 @@ def _float(values: Array) -> Array:
     return values.astype(np.float64, copy=False)
 
 
-def _few(runs: tuple[int, ...]) -> str:
-    return ", ".join(map(str, runs[:12])) + (", ..." if len(runs) > 12 else "")
+@dataclass(frozen=True)
+class Drop:
+    """Samples to leave out: not finite in a column, with time that does not advance, of a run.
+
+    `between`: columns with the values that samples to keep lie between; `rows`: (start, stop) in the log.
+    """
+
+    finite: tuple[str, ...] = ()
+    forward: bool = False
+    between: tuple[tuple[str, float, float], ...] = ()
+    runs: frozenset[int] = field(default_factory=frozenset)
+    rows: tuple[tuple[int, int], ...] = ()
+
+    def __or__(self, other: Drop) -> Drop:
+        """Leave out what either leaves out."""
+        return Drop(
+            tuple(dict.fromkeys(self.finite + other.finite)),
+            self.forward or other.forward,
+            self.between + other.between,
+            self.runs | other.runs,
+            self.rows + other.rows,
+        )
+
+    def __bool__(self) -> bool:
+        """Say whether anything is left out."""
+        return bool(self.finite or self.forward or self.between or self.runs or self.rows)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns that decide."""
+        time = ("t_s",) if self.forward else ()
+        return tuple(dict.fromkeys((RUN, *self.finite, *time, *(name for name, _, _ in self.between))))
 
 
-def _hash_file(path: Path) -> str:
-    with open(path, "rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+class Keep:
+    """The filter of one pass: returns the rows of a piece to keep; remembers how far time has come."""
+
+    def __init__(self, drop: Drop) -> None:
+        self.drop = drop
+        self._run: int | None = None
+        self._latest = -np.inf
+        self._row = 0
+
+    def __call__(self, piece: Piece) -> Array:
+        """Return a boolean mask of shape (rows,)."""
+        keep = np.ones(len(piece[RUN]), bool)
+        for name in self.drop.finite:
+            keep &= np.isfinite(piece[name])
+        for name, low, high in self.drop.between:
+            keep &= (piece[name] > low) & (piece[name] < high)
+        for start, stop in self.drop.rows:
+            keep[max(0, start - self._row) : max(0, stop - self._row)] = False
+        self._row += len(keep)
+        if self.drop.runs:
+            keep &= ~np.isin(piece[RUN], list(self.drop.runs))
+        if self.drop.forward:
+            keep &= self._advances(piece["t_s"], piece[RUN], keep)
+        return keep
+
+    def _advances(self, t: Array, run: Array, keep: Array) -> Array:
+        """Return where time is later than at every kept sample before, within each run."""
+        usable = np.where(keep & ~np.isnan(t), t, -np.inf)
+        result = np.zeros(len(t), bool)
+        edges = [0, *(np.flatnonzero(run[1:] != run[:-1]) + 1).tolist(), len(run)]
+        for start, stop in pairwise(edges):
+            if stop > start and run[start] != self._run:
+                self._run, self._latest = int(run[start]), -np.inf
+            latest = np.maximum.accumulate(np.r_[self._latest, usable[start:stop]])
+            result[start:stop] = usable[start:stop] > latest[:-1]
+            self._latest = float(latest[-1])
+        return result
 
 
-def _hash_columns(log: Log) -> str:
-    digest = hashlib.sha256()
-    for block in log.blocks():
-        for name, values in block.data.items():
-            digest.update(f"{name}:{block.run}:".encode())
-            digest.update(np.ascontiguousarray(values).tobytes())
-    return digest.hexdigest()
+def without(log: Log, drop: Drop) -> Log:
+    """Return the log without the samples that `drop` names; a stream stays a stream."""
+    table = Filtered(log.table, drop.columns, partial(Keep, drop))
+    recording = without(log.recording, drop) if log.recording else None
+    return Log(table, log.noise, log.meta, log.path, log.notes, log.counted, recording)

@@ -10,7 +10,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log
-from hallsym.log.noise import Noise, Sigma
+from hallsym.log.meta import Noise, Sigma
 from hallsym.log.phase import unwrapped
 from hallsym.model.arrays import median, medians, middles
 from hallsym.units import Array, si_unit
@@ -49,61 +49,63 @@ def estimate_noise(log: Log, channels: Sequence[str], *, quick: bool = False) ->
     the sampling rate look like motion and are not seen. A channel that is constant within all runs gives 0.
     """
     enough = _ENOUGH_QUICKLY if quick else _ENOUGH
-    turning = {name for name in channels if si_unit(name) == "rad"}
-    steps: list[Array] = []
-    alike: dict[tuple[int, bool], list[tuple[Array, Array]]] = {}
     timed = "t_s" in log.columns
-    taken: dict[int, int] = {}
     typical = min(_SAMPLES, max(1, log.rows // len(log.runs)))
     wanted = min(_RUNS, -(-enough * _SAMPLES // typical))
     chosen = set(log.runs[:: -(-len(log.runs) // wanted)])
     most = max(1, min(_BLOCKS, enough // len(chosen)))
+    taken: dict[int, int] = {}
+    alike: dict[int, list[list[Array]]] = {}  # time and channels of stretches of one length
     for block in log.blocks((RUN, *(("t_s",) if timed else ()), *channels)):
         taken[block.run] = taken.get(block.run, 0) + 1
         if block.run not in chosen or taken[block.run] > most:
             continue
-        start = max(0, (len(block.data[RUN]) - _SAMPLES) // 2)
-        part = {name: values[start : start + _SAMPLES] for name, values in block.data.items()}
-        t = part["t_s"] if timed else np.arange(len(part[RUN]), dtype=float)
-        rows = np.empty((len(channels), len(t)))
-        for k, name in enumerate(channels):
-            rows[k] = unwrapped(part[name], _TURN) if name in turning else part[name]
-        steps.append(_coarse_steps(rows))
-        alike.setdefault((len(t), _is_even(t)), []).append((t, rows))
-    found = [
-        _even_spreads([rows for _, rows in blocks]) if even
-        else np.array([_uneven_spreads(t, rows) for t, rows in blocks])
-        for (_, even), blocks in alike.items()
-    ]  # fmt: skip
-    spreads = np.concatenate(found) if found else np.empty((0, len(channels), len(_ORDERS)))
-    combined = _combined(spreads)
+        length = len(block.data[RUN])
+        start = max(0, (length - _SAMPLES) // 2)
+        t = block.data["t_s"] if timed else np.arange(length, dtype=float)
+        part = [values[start : start + _SAMPLES] for values in (t, *(block.data[c] for c in channels))]
+        alike.setdefault(len(part[0]), []).append(part)
+    steps, spreads = [np.empty((0, len(channels)))], [np.empty((0, len(channels), len(_ORDERS)))]
+    for blocks in alike.values():
+        times, rows = np.array([part[0] for part in blocks]), np.array([part[1:] for part in blocks])
+        rows = rows.reshape(len(blocks), len(channels), -1)
+        turning = np.array([si_unit(name) == "rad" for name in channels])
+        turns = turning & (np.abs(np.diff(rows, axis=2)) > _TURN / 2).any(axis=2)
+        for b, k in np.argwhere(turns):
+            rows[b, k] = unwrapped(rows[b, k], _TURN)
+        steps.append(_coarse_steps(rows.reshape(-1, rows.shape[2])).reshape(len(blocks), -1))
+        even = _are_even(times)
+        spreads += [_even_spreads(rows[even])] if even.any() else []
+        spreads += [_uneven_spreads(times[b], rows[b])[None] for b in np.flatnonzero(~even)]
+    combined = _combined(np.concatenate(spreads))
     for name in (n for n, spread in zip(channels, combined, strict=True) if np.isnan(spread)):
         raise InputError(
             f"Noise of {name} cannot be estimated from {log.name}: no run has {_FEWEST + 2} samples in a row;"
             f" state it with --noise {name}=..., in the column file's [noise] table or in meta.json."
         )
-    coarse = medians(np.transpose(steps)) / np.sqrt(12.0)
+    coarse = medians(np.concatenate(steps).T) / np.sqrt(12.0)
     return Noise({
         n: Sigma(float(value), "estimated")
         for n, value in zip(channels, np.maximum(combined, coarse), strict=True)
     })  # fmt: skip
 
 
-def _is_even(t: Array) -> bool:
-    """Return whether samples are evenly spaced."""
-    step = np.diff(t)
-    if not len(step):
-        return False
-    low, high = float(step.min()), float(step.max())
-    if low > 0 and high <= (1 + 0.5 * _UNEVEN) * low:  # then the usual step lies so near to all of them
-        return True
-    usual = median(step)
-    return bool(usual > 0 and np.abs(step / usual - 1).max() <= _UNEVEN)
+def _are_even(times: Array) -> Array:
+    """Return whether the samples of stretches (blocks, n) are evenly spaced, (blocks,)."""
+    step = np.diff(times, axis=1)
+    if not step.shape[1]:
+        return np.zeros(len(times), bool)
+    low, high = step.min(axis=1), step.max(axis=1)
+    even = (low > 0) & (high <= (1 + 0.5 * _UNEVEN) * low)  # then the usual step lies so near to all of them
+    for b in np.flatnonzero(~even):
+        usual = median(step[b])
+        even[b] = usual > 0 and np.abs(step[b] / usual - 1).max() <= _UNEVEN
+    return np.asarray(even)
 
 
-def _even_spreads(blocks: list[Array]) -> Array:
-    """Return the spread of each order's differences in blocks (channels, n): (blocks, channels, orders)."""
-    stacked = np.concatenate(blocks)
+def _even_spreads(rows: Array) -> Array:
+    """Return the spread of the differences of rows (blocks, channels, n), (blocks, channels, orders)."""
+    stacked = rows.reshape(-1, rows.shape[2])
     difference, out = stacked - stacked[:, :1], np.full((len(stacked), len(_ORDERS)), np.nan)
     done = 0
     for i, k in enumerate(_ORDERS):
@@ -111,7 +113,7 @@ def _even_spreads(blocks: list[Array]) -> Array:
             break
         difference, done = np.diff(difference, n=k - done, axis=1), k
         out[:, i] = _spreads(difference / np.sqrt(comb(2 * k, k)), (k + 1) // 2)
-    return out.reshape(len(blocks), -1, len(_ORDERS))
+    return out.reshape(len(rows), -1, len(_ORDERS))
 
 
 def _uneven_spreads(t: Array, rows: Array) -> Array:

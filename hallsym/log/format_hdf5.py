@@ -14,8 +14,7 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.log.columns import RUN
-from hallsym.log.extras import load
-from hallsym.log.table import IN_MEMORY_ROWS, Source
+from hallsym.log.table import IN_MEMORY_ROWS, Source, load
 from hallsym.units import Array
 
 Lengths = dict[str, int]

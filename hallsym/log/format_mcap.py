@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, quoted
-from hallsym.log.extras import load
-from hallsym.log.grouped import GroupedSource
-from hallsym.log.groups import TIME, Group, exact
-from hallsym.log.text.units import split_header, unit_of
+from hallsym.log.groups import TIME, Group, GroupedSource, exact
+from hallsym.log.table import load
+from hallsym.log.text.cells import split_header, unit_of
 from hallsym.units import Array
 
 AT_ONCE = 4096

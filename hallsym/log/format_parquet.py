@@ -9,17 +9,15 @@ from typing import Any
 
 from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import (
-    TIME,
     Moments,
     array_of,
     first_tick,
     is_numeric,
     is_time,
-    only_time,
+    name_the_time,
     said_of_times,
 )
-from hallsym.log.extras import load
-from hallsym.log.table import IN_MEMORY_ROWS, Source, label
+from hallsym.log.table import IN_MEMORY_ROWS, Source, label, load
 from hallsym.units import Array
 
 _BUFFER = 1 << 20
@@ -44,12 +42,9 @@ class ParquetSource(Source):
                 self._begin(file, own[k])
         self.small = self.rows <= IN_MEMORY_ROWS
         self.notes = tuple(said_of_times(own[k], quoted(path), "times") for k in times)
-        self._own = {name: name for name in own}
-        at = only_time(own, times)
-        if at is not None and own[at] != f"{TIME}_s":
-            self._own = {TIME if name == own[at] else name: name for name in own}
-            self.units, self.aliases = {TIME: "s"}, {own[at]: TIME} if own[at] != TIME else {}
-        self.names = tuple(self._own)
+        self.names = tuple(own)
+        name_the_time(self, times)
+        self._own = dict(zip(self.names, own, strict=True))
 
     def _begin(self, file: Any, name: str) -> None:
         """Keep the first moment of a column of times."""

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, quoted
-from hallsym.log.extras import load
-from hallsym.log.grouped import GroupedSource
-from hallsym.log.groups import TIME, Group
-from hallsym.log.text.units import split_header, unit_of
+from hallsym.log.groups import TIME, Group, GroupedSource
+from hallsym.log.table import load
+from hallsym.log.text.cells import split_header, unit_of
 from hallsym.units import UNITS, Array, split_unit
 
 _STEP, _START, _OFFSET = "wf_increment", "wf_start_time", "wf_start_offset"

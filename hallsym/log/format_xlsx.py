@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.errors import InputError, nearest, quoted
-from hallsym.log.extras import load
 from hallsym.log.format_csv import CsvSource
-from hallsym.log.table import Source
+from hallsym.log.table import Source, load
 
 
 def open_workbook(path: Path, sheet: str | None = None, decimal: str | None = None) -> Source:

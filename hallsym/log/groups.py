@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
-from hallsym.errors import InputError, counted, nearest
-from hallsym.log.resample import METHODS
-from hallsym.log.table import CHUNK_ROWS
-from hallsym.units import Array
+from hallsym.errors import InputError, counted, nearest, quoted
+from hallsym.log.columns import RUN
+from hallsym.log.resample import METHODS, Follower, Wanted, resampled
+from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, Source
+from hallsym.units import UNITS, Array, split_unit
 
 TIME = "\0time"
 """What `Group.chunks` calls the time of its samples, seconds; no channel has this name."""
@@ -174,3 +177,212 @@ def exact(
         count -= edges[-1]
     if count:
         yield {name: np.concatenate([p[name] for p in held]) for name in names}
+
+
+SHOWN_GROUPS = 4
+"""Groups that a line names."""
+
+
+class GroupedSource(Source):
+    """One table of the groups of a file."""
+
+    def __init__(
+        self,
+        where: str,
+        kind: str,
+        groups: Sequence[Group],
+        left_out: Mapping[str, str],
+        clock: str | None = None,
+    ) -> None:
+        """Arrange groups of a `kind` ("TDMS") of the file that messages call `where`."""
+        self.where = where
+        self.left_out: dict[str, str] = {**left_out} | {
+            g.name: "it holds one sample" for g in groups if g.rows == 1
+        }
+        filled = [g for g in groups if g.channels and g.rows > 1]
+        if not filled:
+            raise InputError(
+                f"Log {where} has no channel of numbers with two samples or more; record it again."
+            )
+        stated = None if clock is None else Clock.read(clock)
+        self.runs = [] if stated else runs(filled)
+        self.sets = [filled[:1]] if self.runs else on_one_clock(filled)
+        self.stated, self.master = stated, self._master(stated)
+        kept = [self.master, *(g for members in self.sets for g in members if g is not self.master)]
+        self.places, self.aliases = places(kept)
+        self.units = {
+            name: place.group.units.get(place.channel, "") or ("s" if place.channel == TIME else "")
+            for name, place in self.places.items()
+        }
+        self.units = {name: unit for name, unit in self.units.items() if unit}
+        self._leave_other_clocks()
+        self.names = (*((RUN,) if self.runs else ()), *self.places)
+        self.rows = sum(g.rows for g in self.runs) or self.master.rows
+        self.small = self.rows <= IN_MEMORY_ROWS
+        self.recognised = self._said(kind, filled)
+        self.notes = (f"{where} is read as {self.recognised}.",) if len(self.sets) > 1 else ()
+        self.unstated = "" if stated or len(self.sets) == 1 else self._ask()
+
+    def count(self) -> int:
+        """Return the number of rows."""
+        if not self.stated or len(self.sets) == 1:
+            return self.rows
+        return sum(len(next(iter(piece.values()))) for piece in self.chunks([self._own()], CHUNK_ROWS))
+
+    def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
+        """Yield consecutive chunks of at most `size` rows."""
+        if self.runs:
+            yield from self._chunks_of_runs(names, size)
+        elif self.stated and len(self.sets) > 1:
+            yield from self._resampled(names, size, self.stated.method)
+        else:
+            yield from self._joined(names, size)
+
+    def _master(self, stated: Clock | None) -> Group:
+        """Return the group whose samples are the rows; leave out what has no time base and another length."""
+        named = {g.name: g for members in self.sets for g in members}
+        if stated and stated.group not in named:
+            raise InputError(
+                f"Log {self.where} has no group '{stated.group}'{nearest(stated.group, list(named))}; it has"
+                f" {', '.join(list(named)[:SHOWN_GROUPS])}."
+            )
+        timed = [members for members in self.sets if members[0].first is not None]
+        usual = max(timed or self.sets, key=lambda members: sum(len(g.channels) for g in members))
+        master = named[stated.group] if stated else usual[0]
+        kept = []
+        for members in self.sets:
+            if members[0].first is not None or master in members:
+                kept.append(members)
+                continue
+            why = f"it has no time base and {members[0].rows} samples where {master.name} has {master.rows}"
+            self.left_out.update({channel: why for g in members for channel in g.channels})
+        self.sets = kept
+        if stated and master.first is None:
+            raise InputError(
+                f"Group {master.name} of {self.where} has no time base; its samples cannot be the clock."
+            )
+        return master
+
+    def _leave_other_clocks(self) -> None:
+        """Leave out the time of groups that are read on another's clock."""
+        if not self.stated:
+            return
+        mine = self._mine()
+        for name, place in list(self.places.items()):
+            if place.group not in mine and place.channel in (TIME, place.group.clock):
+                del self.places[name]
+                self.left_out[name] = f"it is the time of {place.group.name}"
+
+    def _set_of(self, group: Group) -> int:
+        return next(k for k, members in enumerate(self.sets) if group in members)
+
+    def _own(self) -> str:
+        return next(name for name, place in self.places.items() if place.group is self.master)
+
+    def _said(self, kind: str, groups: Sequence[Group]) -> str:
+        named = ", ".join(g.said() for g in groups[:SHOWN_GROUPS])
+        more = f" and {len(groups) - SHOWN_GROUPS} more" if len(groups) > SHOWN_GROUPS else ""
+        if self.runs:
+            return f"{kind}: {len(self.runs)} groups that are runs, {self.runs[0].said()}{more and ', ...'}"
+        text = f"{kind}: {named}{more}"
+        if len(self.sets) == 1:
+            return text
+        if not self.stated:
+            return f"{text} on {len(self.sets)} clocks"
+        how = "the nearest sample" if self.stated.method == "nearest" else "linear between samples"
+        whole = "" if self.stated.method == "nearest" else " (whole numbers: the nearest)"
+        return f"{text}, at the samples of {self.master.name}, other groups {how}{whole}"
+
+    def _ask(self) -> str:
+        clocks = [members[0] for members in self.sets]
+        named = ", ".join(f"{g.name} {hertz(g.rate)}" for g in clocks[:SHOWN_GROUPS])
+        first = quoted(f"{self.master.name}:linear")
+        return (
+            f"Log {self.where} has {len(clocks)} clocks ({named}): say whose samples become the rows and how"
+            f" the others are read there, linear or nearest, with --clock {first} (in Python clock=...)."
+        )
+
+    def _joined(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
+        """Yield columns of groups that have one clock."""
+        wanted = _by_group(self.places, names)
+        if len({self._set_of(g) for g, _ in wanted}) > 1:
+            raise InputError(self._ask())
+        streams = [(g, asked, g.chunks([p for _, p in asked], size)) for g, asked in wanted]
+        for pieces in zip(*(stream for _, _, stream in streams), strict=True):
+            yield {
+                name: piece[channel]
+                for (_, asked, _), piece in zip(streams, pieces, strict=True)
+                for name, channel in asked
+            }
+
+    def _chunks_of_runs(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
+        for group in self.runs:
+            channels = {name: self.places[name].channel for name in names if name != RUN}
+            asked = list(channels.values()) or [group.channels[0]]
+            for piece in group.chunks(asked, size):
+                rows = len(next(iter(piece.values())))
+                run = number_of(group.name)
+                yield {name: piece[channels[name]] if name != RUN else np.full(rows, run) for name in names}
+
+    def _resampled(self, names: Sequence[str], size: int, method: str) -> Iterator[Mapping[str, Array]]:
+        mine, others = self._mine(), self._others()
+        for g in others:
+            if g.since != self.master.since:
+                raise InputError(
+                    f"Groups {self.master.name} and {g.name} of {self.where} count time from different starts"
+                    f" ({self.master.since} and {g.since}); they cannot be put on one clock."
+                )
+        wanted = dict(_by_group(self.places, names))
+        followers = [
+            Follower(
+                g.name,
+                g.rate,
+                partial(_timed, g),
+                [Wanted(name, channel, self._turn(name)) for name, channel in wanted.get(g, ())],
+            )
+            for g in others
+        ]
+        own = dict.fromkeys([*(name for name in names if self.places[name].group in mine), self._own()])
+        ends = [_ends(g, self.master) for g in others]
+        begin, end = max(first for first, _ in ends), min(last for _, last in ends)
+        rows = self._timed_rows(list(own), size)
+        yield from resampled(rows, followers, method, (begin, end), names, size, self.where)
+
+    def _mine(self) -> list[Group]:
+        return next(members for members in self.sets if self.master in members)
+
+    def _others(self) -> list[Group]:
+        mine = self._mine()
+        return [g for members in self.sets if members is not mine for g in members]
+
+    def _turn(self, name: str) -> float:
+        """Return a full turn in the unit of an angle, 0 for a column of another unit."""
+        unit = UNITS[self.units[name]] if name in self.units else split_unit(name)[1]
+        return 2 * math.pi / unit.factor if unit and unit.si == "rad" else 0.0
+
+    def _timed_rows(self, names: Sequence[str], size: int) -> Iterator[tuple[Array, Mapping[str, Array]]]:
+        times = self.master.chunks([TIME], size)
+        for time, piece in zip(times, self._joined(names, size), strict=True):
+            yield time[TIME], piece
+
+
+def _timed(group: Group, channels: Sequence[str], size: int) -> Iterator[tuple[Array, Mapping[str, Array]]]:
+    for piece in group.chunks([TIME, *(c for c in channels if c != TIME)], size):
+        yield piece[TIME], piece
+
+
+def _ends(group: Group, master: Group) -> tuple[float, float]:
+    """Return the times from which and up to which a group has values, where the ends differ by its period.
+
+    Beyond that it was not recorded, and the rows stay, without a value.
+    """
+    first, last, period = group.first or 0.0, group.last or 0.0, 1 / (group.rate or np.inf)
+    begin, end = master.first or 0.0, master.last or 0.0
+    return (first if first <= begin + period else begin), (last if last >= end - period else end)
+
+
+def _by_group(places: Mapping[str, Place], names: Sequence[str]) -> list[tuple[Group, list[tuple[str, str]]]]:
+    found: dict[Group, list[tuple[str, str]]] = {}
+    for name in names:
+        found.setdefault(places[name].group, []).append((name, places[name].channel))
+    return list(found.items())

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.errors import InputError, quoted
+from hallsym.log.arrow import is_table, source_of
 from hallsym.log.columns import (
     RUN,
     ColumnFile,
@@ -20,14 +21,11 @@ from hallsym.log.columns import (
     still_missing,
 )
 from hallsym.log.core import Log, run_notes
-from hallsym.log.formats import FORMATS, format_of
-from hallsym.log.frames import is_table, source_of
-from hallsym.log.guarded import Guarded
-from hallsym.log.meta import Meta
-from hallsym.log.noise import Noise, check_misspelt_noise, check_noise_keys
+from hallsym.log.formats import FORMATS, Guarded, format_of
+from hallsym.log.meta import Meta, Noise, check_misspelt_noise, check_noise_keys
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
-from hallsym.log.text import stated_delimiter
+from hallsym.log.text.sniff import stated_delimiter
 from hallsym.reading import regular
 from hallsym.units import split_unit
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -10,15 +11,14 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest
-from hallsym.log.columns import RUN, Binding, Foreign, listed
-from hallsym.log.limits import has_meaning
+from hallsym.log.columns import RUN, Binding, Foreign, has_meaning, listed
 from hallsym.units import Array
 
 IN_MEMORY_ROWS = 2_000_000
 CHUNK_ROWS = 65_536
 
 Piece = dict[str, Array]
-RowFilter = Callable[[Piece], Array | None]
+RowFilter = Callable[[Piece], Array]
 
 
 class Source(ABC):
@@ -210,8 +210,8 @@ class View:
 class Filtered(View):
     """A table seen through a row filter, which may carry state along one pass.
 
-    `make()` starts a fresh filter; it is shown the columns `needs` beside those asked
-    for and returns the rows to keep as a boolean mask, or None for all.
+    `make()` starts a fresh filter; it is shown the columns `needs` beside those asked for and returns which
+    rows to keep, (rows,) of bool.
     """
 
     def __init__(self, table: TableLike, needs: Sequence[str], make: Callable[[], RowFilter]) -> None:
@@ -235,17 +235,13 @@ class Filtered(View):
         keep = self.make()
         for piece in self.table.pieces(tuple(dict.fromkeys((*columns, *self.needs))), size):
             mask = keep(piece)
-            if mask is None or mask.all():
-                yield {name: piece[name] for name in columns}
-            elif mask.any():
-                yield {name: piece[name][mask] for name in columns}
+            if mask.any():
+                yield {name: piece[name] if mask.all() else piece[name][mask] for name in columns}
 
     def _hold(self, columns: Sequence[str]) -> Piece:
         """Filter columns of a table in memory, each once."""
         if self._mask is None:
-            everything = next(iter(self.table.pieces(self.needs, CHUNK_ROWS)))
-            mask = self.make()(everything)
-            self._mask = np.ones(len(everything[RUN]), bool) if mask is None else mask
+            self._mask = self.make()(next(iter(self.table.pieces(self.needs, CHUNK_ROWS))))
         new = [name for name in columns if name not in self._held]
         for name, values in next(iter(self.table.pieces(new, CHUNK_ROWS))).items():
             kept = values if self._mask.all() else values[self._mask]
@@ -255,3 +251,28 @@ class Filtered(View):
 
 
 TableLike = Table | View
+
+
+_EXTRAS = {
+    "h5py": ("hdf5", "HDF5 (and MATLAB v7.3)", "h5py"),
+    "python_calamine": ("xlsx", "Workbook", "python-calamine"),
+    "nptdms": ("tdms", "TDMS", "npTDMS"),
+    "asammdf": ("mdf", "MDF", "asammdf"),
+    "mcap": ("mcap", "MCAP", "mcap"),
+    "mcap_ros2": ("mcap", "MCAP", "mcap-ros2-support"),
+}
+"""Module -> the extra it comes with, the files it reads, the name of its package."""
+
+
+def load(module: str) -> Any:
+    """Import a library; where an extra is not installed, say what to install."""
+    name = module.partition(".")[0]
+    if name not in _EXTRAS:
+        return importlib.import_module(module)
+    extra, kind, package = _EXTRAS[name]
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise InputError(
+            f"{kind} files need {package}, which is not installed; run: pip install 'hallsym[{extra}]'."
+        ) from error

@@ -17,7 +17,7 @@ import hallsym
 from hallsym.cli.main import main
 from hallsym.errors import InputError
 from hallsym.families.published import values
-from hallsym.log import check_log, grouped, read_log, write_log
+from hallsym.log import check_log, groups, read_log, write_log
 from hallsym.log.resample import Follower, Wanted, resampled
 
 SUFFIXES = tuple(WRITERS)
@@ -67,7 +67,7 @@ def refused(path: Path, says: str, **options: Any) -> None:
 def test_names_units_and_numbers_are_those_of_the_file(
     tmp_path: Path, suffix: str, limit: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(grouped, "IN_MEMORY_ROWS", limit)
+    monkeypatch.setattr(groups, "IN_MEMORY_ROWS", limit)
     arrays = {name: v for name, v in stage_arrays(samples=150).items() if name != "t_s"}
     log = read_log(written(tmp_path / f"log{suffix}", {HALL: (0.0, 500.0, arrays)}))
     assert (set(log.columns), log.rows, log.runs) == ({"t_s", *arrays}, 600, (0, 1, 2, 3))
@@ -120,7 +120,7 @@ def expected(method: str, when: np.ndarray, time: np.ndarray, found: np.ndarray)
 def test_the_stated_clock_is_what_numpy_gives(
     tmp_path: Path, suffix: str, clock: str, method: str, limit: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(grouped, "IN_MEMORY_ROWS", limit)
+    monkeypatch.setattr(groups, "IN_MEMORY_ROWS", limit)
     monkeypatch.setattr("hallsym.log.table.CHUNK_ROWS", 64)
     path = written(tmp_path / f"log{suffix}", two_rates(400))
     log = read_log(path, clock=f"{topic(suffix, clock)}:{method}")

@@ -13,10 +13,8 @@ from hypothesis import strategies as st
 import hallsym
 from hallsym import InputError, fit, load_fit, read_log
 from hallsym.cli.main import main
-from hallsym.log.arrow import Moments, first_tick
+from hallsym.log.arrow import Moments, Seconds, first_tick, time_form
 from hallsym.log.format_parquet import ParquetSource
-from hallsym.log.text import Seconds
-from hallsym.log.text.times import time_form
 
 STEPS = np.array([0.0, 0.25, 1.5, 2.0, 3.125])
 START = datetime(2026, 1, 30, 23, 59, 58, tzinfo=timezone(timedelta(hours=2)))

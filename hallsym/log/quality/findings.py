@@ -6,8 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from hallsym.errors import counted
-from hallsym.log.core import Log
-from hallsym.log.drop import Drop
+from hallsym.log.core import Drop, Log
 
 _LONGEST_NAME = 60
 """Characters of a log's name that a sentence has room for: with them it stays below 300."""

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.log.core import Log
-from hallsym.log.drop import Drop
-from hallsym.log.limits import is_reading, is_reference
+from hallsym.log.columns import is_reading, is_reference
+from hallsym.log.core import Drop, Log
 from hallsym.log.quality.findings import Finding, the
-from hallsym.log.quality.motion import OVER_NOISE, code, gains, stretches
-from hallsym.log.quality.scan import WHOLE_ROWS, Scan, Whole
+from hallsym.log.quality.scan import OVER_NOISE, WHOLE_ROWS, Scan, Whole, code, gains, stretches
 from hallsym.units import Array, si_symbol
 
 TURN = 2.6
@@ -229,42 +227,31 @@ REFUSE = 0.05
 time lacks 0.3 % of its stroke, which matters to nothing; beyond it a calibration extrapolates."""
 
 
-@dataclass(frozen=True)
-class Rails:
-    """The rails of a reading: samples that are not between `low` and `high` lie on them (-inf, inf: none).
-
-    `at` holds the level of each rail, `share` that of the samples on them; `worst` the run with the largest.
-    """
-
-    low: float
-    high: float
-    at: tuple[float, ...]
-    share: float
-    worst: tuple[int, float]
-
-
 def saturated(log: Log, seen: Scan) -> Iterator[Finding]:
-    """Readings with samples on a rail."""
+    """Readings with samples on a rail; what is left out are those not between the edges of its piles."""
     for name in filter(is_reading, seen.traces):
         trace = seen.traces[name]
         if trace.nonfinite or not trace.low < trace.high:
             continue
-        if max(trace.at_low, trace.at_high) >= SAME or piles(seen.sample.whole.ordered(name)):
-            rails = _rails(_samples(log, seen, name), name)
-            if rails:
-                yield _finding(log, name, rails, seen.rows)
-
-
-def _finding(log: Log, name: str, rails: Rails, rows: int) -> Finding:
-    count, unit = round(rails.share * rows), si_symbol(name)
-    where = " and ".join(f"{level:.4g}" for level in rails.at)
-    refuse = rails.share > REFUSE
-    return Finding(
-        f"{the(log, name)} is saturated: {count} samples ({rails.share:.1%}) lie on its"
-        f" rail{'s' if len(rails.at) > 1 else ''} at {where} {unit}, most in run {rails.worst[0]}"
-        f" ({rails.worst[1]:.0%})",
-        refuse, Drop(between=((name, rails.low, rails.high),)), remedy="lower the gain or the travel",
-    )  # fmt: skip
+        if max(trace.at_low, trace.at_high) < SAME and not piles(seen.sample.whole.ordered(name)):
+            continue
+        whole = _samples(log, seen, name)
+        found, x = _rails(whole, name), whole.data[name]
+        if not found:
+            continue
+        on = np.any([pile.of(x) for pile in found], axis=0)
+        low = max((pile.edge for pile in found if pile.sign < 0), default=-np.inf)
+        high = min((pile.edge for pile in found if pile.sign > 0), default=np.inf)
+        where = " and ".join(f"{v:.4g}" for v in sorted(float(np.median(x[pile.of(x)])) for pile in found))
+        runs, inverse, counts = np.unique(whole.run, return_inverse=True, return_counts=True)
+        shares, share = np.bincount(inverse, weights=on) / counts, float(np.mean(on))
+        worst = int(np.argmax(shares))
+        yield Finding(
+            f"{the(log, name)} is saturated: {round(share * seen.rows)} samples ({share:.1%}) lie on its"
+            f" rail{'s' if len(found) > 1 else ''} at {where} {si_symbol(name)}, most in run {runs[worst]}"
+            f" ({shares[worst]:.0%})",
+            share > REFUSE, Drop(between=((name, low, high),)), remedy="lower the gain or the travel",
+        )  # fmt: skip
 
 
 def _samples(log: Log, seen: Scan, name: str) -> Whole:
@@ -276,28 +263,9 @@ def _samples(log: Log, seen: Scan, name: str) -> Whole:
     return Whole.of(log, (name, *references))
 
 
-def _rails(whole: Whole, name: str) -> Rails | None:
-    """Find both ends, then whether the reading is cut off there or rests or turns there."""
-    references = [column for column in whole.data if is_reference(column)]
-    x = whole.data[name]
-    found = piles(whole.ordered(name))
+def _rails(whole: Whole, name: str) -> list[Pile]:
+    """Return the piles at both ends in which the reading is cut off, and does not rest or turn."""
+    x, found = whole.data[name], piles(whole.ordered(name))
     free = ~np.any([pile.of(x) for pile in found], axis=0) if found else np.empty(0, bool)
-    motion = [whole.data[column] for column in references]
-    found = [pile for pile in found if not motion or is_cut_off(x, motion, whole.run, pile, free)]
-    if not found:
-        return None
-    on = np.any([pile.of(x) for pile in found], axis=0)
-    return Rails(
-        max((pile.edge for pile in found if pile.sign < 0), default=-np.inf),
-        min((pile.edge for pile in found if pile.sign > 0), default=np.inf),
-        tuple(sorted(float(np.median(x[pile.of(x)])) for pile in found)),
-        float(np.mean(on)),
-        _worst(whole.run, on),
-    )
-
-
-def _worst(run: Array, on: Array) -> tuple[int, float]:
-    runs, inverse, counts = np.unique(run, return_inverse=True, return_counts=True)
-    shares = np.bincount(inverse, weights=on) / counts
-    worst = int(np.argmax(shares))
-    return int(runs[worst]), float(shares[worst])
+    motion = [values for column, values in whole.data.items() if is_reference(column)]
+    return [pile for pile in found if not motion or is_cut_off(x, motion, whole.run, pile, free)]

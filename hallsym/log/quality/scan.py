@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import comb
 
 import numpy as np
 
-from hallsym.log.columns import RUN
-from hallsym.log.core import Log, RunOrder
-from hallsym.log.limits import is_moving, is_reading
-from hallsym.log.quality.clock import Clock
+from hallsym.log.columns import RUN, is_moving, is_reading
+from hallsym.log.core import Drop, Log, RunOrder
+from hallsym.log.quality.findings import Finding, the
 from hallsym.log.table import CHUNK_ROWS, Piece
 from hallsym.units import Array
 
+FEWEST_SAMPLES = 8
+"""Samples of a run below which it says nothing."""
 ENOUGH = 8192
 """Samples that are kept at least where a log has them; at most twice as many. 0.5 % of them are 40."""
 WHOLE_ROWS = 2_000_000
@@ -101,11 +103,30 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """Extents of every column: `overall["z_m"]`, and per run `runs[3]["z_m"]`; `samples[3]` counts rows."""
+    """Extents of every column: `overall["z_m"]`, and per run `runs[3]["z_m"]`; `samples[3]` counts rows.
+
+    `by_run`: the same extents as arrays (4, runs) by column.
+    """
 
     overall: dict[str, Span]
-    runs: dict[int, dict[str, Span]]
+    by_run: dict[str, Array]
     samples: dict[int, int]
+
+    @cached_property
+    def runs(self) -> dict[int, dict[str, Span]]:
+        """Extents by run and column."""
+        return {
+            run: {name: Span(*extents[:, k].tolist()) for name, extents in self.by_run.items()}
+            for k, run in enumerate(self.samples)
+        }
+
+    def rests(self, column: str) -> Array:
+        """Return whether a column holds one value all through a run, (runs,) of bool."""
+        return self.covers(column) == 0.0
+
+    def covers(self, column: str) -> Array:
+        """Return greatest minus least value of a column in each run, (runs,)."""
+        return np.asarray(self.by_run[column][1] - self.by_run[column][0])
 
 
 @dataclass
@@ -212,21 +233,17 @@ class Scan:
 
     def spans(self) -> Spans:
         """Return extents overall and per run; a column with NaN or infinity has none."""
-        runs = np.array([run for run, _ in self.segments])
         counts = np.array([n for _, n in self.segments], float)
-        starts = self.starts
-        overall: dict[str, Span] = {}
-        per_run: dict[int, dict[str, Span]] = {int(run): {} for run in runs[starts]}
+        overall, by_run = {}, {}
         for name, trace in self.traces.items():
             if trace.nonfinite or not trace.parts:
                 continue
             table = np.concatenate(trace.parts)
-            overall[name] = _span(table, counts, trace.pivot or 0.0, np.array([0]))[0]
-            for run, span in zip(
-                per_run.values(), _span(table, counts, trace.pivot or 0.0, starts), strict=True
-            ):
-                run[name] = span
-        return Spans(overall, per_run, self.samples)
+            whole, by_run[name] = (
+                _extents(table, counts, trace.pivot or 0.0, starts) for starts in ([0], self.starts)
+            )
+            overall[name] = Span(*whole[:, 0].tolist())
+        return Spans(overall, by_run, self.samples)
 
 
 def scan(log: Log, columns: Sequence[str]) -> Scan:
@@ -284,11 +301,240 @@ def _small_pieces(log: Log, columns: Sequence[str]) -> Iterator[Piece]:
             yield {name: values[lo : lo + _CACHE_ROWS] for name, values in piece.items()}
 
 
-def _span(table: Array, counts: Array, pivot: float, starts: Array) -> list[Span]:
+def _extents(table: Array, counts: Array, pivot: float, starts: Sequence[int] | Array) -> Array:
+    """Return least, greatest, mean and standard deviation of stretches, (4, stretches)."""
     n = np.add.reduceat(counts, starts)
     low, high = np.minimum.reduceat(table[:, 0], starts), np.maximum.reduceat(table[:, 1], starts)
     mean = np.add.reduceat(table[:, 2], starts) / n
     variance = np.maximum(np.add.reduceat(table[:, 3], starts) / n - mean**2, 0.0)
-    std = np.where(high > low, np.sqrt(variance), 0.0)
-    rows = zip(low.tolist(), high.tolist(), (mean + pivot).tolist(), std.tolist(), strict=True)
-    return [Span(*row) for row in rows]
+    return np.array([low, high, mean + pivot, np.where(high > low, np.sqrt(variance), 0.0)])
+
+
+_MISSING_REFUSE = 0.02
+"""Share of missing ticks from which a log is refused: below, a logger was late now and then."""
+
+_LATE = 1.8  # a step longer than this many ticks means that samples are missing
+_MOST_MISSING = 2.0**53  # what a clock that jumps to 1e308 s is said to miss
+
+
+@dataclass
+class Clock:
+    """Counts of faults and where the first of each is (row, counted from 0, and run).
+
+    `tick` is the run's usual step in s, the median of the first stretch of that run that was seen.
+    """
+
+    backward: int = 0
+    first_backward: tuple[int, int, float, float] | None = None
+    missing: int = 0
+    first_missing: tuple[int, int, float, float] | None = None
+    steps: int = 0
+    tick: float = 0.0
+    _run: int | None = None
+    _last: float = np.nan
+
+    def add(self, t: Array, segments: list[tuple[int, int, int]], row: int) -> None:
+        """Take a piece of the time column, with its (run, start, stop) stretches and the row it begins at."""
+        step = np.diff(t, prepend=self._last)
+        for run, start, stop in segments:
+            if run == self._run:
+                self._judge(step[start:stop], t[start:stop], run, row + start)
+            else:
+                self.tick = 0.0
+                self._judge(step[start + 1 : stop], t[start + 1 : stop], run, row + start + 1)
+            self._run = run
+        self._last = float(t[-1]) if len(t) else self._last
+
+    def _judge(self, step: Array, t: Array, run: int, row: int) -> None:
+        if not len(step):
+            return
+        low, high = step.min(), step.max()
+        if not np.isfinite([low, high]).all():
+            return  # not finite: reported as such
+        if low <= 0:
+            self._backward(step, t, run, row)
+        self.steps += len(step)
+        if self.tick > 0 and high <= _LATE * self.tick:
+            return
+        if self.tick == 0 and low > 0 and high <= _LATE * low:
+            self.tick = float(step[0])
+            return
+        self._late(step, t, run, row)
+
+    def _backward(self, step: Array, t: Array, run: int, row: int) -> None:
+        wrong = np.flatnonzero(step <= 0)
+        self.backward += len(wrong)
+        if self.first_backward is None:
+            i = int(wrong[0])
+            self.first_backward = (row + i, run, float(t[i]), float(step[i]))
+
+    def _late(self, step: Array, t: Array, run: int, row: int) -> None:
+        forward = step[step > 0]
+        if self.tick == 0:
+            self.tick = float(np.median(forward)) if len(forward) else 0.0
+        late = np.flatnonzero(step > _LATE * self.tick) if self.tick else np.empty(0, int)
+        if not len(late):
+            return
+        self.missing += int(min((np.round(step[late] / self.tick) - 1).sum(), _MOST_MISSING))
+        if self.first_missing is None:
+            i = int(late[0])
+            self.first_missing = (row + i, run, float(t[i] - step[i]), float(step[i]))
+
+
+def time(log: Log, clock: Clock) -> Iterator[Finding]:
+    """Time that runs backwards or repeats."""
+    if clock.first_backward:
+        row, run, t, step = clock.first_backward
+        how = "repeats" if step == 0 else "runs backwards"
+        yield Finding(
+            f"{the(log, 't_s')} must increase within a run; it {how} {clock.backward} times, first in row"
+            f" {row + 1} (run {run}) at {t:.6g} s",
+            True, Drop(forward=True), remedy="sort the samples by time or number the runs",
+        )  # fmt: skip
+
+
+def ticks(log: Log, clock: Clock) -> Iterator[Finding]:
+    """Samples that are missing."""
+    if clock.first_missing and not clock.first_backward:
+        row, run, t, step = clock.first_missing
+        share = clock.missing / max(1, clock.missing + clock.steps)
+        refuse = share > _MISSING_REFUSE
+        yield Finding(
+            f"{the(log, 't_s')} misses {clock.missing} ticks ({share:.2%}), first after {t:.6g} s in row"
+            f" {row + 1} (run {run}), a step of {step:.4g} s",
+            refuse, bear=True, remedy="number the stretches around a pause as runs" if refuse else "",
+        )  # fmt: skip
+
+
+_ROUGH = 0.5
+"""Spread of sixth over that of fourth differences, each for unit white noise, from which a column is noisy: 1
+for white noise, 0.75 for noise that is correlated over many samples, below 0.05 for motion."""
+_OF_A_CODE = 2.0
+"""Standard deviation of noise, in codes of the converter, from which it is more than rounding: that has 0.29,
+and up to 1.4 in these differences where it alternates."""
+_ARITHMETIC = 1e-13
+"""Differences over the largest value that are due to rounding of floating-point numbers alone."""
+_EQUAL, _SMALLEST = 0.01, 0.005
+"""Share of equal neighbours from which the steps themselves show the codes, and the quantile of the others
+that is one code: the codes of a converter may lie unevenly."""
+_MORE = 3.0
+"""Equal neighbours over those by chance from which it is no noise: an axis that goes from rest to rest."""
+_FEWEST = 16
+_FAR = 10.0
+"""Leverage of a sample over that of the usual one up to which a linear function is believed there."""
+LINEAR = 0.5
+"""Share of a column's variation that a linear function of others must explain to be believed."""
+OVER_NOISE = 2.0
+"""Spread of what a linear function predicts over what it leaves, noise and rounding, from which the column
+should have moved. A column that rests between two codes hides 0.5 of one, and rounding leaves 0.29."""
+_COARSE = 0.8
+"""Share of distinct values below which a column shows the codes of its converter."""
+
+
+def stretches(mask: Array, shortest: int = 2) -> list[tuple[int, int]]:
+    """Return (start, stop) of the stretches of at least `shortest` True in a boolean array."""
+    edges = np.flatnonzero(np.diff(np.r_[False, mask, False].astype(np.int8)))
+    return [
+        (a, b) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True) if b - a >= shortest
+    ]
+
+
+def code(ordered: Array) -> float:
+    """Return the step between codes of sorted values (n,); 0 where nearly all of them differ."""
+    step = np.diff(ordered)
+    step = step[step > 0]
+    return float(step.min()) if len(step) and len(step) < _COARSE * len(ordered) else 0.0
+
+
+def is_noisy(x: Array) -> bool:
+    """Say whether samples (n,) carry noise beyond their rounding, so that no two recordings are alike."""
+    return noise_in_codes(x) > 0.0
+
+
+def noise_in_codes(x: Array) -> float:
+    """Return the noise of samples (n,), one sigma, in codes of their converter; 0 if it is only rounding."""
+    if len(x) < _FEWEST:
+        return 0.0
+    fourth = np.diff(x, 4)
+    spread = _spread(fourth, 4)
+    if not _spread(np.diff(fourth, 2), 6) > _ROUGH * spread:
+        return 0.0
+    steps = np.abs(np.diff(x))
+    if np.mean(steps == 0) > _EQUAL:
+        step = float(np.quantile(steps[steps > 0], _SMALLEST)) if steps.any() else np.inf
+    else:  # differences of codes are whole numbers of codes too, whatever the motion; less is arithmetic
+        whole = np.abs(fourth)
+        step = float(np.min(whole[whole > _ARITHMETIC * np.abs(x).max()], initial=np.inf))
+    codes = spread / step
+    if codes <= _OF_A_CODE:
+        return 0.0
+    return codes if np.mean(steps == 0) < _MORE * equal_by_chance(codes) + _EQUAL else 0.0
+
+
+def equal_by_chance(codes: float) -> float:
+    """Return how often noise of so many codes, one sigma, repeats a code: 1 / (2 sqrt(pi) codes)."""
+    return min(0.5, 1.0 / (2.0 * np.sqrt(np.pi) * codes))
+
+
+def _spread(difference: Array, order: int) -> float:
+    """Standard deviation of white noise with such differences; a few outliers do not count."""
+    return float(np.median(np.abs(difference))) / (0.67449 * np.sqrt(comb(2 * order, order)))
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """A column as a linear function of others, over the samples it was fitted to.
+
+    `share` of its variation that the function explains; `spread` of what is left, one sigma.
+    """
+
+    share: float
+    spread: float
+    _moving: Array
+    _centre: Array
+    _scale: Array
+    _coefficients: Array
+    _inverse: Array
+
+    @property
+    def believed(self) -> bool:
+        """Whether the function explains enough of the column to say what it should have been elsewhere."""
+        return self.share > LINEAR
+
+    def moves(self, others: Sequence[Array]) -> bool:
+        """Say whether the column should have moved while the others took these values, (n,) each."""
+        predicted, known = self.predicted(others)
+        return bool(known.any() and np.std(predicted[known]) > OVER_NOISE * self.spread)
+
+    def predicted(self, others: Sequence[Array]) -> tuple[Array, Array]:
+        """Return the column (n,) by the others, and where the fitted samples support it, (n,) of bool.
+
+        Their leverage says so: that of the fitted samples is 1 on average.
+        """
+        table = _table(others, self._moving, self._centre, self._scale)
+        leverage = np.sum(table * (self._inverse @ table), axis=0) / len(table)
+        return self._coefficients @ table, leverage < _FAR
+
+
+def gains(x: Array, others: Sequence[Array], good: Array) -> Gains | None:
+    """Fit column x (n,) by others (n,) and a constant over the `good` samples; None if these are too few."""
+    values = np.array([other[good] for other in others])
+    scale = values.std(axis=1) if values.size else np.zeros(0)
+    moving = np.flatnonzero(scale > 0)
+    count = int(np.count_nonzero(good))
+    if not len(moving) or count < 4 * (len(moving) + 1):
+        return None
+    centre = values.mean(axis=1)
+    table = _table(list(values), moving, centre, scale)
+    inverse = np.linalg.pinv(table @ table.T / count, hermitian=True)
+    coefficients = inverse @ (table @ x[good]) / count
+    rest = x[good] - coefficients @ table
+    variance = float(np.var(x[good]))
+    share = 1.0 - float(np.mean(rest**2)) / variance if variance > 0 else 0.0
+    spread = float(np.sqrt(np.sum(rest**2) / (count - len(table))))
+    return Gains(share, spread, moving, centre, scale, coefficients, inverse)
+
+
+def _table(others: Sequence[Array], moving: Array, centre: Array, scale: Array) -> Array:
+    rows = [(others[k] - centre[k]) / scale[k] for k in moving.tolist()]
+    return np.array([*rows, np.ones(len(others[0]))])

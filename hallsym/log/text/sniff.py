@@ -9,10 +9,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from hallsym.errors import InputError
+from hallsym.log.arrow import TimeForm, time_form
+from hallsym.log.text.cells import (
+    POINT,
+    Convention,
+    conventions_of,
+    is_missing,
+    is_number,
+    is_unit_row,
+    split_header,
+    unit_of,
+)
 from hallsym.log.text.encoding import Encoded, end_of
-from hallsym.log.text.numbers import POINT, Convention, conventions_of, is_missing, is_number
-from hallsym.log.text.times import TimeForm, time_form
-from hallsym.log.text.units import is_unit_row, split_header, unit_of
 
 SAID = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}
 TYPED = {"\t": "tab", " ": "blank"}

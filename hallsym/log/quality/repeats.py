@@ -1,0 +1,330 @@
+"""Values that should differ: columns that rest, stop for a while, are slow, or were recorded twice."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hallsym.log.columns import is_moving, is_reading, is_reference, tells
+from hallsym.log.core import Block, Drop, Log
+from hallsym.log.quality.findings import Finding, name_of, others, the
+from hallsym.log.quality.scan import (
+    FEWEST_SAMPLES,
+    HELD_SAMPLES,
+    WHOLE_ROWS,
+    Scan,
+    Span,
+    Spans,
+    equal_by_chance,
+    gains,
+    is_noisy,
+    noise_in_codes,
+    stretches,
+)
+from hallsym.units import Array, si_symbol
+
+_FEWEST_CHANGES = 16
+_ALIKE = 0.6
+"""Share of the values that a slow logger repeats as often as the usual one."""
+_GOES_ON = 0.5
+"""What other columns do while one repeats its value, over what they do until it goes on, per share of samples
+that repeat: 1 for a slow logger, about 0 where all of them step from rest to rest."""
+_CODE_AT = 0.005
+"""Quantile of the changes that is one code of a converter if there is one: outliers make smaller ones."""
+_OFTEN = 0.02
+"""Share of samples that are equal to the one before from which a column is looked at."""
+_SLOW = 4.0
+"""Usual change over the least one from which values that repeat are those of a slow channel: those of a
+coarse converter change by one code most of the time."""
+
+
+def dead(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
+    """Readings that never change, or not in a run in which the references say that they should."""
+    runs, long = list(spans.samples), np.array(list(spans.samples.values())) >= FEWEST_SAMPLES
+    for c in filter(is_reference, spans.overall):
+        long &= ~spans.rests(c)
+    for name in filter(is_reading, spans.overall):
+        overall = spans.overall[name]
+        if overall.min == overall.max:
+            yield Finding(
+                f"{the(log, name)} never changes; it is {overall.min:.6g} in all {seen.rows} samples",
+                True, remedy="check the probe, its wiring and the step of its converter",
+            )  # fmt: skip
+            continue
+        still = [runs[k] for k in np.flatnonzero(long & spans.rests(name))]
+        still = [run for run in still if _should_move(log, seen, name, run, spans)]
+        if still:
+            yield Finding(
+                f"{the(log, name)} never changes in run {still[0]}{others(still)} although the reference"
+                " moves",
+                True, Drop(runs=frozenset(still)), remedy="check the probe and its wiring",
+            )  # fmt: skip
+
+
+def _should_move(log: Log, seen: Scan, name: str, run: int, spans: Spans) -> bool:
+    """Say whether noise or the references' motion should have moved a reading that is constant in a run."""
+    steady = _steady(spans, name)
+    live = next(r for r in spans.samples if r not in steady)
+    if is_noisy(log.run(live, (name,))[name]):
+        return True
+    whole = seen.sample.whole
+    x, here, good = whole.data[name], whole.run == run, ~np.isin(whole.run, steady)
+    motion = [values for c, values in whole.data.items() if is_reference(c)]
+    found = gains(x, motion, good)
+    if found is None or not found.believed:
+        repeats = seen.traces[name].repeats - sum(seen.samples[r] - 1 for r in steady)
+        return repeats < seen.rows / 2
+    return found.moves([values[here] for values in motion])
+
+
+def stale(log: Log, seen: Scan, spans: Spans, rails: Drop) -> Iterator[Finding]:
+    """Columns that were recorded at a lower rate; in a run where a column rests there is nothing to repeat.
+
+    Nor is there on a rail: columns of `rails` are not judged.
+    """
+    ends = {name for name, _, _ in rails.between}
+    for name, trace in seen.traces.items():
+        if not is_moving(name) or name not in spans.overall or name in ends:
+            continue
+        resting = [spans.samples[run] for run in _steady(spans, name)]
+        repeats, rows = trace.repeats - sum(resting) + len(resting), seen.rows - sum(resting)
+        if repeats <= _OFTEN * rows or not (share := _repeats(log, name)):
+            continue
+        yield Finding(
+            f"{the(log, name)} repeats each value about {1 / (1 - share):.0f} times: it was recorded at a"
+            " lower rate than the others, which looks like a delay",
+            remedy="record all columns at one rate",
+        )
+
+
+def _steady(spans: Spans, column: str) -> list[int]:
+    """Return the runs in which a column holds one value."""
+    return [run for run, rests in zip(spans.samples, spans.rests(column), strict=True) if rests]
+
+
+def _repeats(log: Log, column: str) -> float:
+    """Return the share of samples that repeat the one before because of the logger; 0 where they need not.
+
+    Where the motion rests, what the column tells of rests too.
+    """
+    beside = tuple(c for c in log.columns if tells(c, column))
+    shares, inside, across = [], np.zeros(len(beside)), np.zeros(len(beside))
+    for block in log.blocks((column, *beside), size=WHOLE_ROWS):
+        step = np.abs(np.diff(block.data[column]))
+        changes = np.flatnonzero(step)
+        if len(changes) >= _FEWEST_CHANGES:
+            shares.append(_repeated(step))
+        first, last = changes[:-1] + 1, changes[1:]
+        held = first < last
+        for k, name in enumerate(beside):
+            x = block.data[name]
+            inside[k] += np.abs(x[last] - x[first])[held].sum()
+            across[k] += np.abs(x[last + 1] - x[first])[held].sum()
+    share = float(np.median(shares)) if shares else 0.0  # a logger is late in every run
+    goes_on = inside > _GOES_ON * share * across
+    return share if not beside or goes_on.all() else 0.0
+
+
+def _repeated(step: Array) -> float:
+    """Return the share of absolute steps (n,) that are nil by the logger, or 0.
+
+    A slow logger repeats each value equally often. A coarse converter repeats by itself where the motion is
+    slow: then its steps are mostly one code.
+    """
+    changes = np.flatnonzero(step)
+    size, lasts = step[changes], np.diff(changes)
+    code, usual = float(np.quantile(size, _CODE_AT)), float(np.median(lasts))
+    if np.median(size) < _SLOW * code:
+        return 0.0
+    alike = np.abs(lasts - usual) <= usual / 4
+    if usual < 2 or alike.mean() <= _ALIKE:
+        return 0.0
+    return 1.0 - 1.0 / float(lasts[alike].mean())
+
+
+REFUSE = 0.05
+"""Share of a column's samples from which a log is refused: below, the others tell what it would have told."""
+_JUMP = 3.0
+"""Usual steps of a column that it goes on with after a stretch of old samples."""
+_CHANCE = 1e-6
+"""Probability that noise repeats a code for so long somewhere in a block from which it is no chance."""
+_AT_A_TURN = 4.0
+"""Equal neighbours at a turning point over those elsewhere, at most."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Samples `start` to `stop` of the log in which a column of `run` holds `value`."""
+
+    run: int
+    start: int
+    stop: int
+    value: float
+
+
+def held(log: Log, seen: Scan, spans: Spans, rails: Drop) -> Iterator[Finding]:
+    """Columns that hold one value for a while although they move, or should, before, meanwhile or after.
+
+    `rails`: the values beyond which columns are saturated, which holds them too.
+    """
+    ends = {name: (low, high) for name, low, high in rails.between}
+    for name, trace in seen.traces.items():
+        if not is_moving(name) or not trace.held or name not in spans.overall:
+            continue
+        low, high = ends.get(name, (-np.inf, np.inf))
+        found = [one for one in _stretches(log, seen, name, spans) if low < one.value < high]
+        if found:
+            yield _finding(log, name, found, seen.rows)
+
+
+def _finding(log: Log, name: str, found: list[Stretch], rows: int) -> Finding:
+    count = sum(one.stop - one.start for one in found)
+    longest = max(one.stop - one.start for one in found)
+    first = found[0]
+    where = f"first in row {first.start + 1}, run {first.run}, {first.value:.4g} {si_symbol(name)}"
+    stretches_of = "1 stretch" if len(found) == 1 else f"{len(found)} stretches"
+    zero = all(one.value == 0.0 for one in found)
+    return Finding(
+        f"{the(log, name)} holds one value for up to {longest} samples"
+        f" ({stretches_of}, {count / rows:.1%}, {where})"
+        + (": the channel dropped out" if zero else ": the logger repeated old samples"),
+        count > REFUSE * rows, Drop(rows=tuple((one.start, one.stop) for one in found)),
+        remedy="look at the channel and the logger",
+    )  # fmt: skip
+
+
+def _stretches(log: Log, seen: Scan, name: str, spans: Spans) -> list[Stretch]:
+    beside = tuple(c for c in seen.sample.columns if tells(c, name))
+    steady = _steady(spans, name)
+    found: list[Stretch] = []
+    row = 0
+    for block in log.blocks((name, *beside)):
+        x = block.data[name]
+        if block.run not in steady:
+            found += [
+                Stretch(block.run, row + a, row + b, float(x[a])) for a, b in _frozen(block, name, beside)
+            ]
+        row += len(x)
+    return found
+
+
+def _frozen(block: Block, name: str, beside: tuple[str, ...]) -> list[tuple[int, int]]:
+    """Return (start, stop) of the stretches of one value in a block that cannot be a rest."""
+    x = block.data[name]
+    step = np.abs(np.diff(x))
+    long = [(a, b + 1) for a, b in stretches(step == 0, shortest=HELD_SAMPLES - 1)]
+    if not long:
+        return []
+    free = np.ones(len(x), bool)
+    for a, b in long:
+        free[a:b] = False
+    between = free[1:] | free[:-1]
+    moving = step[between & (step > 0)]
+    if sure := _beyond_chance(x, long):
+        return sure
+    usual = float(np.median(moving)) if len(moving) else np.inf
+    again = min(0.5, _AT_A_TURN * float(np.mean(step[between] == 0))) if between.any() else 0.5
+    leaps = [_leaps(block.data[c], free) for c in beside]
+    return [(a, b) for a, b in long if _jumps(step, a, b, usual, leaps) and _no_chance(len(x), again, b - a)]
+
+
+def _beyond_chance(x: Array, long: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return the stretches that the noise in the longest part of a column between them would have ended."""
+    edges = [0, *(edge for pair in long for edge in pair), len(x)]
+    parts = [x[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    codes = noise_in_codes(max(parts, key=len))
+    if not codes:
+        return []
+    again = equal_by_chance(codes)
+    return [(a, b) for a, b in long if _no_chance(len(x), again, b - a)]
+
+
+def _no_chance(samples: int, again: float, length: int) -> bool:
+    """Say whether a value does not repeat so often by chance, where it does once with probability `again`."""
+    return samples * again ** (length - 1) < _CHANCE
+
+
+def _leaps(other: Array, free: Array) -> Array:
+    """Return (n - 1,) where another column makes an unusual step too: then the motion does."""
+    step = np.abs(np.diff(other))
+    usual = float(np.median(step[free[1:] & free[:-1]])) if (free[1:] & free[:-1]).any() else 0.0
+    return np.asarray(step > _JUMP * usual)
+
+
+def _jumps(step: Array, a: int, b: int, usual: float, leaps: list[Array]) -> bool:
+    """Say whether a column goes on with a jump at either end of a stretch that no other column makes."""
+    ends = [i for i in (a - 1, b - 1) if 0 <= i < len(step)]
+    return any(step[i] > _JUMP * usual and not any(leap[i] for leap in leaps) for i in ends)
+
+
+Pairs = dict[tuple[int, int], list[str]]
+"""Columns that hold the same samples in two runs, the earlier first."""
+
+
+def copied(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
+    """Samples that are there twice. Only columns with noise count: without it every repetition is alike."""
+    same = _same(log, seen, spans)
+    if same:
+        yield _pasted(log, same, spans)
+    yield from _twins(log, seen, spans)
+
+
+def _same(log: Log, seen: Scan, spans: Spans) -> Pairs:
+    """Return the columns that are equal bit for bit in two runs, where one of them carries noise."""
+    pairs: Pairs = defaultdict(list)
+    noisy: set[tuple[int, int]] = set()
+    for name in filter(is_moving, spans.overall):
+        sums = seen.bit_sums(name)
+        if len(set(sums)) == len(sums):
+            continue
+        groups: dict[tuple[int, int], list[int]] = defaultdict(list)
+        steady = _steady(spans, name)
+        for run, bits in zip(spans.samples, sums, strict=True):
+            if run not in steady:
+                groups[bits, spans.samples[run]].append(run)
+        for first, *later in groups.values():
+            values = log.run(first, (name,))[name] if later else np.empty(0)
+            equal = [(first, r) for r in later if np.array_equal(log.run(r, (name,))[name], values)]
+            noisy.update(equal if is_noisy(values) else ())
+            for pair in equal:
+                pairs[pair].append(name)
+    return {pair: pairs[pair] for pair in sorted(noisy, key=lambda pair: pair[::-1])}
+
+
+def _all(names: list[str], spans: Mapping[str, Span]) -> bool:
+    """Say whether these are all readings and references of a run that change there."""
+    told = [c for c, span in spans.items() if (is_reading(c) or is_reference(c)) and span.min < span.max]
+    return set(told) <= set(names)
+
+
+def _pasted(log: Log, same: Pairs, spans: Spans) -> Finding:
+    """Of a run that is a copy, the first one is good; of columns in two runs, either may be wrong."""
+    wrong = [run for pair, c in same.items() for run in (pair[1:] if _all(c, spans.runs[pair[1]]) else pair)]
+    (first, run), names = next(iter(same.items()))
+    shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    subject, verb = ("Columns", "hold") if len(names) > 1 else ("Column", "holds")
+    return Finding(
+        f"{subject} {shown} of {name_of(log)} {verb} the same samples in runs {first} and {run}"
+        f"{others(same, 'more pair')}",
+        True, Drop(runs=frozenset(wrong)),
+        remedy="remove a run that is a copy, or give each run the columns that were recorded with it",
+    )  # fmt: skip
+
+
+def _twins(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
+    """Two columns that hold the same signal."""
+    known: dict[tuple[int, ...], str] = {}
+    for name in filter(is_moving, spans.overall):
+        if spans.overall[name].min == spans.overall[name].max:
+            continue
+        bits = tuple(seen.bit_sums(name))
+        twin = known.setdefault(bits, name)
+        if twin != name and is_noisy(log.run(seen.segments[0][0], (name,))[name]):
+            yield Finding(
+                f"Columns {twin} and {name} of {name_of(log)} hold the same samples:"
+                " one signal was logged twice",
+                True, remedy="check which column of the logger is which",
+            )  # fmt: skip
