@@ -22,12 +22,13 @@ from hallsym.families.user import load_effects
 from hallsym.log import MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
 from hallsym.model import Effect, Model
 from hallsym.records import named
+from hallsym.report.figures.campaign import fit_figure
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
 from hallsym.terminal import fitted
 from hallsym.toml import column_of
 
 if TYPE_CHECKING:
-    from hallsym.report.figures.saving import Place
+    from matplotlib.figure import Figure
 
 
 def command(
@@ -65,18 +66,22 @@ def plots_options(parser: Any, what: str = "save pictures") -> None:
     )
 
 
-def place_of(folder: str | Path, format: str, *named: object) -> "Place":
-    """Return where pictures go; `named` on each of them: file and model, those that are known."""
-    from hallsym.report.figures.saving import Place
+def pictures(
+    draw: Mapping[str, Callable[[], "Figure"]], folder: str | Path | None, format: str, *named: object
+) -> list[Path]:
+    """Save pictures if a folder is given; `named` on each of them: file and model, those that are known."""
+    if folder is None:
+        return []
+    from hallsym.report.figures.saving import save_figures
 
     words = [str(name) for name in named if name]
     brief = ["/".join(Path(word).parts[-2:]) if Path(word).exists() else word for word in words]
-    return Place(Path(folder), format, ", ".join(brief))
+    return save_figures(draw, folder, format, ", ".join(brief))
 
 
-def plots_place(options: Namespace, *named: object) -> "Place":
-    """Return where `--plots` puts pictures; `named` as in `place_of`."""
-    return place_of(options.plots, options.plot_format, *named)
+def plots(options: Namespace, draw: Mapping[str, Callable[[], "Figure"]], *named: object) -> list[Path]:
+    """Save pictures where `--plots` says, if it is given; `named` as in `pictures`."""
+    return pictures(draw, options.plots, options.plot_format, *named)
 
 
 def log_options(parser: ArgumentParser) -> None:
@@ -285,14 +290,10 @@ def say(
     print(fitted("\n".join([text(), *lines])))
 
 
-def save_fit_pictures(log: Log, result: Fit, folder: str | None, format: str = "png") -> list[Path]:
-    """Save the pictures of a fit, if a folder is given."""
-    if folder is None:
-        return []
-    from hallsym.report.figures.campaign import save_pictures
-
-    place = place_of(folder, format, log.path, result.model.name)
-    return save_pictures(log, result, place, keep=result.keep)
+def fit_pictures(log: Log, result: Fit, folder: str | Path | None, format: str = "png") -> list[Path]:
+    """Save the picture of a fit, if a folder is given."""
+    draw = {"errors_by_setting": lambda: fit_figure(log, result, result.keep)}
+    return pictures(draw, folder, format, log.path, result.model.name)
 
 
 def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:
@@ -336,6 +337,12 @@ def campaign_of(options: Namespace) -> Campaign:
     return read_campaign(options.campaign)
 
 
+def built(name: str, machine: Machine, effects: Sequence[str] = ()) -> Model:
+    """Return a model with some effects, of the probes and parameters of a machine."""
+    meta = machine.applied(Meta())
+    return build(name, meta=meta, added=tuple(effects), parameters=machine.parameters)
+
+
 def truth_of(
     options: Namespace, machine: Machine, campaign: Campaign | None = None
 ) -> tuple[Model, dict[str, float]]:
@@ -350,12 +357,7 @@ def truth_of(
         return known.model, named(known.model.names, known.values)
     runs = campaign.runs if campaign else ()
     moved = {axis for run in runs for axis in (*run.setting, *run.motion)}
-    model = build(
-        options.model or model_for(moved),
-        meta=machine.applied(Meta()),
-        added=tuple(options.effect),
-        parameters=machine.parameters,
-    )
+    model = built(options.model or model_for(moved), machine, options.effect)
     own = model.family.example
     paper_values = published_values("table7_estimates") if machine.probes is None and own is None else {}
     paper_values = paper_values | dict(own.values if own else {})

@@ -6,27 +6,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hallsym.cli import NOT_DETERMINED, OK
-from hallsym.cli.common import (
-    command,
-    levels,
-    log_options,
-    model_options,
-    open_log,
-    own_effects,
-    own_option,
-    plots_options,
-    plots_place,
-    progress_of,
-    say,
-    truth_of,
-)
+from hallsym.cli import NOT_DETERMINED, OK, common
 from hallsym.errors import InputError
 from hallsym.estimation import load_fit
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
-from hallsym.files import atomic_write
+from hallsym.files import write_json
 from hallsym.inference import Identifiability, identify
+from hallsym.report.figures.sensitivity import drawable
 from hallsym.report.text.identifiability import report_text
 from hallsym.simulation import campaign_from, paper_campaign, read_campaign
 
@@ -35,7 +22,7 @@ PAPER = "the paper's campaign"
 
 def add(sub: Any) -> None:
     """Add the command to the parser."""
-    parser = command(
+    parser = common.command(
         sub, "sensitivity", run,
         "Say per parameter what the data determine: value, standard uncertainty, 95 % interval, strongest\n"
         "correlations, what it does to the decoded pose, and a verdict: determined, weak, at bound, not\n"
@@ -55,9 +42,9 @@ def add(sub: Any) -> None:
         const=False,
         help="a campaign file instead of a log (no file: Table 6)",
     )
-    own_option(parser)
+    common.own_option(parser)
     parser.add_argument("-o", "--output", metavar="JSON", help="save the report")
-    plots_options(parser)
+    common.plots_options(parser)
     group = parser.add_argument_group("intervals")
     group.add_argument(
         "--profiles",
@@ -66,15 +53,15 @@ def add(sub: Any) -> None:
         help="profile likelihood where a normal interval is not good enough (default), of all, or of none",
     )
     parser.set_defaults(values=None)
-    model_options(parser, "the calibration's, or stage31")
-    log_options(parser)
+    common.model_options(parser, "the calibration's, or stage31")
+    common.log_options(parser)
 
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
     report = _planned(options) if options.plan is not None else _recorded(options)
     record = report.to_dict()
-    say(options, record, lambda: report_text(report), wrote=_written(options, report, record))
+    common.say(options, record, lambda: report_text(report), wrote=_written(options, report, record))
     return _exit_code(report)
 
 
@@ -85,12 +72,12 @@ def _recorded(options: Namespace) -> Identifiability:
         )
     if options.model or options.effect or options.machine:
         raise InputError("--model, --effect and --machine belong to --plan; a calibration has its own.")
-    known = load_fit(options.calibration, own_effects(options))
+    known = load_fit(options.calibration, common.own_effects(options))
     return identify(
         known,
-        open_log(options, known=known),
+        common.open_log(options, known=known),
         profiles=options.profiles,
-        on_progress=progress_of(options),
+        on_progress=common.progress_of(options),
     )
 
 
@@ -104,27 +91,20 @@ def _planned(options: Namespace) -> Identifiability:
         name = f"the example of {options.model}"
         campaign = campaign_from(own.campaign, name)
     if options.calibration is not None:
-        known = load_fit(options.calibration, own_effects(options))
-        noise = levels(campaign, known.model, {}) if campaign.noise else None
+        known = load_fit(options.calibration, common.own_effects(options))
+        noise = common.levels(campaign, known.model, {}) if campaign.noise else None
         return identify(known, campaign, noise=noise, name=name)
-    model, values = truth_of(options, read_machine(options.machine))
-    return identify(model, campaign, values=values, noise=levels(campaign, model, values), name=name)
+    model, values = common.truth_of(options, read_machine(options.machine))
+    return identify(model, campaign, values=values, noise=common.levels(campaign, model, values), name=name)
 
 
 def _written(options: Namespace, report: Identifiability, record: dict[str, Any]) -> list[Path]:
-    import json
-
     written = []
     if options.output:
-        atomic_write(options.output, json.dumps(record, indent=1, allow_nan=False) + "\n")
+        write_json(options.output, record)
         written.append(Path(options.output))
-    if options.plots:
-        from hallsym.report.figures.saving import save_figures
-        from hallsym.report.figures.sensitivity import drawable
-
-        draw = {picture.__name__: partial(picture, report) for picture in drawable(report)}
-        written += save_figures(draw, plots_place(options, report.evidence.recorded, report.model.name))
-    return written
+    draw = {picture.__name__: partial(picture, report) for picture in drawable(report)}
+    return written + common.plots(options, draw, report.evidence.recorded, report.model.name)
 
 
 def _exit_code(report: Identifiability) -> int:

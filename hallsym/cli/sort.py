@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import FILE_OPTIONS, command, file_options, model_options, progress_of, say
+from hallsym.cli.common import FILE_OPTIONS, built, command, file_options, model_options, progress_of, say
 from hallsym.errors import InputError
 from hallsym.estimation import load_fit
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
-from hallsym.log import Meta, parse_column_option
+from hallsym.log import parse_column_option
 from hallsym.records import named
 from hallsym.report.text.sorting import matching_text, save_table, sorting_text
 from hallsym.sorting import WIDTH, Matching, Sorting, match_sensors, read_readings, sort_sensors
@@ -145,17 +145,5 @@ def _matching(options: Namespace, found: Sorting) -> Matching:
             raise InputError(f"--values holds a {known.model.name}; give --model {known.model.name}.")
         model, values = known.model, named(known.model.names, known.values)
     else:
-        model = build(
-            options.model,
-            meta=machine.applied(Meta()),
-            added=tuple(options.effect),
-            parameters=machine.parameters,
-        )
-        values = None
-    return match_sensors(
-        found,
-        model,
-        sets=options.sets,
-        members=options.per_channel,
-        values=values,
-    )
+        model, values = built(options.model, machine, options.effect), None
+    return match_sensors(found, model, sets=options.sets, members=options.per_channel, values=values)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +10,6 @@ import numpy as np
 from hallsym.estimation import ErrorTable, Fit, as_read
 from hallsym.log import Log, Weigh
 from hallsym.report.data.survey import MOST_SETTINGS, Group, Survey, held_out, look_over, settings
-from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -38,16 +36,12 @@ if TYPE_CHECKING:
     from hallsym.estimation import Evaluation
 
 
-def save_pictures(log: Log, fit: Fit, folder: str | Path | Place, *, keep: Weigh | None = None) -> list[Path]:
-    """Draw `errors_by_setting` of `fit` on `log` into `folder`; returns the files written.
+def fit_figure(log: Log, fit: Fit, keep: Weigh | None = None) -> Figure:
+    """Draw `errors_by_setting` of `fit` on `log`, which is read once, in blocks.
 
-    `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part. The log is read once, in
-    blocks.
+    `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part.
     """
-    seen = as_read(log, fit.model, fit.wiring)
-    return save_figures(
-        {"errors_by_setting": lambda: errors_by_setting(fit, look_over(seen, fit, keep))}, folder
-    )
+    return errors_by_setting(fit, look_over(as_read(log, fit.model, fit.wiring), fit, keep))
 
 
 def evaluation_figure(found: Evaluation) -> Figure:

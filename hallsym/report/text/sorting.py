@@ -2,14 +2,13 @@
 
 import csv
 import io
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from hallsym.errors import counted
-from hallsym.files import atomic_write
+from hallsym.files import atomic_write, write_json
 from hallsym.report.tables import grid
 from hallsym.sorting import Matching, Sorting
 from hallsym.units import fitting, readable
@@ -138,7 +137,7 @@ def save_table(path: str, found: Sorting, matching: Matching | None = None) -> N
     """Write every sensor with gain, bin and, where sets were chosen, set and place; JSON holds everything."""
     if Path(path).suffix == ".json":
         record = found.to_dict() | ({"matching": matching.to_dict()} if matching else {})
-        atomic_write(path, json.dumps(record, indent=1))
+        write_json(path, record)
         return
     place: dict[int, tuple[int, str]] = {}
     if matching:
