@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hallsym import uncertainty
 from hallsym.cli import NOT_DETERMINED, OK, common
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, load_fit
@@ -15,23 +16,7 @@ from hallsym.log import Noise, check_noise_keys
 from hallsym.report.figures.uncertainty import budget_bars, uncertainty_picture
 from hallsym.report.text.budget import budget_text, comparison_text, curve_text, position_words, recorded_text
 from hallsym.trajectory import Curve, read_curve
-from hallsym.uncertainty import (
-    Budget,
-    Recorded,
-    Settings,
-    UncertaintyMap,
-    budget_monte_carlo,
-    map_axes,
-    notes,
-    over_log,
-    position_budget,
-    position_monte_carlo,
-    read_budget,
-    read_model_error,
-    read_settings,
-    uncertainty_map,
-    with_curve,
-)
+from hallsym.uncertainty import Budget, Settings
 
 LOG_OPTIONS = ("column", "column_file", *common.FILE_OPTIONS, "drop_bad")
 EPILOG = """\
@@ -102,13 +87,13 @@ def _stand_alone(options: Namespace) -> int:
         if getattr(options, name):
             what = "A LOG" if name == "log" else f"--{name.replace('_', '-')}"
             raise InputError(f"{what} belongs to a calibration; {options.file} is a budget file.")
-    budget, shown = read_budget(options.file)
+    budget, shown = uncertainty.read_budget(options.file)
     machine, curve = budget, read_curve(options.curve) if options.curve else None
     if curve:
-        budget = with_curve(machine, curve)
+        budget = uncertainty.with_curve(machine, curve)
     found = []
     if options.monte_carlo is not None:
-        found = [budget_monte_carlo(budget, _rng(options), trials=options.monte_carlo or None)]
+        found = [uncertainty.budget_monte_carlo(budget, _rng(options), trials=options.monte_carlo or None)]
     pictures = _pictures(options, {budget.quantity: budget})
     record: dict[str, Any] = {"budget": budget.to_dict()}
     if curve:
@@ -129,13 +114,13 @@ def _position(options: Namespace) -> int:
     for name in LOG_OPTIONS:
         if getattr(options, name) and not options.log:
             raise InputError(f"--{name.replace('_', '-')} is about reading a LOG; give one.")
-    settings = read_settings(options.settings, fit.model) if options.settings else Settings()
+    settings = uncertainty.read_settings(options.settings, fit.model) if options.settings else Settings()
     if options.diagnosis:
-        settings = replace(settings, model_error=read_model_error(options.diagnosis, fit.model))
+        settings = replace(settings, model_error=uncertainty.read_model_error(options.diagnosis, fit.model))
     at = common.column_values(options.at, (*fit.model.pose, *fit.model.state))
-    said = notes(fit, settings)
+    said = uncertainty.notes(fit, settings)
     log = common.open_log(options, known=fit) if options.log else None
-    recorded = None if log is None else over_log(fit, log, settings)
+    recorded = None if log is None else uncertainty.over_log(fit, log, settings)
     beyond = recorded.outside(at) if recorded else []
     if beyond:
         said.append(f"{', '.join(beyond)} of the budget is outside the recorded workspace.")
@@ -145,7 +130,9 @@ def _position(options: Namespace) -> int:
     if options.monte_carlo is not None:
         if curve:
             raise InputError("--monte-carlo is for the machine alone; leave --curve out.")
-        found = position_monte_carlo(fit, at, settings, rng=_rng(options), trials=options.monte_carlo or None)
+        found = uncertainty.position_monte_carlo(
+            fit, at, settings, rng=_rng(options), trials=options.monte_carlo or None
+        )
     mapped = options.range or (options.plots and recorded)
     grid = _map(options, fit, settings, at, recorded) if mapped else None
     spots = recorded.where if recorded else {c: grid.worst(c)[0] for c in fit.model.pose} if grid else {}
@@ -177,13 +164,15 @@ def _position(options: Namespace) -> int:
 
 def _budgets(fit: Fit, at: Mapping[str, float], settings: Settings, curve: Curve | None) -> dict[str, Budget]:
     """The budget of each pose coordinate, with the error of a curve where one is given."""
-    budgets = position_budget(fit, at, settings)
+    budgets = uncertainty.position_budget(fit, at, settings)
     if curve is None:
         return budgets
     other = [c for c in curve.coordinates if c not in budgets]
     if other:
         raise InputError(f"The curve moves {other[0]}, but a budget of {fit.model.name} is of its pose.")
-    return {c: with_curve(b, curve, c) if c in curve.coordinates else b for c, b in budgets.items()}
+    return {
+        c: uncertainty.with_curve(b, curve, c) if c in curve.coordinates else b for c, b in budgets.items()
+    }
 
 
 def _with_noise(fit: Fit, given: Sequence[str]) -> Fit:
@@ -195,11 +184,15 @@ def _with_noise(fit: Fit, given: Sequence[str]) -> Fit:
 
 
 def _map(
-    options: Namespace, fit: Fit, settings: Settings, at: Mapping[str, float], recorded: Recorded | None
-) -> UncertaintyMap:
-    ranges = common.column_ranges(options.range, map_axes(fit.model))
+    options: Namespace,
+    fit: Fit,
+    settings: Settings,
+    at: Mapping[str, float],
+    recorded: uncertainty.Recorded | None,
+) -> uncertainty.UncertaintyMap:
+    ranges = common.column_ranges(options.range, uncertainty.map_axes(fit.model))
     spans = recorded.span if recorded else {}
-    axes = {c: ranges.get(c) or spans.get(c) for c in map_axes(fit.model)}
+    axes = {c: ranges.get(c) or spans.get(c) for c in uncertainty.map_axes(fit.model)}
     for column, span in axes.items():
         if span is None:
             raise InputError(
@@ -212,13 +205,15 @@ def _map(
         for c, span in axes.items()
         if span
     }  # one turn of what went round more often; one height, where Z never moved
-    return uncertainty_map(fit, lines, settings, fixed={c: v for c, v in at.items() if c not in axes})
+    return uncertainty.uncertainty_map(
+        fit, lines, settings, fixed={c: v for c, v in at.items() if c not in axes}
+    )
 
 
 def _pictures(
     options: Namespace,
     budgets: Mapping[str, Budget],
-    grid: UncertaintyMap | None = None,
+    grid: uncertainty.UncertaintyMap | None = None,
     *,
     worst: bool = False,
 ) -> list[Path]:

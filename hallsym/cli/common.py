@@ -4,6 +4,7 @@ import argparse
 import json
 import math
 import shlex
+import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -32,22 +33,14 @@ if TYPE_CHECKING:
 
 
 def command(
-    sub: Any,
-    name: str,
-    run: Callable[[Namespace], int],
-    description: str,
-    epilog: str = "",
-    *,
-    json: bool = True,
+    sub: Any, name: str, run: Callable[[Namespace], int], description: str, epilog: str = ""
 ) -> ArgumentParser:
-    """Add a sub-command that `run(options)` carries out; it has `--json` unless it prints no record."""
-    parser = sub.add_parser(
-        name, help=COMMANDS[name], description=description, epilog=epilog,
-        formatter_class=HelpText,
-    )  # fmt: skip
+    """Add a sub-command that `run(options)` carries out."""
+    parser: ArgumentParser = sub.add_parser(
+        name, help=COMMANDS[name], description=description, epilog=epilog, formatter_class=HelpText
+    )
     parser.set_defaults(run=run)
-    if json:
-        parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
     return parser
 
 
@@ -120,10 +113,9 @@ def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
         help=f"our name, ending with the unit their column is in: --column {example} (repeat)",
     )  # fmt: skip
     group.add_argument(
-        "--format",
-        metavar="FORMAT",
+        "--format", metavar="FORMAT",
         help="parquet, csv, mat, hdf5, xlsx, tdms, mdf or mcap, when the suffix is another",
-    )
+    )  # fmt: skip
     group.add_argument(
         "--delimiter", help="of a text file: ';', tab, blank; recognised where it is not given"
     )
@@ -138,17 +130,13 @@ def model_options(parser: ArgumentParser, default: str) -> None:
     """Options of every command that builds a model."""
     group = parser.add_argument_group("model")
     group.add_argument(
-        "--model",
-        metavar="MODEL",
+        "--model", metavar="MODEL",
         help=f"such as stage31 or rotary; 'hallsym info' lists them (default: {default})",
-    )
+    )  # fmt: skip
     group.add_argument(
-        "--effect",
-        action="append",
-        default=[],
-        metavar="EFFECT",
+        "--effect", action="append", default=[], metavar="EFFECT",
         help="add an effect, such as exact_rotation or mains_hum:frequency_hz=50.02 (repeat)",
-    )
+    )  # fmt: skip
     group.add_argument(
         "--machine", metavar="TOML",
         help="your machine: [[probes]] with channel, position_m, senses; [parameters.H1x] with nominal, "
@@ -166,19 +154,24 @@ def own_effects(options: Namespace) -> dict[str, Effect]:
     return {e.name: e for e in load_effects(options.effects)} if options.effects else {}
 
 
-def open_log(options: Namespace, machine: Machine | None = None, known: Fit | None = None) -> Log:
-    """Read `options.log`; a machine's probes stand in place of the log's own.
+def open_log(
+    options: Namespace, machine: Machine | None = None, known: Fit | None = None, path: str | None = None
+) -> Log:
+    """Read a log, `options.log` by default; a machine's probes stand in place of the log's own.
 
     `known`: a calibration, whose names of columns count where nothing else is stated.
     """
-    log = read_log(
-        options.log,
-        drop_bad=options.drop_bad,
-        remembered=None if known is None else known.columns,
-        read_with=None if known is None else known.read_with,
-        **reading_of(options),
-    )
+    remembered = {} if known is None else {"remembered": known.columns, "read_with": known.read_with}
+    path = options.log if path is None else path
+    log = read_log(path, drop_bad=options.drop_bad, **remembered, **reading_of(options))
     return log if machine is None else replace(log, meta=machine.applied(log.meta))
+
+
+def refuse_twice(paths: Sequence[str]) -> None:
+    """Refuse a log that is given twice."""
+    for k, path in enumerate(paths):
+        if path in paths[:k]:
+            raise InputError(f"Log {path} is given twice; give it once.")
 
 
 def reading_of(options: Namespace) -> dict[str, Any]:
@@ -263,6 +256,11 @@ def run_numbers(text: str) -> list[int]:
             f"received {text!r}."
         ) from None
     return runs
+
+
+def warn(sentence: str) -> None:
+    """Print a sentence on stderr that goes with an exit code."""
+    print(f"hallsym: {sentence}", file=sys.stderr)
 
 
 def progress_of(options: Namespace) -> Callable[[str], None]:

@@ -28,12 +28,9 @@ def add(sub: Any) -> None:
         "parameters, Model (30), Model (31), each beside the paper's own error table.",
     )  # fmt: skip
     parser.add_argument(
-        "-o",
-        "--output",
-        default="demo",
-        metavar="FOLDER",
+        "-o", "--output", default="demo", metavar="FOLDER",
         help="where calib.json and pictures go (default: demo)",
-    )
+    )  # fmt: skip
 
 
 def run(options: Namespace) -> int:

@@ -1,7 +1,6 @@
 """`hallsym evaluate`: errors of a saved calibration on other logs, and whether they belong to it."""
 
 import shlex
-import sys
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
@@ -41,10 +40,9 @@ def add(sub: Any) -> None:
     common.own_option(parser)
     parser.add_argument("--by-run", action="store_true", help="all errors of each log, one line per run")
     parser.add_argument(
-        "--own-zero",
-        action="store_true",
+        "--own-zero", action="store_true",
         help="estimate the zero of a reference that turns from each run too: it was homed or coupled anew",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--false-alarm", type=float, default=FALSE_ALARM, metavar="P",
         help=f"probability that a log which belongs is said not to (default {FALSE_ALARM:g})",
@@ -57,12 +55,11 @@ def run(options: Namespace) -> int:
     """Carry the command out."""
     check_false_alarm(options.false_alarm)
     known, show = load_fit(options.calibration, common.own_effects(options)), common.progress_of(options)
+    common.refuse_twice(options.logs)
     logs: dict[str, Judged | str] = {}
     for k, path in enumerate(options.logs):
         if len(options.logs) > 1:
             show(f"log {k + 1} of {len(options.logs)}")
-        if path in logs:
-            raise InputError(f"Log {path} is given twice; give it once.")
         try:
             logs[path] = _judged(options, known, path)
         except InputError as error:
@@ -89,10 +86,10 @@ def run(options: Namespace) -> int:
         then = []
     common.say(options, record, lambda: _text(options, known, logs), wrote=wrote, then=then)
     for said in (*faults, *(amiss if options.json or len(logs) > 1 else [])):
-        print(f"hallsym: {said}", file=sys.stderr)
+        common.warn(said)
     for path, one in logs.items():
         if isinstance(one, str):
-            print(f"hallsym: {path} could not be decoded: {one}", file=sys.stderr)
+            common.warn(f"{path} could not be decoded: {one}")
     if changed:
         return CHANGED
     if len(judged) < len(logs):
@@ -101,7 +98,7 @@ def run(options: Namespace) -> int:
 
 
 def _judged(options: Namespace, known: Fit, path: str) -> Judged:
-    log = common.open_log(Namespace(**{**vars(options), "log": path}), known=known)
+    log = common.open_log(options, known=known, path=path)
     seen = evaluate(known, log, own_zero=options.own_zero, drop_bad=options.drop_bad)
     next_command = shlex.join(_diagnose(options, path))
     seen = replace(seen, goodness=replace(seen.goodness, next_command=next_command, what="The calibration"))

@@ -62,8 +62,8 @@ def run(options: Namespace) -> int:
     ranges.allowed(options.runs, options.minutes)  # before a log is read and fitted
     log = None
     if options.after:
-        options.log = options.after
-        log = common.open_log(options, machine, load_fit(options.values) if options.values else None)
+        known = load_fit(options.values) if options.values else None
+        log = common.open_log(options, machine, known, options.after)
     show("finding values")
     model, values, told = _truth(options, machine, log)
     noise, source = _noise(options, ranges, model, values, log)

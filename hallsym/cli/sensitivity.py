@@ -1,6 +1,5 @@
 """`hallsym sensitivity`: what a log, or a plan, determines of each parameter."""
 
-import sys
 from argparse import Namespace
 from functools import partial
 from pathlib import Path
@@ -36,22 +35,17 @@ def add(sub: Any) -> None:
     parser.add_argument("calibration", metavar="CALIB", nargs="?", help="saved by 'hallsym fit -o'")
     parser.add_argument("log", metavar="LOG", nargs="?", help="the log it was fitted to, or another one")
     parser.add_argument(
-        "--plan",
-        metavar="TOML",
-        nargs="?",
-        const=False,
+        "--plan", metavar="TOML", nargs="?", const=False,
         help="a campaign file instead of a log (no file: Table 6)",
-    )
+    )  # fmt: skip
     common.own_option(parser)
     parser.add_argument("-o", "--output", metavar="JSON", help="save the report")
     common.plots_options(parser)
     group = parser.add_argument_group("intervals")
     group.add_argument(
-        "--profiles",
-        default="auto",
-        choices=("auto", "all", "none"),
+        "--profiles", default="auto", choices=("auto", "all", "none"),
         help="profile likelihood where a normal interval is not good enough (default), of all, or of none",
-    )
+    )  # fmt: skip
     parser.set_defaults(values=None)
     common.model_options(parser, "the calibration's, or stage31")
     common.log_options(parser)
@@ -73,12 +67,8 @@ def _recorded(options: Namespace) -> Identifiability:
     if options.model or options.effect or options.machine:
         raise InputError("--model, --effect and --machine belong to --plan; a calibration has its own.")
     known = load_fit(options.calibration, common.own_effects(options))
-    return identify(
-        known,
-        common.open_log(options, known=known),
-        profiles=options.profiles,
-        on_progress=common.progress_of(options),
-    )
+    log, show = common.open_log(options, known=known), common.progress_of(options)
+    return identify(known, log, profiles=options.profiles, on_progress=show)
 
 
 def _planned(options: Namespace) -> Identifiability:
@@ -111,11 +101,10 @@ def _exit_code(report: Identifiability) -> int:
     """0, or 3 with one sentence when this recording leaves something undetermined or a result is missing."""
     lost = report.evidence.uncertainty.undetermined_by_log
     if lost:
-        print(
-            f"hallsym: {report.evidence.recorded} does not determine {', '.join(lost)} of "
-            f"{report.model.name}; record runs that move what they belong to ('hallsym plan' chooses them).",
-            file=sys.stderr,
+        common.warn(
+            f"{report.evidence.recorded} does not determine {', '.join(lost)} of {report.model.name}; record "
+            "runs that move what they belong to ('hallsym plan' chooses them)."
         )
     for sentence in report.partial:
-        print(f"hallsym: {sentence}", file=sys.stderr)
+        common.warn(sentence)
     return NOT_DETERMINED if lost or report.partial else OK

@@ -7,7 +7,13 @@ from hallsym.cli import OK, common
 from hallsym.errors import InputError
 from hallsym.families.machine_file import read_machine
 from hallsym.model import Model
+from hallsym.report.figures.along import errors
+from hallsym.report.text.along import errors_text
+from hallsym.report.text.tolerances import tolerances_text
 from hallsym.simulation.paper import DESIGNED
+from hallsym.uncertainty import error_model
+from hallsym.uncertainty.ranges import read_tolerances, read_value
+from hallsym.uncertainty.tolerances import tolerances
 
 
 def add(sub: Any) -> None:
@@ -37,11 +43,10 @@ def add(sub: Any) -> None:
         help="campaign over which errors count (default: the paper's campaign)",
     )  # fmt: skip
     parser.add_argument(
-        "--ranges",
-        metavar="TOML",
+        "--ranges", metavar="TOML",
         help="tolerances; if not given, the usual ones of such machines with their effects, else the "
         "model's bounds about the nominal values",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--samples", type=int, default=1024, metavar="N",
         help="base samples, a power of two (default 1024)",
@@ -78,10 +83,6 @@ def run(options: Namespace) -> int:
             raise InputError(
                 f"--{option} is for errors along a coordinate; give --along {model.pose[0]} too."
             )
-    from hallsym.report.text.tolerances import tolerances_text
-    from hallsym.uncertainty.ranges import read_tolerances
-    from hallsym.uncertainty.tolerances import tolerances
-
     if not options.effect and options.ranges is None:
         model = common.built(name, machine, [e for e in model.family.tolerances if e])
     ranges = None if options.ranges is None else read_tolerances(options.ranges, model)
@@ -93,11 +94,6 @@ def run(options: Namespace) -> int:
 
 
 def _along(options: Namespace, model: Model) -> int:
-    from hallsym.report.figures.along import errors
-    from hallsym.report.text.along import errors_text
-    from hallsym.uncertainty import error_model
-    from hallsym.uncertainty.ranges import read_value
-
     given = {"TOML": options.campaign, "--ranges": options.ranges, "--seed": options.seed}
     given["--samples"] = options.samples != 1024
     for name in filter(given.get, given):
