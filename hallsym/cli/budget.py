@@ -16,7 +16,7 @@ from hallsym.log import Noise, check_noise_keys
 from hallsym.report.figures.uncertainty import budget_bars, uncertainty_picture
 from hallsym.report.text.budget import budget_text, comparison_text, curve_text, position_words, recorded_text
 from hallsym.trajectory import Curve, read_curve
-from hallsym.uncertainty import Budget, Settings
+from hallsym.uncertainty import Budget, Recorded, Settings, UncertaintyMap, uncertainty_map, with_curve
 
 LOG_OPTIONS = ("column", "column_file", *common.FILE_OPTIONS, "drop_bad")
 EPILOG = """\
@@ -90,10 +90,10 @@ def _stand_alone(options: Namespace) -> int:
     budget, shown = uncertainty.read_budget(options.file)
     machine, curve = budget, read_curve(options.curve) if options.curve else None
     if curve:
-        budget = uncertainty.with_curve(machine, curve)
+        budget = with_curve(machine, curve)
     found = []
     if options.monte_carlo is not None:
-        found = [uncertainty.budget_monte_carlo(budget, _rng(options), trials=options.monte_carlo or None)]
+        found = [uncertainty.budget_monte_carlo(budget, **_trials(options))]
     pictures = _pictures(options, {budget.quantity: budget})
     record: dict[str, Any] = {"budget": budget.to_dict()}
     if curve:
@@ -130,9 +130,7 @@ def _position(options: Namespace) -> int:
     if options.monte_carlo is not None:
         if curve:
             raise InputError("--monte-carlo is for the machine alone; leave --curve out.")
-        found = uncertainty.position_monte_carlo(
-            fit, at, settings, rng=_rng(options), trials=options.monte_carlo or None
-        )
+        found = uncertainty.position_monte_carlo(fit, at, settings, **_trials(options))
     mapped = options.range or (options.plots and recorded)
     grid = _map(options, fit, settings, at, recorded) if mapped else None
     spots = recorded.where if recorded else {c: grid.worst(c)[0] for c in fit.model.pose} if grid else {}
@@ -170,9 +168,7 @@ def _budgets(fit: Fit, at: Mapping[str, float], settings: Settings, curve: Curve
     other = [c for c in curve.coordinates if c not in budgets]
     if other:
         raise InputError(f"The curve moves {other[0]}, but a budget of {fit.model.name} is of its pose.")
-    return {
-        c: uncertainty.with_curve(b, curve, c) if c in curve.coordinates else b for c, b in budgets.items()
-    }
+    return {c: with_curve(b, curve, c) if c in curve.coordinates else b for c, b in budgets.items()}
 
 
 def _with_noise(fit: Fit, given: Sequence[str]) -> Fit:
@@ -184,12 +180,8 @@ def _with_noise(fit: Fit, given: Sequence[str]) -> Fit:
 
 
 def _map(
-    options: Namespace,
-    fit: Fit,
-    settings: Settings,
-    at: Mapping[str, float],
-    recorded: uncertainty.Recorded | None,
-) -> uncertainty.UncertaintyMap:
+    options: Namespace, fit: Fit, settings: Settings, at: Mapping[str, float], recorded: Recorded | None
+) -> UncertaintyMap:
     ranges = common.column_ranges(options.range, uncertainty.map_axes(fit.model))
     spans = recorded.span if recorded else {}
     axes = {c: ranges.get(c) or spans.get(c) for c in uncertainty.map_axes(fit.model)}
@@ -205,15 +197,13 @@ def _map(
         for c, span in axes.items()
         if span
     }  # one turn of what went round more often; one height, where Z never moved
-    return uncertainty.uncertainty_map(
-        fit, lines, settings, fixed={c: v for c, v in at.items() if c not in axes}
-    )
+    return uncertainty_map(fit, lines, settings, fixed={c: v for c, v in at.items() if c not in axes})
 
 
 def _pictures(
     options: Namespace,
     budgets: Mapping[str, Budget],
-    grid: uncertainty.UncertaintyMap | None = None,
+    grid: UncertaintyMap | None = None,
     *,
     worst: bool = False,
 ) -> list[Path]:
@@ -223,5 +213,5 @@ def _pictures(
     return common.plots(options, draw, options.file)
 
 
-def _rng(options: Namespace) -> np.random.Generator:
-    return np.random.default_rng(options.seed)
+def _trials(options: Namespace) -> dict[str, Any]:
+    return {"rng": np.random.default_rng(options.seed), "trials": options.monte_carlo or None}
