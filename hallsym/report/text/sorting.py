@@ -9,9 +9,9 @@ import numpy as np
 
 from hallsym.errors import counted
 from hallsym.files import atomic_write, write_json
-from hallsym.report.tables import grid
+from hallsym.report.tables import cells, grid, heads
 from hallsym.sorting import Matching, Sorting
-from hallsym.units import fitting, readable
+from hallsym.units import fitting
 
 MOST_BINS, MOST_SETS = 40, 10
 """Rows that a terminal shows; files and JSON have all."""
@@ -98,23 +98,15 @@ def matching_text(found: Matching) -> str:
 def way_table(found: Matching) -> str:
     """Return rms and peak errors of the pose by way of choosing."""
     factor, unit = _unit(found, max(w.overall for w in found.ways if len(w.sets)))
-    shown = [readable(c, found.model.period) for c in found.model.pose]
-    head = ["way", "sets", f"rms [{unit}]", f"expected [{unit}]"]
-    rows = [[*head, *(f"peak {name} [{u}]" for _, u, name in shown)]]
+    pose, period = found.model.pose, found.model.period
+    rows = [["way", "sets", f"rms [{unit}]", f"expected [{unit}]", *heads(pose, period, "peak")]]
     for way in found.ways:
         if not len(way.sets):
-            rows.append([way.name, "0", *[""] * (2 + len(shown))])
+            rows.append([way.name, "0", *[""] * (2 + len(pose))])
             continue
-        peaks = way.pose_peak.max(axis=0)
-        cells = [f"{value * factor:.3g}" for value in (way.overall, found.expected(way))]
-        rows.append(
-            [
-                way.name,
-                str(len(way.sets)),
-                *cells,
-                *(f"{p * f:.3g}" for p, (f, _, _) in zip(peaks, shown, strict=True)),
-            ]
-        )
+        sizes = [f"{value * factor:.3g}" for value in (way.overall, found.expected(way))]
+        peaks = cells(way.pose_peak.max(axis=0), pose, period)
+        rows.append([way.name, str(len(way.sets)), *sizes, *peaks])
     return grid(rows)
 
 
