@@ -60,9 +60,8 @@ def _waves(found: ErrorModel) -> Iterator[str]:
     low, high, factor, unit, name = span(found)
     yield ""
     yield f"causes by the waves of their error per {factor * (high - low):.6g} {unit} of {name}"
-    rows = [
-        [str(n), f"{factor * (high - low) / n:.4g}", ", ".join(effects)]
-        for n, effects in expected.items()
-        if n
-    ]
-    yield grid([["waves", f"period [{unit}]", "effects"], *rows], left=3)
+    rows = [["waves", f"period [{unit}]", "effects"]]
+    for n, effects in expected.items():
+        if n:
+            rows.append([str(n), f"{factor * (high - low) / n:.4g}", ", ".join(effects)])
+    yield grid(rows, left=3)

@@ -83,12 +83,14 @@ def matching_text(found: Matching) -> str:
     """Return the ways of choosing sets beside each other, and the first of the chosen sets."""
     size = len(found.places)
     best = "; optimal" if found.optimal else ""
+    factor, unit = _unit(found, found.floor)
+    beside = f"matched sets are {found.gain_over_bins:.3g} times better than bins alone"
+    beside = beside if len(found.bins.sets) else "no bin holds enough sensors for a set"
     return "\n".join(
         [
             f"sets of {size} for {found.model.name}, whose decoder knows the common gain{best}",
             way_table(found),
-            f"the uncertainty of the gains alone makes {_amount(found, found.floor)} rms; "
-            f"{_beside_bins(found)}",
+            f"the uncertainty of the gains alone makes {found.floor * factor:.3g} {unit} rms; {beside}",
             "",
             set_table(found),
         ]
@@ -150,17 +152,6 @@ def _percent(value: float) -> str:
     return f"{100 * value:.2g} %"
 
 
-def _beside_bins(found: Matching) -> str:
-    if not len(found.bins.sets):
-        return "no bin holds enough sensors for a set"
-    return f"matched sets are {found.gain_over_bins:.3g} times better than bins alone"
-
-
 def _unit(found: Matching, largest: float) -> tuple[float, str]:
     """Return factor and unit of rms errors up to `largest`: degrees where the pose is an angle that turns."""
     return fitting(found.unit, largest, turns=any(c in found.model.period for c in found.model.pose))
-
-
-def _amount(found: Matching, value: float) -> str:
-    factor, unit = _unit(found, value)
-    return f"{value * factor:.3g} {unit}"
