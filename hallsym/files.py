@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from hallsym.errors import InputError, quoted, summary
 from hallsym.guard import check_output
@@ -64,6 +66,11 @@ def atomic_write(path: str | Path, content: bytes | str | Callable[[Path], None]
             data = content.encode() if isinstance(content, str) else content
             with open(temporary, "wb") as stream:
                 stream.write(data)
+
+
+def write_json(path: str | Path, record: Any) -> None:
+    """Write a record as JSON through a temporary file; it holds no number that is not finite."""
+    atomic_write(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
 
 
 _READING = {

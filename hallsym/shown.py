@@ -5,13 +5,12 @@ Who shows a result is told by the top of the package (`hallsym/__init__.py`): re
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hallsym.errors import InputError
-from hallsym.files import atomic_write
+from hallsym.files import write_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,8 +57,7 @@ class Shown:
 
     def save(self, path: str | Path) -> None:
         """Write the record as JSON; a file that was there is replaced only by a complete new one."""
-        text = json.dumps(self.to_dict(), indent=1, allow_nan=False)
-        atomic_write(Path(path), (text + "\n").encode())
+        write_json(path, self.to_dict())
 
     def __repr__(self) -> str:
         """Return a few lines."""

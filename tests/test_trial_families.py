@@ -166,10 +166,12 @@ def test_the_waves_of_an_error_over_x_are_counted():
 
 
 def test_pictures_of_a_fit_are_drawn(tmp_path):
-    from hallsym.report.figures.campaign import save_pictures
+    from hallsym.report.figures.campaign import fit_figure
+    from hallsym.report.figures.saving import save_figures
 
     log, fit = fitted(ARRAY)
-    assert all(path.stat().st_size > 1000 for path in save_pictures(log, fit, tmp_path))
+    written = save_figures({"errors": lambda: fit_figure(log, fit)}, tmp_path)
+    assert all(path.stat().st_size > 1000 for path in written)
 
 
 def test_what_to_record_is_planned():

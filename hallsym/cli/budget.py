@@ -8,44 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.cli import NOT_DETERMINED, OK
-from hallsym.cli.common import (
-    FILE_OPTIONS,
-    assignment,
-    column_ranges,
-    column_values,
-    command,
-    log_options,
-    open_log,
-    plots_options,
-    plots_place,
-    say,
-    seed,
-)
+from hallsym import uncertainty
+from hallsym.cli import NOT_DETERMINED, OK, common
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, load_fit
 from hallsym.log import Noise, check_noise_keys
+from hallsym.report.figures.uncertainty import budget_bars, uncertainty_picture
 from hallsym.report.text.budget import budget_text, comparison_text, curve_text, position_words, recorded_text
 from hallsym.trajectory import Curve, read_curve
-from hallsym.uncertainty import (
-    Budget,
-    Recorded,
-    Settings,
-    UncertaintyMap,
-    budget_monte_carlo,
-    map_axes,
-    notes,
-    over_log,
-    position_budget,
-    position_monte_carlo,
-    read_budget,
-    read_model_error,
-    read_settings,
-    uncertainty_map,
-    with_curve,
-)
+from hallsym.uncertainty import Budget, Recorded, Settings, UncertaintyMap, uncertainty_map, with_curve
 
-LOG_OPTIONS = ("column", "column_file", *FILE_OPTIONS, "drop_bad")
+LOG_OPTIONS = ("column", "column_file", *common.FILE_OPTIONS, "drop_bad")
 EPILOG = """\
 examples:
   hallsym budget budget.toml                          any budget: one [[source]] table for each input
@@ -57,7 +30,7 @@ examples:
 
 def add(sub: Any) -> None:
     """Add the command to the parser."""
-    parser = command(
+    parser = common.command(
         sub, "budget", run,
         "State the uncertainty of a decoded position: fit, Hall noise, vertical sensors, reference, ADC and\n"
         "zeroing, propagated through the model; or evaluate a budget stated in a TOML file.", EPILOG,
@@ -73,9 +46,9 @@ def add(sub: Any) -> None:
         "--monte-carlo", nargs="?", const=0, type=int, metavar="N",
         help="confirm by propagating distributions (JCGM 101): N trials, or until stable",
     )  # fmt: skip
-    parser.add_argument("--seed", type=seed, default=0, help="of the Monte Carlo trials (default 0)")
-    plots_options(parser, "save budget bars and a map of U")
-    log_options(parser)
+    parser.add_argument("--seed", type=common.seed, default=0, help="of the Monte Carlo trials (default 0)")
+    common.plots_options(parser, "save budget bars and a map of U")
+    common.log_options(parser)
 
 
 def _position_options(parser: ArgumentParser) -> None:
@@ -114,13 +87,13 @@ def _stand_alone(options: Namespace) -> int:
         if getattr(options, name):
             what = "A LOG" if name == "log" else f"--{name.replace('_', '-')}"
             raise InputError(f"{what} belongs to a calibration; {options.file} is a budget file.")
-    budget, shown = read_budget(options.file)
+    budget, shown = uncertainty.read_budget(options.file)
     machine, curve = budget, read_curve(options.curve) if options.curve else None
     if curve:
         budget = with_curve(machine, curve)
     found = []
     if options.monte_carlo is not None:
-        found = [budget_monte_carlo(budget, _rng(options), trials=options.monte_carlo or None)]
+        found = [uncertainty.budget_monte_carlo(budget, **_trials(options))]
     pictures = _pictures(options, {budget.quantity: budget})
     record: dict[str, Any] = {"budget": budget.to_dict()}
     if curve:
@@ -129,7 +102,7 @@ def _stand_alone(options: Namespace) -> int:
         record["monte_carlo"] = found[0].to_dict()
     text = [budget_text(budget, shown), *(["", comparison_text(found)] if found else [])]
     text += ["", curve_text(curve, machine, budget)] if curve else []
-    say(options, record, lambda: "\n".join(text), wrote=pictures)
+    common.say(options, record, lambda: "\n".join(text), wrote=pictures)
     return OK
 
 
@@ -141,13 +114,13 @@ def _position(options: Namespace) -> int:
     for name in LOG_OPTIONS:
         if getattr(options, name) and not options.log:
             raise InputError(f"--{name.replace('_', '-')} is about reading a LOG; give one.")
-    settings = read_settings(options.settings, fit.model) if options.settings else Settings()
+    settings = uncertainty.read_settings(options.settings, fit.model) if options.settings else Settings()
     if options.diagnosis:
-        settings = replace(settings, model_error=read_model_error(options.diagnosis, fit.model))
-    at = column_values(options.at, (*fit.model.pose, *fit.model.state))
-    said = notes(fit, settings)
-    log = open_log(options, known=fit) if options.log else None
-    recorded = None if log is None else over_log(fit, log, settings)
+        settings = replace(settings, model_error=uncertainty.read_model_error(options.diagnosis, fit.model))
+    at = common.column_values(options.at, (*fit.model.pose, *fit.model.state))
+    said = uncertainty.notes(fit, settings)
+    log = common.open_log(options, known=fit) if options.log else None
+    recorded = None if log is None else uncertainty.over_log(fit, log, settings)
     beyond = recorded.outside(at) if recorded else []
     if beyond:
         said.append(f"{', '.join(beyond)} of the budget is outside the recorded workspace.")
@@ -157,7 +130,7 @@ def _position(options: Namespace) -> int:
     if options.monte_carlo is not None:
         if curve:
             raise InputError("--monte-carlo is for the machine alone; leave --curve out.")
-        found = position_monte_carlo(fit, at, settings, rng=_rng(options), trials=options.monte_carlo or None)
+        found = uncertainty.position_monte_carlo(fit, at, settings, **_trials(options))
     mapped = options.range or (options.plots and recorded)
     grid = _map(options, fit, settings, at, recorded) if mapped else None
     spots = recorded.where if recorded else {c: grid.worst(c)[0] for c in fit.model.pose} if grid else {}
@@ -183,13 +156,13 @@ def _position(options: Namespace) -> int:
     parts += [f"\n{recorded_text(recorded, f'U ({coverage}), recorded workspace')}"] if recorded else []
     parts += [f"\n{recorded_text(grid.over(), f'U ({coverage}), map')}"] if grid and options.range else []
     parts += [""] if said else []
-    say(options, record, lambda: "\n".join(parts), notes=said, wrote=pictures)
+    common.say(options, record, lambda: "\n".join(parts), notes=said, wrote=pictures)
     return NOT_DETERMINED if fit.undetermined_by_log else OK
 
 
 def _budgets(fit: Fit, at: Mapping[str, float], settings: Settings, curve: Curve | None) -> dict[str, Budget]:
     """The budget of each pose coordinate, with the error of a curve where one is given."""
-    budgets = position_budget(fit, at, settings)
+    budgets = uncertainty.position_budget(fit, at, settings)
     if curve is None:
         return budgets
     other = [c for c in curve.coordinates if c not in budgets]
@@ -200,7 +173,7 @@ def _budgets(fit: Fit, at: Mapping[str, float], settings: Settings, curve: Curve
 
 def _with_noise(fit: Fit, given: Sequence[str]) -> Fit:
     """Return the calibration with the stated noise in place of that of its log."""
-    values = dict(map(assignment, given))
+    values = dict(map(common.assignment, given))
     columns = (*fit.model.channels, *fit.model.state, *fit.model.references)
     check_noise_keys(values, columns, "--noise")
     return replace(fit, noise=Noise.given(values, columns).merged(fit.noise))
@@ -209,9 +182,9 @@ def _with_noise(fit: Fit, given: Sequence[str]) -> Fit:
 def _map(
     options: Namespace, fit: Fit, settings: Settings, at: Mapping[str, float], recorded: Recorded | None
 ) -> UncertaintyMap:
-    ranges = column_ranges(options.range, map_axes(fit.model))
+    ranges = common.column_ranges(options.range, uncertainty.map_axes(fit.model))
     spans = recorded.span if recorded else {}
-    axes = {c: ranges.get(c) or spans.get(c) for c in map_axes(fit.model)}
+    axes = {c: ranges.get(c) or spans.get(c) for c in uncertainty.map_axes(fit.model)}
     for column, span in axes.items():
         if span is None:
             raise InputError(
@@ -234,16 +207,11 @@ def _pictures(
     *,
     worst: bool = False,
 ) -> list[Path]:
-    if not options.plots:
-        return []
-    from hallsym.report.figures.saving import save_figures
-    from hallsym.report.figures.uncertainty import budget_bars, uncertainty_picture
-
     draw = {"budget": lambda: budget_bars(budgets, worst=worst)}
     if grid is not None:
         draw["uncertainty_map"] = lambda: uncertainty_picture(grid)
-    return save_figures(draw, plots_place(options, options.file))
+    return common.plots(options, draw, options.file)
 
 
-def _rng(options: Namespace) -> np.random.Generator:
-    return np.random.default_rng(options.seed)
+def _trials(options: Namespace) -> dict[str, Any]:
+    return {"rng": np.random.default_rng(options.seed), "trials": options.monte_carlo or None}

@@ -34,10 +34,9 @@ def add(sub: Any) -> None:
     parser.add_argument("calibration", metavar="CALIB", help="a calibration saved by 'hallsym fit -o'")
     parser.add_argument("-o", "--output", metavar="FOLDER", required=True, help="folder to write")
     parser.add_argument(
-        "--params-only",
-        action="store_true",
+        "--params-only", action="store_true",
         help="replace the parameters of a generated folder, not its code",
-    )
+    )  # fmt: skip
     parser.add_argument("--force", action="store_true", help="replace generated files that are there")
     parser.add_argument(
         "--range", action="append", default=[], metavar="COLUMN=LOW:HIGH",
@@ -58,11 +57,10 @@ def add(sub: Any) -> None:
         help="encoders: a series of waves, or a table of 64 to 1024 entries (default: auto, fewer bytes)",
     )  # fmt: skip
     parser.add_argument(
-        "--name",
-        metavar="NAME",
+        "--name", metavar="NAME",
         help="prefix of symbols and files, such as enc_left (default: decoupler): "
         "several decouplers then fit in one image",
-    )
+    )  # fmt: skip
     parser.add_argument("--double", action="store_true", help="double instead of float, for hosts")
     parser.add_argument(
         "--jacobian", action="store_true", help="with slopes of the pose by the readings, for Kalman filters"

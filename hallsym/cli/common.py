@@ -4,6 +4,7 @@ import argparse
 import json
 import math
 import shlex
+import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -22,31 +23,24 @@ from hallsym.families.user import load_effects
 from hallsym.log import MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
 from hallsym.model import Effect, Model
 from hallsym.records import named
+from hallsym.report.figures.campaign import fit_figure
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
 from hallsym.terminal import fitted
 from hallsym.toml import column_of
 
 if TYPE_CHECKING:
-    from hallsym.report.figures.saving import Place
+    from matplotlib.figure import Figure
 
 
 def command(
-    sub: Any,
-    name: str,
-    run: Callable[[Namespace], int],
-    description: str,
-    epilog: str = "",
-    *,
-    json: bool = True,
+    sub: Any, name: str, run: Callable[[Namespace], int], description: str, epilog: str = ""
 ) -> ArgumentParser:
-    """Add a sub-command that `run(options)` carries out; it has `--json` unless it prints no record."""
-    parser = sub.add_parser(
-        name, help=COMMANDS[name], description=description, epilog=epilog,
-        formatter_class=HelpText,
-    )  # fmt: skip
+    """Add a sub-command that `run(options)` carries out."""
+    parser: ArgumentParser = sub.add_parser(
+        name, help=COMMANDS[name], description=description, epilog=epilog, formatter_class=HelpText
+    )
     parser.set_defaults(run=run)
-    if json:
-        parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
     return parser
 
 
@@ -65,18 +59,22 @@ def plots_options(parser: Any, what: str = "save pictures") -> None:
     )
 
 
-def place_of(folder: str | Path, format: str, *named: object) -> "Place":
-    """Return where pictures go; `named` on each of them: file and model, those that are known."""
-    from hallsym.report.figures.saving import Place
+def pictures(
+    draw: Mapping[str, Callable[[], "Figure"]], folder: str | Path | None, format: str, *named: object
+) -> list[Path]:
+    """Save pictures if a folder is given; `named` on each of them: file and model, those that are known."""
+    if folder is None:
+        return []
+    from hallsym.report.figures.saving import save_figures
 
     words = [str(name) for name in named if name]
     brief = ["/".join(Path(word).parts[-2:]) if Path(word).exists() else word for word in words]
-    return Place(Path(folder), format, ", ".join(brief))
+    return save_figures(draw, folder, format, ", ".join(brief))
 
 
-def plots_place(options: Namespace, *named: object) -> "Place":
-    """Return where `--plots` puts pictures; `named` as in `place_of`."""
-    return place_of(options.plots, options.plot_format, *named)
+def plots(options: Namespace, draw: Mapping[str, Callable[[], "Figure"]], *named: object) -> list[Path]:
+    """Save pictures where `--plots` says, if it is given; `named` as in `pictures`."""
+    return pictures(draw, options.plots, options.plot_format, *named)
 
 
 def log_options(parser: ArgumentParser) -> None:
@@ -115,10 +113,9 @@ def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
         help=f"our name, ending with the unit their column is in: --column {example} (repeat)",
     )  # fmt: skip
     group.add_argument(
-        "--format",
-        metavar="FORMAT",
+        "--format", metavar="FORMAT",
         help="parquet, csv, mat, hdf5, xlsx, tdms, mdf or mcap, when the suffix is another",
-    )
+    )  # fmt: skip
     group.add_argument(
         "--delimiter", help="of a text file: ';', tab, blank; recognised where it is not given"
     )
@@ -133,17 +130,13 @@ def model_options(parser: ArgumentParser, default: str) -> None:
     """Options of every command that builds a model."""
     group = parser.add_argument_group("model")
     group.add_argument(
-        "--model",
-        metavar="MODEL",
+        "--model", metavar="MODEL",
         help=f"such as stage31 or rotary; 'hallsym info' lists them (default: {default})",
-    )
+    )  # fmt: skip
     group.add_argument(
-        "--effect",
-        action="append",
-        default=[],
-        metavar="EFFECT",
+        "--effect", action="append", default=[], metavar="EFFECT",
         help="add an effect, such as exact_rotation or mains_hum:frequency_hz=50.02 (repeat)",
-    )
+    )  # fmt: skip
     group.add_argument(
         "--machine", metavar="TOML",
         help="your machine: [[probes]] with channel, position_m, senses; [parameters.H1x] with nominal, "
@@ -161,19 +154,24 @@ def own_effects(options: Namespace) -> dict[str, Effect]:
     return {e.name: e for e in load_effects(options.effects)} if options.effects else {}
 
 
-def open_log(options: Namespace, machine: Machine | None = None, known: Fit | None = None) -> Log:
-    """Read `options.log`; a machine's probes stand in place of the log's own.
+def open_log(
+    options: Namespace, machine: Machine | None = None, known: Fit | None = None, path: str | None = None
+) -> Log:
+    """Read a log, `options.log` by default; a machine's probes stand in place of the log's own.
 
     `known`: a calibration, whose names of columns count where nothing else is stated.
     """
-    log = read_log(
-        options.log,
-        drop_bad=options.drop_bad,
-        remembered=None if known is None else known.columns,
-        read_with=None if known is None else known.read_with,
-        **reading_of(options),
-    )
+    remembered = {} if known is None else {"remembered": known.columns, "read_with": known.read_with}
+    path = options.log if path is None else path
+    log = read_log(path, drop_bad=options.drop_bad, **remembered, **reading_of(options))
     return log if machine is None else replace(log, meta=machine.applied(log.meta))
+
+
+def refuse_twice(paths: Sequence[str]) -> None:
+    """Refuse a log that is given twice."""
+    for k, path in enumerate(paths):
+        if path in paths[:k]:
+            raise InputError(f"Log {path} is given twice; give it once.")
 
 
 def reading_of(options: Namespace) -> dict[str, Any]:
@@ -260,6 +258,11 @@ def run_numbers(text: str) -> list[int]:
     return runs
 
 
+def warn(sentence: str) -> None:
+    """Print a sentence on stderr that goes with an exit code."""
+    print(f"hallsym: {sentence}", file=sys.stderr)
+
+
 def progress_of(options: Namespace) -> Callable[[str], None]:
     """Return what shows the progress of long work on stderr; nothing beside `--json`."""
     return (lambda _: None) if options.json else Meter()
@@ -285,14 +288,10 @@ def say(
     print(fitted("\n".join([text(), *lines])))
 
 
-def save_fit_pictures(log: Log, result: Fit, folder: str | None, format: str = "png") -> list[Path]:
-    """Save the pictures of a fit, if a folder is given."""
-    if folder is None:
-        return []
-    from hallsym.report.figures.campaign import save_pictures
-
-    place = place_of(folder, format, log.path, result.model.name)
-    return save_pictures(log, result, place, keep=result.keep)
+def fit_pictures(log: Log, result: Fit, folder: str | Path | None, format: str = "png") -> list[Path]:
+    """Save the picture of a fit, if a folder is given."""
+    draw = {"errors_by_setting": lambda: fit_figure(log, result, result.keep)}
+    return pictures(draw, folder, format, log.path, result.model.name)
 
 
 def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:
@@ -336,6 +335,12 @@ def campaign_of(options: Namespace) -> Campaign:
     return read_campaign(options.campaign)
 
 
+def built(name: str, machine: Machine, effects: Sequence[str] = ()) -> Model:
+    """Return a model with some effects, of the probes and parameters of a machine."""
+    meta = machine.applied(Meta())
+    return build(name, meta=meta, added=tuple(effects), parameters=machine.parameters)
+
+
 def truth_of(
     options: Namespace, machine: Machine, campaign: Campaign | None = None
 ) -> tuple[Model, dict[str, float]]:
@@ -350,12 +355,7 @@ def truth_of(
         return known.model, named(known.model.names, known.values)
     runs = campaign.runs if campaign else ()
     moved = {axis for run in runs for axis in (*run.setting, *run.motion)}
-    model = build(
-        options.model or model_for(moved),
-        meta=machine.applied(Meta()),
-        added=tuple(options.effect),
-        parameters=machine.parameters,
-    )
+    model = built(options.model or model_for(moved), machine, options.effect)
     own = model.family.example
     paper_values = published_values("table7_estimates") if machine.probes is None and own is None else {}
     paper_values = paper_values | dict(own.values if own else {})

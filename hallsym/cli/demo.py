@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.cli import OK
-from hallsym.cli.common import command, progress_of, save_fit_pictures, say
+from hallsym.cli.common import command, fit_pictures, progress_of, say
 from hallsym.estimation import Fit, fit
 from hallsym.families import published
 from hallsym.log import Log
@@ -28,12 +28,9 @@ def add(sub: Any) -> None:
         "parameters, Model (30), Model (31), each beside the paper's own error table.",
     )  # fmt: skip
     parser.add_argument(
-        "-o",
-        "--output",
-        default="demo",
-        metavar="FOLDER",
+        "-o", "--output", default="demo", metavar="FOLDER",
         help="where calib.json and pictures go (default: demo)",
-    )
+    )  # fmt: skip
 
 
 def run(options: Namespace) -> int:
@@ -42,7 +39,7 @@ def run(options: Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     log, result, steps = reproduce(on_progress=progress_of(options))
     result.save(folder / "calib.json")
-    pictures = save_fit_pictures(log, result, str(folder))
+    pictures = fit_pictures(log, result, folder)
     record = {"steps": steps, "calibration": result.to_dict(), "pictures": [str(p) for p in pictures]}
     wrote = [folder / "calib.json", *pictures]
     say(options, record, lambda: text(steps) + "\n\n" + fit_text(result), wrote=wrote)

@@ -1,30 +1,18 @@
 """`hallsym evaluate`: errors of a saved calibration on other logs, and whether they belong to it."""
 
 import shlex
-import sys
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hallsym.cli import BAD_INPUT, CHANGED, NOT_DESCRIBED, OK
-from hallsym.cli.common import (
-    command,
-    log_options,
-    open_log,
-    own_effects,
-    own_option,
-    place_of,
-    plots_options,
-    progress_of,
-    reading_words,
-    say,
-)
+from hallsym.cli import BAD_INPUT, CHANGED, NOT_DESCRIBED, OK, common
 from hallsym.errors import InputError
 from hallsym.estimation import Evaluation, Fit, evaluate, load_fit
 from hallsym.inference import FALSE_ALARM, Belonging, belonging, check_false_alarm
 from hallsym.log import Fault
 from hallsym.report.data.periodic import periodic_of
+from hallsym.report.figures.campaign import evaluation_figure
 from hallsym.report.text.comparison import belonging_text, chart_text
 from hallsym.report.text.fit import evaluation_text
 
@@ -34,7 +22,7 @@ Judged = tuple[Evaluation, Belonging | str]
 
 def add(sub: Any) -> None:
     """Add the command to the parser."""
-    parser = command(
+    parser = common.command(
         sub, "evaluate", run,
         "Decode logs with a saved calibration, tabulate the errors against the reference, and say of each\n"
         "log whether it still belongs to the calibration: its residual error and each parameter that it\n"
@@ -49,31 +37,29 @@ def add(sub: Any) -> None:
     )  # fmt: skip
     parser.add_argument("calibration", metavar="CALIB", help="a calibration saved by 'hallsym fit -o'")
     parser.add_argument("logs", metavar="LOG", nargs="+", help="logs to judge on, in the order of time")
-    own_option(parser)
+    common.own_option(parser)
     parser.add_argument("--by-run", action="store_true", help="all errors of each log, one line per run")
     parser.add_argument(
-        "--own-zero",
-        action="store_true",
+        "--own-zero", action="store_true",
         help="estimate the zero of a reference that turns from each run too: it was homed or coupled anew",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--false-alarm", type=float, default=FALSE_ALARM, metavar="P",
         help=f"probability that a log which belongs is said not to (default {FALSE_ALARM:g})",
     )  # fmt: skip
-    plots_options(parser)
-    log_options(parser)
+    common.plots_options(parser)
+    common.log_options(parser)
 
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
     check_false_alarm(options.false_alarm)
-    known, show = load_fit(options.calibration, own_effects(options)), progress_of(options)
+    known, show = load_fit(options.calibration, common.own_effects(options)), common.progress_of(options)
+    common.refuse_twice(options.logs)
     logs: dict[str, Judged | str] = {}
     for k, path in enumerate(options.logs):
         if len(options.logs) > 1:
             show(f"log {k + 1} of {len(options.logs)}")
-        if path in logs:
-            raise InputError(f"Log {path} is given twice; give it once.")
         try:
             logs[path] = _judged(options, known, path)
         except InputError as error:
@@ -98,12 +84,12 @@ def run(options: Namespace) -> int:
         then = _diagnose(options, changed[0])
     elif amiss or faults or len(judged) < len(logs):
         then = []
-    say(options, record, lambda: _text(options, known, logs), wrote=wrote, then=then)
+    common.say(options, record, lambda: _text(options, known, logs), wrote=wrote, then=then)
     for said in (*faults, *(amiss if options.json or len(logs) > 1 else [])):
-        print(f"hallsym: {said}", file=sys.stderr)
+        common.warn(said)
     for path, one in logs.items():
         if isinstance(one, str):
-            print(f"hallsym: {path} could not be decoded: {one}", file=sys.stderr)
+            common.warn(f"{path} could not be decoded: {one}")
     if changed:
         return CHANGED
     if len(judged) < len(logs):
@@ -112,7 +98,7 @@ def run(options: Namespace) -> int:
 
 
 def _judged(options: Namespace, known: Fit, path: str) -> Judged:
-    log = open_log(Namespace(**{**vars(options), "log": path}), known=known)
+    log = common.open_log(options, known=known, path=path)
     seen = evaluate(known, log, own_zero=options.own_zero, drop_bad=options.drop_bad)
     next_command = shlex.join(_diagnose(options, path))
     seen = replace(seen, goodness=replace(seen.goodness, next_command=next_command, what="The calibration"))
@@ -123,7 +109,7 @@ def _judged(options: Namespace, known: Fit, path: str) -> Judged:
 
 
 def _diagnose(options: Namespace, path: str) -> list[str]:
-    return ["hallsym", "diagnose", path, "--model", options.calibration, *reading_words(options)]
+    return ["hallsym", "diagnose", path, "--model", options.calibration, *common.reading_words(options)]
 
 
 def _record(options: Namespace, path: str, seen: Evaluation, found: Belonging | str) -> dict[str, Any]:
@@ -135,14 +121,9 @@ def _record(options: Namespace, path: str, seen: Evaluation, found: Belonging | 
 
 
 def _pictured(options: Namespace, path: str, seen: Evaluation) -> list[Path]:
-    if not options.plots:
-        return []
-    from hallsym.report.figures.campaign import evaluation_figure
-    from hallsym.report.figures.saving import save_figures
-
-    folder = Path(options.plots) / (Path(path).stem if len(options.logs) > 1 else "")
-    place = place_of(folder, options.plot_format, path, options.calibration)
-    return save_figures({"errors_by_setting": lambda: evaluation_figure(seen)}, place)
+    folder = options.plots and Path(options.plots) / (Path(path).stem if len(options.logs) > 1 else "")
+    draw = {"errors_by_setting": lambda: evaluation_figure(seen)}
+    return common.pictures(draw, folder, options.plot_format, path, options.calibration)
 
 
 def _text(options: Namespace, known: Fit, logs: dict[str, Judged | str]) -> str:

@@ -1,30 +1,13 @@
 """`hallsym fit`: calibrate a model on a log."""
 
 import shlex
-import sys
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hallsym.cli import INTERRUPTED, NOT_CONVERGED, NOT_DESCRIBED, NOT_DETERMINED, OK
-from hallsym.cli.common import (
-    command,
-    log_options,
-    model_options,
-    open_log,
-    own_effects,
-    own_option,
-    plots_options,
-    progress_of,
-    reading_words,
-    run_numbers,
-    save_fit_pictures,
-    say,
-    seed,
-)
+from hallsym.cli import INTERRUPTED, NOT_CONVERGED, NOT_DESCRIBED, NOT_DETERMINED, OK, common
 from hallsym.diagnosis import model_on
-from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.fit import fit
 from hallsym.families import added_effects, plain
@@ -36,7 +19,7 @@ from hallsym.report.text.fit import fit_text
 
 def add(sub: Any) -> None:
     """Add the command to the parser."""
-    parser = command(
+    parser = common.command(
         sub, "fit", run,
         "Calibrate a model on a log of Hall readings beside a reference. Prints errors before and after,\n"
         "parameters with standard uncertainties in parentheses (on the last two digits), and what the data\n"
@@ -55,9 +38,9 @@ def add(sub: Any) -> None:
         "device share their parameters",
     )  # fmt: skip
     parser.add_argument("-o", "--output", metavar="JSON", help="save the calibration")
-    plots_options(parser)
-    model_options(parser, "the log's base_model, else by its columns")
-    own_option(parser)
+    common.plots_options(parser)
+    common.model_options(parser, "the log's base_model, else by its columns")
+    common.own_option(parser)
     group = parser.add_argument_group("fit")
     group.add_argument(
         "--holdout", metavar="RUNS", help="runs to judge on and not to fit, such as 2,7,12 or 40-45"
@@ -71,25 +54,20 @@ def add(sub: Any) -> None:
         help="parameters of which each log has its own, such as eta_A,zero or 'eta_*'",
     )  # fmt: skip
     group.add_argument(
-        "--solver",
-        metavar="SOLVER",
-        default="hybrid",
+        "--solver", metavar="SOLVER", default="hybrid",
         help="hybrid (SHTLBO + closed form + IPOPT), direct (closed form + IPOPT), "
         "or the global search: shtlbo, tlbo, gbtlbo, screening",
-    )
+    )  # fmt: skip
     group.add_argument(
-        "--loss",
-        metavar="LOSS",
-        default="auto",
+        "--loss", metavar="LOSS", default="auto",
         help="auto (take out isolated spikes if there are any), none, reject, tukey",
-    )
+    )  # fmt: skip
     group.add_argument(
-        "--resolve-wiring",
-        action="store_true",
+        "--resolve-wiring", action="store_true",
         help="find channel order and signs instead of refusing wrong ones",
-    )
-    group.add_argument("--seed", type=seed, default=0, help="of the global search (default 0)")
-    log_options(parser)
+    )  # fmt: skip
+    group.add_argument("--seed", type=common.seed, default=0, help="of the global search (default 0)")
+    common.log_options(parser)
 
 
 def run(options: Namespace) -> int:
@@ -97,35 +75,29 @@ def run(options: Namespace) -> int:
     machine = read_machine(options.machine)
     several = len(options.logs) > 1 or bool(options.holdout_log or options.per_log)
     logs, judged = _opened(options, options.logs, machine), _opened(options, options.holdout_log, machine)
-    holdout = None if options.holdout is None else run_numbers(options.holdout)
+    shared: dict[str, Any] = {
+        "own": common.own_effects(options),
+        "holdout": None if options.holdout is None else common.run_numbers(options.holdout),
+        "drop_bad": options.drop_bad,
+        "on_progress": common.progress_of(options),
+    }
     model: Model | str | None = options.model
-    if options.effect and not several:
-        model = model_on(
-            logs[0],
-            options.model,
-            options.effect,
-            parameters=machine.parameters,
-            own=own_effects(options),
-            holdout=holdout,
-            drop_bad=options.drop_bad,
-            on_progress=progress_of(options),
-        )
-    whole = isinstance(model, Model)
+    effects, parameters = options.effect, machine.parameters
+    if effects and not several:
+        model = model_on(logs[0], options.model, effects, parameters=parameters, **shared)
+        effects, parameters = (), None
     result = fit(
         logs if several else logs[0],
         model,
         solver=options.solver,
-        holdout=holdout,
         loss=options.loss,
-        parameters=None if whole else machine.parameters,
-        effects=() if whole else options.effect,
-        own=own_effects(options),
+        parameters=parameters,
+        effects=effects,
         resolve_wiring=options.resolve_wiring,
-        drop_bad=options.drop_bad,
         seed=options.seed,
         per_log=[name for name in (options.per_log or "").split(",") if name],
         holdout_logs=judged,
-        on_progress=progress_of(options),
+        **shared,
     )
     if result.goodness and not several:
         goodness = replace(result.goodness, next_command=_diagnose(options, result))
@@ -133,17 +105,15 @@ def run(options: Namespace) -> int:
     wrote = _saved(options, result)
     for name, log, part in _pictured(result, logs):
         folder = options.plots and str(Path(options.plots) / name)
-        wrote += save_fit_pictures(log, part, folder, options.plot_format)
-    say(options, result.to_dict(), lambda: fit_text(result), wrote=wrote, then=_next(options, result))
+        wrote += common.fit_pictures(log, part, folder, options.plot_format)
+    common.say(options, result.to_dict(), lambda: fit_text(result), wrote=wrote, then=_next(options, result))
     return exit_code(result, said=not options.json)
 
 
 def _opened(options: Namespace, paths: list[str], machine: Machine) -> list[Log]:
     """Return the logs, each of which is given once."""
-    twice = [path for k, path in enumerate(paths) if path in paths[:k]]
-    if twice:
-        raise InputError(f"Log {twice[0]} is given twice; give it once.")
-    return [open_log(Namespace(**{**vars(options), "log": path}), machine) for path in paths]
+    common.refuse_twice(paths)
+    return [common.open_log(options, machine, path=path) for path in paths]
 
 
 def _saved(options: Namespace, result: Fit) -> list[str | Path]:
@@ -172,7 +142,7 @@ def _diagnose(options: Namespace, result: Fit) -> str:
     words = ["hallsym", "diagnose", options.logs[0], "--model", plain(result.model).name]
     words += [word for effect in added_effects(result.model) for word in ("--effect", effect)]
     words += ["--holdout", options.holdout] if options.holdout else []
-    return shlex.join([*words, *reading_words(options)])
+    return shlex.join([*words, *common.reading_words(options)])
 
 
 def _next(options: Namespace, result: Fit) -> list[str]:
@@ -193,21 +163,20 @@ def exit_code(result: Fit, *, said: bool = True) -> int:
     """
     faults = [note for note in result.notes if isinstance(note, Fault)]
     for fault in faults:
-        print(f"hallsym: {fault}", file=sys.stderr)
+        common.warn(str(fault))
     if result.status != "converged":
-        print(f"hallsym: the solver did not converge ({result.status}): {result.message}.", file=sys.stderr)
+        common.warn(f"the solver did not converge ({result.status}): {result.message}.")
         return INTERRUPTED if result.status == "interrupted" else NOT_CONVERGED
     if result.undetermined_by_log:
         what = ", ".join(result.undetermined_by_log)
-        print(
-            f"hallsym: this log does not determine {what} of {result.model.name}: "
-            "they are fixed or combined as the table says; record runs that move what they belong to.",
-            file=sys.stderr,
+        common.warn(
+            f"this log does not determine {what} of {result.model.name}: they are fixed or combined as the "
+            "table says; record runs that move what they belong to."
         )
         return NOT_DETERMINED
     amiss = result.goodness and result.goodness.sentence
     if amiss and not said:
-        print(f"hallsym: {amiss}", file=sys.stderr)
+        common.warn(amiss)
     if amiss:
         return NOT_DESCRIBED
     return NOT_DETERMINED if faults else OK

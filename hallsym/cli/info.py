@@ -43,11 +43,9 @@ def add(sub: Any) -> None:
         "  hallsym info lab.csv --suggest",
     )  # fmt: skip
     parser.add_argument(
-        "file",
-        metavar="FILE_OR_NAME",
-        nargs="?",
+        "file", metavar="FILE_OR_NAME", nargs="?",
         help="log, calibration or curve (.json), campaign (.toml), or the name of a model or an effect",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--suggest", nargs="?", const=COLUMN_FILE, metavar="TOML",
         help="of a log whose columns have other names: write a column file with the best guess for each, "
@@ -87,10 +85,9 @@ def run(options: Namespace) -> int:
     elif options.suggest:
         return _suggest(options)
     else:
-        options.log = options.file
         source = _opened(options)[2]
         try:
-            log = open_log(options)
+            log = open_log(options, path=options.file)
         except InputError:
             if not options.json:
                 print(_head_text(source))

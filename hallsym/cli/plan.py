@@ -3,19 +3,7 @@
 from argparse import Namespace
 from typing import Any
 
-from hallsym.cli import OK
-from hallsym.cli.common import (
-    command,
-    log_options,
-    model_options,
-    open_log,
-    plots_options,
-    plots_place,
-    progress_of,
-    say,
-    seed,
-    truth_of,
-)
+from hallsym.cli import OK, common
 from hallsym.errors import InputError
 from hallsym.estimation import fit, load_fit, noise_of
 from hallsym.experiment import CRITERIA, Plan, Ranges, paper_ranges, plan, read_ranges
@@ -23,13 +11,14 @@ from hallsym.families.machine_file import Machine, read_machine
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.records import named
+from hallsym.report.figures.plan import coverage
 from hallsym.report.text.plan import plan_text
 from hallsym.simulation import is_the_papers, table8_noise, write_campaign
 
 
 def add(sub: Any) -> None:
     """Add the command to the parser."""
-    parser = command(
+    parser = common.command(
         sub, "plan", run,
         "Choose vertical settings and trajectories that tell most about the parameters, from the ranges,\n"
         "frequencies and time that you state, and write them as a campaign file that a lab can follow and\n"
@@ -46,7 +35,7 @@ def add(sub: Any) -> None:
         help="the ranges of the paper's campaign instead of a file: 57 runs of 1 s, 1, 2 and 3 Hz",
     )  # fmt: skip
     parser.add_argument("-o", "--output", metavar="TOML", help="campaign file to write")
-    plots_options(parser)
+    common.plots_options(parser)
     parser.add_argument(
         "--criterion", default="D", metavar="NAME",
         help=f"{', '.join(CRITERIA)}: volume of the uncertainty ellipsoid, mean variance, worst-determined "
@@ -62,19 +51,19 @@ def add(sub: Any) -> None:
         help="calibration to plan for (default: fitted to the log of --after, else the published or "
         "example values)",
     )  # fmt: skip
-    parser.add_argument("--seed", type=seed, default=0, help="of the order of exchanges (default 0)")
-    model_options(parser, "stage31")
-    log_options(parser)
+    parser.add_argument("--seed", type=common.seed, default=0, help="of the order of exchanges (default 0)")
+    common.model_options(parser, "stage31")
+    common.log_options(parser)
 
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
-    ranges, machine, show = _ranges(options), read_machine(options.machine), progress_of(options)
+    ranges, machine, show = _ranges(options), read_machine(options.machine), common.progress_of(options)
     ranges.allowed(options.runs, options.minutes)  # before a log is read and fitted
     log = None
     if options.after:
-        options.log = options.after
-        log = open_log(options, machine, load_fit(options.values) if options.values else None)
+        known = load_fit(options.values) if options.values else None
+        log = common.open_log(options, machine, known, options.after)
     show("finding values")
     model, values, told = _truth(options, machine, log)
     noise, source = _noise(options, ranges, model, values, log)
@@ -93,13 +82,8 @@ def run(options: Namespace) -> int:
     written = [options.output] if options.output else []
     if options.output:
         write_campaign(found.campaign, options.output, comment=_comment(found))
-    if options.plots:
-        from hallsym.report.figures.plan import coverage
-        from hallsym.report.figures.saving import save_figures
-
-        draw = {"coverage": lambda: coverage(found, log)}
-        written += save_figures(draw, plots_place(options, options.ranges, model.name))
-    say(
+    written += common.plots(options, {"coverage": lambda: coverage(found, log)}, options.ranges, model.name)
+    common.say(
         options, found.to_dict() | {"notes": notes}, lambda: f"{plan_text(found)}\n",
         notes=notes, wrote=written,
     )  # fmt: skip
@@ -117,7 +101,7 @@ def _ranges(options: Namespace) -> Ranges:
 def _truth(options: Namespace, machine: Machine, log: Log | None) -> tuple[Model, dict[str, float], str]:
     """Model, values that the plan is made for, and the sentence that says where they come from."""
     if log is None or options.values:
-        model, values = truth_of(options, machine)
+        model, values = common.truth_of(options, machine)
         known = "Table 7" if is_the_papers(model) else f"the example of {model.family.name}"
         own = machine.probes is not None or bool(machine.tables)
         where = options.values or ("the machine file" if own else known)

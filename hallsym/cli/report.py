@@ -36,7 +36,9 @@ def run(options: Namespace) -> int:
     if not options.drop_bad:
         columns, wired = logged_columns(known.model), as_read(log, known.model, known.wiring)
         log = replace(log, notes=tuple(check_log(wired, columns)))
-    page = fit_page(log, known, command=_typed(options), calibration=str(options.calibration)).encode()
+    # the command without the name of the page, so that the name does not change the page
+    typed = shlex.join(["hallsym", "report", options.calibration, options.log, *reading_words(options)])
+    page = fit_page(log, known, command=typed, calibration=str(options.calibration)).encode()
     atomic_write(options.output, page)
     record = {
         "report": str(options.output),
@@ -47,8 +49,3 @@ def run(options: Namespace) -> int:
     }
     say(options, record, lambda: f"wrote {options.output}")
     return OK
-
-
-def _typed(options: Namespace) -> str:
-    """Return the command without the name of the page, so that the name does not change the page."""
-    return shlex.join(["hallsym", "report", options.calibration, options.log, *reading_words(options)])

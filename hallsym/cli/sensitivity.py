@@ -1,32 +1,18 @@
 """`hallsym sensitivity`: what a log, or a plan, determines of each parameter."""
 
-import sys
 from argparse import Namespace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hallsym.cli import NOT_DETERMINED, OK
-from hallsym.cli.common import (
-    command,
-    levels,
-    log_options,
-    model_options,
-    open_log,
-    own_effects,
-    own_option,
-    plots_options,
-    plots_place,
-    progress_of,
-    say,
-    truth_of,
-)
+from hallsym.cli import NOT_DETERMINED, OK, common
 from hallsym.errors import InputError
 from hallsym.estimation import load_fit
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
-from hallsym.files import atomic_write
+from hallsym.files import write_json
 from hallsym.inference import Identifiability, identify
+from hallsym.report.figures.sensitivity import drawable
 from hallsym.report.text.identifiability import report_text
 from hallsym.simulation import campaign_from, paper_campaign, read_campaign
 
@@ -35,7 +21,7 @@ PAPER = "the paper's campaign"
 
 def add(sub: Any) -> None:
     """Add the command to the parser."""
-    parser = command(
+    parser = common.command(
         sub, "sensitivity", run,
         "Say per parameter what the data determine: value, standard uncertainty, 95 % interval, strongest\n"
         "correlations, what it does to the decoded pose, and a verdict: determined, weak, at bound, not\n"
@@ -49,32 +35,27 @@ def add(sub: Any) -> None:
     parser.add_argument("calibration", metavar="CALIB", nargs="?", help="saved by 'hallsym fit -o'")
     parser.add_argument("log", metavar="LOG", nargs="?", help="the log it was fitted to, or another one")
     parser.add_argument(
-        "--plan",
-        metavar="TOML",
-        nargs="?",
-        const=False,
+        "--plan", metavar="TOML", nargs="?", const=False,
         help="a campaign file instead of a log (no file: Table 6)",
-    )
-    own_option(parser)
+    )  # fmt: skip
+    common.own_option(parser)
     parser.add_argument("-o", "--output", metavar="JSON", help="save the report")
-    plots_options(parser)
+    common.plots_options(parser)
     group = parser.add_argument_group("intervals")
     group.add_argument(
-        "--profiles",
-        default="auto",
-        choices=("auto", "all", "none"),
+        "--profiles", default="auto", choices=("auto", "all", "none"),
         help="profile likelihood where a normal interval is not good enough (default), of all, or of none",
-    )
+    )  # fmt: skip
     parser.set_defaults(values=None)
-    model_options(parser, "the calibration's, or stage31")
-    log_options(parser)
+    common.model_options(parser, "the calibration's, or stage31")
+    common.log_options(parser)
 
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
     report = _planned(options) if options.plan is not None else _recorded(options)
     record = report.to_dict()
-    say(options, record, lambda: report_text(report), wrote=_written(options, report, record))
+    common.say(options, record, lambda: report_text(report), wrote=_written(options, report, record))
     return _exit_code(report)
 
 
@@ -85,13 +66,9 @@ def _recorded(options: Namespace) -> Identifiability:
         )
     if options.model or options.effect or options.machine:
         raise InputError("--model, --effect and --machine belong to --plan; a calibration has its own.")
-    known = load_fit(options.calibration, own_effects(options))
-    return identify(
-        known,
-        open_log(options, known=known),
-        profiles=options.profiles,
-        on_progress=progress_of(options),
-    )
+    known = load_fit(options.calibration, common.own_effects(options))
+    log, show = common.open_log(options, known=known), common.progress_of(options)
+    return identify(known, log, profiles=options.profiles, on_progress=show)
 
 
 def _planned(options: Namespace) -> Identifiability:
@@ -104,38 +81,30 @@ def _planned(options: Namespace) -> Identifiability:
         name = f"the example of {options.model}"
         campaign = campaign_from(own.campaign, name)
     if options.calibration is not None:
-        known = load_fit(options.calibration, own_effects(options))
-        noise = levels(campaign, known.model, {}) if campaign.noise else None
+        known = load_fit(options.calibration, common.own_effects(options))
+        noise = common.levels(campaign, known.model, {}) if campaign.noise else None
         return identify(known, campaign, noise=noise, name=name)
-    model, values = truth_of(options, read_machine(options.machine))
-    return identify(model, campaign, values=values, noise=levels(campaign, model, values), name=name)
+    model, values = common.truth_of(options, read_machine(options.machine))
+    return identify(model, campaign, values=values, noise=common.levels(campaign, model, values), name=name)
 
 
 def _written(options: Namespace, report: Identifiability, record: dict[str, Any]) -> list[Path]:
-    import json
-
     written = []
     if options.output:
-        atomic_write(options.output, json.dumps(record, indent=1, allow_nan=False) + "\n")
+        write_json(options.output, record)
         written.append(Path(options.output))
-    if options.plots:
-        from hallsym.report.figures.saving import save_figures
-        from hallsym.report.figures.sensitivity import drawable
-
-        draw = {picture.__name__: partial(picture, report) for picture in drawable(report)}
-        written += save_figures(draw, plots_place(options, report.evidence.recorded, report.model.name))
-    return written
+    draw = {picture.__name__: partial(picture, report) for picture in drawable(report)}
+    return written + common.plots(options, draw, report.evidence.recorded, report.model.name)
 
 
 def _exit_code(report: Identifiability) -> int:
     """0, or 3 with one sentence when this recording leaves something undetermined or a result is missing."""
     lost = report.evidence.uncertainty.undetermined_by_log
     if lost:
-        print(
-            f"hallsym: {report.evidence.recorded} does not determine {', '.join(lost)} of "
-            f"{report.model.name}; record runs that move what they belong to ('hallsym plan' chooses them).",
-            file=sys.stderr,
+        common.warn(
+            f"{report.evidence.recorded} does not determine {', '.join(lost)} of {report.model.name}; record "
+            "runs that move what they belong to ('hallsym plan' chooses them)."
         )
     for sentence in report.partial:
-        print(f"hallsym: {sentence}", file=sys.stderr)
+        common.warn(sentence)
     return NOT_DETERMINED if lost or report.partial else OK

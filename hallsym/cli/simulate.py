@@ -19,18 +19,15 @@ def add(sub: Any) -> None:
         "sines at 1 Hz, 2 ms clock, Table A1 deviations, noise that reproduces Table 8), or any from TOML.",
     )  # fmt: skip
     parser.add_argument(
-        "campaign",
-        metavar="TOML",
-        nargs="?",
+        "campaign", metavar="TOML", nargs="?",
         help="campaign file (default: the paper's campaign, or the example of the model's family)",
-    )
+    )  # fmt: skip
     parser.add_argument("-o", "--output", required=True, metavar="LOG", help="log to write: .parquet or .csv")
     parser.add_argument("--seed", type=seed, required=True, help="of noise and random zero deviations")
     parser.add_argument(
-        "--values",
-        metavar="JSON",
+        "--values", metavar="JSON",
         help="calibration whose values are the truth (default: published or example values)",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--noise-scale", type=float, default=1.0, help="factor on every noise level; 0 for a noise-free log"
     )
@@ -38,11 +35,9 @@ def add(sub: Any) -> None:
         "--step", type=float, metavar="S", help="clock of the paper's campaign [s] (default 0.002)"
     )
     parser.add_argument(
-        "--duration",
-        type=float,
-        metavar="S",
+        "--duration", type=float, metavar="S",
         help="length of each run of the paper's campaign [s] (default 1)",
-    )
+    )  # fmt: skip
     model_options(parser, "that of the axes moved, else stage31")
 
 

@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import FILE_OPTIONS, command, file_options, model_options, progress_of, say
+from hallsym.cli.common import FILE_OPTIONS, built, command, file_options, model_options, progress_of, say
 from hallsym.errors import InputError
 from hallsym.estimation import load_fit
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
-from hallsym.log import Meta, parse_column_option
+from hallsym.log import parse_column_option
 from hallsym.records import named
 from hallsym.report.text.sorting import matching_text, save_table, sorting_text
 from hallsym.sorting import WIDTH, Matching, Sorting, match_sensors, read_readings, sort_sensors
@@ -36,26 +36,20 @@ def add(sub: Any) -> None:
     )
     parser.add_argument("table", metavar="FILE", help="readings of the sensors: csv, parquet, hdf5 or mat")
     parser.add_argument(
-        "--bin",
-        type=float,
-        default=100 * WIDTH,
-        metavar="PERCENT",
+        "--bin", type=float, default=100 * WIDTH, metavar="PERCENT",
         help="width of a bin (default .5 %% of the gain)",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--nominal", type=float, metavar="GAIN", help="middle of bin 0 (default: the median gain)"
     )
     parser.add_argument(
-        "--repeatability",
-        type=float,
-        metavar="PERCENT",
+        "--repeatability", type=float, metavar="PERCENT",
         help="of one measurement (1 sigma); found from sensors that were measured again where not given",
-    )
+    )  # fmt: skip
     parser.add_argument(
-        "--field",
-        metavar="LIST",
+        "--field", metavar="LIST",
         help="fields of reading_0, reading_1, ..., such as 0mT,475mT, where the table has none",
-    )
+    )  # fmt: skip
     parser.add_argument("-o", "--output", metavar="FILE", help="csv: a row a sensor; json: everything")
     file_options(parser, "reading the table", "reading_mv=Hall")
     _matching_options(parser)
@@ -68,12 +62,9 @@ def _matching_options(parser: ArgumentParser) -> None:
         "--sets", type=int, metavar="N", help="how many (default: as many as there are sensors for)"
     )
     group.add_argument(
-        "--per-channel",
-        type=int,
-        default=1,
-        metavar="N",
+        "--per-channel", type=int, default=1, metavar="N",
         help="sensors summed into each channel (default 1)",
-    )
+    )  # fmt: skip
     group.add_argument("--values", metavar="JSON", help="calibration of the array (default: nominal values)")
 
 
@@ -145,17 +136,5 @@ def _matching(options: Namespace, found: Sorting) -> Matching:
             raise InputError(f"--values holds a {known.model.name}; give --model {known.model.name}.")
         model, values = known.model, named(known.model.names, known.values)
     else:
-        model = build(
-            options.model,
-            meta=machine.applied(Meta()),
-            added=tuple(options.effect),
-            parameters=machine.parameters,
-        )
-        values = None
-    return match_sensors(
-        found,
-        model,
-        sets=options.sets,
-        members=options.per_channel,
-        values=values,
-    )
+        model, values = built(options.model, machine, options.effect), None
+    return match_sensors(found, model, sets=options.sets, members=options.per_channel, values=values)

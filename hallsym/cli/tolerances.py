@@ -3,29 +3,22 @@
 from argparse import Namespace
 from typing import Any
 
-from hallsym.cli import OK
-from hallsym.cli.common import (
-    campaign_of,
-    column_ranges,
-    column_values,
-    command,
-    model_options,
-    plots_options,
-    plots_place,
-    say,
-    seed,
-)
+from hallsym.cli import OK, common
 from hallsym.errors import InputError
-from hallsym.families import build
 from hallsym.families.machine_file import read_machine
-from hallsym.log import Meta
 from hallsym.model import Model
+from hallsym.report.figures.along import errors
+from hallsym.report.text.along import errors_text
+from hallsym.report.text.tolerances import tolerances_text
 from hallsym.simulation.paper import DESIGNED
+from hallsym.uncertainty import error_model
+from hallsym.uncertainty.ranges import read_tolerances, read_value
+from hallsym.uncertainty.tolerances import tolerances
 
 
 def add(sub: Any) -> None:
     """Add the command to the parser."""
-    parser = command(
+    parser = common.command(
         sub, "tolerances", run,
         "Draw machines with every parameter in its tolerance, read them with the nominal decoder, and say\n"
         "how much of the error each tolerance makes: fall of the rms error if it is exact, Sobol\n"
@@ -50,17 +43,16 @@ def add(sub: Any) -> None:
         help="campaign over which errors count (default: the paper's campaign)",
     )  # fmt: skip
     parser.add_argument(
-        "--ranges",
-        metavar="TOML",
+        "--ranges", metavar="TOML",
         help="tolerances; if not given, the usual ones of such machines with their effects, else the "
         "model's bounds about the nominal values",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--samples", type=int, default=1024, metavar="N",
         help="base samples, a power of two (default 1024)",
     )  # fmt: skip
-    parser.add_argument("--seed", type=seed, default=0, help="of the machines drawn (default 0)")
-    plots_options(parser, "save a picture of the errors along a coordinate")
+    parser.add_argument("--seed", type=common.seed, default=0, help="of the machines drawn (default 0)")
+    common.plots_options(parser, "save a picture of the errors along a coordinate")
     parser.set_defaults(step=None, duration=None)
     group = parser.add_argument_group("known deviations")
     group.add_argument(
@@ -76,40 +68,32 @@ def add(sub: Any) -> None:
         "--at", action="append", default=[], metavar="COLUMN=VALUE",
         help="where another coordinate rests: z_mm=4.2 (repeat)",
     )  # fmt: skip
-    model_options(parser, DESIGNED)
+    common.model_options(parser, DESIGNED)
 
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
     machine = read_machine(options.machine)
-
-    def made(*effects: str) -> Model:
-        name, meta = options.model or DESIGNED, machine.applied(Meta())
-        return build(name, meta=meta, added=effects, parameters=machine.parameters)
-
-    model = made(*options.effect)
+    name = options.model or DESIGNED
+    model = common.built(name, machine, options.effect)
     if options.along:
         return _along(options, model)
-    for name in ("set", "at", "plots"):
-        if getattr(options, name):
-            raise InputError(f"--{name} is for errors along a coordinate; give --along {model.pose[0]} too.")
-    from hallsym.report.text.tolerances import tolerances_text
-    from hallsym.uncertainty.ranges import read_tolerances
-    from hallsym.uncertainty.tolerances import tolerances
-
+    for option in ("set", "at", "plots"):
+        if getattr(options, option):
+            raise InputError(
+                f"--{option} is for errors along a coordinate; give --along {model.pose[0]} too."
+            )
     if not options.effect and options.ranges is None:
-        model = made(*filter(None, model.family.tolerances))
+        model = common.built(name, machine, [e for e in model.family.tolerances if e])
     ranges = None if options.ranges is None else read_tolerances(options.ranges, model)
-    found = tolerances(model, campaign_of(options), ranges=ranges, samples=options.samples, seed=options.seed)
-    say(options, found.to_dict(), lambda: tolerances_text(found))
+    found = tolerances(
+        model, common.campaign_of(options), ranges=ranges, samples=options.samples, seed=options.seed
+    )
+    common.say(options, found.to_dict(), lambda: tolerances_text(found))
     return OK
 
 
 def _along(options: Namespace, model: Model) -> int:
-    from hallsym.report.text.along import errors_text
-    from hallsym.uncertainty import error_model
-    from hallsym.uncertainty.ranges import read_value
-
     given = {"TOML": options.campaign, "--ranges": options.ranges, "--seed": options.seed}
     given["--samples"] = options.samples != 1024
     for name in filter(given.get, given):
@@ -122,21 +106,15 @@ def _along(options: Namespace, model: Model) -> int:
         values[name] = value
     columns = (*model.pose, *model.state)
     if "=" in options.along:
-        ((column, (low, high)),) = column_ranges([options.along], columns, "--along").items()
+        ((column, (low, high)),) = common.column_ranges([options.along], columns, "--along").items()
     else:
         column, low, high = options.along, 0.0, model.period.get(options.along, 0.0)
     if not high > low:
         raise InputError(
             f"{column} does not repeat: state its range, such as --along {columns[0]}=-1e-3:1e-3."
         )
-    at = column_values(options.at, columns)
+    at = common.column_values(options.at, columns)
     found = error_model(model, values, over=(column, low, high), at=at)
-    pictures = []
-    if options.plots:
-        from hallsym.report.figures.along import errors
-        from hallsym.report.figures.saving import save_figures
-
-        place = plots_place(options, found.model.name)
-        pictures = save_figures({"errors": lambda: errors(found)}, place)
-    say(options, found.to_dict(), lambda: errors_text(found), wrote=pictures)
+    pictures = common.plots(options, {"errors": lambda: errors(found)}, found.model.name)
+    common.say(options, found.to_dict(), lambda: errors_text(found), wrote=pictures)
     return OK

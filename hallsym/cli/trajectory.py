@@ -4,16 +4,17 @@ from argparse import Namespace
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from hallsym import trajectory
 from hallsym.cli import OK
 from hallsym.cli.common import command, progress_of, say
 from hallsym.errors import InputError
+from hallsym.files import atomic_write
 from hallsym.report.tables import grid
-from hallsym.units import read_quantity
-
-if TYPE_CHECKING:
-    from hallsym.trajectory import Candidate, Choice, Curve, Nominal, Points
+from hallsym.trajectory.export import gcode, times, write_table
+from hallsym.trajectory.nominal import read_span, read_value
+from hallsym.units import read_quantity, reading_unit
 
 EPILOG = """\
 examples:
@@ -49,12 +50,9 @@ def add(sub: Any) -> None:
     group.add_argument("--curve", metavar="TEXT", help='such as "x = r*cos(t); y = r*sin(t)", in m and rad')
     group.add_argument("--range", metavar="NAME=A:B", help="parameter and its range: t=0:2*pi")
     group.add_argument(
-        "--value",
-        action="append",
-        default=[],
-        metavar="NAME=NUMBER",
+        "--value", action="append", default=[], metavar="NAME=NUMBER",
         help="a number of the curve: r=1mm (repeat)",
-    )
+    )  # fmt: skip
     group = parser.add_argument_group("method")
     group.add_argument(
         "--points", type=int, metavar="N", help="points taken from --curve (default: the fewest)"
@@ -82,9 +80,7 @@ def run(options: Namespace) -> int:
         return _saved(options)
     choice, notes = _choice(options)
     written = _write(choice.curve, options)
-    record = (
-        choice.to_dict() | _shape(choice.curve) | {"written": [str(path) for path in written], "notes": notes}
-    )
+    record = choice.to_dict() | _shape(choice.curve) | {"written": list(map(str, written)), "notes": notes}
     say(options, record, lambda: f"{choice_text(choice)}\n{_shape_text(record)}", notes=notes, wrote=written)
     return OK
 
@@ -112,19 +108,17 @@ def _check(options: Namespace) -> None:
 
 
 def _saved(options: Namespace) -> int:
-    from hallsym.trajectory import read_curve
-
     for name in ("tolerance", "control", "method"):
         if getattr(options, name):
             raise InputError(f"--{name} is for making a curve; {options.points_file} is made already.")
-    curve = read_curve(options.points_file)
+    curve = trajectory.read_curve(options.points_file)
     written = _write(curve, options)
     record, text = about_curve(curve)
-    say(options, record | {"written": [str(path) for path in written]}, lambda: text, wrote=written)
+    say(options, record | {"written": list(map(str, written))}, lambda: text, wrote=written)
     return OK
 
 
-def about_curve(curve: "Curve") -> tuple[dict[str, Any], str]:
+def about_curve(curve: trajectory.Curve) -> tuple[dict[str, Any], str]:
     """Return what a saved curve is, as a record and in words."""
     record = {
         "method": curve.method,
@@ -139,20 +133,17 @@ def about_curve(curve: "Curve") -> tuple[dict[str, Any], str]:
     return record, f"{said}\n{_shape_text(record)}"
 
 
-def _choice(options: Namespace) -> tuple["Choice", list[str]]:
+def _choice(options: Namespace) -> tuple[trajectory.Choice, list[str]]:
     """Return the curve that is chosen, and what has to be said about the file of points."""
-    from hallsym.trajectory import choose_curve, nominal, read_points
-    from hallsym.trajectory.nominal import read_span, read_value
-
-    data: Nominal | Points
+    data: trajectory.Nominal | trajectory.Points
     if options.curve:
         pairs = [read_value(text) for text in options.value]
         if len({name for name, _ in pairs}) != len(pairs):
             raise InputError("--value gives a name twice; keep one.")
-        data = nominal(options.curve, read_span(options.range), dict(pairs))
+        data = trajectory.nominal(options.curve, read_span(options.range), dict(pairs))
     else:
-        data = read_points(options.points_file)
-    choice = choose_curve(
+        data = trajectory.read_points(options.points_file)
+    choice = trajectory.choose_curve(
         data, _length(options, "tolerance"), points=options.points, control=options.control,
         method=options.method, progress=progress_of(options),
     )  # fmt: skip
@@ -164,7 +155,7 @@ def _length(options: Namespace, name: str) -> float | None:
     return read_quantity(text, f"--{name}", "m", "0.05um") if text else None
 
 
-def _write(curve: "Curve", options: Namespace) -> list[Path]:
+def _write(curve: trajectory.Curve, options: Namespace) -> list[Path]:
     """Write the outputs, none if one of them cannot be made; returns the files written."""
     paths = [Path(name) for name in options.output]
     for write in [_made(curve, path, options) for path in paths]:
@@ -172,11 +163,8 @@ def _write(curve: "Curve", options: Namespace) -> list[Path]:
     return paths
 
 
-def _made(curve: "Curve", path: Path, options: Namespace) -> Callable[[], object]:
+def _made(curve: trajectory.Curve, path: Path, options: Namespace) -> Callable[[], object]:
     """Make one output, as its suffix says; returns what writes it."""
-    from hallsym.files import atomic_write
-    from hallsym.trajectory.export import gcode, times, write_table
-
     kind = path.suffix.lower()
     if kind == ".json":
         return partial(curve.save, path)
@@ -189,7 +177,7 @@ def _made(curve: "Curve", path: Path, options: Namespace) -> Callable[[], object
     return partial(atomic_write, path, text)
 
 
-def choice_text(choice: "Choice") -> str:
+def choice_text(choice: trajectory.Choice) -> str:
     """Return the choice as a table of methods, the chosen one marked, and what it means."""
     best, limit = choice.best, choice.tolerance_m
     rows = [["", "method", "points", "control", "numbers", "max error [um]", ""]]
@@ -209,7 +197,7 @@ def choice_text(choice: "Choice") -> str:
     return "\n".join(lines)
 
 
-def _row(choice: "Choice", c: "Candidate") -> list[str]:
+def _row(choice: trajectory.Choice, c: trajectory.Candidate) -> list[str]:
     if c.curve is None:
         return ["x", c.method.name, str(c.points or "-"), "-", "-", "-", c.reason]
     mark = ">" if c is choice.best else "" if choice.meets(c) else "x"
@@ -217,15 +205,14 @@ def _row(choice: "Choice", c: "Candidate") -> list[str]:
     return [mark, c.method.name, *map(str, numbers), f"{1e6 * c.error_m:.4g}", ""]
 
 
-def _shape(curve: "Curve") -> dict[str, Any]:
+def _shape(curve: trajectory.Curve) -> dict[str, Any]:
     return {"length_m": curve.length(), "extent": {name: list(ends) for name, ends in curve.extent().items()}}
 
 
 def _shape_text(record: dict[str, Any]) -> str:
-    units = {"m": (1e3, "mm"), "rad": (1e6, "urad")}
     parts = [f"length of path {1e3 * record['length_m']:.6g} mm"]
     for name, (low, high) in record["extent"].items():
-        stem, _, unit = name.rpartition("_")
-        factor, shown = units[unit]
-        parts.append(f"{stem} {factor * low:.6g} .. {factor * high:.6g} {shown}")
+        stem, _, si = name.rpartition("_")
+        factor, unit = (1e3, "mm") if si == "m" else reading_unit(si)
+        parts.append(f"{stem} {factor * low:.6g} .. {factor * high:.6g} {unit}")
     return "; ".join(parts)

@@ -187,8 +187,7 @@ class Backend(ABC):
         return pose, status.astype(np.uint32) | flags.astype(np.uint32)
 
     def hashed_step(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return pose (n_pose, s) and status (s,) of numbered samples, as the hash of the self-test takes
-        them."""
+        """Return pose (n_pose, s) and status (s,) of numbered samples, as the self-test hashes them."""
         return self.step(self.sample(numbers))
 
     def hash(self, count: int) -> int:

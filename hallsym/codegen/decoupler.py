@@ -94,8 +94,7 @@ ENOUGH = 2e-11
 
 TRIED = 100_000
 FLAG_BITS = 31
-"""Bits of the status of a step: of inputs from below, of flags from above; the last one is of a refused
-zero."""
+"""Bits of the status of a step: inputs from below, flags from above; the last is of a refused zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,8 +245,7 @@ class Decoupler:
 
     @property
     def tried(self) -> int:
-        """Random inputs that errors are met over, where nothing else is said: fewer through an iterated
-        model."""
+        """Random inputs that errors are met over, unless stated: fewer through an iterated model."""
         return TRIED if self.drawn is None else TRIED // 10
 
     def left(self, column: str) -> float:
@@ -285,11 +283,12 @@ class Decoupler:
         """Each step as an expression of inputs, table and zeros."""
         done: dict[str, ca.SX] = {}
         for step in self.steps:
-            if isinstance(step, Lookup):
-                continue  # its symbol stays: a number that is looked up
-            earlier = {n: (self.symbols[n], e) for n, e in done.items() if n in self.symbols}
-            made = _replaced(step.expression, earlier)
-            done[step.name] = _whole(step, made)
+            if not isinstance(step, Lookup):  # its symbol stays: a number that is looked up
+                made, known = step.expression, [n for n in done if n in self.symbols]
+                if known:
+                    earlier = ca.vertcat(*(self.symbols[n] for n in known))
+                    made = ca.substitute(made, earlier, ca.vertcat(*(done[n] for n in known)))
+                done[step.name] = _whole(step, made, ca.floor)
         return done
 
     def raised(self, seen: np.ndarray, dtype: type = float) -> np.ndarray:
@@ -311,22 +310,14 @@ def flag_bit(k: int) -> int:
     return 1 << (FLAG_BITS - 1 - k)
 
 
-def _whole(step: Step, value: ca.SX) -> ca.SX:
+def _whole(step: Step, value: Any, floor: Callable[[Any], Any]) -> Any:
     """Return what a step makes of its value: integers where it holds bits, exact in any type."""
     if isinstance(step, Whole):
-        return ca.floor(value)
+        return floor(value)
     if isinstance(step, Bits):
-        upper = ca.floor(value * 2.0**-step.first)
+        upper = floor(value * 2.0**-step.first)
         return value - upper * 2.0**step.first if step.below else upper
     return value
-
-
-def _replaced(expression: ca.SX, pairs: Mapping[str, tuple[ca.SX, ca.SX]]) -> ca.SX:
-    if not pairs:
-        return expression
-    return ca.substitute(
-        expression, ca.vertcat(*(a for a, _ in pairs.values())), ca.vertcat(*(b for _, b in pairs.values()))
-    )
 
 
 Values = Mapping[str, float | tuple[float, float]]
@@ -422,10 +413,9 @@ def steps_on_arrays(d: Decoupler, real: type = float) -> Callable[..., list[np.n
         for step, found in graphs:
             values[step.name] = of_step(step, found, computed(found, values, real), real)
         shape = np.broadcast_shapes(*(np.shape(row) for row in inputs))
-        groups = (results, [flag.step for flag in d.flags])
         return [
             np.array([np.broadcast_to(values[name], shape) for name in group], dtype=real)
-            for group in groups
+            for group in (results, [flag.step for flag in d.flags])
             if group
         ]
 
@@ -448,12 +438,7 @@ def computed(found: Graph, values: Mapping[str, Any], real: type = float) -> lis
 def of_step(step: Step, found: Graph, made: Sequence[Any], real: type = float) -> Any:
     """Return what a step makes of the values of its graph; whole numbers and bits are exact in any type."""
     value = made[found.results[0]]
-    if isinstance(step, Whole):
-        return np.floor(value)
-    if isinstance(step, Bits):
-        upper = np.floor(value * 2.0**-step.first)
-        return value - upper * 2.0**step.first if step.below else upper
     if isinstance(step, Lookup):
         entries: np.ndarray = np.array(step.array.values, dtype=real)
         return entries[(value.astype(np.int64) + step.ahead) % len(entries)]
-    return value
+    return _whole(step, value, np.floor)

@@ -5,9 +5,10 @@ limit must be found good.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from math import prod
 
 from hallsym.codegen.bounds import LEAST_GAIN
-from hallsym.codegen.decoupler import Decoupler, Margin, short
+from hallsym.codegen.decoupler import Decoupler, short
 
 JUST = 0.02
 """How far a tried value lies on either side of a limit, relative: far above the rounding of the check."""
@@ -73,40 +74,20 @@ def of_margins(d: Decoupler, reach: Mapping[str, float], write: Setter) -> Itera
     """Gains that the range of an input brings near zero, term by term and together."""
     values = {e.name: e.value for e in d.entries}
     for margin in d.margins:
-        rest, terms = values[margin.rest], {e: _reach(columns, reach) for e, columns in margin.terms}
+        rest, terms = values[margin.rest], {e: prod(reach[c] for c in own) for e, own in margin.terms}
         none = [write(entry, 0.0) for entry in terms]
         for sign in (1.0, -1.0):
             yield from expect([*none, write(margin.rest, sign * rest)])
         yield from expect([*none, write(margin.rest, 0.0)], "DECOUPLER_BAD_GAIN")
         terms = {entry: most for entry, most in terms.items() if most > 0}
         for share, faults in ((1 - JUST, "0U"), (1 + JUST, "DECOUPLER_BAD_GAIN")):
-            for entry, most in terms.items():
-                for sign in (1.0, -1.0):
-                    yield from _near(margin, {entry: sign * share / most}, none, rest, write, faults)
-            together = {entry: share / most / len(terms) for entry, most in terms.items()}
-            if len(terms) > 1:
-                yield from _near(margin, together, none, rest, write, faults)
-
-
-def _near(
-    margin: Margin,
-    shares: Mapping[str, float],
-    none: Sequence[str | None],
-    rest: float,
-    write: Setter,
-    faults: str,
-) -> list[str]:
-    """Terms in units of what the gain at rest leaves; that gain is lowered until integers hold them."""
-    for lowered in (1.0, 0.125, 0.125**2, 0.125**3):
-        own = rest * lowered
-        found = [write(entry, (1 - LEAST_GAIN) * abs(own) * share) for entry, share in shares.items()]
-        if None not in found:
-            return expect([*none, write(margin.rest, own), *found], faults)
-    return []
-
-
-def _reach(columns: Sequence[str], reach: Mapping[str, float]) -> float:
-    out = 1.0
-    for column in columns:
-        out *= reach[column]
-    return out
+            alone = [{entry: sign * share / most} for entry, most in terms.items() for sign in (1.0, -1.0)]
+            together = [{entry: share / most / len(terms) for entry, most in terms.items()}]
+            for shares in (*alone, *(together if len(terms) > 1 else ())):
+                # terms in units of what the gain at rest leaves, which is lowered until integers hold them
+                for own in (rest, rest * 0.125, rest * 0.125**2, rest * 0.125**3):
+                    most = (1 - LEAST_GAIN) * abs(own)
+                    found = [write(entry, most * part) for entry, part in shares.items()]
+                    if None not in found:
+                        yield from expect([*none, write(margin.rest, own), *found], faults)
+                        break

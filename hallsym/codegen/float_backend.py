@@ -155,12 +155,8 @@ class FloatBackend(Backend):
     def hold(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """By the bits of its size where a range is symmetric: NaN goes to the end of its sign."""
         held, status = super().hold(inputs)
-        below = np.isnan(inputs) & np.signbit(inputs) & self._symmetric
-        return np.where(below, self.ends[0], held), status
-
-    @cached_property
-    def _symmetric(self) -> np.ndarray:
-        return np.array([[self.decoupler.box.symmetric(c)] for c in self.decoupler.inputs])
+        symmetric = np.array([[self.decoupler.box.symmetric(c)] for c in self.decoupler.inputs])
+        return np.where(np.isnan(inputs) & np.signbit(inputs) & symmetric, self.ends[0], held), status
 
     def run(self, held: np.ndarray, zeros: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Operation by operation; `zeros` (n_pose, s) in place of those of the table."""
@@ -315,7 +311,9 @@ class FloatBackend(Backend):
             "gain": [
                 {"column": commented(c), "share": f"{v:.4f}"} for c, v in self.bounds.least_gain.items()
             ],
-            "arithmetic": self._arithmetic(),
+            "arithmetic": [f"    {s.name} = {s.expression}" for s in d.steps]
+            if len(d.steps) <= MOST_STEPS
+            else [f"    {len(d.steps)} steps, see src/decoupler.c"],
             "operations": work.operations,
             "moves": work.moves,
             "instructions": work.instructions,
@@ -332,12 +330,6 @@ class FloatBackend(Backend):
 
     def _if_jacobian(self, fragment: str, fields: Mapping[str, Any] | None = None) -> list[str]:
         return lines_of(FRAGMENTS + fragment, fields or {}) if self.jacobian else []
-
-    def _arithmetic(self) -> list[str]:
-        steps = self.decoupler.steps
-        if len(steps) > MOST_STEPS:
-            return [f"    {len(steps)} steps, see src/decoupler.c"]
-        return [f"    {s.name} = {s.expression}" for s in steps]
 
     # -- header, step, check -------------------------------------------------------------------------------
 

@@ -37,7 +37,7 @@ def write_folder(folder: Path, files: Files, *, force: bool = False, name: str =
         raise InputError(f"Output {quoted(folder)} must be a folder; it is a file.")
     if not folder.is_dir() or not any(folder.iterdir()):
         check_output(folder)
-        _replace(folder, files, _manifest(_digests(files), name))
+        _replace(folder, files, name)
         return
     listed = _listed(folder)
     if not listed:
@@ -52,7 +52,7 @@ def write_folder(folder: Path, files: Files, *, force: bool = False, name: str =
             "generated files, or --params-only to replace the parameters alone."
         )
     _check_ours(folder, listed, {*files, *listed})
-    _replace(folder, files, _manifest(_digests(files), name))
+    _replace(folder, files, name)
     for old in set(listed) - set(files):
         (folder / old).unlink(missing_ok=True)
     _forget_proof(folder)
@@ -63,7 +63,11 @@ def replace_params(folder: Path, files: Files, layout: int, name: str = PREFIX) 
 
     Raises `InputError` if its code needs another layout.
     """
-    header, listed = _header(folder), _listed(folder)
+    headers, listed = sorted((folder / "include").glob("*.h")), _listed(folder)
+    try:
+        header = headers[0].read_text(encoding="utf-8", errors="replace") if headers else ""
+    except OSError as error:
+        raise InputError(f"Cannot read {quoted(headers[0])}: {reason(error)}.") from None
     if not listed:
         raise InputError(
             f"--params-only replaces the parameters of a generated folder; {quoted(folder)} has no "
@@ -81,16 +85,8 @@ def replace_params(folder: Path, files: Files, layout: int, name: str = PREFIX) 
             "options differ); generate the folder again with --force."
         )
     _check_ours(folder, listed, files)
-    _replace(folder, files, _manifest({**listed, **_digests(files)}, name))
+    _replace(folder, files, name, listed)
     _forget_proof(folder)
-
-
-def _header(folder: Path) -> str:
-    headers = sorted((folder / "include").glob("*.h"))
-    try:
-        return headers[0].read_text(encoding="utf-8", errors="replace") if headers else ""
-    except OSError as error:
-        raise InputError(f"Cannot read {quoted(headers[0])}: {reason(error)}.") from None
 
 
 def record_of(folder: Path) -> Mapping[str, Any]:
@@ -115,15 +111,6 @@ def entries_of(record: Mapping[str, Any]) -> list[str]:
 
 
 # -- the manifest ------------------------------------------------------------------------------------------
-
-
-def _digests(files: Files) -> dict[str, str]:
-    return {name: sha256(_bytes(content)).hexdigest() for name, content in files.items()}
-
-
-def _manifest(digests: Mapping[str, str], name: str) -> str:
-    about = f"{MARK}; what is not listed here, or has another SHA-256, is never replaced or removed."
-    return json.dumps({"about": about, "name": name, "files": dict(sorted(digests.items()))}, indent=1) + "\n"
 
 
 def _record(path: Path) -> Mapping[str, Any]:
@@ -174,20 +161,21 @@ def _check_ours(folder: Path, listed: Mapping[str, str], names: Collection[str])
 # -- files -------------------------------------------------------------------------------------------------
 
 
-def _bytes(content: str | bytes) -> bytes:
-    return content.encode() if isinstance(content, str) else content
-
-
-def _replace(folder: Path, files: Files, manifest: str) -> None:
-    """Replace files and the manifest once every one of them is written beside its place."""
+def _replace(folder: Path, files: Files, name: str, listed: Mapping[str, str] | None = None) -> None:
+    """Replace files and the manifest, which keeps what is `listed`, once all stand beside their place."""
+    content = {path: text.encode() if isinstance(text, str) else text for path, text in files.items()}
+    digests = {**(listed or {}), **{path: sha256(data).hexdigest() for path, data in content.items()}}
+    about = f"{MARK}; what is not listed here, or has another SHA-256, is never replaced or removed."
+    record = {"about": about, "name": name, "files": dict(sorted(digests.items()))}
+    content[MANIFEST] = f"{json.dumps(record, indent=1)}\n".encode()
     with ExitStack() as stack:
-        for name, content in {**files, MANIFEST: manifest}.items():
-            path = folder / name
+        for place, data in content.items():
+            path = folder / place
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise InputError(f"Cannot write {quoted(path)}: {reason(error)}.") from error
-            stack.enter_context(replacing(path)).write_bytes(_bytes(content))
+            stack.enter_context(replacing(path)).write_bytes(data)
 
 
 def _forget_proof(folder: Path) -> None:

@@ -174,7 +174,12 @@ def _floats(
     record = {**record, **_recorded({**found.options, **variant}, given)}
     backend = FloatBackend(found, record, real, jacobian)
     check_gains(backend.bounds)
-    check_bounds(found, backend.bounds)
+    for column, error in backend.bounds.error.items():
+        if not np.isfinite(error):  # what could grow beyond all bounds somewhere in the box
+            raise InputError(
+                f"Nothing bounds the generated {column} of model {found.model.name} over the whole box: its "
+                "iterations spread too far; give a smaller box with --range."
+            )
     check_same(found)
     return backend
 
@@ -303,16 +308,6 @@ def check_same(d: Decoupler) -> None:
             raise InputError(
                 f"The generated {column} differs by {error:.3g} from model {d.model.name}: its readings are "
                 "no polynomial of pose and state times a gain, and C cannot be generated for it."
-            )
-
-
-def check_bounds(d: Decoupler, found: Bounds) -> None:
-    """Refuse what could grow beyond all bounds somewhere in the box."""
-    for column, error in found.error.items():
-        if not np.isfinite(error):
-            raise InputError(
-                f"Nothing bounds the generated {column} of model {d.model.name} over the whole box: its "
-                "iterations spread too far; give a smaller box with --range."
             )
 
 

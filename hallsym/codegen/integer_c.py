@@ -205,8 +205,7 @@ class Program:
     bounds: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     """Least and greatest exact value and error [SI], by pose column."""
     plan: list[int] = field(default_factory=list)
-    """Exponents and counts of steps in the order in which they were chosen: given again, they make the same
-    code."""
+    """Exponents and counts of steps as they were chosen: given again, they make the same code."""
     reciprocals: list[Reciprocal] = field(default_factory=list)
     angles: frozenset[str] = frozenset()
     """Columns that are binary angles: 2^32 to a turn, unsigned."""
@@ -431,22 +430,21 @@ class Compiler:
     def _step(self, step: Step, known: Mapping[str, Fixed]) -> Fixed:
         found = graph([step.expression])
         made: list[Fixed] = []
-        for operation in found.operations:
-            if operation.op == "input":
-                made.append(known[operation.symbol])
-                continue
-            made.append(self._operation(operation, [made[k] for k in operation.args]))
+        for o in found.operations:
+            given = o.op == "input"
+            made.append(known[o.symbol] if given else self._operation(o, [made[k] for k in o.args]))
         return made[found.results[0]]
 
     def _operation(self, operation: Operation, args: Sequence[Fixed]) -> Fixed:
-        if operation.op == "mul":
-            return self._mul(*args)
-        if operation.op == "sq":
-            return self._mul(args[0], args[0])
+        if operation.op in ("mul", "sq"):
+            return self._mul(args[0], args[-1])
         if operation.op in ("add", "sub"):
             return self._add(args[0], args[1], minus=operation.op == "sub")
         if operation.op == "div":
-            return self._divide(*args)
+            a, b = args
+            if b.low - b.error <= 0 <= b.high + b.error:
+                raise InputError("A gain crosses zero within the box; give a smaller one with --range.")
+            return self._grown(self._mul(a, self._reciprocal(b)))
         raise InputError(f"Operation {operation.op} of the model has no integer form; use float.")
 
     def _line(self, operation: str, a: str, b: str = "", i: int = 0, j: int = 0) -> str:
@@ -481,11 +479,6 @@ class Compiler:
         name = self._line("sub" if minus else "add", a.text, b.text, a.e - e, b.e - e)
         return self._checked(Fixed(name, e, low, high, error))
 
-    def _divide(self, a: Fixed, b: Fixed) -> Fixed:
-        if b.low - b.error <= 0 <= b.high + b.error:
-            raise InputError("A gain crosses zero within the box; give a smaller one with --range.")
-        return self._grown(self._mul(a, self._reciprocal(b)))
-
     def _reciprocal(self, b: Fixed) -> Fixed:
         """1 / b: the line c0 - c1 b that is nearest over its range, then r += r (1 - b r) until it settles.
 
@@ -501,7 +494,7 @@ class Compiler:
         divisor = Fixed(b.text, b.e, low, high)
         line = self._add(c0, self._mul(c1, divisor), minus=True)
         off = max(abs(level - slope * v - 1 / v) for v in (low, middle, high)) + line.error
-        r = self._grown(Fixed(line.text, line.e, *_between(1 / low, 1 / high), off))
+        r = self._grown(Fixed(line.text, line.e, *sorted((1 / low, 1 / high)), off))
         place, steps = len(self.p.plan), self._chosen(lambda: MOST_STEPS)
         for n in range(1, steps + 1):
             r, squared = self._newton(divisor, r)
@@ -518,7 +511,7 @@ class Compiler:
         given = Fixed(b.text, b.e, b.low - b.error, b.high + b.error)
         self.p.reciprocals.append(Reciprocal(given, r, first, len(self.p.lines)))
         least = min(abs(given.low), abs(given.high))
-        return Fixed(r.text, r.e, *_between(1 / b.low, 1 / b.high), r.error + b.error / least**2)
+        return Fixed(r.text, r.e, *sorted((1 / b.low, 1 / b.high)), r.error + b.error / least**2)
 
     def _varied(self, b: Fixed) -> tuple[float, float, float]:
         """Return the range of a divisor, a wider one where a plan is made, and what may be left then."""
@@ -556,7 +549,3 @@ class Compiler:
         if n <= 0:
             return self._checked(v)
         return self._checked(Fixed(self._line("left", v.text, i=n), v.e + n, v.low, v.high, v.error))
-
-
-def _between(a: float, b: float) -> tuple[float, float]:
-    return min(a, b), max(a, b)

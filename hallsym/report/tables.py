@@ -1,8 +1,8 @@
 """What every text is made of: aligned tables, values with their uncertainty, rows of errors."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import zip_longest
+from itertools import chain, zip_longest
 from textwrap import fill, wrap
 
 import numpy as np
@@ -21,45 +21,42 @@ def grid(rows: Sequence[Sequence[str]], *, left: int = 1, rule_after: int = 1, w
     `words`: the last column is prose, outside the rule. A table that is wider than the terminal has folded
     headers, then folded words or words below it, then its columns in blocks, one below the other.
     """
-    table = _Table([list(row) for row in rows], left, rule_after, words)
-    limit = columns()
-    return "\n".join(table.lines(limit) if limit and sum(table.natural()) > limit else table.plain())
+    table, limit = _Table(rows, left, rule_after, words), columns()
+    fits = limit is None or _width(table.natural) <= limit
+    return "\n".join(table.drawn(table.natural) if fits else table.lines(limit or 0))
 
 
 @dataclass(frozen=True)
 class _Table:
     """Cells of a table; `head` rows are its header."""
 
-    rows: list[list[str]]
+    rows: Sequence[Sequence[str]]
     left: int
     head: int
     words: bool
 
+    @property
     def natural(self) -> list[int]:
-        """Return the width of each column with its gap; the last one needs none."""
-        widths = [max(map(len, column)) for column in zip(*self.rows, strict=True)]
-        return [w + GAP for w in widths[:-1]] + widths[-1:]
-
-    def plain(self) -> list[str]:
-        """Return the lines of the table where its width does not matter."""
-        return self._drawn([w - GAP for w in self.natural()[:-1]] + self.natural()[-1:])
+        """The width of each column where it does not matter."""
+        return [max(map(len, column)) for column in zip(*self.rows, strict=True)]
 
     def lines(self, limit: int) -> list[str]:
         """Return the lines of the table in a width that is less than its own."""
         if not self.words:
             widths = self._widths(limit)
-            return self._drawn(widths) if widths else self._blocks(limit)
+            return self.drawn(widths) if widths else self._blocks(limit)
         numbers = _Table([row[:-1] for row in self.rows], self.left, self.head, False)
         widths = numbers._widths(limit - LEAST_WORDS - GAP)
         if widths:
-            return self._drawn([*widths, limit - sum(widths) - GAP * len(widths)])
-        return numbers._with_words_below([row[-1] for row in self.rows], limit)
+            return self.drawn([*widths, limit - sum(widths) - GAP * len(widths)])
+        named = (" ".join([*row[: self.left], row[-1]]) for row in self.rows)
+        return [*numbers.lines(limit), "", *(fill(line, limit) for line in named)]
 
     def _widths(self, limit: int) -> list[int] | None:
         """Return widths of the columns that fit, headers folded, and names where they must be; else None."""
-        natural = [max(map(len, column)) for column in zip(*self.rows, strict=True)]
+        natural = self.natural
         widths = [self._narrowest(k) for k in range(len(natural))]
-        room = limit - sum(widths) - GAP * (len(widths) - 1)
+        room = limit - _width(widths)
         if room < 0:
             return None
         for k, wanted in enumerate(natural):
@@ -69,18 +66,16 @@ class _Table:
 
     def _narrowest(self, k: int) -> int:
         """Return the least width of a column: words of its header may stand in lines of their own."""
-        header = [word for row in self.rows[: self.head] for word in row[k].split()]
-        cells = [row[k] for row in self.rows[self.head :]]
-        if k < self.left:
-            cells = [word for cell in cells for word in cell.split()]
-        return max(map(len, [*header, *cells, ""]))
+        folded = self.rows if k < self.left else self.rows[: self.head]
+        words = [word for row in folded for word in row[k].split()]
+        return max(map(len, [*words, *(row[k] for row in self.rows[len(folded) :]), ""]))
 
-    def _drawn(self, widths: Sequence[int]) -> list[str]:
-        ruled = widths[:-1] if self.words else widths
+    def drawn(self, widths: Sequence[int]) -> list[str]:
+        """Return the lines of the table whose columns have these widths."""
         lines = []
         for number, row in enumerate(self.rows):
             if number == self.head:
-                lines.append("-" * (sum(ruled) + GAP * (len(ruled) - 1)))
+                lines.append("-" * _width(widths[:-1] if self.words else widths))
             cells = [_fold(cell, width) for cell, width in zip(row, widths, strict=True)]
             for parts in zip_longest(*cells, fillvalue=""):
                 lines.append((" " * GAP).join(map(self._aligned, range(len(row)), parts, widths)).rstrip())
@@ -92,30 +87,24 @@ class _Table:
 
     def _blocks(self, limit: int) -> list[str]:
         """Return the columns in blocks, each begun by the first ones, which name the rows."""
-        left = self.left if self.left < len(self.rows[0]) else 1  # all of them: the first one names the rows
-        first = sum(self._narrowest(k) + GAP for k in range(left))
+        count = len(self.rows[0])
+        left = self.left if self.left < count else 1  # all of them: the first one names the rows
+        narrow, groups = [self._narrowest(k) for k in range(count)], [[*range(left)]]
+        for k in range(left, count):
+            if len(groups[-1]) > left and _width([narrow[j] for j in (*groups[-1], k)]) > limit:
+                groups.append([*range(left)])
+            groups[-1].append(k)
         lines: list[str] = []
-        chosen: list[int] = []
-        for k in range(left, len(self.rows[0]) + 1):
-            ended = k == len(self.rows[0])
-            used = first + sum(self._narrowest(j) + GAP for j in chosen)
-            if chosen and (ended or used + self._narrowest(k) > limit):
-                block = [[*row[:left], *(row[j] for j in chosen)] for row in self.rows]
-                part = _Table(block, left if left == self.left else len(block[0]), self.head, False)
-                lines += [
-                    "",
-                    *part._drawn(part._widths(limit) or [part._narrowest(j) for j in range(len(block[0]))]),
-                ]
-                chosen = []
-            chosen.append(k)
+        for group in groups:
+            block = [[row[j] for j in group] for row in self.rows]
+            part = _Table(block, left if left == self.left else len(group), self.head, False)
+            narrowest = [part._narrowest(j) for j in range(len(group))]
+            lines += ["", *part.drawn(part._widths(limit) or narrowest)]
         return lines[1:]
 
-    def _with_words_below(self, words: Sequence[str], limit: int) -> list[str]:
-        """Return the table, and below it the prose of each row."""
-        widths = self._widths(limit)
-        named = (" ".join([*row[: self.left], text]) for row, text in zip(self.rows, words, strict=True))
-        table = self._drawn(widths) if widths else self._blocks(limit)
-        return [*table, "", *(fill(line, limit) for line in named)]
+
+def _width(widths: Sequence[int]) -> int:
+    return sum(widths) + GAP * (len(widths) - 1)
 
 
 def _fold(cell: str, width: int) -> list[str]:
@@ -152,25 +141,26 @@ def error_rows(
     `source`: whether the noise floor is stated or estimated, where that is to be said. `turning`: coordinates
     that go round, see `hallsym.units.readable`.
     """
-    shown = [readable(c, turning) for c in pose]
-    head = ["errors", *(f"{what} {name} [{unit}]" for what in ("rmse", "peak") for _, unit, name in shown)]
-    body = [
-        [
-            label,
-            *(
-                _fixed(row[what][c] * factor)
-                for what in ("rmse", "peak")
-                for c, (factor, _, _) in zip(pose, shown, strict=True)
-            ),
-        ]
-        for label, row in rows.items()
-        if row is not None
-    ]
+    table = [["errors", *heads(pose, turning, "rmse"), *heads(pose, turning, "peak")]]
+    for label, row in rows.items():
+        if row is not None:
+            sizes = (cells([row[what][c] for c in pose], pose, turning, 4) for what in ("rmse", "peak"))
+            table.append([label, *chain(*sizes)])
     if floor:
-        noise = [_fixed(floor[c] * factor) for c, (factor, _, _) in zip(pose, shown, strict=True)]
-        body.append([f"noise floor, {source}" if source else "noise floor", *noise, *[""] * len(noise)])
-    return grid([head, *body])
+        noise = cells([floor[c] for c in pose], pose, turning, 4)
+        table.append([f"noise floor, {source}" if source else "noise floor", *noise, *[""] * len(noise)])
+    return grid(table)
 
 
-def _fixed(value: float) -> str:
-    return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.3e}"
+def heads(columns: Iterable[str], turning: Collection[str] | None = None, what: str = "") -> list[str]:
+    """Return `rmse x [um]` for each column; `turning` as in `hallsym.units.readable`."""
+    shown = (readable(c, turning) for c in columns)
+    return [f"{what} {name} [{unit}]".lstrip() for _, unit, name in shown]
+
+
+def cells(
+    values: Iterable[float], columns: Iterable[str], turning: Collection[str] | None = None, digits: int = 3
+) -> list[str]:
+    """Return values [SI], one of each column, in the units of their `heads`."""
+    pairs = zip(values, columns, strict=True)
+    return [f"{value * readable(c, turning)[0]:.{digits}g}" for value, c in pairs]

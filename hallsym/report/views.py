@@ -10,13 +10,12 @@ import numpy as np
 
 from hallsym.diagnosis import Diagnosis
 from hallsym.errors import InputError
-from hallsym.estimation import Evaluation, Fit, as_read, load_fit
+from hallsym.estimation import Evaluation, Fit, load_fit
 from hallsym.experiment import Plan
 from hallsym.fleets import Fleet
 from hallsym.inference import Identifiability
 from hallsym.log import Log, as_log
-from hallsym.report.data.survey import look_over
-from hallsym.report.figures.campaign import errors_by_setting, evaluation_figure, gap
+from hallsym.report.figures.campaign import evaluation_figure, fit_figure, gap
 from hallsym.report.figures.fleet import distributions
 from hallsym.report.figures.plan import coverage
 from hallsym.report.figures.sensitivity import effects
@@ -113,11 +112,6 @@ def _fit_table(fit: Fit) -> Table:
     }
 
 
-def _fit_figure(fit: Fit, log: Any) -> Figure:
-    seen = as_read(_log_of(fit, log, "fit.plot('log.csv')"), fit.model, fit.wiring)
-    return errors_by_setting(fit, look_over(seen, fit, fit.keep))
-
-
 def _log_of(fit: Fit, log: Any, call: str) -> Log:
     """Return the log of a fit, or another one of the same machine, under the names that the fit knows."""
     if log is None and fit.source is None:
@@ -195,7 +189,12 @@ def _budget_table(budget: Budget) -> Table:
 
 
 VIEWS: Mapping[type, View] = {
-    Fit: View(fit_text, _fit_table, _fit_figure, fit_head),
+    Fit: View(
+        fit_text,
+        _fit_table,
+        lambda fit, log: fit_figure(_log_of(fit, log, "fit.plot('log.csv')"), fit, fit.keep),
+        fit_head,
+    ),
     Evaluation: View(
         evaluation_text, _evaluation_table, lambda found, log: evaluation_figure(found), evaluation_head
     ),

@@ -5,7 +5,6 @@ Its form is a curve in an fg-Bernstein basis (Micromachines 2019, 10, 597) or a 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import comb
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, quoted
-from hallsym.files import atomic_write
+from hallsym.files import write_json
 from hallsym.reading import read_json, reading
 from hallsym.trajectory.factorisation import BASES, Basis
 
@@ -234,7 +233,7 @@ class Curve:
 
     def save(self, path: str | Path) -> None:
         """Write the curve as JSON; a file that was there is replaced only by a complete new one."""
-        atomic_write(path, json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
+        write_json(path, self.to_dict())
 
 
 def is_curve(path: str | Path) -> bool:

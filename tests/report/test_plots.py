@@ -17,7 +17,7 @@ from hallsym.log import Block, Log
 from hallsym.report.data.gather import version_of
 from hallsym.report.data.survey import COLUMNS, Survey, Trace, held_out, look_over, settings
 from hallsym.report.figures import campaign as plots
-from hallsym.report.figures.saving import Place, save_figures
+from hallsym.report.figures.saving import save_figures
 from hallsym.report.figures.style import DPI, STYLE, WIDTH
 from hallsym.report.words import name, scale
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
@@ -93,12 +93,16 @@ def test_nothing_is_drawn_beyond_the_edge(log: Log, fitted: Fit, survey: Survey)
 # -- files -----------------------------------------------------------------------------------------------
 
 
+def saved(log: Log, fitted: Fit, folder: Path) -> list[Path]:
+    return save_figures({"errors_by_setting": lambda: plots.fit_figure(log, fitted)}, folder)
+
+
 def test_pictures_are_whole_files_in_their_own_style(log: Log, fitted: Fit, tmp_path: Path) -> None:
     import matplotlib
 
     pyplot = "matplotlib.pyplot" in sys.modules
     with matplotlib.rc_context({"font.size": 17.0, "axes.facecolor": "red"}):
-        written = plots.save_pictures(log, fitted, tmp_path / "new" / "folder")
+        written = saved(log, fitted, tmp_path / "new" / "folder")
         assert matplotlib.rcParams["font.size"] == 17.0
         assert matplotlib.rcParams["axes.facecolor"] == "red"
     assert ("matplotlib.pyplot" in sys.modules) == pyplot
@@ -118,11 +122,9 @@ def test_every_kind_of_file_names_its_source_and_is_the_same_every_time(
     fitted: Fit, survey: Survey, tmp_path: Path
 ) -> None:
     for kind, start in (("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")):
-        place = Place(tmp_path, kind, "campaign/log.parquet, stage31")
-        first, again = (
-            save_figures({"errors": lambda: plots.errors_by_setting(fitted, survey)}, place)[0].read_bytes()
-            for _ in "ab"
-        )
+        draw = {"errors": lambda: plots.errors_by_setting(fitted, survey)}
+        source = "campaign/log.parquet, stage31"
+        first, again = (save_figures(draw, tmp_path, kind, source)[0].read_bytes() for _ in "ab")
         assert first.startswith(start)
         assert first == again
         assert kind != "svg" or b"campaign/log.parquet, stage31" in first
@@ -131,7 +133,7 @@ def test_every_kind_of_file_names_its_source_and_is_the_same_every_time(
 def test_a_folder_that_cannot_be_is_one_sentence(log: Log, fitted: Fit, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     with pytest.raises(InputError, match=r"^Cannot make the folder .*file.*\.$"):
-        plots.save_pictures(log, fitted, tmp_path / "file" / "pictures")
+        saved(log, fitted, tmp_path / "file" / "pictures")
     assert (tmp_path / "file").read_text() == "mine"
 
 
@@ -154,7 +156,7 @@ def test_wiring_of_the_fit_is_applied(
     monkeypatch.setattr(plots, "look_over", stop)
     wired = replace(fitted, wiring=((b, -1), (a, 1), (c, 1)))
     with pytest.raises(EnoughError):
-        plots.save_pictures(swapped, wired, tmp_path)
+        saved(swapped, wired, tmp_path)
     np.testing.assert_array_equal(seen[0].array(a), log.array(a))
     np.testing.assert_array_equal(seen[0].array(b), log.array(b))
 

@@ -101,9 +101,9 @@ def test_bars_of_effects_end_at_what_the_report_says(odd: Identifiability) -> No
             row = round(middle)
             drawn[row, 1 if middle > row else -1] = bar.get_x() + bar.get_width()
             if middle < row:
-                look = LOOKS[rows[row].verdict.word]
-                assert to_hex(bar.get_facecolor()) == look.color
-                assert (bar.get_hatch() or "") == look.hatch
+                color, hatch, *_ = LOOKS[rows[row].verdict.word]
+                assert to_hex(bar.get_facecolor()) == color
+                assert (bar.get_hatch() or "") == hatch
         assert drawn == pytest.approx(expected)
         low, high = ax.get_xlim()
         assert low < min(drawn.values()) <= max(drawn.values()) < high

@@ -15,6 +15,7 @@ from math import asin, hypot, pi, sqrt
 import casadi as ca
 import numpy as np
 
+from hallsym.codegen import integer_c
 from hallsym.codegen.decoupler import (
     Array,
     Bits,
@@ -27,19 +28,7 @@ from hallsym.codegen.decoupler import (
     Margin,
     short,
 )
-from hallsym.codegen.integer_c import (
-    DOES_NOT_FIT,
-    SPREAD,
-    UNIT,
-    AngleTable,
-    Compiler,
-    Fixed,
-    Program,
-    angle_error,
-    exponent,
-    planned,
-    steps_for,
-)
+from hallsym.codegen.integer_c import UNIT, Compiler, Fixed, Program, planned
 from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
 from hallsym.codegen.lowering.correction import (
     ROUNDED,
@@ -460,7 +449,7 @@ def program(
             "without a floating-point unit: leave out --correction series."
         )
     aim = ENOUGH_OF_INTEGERS if accuracy is None else accuracy
-    table, steps = table_of(curve, aim, correction), steps_for(aim)
+    table, steps = table_of(curve, aim, correction), integer_c.steps_for(aim)
     return planned(lambda given: _Turns(d, given, curve, weak, table, steps), plan)
 
 
@@ -523,7 +512,7 @@ class _Turns(Compiler):
             shift, left = table.constant, table.left
             values = np.roll(table.values.astype(np.int64), len(table.values) // 2)
             power = round(np.log2(table.unit / UNIT))
-            array = AngleTable("correction", values, power, table.bits)
+            array = integer_c.AngleTable("correction", values, power, table.bits)
             p.arrays["correction"] = array
             p.options["correction"] = f"{table.form}:{power}"
             error = error * (1 + table.slope) + array.error
@@ -555,7 +544,7 @@ class _Turns(Compiler):
         moves = self.table is not None or abs(shift) >= UNIT / 2
         planned = bool(self._chosen(lambda: int(moves)))
         if moves and not planned:
-            raise InputError(f"The calibration's shift of the angle {DOES_NOT_FIT}")
+            raise InputError(f"The calibration's shift of the angle {integer_c.DOES_NOT_FIT}")
         return planned
 
     def _read(self) -> tuple[str, float]:
@@ -579,8 +568,8 @@ class _Turns(Compiler):
         most = float(np.abs(self.curve.matrix).max())
         shared = self._exponent(-most, most)
         x, y = (self._row(axis, row, off, shared) for axis, row in zip("xy", self.curve.matrix, strict=True))
-        grown = SPREAD * max(x.most, y.most)
-        e = self._chosen(lambda: min(x.e, y.e, exponent(-grown, grown)))
+        grown = integer_c.SPREAD * max(x.most, y.most)
+        e = self._chosen(lambda: min(x.e, y.e, integer_c.exponent(-grown, grown)))
         self._checked(Fixed("vector", e, -grown, grown))
         x, y = self._cut(x, e), self._cut(y, e)
         field = self._add(self._mul(x, x), self._mul(y, y))
@@ -592,7 +581,7 @@ class _Turns(Compiler):
         # where the flag is clear, the vector is as long but for the rounding of its square
         length = np.sqrt(max(self.weak**2 - field.error - field.unit, 1e-9))
         moved = asin(min(1.0, hypot(x.error, y.error) / (length - hypot(x.error, y.error))))
-        cordic = angle_error(length * 2.0**e, self.steps)
+        cordic = integer_c.angle_error(length * 2.0**e, self.steps)
         p.said.append(
             f"The angle comes from {self.steps} steps of CORDIC, a loop of fixed length: off by at most "
             f"{cordic:.2g} rad where the field is not weak (proved)."

@@ -28,26 +28,10 @@ from hallsym.codegen.decoupler import (
     unit,
 )
 from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
+from hallsym.codegen.lowering import wave_steps
 from hallsym.codegen.lowering.arrays_fit import KINDS, NEGLIGIBLE, Arrays, groups_of
 from hallsym.codegen.lowering.odd_series import Odd, odd, shortest
-from hallsym.codegen.lowering.wave_steps import (
-    POLYNOMIALS,
-    SHORT,
-    Pair,
-    Powers,
-    Wave,
-    arctangent_steps,
-    height_error,
-    least_inside,
-    logarithm_steps,
-    periods_steps,
-    phasor_steps,
-    place_error,
-    ranges_of,
-    stored,
-    vector_error,
-    wave_of,
-)
+from hallsym.codegen.lowering.wave_steps import Pair, Wave, least_inside
 from hallsym.codegen.operations import TESTS, graph
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
@@ -80,7 +64,7 @@ class Rounding:
 
     def __call__(self, digits: int) -> dict[str, Enclosure]:
         """Return the enclosure of each coordinate."""
-        known = stored(self.values, digits)
+        known = wave_steps.stored(self.values, digits)
         pose = self.found.model.pose
         known |= {f"zero_{c.rpartition('_')[0]}": Enclosure(0.0, 0.0) for c in pose}
         ranges = self._ranges()
@@ -110,7 +94,7 @@ class Rounding:
         made: dict[str, Enclosure] = {}
         for wave, group, name in zip(self.waves, self.found.groups, self.names, strict=True):
             own = _of_vector(self.steps, name)
-            vector = vector_error(wave, own, self.values, digits)
+            vector = wave_steps.vector_error(wave, own, self.values, digits)
             lc = group.phasor.lc
             for (
                 step
@@ -118,9 +102,11 @@ class Rounding:
                 made[step.name] = Enclosure(-wave.outer, wave.outer, vector)
             made |= {f"{step}_{name}": Enclosure(0.0, 0.0) for step in OF_ARCTANGENT}
             made[f"log_{name}"] = Enclosure(
-                *_sides(-np.log(wave.least)), height_error(wave, vector, digits) / lc
+                *_sides(-np.log(wave.least)), wave_steps.height_error(wave, vector, digits) / lc
             )
-            made[f"phase_{name}"] = Enclosure(*_sides(np.pi), place_error(wave, vector, digits) / lc)
+            made[f"phase_{name}"] = Enclosure(
+                *_sides(np.pi), wave_steps.place_error(wave, vector, digits) / lc
+            )
         return made
 
     def _ratios(self, digits: int, ranges: Mapping[str, tuple[float, float]]) -> dict[str, Enclosure]:
@@ -130,8 +116,8 @@ class Rounding:
         u = 2.0**-digits
         made: dict[str, Enclosure] = {}
         for wave, name in zip(self.waves, self.names, strict=True):
-            vector = vector_error(wave, _of_vector(self.steps, name), self.values, digits)
-            moved[name] = vector / (wave.least * SHORT - vector)
+            vector = wave_steps.vector_error(wave, _of_vector(self.steps, name), self.values, digits)
+            moved[name] = vector / (wave.least * wave_steps.SHORT - vector)
             for kind, (power, size) in enumerate(POWERS):
                 off = wave.outer**size * (1.1 * power * moved[name] + 4 * power * u)
                 ends = wave.outer**size
@@ -151,7 +137,7 @@ class Rounding:
     def _ranges(self) -> dict[str, tuple[float, float]]:
         inputs = self.drawn(np.random.default_rng(6), POSES)
         columns = (*self.found.model.channels, *self.nears)
-        return ranges_of(self.steps, columns, inputs, self.values, self.found.model.pose)
+        return wave_steps.ranges_of(self.steps, columns, inputs, self.values, self.found.model.pose)
 
 
 def _chosen(step: Step, known: Mapping[str, Enclosure], ends: tuple[float, float], digits: int) -> Enclosure:
@@ -230,7 +216,7 @@ def _waves(found: Arrays, aim: float) -> tuple[Wave, ...]:
                 "smaller "
                 "range of rotations or heights with --range."
             )
-        out.append(wave_of(group.phasor, (float(heights.min()), float(heights.max())), aim))
+        out.append(wave_steps.wave_of(group.phasor, (float(heights.min()), float(heights.max())), aim))
     return tuple(out)
 
 
@@ -312,7 +298,7 @@ class Assembly:
     def series(self, first: int, k: int) -> Odd:
         """Return the polynomial of that angle."""
         end = np.ceil(20 * ROOMY * tan(min(self._angle(first, k), 1.4))) / 20
-        share = POLYNOMIALS * float(self.found.accuracy[0]) / self.found.groups[k].phasor.lc
+        share = wave_steps.POLYNOMIALS * float(self.found.accuracy[0]) / self.found.groups[k].phasor.lc
         series = shortest("atan", float(end), share, fewest=1)
         if series is None:
             raise InputError(
@@ -348,7 +334,7 @@ class Assembly:
         readings = {
             short(c): self.made.symbols[c] for c in (self.found.model.channels[j] for j in group.channels)
         }
-        return phasor_steps(self.made, self.waves[k], readings, f"_{name}")
+        return wave_steps.phasor_steps(self.made, self.waves[k], readings, f"_{name}")
 
     def least_inside(self) -> str:
         """The least of what the flag of the field looks at, over the arrays, each over its own least."""
@@ -388,7 +374,9 @@ class Assembly:
         made, out = self.made, []
         for axis, members in self.found.axes.items():
             first = members[0]
-            phase = arctangent_steps(made, self.waves[first], vectors[first], f"_{self.names[first]}")
+            phase = wave_steps.arctangent_steps(
+                made, self.waves[first], vectors[first], f"_{self.names[first]}"
+            )
             turns = [self.turn(first, k, vectors) for k in members[1:]]
             total = phase
             if turns and not self.unwrapped(axis):
@@ -422,7 +410,7 @@ class Assembly:
         per = made.entry(f"per_wave_{name}", 1 / (2 * pi * lc), "1/m", "periods per metre")
         center = made.entry(f"{column}_middle", float(self.found.middle[axis]), "m", "middle of the box")
         away = (made.symbols[f"{column}_near_m"] - center) - from_middle
-        number = periods_steps(made, away * per, f"_{name}", "periods to the known place")
+        number = wave_steps.periods_steps(made, away * per, f"_{name}", "periods to the known place")
         return made.step(f"along_{name}", from_middle + whole * number, "[m]")
 
     # -- the pose ------------------------------------------------------------------------------------------
@@ -545,7 +533,7 @@ class Assembly:
         key = f"kind{KINDS.index(kind)}_{name}"
         if f"{key}_re" in made.symbols:
             return made.symbols[f"{key}_re"], made.symbols[f"{key}_im"]
-        powers = Powers(made, *vectors[k], f"_of_{name}")
+        powers = wave_steps.Powers(made, *vectors[k], f"_of_{name}")
         if kind == "4":
             re, im = powers(4)
         elif kind == "-4":
@@ -653,7 +641,7 @@ class Assembly:
         """Add the steps from the readings to the linear pose; returns its displacements from the middle."""
         vectors = [self.vector(k) for k in range(len(self.waves))]
         logs = [
-            logarithm_steps(self.made, w, u, f"_{n}")
+            wave_steps.logarithm_steps(self.made, w, u, f"_{n}")
             for w, u, n in zip(self.waves, vectors, self.names, strict=True)
         ]
         self.least_inside()

@@ -27,6 +27,7 @@ from hallsym.codegen.decoupler import (
     unit,
 )
 from hallsym.codegen.intervals import TINY, Enclosure, constant
+from hallsym.codegen.lowering import travel, wave_steps
 from hallsym.codegen.lowering.arrays import FIELD, NEAR, SAFE, TILTED, TRIALS, Assembly, ends_and_leaves
 from hallsym.codegen.lowering.arrays_fit import (
     APART,
@@ -39,29 +40,8 @@ from hallsym.codegen.lowering.arrays_fit import (
 )
 from hallsym.codegen.lowering.passing import NeverEnds, Pass, Window, passes, readings
 from hallsym.codegen.lowering.phasors import HARMONICS, PLACES, TURN, WIDE, Phasor, Sample
-from hallsym.codegen.lowering.travel import (
-    COUNTS,
-    COVERED,
-    COVERS_SEEN,
-    MARGINS,
-    MICRON,
-    NO_COVER,
-    RAMP,
-    least_cover,
-    next_to,
-    place_steps,
-    smooth_weight,
-    weights,
-)
-from hallsym.codegen.lowering.wave_steps import (
-    AXES,
-    Pair,
-    Powers,
-    least_inside,
-    logarithm_steps,
-    power,
-    wave_of,
-)
+from hallsym.codegen.lowering.travel import weights
+from hallsym.codegen.lowering.wave_steps import Pair, wave_of
 from hallsym.codegen.operations import Graph, Operation, graph
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
@@ -130,7 +110,11 @@ class Mover(Reference):
         share = np.max(
             [np.abs(r.factor).max(axis=0) / np.abs(r.factor[:, 0]).max() for r in self.rows], axis=0
         )
-        return tuple(n for n in range(2, HARMONICS + 1) if (share * reach)[n - 1] > COUNTS * MICRON / self.lc)
+        return tuple(
+            n
+            for n in range(2, HARMONICS + 1)
+            if (share * reach)[n - 1] > travel.COUNTS * travel.MICRON / self.lc
+        )
 
     @property
     def plain(self) -> Phasor:
@@ -166,7 +150,7 @@ class Mover(Reference):
         for axis, members in self.axes.items():
             rows = [self.rows[k] for k in members]
             alike = sum((row.factor[:, :1].conj() * r[list(row.channels)]).sum(axis=0) for row in rows)
-            out.append(next_to(self.lc, near[axis], np.asarray(alike)))
+            out.append(travel.next_to(self.lc, near[axis], np.asarray(alike)))
         return np.array(out)
 
     def weights(self, row: Row, x: np.ndarray) -> np.ndarray:
@@ -192,11 +176,11 @@ class Mover(Reference):
                     v = v - (row.factor[:, n - 1 : n] * before[1][k] ** n).real * lifted**n
             rows = row.design()[:, :, None] * lifted
             normal = np.einsum("iks,jks,ks->sij", rows, rows, w)
-            low = np.linalg.det(normal) < NO_COVER
+            low = np.linalg.det(normal) < travel.NO_COVER
             both = np.einsum("iks,ks,ks->si", rows, w, v)
             re, im = np.einsum("sij,sj->is", np.linalg.inv(normal + np.eye(2) * low[:, None, None]), both)
             u = re + 1j * im
-            place = next_to(self.lc, first[row.axis], u)
+            place = travel.next_to(self.lc, first[row.axis], u)
             out.append(place)
             heights.append(self.rising * self.lc * np.log(np.abs(u)))
             phasors.append(u)
@@ -407,7 +391,7 @@ def decoupler(
 def _best(found: Mover) -> Mover:
     """Return the mover with the margin that leaves least of ends and noise; harmonics where they count."""
     tried: list[tuple[float, int, Mover]] = []
-    for margin in MARGINS:
+    for margin in travel.MARGINS:
         for plainly in (True, False):
             one = replace(found, margin=margin, plainly=plainly)
             if 2 * margin * one.wavelength < min(r.length for r in one.rows) - one.wavelength:
@@ -450,7 +434,7 @@ class _Assembly(Assembly):
         made.entry("lc", found.lc, "m", "wavelength over 2 pi")
         made.entry("wavelength", found.wavelength, "m", "wavelength")
         made.entry("per_wave", 1 / found.wavelength, "1/m", "periods per metre")
-        least_inside(made, self.waves[:1])
+        wave_steps.least_inside(made, self.waves[:1])
         self.at = {axis: self._first(axis, members) for axis, members in found.axes.items()}
         for row, name in zip(found.rows, self.names, strict=True):
             self._weights(row, name)
@@ -478,12 +462,12 @@ class _Assembly(Assembly):
         u = self.made.total(f"cos_all_{column}", cos, "all alike"), self.made.total(f"sin_all_{column}", sin)
         made.entry(f"{column}_middle", float(self.found.middle[axis]), "m", "middle of the box")
         near = made.symbols[f"{column}_near_m" if self.wide(axis) else f"{column}_middle"]
-        return place_steps(made, self.waves[0], u, near, f"_{column}")
+        return travel.place_steps(made, self.waves[0], u, near, f"_{column}")
 
     def _weights(self, row: Row, tag: str) -> None:
         """Weight of each sensor: 1 well under the array, 0 beyond, smooth."""
         made, found = self.made, self.found
-        ramp = RAMP * found.wavelength
+        ramp = travel.RAMP * found.wavelength
         half = row.length / 2 - found.margin * found.wavelength
         start = made.entry(
             f"depth_{tag}", half / ramp, "1", "half of what counts of the array, over the ramp"
@@ -495,7 +479,7 @@ class _Assembly(Assembly):
             at = made.entry(f"at_{name}", float(place), "m", f"place at which the array is over {name}")
             beside = made.step(f"beside_{name}", self.at[row.axis] - at, "[m] of the middle of the array")
             depth = made.step(f"deep_{name}", start - ca.fabs(beside) * rate)
-            smooth_weight(made, depth, name)
+            travel.smooth_weight(made, depth, name)
 
     def _solved(self, tag: str, turns: dict[int, ca.SX] | None = None) -> dict[str, ca.SX]:
         """Place from the middle and logarithm of each row by label; `turns`: rotations to be taken out."""
@@ -503,8 +487,8 @@ class _Assembly(Assembly):
         for k, (row, name) in enumerate(zip(found.rows, self.names, strict=True)):
             turn = None if turns is None else turns[found.tilt_of(row)]
             u = self._vector(row, name, tag, turn)
-            log = logarithm_steps(made, self.waves[k], u, f"_{name}{tag}")
-            place = place_steps(made, self.waves[0], u, self.at[row.axis], f"_{name}{tag}")
+            log = wave_steps.logarithm_steps(made, self.waves[k], u, f"_{name}{tag}")
+            place = travel.place_steps(made, self.waves[0], u, self.at[row.axis], f"_{name}{tag}")
             middle = made.symbols[f"{short(found.model.pose[row.axis])}_middle"]
             places[f"along_{name}"] = made.step(f"along_{name}{tag}", place - middle, "[m] from the middle")
             logs[f"deep_{name}"] = log
@@ -560,8 +544,8 @@ class _Assembly(Assembly):
         made = self.made
         if "longest" not in made.symbols:
             made.entry("longest", 2.0 * self.waves[0].outer, "1", "most of a phasor")
-        raw = [made.step(f"raw_{a}_{tag}", v * per) for a, v in zip(AXES, wide, strict=True)]
-        u = [self._held_part(v, f"{a}_{tag}") for a, v in zip(AXES, raw, strict=True)]
+        raw = [made.step(f"raw_{a}_{tag}", v * per) for a, v in zip(wave_steps.AXES, wide, strict=True)]
+        u = [self._held_part(v, f"{a}_{tag}") for a, v in zip(wave_steps.AXES, raw, strict=True)]
         return u[0], u[1]
 
     def _held_part(self, v: ca.SX, name: str) -> ca.SX:
@@ -574,8 +558,8 @@ class _Assembly(Assembly):
     ) -> list[ca.SX]:
         """Readings without the higher harmonics that the first solution says."""
         made, out = self.made, list(field)
-        cos, sin = (made.symbols[f"held_{axis}_{name}_first"] for axis in AXES)
-        powers = Powers(made, cos, sin, f"_{name}_first")
+        cos, sin = (made.symbols[f"held_{axis}_{name}_first"] for axis in wave_steps.AXES)
+        powers = wave_steps.Powers(made, cos, sin, f"_{name}_first")
         known = [{1: v} for v in lifted]
         for n in self.found.harmonics:
             re, im = powers(n)
@@ -585,16 +569,16 @@ class _Assembly(Assembly):
                     made.entry(f"{part}_{n}_{sensor}", design[j, k], "V", f"read by {sensor} of {part} {n}")
                     for j, part in enumerate(("cos", "sin"))
                 )
-                strong = power(made, known[k], n, f"lifted_{sensor}")
+                strong = wave_steps.power(made, known[k], n, f"lifted_{sensor}")
                 out[k] = made.step(f"left_{n}_{sensor}", out[k] - (a * re + b * im) * strong)
         return out
 
     @cached_property
     def _least_covers(self) -> dict[str, float]:
         """By row: determinant of the normal matrix [V4], at least without a flag."""
-        pose, out = self.found.poses(np.random.default_rng(3), COVERS_SEEN), {}
+        pose, out = self.found.poses(np.random.default_rng(3), travel.COVERS_SEEN), {}
         for row, name in zip(self.found.rows, self.names, strict=True):
-            out[name] = least_cover(self.found.weights(row, pose[row.axis]), *row.design())
+            out[name] = travel.least_cover(self.found.weights(row, pose[row.axis]), *row.design())
         return out
 
     # -- the linear pose -----------------------------------------------------------------------------------
@@ -645,7 +629,7 @@ class _Assembly(Assembly):
         return (
             Flag("FIELD", f"least_to_{last}", "least_inside", FIELD),
             Flag("TILT", "turns", "least_turns", TILTED),
-            Flag("COVER", f"cover_to_{last}", "least_cover", COVERED),
+            Flag("COVER", f"cover_to_{last}", "least_cover", travel.COVERED),
         )
 
     def bounded(self, values: Values, nears: tuple[str, ...]) -> Callable[[int], Mapping[str, Enclosure]]:

@@ -17,22 +17,10 @@ import numpy as np
 
 from hallsym.codegen.decoupler import Box, Collected, Decoupler, Flag, Margin, Step, Values, short, unit
 from hallsym.codegen.intervals import Enclosure, constant, half_ulp
+from hallsym.codegen.lowering import wave_steps
 from hallsym.codegen.lowering.passing import passes
 from hallsym.codegen.lowering.phasors import HARMONICS, Phasor, Sample
-from hallsym.codegen.lowering.wave_steps import (
-    AXES,
-    Pair,
-    Powers,
-    Wave,
-    arctangent_steps,
-    height_error,
-    least_inside,
-    logarithm_steps,
-    periods_steps,
-    place_error,
-    ranges_of,
-    wave_of,
-)
+from hallsym.codegen.lowering.wave_steps import Pair, Wave
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
@@ -227,7 +215,7 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box, accurac
     The first pose coordinate is along the wave, the second its height.
     """
     row = row_of(model, np.asarray(p, dtype=float), weight, box)
-    wave = wave_of(row.plain, box.ends[model.pose[1]], accuracy)
+    wave = wave_steps.wave_of(row.plain, box.ends[model.pose[1]], accuracy)
     best = min((_Tried(row, wave, margin, accuracy) for margin in MARGINS), key=lambda t: t.size)
     if not best.resolved:
         raise InputError(
@@ -332,12 +320,12 @@ class _Assembly:
         self.lc = made.entry("lc", row.lc, "m", "wavelength over 2 pi")
         made.entry("wavelength", row.wavelength, "m", "wavelength")
         made.entry("per_wave", 1 / row.wavelength, "1/m", "periods per metre")
-        least_inside(made, (self.wave,))
+        wave_steps.least_inside(made, (self.wave,))
         self._table()
         everything = self._all()
         x = place_steps(made, self.wave, everything, self._middle(), "_first")
         u = self._vector(self._weights(x))
-        log = logarithm_steps(made, self.wave, u)
+        log = wave_steps.logarithm_steps(made, self.wave, u)
         place = place_steps(made, self.wave, u, x)
         along, height = row.model.pose
         middle = made.entry("middle", float(row.middle[1]), "m", f"{height} at which the phasor is 1")
@@ -427,25 +415,27 @@ class _Assembly:
 
         def held(wide: Pair, tag: str) -> Pair:
             """The phasor, no longer than any of the box is."""
-            re, im = (made.step(f"raw_{a}{tag}", v * per) for a, v in zip(AXES, wide, strict=True))
+            re, im = (made.step(f"raw_{a}{tag}", v * per) for a, v in zip(wave_steps.AXES, wide, strict=True))
             low = [
                 made.step(f"held_{a}_low{tag}", ca.if_else(v > -most, v, -most))
-                for a, v in zip(AXES, (re, im), strict=True)
+                for a, v in zip(wave_steps.AXES, (re, im), strict=True)
             ]
             re, im = (
                 made.step(f"held_{a}{tag}", ca.if_else(v < most, v, most))
-                for a, v in zip(AXES, low, strict=True)
+                for a, v in zip(wave_steps.AXES, low, strict=True)
             )
             return re, im
 
         wide = solved(*seen)
         for k in range(1, row.rounds + 1):
-            powers = Powers(made, *held(wide, f"_{k - 1}"), f"_{k}")
+            powers = wave_steps.Powers(made, *held(wide, f"_{k - 1}"), f"_{k}")
             off = [ca.SX(0), ca.SX(0)]
             for n, ((a, b), (c, d)) in cross.items():
                 re, im = powers(n)
                 off = [off[0] + (a * re + b * im), off[1] + (c * re + d * im)]
-            left = [made.step(f"left_{a}_{k}", s - o) for a, s, o in zip(AXES, seen, off, strict=True)]
+            left = [
+                made.step(f"left_{a}_{k}", s - o) for a, s, o in zip(wave_steps.AXES, seen, off, strict=True)
+            ]
             wide = solved(left[0], left[1])
         return held(wide, f"_{row.rounds}")
 
@@ -490,8 +480,8 @@ def smooth_weight(made: Collected, depth: ca.SX, name: str) -> ca.SX:
 def place_steps(made: Collected, wave: Wave, u: Pair, near: ca.SX, tag: str = "") -> ca.SX:
     """Add the steps of the place [m] of a phase in the period next to another place; returns it."""
     lc, whole, per = (made.symbols[name] for name in ("lc", "wavelength", "per_wave"))
-    place = made.step(f"in_wave{tag}", lc * arctangent_steps(made, wave, u, tag))
-    number = periods_steps(made, (near - place) * per, tag)
+    place = made.step(f"in_wave{tag}", lc * wave_steps.arctangent_steps(made, wave, u, tag))
+    number = wave_steps.periods_steps(made, (near - place) * per, tag)
     return made.step(f"place{tag}", place + whole * number, "[m]")
 
 
@@ -522,13 +512,13 @@ class Rounding:
         periods = constant(row.wavelength, digits).error * np.ceil(far / row.wavelength)
         up = float(np.abs([row.low[1], row.high[1]]).max()) + row.lc
         errors = (
-            place_error(wave, vector, digits) + float(periods) + 2 * half_ulp(far, digits),
-            height_error(wave, vector, digits)
+            wave_steps.place_error(wave, vector, digits) + float(periods) + 2 * half_ulp(far, digits),
+            wave_steps.height_error(wave, vector, digits)
             + constant(float(row.middle[1]), digits).error
             + half_ulp(up, digits),
         )
         inputs = self.drawn(np.random.default_rng(6), BOUNDED)
-        ranges = ranges_of(self.steps, row.model.channels, inputs, self.values, row.model.pose)
+        ranges = wave_steps.ranges_of(self.steps, row.model.channels, inputs, self.values, row.model.pose)
         last = [ranges[step.name] for step in self.steps[-2:]]
         return {c: Enclosure(*last[k], errors[k]) for k, c in enumerate(row.model.pose)}
 

@@ -14,20 +14,10 @@ import numpy as np
 
 from hallsym.codegen.decoupler import Box, Collected, Decoupler, Flag, Margin, Step, Values, short, unit
 from hallsym.codegen.intervals import Enclosure, constant, half_ulp
-from hallsym.codegen.lowering import arrays, mover, travel
+from hallsym.codegen.lowering import arrays, mover, travel, wave_steps
 from hallsym.codegen.lowering.phase_curve import check_static
 from hallsym.codegen.lowering.phasors import Phasor, phasor
-from hallsym.codegen.lowering.wave_steps import (
-    Wave,
-    arctangent_steps,
-    height_error,
-    least_inside,
-    logarithm_steps,
-    phasor_steps,
-    place_error,
-    vector_error,
-    wave_of,
-)
+from hallsym.codegen.lowering.wave_steps import Wave
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
 
@@ -65,7 +55,7 @@ def decoupler(
     found = phasor(model, p, weight, along, height, box.ends[height])
     own = replace(model, period={**model.period, along: 2 * pi * found.lc})
     ends = box.ends[height]
-    return _Assembly(own, wave_of(found, ends, aim), box, along, height).make()
+    return _Assembly(own, wave_steps.wave_of(found, ends, aim), box, along, height).make()
 
 
 def _coordinates(model: Model) -> tuple[str, str]:
@@ -114,9 +104,13 @@ class _Assembly:
         ends = self.given.over(
             {c: self.given.ends.get(c, ends_of(found, k, heights)) for k, c in enumerate(inputs)}
         )
-        vector = phasor_steps(made, wave, {short(c): made.symbols[c] for c in inputs})
+        vector = wave_steps.phasor_steps(made, wave, {short(c): made.symbols[c] for c in inputs})
         after_vector = len(made.steps)
-        self._pose(made, logarithm_steps(made, wave, vector), arctangent_steps(made, wave, vector))
+        self._pose(
+            made,
+            wave_steps.logarithm_steps(made, wave, vector),
+            wave_steps.arctangent_steps(made, wave, vector),
+        )
         values = made.values(inputs, ends)
         return made.finished(
             model,
@@ -137,7 +131,7 @@ class _Assembly:
         found, wave = self.wave.phasor, self.wave
         lc = made.entry("lc", found.lc, "m", "wavelength over 2 pi")
         middle = made.entry("middle", found.middle, "m", f"{self.height} at which the phasor is 1")
-        least_inside(made, (wave,))
+        wave_steps.least_inside(made, (wave,))
         half = made.entry("half_wave", pi * found.lc, "m", "half the wavelength")
         place = made.step("place", lc * phase + made.symbols[f"zero_{short(self.along)}"])
         beyond = place - ca.if_else(place < 0, -half, half)
@@ -203,9 +197,9 @@ class Rounding:
     def __call__(self, digits: int) -> dict[str, Enclosure]:
         """Return the enclosure of each pose coordinate."""
         found = self.wave.phasor
-        vector = vector_error(self.wave, self.steps, self.values, digits)
-        place = place_error(self.wave, vector, digits)
-        height = height_error(self.wave, vector, digits)
+        vector = wave_steps.vector_error(self.wave, self.steps, self.values, digits)
+        place = wave_steps.place_error(self.wave, vector, digits)
+        height = wave_steps.height_error(self.wave, vector, digits)
         level = constant(found.middle, digits).error + half_ulp(abs(found.middle) + self._reach, digits)
         end = pi * found.lc + place
         return {

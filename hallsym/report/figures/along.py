@@ -6,18 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hallsym.report.figures.style import (
-    BLACK,
-    DASHES,
-    FAINT,
-    LINE,
-    SERIES,
-    key,
-    label_x,
-    label_y,
-    legend,
-    panels,
-)
+from hallsym.report.figures import style
 from hallsym.report.text.along import span
 from hallsym.report.words import largest, name, scale
 from hallsym.units import typeset
@@ -34,11 +23,11 @@ def errors(found: ErrorModel) -> Figure:
     """Draw the error of each coordinate of the pose over the one that moves, a line per cause."""
     pose, causes = found.model.pose, found.causes
     lines = -(-len(causes) // COLUMNS)
-    figure, axes = panels(len(pose), 1, PANEL, top=0.1 + lines * LINE, bottom=0.42, sharex=True)
+    figure, axes = style.panels(len(pose), 1, PANEL, top=0.1 + lines * style.LINE, bottom=0.42, sharex=True)
     looks = [
-        {"color": BLACK, "ls": "-", "lw": 1.4}
+        {"color": style.BLACK, "ls": "-", "lw": 1.4}
         if k and k == len(causes) - 1
-        else {"color": SERIES[k % len(SERIES)], "ls": DASHES[k % len(DASHES)]}
+        else {"color": style.SERIES[k % len(style.SERIES)], "ls": style.DASHES[k % len(style.DASHES)]}
         for k in range(len(causes))
     ]
     *_, factor, unit, moving = span(found)
@@ -46,12 +35,12 @@ def errors(found: ErrorModel) -> Figure:
         y_factor, y_unit = scale(
             column, largest(np.array([e.error[k] for *_, e in causes])), found.model.period
         )
-        ax.axhline(0, color=FAINT, lw=0.6, zorder=0)
+        ax.axhline(0, color=style.FAINT, lw=0.6, zorder=0)
         for (*_, e), look in zip(causes, looks, strict=True):
             ax.plot(factor * e.at, y_factor * e.error[k], **look)
         ax.margins(x=0)
-        label_y(ax, f"error of {name(column)} [{y_unit}]")
-    label_x(axes[-1, 0], f"{moving} [{typeset(unit)}]")
-    keys = [key(cause, **look) for (cause, *_), look in zip(causes, looks, strict=True)]
-    legend(figure, keys, "upper left", ncols=COLUMNS)
+        style.label_y(ax, f"error of {name(column)} [{y_unit}]")
+    style.label_x(axes[-1, 0], f"{moving} [{typeset(unit)}]")
+    keys = [style.key(cause, **look) for (cause, *_), look in zip(causes, looks, strict=True)]
+    style.legend(figure, keys, "upper left", ncols=COLUMNS)
     return figure

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,23 +10,7 @@ import numpy as np
 from hallsym.estimation import ErrorTable, Fit, as_read
 from hallsym.log import Log, Weigh
 from hallsym.report.data.survey import MOST_SETTINGS, Group, Survey, held_out, look_over, settings
-from hallsym.report.figures.saving import Place, save_figures
-from hallsym.report.figures.style import (
-    AFTER,
-    BEFORE,
-    BLACK,
-    DASHED,
-    FAINT,
-    LINE,
-    SHADE,
-    key,
-    label_x,
-    label_y,
-    legend,
-    log_axis,
-    panels,
-    text_width,
-)
+from hallsym.report.figures import style
 from hallsym.report.words import largest, name, scale, thinned
 
 if TYPE_CHECKING:
@@ -38,16 +21,12 @@ if TYPE_CHECKING:
     from hallsym.estimation import Evaluation
 
 
-def save_pictures(log: Log, fit: Fit, folder: str | Path | Place, *, keep: Weigh | None = None) -> list[Path]:
-    """Draw `errors_by_setting` of `fit` on `log` into `folder`; returns the files written.
+def fit_figure(log: Log, fit: Fit, keep: Weigh | None = None) -> Figure:
+    """Draw `errors_by_setting` of `fit` on `log`, which is read once, in blocks.
 
-    `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part. The log is read once, in
-    blocks.
+    `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part.
     """
-    seen = as_read(log, fit.model, fit.wiring)
-    return save_figures(
-        {"errors_by_setting": lambda: errors_by_setting(fit, look_over(seen, fit, keep))}, folder
-    )
+    return errors_by_setting(fit, look_over(as_read(log, fit.model, fit.wiring), fit, keep))
 
 
 def evaluation_figure(found: Evaluation) -> Figure:
@@ -64,19 +43,19 @@ def gap(found: Diagnosis) -> Figure:
     pose = list(found.noise_floor.outputs)
     across = min(len(pose), ACROSS)
     rows = -(-len(pose) // across)
-    figure, axes = panels(rows, across, HEIGHT, top=0.3, bottom=0.3, gaps=(0.66, 0.34))
+    figure, axes = style.panels(rows, across, HEIGHT, top=0.3, bottom=0.3, gaps=(0.66, 0.34))
     for ax, c in zip(axes.flat, pose, strict=False):
         sizes = (found.gap_before.rmse[c], found.gap_after.rmse[c], found.noise_floor.outputs[c])
         factor, unit = scale(c, max(sizes))
-        ax.bar((0, 1), [factor * size for size in sizes[:2]], color=(BEFORE, AFTER), width=0.6)
-        ax.axhline(factor * sizes[2], color=BLACK, lw=0.8, ls=DASHED)
+        ax.bar((0, 1), [factor * size for size in sizes[:2]], color=(style.BEFORE, style.AFTER), width=0.6)
+        ax.axhline(factor * sizes[2], color=style.BLACK, lw=0.8, ls=style.DASHED)
         ax.set_xticks((0, 1), ("model", "with effects"))
         ax.set_xlim(-0.6, 1.6)
-        label_y(ax, f"rmse {name(c)} [{unit}]")
+        style.label_y(ax, f"rmse {name(c)} [{unit}]")
     for ax in axes.flat[len(pose) :]:
         ax.set_visible(False)
     label = f"noise floor ({found.noise_floor.source})"
-    legend(figure, [key(label, color=BLACK, lw=0.8, ls=DASHED)], "upper left")
+    style.legend(figure, [style.key(label, color=style.BLACK, lw=0.8, ls=style.DASHED)], "upper left")
     return figure
 
 
@@ -89,7 +68,7 @@ def errors_by_setting(fit: Fit, survey: Survey) -> Figure:
     series = _series(fit, survey, groups)
     ticks, below = _tick_words(groups)
     pose = fit.model.pose
-    figure, axes = panels(len(pose), 1, 1.35, top=LINE + 0.12, bottom=below + 0.24, sharex=True)
+    figure, axes = style.panels(len(pose), 1, 1.35, top=style.LINE + 0.12, bottom=below + 0.24, sharex=True)
     for k, (ax, coordinate) in enumerate(zip(axes[:, 0], pose, strict=True)):
         values = np.array([[_rmse(table, runs, k) for runs in sets] for _, table, sets, _, _ in series])
         floor = float(fit.noise_floor.get(coordinate, 0.0))
@@ -98,16 +77,18 @@ def errors_by_setting(fit: Fit, survey: Survey) -> Figure:
             ax.plot(np.arange(len(y)) + aside, y, ls="none", label=label, zorder=3, **look)
         if len(groups) <= MOST_SETTINGS:
             reach = np.fmin.reduce(factor * values), np.fmax.reduce(factor * values)
-            ax.vlines(np.arange(len(groups)), *reach, color=FAINT, lw=0.6, zorder=1)
+            ax.vlines(np.arange(len(groups)), *reach, color=style.FAINT, lw=0.6, zorder=1)
         if floor > 0:
-            ax.axhline(factor * floor, color=BLACK, lw=0.8, ls=DASHED, label="noise floor", zorder=2)
-        log_axis(ax, "y", factor * np.array([*values.ravel(), floor]))
-        ax.grid(axis="y", which="major", color=SHADE, lw=0.5, zorder=0)
-        label_y(ax, f"rmse {name(coordinate)} [{shown}]")
+            ax.axhline(
+                factor * floor, color=style.BLACK, lw=0.8, ls=style.DASHED, label="noise floor", zorder=2
+            )
+        style.log_axis(ax, "y", factor * np.array([*values.ravel(), floor]))
+        ax.grid(axis="y", which="major", color=style.SHADE, lw=0.5, zorder=0)
+        style.label_y(ax, f"rmse {name(coordinate)} [{shown}]")
     _number(axes[-1, 0], groups, ticks)
-    label_x(axes[-1, 0], title, below + 0.03)
+    style.label_x(axes[-1, 0], title, below + 0.03)
     handles = axes[0, 0].get_legend_handles_labels()[0]
-    legend(figure, handles, "upper center", ncols=len(handles), handlelength=1.8, columnspacing=1.4)
+    style.legend(figure, handles, "upper center", ncols=len(handles), handlelength=1.8, columnspacing=1.4)
     return figure
 
 
@@ -119,14 +100,14 @@ def _series(
     used = [[r for r in runs if r not in held] for runs in every]
     holdout = [[r for r in runs if r in held] for runs in every]
     size = {"ms": 4.2 if len(groups) <= 2 * MOST_SETTINGS else 2.0}
-    before = {"marker": "s", "mfc": "white", "color": BEFORE}
-    after = {"marker": "o", "mfc": AFTER, "color": AFTER}
+    before = {"marker": "s", "mfc": "white", "color": style.BEFORE}
+    after = {"marker": "o", "mfc": style.AFTER, "color": style.AFTER}
     found: list[tuple[str, ErrorTable, list[list[int]], dict[str, Any], Any]] = [
         ("nominal", survey.nominal, every, before | size, 0.0),
         ("fitted", survey.fitted, used, after | size, 0.0),
     ]
     if any(holdout):
-        look = {"marker": "D", "mfc": "white", "color": AFTER}
+        look = {"marker": "D", "mfc": "white", "color": style.AFTER}
         aside = np.array([0.25 if u and a else 0.0 for u, a in zip(used, holdout, strict=True)])
         found.append(("fitted, held-out runs", survey.fitted, holdout, look | size, aside))
     return found
@@ -142,7 +123,7 @@ def _tick_words(groups: Sequence[Group]) -> tuple[Sequence[int], float]:
     """Which groups get a label, and how many inches the labels take below the axis."""
     ticks = range(len(groups)) if len(groups) <= MOST_SETTINGS else thinned(len(groups), 12)
     longest = max((groups[k][0] for k in ticks), key=len)
-    return ticks, 0.12 + (text_width(longest) if _turned(groups, ticks) else LINE)
+    return ticks, 0.12 + (style.text_width(longest) if _turned(groups, ticks) else style.LINE)
 
 
 def _turned(groups: Sequence[Group], ticks: Sequence[int]) -> bool:

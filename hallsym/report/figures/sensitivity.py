@@ -3,34 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hallsym.inference import VERDICTS
 from hallsym.inference.identifiability import TRADED
-from hallsym.report.figures.style import (
-    AFTER,
-    BEFORE,
-    BLACK,
-    DASHED,
-    EDGE,
-    FAINT,
-    FONT,
-    GREY,
-    LINE,
-    SHADE,
-    WIDTH,
-    broken,
-    key,
-    label_x,
-    legend,
-    log_axis,
-    panels,
-    row_panels,
-    text_width,
-)
+from hallsym.report.figures import style
 from hallsym.report.words import MINUS, largest, name, scale
 
 if TYPE_CHECKING:
@@ -50,33 +29,22 @@ def drawable(report: Identifiability) -> list[Callable[[Identifiability], Figure
     return out
 
 
-@dataclass(frozen=True)
-class Look:
-    """Colour of bars and markers, hatch of bars, marker and whether it is filled."""
-
-    color: str
-    hatch: str
-    marker: str
-    filled: bool = True
-
-    def bar(self) -> dict[str, Any]:
-        """Return options of a bar."""
-        return {"facecolor": self.color, "hatch": self.hatch, "edgecolor": BLACK, "linewidth": 0.4}
-
-    def point(self) -> dict[str, Any]:
-        """Return options of a marker."""
-        face = self.color if self.filled else "white"
-        return {"ls": "none", "marker": self.marker, "ms": 4.2, "color": self.color, "mfc": face}
-
-
 LOOKS = {
-    "determined": Look(AFTER, "", "o"),
-    "weak": Look("#e69f00", "////", "D"),
-    "at bound": Look(BEFORE, "....", "s"),
-    "not determined": Look("#cc79a7", "xxxx", "o", filled=False),
-    "no effect": Look(FAINT, "", "X"),
-    "fixed": Look(FAINT, "", "|"),
+    "determined": (style.AFTER, "", "o", style.AFTER),
+    "weak": ("#e69f00", "////", "D", "#e69f00"),
+    "at bound": (style.BEFORE, "....", "s", style.BEFORE),
+    "not determined": ("#cc79a7", "xxxx", "o", "white"),
+    "no effect": (style.FAINT, "", "X", style.FAINT),
+    "fixed": (style.FAINT, "", "|", style.FAINT),
 }
+"""Colour, hatch of bars, marker and its face by verdict."""
+MODEST = {"facecolor": "white", "edgecolor": style.GREY, "linewidth": 0.7}
+"""Bars of 1 % of a value."""
+
+
+def _bar(word: str) -> dict[str, Any]:
+    color, hatch, *_ = LOOKS[word]
+    return {"facecolor": color, "hatch": hatch, "edgecolor": style.BLACK, "linewidth": 0.4}
 
 
 def shown(report: Identifiability) -> list[ParameterReport]:
@@ -88,14 +56,6 @@ def present(entries: Sequence[ParameterReport]) -> list[str]:
     """Return the verdicts that occur, best first."""
     found = {entry.verdict.word for entry in entries}
     return [word for word in VERDICTS if word in found]
-
-
-def by_verdict(entries: Sequence[ParameterReport]) -> list[str]:
-    """Return `not determined: H1x, H1y` for every verdict that occurs."""
-    return [
-        f"{word}: {', '.join(entry.name for entry in entries if entry.verdict.word == word)}"
-        for word in present(entries)
-    ]
 
 
 # -- correlation -----------------------------------------------------------------------------------------
@@ -112,28 +72,32 @@ def correlation(report: Identifiability) -> Figure:
     order = np.flatnonzero(np.isfinite(np.diag(report.correlation)))
     names = [report.model.names[k] for k in order]
     values = report.correlation[np.ix_(order, order)]
-    n, left = len(order), 0.1 + max(map(text_width, names))
+    n, left = len(order), 0.1 + max(map(style.text_width, names))
     rest = [entry for k, entry in enumerate(report.parameters) if k not in order]
-    lines = broken(f"Left out, {'; '.join(by_verdict(rest))}.") if rest else []
-    top, bottom = left + LINE + 0.14, 0.1 + (LINE * len(lines) + 0.06 if lines else 0.0)
-    cell = min(LARGEST, (WIDTH - left - 0.1) / n)
-    figure, axes = panels(
-        1, 1, cell * n, left=left, right=WIDTH - left - cell * n, top=top, bottom=bottom, gaps=(0, 0)
+    left_out = (
+        f"{word}: {', '.join(entry.name for entry in rest if entry.verdict.word == word)}"
+        for word in present(rest)
+    )
+    lines = style.broken(f"Left out, {'; '.join(left_out)}.") if rest else []
+    top, bottom = left + style.LINE + 0.14, 0.1 + (style.LINE * len(lines) + 0.06 if lines else 0.0)
+    cell = min(LARGEST, (style.WIDTH - left - 0.1) / n)
+    figure, axes = style.panels(
+        1, 1, cell * n, left=left, right=style.WIDTH - left - cell * n, top=top, bottom=bottom, gaps=(0, 0)
     )
     ax = axes[0, 0]
     ax.set(xlim=(-0.5, n - 0.5), ylim=(n - 0.5, -0.5))
     _squares(ax, values, both=cell < WRITTEN)
     if cell >= WRITTEN:
         _numbers(ax, values)
-    _names(ax, names, min(FONT, 62 * cell))
+    _names(ax, names, min(style.FONT, 62 * cell))
     width, tall = figure.get_size_inches()
     for k, text in enumerate(reversed(lines)):
-        figure.text(EDGE / width, (0.06 + LINE * k) / tall, text)
+        figure.text(style.EDGE / width, (0.06 + style.LINE * k) / tall, text)
     handles = [
-        key("correlated", ls="none", marker="s", ms=7, color=AFTER),
-        key("anticorrelated", ls="none", marker="s", ms=7, mfc="white", color=BEFORE),
+        style.key("correlated", ls="none", marker="s", ms=7, color=style.AFTER),
+        style.key("anticorrelated", ls="none", marker="s", ms=7, mfc="white", color=style.BEFORE),
     ]
-    legend(figure, handles, "upper left", ncols=2)
+    style.legend(figure, handles, "upper left", ncols=2)
     return figure
 
 
@@ -142,7 +106,7 @@ def _squares(ax: Axes, values: np.ndarray, *, both: bool) -> None:
     from matplotlib.patches import Rectangle
 
     n = len(values)
-    for positive, face, edge in ((True, AFTER, AFTER), (False, "white", BEFORE)):
+    for positive, face, edge in ((True, style.AFTER, style.AFTER), (False, "white", style.BEFORE)):
         squares = []
         for row, column in np.argwhere((values >= 0) if positive else (values < 0)).tolist():
             if row == column or (row > column and not both):
@@ -151,18 +115,18 @@ def _squares(ax: Axes, values: np.ndarray, *, both: bool) -> None:
             squares.append(Rectangle((column - side / 2, row - side / 2), side, side))
         ax.add_collection(PatchCollection(squares, facecolor=face, edgecolor=edge, linewidths=0.9, zorder=2))
     for lines in (ax.hlines, ax.vlines):
-        lines(np.arange(n + 1) - 0.5, -0.5, n - 0.5, color=SHADE, lw=0.5, zorder=1)
-    ax.plot(range(n), range(n), ls="none", marker=".", ms=2, color=GREY, zorder=2)
+        lines(np.arange(n + 1) - 0.5, -0.5, n - 0.5, color=style.SHADE, lw=0.5, zorder=1)
+    ax.plot(range(n), range(n), ls="none", marker=".", ms=2, color=style.GREY, zorder=2)
 
 
 def _numbers(ax: Axes, values: np.ndarray) -> None:
     for column in range(len(values)):
         for row in range(column + 1, len(values)):
             value = float(values[row, column])
-            strong = abs(value) >= TRADED
             ax.text(
-                column, row, _short(value), ha="center", va="center_baseline", fontsize=FONT - 1,
-                color=BLACK if abs(value) >= 0.1 else GREY, fontweight="bold" if strong else "normal",
+                column, row, _short(value), ha="center", va="center_baseline", fontsize=style.FONT - 1,
+                color=style.BLACK if abs(value) >= 0.1 else style.GREY,
+                fontweight="bold" if abs(value) >= TRADED else "normal",
             )  # fmt: skip
 
 
@@ -198,10 +162,14 @@ def effects(report: Identifiability) -> Figure:
     """
     entries, pose = shown(report), report.model.pose
     words = [entry.verdict.word for entry in entries]
-    figure, axes = row_panels(
-        [entry.name for entry in entries], len(pose), ROW, right=BESIDE + 0.06 + max(map(text_width, words)),
-        gap=0.3, top=0.45, bottom=0.42,
+    names = [entry.name for entry in entries]
+    figure, (axes,) = style.panels(
+        1, len(pose), ROW * len(names), left=0.1 + max(map(style.text_width, names)),
+        right=BESIDE + 0.06 + max(map(style.text_width, words)), gaps=(0.3, 0), top=0.45, bottom=0.42,
+        sharey=True,
     )  # fmt: skip
+    axes[0].set_yticks(range(len(names)), names)
+    axes[0].set_ylim(len(names) - 0.5, -0.5)
     for ax, column in zip(axes, pose, strict=True):
         _effect_panel(ax, entries, column, report)
     _verdicts(axes[-1], words)
@@ -217,29 +185,34 @@ def _effect_panel(ax: Axes, entries: list[ParameterReport], column: str, report:
     factor, unit = scale(column, largest(every), report.model.period)
     least = LEAST * floor if floor > 0 else 0.0
     lined = every[np.isfinite(every) & (every > least)]
-    log_axis(ax, "x", factor * np.array([*lined, least]))
+    style.log_axis(ax, "x", factor * np.array([*lined, least]))
     edge = ax.get_xlim()[0]
+    ax.tick_params("y", length=0)
     for row, entry in enumerate(entries):
-        look = LOOKS[entry.verdict.word].bar()
+        if row % 2 == 0:
+            ax.axhspan(row - 0.5, row + 0.5, color=style.STRIPE, lw=0, zorder=0)
+        look = _bar(entry.verdict.word)
         for aside, value, options in (
             (-0.5 * BAR, sigma[row], look),
-            (0.5 * BAR, percent[row], {"facecolor": "white", "edgecolor": GREY, "linewidth": 0.7}),
+            (0.5 * BAR, percent[row], MODEST),
         ):
             if value > least:
                 ax.barh(row + aside, factor * value - edge, BAR, left=edge, zorder=2, **options)
             elif value > 0:
-                ax.plot(edge, row + aside, marker="<", ms=2.6, color=GREY, clip_on=False, zorder=3)
-    for value, dashes, color in ((floor, DASHED, BLACK), (together, ":", AFTER)):
+                ax.plot(edge, row + aside, marker="<", ms=2.6, color=style.GREY, clip_on=False, zorder=3)
+    for value, dashes, color in ((floor, style.DASHED, style.BLACK), (together, ":", style.AFTER)):
         if value > 0:
             ax.axvline(factor * value, color=color, lw=0.9, ls=dashes, zorder=4)
-    label_x(ax, f"largest change of {name(column)} [{unit}]")
+    style.label_x(ax, f"largest change of {name(column)} [{unit}]")
 
 
 def _verdicts(ax: Axes, words: list[str]) -> None:
     """Write the verdicts to the right of the rows, each behind its marker."""
-    at, inches = ax.get_yaxis_transform(), ax.get_position().width * WIDTH
+    at, inches = ax.get_yaxis_transform(), ax.get_position().width * style.WIDTH
     for row, word in enumerate(words):
-        ax.plot(1 + 0.12 / inches, row, transform=at, clip_on=False, **LOOKS[word].point())
+        color, _, marker, face = LOOKS[word]
+        look = {"ls": "none", "marker": marker, "ms": 4.2, "color": color, "mfc": face}
+        ax.plot(1 + 0.12 / inches, row, transform=at, clip_on=False, **look)
         ax.text(1 + BESIDE / inches, row, word, transform=at, va="center_baseline")
 
 
@@ -247,11 +220,11 @@ def _effect_legend(figure: Figure, entries: list[ParameterReport]) -> None:
     from matplotlib.patches import Patch
 
     drawn = present([entry for entry in entries if entry.sigma is not None])
-    handles: list[Any] = [Patch(**LOOKS[word].bar(), label=f"1 sigma, {word}") for word in drawn]
+    handles: list[Any] = [Patch(**_bar(word), label=f"1 sigma, {word}") for word in drawn]
     handles += [
-        Patch(facecolor="white", edgecolor=GREY, linewidth=0.7, label="1 % of the value"),
-        key("noise of one reading", color=BLACK, lw=0.9, ls=DASHED),
-        key("all parameters together, 1 sigma", color=AFTER, lw=0.9, ls=":"),
-        key(f"below 1/{1 / LEAST:.0f} of the noise", color=GREY, ls="none", marker="<", ms=2.6),
+        Patch(**MODEST, label="1 % of the value"),
+        style.key("noise of one reading", color=style.BLACK, lw=0.9, ls=style.DASHED),
+        style.key("all parameters together, 1 sigma", color=style.AFTER, lw=0.9, ls=":"),
+        style.key(f"below 1/{1 / LEAST:.0f} of the noise", color=style.GREY, ls="none", marker="<", ms=2.6),
     ]
-    legend(figure, handles, "upper left", ncols=3, columnspacing=1.4)
+    style.legend(figure, handles, "upper left", ncols=3, columnspacing=1.4)

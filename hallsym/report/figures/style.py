@@ -29,7 +29,6 @@ BEFORE, AFTER, GREEN = "#d55e00", "#0072b2", "#009e73"  # Okabe and Ito's palett
 SERIES = (AFTER, BEFORE, GREEN, "#cc79a7", BLACK, "#e69f00", "#56b4e9")
 DASHED = (0, (4, 2))
 DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
-MARKERS = ("^", "v", "D", "P", "X", "<", ">")
 STYLE = {
     "font.size": FONT,
     "axes.titlesize": FONT,
@@ -86,23 +85,6 @@ def panels(
         rows, columns, squeeze=False, gridspec_kw=place | options.pop("gridspec_kw", {}), **options
     )
     return figure, axes
-
-
-def row_panels(
-    names: Sequence[str], columns: int, row: float, *, right: float, gap: float, **options: Any
-) -> tuple[Figure, list[Axes]]:
-    """Return a figure of `columns` axes side by side with one row per name, `row` high; inches."""
-    figure, axes = panels(
-        1, columns, row * len(names), left=0.1 + max(map(text_width, names)), right=right, gaps=(gap, 0),
-        sharey=True, **options,
-    )  # fmt: skip
-    for ax in axes[0]:
-        for k in range(0, len(names), 2):
-            ax.axhspan(k - 0.5, k + 0.5, color=STRIPE, lw=0, zorder=0)
-        ax.tick_params("y", length=0)
-    axes[0, 0].set_yticks(range(len(names)), names)
-    axes[0, 0].set_ylim(len(names) - 0.5, -0.5)
-    return figure, list(axes[0])
 
 
 def label_y(ax: Axes, text: str, margin: float = LEFT) -> None:

@@ -142,10 +142,10 @@ class Items:
 
 @dataclass(frozen=True)
 class Figure:
-    """Charts with a caption, side by side; `look`: "two" in a row."""
+    """Charts, or pictures as markup, with a caption, side by side; `look`: "two" in a row."""
 
     kind: ClassVar[str] = "figure"
-    charts: Sequence[Chart]
+    charts: Sequence[Chart | Markup]
     caption: str = ""
     look: str = ""
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from hallsym.report.tables import grid
+from hallsym.report.tables import grid, heads
 from hallsym.uncertainty import ErrorModel
 from hallsym.units import fitting, readable
 
@@ -35,34 +35,18 @@ def _first(found: ErrorModel) -> str:
 def error_table(found: ErrorModel) -> str:
     """Return one line per cause and coordinate of the pose."""
     *_, factor, unit, name = span(found)
-    shown = [readable(c, found.model.period) for c in found.model.pose]
-    rows = [
-        [
-            "cause",
-            "error",
-            "mean",
-            "rms",
-            "largest",
-            f"at {name} [{unit}]",
-            "least",
-            f"at {name} [{unit}]",
-            "waves",
-        ]
-    ]
+    pose, period, place = found.model.pose, found.model.period, f"at {name} [{unit}]"
+    rows = [["cause", "error", "mean", "rms", "largest", place, "least", place, "waves"]]
     for cause, _, errors in found.causes:
-        for k, (f, u, coordinate) in enumerate(shown):
+        for k, column in enumerate(pose):
+            f = readable(column, period)[0]
             (high, there), (low, here) = errors.extremes(k)
-            numbers = (errors.error[k].mean() * f, errors.rms[k] * f, high * f, low * f)
-            mean, rms, most, least = (_number(v) for v in numbers)
-            places = (f"{at * factor:.4g}" for at in (there, here))
-            ends = (c for pair in zip((most, least), places, strict=True) for c in pair)
+            numbers = (errors.error[k].mean(), errors.rms[k], high, low)
+            mean, rms, most, least = ("0" if abs(v * f) < SHOWN else f"{v * f:.4g}" for v in numbers)
+            ends = [most, f"{there * factor:.4g}", least, f"{here * factor:.4g}"]
             label = cause if k == 0 else ""
-            rows.append([label, f"{coordinate} [{u}]", mean, rms, *ends, str(errors.waves[k])])
+            rows.append([label, *heads([column], period), mean, rms, *ends, str(errors.waves[k])])
     return grid(rows, left=2)
-
-
-def _number(value: float) -> str:
-    return "0" if abs(value) < SHOWN else f"{value:.4g}"
 
 
 SHOWN = 1e-4
@@ -76,14 +60,8 @@ def _waves(found: ErrorModel) -> Iterator[str]:
     low, high, factor, unit, name = span(found)
     yield ""
     yield f"causes by the waves of their error per {factor * (high - low):.6g} {unit} of {name}"
-    yield grid(
-        [
-            ["waves", f"period [{unit}]", "effects"],
-            *(
-                [str(n), f"{factor * (high - low) / n:.4g}", ", ".join(effects)]
-                for n, effects in expected.items()
-                if n
-            ),
-        ],
-        left=3,
-    )
+    rows = [["waves", f"period [{unit}]", "effects"]]
+    for n, effects in expected.items():
+        if n:
+            rows.append([str(n), f"{factor * (high - low) / n:.4g}", ", ".join(effects)])
+    yield grid(rows, left=3)

@@ -4,23 +4,19 @@ from collections.abc import Mapping, Sequence
 
 from hallsym.estimation import Evaluation
 from hallsym.inference import Belonging, ParameterChange
-from hallsym.report.tables import grid, in_units
-from hallsym.units import readable
+from hallsym.report.tables import cells, grid, heads, in_units
 
 
 def parameters_text(changes: Sequence[ParameterChange]) -> str:
     """Return the table of parameters before and after."""
-
-    def said(p: ParameterChange) -> str:
-        return "unknown" if p.significant is None else "yes" if p.significant else "no"
-
+    answers = {None: "unknown", True: "yes", False: "no"}
     head = ["parameter", "before (1 sigma)", "after (1 sigma)", "unit", "p of no change", "significant"]
     rows = []
     for p in changes:
         before, unit = in_units(p.before, p.before_std, p.unit)
         after, _ = in_units(p.after, p.after_std, p.unit)
         chance = "" if p.p_value is None else f"{p.p_value:.1g}"
-        rows.append([p.name, before, after, unit, chance, said(p)])
+        rows.append([p.name, before, after, unit, chance, answers[p.significant]])
     return grid([head, *rows], left=1)
 
 
@@ -45,9 +41,7 @@ def chart_text(logs: Mapping[str, tuple[Evaluation, Belonging | str] | str], pos
 
     The reason stands in place of what is not known.
     """
-    units = [readable(c) for c in pose]
-    head = ["log", "runs", *(f"rmse {name} [{unit}]" for _, unit, name in units), "residual/noise",
-            "largest score", "of", "limit", ""]  # fmt: skip
+    head = ["log", "runs", *heads(pose, what="rmse"), "residual/noise", "largest score", "of", "limit", ""]
     rows = [head]
     for name, judged in logs.items():
         if isinstance(judged, str):
@@ -55,7 +49,7 @@ def chart_text(logs: Mapping[str, tuple[Evaluation, Belonging | str] | str], pos
             continue
         seen, found = judged
         errors = seen.table.over() or {"rmse": dict.fromkeys(pose, float("nan"))}
-        rmse = [f"{factor * errors['rmse'][c]:.4g}" for c, (factor, _, _) in zip(pose, units, strict=True)]
+        rmse = cells([errors["rmse"][c] for c in pose], pose, digits=4)
         row = [name, str(len(seen.table.runs)), *rmse, f"{seen.goodness.residual_over_noise:.3f}"]
         if isinstance(found, str):
             rows.append([*row, "", "", "", "not tested"])

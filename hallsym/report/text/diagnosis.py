@@ -10,7 +10,6 @@ from hallsym.diagnosis import (
     Diagnosis,
     Estimate,
     FoundEffect,
-    Separation,
     Significance,
     Statement,
     noise_text,
@@ -32,12 +31,6 @@ UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "s": (1e3, "ms"), "m/s": (1e6, 
 """How parameters are shown: SI unit -> factor and unit for reading."""
 
 
-def next_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
-    """Return the command that fits the model with the effects found; `reading`: how the log is read."""
-    log = d.log.path or "LOG"
-    return f"next: {shlex.join(['hallsym', 'fit', log, *d.next_step, *reading])}"
-
-
 def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
     """Return what `hallsym diagnose` prints: verdict, errors, effects, where, what could not be tested.
 
@@ -45,32 +38,28 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
     """
     parts = [_wrapped(d.sentence), "", _wrapped(_basis(d), "  "), "", _errors(d), *_sizes(d), *_waves(d)]
     if d.noise is not None:
-        parts += [
-            "",
-            _wrapped(f"{noise_name(d)}: {noise_text(d.noise, d.noise_floor.source == 'stated')}", "  "),
-        ]
+        noise = noise_text(d.noise, d.noise_floor.source == "stated")
+        parts += ["", _wrapped(f"{noise_name(d)}: {noise}", "  ")]
     if d.effects:
         parts += ["", effect_text(d.effects), "", *(_parameters(e, units_of(d)) for e in d.effects)]
         parts += [_wrapped(f"  {e.note}", "    ") for e in d.effects if e.note]
         parts.append(_wrapped(shrinks_text(d)))
     if d.next_step:
-        parts.append(next_text(d, reading))
+        words = ["hallsym", "fit", d.log.path or "LOG", *d.next_step, *reading]
+        parts.append(f"next: {shlex.join(words)}")
     for s in d.separate_by:
-        parts += ["", separation_text(s)]
+        now = f"This log cannot tell apart: {', '.join(s.group)} ({s.sigma_now:.2g} sigma)."
+        parts += ["", _wrapped(f"{now} Record {s.recording}.", "  ")]
     above = "where the excess over the noise lies" if d.verdict in QUIET else "where the gap lies"
     parts += _statements(above, d.where, d.held_out)
-    parts += (
-        _statements("where the unexplained rest lies", d.remaining, d.held_out)
-        if d.remaining != d.where
-        else []
-    )
+    if d.remaining != d.where:
+        parts += _statements("where the unexplained rest lies", d.remaining, d.held_out)
     if d.smaller_findings:
         smaller = ", ".join(f"{f.name} {100 * f.shrinkage:.1f} %" for f in d.smaller_findings)
         said = f"smaller findings (significant, but below the threshold): {smaller}"
         parts += ["", _wrapped(said, "  ")]
     parts += _untested(d.not_testable)
-    if d.notes:
-        parts += ["", *(_wrapped(f"note: {note}", "  ") for note in d.notes)]
+    parts += ["", *(_wrapped(f"note: {note}", "  ") for note in d.notes)] if d.notes else []
     return "\n".join(parts)
 
 
@@ -91,18 +80,16 @@ def _wrapped(text: str, indent: str = "") -> str:
 
 
 def _basis(d: Diagnosis) -> str:
+    any_effect = ""
+    if d.significance:  # with the least possible p-value where units are few
+        p = significance_text(d.significance, piece_of(d))
+        any_effect = f"any effect of the catalogue: p {p}; "
     return (
         f"verdict: {d.verdict}. Model {d.model}; errors are on "
         f"{counted(len(d.validation_runs), d.held_out)}, which took part in neither the fit nor the "
         f"choice of effects; a decrease of {100 * d.threshold:g} % is worth reporting; the noise floor is "
-        f"{d.noise_floor.source}; {_any_effect(d)}computed in {d.seconds:.1f} s."
+        f"{d.noise_floor.source}; {any_effect}computed in {d.seconds:.1f} s."
     )
-
-
-def _any_effect(d: Diagnosis) -> str:
-    """Return the p-value that any effect is there, and the least possible one where units are few."""
-    s = d.significance
-    return f"any effect of the catalogue: p {significance_text(s, piece_of(d))}; " if s else ""
 
 
 def piece_of(d: Diagnosis) -> str:
@@ -158,12 +145,8 @@ def _waves(d: Diagnosis) -> list[str]:
         most = max(mine, key=lambda w: w.designed or 0.0)
         if most.designed and most.absorbed and most.causes:
             size = f"{factor * most.designed:.2g} {unit}"
-            lines.append(
-                _wrapped(
-                    f"The largest harmonic is {most.per_turn} per {per} ({size}). The model's own parameters "
-                    f"absorb it, whichever causes it: {' or '.join(most.causes)}."
-                )
-            )
+            said = f"The largest harmonic is {most.per_turn} per {per} ({size}). The model's own parameters "
+            lines.append(_wrapped(f"{said}absorb it, whichever causes it: {' or '.join(most.causes)}."))
     return lines
 
 
@@ -232,23 +215,14 @@ def _ends(interval: tuple[float, float]) -> str:
     return f"{100 * low:.1f} to {100 * high:.1f}"
 
 
-def separation_text(s: Separation) -> str:
-    """Return what a log cannot tell apart, and the recording that would."""
-    now = f"This log cannot tell apart: {', '.join(s.group)} ({s.sigma_now:.2g} sigma)."
-    return _wrapped(f"{now} Record {s.recording}.", "  ")
-
-
 def _statements(title: str, statements: tuple[Statement, ...], held_out: str) -> list[str]:
-    if not statements:
-        return []
-    shown = (_statement(s, held_out) for s in statements[:MOST])
-    return ["", f"{title}:", *(_wrapped(f"  {text}", "    ") for text in shown)]
-
-
-def _statement(s: Statement, held_out: str) -> str:
-    held = "" if s.held_out is None else f"; {held_out}s {100 * max(s.held_out, 0.0):.0f} %"
-    p = p_text(s.p_value)
-    return f"{s.text} (p {p if s.p_value < LEAST_P else f'= {p}'}{held})"
+    lines = ["", f"{title}:"] if statements else []
+    for s in statements[:MOST]:
+        held = "" if s.held_out is None else f"; {held_out}s {100 * max(s.held_out, 0.0):.0f} %"
+        p = p_text(s.p_value)
+        p = p if s.p_value < LEAST_P else f"= {p}"
+        lines.append(_wrapped(f"  {s.text} (p {p}{held})", "    "))
+    return lines
 
 
 def _untested(reasons: Mapping[str, str]) -> list[str]:

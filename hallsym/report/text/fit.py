@@ -1,6 +1,5 @@
 """What `hallsym fit` and `hallsym evaluate` print, in um and urad where SI is unwieldy."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from hallsym.errors import counted
@@ -27,7 +26,9 @@ def fit_text(fit: Fit) -> str:
         parameter_text(fit),
     ]
     if fit.combinations:
-        parts += ["", combination_text(fit)]
+        rows = [["identifiable combinations", "value (1 sigma)", "unit"]]
+        rows += [[c.expression, *in_units(c.value, c.std, c.unit)] for c in fit.combinations]
+        parts += ["", grid(rows)]
     parts += ["", *circumstances(fit)]
     parts += [f"note: {note}" for note in fit.notes]
     return "\n".join(parts)
@@ -37,14 +38,18 @@ def fit_head(fit: Fit) -> list[str]:
     """Return the verdict and the errors."""
     log = fit.log
     used = log["runs"] - len(log["holdout"])
+    fitted = [each["name"] for each in fit.logs if not each["held_out"]]
+    name = counted(len(fitted), "log") if fitted else log["path"] or "a log in memory"
+    labels = {"designed": "nominal", "holdout": "held out"}
+    rows = {labels.get(k, k): v for k, v in fit.error_rows.items()}
     return [
         *([fit.goodness.verdict, ""] if fit.goodness else []),
-        f"{fit.model.name} on {_logs(fit)}: {counted(log['rows'], 'sample')}, "
+        f"{fit.model.name} on {name}: {counted(log['rows'], 'sample')}, "
         + (f"{counted(used, 'run')} fitted" if log["runs"] > 1 else "fitted")
         + (f", {len(log['holdout'])} held out" if log["holdout"] else "")
         + f"; {fit.status} in {fit.seconds:.2f} s",
         "",
-        error_rows(fit.model.pose, labelled(fit.error_rows), fit.noise_floor, turning=fit.model.period),
+        error_rows(fit.model.pose, rows, fit.noise_floor, turning=fit.model.period),
     ]
 
 
@@ -52,17 +57,6 @@ def periodic_lines(fit: Fit, log: Log | None = None) -> list[str]:
     """Return what is said of errors that repeat, then an empty line; nothing without a log or such errors."""
     found = periodic_of(fit, log)
     return [periodic_text(found, fit.model.family), ""] if found else []
-
-
-def _logs(fit: Fit) -> str:
-    fitted = [log["name"] for log in fit.logs if not log["held_out"]]
-    return counted(len(fitted), "log") if fitted else fit.log["path"] or "a log in memory"
-
-
-def labelled(rows: Mapping[str, Any]) -> dict[str, Any]:
-    """Return rows of errors of a fit under the names that people read."""
-    labels = {"designed": "nominal", "fitted": "fitted", "holdout": "held out"}
-    return {labels.get(k, k): v for k, v in rows.items()}
 
 
 def parameter_text(fit: Fit) -> str:
@@ -76,13 +70,6 @@ def parameter_text(fit: Fit) -> str:
     return grid(rows, words=True)
 
 
-def combination_text(fit: Fit) -> str:
-    """Return the combinations that the data determine although they do not determine their parameters."""
-    rows = [["identifiable combinations", "value (1 sigma)", "unit"]]
-    rows += [[c.expression, *in_units(c.value, c.std, c.unit)] for c in fit.combinations]
-    return grid(rows)
-
-
 def circumstances(fit: Fit) -> list[str]:
     """Return the sentences on solver, uncertainty and noise."""
     s = fit.solver
@@ -94,11 +81,17 @@ def circumstances(fit: Fit) -> list[str]:
     for channel, sigma in fit.noise.sigmas.items():
         factor, unit, name = readable(channel, fit.model.period)
         by_source.setdefault(sigma.source, []).append(f"{name} {sigma.value * factor:.3g} {unit}")
+    known = fit.degrees_of_freedom[fit.determined]
+    free = ""
+    if len(known) and known.min() < MANY:
+        fewest = fit.model.names[fit.degrees_of_freedom.tolist().index(known.min())]
+        most = f" to {known.max():.2g}" if known.max() > known.min() else ""
+        free = f"; degrees of freedom {known.min():.2g} (of {fewest}){most}, for Student's t"
     noise = "; ".join(f"{source}: {', '.join(values)}" for source, values in by_source.items())
     return [
         f"solver: {how}{_bounded(fit)}",
         _goodness(fit),
-        f"uncertainty: {fit.covariance_method} ({fit.covariance_reason}){_degrees_of_freedom(fit)}",
+        f"uncertainty: {fit.covariance_method} ({fit.covariance_reason}){free}",
         f"noise (1 sigma) {noise}",
     ]
 
@@ -131,16 +124,6 @@ def _goodness(fit: Fit) -> str:
     )
 
 
-def _degrees_of_freedom(fit: Fit) -> str:
-    """What of them is worth knowing: where they are few."""
-    known = fit.degrees_of_freedom[fit.determined]
-    if not len(known) or known.min() >= MANY:
-        return ""
-    fewest = next(n for n, d in zip(fit.model.names, fit.degrees_of_freedom, strict=True) if d == known.min())
-    most = f" to {known.max():.2g}" if known.max() > known.min() else ""
-    return f"; degrees of freedom {known.min():.2g} (of {fewest}){most}, for Student's t"
-
-
 def _too_small(fit: Fit) -> str:
     """What a cost per degree of freedom well below 1 means."""
     cost = fit.solver["cost_per_degree_of_freedom"]
@@ -166,8 +149,7 @@ def several_text(fit: Fit) -> list[str]:
             if log["errors"].get(kind):
                 rows[f"{log['name']}{said}"] = log["errors"][kind]
     parts = [error_rows(fit.model.pose, rows, None, turning=fit.model.period).replace("errors", "by log", 1)]
-    own = list(fit.logs[0]["parameters"])
-    for name in own:
+    for name in fit.logs[0]["parameters"]:
         parts += ["", _own_text(fit, next(p for p in fit.model.parameters if p.name == name))]
     return parts
 
@@ -176,17 +158,15 @@ def _own_text(fit: Fit, parameter: Parameter) -> str:
     """Return one parameter log by log, with how it changed since the first."""
     factor, unit = parameter_unit(parameter.unit)
     logs = [log for log in fit.logs if parameter.name in log["parameters"]]
-    change = fit.joint is not None
-    since = ["since the first (1 sigma)"] if change else []
+    since = [] if fit.joint is None else ["since the first (1 sigma)"]
     rows = [[f"{parameter.name} by log", "value (1 sigma)", "unit", *since]]
     for log in logs:
         value, std = (log["parameters"][parameter.name][key] for key in ("value", "std"))
         row = [log["name"], concise(factor * value, None if std is None else factor * std), unit]
-        if fit.joint is not None:
-            first, name = logs[0]["name"], log["name"]
-            moved, sigma = fit.joint.change(parameter.name, first, name) if name != first else (0.0, 0.0)
-            row.append(concise(factor * moved, factor * sigma) if name != first else "")
-        rows.append(row)
+        if fit.joint is not None and log is not logs[0]:
+            moved, sigma = fit.joint.change(parameter.name, logs[0]["name"], log["name"])
+            row.append(concise(factor * moved, factor * sigma))
+        rows.append([*row, *[""] * (len(rows[0]) - len(row))])
     return grid(rows)
 
 

@@ -14,8 +14,8 @@ from hallsym.inference import (
     ParameterReport,
 )
 from hallsym.model import Model
-from hallsym.report.tables import concise, grid, in_units
-from hallsym.units import parameter_unit, readable
+from hallsym.report.tables import cells, concise, grid, heads, in_units
+from hallsym.units import parameter_unit
 
 
 def report_text(report: Identifiability) -> str:
@@ -132,14 +132,8 @@ def _size(std: float, unit: str) -> str:
 
 def effects_text(report: Identifiability) -> str:
     """Return what 1 sigma and 1 % of each parameter do to the decoded pose."""
-    shown = [readable(c, report.model.period) for c in report.model.pose]
-    rows = [
-        [
-            "largest effect",
-            *(f"1 sigma {name} [{unit}]" for _, unit, name in shown),
-            *(f"1 % {name} [{unit}]" for _, unit, name in shown),
-        ]
-    ]
+    pose, period = report.model.pose, report.model.period
+    rows = [["largest effect", *heads(pose, period, "1 sigma"), *heads(pose, period, "1 %")]]
     entries = [entry for entry in report.parameters if entry.verdict.word != "fixed"]
     sigma = _numbers([entry.sigma for entry in entries], report.model)
     percent = _numbers([entry.percent for entry in entries], report.model)
@@ -154,30 +148,26 @@ NIL = 1e-9
 def _numbers(changes: Sequence[Change | None], model: Model) -> list[list[str]]:
     """Return each change of each coordinate, in its unit; empty where a parameter has none."""
     largest = {c: max((abs(x.worst[c]) for x in changes if x), default=0.0) for c in model.pose}
-    factor = {c: readable(c, model.period)[0] for c in model.pose}
 
-    def number(c: str, change: Change) -> str:
-        size = change.worst[c]
-        return f"{size * factor[c]:.3g}" if abs(size) > NIL * largest[c] else "0"
+    def sizes(change: Change) -> list[float]:
+        found = change.worst
+        return [found[c] if abs(found[c]) > NIL * largest[c] else 0.0 for c in model.pose]
 
-    return [[number(c, change) if change else "" for c in model.pose] for change in changes]
+    none = [""] * len(model.pose)
+    return [cells(sizes(change), model.pose, model.period) if change else none for change in changes]
 
 
 def outputs_text(report: Identifiability) -> str:
     """Return what the uncertainty of all parameters together does to the decoded pose."""
-    shown = [readable(c, report.model.period) for c in report.model.pose]
-    rows = [["decoded pose (1 sigma)", *(f"{name} [{unit}]" for _, unit, name in shown)]]
+    pose, period = report.model.pose, report.model.period
+    rows = [["decoded pose (1 sigma)", *heads(pose, period)]]
     labels = {
         "parameters_rms": "all parameters, rms",
         "parameters_worst": "all parameters, worst",
         "noise_floor": "noise of one reading",
     }
     for key, label in labels.items():
-        sizes = {
-            c: getattr(output, key) * readable(c, report.model.period)[0]
-            for c, output in report.outputs.items()
-        }
-        rows.append([label, *(f"{sizes[c]:.3g}" for c in report.model.pose)])
+        rows.append([label, *cells([getattr(report.outputs[c], key) for c in pose], pose, period)])
     return grid(rows)
 
 

@@ -14,14 +14,15 @@ READ = {"s": (1e3, "ms"), "V": (1e3, "mV")}
 
 def power_text(s: DetectionPower) -> str:
     """Return what `hallsym diagnose --power` prints: a line for each effect, and what cannot be seen."""
-    quiet, unit = len(s.quiet_trials), gap_unit(s.outputs)
+    quiet, unit, rate = len(s.quiet_trials), gap_unit(s.outputs), s.false_alarm_rate
+    bounds = f" (95 % interval of the rate: {100 * rate.low:.0f} to {100 * rate.high:.0f} %)"
     parts = [
         f"detection power of a diagnosis with {s.model}: {s.rows} samples"
         + (f" ({s.thinning})" if s.thinning else "")
         + f", noise floor {gap_text(s.floor_m, unit)}, threshold {100 * s.threshold:g} %, seed {s.seed}; "
         f"{s.seconds:.0f} s" + ("" if s.complete else "; INTERRUPTED, what was done:"),
         f"noise: {s.noise}",
-        f"false alarms: {s.false_alarms} of {quiet} logs without an effect{_bounds(s.false_alarm_rate)}",
+        f"false alarms: {s.false_alarms} of {quiet} logs without an effect{bounds if rate.trials else ''}",
     ]
     tested = [e for e in s.effects if e.trials]
     if tested:
@@ -43,7 +44,9 @@ def _table(s: DetectionPower, tested: Sequence[Findable]) -> str:
         cells = [_cell([t for t in e.trials if t.ratio == r], e.curve) for r in s.ratios]
         if e.trials[0].ratio is None:
             cells = [_cell(e.trials, e.curve), *[""] * (len(cells) - 1)]
-        rows.append([e.name, *cells, _from(e, gap_unit(s.outputs)), size_text(e), ", ".join(e.confused_with)])
+        found = "found" if e.ratio is None else gap_text(e.gap_m or 0.0, gap_unit(s.outputs))
+        found = found if e.status == "found" and e.gap_m is not None else "not found"
+        rows.append([e.name, *cells, found, size_text(e), ", ".join(e.confused_with)])
     return grid(rows, left=len(head))
 
 
@@ -55,19 +58,6 @@ def _cell(trials: Sequence[Trial], curve: Sequence[CurvePoint]) -> str:
         return said[0]
     point = next(p for p in curve if p.ratio == trials[0].ratio)
     return f"{100 * point.found:.0f} % ({100 * point.low:.0f}-{100 * point.high:.0f})"
-
-
-def _bounds(point: CurvePoint) -> str:
-    """Return the 95 % bounds of a rate in words, nothing of no trials."""
-    if not point.trials:
-        return ""
-    return f" (95 % interval of the rate: {100 * point.low:.0f} to {100 * point.high:.0f} %)"
-
-
-def _from(e: Findable, unit: tuple[float, str]) -> str:
-    if e.status != "found" or e.gap_m is None:
-        return "not found"
-    return "found" if e.ratio is None else gap_text(e.gap_m, unit)
 
 
 def size_text(e: Findable) -> str:
@@ -84,9 +74,10 @@ def size_text(e: Findable) -> str:
 
 
 def _legend(s: DetectionPower) -> str:
+    columns = f"columns {', '.join(f'{r:g} x' for r in s.ratios)}: gap over noise floor; "
     lines = [
-        f"columns {', '.join(f'{r:g} x' for r in s.ratios)}: gap over noise floor; yes: named first; "
-        "group: in one group with the effect named first; second: named beside another;",
+        f"{columns}yes: named first; group: in one group with the effect named first; second: named "
+        "beside another;",
         "wrong: only another effect was named; unexplained: a gap without a name; no gap: not detected; -: "
         "cannot be made that large here, or was not tried",
         "found from: of the sizes that were tried, the smallest gap above the floor from which on it is "
@@ -94,8 +85,7 @@ def _legend(s: DetectionPower) -> str:
     ]
     if s.repeats > 1:
         lines[:2] = [
-            f"columns {', '.join(f'{r:g} x' for r in s.ratios)}: gap over noise floor; in how many of "
-            f"{s.repeats} trials the effect is named first, or",
+            f"{columns}in how many of {s.repeats} trials the effect is named first, or",
             "in one group with the first, with its 95 % interval; -: cannot be made that large here",
         ]
     bounded = [e for e in s.effects if e.trials and e.reason]

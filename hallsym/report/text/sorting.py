@@ -2,17 +2,16 @@
 
 import csv
 import io
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from hallsym.errors import counted
-from hallsym.files import atomic_write
-from hallsym.report.tables import grid
+from hallsym.files import atomic_write, write_json
+from hallsym.report.tables import cells, grid, heads
 from hallsym.sorting import Matching, Sorting
-from hallsym.units import fitting, readable
+from hallsym.units import fitting
 
 MOST_BINS, MOST_SETS = 40, 10
 """Rows that a terminal shows; files and JSON have all."""
@@ -84,12 +83,14 @@ def matching_text(found: Matching) -> str:
     """Return the ways of choosing sets beside each other, and the first of the chosen sets."""
     size = len(found.places)
     best = "; optimal" if found.optimal else ""
+    factor, unit = _unit(found, found.floor)
+    beside = f"matched sets are {found.gain_over_bins:.3g} times better than bins alone"
+    beside = beside if len(found.bins.sets) else "no bin holds enough sensors for a set"
     return "\n".join(
         [
             f"sets of {size} for {found.model.name}, whose decoder knows the common gain{best}",
             way_table(found),
-            f"the uncertainty of the gains alone makes {_amount(found, found.floor)} rms; "
-            f"{_beside_bins(found)}",
+            f"the uncertainty of the gains alone makes {found.floor * factor:.3g} {unit} rms; {beside}",
             "",
             set_table(found),
         ]
@@ -99,23 +100,15 @@ def matching_text(found: Matching) -> str:
 def way_table(found: Matching) -> str:
     """Return rms and peak errors of the pose by way of choosing."""
     factor, unit = _unit(found, max(w.overall for w in found.ways if len(w.sets)))
-    shown = [readable(c, found.model.period) for c in found.model.pose]
-    head = ["way", "sets", f"rms [{unit}]", f"expected [{unit}]"]
-    rows = [[*head, *(f"peak {name} [{u}]" for _, u, name in shown)]]
+    pose, period = found.model.pose, found.model.period
+    rows = [["way", "sets", f"rms [{unit}]", f"expected [{unit}]", *heads(pose, period, "peak")]]
     for way in found.ways:
         if not len(way.sets):
-            rows.append([way.name, "0", *[""] * (2 + len(shown))])
+            rows.append([way.name, "0", *[""] * (2 + len(pose))])
             continue
-        peaks = way.pose_peak.max(axis=0)
-        cells = [f"{value * factor:.3g}" for value in (way.overall, found.expected(way))]
-        rows.append(
-            [
-                way.name,
-                str(len(way.sets)),
-                *cells,
-                *(f"{p * f:.3g}" for p, (f, _, _) in zip(peaks, shown, strict=True)),
-            ]
-        )
+        sizes = [f"{value * factor:.3g}" for value in (way.overall, found.expected(way))]
+        peaks = cells(way.pose_peak.max(axis=0), pose, period)
+        rows.append([way.name, str(len(way.sets)), *sizes, *peaks])
     return grid(rows)
 
 
@@ -138,7 +131,7 @@ def save_table(path: str, found: Sorting, matching: Matching | None = None) -> N
     """Write every sensor with gain, bin and, where sets were chosen, set and place; JSON holds everything."""
     if Path(path).suffix == ".json":
         record = found.to_dict() | ({"matching": matching.to_dict()} if matching else {})
-        atomic_write(path, json.dumps(record, indent=1))
+        write_json(path, record)
         return
     place: dict[int, tuple[int, str]] = {}
     if matching:
@@ -159,17 +152,6 @@ def _percent(value: float) -> str:
     return f"{100 * value:.2g} %"
 
 
-def _beside_bins(found: Matching) -> str:
-    if not len(found.bins.sets):
-        return "no bin holds enough sensors for a set"
-    return f"matched sets are {found.gain_over_bins:.3g} times better than bins alone"
-
-
 def _unit(found: Matching, largest: float) -> tuple[float, str]:
     """Return factor and unit of rms errors up to `largest`: degrees where the pose is an angle that turns."""
     return fitting(found.unit, largest, turns=any(c in found.model.period for c in found.model.pose))
-
-
-def _amount(found: Matching, value: float) -> str:
-    factor, unit = _unit(found, value)
-    return f"{value * factor:.3g} {unit}"

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hallsym.report.tables import grid
+from hallsym.report.tables import cells, grid, heads
 from hallsym.uncertainty.tolerances import ENOUGH, MOST_SAMPLES, Tolerance, Tolerances
 from hallsym.units import parameter_unit, readable
 
@@ -38,19 +38,15 @@ def _heads(found: Tolerances) -> list[str]:
 
 def error_table(found: Tolerances) -> str:
     """Return the errors of the machines drawn, in um and urad."""
-    shown = [readable(c, found.model.period) for c in found.model.pose]
-    e = found.errors
-    rows = [
-        ("rms, all machines", e.rms),
-        ("of which common to all", e.mean),
-        ("rms of one machine, 95 % below", e.rms_95),
-        ("peak of one machine, 95 % below", e.peak_95),
-    ]
-    body = [
-        [label, *(f"{v * f:.3g}" for v, (f, _, _) in zip(values, shown, strict=True))]
-        for label, values in rows
-    ]
-    return grid([["", *(f"{name} [{unit}]" for _, unit, name in shown)], *body])
+    pose, period, e = found.model.pose, found.model.period, found.errors
+    rows = {
+        "rms, all machines": e.rms,
+        "of which common to all": e.mean,
+        "rms of one machine, 95 % below": e.rms_95,
+        "peak of one machine, 95 % below": e.peak_95,
+    }
+    body = [[label, *cells(values, pose, period)] for label, values in rows.items()]
+    return grid([["", *heads(pose, period)], *body])
 
 
 def _order(found: Tolerances) -> list[int]:
