@@ -383,7 +383,7 @@ def drifts(
         about: dict[str, Any],
     ) -> Effect:
         def drift(model: Model, per: str | None = None, **given: Any) -> Model:
-            return follow(model, name, functions(**given), *(() if per is None else (per == "all",)))
+            return follow(model, name, functions(**given), *([per == "all"] if "per" in numbers else []))
 
         way = separate.get(name, about["separate"])
         known = about | {"link": "transducer", "name": name, "meaning": meaning, "separate": way}

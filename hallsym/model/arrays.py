@@ -98,7 +98,7 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
                 out[b][target] = work[a]
         return [_stack(entries, shape) for entries in out]
 
-    most = max(FEWEST, WORK // (function.sz_w() + sum(rows)))
+    most = max(FEWEST, WORK // max(1, function.sz_w() + sum(rows)))
 
     def run(*inputs: Sequence) -> list[np.ndarray]:
         shape = np.broadcast_shapes(*{getattr(v, "shape", ()) for column in inputs for v in column})
