@@ -74,18 +74,15 @@ class Features:
         Features that carry zeros are left out: their slope with the state is a second-order weight, and
         without it the weight of a residual does not depend on the zeros.
         """
-        rows, columns = (np.array(k, dtype=int) for k in self._slope_sparsity.get_triplet())
+        s = self.model.symbols
+        slopes = ca.jacobian(self._monomials, ca.vertcat(s.pose, s.state))
+        rows, columns = (np.array(k, dtype=int) for k in slopes.sparsity().get_triplet())
         parts = []
         for column in np.unique(columns):
             moved = np.sort(rows[(columns == column) & (rows >= self.n_zero)])
             i, j = np.triu_indices(len(moved))
             parts.append([np.full(len(i), column), moved[i], moved[j]])
         return np.hstack(parts) if parts else np.zeros((3, 0), dtype=int)
-
-    @property
-    def _slope_sparsity(self) -> ca.Sparsity:
-        s = self.model.symbols
-        return ca.jacobian(self._monomials, ca.vertcat(s.pose, s.state)).sparsity()
 
     @cached_property
     def variables(self) -> ca.Function:

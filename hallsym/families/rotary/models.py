@@ -259,9 +259,8 @@ _MENG_RATIOS = (_offset("x"), _offset("y"), _ratio("Ay", "Ax"))
 def harmonics(model: Model) -> Model:
     """3 to 8 waves of angle error per turn, whatever their cause.
 
-    Add 3 to 8 waves of angle error per turn, whatever their cause: what a correction table would hold.
-
-    One and two waves are the ellipse's own. To first order: valid for errors up to about 10 mrad.
+    What a correction table would hold; one and two waves are the ellipse's own. To first order: valid for
+    errors up to about 10 mrad.
     """
     orders = range(3, 9)
     added = tuple(
@@ -289,10 +288,9 @@ def harmonics(model: Model) -> Model:
 def zero_deviation(model: Model) -> Model:
     """A zero of the reference in each run.
 
-    Give the reference a zero of its own in each run: it was homed or coupled anew between runs.
-
-    Each run is turned to the encoder's own zero first (`hallsym.log.phase.homes`); `delta` is what is left.
-    `zero` is that of each run then, and no parameter any more.
+    The reference was homed or coupled anew between runs. Each run is turned to the encoder's own zero first
+    (`hallsym.log.phase.homes`); `delta` is what is left. `zero` is that of each run then, and no parameter
+    any more.
     """
 
     def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
