@@ -133,7 +133,8 @@ def slopes_of(models: Sequence[tuple[Model, Sequence[str]]]) -> list[Slope]:
 
     What models share of their expressions, their slopes share too.
     """
-    slopes, at = [], {}
+    slopes: list[ca.SX] = []
+    at: dict[int, tuple[ca.SX, ca.SX]] = {}
     for model, names in models:
         s, index = model.symbols, [model.names.index(name) for name in names]
         slopes.append(ca.jacobian(s.reading, s.parameters[index]))  # what is derived depends on no parameter
@@ -144,8 +145,7 @@ def slopes_of(models: Sequence[tuple[Model, Sequence[str]]]) -> list[Slope]:
     out = []
     for slope in map(ca.sparsify, ca.substitute(slopes, known[:1], known[1:])):
         channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
-        rows = ca.vertcat(*slope.nonzeros()) if len(channel) else ca.SX(0, 1)
-        out.append(Slope(rows, channel, column))
+        out.append(Slope(slope.nz[:], channel, column))
     return out
 
 

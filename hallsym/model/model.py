@@ -8,10 +8,11 @@ leave behind, so there is one copy of the mathematics.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import takewhile
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -56,16 +57,13 @@ class Signals(dict):
         self.derived: dict[str, tuple[ca.SX, ca.SX]] = {}
         self.functions: dict[str, Callable[..., Any]] = {}
 
-    def copied(self) -> "Signals | None":
+    def copied(self) -> "Signals":
         """Return the signals for another chain that goes on from here.
 
-        None where one is no expression, number or container of these: it may hold these very signals.
+        Raises `TypeError` where one is no expression, number or container: it may hold these signals.
         """
         out = Signals(())
-        try:
-            out.update({k: ca.SX(v) if isinstance(v, ca.SX) else _copied(v) for k, v in self.items()})
-        except TypeError:
-            return None
+        out.update({k: ca.SX(v) if isinstance(v, ca.SX) else _copied(v) for k, v in self.items()})
         out.derived, out.functions = dict(self.derived), dict(self.functions)
         return out
 
@@ -77,7 +75,7 @@ class Signals(dict):
 
 
 def _copied(value: Any) -> Any:
-    """A value whose containers are new ones. Raises `TypeError` where it may hold what is not seen here."""
+    """A value whose containers are new ones."""
     if isinstance(value, ca.SX | ca.DM | float | int | str):
         return value
     if isinstance(value, dict):
@@ -297,18 +295,19 @@ class Model:
         before = self.before
         while before and "_chain" not in before.__dict__:  # one that nobody has asked for
             before = before.before
-        known = before._chain if before else Chain([], Signals(()))
-        pairs = zip(self.steps, before.steps if before else (), known.snapshots[1:], strict=False)
-        start = sum(1 for _ in takewhile(lambda own: own[0] is own[1] and own[2] is not None, pairs))
-        signals = (known.snapshots[start].copied() if start else None) or Signals(())
+        known = before._chain.after if before else []
+        pairs = zip(self.steps, before.steps if before else (), known, strict=False)
+        after = [signals for _, _, signals in takewhile(lambda pair: pair[0] is pair[1], pairs)]
+        signals = after[-1].copied() if after else Signals(())
         for column in (*self.pose, *self.state):
             signals.setdefault(column, self._symbols["column", column])
         p = {name: symbol for (kind, name), symbol in self._symbols.items() if kind == "parameter"}
-        snapshots = [*known.snapshots[:start], signals.copied()]
-        for _, step in self.steps[start:]:
+        for k, (_, step) in list(enumerate(self.steps))[len(after) :]:
             step(signals, p)
-            snapshots.append(signals.copied())
-        return Chain(snapshots, signals)
+            if len(after) == k:
+                with suppress(TypeError):
+                    after.append(signals.copied())
+        return Chain(signals, after)
 
     @cached_property
     def symbols(self) -> "Symbols":
@@ -441,15 +440,11 @@ class Model:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Chain:
-    """The signals at the end of the chain, and before each step and after the last for longer chains.
+class Chain(NamedTuple):
+    """The signals at the end of a chain, and `after` each step as far as they can be copied."""
 
-    `snapshots`: None where they cannot be copied (`Signals.copied`).
-    """
-
-    snapshots: list[Signals | None]
     signals: Signals
+    after: list[Signals]
 
 
 def _column(entries: Iterable[ca.SX]) -> ca.SX:
