@@ -94,19 +94,19 @@ def stage15(layout: tuple[Probe, ...] | None = None) -> Model:
 @cache
 def stage30(layout: tuple[Probe, ...] | None = None) -> Model:
     """Return Model (30): Model (15) with the zero deviations of each run."""
-    return _named("stage30", zero_deviation(stage15(layout)))
+    return replace(zero_deviation(stage15(layout)), name="stage30")
 
 
 @cache
 def stage31(layout: tuple[Probe, ...] | None = None) -> Model:
     """Return Model (31): Model (30) with gains that follow Z, Rx, Ry in nine free coefficients."""
-    return _named("stage31", vertical_coupling(stage30(layout)))
+    return replace(vertical_coupling(stage30(layout)), name="stage31")
 
 
 @cache
 def stage31_tied(layout: tuple[Probe, ...] | None = None) -> Model:
     """Return Model (31) with the vertical coupling of a rigid stage: three slopes and one point."""
-    return _named("stage31_tied", tied_vertical_coupling(stage30(layout)))
+    return replace(tied_vertical_coupling(stage30(layout)), name="stage31_tied")
 
 
 # -- effects ---------------------------------------------------------------------------------------------
@@ -279,10 +279,6 @@ def _tied_start(model: Model, slopes: Mapping[str, np.ndarray]) -> dict[str, flo
 
 
 # -- the chain -------------------------------------------------------------------------------------------
-
-
-def _named(name: str, model: Model) -> Model:
-    return replace(model, name=name)
 
 
 FARTHEST = 5.0
