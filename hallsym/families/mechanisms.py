@@ -214,7 +214,9 @@ def saturation(unit: str, what: str, port: Port, separate: str) -> Effect:
 
     def stop(model: Model, **rail: Sequence[float]) -> Model:
         if not len(rail[low]) == len(rail[high]) == len(model.channels):
-            raise InputError(f"Rails of saturation must be {len(model.channels)} numbers each, separated by /.")
+            raise InputError(
+                f"Rails of saturation must be {len(model.channels)} numbers each, separated by /."
+            )
         return clipping(model, port, rail[low], rail[high])
 
     return effect(
