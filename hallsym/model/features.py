@@ -200,7 +200,7 @@ def find_features(model: Model) -> Features:
         found |= level
         if any(sum(row) > MAX_DEGREE for row in level) or len(found) > MAX_FEATURES:
             raise _not_polynomial(model)
-    carries_zero = {row: _depends(expression, s.zeros) for row, expression in found.items()}
+    carries_zero = {row: bool(len(model.zeros) and ca.depends_on(e, s.zeros)) for row, e in found.items()}
     order = sorted(found, key=lambda row: (not carries_zero[row], sum(row), [-k for k in row]))
     features = Features(model, np.array(order, dtype=int), sum(carries_zero.values()))
     if not _reproduces(features):
@@ -261,10 +261,6 @@ def _higher(
     for v in range(variables.numel()):
         if jacobian[:, v].nnz() and not ca.SX(jacobian[:, v]).is_zero():
             yield tuple(k + (i == v) for i, k in enumerate(row)), jacobian[:, v]
-
-
-def _depends(expression: ca.SX, symbols: ca.SX) -> bool:
-    return symbols.numel() > 0 and bool(ca.depends_on(expression, symbols))
 
 
 def _derivative(expression: ca.SX, variables: ca.SX, row: np.ndarray) -> ca.SX:
