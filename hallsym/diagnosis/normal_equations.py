@@ -9,6 +9,7 @@ matrices any set of effects can be fitted, cross-validated and judged without re
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import casadi as ca
@@ -119,39 +120,33 @@ def reading_and_derivatives(model: Model) -> Callable[..., list[np.ndarray]]:
     return model.remember("reading, derivatives", made)
 
 
-@dataclass(frozen=True, eq=False)
-class Slope:
-    """`run(p, zeros, pose, state) -> (rows, samples)`; each row has a channel and a column (parameter)."""
+class Slope(NamedTuple):
+    """d reading / d parameters where it is not nil: `rows`, each with its channel and column (parameter)."""
 
-    run: Callable[..., list[np.ndarray]]
-    model: Model
-    p: np.ndarray
+    rows: ca.SX
     channel: np.ndarray
     column: np.ndarray
 
 
-def slope_of(model: Model, p: np.ndarray, new: Sequence[str]) -> Slope:
-    """Return d reading / d new parameters at the values p of `model`, rows in order of their channel."""
-    index = [model.names.index(name) for name in new]
-    at = tuple(p[index].tolist())
-    run, channel, column = model.remember(("slope", *index, *at), lambda: _rows_of(model, index, at))
-    return Slope(run, model, p, channel, column)
+def slopes_of(models: Sequence[tuple[Model, Sequence[str]]]) -> list[Slope]:
+    """Return d reading / d some parameters of each model, at their nominal values.
 
-
-def _rows_of(
-    model: Model, index: Sequence[int], at: Sequence[float]
-) -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
-    """Function, channels and columns of a `Slope` with respect to some parameters at their values."""
-    s = model.symbols
-    slope = ca.jacobian(s.reading, s.parameters[index])  # what is derived depends on no parameter
-    known = ca.vertcat(s.parameters[index], s.derived), ca.vertcat(ca.SX(ca.DM(at)), s.derived_as)
-    slope = ca.sparsify(ca.substitute(slope, *known))
-    channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
-    order = np.lexsort((column, channel))
-    entries = slope.nonzeros()
-    rows = ca.vertcat(*(entries[k] for k in order)) if len(order) else ca.SX(0, 1)
-    function = ca.Function("slope", [s.parameters, s.zeros, s.pose, s.state], [ca.densify(rows)])
-    return on_arrays(function), channel[order], column[order]
+    What models share of their expressions, their slopes share too.
+    """
+    slopes: list[ca.SX] = []
+    at: dict[int, tuple[ca.SX, ca.SX]] = {}
+    for model, names in models:
+        s, index = model.symbols, [model.names.index(name) for name in names]
+        slopes.append(ca.jacobian(s.reading, s.parameters[index]))  # what is derived depends on no parameter
+        symbols = (*ca.vertsplit(s.parameters[index]), *ca.vertsplit(s.derived))
+        values = (*map(ca.SX, model.nominal[index].tolist()), *ca.vertsplit(s.derived_as))
+        at |= {symbol.element_hash(): (symbol, value) for symbol, value in zip(symbols, values, strict=True)}
+    known = [ca.vertcat(*each) for each in zip(*at.values(), strict=True)] or [ca.SX(0, 1)] * 2
+    out = []
+    for slope in map(ca.sparsify, ca.substitute(slopes, known[:1], known[1:])):
+        channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
+        out.append(Slope(slope.nz[:], channel, column))
+    return out
 
 
 class Slopes:
@@ -165,42 +160,58 @@ class Slopes:
     def __init__(
         self, model: Model, p: np.ndarray, candidates: Mapping[str, tuple[Model, Sequence[str]]]
     ) -> None:
-        values = dict(zip(model.names, p.tolist(), strict=True))
-        self.channels = range(len(model.channels))
-        self.references = model.references
-        self.each: dict[str, Slope] = {}
-        self.span: dict[str, slice] = {}
-        self.columns = 0
+        self.model, self.p, self.keys = model, p, list(candidates)
+        ends = np.cumsum([0, *(len(new) for _, new in candidates.values())]).tolist()
+        self.span = {key: slice(*ends[j : j + 2]) for j, key in enumerate(candidates)}
+        self.columns = ends[-1]
         self.spoiled: set[str] = set()
-        columns: list[list[np.ndarray]] = [[] for _ in self.channels]
-        self.parts: list[list[slice]] = [[] for _ in self.channels]
-        for key, (wide, new) in candidates.items():
-            slope = slope_of(wide, wide.vector(values), new)
-            self.each[key] = slope
-            self.span[key] = slice(self.columns, self.columns + len(new))
-            for k in self.channels:
-                here = slope.column[slope.channel == k] + self.columns
-                start = self.parts[k][-1].stop if self.parts[k] else 0
-                self.parts[k].append(slice(start, start + len(here)))
-                columns[k].append(here)
-            self.columns += len(new)
-        self.column = [np.concatenate([*c, np.zeros(0, dtype=int)]) for c in columns]
+        wide = [(wide, *new) for wide, new in candidates.values()]
+        self.run, self.state, channel, column = model.remember(
+            ("slopes", *wide), lambda: _rows_of(model, list(candidates.values()))
+        )
+        self.owner = np.searchsorted(ends, column, side="right") - 1
+        self.edges = np.searchsorted(channel, np.arange(len(model.channels) + 1)).tolist()
+        self.column = [column[a:b] for a, b in pairwise(self.edges)]
+        self.parts = [
+            [slice(*np.searchsorted(self.owner[a:b], (j, j + 1)).tolist()) for j in range(len(self.keys))]
+            for a, b in pairwise(self.edges)
+        ]
 
     def rows(self, batch: Batch, zeros: np.ndarray, weights: np.ndarray | None) -> list[np.ndarray]:
         """Return the rows of each channel, (rows, samples), times the root of the weights."""
-        out = [np.empty((len(c), len(batch))) for c in self.column]
-        pose = batch.columns(self.references)
-        for j, (key, slope) in enumerate(self.each.items()):
-            (values,) = slope.run(slope.p, zeros, pose, batch.columns(slope.model.state))
-            if not np.isfinite(values).all():
-                self.spoiled.add(key)
-                values = np.zeros_like(values)
-            for k in self.channels:
-                out[k][self.parts[k][j]] = values[slope.channel == k]
+        pose, state = batch.columns(self.model.references), batch.columns(self.state)
+        (values,) = self.run(self.p, zeros, pose, state)
+        bad = ~np.isfinite(values).all(axis=1)
+        if bad.any():
+            spoiled = np.unique(self.owner[bad])
+            self.spoiled |= {self.keys[j] for j in spoiled}
+            values[np.isin(self.owner, spoiled)] = 0.0
         if weights is not None:
-            for rows in out:
-                rows *= np.sqrt(weights)
-        return out
+            values *= np.sqrt(weights)
+        return [values[a:b] for a, b in pairwise(self.edges)]
+
+
+def _rows_of(
+    model: Model, candidates: Sequence[tuple[Model, Sequence[str]]]
+) -> tuple[Callable[..., list[np.ndarray]], tuple[str, ...], np.ndarray, np.ndarray]:
+    """Return `run(p, zeros, pose, state)` of all rows, the columns `state`, channel and column of each."""
+    each = slopes_of(candidates)
+    starts = np.cumsum([0, *(len(new) for _, new in candidates)])
+    channel = np.concatenate([np.zeros(0, dtype=int), *(s.channel for s in each)])
+    column = np.concatenate(
+        [np.zeros(0, dtype=int), *(s.column + start for s, start in zip(each, starts[:-1], strict=True))]
+    )
+    order = np.lexsort((column, channel))
+    rows = ca.vertcat(*(s.rows for s in each))[order.tolist()] if len(order) else ca.SX(0, 1)
+    s = model.symbols
+    state = {
+        symbol.element_hash(): (name, symbol)
+        for wide, _ in candidates
+        for name, symbol in zip(wide.state, ca.vertsplit(wide.symbols.state), strict=True)
+    }
+    inputs = [s.parameters, s.zeros, s.pose, ca.vertcat(*(symbol for _, symbol in state.values()))]
+    run = on_arrays(ca.Function("slopes", inputs, [ca.densify(rows)]))
+    return run, tuple(name for name, _ in state.values()), channel[order], column[order]
 
 
 UNITS = 64

@@ -8,7 +8,7 @@ import numpy as np
 
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.faults import faults
-from hallsym.diagnosis.normal_equations import slope_of
+from hallsym.diagnosis.normal_equations import slopes_of
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.refit import Refitted, refit, with_effects, with_model
@@ -173,10 +173,8 @@ def cancels(fit: Refitted, names: Sequence[str]) -> bool:
     Then all of them make less than half of what one alone makes, such as a cubic and a quintic term.
     Parameters that do nothing where the others are nil, such as a rail of what is not clipped, have no size.
     """
-    model, p = fit.base.model, fit.base.p.copy()
-    at = [model.names.index(n) for n in names]
-    p[at] = model.nominal[at]
-    slope = slope_of(model, p, names)
+    model = fit.base.model
+    (slope,) = slopes_of([(model, names)])
     units = {q.name: q.unit for q in model.parameters}
     same: dict[tuple[str, tuple[int, ...]], list[str]] = {}
     for k, name in enumerate(names):

@@ -5,7 +5,7 @@ there. New parameters are 0 where the effect is absent.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -13,8 +13,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from hallsym.errors import InputError
+from hallsym.families.faults import inject_rails
 from hallsym.model import Effect, Facts, Model, Parameter, Signals, effect
-from hallsym.model.arguments import POSITIVE, Number, Try, from_log, one_of, searched
+from hallsym.model.arguments import POSITIVE, Number, Try, beside, found, from_log, one_of, searched
 from hallsym.model.derived import Computed, Stretch, campaign_time, rate
 
 P = Mapping[str, ca.SX]
@@ -204,6 +206,25 @@ def rails(low: str, high: str, *, alike: bool) -> Callable[[Model, Facts], list[
     return tries
 
 
+def saturation(unit: str, what: str, port: Port, separate: str) -> Effect:
+    """Return the effect that readings [`unit`] stop at a rail, one per channel; `what` is read: "probe"."""
+    low, high = f"low_{unit}", f"high_{unit}"
+    highest = found(rails(low, high, alike=True), f"highest reading of each {what}")
+    numbers = {low: beside(f"lowest reading of each {what}"), high: highest}
+
+    def stop(model: Model, **rail: Sequence[float]) -> Model:
+        if not len(rail[low]) == len(rail[high]) == len(model.channels):
+            raise InputError(
+                f"Rails of saturation must be {len(model.channels)} numbers each, separated by /."
+            )
+        return clipping(model, port, rail[low], rail[high])
+
+    return effect(
+        link="electronics", name="saturation", meaning="Readings stop at a rail.", inject=inject_rails,
+        numbers={name: replace(n, kind=tuple[float, ...]) for name, n in numbers.items()}, separate=separate,
+    )(stop)  # fmt: skip
+
+
 # -- functions of time, temperature and runs that gains and offsets follow ----------------------------------
 
 
@@ -383,7 +404,7 @@ def drifts(
         about: dict[str, Any],
     ) -> Effect:
         def drift(model: Model, per: str | None = None, **given: Any) -> Model:
-            return follow(model, name, functions(**given), *(() if per is None else (per == "all",)))
+            return follow(model, name, functions(**given), *([per == "all"] if "per" in numbers else []))
 
         way = separate.get(name, about["separate"])
         known = about | {"link": "transducer", "name": name, "meaning": meaning, "separate": way}

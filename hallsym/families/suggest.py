@@ -95,6 +95,7 @@ def numbers_of(names: tuple[str, ...]) -> tuple[int, ...]:
 
 ROWS = 50_000
 """Samples that are looked at."""
+STATED, BY_SIZE = "its unit is stated", "UNIT ONLY BY ITS SIZE"
 MOVES = 0.9
 """Correlation from which a column moves as another one does: the other axes and the noise make the rest."""
 NEAR = 3.0
@@ -117,6 +118,10 @@ class Guess:
     def ours(self) -> str:
         """Our name, with the unit."""
         return self.stem if self.stem == RUN else f"{self.stem}_{self.unit or 'UNIT'}"
+
+    def in_unit(self, unit: str, said: str, turn: int | None = None) -> Guess:
+        """Return the guess with a unit, what is said for it, and counts per turn."""
+        return replace(self, unit=unit, why=f"{self.why}; {said}", counts_per_turn=turn)
 
     @property
     def line(self) -> str:
@@ -323,34 +328,36 @@ def _unit_fits(source: Source, name: str, stem: str, model: Model) -> bool:
     return not stated or stem == RUN or UNITS[stated].si in (*kinds, *("count",) * ("rad" in kinds))
 
 
-def _with_unit(source: Source, values: Array, guess: Guess) -> Guess:
-    """Add the unit that the file states, else the one that the size of the values suggests."""
+def _with_unit(source: Source, values: Array, guess: Guess, expected: Array | None = None) -> Guess:
+    """Add the unit that the file states, else the one in which the values are as large as they should be.
+
+    That is what is `expected` of them, or what is likely. An angle that goes round: whole numbers are counts,
+    up to 7 radians, up to 400 degrees.
+    """
     if guess.stem == RUN:
         return guess
-    stated = _stated(source, guess.theirs)
-    kinds = quantity(guess.stem)
+    stated, kinds = _stated(source, guess.theirs), quantity(guess.stem)
     if stated and UNITS[stated].si == "count" and "rad" in kinds:
-        why = f"{guess.why}; its unit is stated, THE TURN ONLY BY ITS SIZE"
-        return replace(guess, unit="count", counts_per_turn=_turn(values), why=why)
+        return guess.in_unit("count", f"{STATED}, THE TURN ONLY BY ITS SIZE", _turn(values))
     if stated:
-        return replace(guess, unit=stated, why=f"{guess.why}; its unit is stated")
+        return guess.in_unit(stated, STATED)
+    if expected is not None:
+        apart = {u.name: abs(np.log(u.factor * np.std(values) / np.std(expected)))
+                 for u in UNITS.values() if u.si in kinds[:1]}  # fmt: skip
+        best = min(apart, key=lambda u: apart[u], default="")
+        return guess.in_unit(best, BY_SIZE) if best and apart[best] < np.log(NEAR) else guess
     span = float(np.nanmax(values) - np.nanmin(values))
     for si in kinds:
         limit = limit_of(f"{guess.stem}_{si}")
         if limit and span > 0:
             units = [si] if span <= limit.likely else likely_units(limit, span)
             if units:
-                return replace(guess, unit=units[0], why=f"{guess.why}; UNIT ONLY BY ITS SIZE")
-    return _turning(values, guess, span) if "rad" in kinds else guess
-
-
-def _turning(values: Array, guess: Guess, span: float) -> Guess:
-    """An angle that goes round: whole numbers are counts, up to 7 radians, up to 400 degrees."""
+                return guess.in_unit(units[0], BY_SIZE)
+    if "rad" not in kinds:
+        return guess
     if _whole(values) and span > 400:
-        turn = _turn(values)
-        return replace(guess, unit="count", counts_per_turn=turn, why=f"{guess.why}; COUNTS ONLY BY SIZE")
-    unit = "rad" if span < 7 else "deg" if span < 400 else ""
-    return replace(guess, unit=unit, why=f"{guess.why}; UNIT ONLY BY ITS SIZE") if unit else guess
+        return guess.in_unit("count", "COUNTS ONLY BY SIZE", _turn(values))
+    return guess.in_unit("rad" if span < 7 else "deg", BY_SIZE) if span < 400 else guess
 
 
 def _turn(values: Array) -> int:
@@ -371,7 +378,20 @@ def _by_motion(
     if not lacking or not any(split_unit(c)[0] in known for c in model.references):
         return []
     expected = _readings(model, known)
-    return _matched(source, data, free, {split_unit(c)[0]: expected[c] for c in lacking}, model)
+    likely = {
+        (stem, name): float(np.corrcoef(expected[stem], data[name])[0, 1])
+        for stem in (split_unit(c)[0] for c in lacking)
+        for name in free
+        if _unit_fits(source, name, stem, model)
+        and np.isfinite(data[name]).all()
+        and np.ptp(expected[stem]) > 0
+    }
+    found = []
+    for _, stem, name in _likeliest((abs(r), *pair) for pair, r in likely.items() if abs(r) >= MOVES):
+        r = likely[stem, name]
+        guess = Guess(stem, name, "", f"moves as {stem} should (r = {r:.3f})", 1 if r > 0 else -1)
+        found.append(_with_unit(source, data[name], guess, expected[stem]))
+    return found
 
 
 def _si(values: Array, guess: Guess) -> Array:
@@ -388,38 +408,4 @@ def _readings(model: Model, known: Mapping[str, Array]) -> dict[str, Array]:
     state = np.array([known.get(split_unit(c)[0], np.full(rows, rest.get(c, 0.0))) for c in model.state])
     zeros = np.zeros((len(model.zeros), 1))
     found = np.asarray(model.reading(model.nominal, zeros, pose, state.reshape(len(model.state), rows)))
-    return dict(zip(model.channels, found, strict=True))
-
-
-def _matched(
-    source: Source,
-    data: Mapping[str, Array],
-    free: Sequence[str],
-    expected: Mapping[str, Array],
-    model: Model,
-) -> list[Guess]:
-    """Return guesses for the pairs of columns and stems that move together, the surest first."""
-    likely = {
-        (stem, name): float(np.corrcoef(wanted, data[name])[0, 1])
-        for stem, wanted in expected.items()
-        for name in free
-        if _unit_fits(source, name, stem, model) and np.isfinite(data[name]).all() and np.ptp(wanted) > 0
-    }
-    found = []
-    for _, stem, name in _likeliest((abs(r), *pair) for pair, r in likely.items() if abs(r) >= MOVES):
-        r = likely[stem, name]
-        guess = Guess(stem, name, "", f"moves as {stem} should (r = {r:.3f})", 1 if r > 0 else -1)
-        found.append(_sized(source, data[name], expected[stem], guess))
-    return found
-
-
-def _sized(source: Source, values: Array, expected: Array, guess: Guess) -> Guess:
-    """Add the unit in which the values have the size that is expected of them."""
-    stated = _stated(source, guess.theirs)
-    if stated:
-        return replace(guess, unit=stated, why=f"{guess.why}; its unit is stated")
-    factor = float(np.std(expected) / np.std(values))
-    kinds = quantity(guess.stem)[:1]
-    near = [u for u in UNITS.values() if u.si in kinds and 1 / NEAR < u.factor / factor < NEAR]
-    best = min(near, key=lambda u: abs(np.log(u.factor / factor)), default=None)
-    return replace(guess, unit=best.name, why=f"{guess.why}; UNIT ONLY BY ITS SIZE") if best else guess
+    return dict(zip((split_unit(c)[0] for c in model.channels), found, strict=True))

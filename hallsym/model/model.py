@@ -8,10 +8,11 @@ leave behind, so there is one copy of the mathematics.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import takewhile
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -56,16 +57,13 @@ class Signals(dict):
         self.derived: dict[str, tuple[ca.SX, ca.SX]] = {}
         self.functions: dict[str, Callable[..., Any]] = {}
 
-    def copied(self) -> "Signals | None":
+    def copied(self) -> "Signals":
         """Return the signals for another chain that goes on from here.
 
-        None where one is no expression, number or container of these: it may hold these very signals.
+        Raises `TypeError` where one is no expression, number or container: it may hold these signals.
         """
         out = Signals(())
-        try:
-            out.update({k: ca.SX(v) if isinstance(v, ca.SX) else _copied(v) for k, v in self.items()})
-        except TypeError:
-            return None
+        out.update({k: ca.SX(v) if isinstance(v, ca.SX) else _copied(v) for k, v in self.items()})
         out.derived, out.functions = dict(self.derived), dict(self.functions)
         return out
 
@@ -77,7 +75,7 @@ class Signals(dict):
 
 
 def _copied(value: Any) -> Any:
-    """A value whose containers are new ones. Raises `TypeError` where it may hold what is not seen here."""
+    """A value whose containers are new ones."""
     if isinstance(value, ca.SX | ca.DM | float | int | str):
         return value
     if isinstance(value, dict):
@@ -285,41 +283,50 @@ class Model:
     # -- expressions -------------------------------------------------------------------------------------
 
     @cached_property
+    def _symbols(self) -> dict[tuple[str, str], ca.SX]:
+        """Symbols of parameters, zeros and columns by kind and name; the model before has the same ones."""
+        known = self.before._symbols if self.before else {}
+        own = [("parameter", name) for name in (*self.names, *(z.name for z in self.zeros))]
+        own += [("column", name) for name in (*self.pose, *self.state)]
+        return {key: known[key] if key in known else ca.SX.sym(key[1]) for key in own}
+
+    @cached_property
     def _chain(self) -> "Chain":
         before = self.before
         while before and "_chain" not in before.__dict__:  # one that nobody has asked for
             before = before.before
-        known = before._chain if before else Chain({}, {}, {}, [], Signals(()))
-        pairs = zip(self.steps, before.steps if before else (), known.snapshots[1:], strict=False)
-        start = sum(1 for _ in takewhile(lambda own: own[0] is own[1] and own[2] is not None, pairs))
-        signals = (known.snapshots[start].copied() if start else None) or Signals(())
+        known = before._chain.after if before else []
+        pairs = zip(self.steps, before.steps if before else (), known, strict=False)
+        after = [signals for _, _, signals in takewhile(lambda pair: pair[0] is pair[1], pairs)]
+        signals = after[-1].copied() if after else Signals(())
         for column in (*self.pose, *self.state):
-            signals.setdefault(column, known.columns.setdefault(column, ca.SX.sym(column)))
-        p = {name: known.parameters.get(name, ca.SX.sym(name)) for name in self.names}
-        zeros = {z.name: known.zeros.get(z.name, ca.SX.sym(z.name)) for z in self.zeros}
-        snapshots = [*known.snapshots[:start], signals.copied()]
-        for _, step in self.steps[start:]:
-            step(signals, {**p, **zeros})
-            snapshots.append(signals.copied())
-        return Chain(known.columns, p, zeros, snapshots, signals)
+            signals.setdefault(column, self._symbols["column", column])
+        p = {name: symbol for (kind, name), symbol in self._symbols.items() if kind == "parameter"}
+        for k, (_, step) in list(enumerate(self.steps))[len(after) :]:
+            step(signals, p)
+            if len(after) == k:
+                with suppress(TypeError):
+                    after.append(signals.copied())
+        return Chain(signals, after)
 
     @cached_property
     def symbols(self) -> "Symbols":
         """The symbols and the reading of the chain, with derived quantities still symbols of their own."""
-        chain = self._chain
-        signals = chain.signals
-        derived = list(signals.derived.values())
+        signals, derived = self._chain.signals, list(self._chain.signals.derived.values())
         return Symbols(
-            parameters=ca.vertcat(*chain.parameters.values()),
-            zeros=_column(chain.zeros.values()),
-            pose=ca.vertcat(*(signals[c] for c in self.pose)),
-            state=_column(signals[c] for c in self.state),
+            parameters=self._of("parameter", self.names),
+            zeros=self._of("parameter", (z.name for z in self.zeros)),
+            pose=self._of("column", self.pose),
+            state=self._of("column", self.state),
             derived=_column(s for s, _ in derived),
             derived_as=_column(e for _, e in derived),
             reading=signals["reading"],
             gain=signals["gain"] if "gain" in signals else ca.SX.ones(len(self.channels)),
             displacement=signals["displacement"] if "displacement" in signals else ca.SX(0, 1),
         )
+
+    def _of(self, kind: str, names: Iterable[str]) -> ca.SX:
+        return _column(self._symbols[kind, name] for name in names)
 
     @cached_property
     def reading(self) -> ca.Function:
@@ -422,28 +429,22 @@ class Model:
     @cached_property
     def combined(self) -> ca.Function:
         """Values of the readable combinations, `(parameters) -> (n_combinations,)`."""
-        p = self._chain.parameters
-        values = [c.value(p) for c in self.combinations]
+        values = [
+            c.value({name: self._symbols["parameter", name] for name in self.names})
+            for c in self.combinations
+        ]
         return ca.Function(
             "combined",
-            [ca.vertcat(*p.values())],
+            [self._of("parameter", self.names)],
             [ca.densify(ca.vertcat(*values)) if values else ca.DM(0, 1)],
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Chain:
-    """The symbols of a model and its signals at the end of the chain, which longer chains go on from.
+class Chain(NamedTuple):
+    """The signals at the end of a chain, and `after` each step as far as they can be copied."""
 
-    `columns`: of all models that share them. `snapshots`: the signals before each step and after the last,
-    None where they cannot be copied (`Signals.copied`).
-    """
-
-    columns: dict[str, ca.SX]
-    parameters: dict[str, ca.SX]
-    zeros: dict[str, ca.SX]
-    snapshots: list[Signals | None]
     signals: Signals
+    after: list[Signals]
 
 
 def _column(entries: Iterable[ca.SX]) -> ca.SX:
