@@ -15,6 +15,7 @@ from hallsym.diagnosis.record import (
     Band,
     CurveShape,
     Diagnosis,
+    Estimate,
     FoundEffect,
     Separation,
     Significance,
@@ -26,7 +27,6 @@ from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.validation import QUIET
 from hallsym.diagnosis.words import gap_text, gap_unit, place_unit
 from hallsym.families.user import load_effects
-from hallsym.inference import Estimate
 
 __all__ = [
     "POLICY", "QUIET", "Band", "Base", "CurveShape", "Diagnosis", "Estimate", "Examined", "FoundEffect",

@@ -14,6 +14,7 @@ from scipy.ndimage import median_filter
 from hallsym.diagnosis.cordic import cordic
 from hallsym.diagnosis.p_values import as_many, as_often, beyond, exceeds, statistic_at, student
 from hallsym.diagnosis.policy import Policy
+from hallsym.diagnosis.record import Estimate
 from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.survey import WINDOW, Survey
@@ -21,7 +22,6 @@ from hallsym.diagnosis.words import shown
 from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.outliers import residuals
 from hallsym.families.faults import FAULTS, RecordingFault
-from hallsym.inference import Estimate
 from hallsym.log import Block, Log
 from hallsym.log.batches import HELD, Weigh
 from hallsym.log.quality.runs import FEWEST_SAMPLES

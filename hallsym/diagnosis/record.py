@@ -6,9 +6,17 @@ from typing import Any
 
 from hallsym.diagnosis.policy import Policy
 from hallsym.estimation.residual_noise import ResidualNoise
-from hallsym.inference import Estimate
 from hallsym.records import plain, schema_of, structured
 from hallsym.shown import Shown
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter: value and standard uncertainty in SI; None where there is none to give."""
+
+    value: float
+    std: float | None
+    unit: str
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from hallsym.diagnosis.localisation import Located, located
 from hallsym.diagnosis.noise import LARGER, noise_text, with_noise
 from hallsym.diagnosis.record import (
     Diagnosis,
+    Estimate,
     FoundEffect,
     Gap,
     LogRecord,
@@ -39,7 +40,6 @@ from hallsym.estimation.calibration import Fit
 from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.families import added_effects
 from hallsym.families.faults import FAULTS
-from hallsym.inference import Estimate
 from hallsym.log.quality.gains import listed
 from hallsym.model import Model
 
