@@ -20,6 +20,15 @@ class InputError(ValueError):
         super().__init__(one_line(str(message)))
 
 
+def require(good: object, what: str, wanted: str, received: object) -> None:
+    """Raise an `InputError` unless `good`.
+
+    >>> require(2 > 1, "Seed", "above 1", 2)
+    """
+    if not good:
+        raise InputError(f"{what} must be {wanted}; instead received {received!r}.")
+
+
 def one_line(text: str) -> str:
     r"""Return `text` on one line of at most `LONGEST` characters, its middle left out where it is longer.
 

@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, nearest, require
+from hallsym.records import plain
 from hallsym.shown import Shown
 from hallsym.toml import Table, number, unit_of
 from hallsym.trajectory import Curve
@@ -47,33 +48,22 @@ class Source:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be an uncertainty."""
-        if self.distribution not in DISTRIBUTIONS:
-            raise InputError(
-                f"Distribution of source {self.name!r} must be one of {', '.join(DISTRIBUTIONS)}; "
-                f"instead received {self.distribution!r}."
-            )
-        if not (isfinite(self.std) and self.std >= 0):
-            raise InputError(
-                f"Uncertainty of source {self.name!r} must be a number >= 0; instead received {self.std!r}."
-            )
-        if not isfinite(self.sensitivity):
-            raise InputError(
-                f"Sensitivity to source {self.name!r} must be a finite number; "
-                f"instead received {self.sensitivity!r}."
-            )
-        if not self.degrees_of_freedom >= 1:
-            raise InputError(
-                f"Degrees of freedom of source {self.name!r} must be 1 or more; "
-                f"instead received {self.degrees_of_freedom!r}."
-            )
+        known = ", ".join(DISTRIBUTIONS)
+        std, slope, dof = self.std, self.sensitivity, self.degrees_of_freedom
+        require(
+            self.distribution in DISTRIBUTIONS,
+            f"Distribution of source {self.name!r}",
+            f"one of {known}",
+            self.distribution,
+        )
+        require(isfinite(std) and std >= 0, f"Uncertainty of source {self.name!r}", "a number >= 0", std)
+        require(isfinite(slope), f"Sensitivity to source {self.name!r}", "a finite number", slope)
+        require(dof >= 1, f"Degrees of freedom of source {self.name!r}", "1 or more", dof)
 
     @staticmethod
     def normal(name: str, uncertainty: float, unit: str, k: float = 1.0, **more: Any) -> "Source":
         """Normal: an uncertainty stated as `k` standard uncertainties (JCGM 100, 4.3.3)."""
-        if not (isfinite(k) and k > 0):
-            raise InputError(
-                f"Coverage factor of source {name!r} must be a positive number; instead received {k!r}."
-            )
+        require(isfinite(k) and k > 0, f"Coverage factor of source {name!r}", "a positive number", k)
         return Source(name, uncertainty / k, unit, "normal", **more)
 
     @staticmethod
@@ -130,16 +120,10 @@ class Budget(Shown):
 
     def __post_init__(self) -> None:
         """Refuse a coverage or a correlation that cannot be."""
-        if not (isfinite(self.coverage) and self.coverage > 0):
-            raise InputError(
-                f"Coverage factor of {self.quantity} must be a positive number; "
-                f"instead received {self.coverage!r}."
-            )
-        if self.level is not None and not 0 < self.level < 1:
-            raise InputError(
-                f"Level of {self.quantity} must be a probability between 0 and 1, such as 0.95; "
-                f"instead received {self.level!r}."
-            )
+        k, level = self.coverage, self.level
+        require(isfinite(k) and k > 0, f"Coverage factor of {self.quantity}", "a positive number", k)
+        wanted = "a probability between 0 and 1, such as 0.95"
+        require(level is None or 0 < level < 1, f"Level of {self.quantity}", wanted, level)
         if self.correlation is not None:
             _check_correlation(self.correlation, len(self.sources), self.quantity)
 
@@ -209,7 +193,7 @@ class Budget(Shown):
             "unit": self.unit,
             "value": self.value,
             "standard_uncertainty": self.std,
-            "degrees_of_freedom": _finite(self.degrees_of_freedom),
+            "degrees_of_freedom": plain(self.degrees_of_freedom),
             "coverage_factor": self.factor,
             "level": self.level,
             "expanded_uncertainty": self.expanded,
@@ -220,7 +204,7 @@ class Budget(Shown):
                     "standard_uncertainty": s.std,
                     "unit": s.unit,
                     "sensitivity": s.sensitivity,
-                    "degrees_of_freedom": _finite(s.degrees_of_freedom),
+                    "degrees_of_freedom": plain(s.degrees_of_freedom),
                     "contribution": abs(s.contribution),
                     "share": float(share),
                 }
@@ -247,10 +231,6 @@ def _check_correlation(matrix: np.ndarray, n: int, quantity: str) -> None:
             f"Correlations of {quantity} must be coefficients from -1 to 1 that can hold together "
             "(a positive semi-definite matrix); check their signs and sizes."
         )
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if isfinite(value) else None
 
 
 # -- a curve that the machine follows ----------------------------------------------------------------------
@@ -397,11 +377,9 @@ def _made(entry: Table, name: str, kind: str, factor: float, unit: str, more: di
         half = entry.number(kind, least=0.0) * factor * (1.0 if kind == "half_width" else 0.5)
         return Source(name, half / DIVISORS[asked], unit, asked, **more)
     _only(entry, ("student",))
-    if not isinstance(entry.raw[kind], list):
-        raise InputError(
-            f"'readings' of {entry.where} must be a list of numbers; instead received {entry.raw[kind]!r}."
-        )
-    values = [number(v, kind, entry.where) * factor for v in entry.raw[kind]]
+    readings = entry.raw[kind]
+    require(isinstance(readings, list), f"'readings' of {entry.where}", "a list of numbers", readings)
+    values = [number(v, kind, entry.where) * factor for v in readings]
     return Source.readings(name, values, unit, **more)
 
 

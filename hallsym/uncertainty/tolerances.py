@@ -7,7 +7,7 @@ of errors y(t), numerators and denominator are averaged over t before the divisi
 J. Stat. 8 (2014) 575, doi:10.1214/14-EJS895): large errors count as such, wherever they are.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.phase import near
-from hallsym.model import Model, on_arrays
+from hallsym.model import Model
 from hallsym.records import named
 from hallsym.simulation import Campaign, Run, paper_campaign
+from hallsym.uncertainty.along import Errors, decoding_errors
 from hallsym.uncertainty.ranges import USUAL, Tolerance, default_tolerances, given_tolerances
 
 BLOCK = 2**16
@@ -66,33 +66,6 @@ def workspace_of(model: Model, campaign: Campaign, points_per_run: int = 8) -> W
 def _times(campaign: Campaign, run: Run, points: int) -> np.ndarray:
     total = campaign.samples(run)
     return np.arange(min(points, total)) * total // min(points, total) * campaign.step_s
-
-
-Errors = Callable[[np.ndarray], np.ndarray]
-
-
-def nominal_errors(model: Model, where: Workspace) -> Errors:
-    """Return `errors(machines)`: decoded minus true pose, (n_pose, m, points), for machines (m, n).
-
-    The machine reads with its own parameters, the decoder computes with the nominal ones. No noise and no
-    zero deviations.
-    """
-    read, decode, none = on_arrays(model.reading), on_arrays(model.decoded), np.zeros(len(model.zeros))
-    weight = np.ones(len(model.channels))
-
-    def errors(machines: np.ndarray) -> np.ndarray:
-        own = [column[:, None] for column in machines.T]
-        (reading,) = read(own, none, where.pose, where.state)
-        with np.errstate(all="ignore"):
-            (pose,) = decode(model.nominal, none, reading, where.state, weight)
-        if not np.isfinite(pose).all():
-            raise InputError(
-                f"The decoder of {model.name} finds no pose for some of the machines drawn: state narrower "
-                "tolerances in --ranges."
-            )
-        return near(model, pose, where.pose[:, None, :]) - where.pose[:, None, :]
-
-    return errors
 
 
 # -- what is found ---------------------------------------------------------------------------------------
@@ -231,7 +204,10 @@ def tolerances(
         raise InputError(f"Every parameter of {model.name} is exact: there is no tolerance to judge.")
     draws = design(len(active), samples, seed)
     machines = partial(_machines, all_, active)
-    drawn = _Sums(nominal_errors(model, space), len(model.pose), space.points)
+    errors_of = decoding_errors(
+        model, model, space.pose, space.state, "state narrower tolerances in --ranges"
+    )
+    drawn = _Sums(errors_of, len(model.pose), space.points)
     fields, errors = drawn.run(draws, machines)
     return Tolerances(
         model=model,
