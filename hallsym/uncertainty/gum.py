@@ -10,7 +10,7 @@ in its key; a curve that the machine follows adds its error.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, isfinite, sqrt
@@ -23,7 +23,7 @@ from scipy.special import ndtri, stdtrit
 from hallsym.errors import InputError, nearest, require
 from hallsym.records import plain
 from hallsym.shown import Shown
-from hallsym.toml import Table, number, unit_of
+from hallsym.toml import Table, unit_of
 from hallsym.trajectory import Curve
 
 DIVISORS = {"rectangular": sqrt(3.0), "triangular": sqrt(6.0), "arcsine": sqrt(2.0)}
@@ -270,8 +270,16 @@ def with_curve(budget: Budget, curve: Curve, column: str | None = None) -> Budge
 
 # -- a budget file -----------------------------------------------------------------------------------------
 
-SIZES = ("std", "expanded", "half_width", "full_width", "resolution", "readings")
-"""How large a source is: exactly one of these per source, with its unit (`half_width_nm`)."""
+SIZES: Mapping[str, tuple[tuple[str, ...], float]] = {
+    "std": (("normal", "student"), 1.0),
+    "expanded": (("normal", "student"), 1.0),
+    "half_width": (tuple(DIVISORS), 1.0),
+    "full_width": (tuple(DIVISORS), 0.5),
+    "resolution": (("rectangular",), 0.5),
+    "readings": (("student",), 1.0),
+}
+"""How large a source is: exactly one of these per source, with its unit (`half_width_nm`). The distributions
+that it may have, the default first, and the half-width or standard uncertainty over what is stated."""
 TOP = ("quantity", "unit", "coverage_factor", "level", "source", "correlation")
 OTHERS = ("name", "distribution", "coverage_factor", "degrees_of_freedom")
 
@@ -362,38 +370,17 @@ def _sensitivity(entry: Table, keys: Sequence[str], unit: str, suffix: str) -> t
 
 def _made(entry: Table, name: str, kind: str, factor: float, unit: str, more: dict[str, Any]) -> Source:
     """Return the source whose size stands under `kind`, `factor` times SI; `more`: what every kind takes."""
-    if kind in ("std", "expanded"):
-        asked = _only(entry, ("normal", "student"), expanded=kind == "expanded")
-        if kind == "expanded" and "coverage_factor" not in entry:
-            raise InputError(f"An expanded uncertainty of {entry.where} needs its 'coverage_factor'.")
-        k, size = entry.number("coverage_factor", 1.0), entry.number(kind, least=0.0) * factor
-        if asked == "normal":
-            return Source.normal(name, size, unit, k, **more)
-        if "degrees_of_freedom" not in more:
-            raise InputError(f"Student's distribution of {entry.where} needs 'degrees_of_freedom'.")
-        return Source(name, size / k, unit, "student", **more)
-    if kind in ("half_width", "full_width", "resolution"):
-        asked = _only(entry, ("rectangular",) if kind == "resolution" else tuple(DIVISORS))
-        half = entry.number(kind, least=0.0) * factor * (1.0 if kind == "half_width" else 0.5)
-        return Source(name, half / DIVISORS[asked], unit, asked, **more)
-    _only(entry, ("student",))
-    readings = entry.raw[kind]
-    require(isinstance(readings, list), f"'readings' of {entry.where}", "a list of numbers", readings)
-    values = [number(v, kind, entry.where) * factor for v in readings]
-    return Source.readings(name, values, unit, **more)
-
-
-def _only(entry: Table, distributions: Sequence[str], *, expanded: bool = False) -> str:
-    """Return the distribution; refuse one that does not belong to the size, and keys without effect."""
-    asked = entry.raw.get("distribution", distributions[0])
-    if asked not in distributions:
-        raise InputError(
-            f"'distribution' of {entry.where} must be {' or '.join(distributions)} for what is stated; "
-            f"instead received {asked!r}{nearest(str(asked), [*distributions])}."
-        )
-    if "coverage_factor" in entry and not expanded:
-        raise InputError(f"'coverage_factor' of {entry.where} has no effect there; take it out.")
-    return str(asked)
+    allowed, share = SIZES[kind]
+    asked = entry.choice("distribution", allowed, allowed[0])
+    if (kind == "expanded") != ("coverage_factor" in entry):
+        wrong = "needs its 'coverage_factor'" if kind == "expanded" else "takes no 'coverage_factor'"
+        raise InputError(f"'{kind}' of {entry.where} {wrong}.")
+    if kind == "readings":
+        return Source.readings(name, [v * factor for v in entry.numbers(kind)], unit, **more)
+    if asked == "student" and "degrees_of_freedom" not in more:
+        raise InputError(f"Student's distribution of {entry.where} needs 'degrees_of_freedom'.")
+    size = entry.number(kind, least=0.0) * factor * share / entry.positive("coverage_factor", 1.0)
+    return Source(name, size / DIVISORS.get(asked, 1.0), unit, asked, **more)
 
 
 def _correlation(file: Table, names: Sequence[str]) -> np.ndarray | None:
