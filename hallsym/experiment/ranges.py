@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, require
 from hallsym.families import axes, published
 from hallsym.simulation import MOST_SAMPLES, noise_table
 from hallsym.toml import Table, positive
@@ -16,6 +16,8 @@ KEYS = (
     "step_s", "seconds_per_run", "runs", "minutes", "reset_s", "frequencies_hz", "levels", "trajectories",
     "range", "exclude", "noise", "reference",
 )  # fmt: skip
+MOST_LEVELS = 1000
+"""Of one axis: more make too many candidates whatever else is asked for."""
 Box = Mapping[str, tuple[float, float]]
 
 
@@ -47,10 +49,7 @@ class Ranges:
     def __post_init__(self) -> None:
         """Refuse ranges within which nothing can be recorded."""
         for axis, (low, high) in self.box.items():
-            if not low <= high:
-                raise InputError(
-                    f"Range of {axis} must run from low to high; instead received {low:g} to {high:g}."
-                )
+            require(low <= high, f"Range of {axis}", "given from low to high", [low, high])
         samples = self.seconds_per_run / self.step_s
         if samples > MOST_SAMPLES:
             raise InputError(
@@ -84,8 +83,8 @@ class Ranges:
         What is None is taken from the file. Raises `InputError` when nothing fits or nothing is stated.
         """
         for name, value in (("runs", runs), ("minutes", minutes)):
-            if value is not None and not 0 < value < np.inf:
-                raise InputError(f"'{name}' of a plan must be a positive number; instead received {value!r}.")
+            known = value is None or 0 < value < np.inf
+            require(known, f"'{name}' of a plan", "a positive number", value)
         runs, minutes = runs or self.runs, minutes or self.minutes
         if runs is None and minutes is None:
             raise InputError(
@@ -129,13 +128,14 @@ def read_ranges(path: str | Path) -> Ranges:
     for key in ("range", "frequencies_hz", "seconds_per_run", "step_s"):
         if key not in file:
             raise InputError(f"Key '{key}' is missing in {file.where}; nothing is assumed for it.")
-    reference = file.table("reference")
+    reference, levels = file.table("reference"), file.whole("levels", 5, least=2)
+    require(levels <= MOST_LEVELS, f"'levels' of {file.where}", f"{MOST_LEVELS} at most", levels)
     return Ranges(
         box=_box(file.table("range")),
         frequencies_hz=tuple(sorted(file.numbers("frequencies_hz", positive))),
         seconds_per_run=file.positive("seconds_per_run"),
         step_s=file.positive("step_s"),
-        levels=_levels(file),
+        levels=levels,
         excluded=tuple(map(_box, file.tables("exclude"))),
         trajectories=_trajectories(file),
         runs=file.whole("runs") if "runs" in file else None,
@@ -144,17 +144,6 @@ def read_ranges(path: str | Path) -> Ranges:
         noise=noise_table(file),
         reference={c: reference.positive(key) * factor for key, c, factor in reference.columns(axes())},
     )
-
-
-MOST_LEVELS = 1000
-"""Of one axis: more make too many candidates whatever else is asked for."""
-
-
-def _levels(file: Table) -> int:
-    levels = file.whole("levels", 5, least=2)
-    if levels > MOST_LEVELS:
-        raise InputError(f"'levels' of {file.where} must be {MOST_LEVELS} at most; it is {levels}.")
-    return levels
 
 
 def _box(raw: Table) -> dict[str, tuple[float, float]]:
@@ -169,16 +158,10 @@ def _box(raw: Table) -> dict[str, tuple[float, float]]:
 
 def _trajectories(file: Table) -> tuple[str, ...]:
     value = file.raw.get("trajectories", list(TRAJECTORIES))
+    what, listed = f"'trajectories' of {file.where}", ", ".join(TRAJECTORIES)
     for name in value if isinstance(value, list) else [value]:
-        if name not in TRAJECTORIES:
-            raise InputError(
-                f"'trajectories' of {file.where} must be a list of {', '.join(TRAJECTORIES)}; instead "
-                f"received {name!r}{nearest(str(name), list(TRAJECTORIES))}."
-            )
-    if not value or not isinstance(value, list):
-        raise InputError(
-            f"'trajectories' of {file.where} must be a list that is not empty; received {value!r}."
-        )
+        require(name in TRAJECTORIES, what, f"a list of {listed}", name, TRAJECTORIES)
+    require(isinstance(value, list) and value, what, "a list that is not empty", value)
     return tuple(value)
 
 
