@@ -28,9 +28,9 @@ class Plan(Shown):
 
     `campaign`: the chosen runs, setting by setting. `counts`: how often each candidate of `study` is run.
     `value`: the criterion of this choice. `before`, `after`: the worst-determined combination without these
-    runs (None where nothing was recorded before) and with them. `std`: (q,) standard uncertainty of each of `names`
-    afterwards, SI. `position`: (n_pose,) worst standard uncertainty that the parameters leave in the decoded
-    position over the ranges, SI. `recorded`: runs of the log that the plan adds to.
+    runs (None where nothing was recorded before) and with them. `std`: (q,) standard uncertainty of each of
+    `names` afterwards, SI. `position`: (n_pose,) worst standard uncertainty that the parameters leave in the
+    decoded position over the ranges, SI. `recorded`: runs of the log that the plan adds to.
     """
 
     study: Study

@@ -72,8 +72,8 @@ class Worst:
 class Study:
     """Candidates with their information about what can be determined, in m coordinates.
 
-    `basis`: (n, m), parameters = basis @ coordinates. `infos`: (candidates, m, m). `known`: (m, m) information
-    recorded before. `slopes`: (points, n_pose, m) of the decoded position over the workspace, SI. `names`,
+    `basis`: (n, m), parameters = basis @ coordinates. `infos`: (candidates, m, m), `known`: (m, m) of what is
+    recorded. `slopes`: (points, n_pose, m) of the decoded position over the workspace, SI. `names`,
     `gradients`: what standard uncertainties are given for, (q, n).
     """
 
