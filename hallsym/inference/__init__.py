@@ -11,9 +11,7 @@ from hallsym.inference.belonging import (
     Belonging,
     ParameterChange,
     belonging,
-    chance_of,
     check_false_alarm,
-    welch,
 )
 from hallsym.inference.identifiability import (
     VERDICTS,
@@ -27,7 +25,6 @@ from hallsym.inference.identifiability import (
     Verdict,
     identify,
 )
-from hallsym.inference.profiles import Profile, normal_enough, profile, skewness, tangent
 
 __all__ = [
     "FALSE_ALARM",
@@ -41,15 +38,8 @@ __all__ = [
     "Offsets",
     "ParameterChange",
     "ParameterReport",
-    "Profile",
     "Verdict",
     "belonging",
-    "chance_of",
     "check_false_alarm",
     "identify",
-    "normal_enough",
-    "profile",
-    "skewness",
-    "tangent",
-    "welch",
 ]

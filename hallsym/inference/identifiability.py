@@ -88,7 +88,7 @@ def null_spaces(evidence: Evidence, stated: Sequence[CombinationEstimate]) -> tu
 
 
 def _directions(
-    null: np.ndarray, names: Sequence[str], stated: Sequence[CombinationEstimate], least: float
+    null: np.ndarray, names: tuple[str, ...], stated: Sequence[CombinationEstimate], least: float
 ) -> tuple[NullDirection, ...]:
     """Return sparse directions that span the columns of `null`, in the order of their first parameter.
 
@@ -96,7 +96,7 @@ def _directions(
     """
     out = []
     for row in echelon(null.T):
-        involved = tuple(names[k] for k in np.flatnonzero(np.abs(row) > least * np.abs(row).max()))
+        involved = tuple(names[k] for k in np.flatnonzero(np.abs(row) > least * np.abs(row).max()).tolist())
         telling = tuple(c.expression for c in stated if mentions(c.expression, involved))
         out.append(NullDirection(involved, telling))
     return tuple(sorted(out, key=lambda d: names.index(d.parameters[0])))

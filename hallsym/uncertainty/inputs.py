@@ -23,7 +23,7 @@ from hallsym.estimation import Fit
 from hallsym.families import adapted, plain
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
-from hallsym.model.influence import influence
+from hallsym.model.influence import estimator, influence, reading_slopes
 from hallsym.reading import read_json
 from hallsym.toml import Table, number, unit_of, whole
 from hallsym.uncertainty.gum import Source, coverage_of
@@ -241,10 +241,14 @@ def slopes(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) ->
         "scale": moved[:, :, None] * np.eye(len(model.pose)),
     }
     if model.zeros:
-        at_reset = zero_functions(model)[1](fit.values, *zero, weights(fit))
-        by_reading, by_p, by_pose, by_state = (found.zeros @ np.asarray(slope) for slope in at_reset)
-        places |= {"zero reading": by_reading, "zero state": by_state, "zero pose": by_pose}
-        by_parameters = by_parameters + by_p
+        none = np.zeros(len(model.zeros))
+        by_p, by_zero, by_pose, by_state = reading_slopes(
+            model, fit.values, none, *(v[:, None] for v in zero)
+        )
+        by_reading = found.zeros @ estimator(by_zero, weights(fit))  # through the zeros, which a reset gives
+        places |= {"zero reading": by_reading, "zero state": -by_reading @ by_state}
+        places |= {"zero pose": -by_reading @ by_pose}
+        by_parameters = by_parameters - by_reading @ by_p
     error = settings.model_error
     left = {} if error is None else error.variances(fit, pose, state, zero, places)
     return Slopes(by_parameters, places, left)
@@ -257,11 +261,8 @@ def zero_point(model: Model, settings: Settings) -> tuple[np.ndarray, np.ndarray
 
 
 @lru_cache(maxsize=64)
-def zero_functions(model: Model) -> tuple[ca.Function, ca.Function]:
-    """`(parameters, reading, pose, state, weight) -> zeros` of a reset by weighted least squares, and slopes.
-
-    `(parameters, pose, state, weight) -> d zeros / d (reading, parameters, pose, state)` without deviation.
-    """
+def zeros_at_reset(model: Model) -> Callable[..., list[np.ndarray]]:
+    """`(parameters, reading, pose, state, weight) -> zeros` of a reset by weighted least squares."""
     s = model.symbols
     reading, weight = (ca.SX.sym(name, len(model.channels)) for name in ("reading", "weight"))
     full = s.full(s.reading)
@@ -269,13 +270,7 @@ def zero_functions(model: Model) -> tuple[ca.Function, ca.Function]:
     B = ca.jacobian(full, s.zeros)
     BW = (B * ca.repmat(weight, 1, B.size2())).T
     zeros = ca.densify(ca.solve(BW @ B, BW @ (reading - at_zero)))
-    inputs_ = [s.parameters, reading, s.pose, s.state, weight]
-    found = ca.Function("zeros", inputs_, [zeros])
-    slopes_ = [
-        ca.densify(ca.substitute(ca.jacobian(zeros, by), reading, at_zero))
-        for by in (reading, s.parameters, s.pose, s.state)
-    ]
-    return found, ca.Function("zero_slopes", [s.parameters, s.pose, s.state, weight], slopes_)
+    return on_arrays(ca.Function("zeros", [s.parameters, reading, s.pose, s.state, weight], [zeros]))
 
 
 def weights(fit: Fit) -> np.ndarray:

@@ -15,15 +15,14 @@ from scipy.special import chdtri, ndtr
 
 from hallsym.errors import InputError, require
 from hallsym.estimation import Fit, decoder
-from hallsym.model.arrays import on_arrays
 from hallsym.uncertainty.gum import Budget
 from hallsym.uncertainty.inputs import (
     Settings,
     independent_inputs,
     slopes,
     weights,
-    zero_functions,
     zero_point,
+    zeros_at_reset,
 )
 from hallsym.uncertainty.position import place, position_budget
 
@@ -141,8 +140,8 @@ def propagate(
         parts.append(_results(measure, rng, n))
         rows.append(_summary(parts[-1], level))
         if trials is None and len(rows) > 1:
-            delta = np.array([tolerance(u, digits) for u in np.mean(rows, axis=0)[1]])
-            if np.all(2 * _scatter(rows) <= delta / FINER):
+            wanted = np.array([tolerance(u, digits) for u in np.mean(rows, axis=0)[1]])
+            if np.all(2 * _scatter(rows) <= wanted / FINER):
                 break
     everything, scatter = np.concatenate(parts, axis=1), _scatter(rows)
     whole = _summary(everything, level)
@@ -258,7 +257,7 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
     }  # fmt: skip
     weight, root = weights(fit), _root(fit.covariance)
     decode, stretch = decoder(model, 1.0 / weight), _stretch(fit.degrees_of_freedom)
-    zeros = on_arrays(zero_functions(model)[0]) if model.zeros else None
+    zeros = zeros_at_reset(model) if model.zeros else None
     of_model = np.sqrt(sum((v[0] for v in left.values()), np.zeros(len(pose))))
 
     def measure(rng: np.random.Generator, n: int) -> np.ndarray:

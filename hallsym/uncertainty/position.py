@@ -208,7 +208,8 @@ def over_log(fit: Fit, log: Log, settings: Settings | None = None) -> Recorded:
             data = np.array(batch.columns((*model.references, *model.state)))
             data = data[:, np.all(np.isfinite(data), axis=0)]
             if data.shape[1]:
-                yield data, _expanded(fit, *np.split(data, [len(model.pose)]), settings)
+                pose, state = np.split(data, [len(model.pose)])
+                yield data, _expanded(fit, pose, state, settings)
 
     found = _over(model, parts())
     if found is None:

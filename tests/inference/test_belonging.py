@@ -15,7 +15,8 @@ from scipy import stats
 import hallsym
 from hallsym.cli.main import main
 from hallsym.errors import InputError
-from hallsym.inference import FALSE_ALARM, Belonging, chance_of, welch
+from hallsym.inference import FALSE_ALARM, Belonging
+from hallsym.inference.belonging import chance_of, welch
 from hallsym.log import Log, Noise, write_log
 from hallsym.model import Model
 from hallsym.simulation import Campaign, NoiseModel, campaign_from

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from twins import SIGMAS, cost_on, record, true_model, with_noise
 
 from hallsym.estimation import Cost, Determination, Uncertainty, determine, refit, uncertainty
-from hallsym.inference import Profile, normal_enough, profile, skewness, tangent
+from hallsym.inference.profiles import Profile, normal_enough, profile, skewness, tangent
 from hallsym.model import Model
 from hallsym.model.quantities import Quantity, combination, linear, parameter
 
