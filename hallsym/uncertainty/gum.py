@@ -164,11 +164,8 @@ class Budget(Shown):
 
     @property
     def factor(self) -> float:
-        """Coverage factor k: as stated, or Student's t of `level` (degrees of freedom truncated, G.4.1)."""
-        if self.level is None:
-            return self.coverage
-        half, dof = 0.5 + 0.5 * self.level, self.degrees_of_freedom
-        return float(stdtrit(max(np.floor(dof), 1.0), half) if isfinite(dof) else ndtri(half))
+        """Coverage factor k: as stated, or Student's t of `level`."""
+        return self.coverage if self.level is None else float(students(self.level, self.degrees_of_freedom))
 
     @property
     def expanded(self) -> float:
@@ -222,6 +219,13 @@ class Budget(Shown):
 
         label = connected_components(self.correlation != 0, directed=False)[1]
         return [np.flatnonzero(label == k).tolist() for k in range(label.max(initial=-1) + 1)]
+
+
+def students(level: float, degrees_of_freedom: float | np.ndarray) -> np.ndarray:
+    """Return Student's t of a level, (...,); degrees of freedom are truncated (G.4.1) or infinite."""
+    half, dof = 0.5 + 0.5 * level, np.asarray(degrees_of_freedom)
+    few = np.maximum(np.floor(np.minimum(dof, 1e9)), 1.0)
+    return np.where(np.isfinite(dof), stdtrit(few, half), ndtri(half))
 
 
 def _check_correlation(matrix: np.ndarray, n: int, quantity: str) -> None:

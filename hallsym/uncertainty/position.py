@@ -9,14 +9,13 @@ from math import inf
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
 
 from hallsym.errors import InputError, nearest
 from hallsym.estimation import Fit
 from hallsym.log import Log, batches
 from hallsym.model import Model
 from hallsym.records import named
-from hallsym.uncertainty.gum import Budget, Source
+from hallsym.uncertainty.gum import Budget, Source, students
 from hallsym.uncertainty.inputs import Settings, independent_inputs, slopes
 
 POINTS, SLICES = 41, 5
@@ -39,11 +38,10 @@ def position_budget(
     settings = settings or Settings()
     pose, state = place(fit.model, at or {})
     found = slopes(fit, pose[:, None], state[:, None], settings)
-    listed = independent_inputs(fit, settings)
-    by_input = [found.of(entry)[0] for entry in listed]  # (n_pose,) each
+    by_input = [(entry.source, found.of(entry)[0]) for entry in independent_inputs(fit, settings)]
     budgets = {}
     for i, column in enumerate(fit.model.pose):
-        rest = [replace(e.source, sensitivity=float(c[i])) for e, c in zip(listed, by_input, strict=True)]
+        rest = [replace(source, sensitivity=float(slope[i])) for source, slope in by_input]
         unit = column.rpartition("_")[2]
         rest += [
             Source.normal(n, float(np.sqrt(v[0, i])), unit) for n, v in found.left.items() if v[0, i] > 0
@@ -132,11 +130,9 @@ def _expanded(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings)
         total += variance
     if settings.level is None:
         return settings.coverage * np.sqrt(total)
-    half, dof = 0.5 + 0.5 * settings.level, fit_degrees_of_freedom(fit, found.parameters)
     with np.errstate(divide="ignore", invalid="ignore"):
-        effective = dof * np.square(total / from_fit)
-    k = stdtrit(np.maximum(np.floor(np.minimum(effective, 1e9)), 1.0), half)
-    return np.where(np.isfinite(effective), k, ndtri(half)) * np.sqrt(total)
+        dof = fit_degrees_of_freedom(fit, found.parameters) * np.square(total / from_fit)
+    return students(settings.level, dof) * np.sqrt(total)
 
 
 @dataclass(frozen=True, eq=False)

@@ -269,38 +269,33 @@ def design(n: int, samples: int, seed: int) -> np.ndarray:
 # -- machines drawn, block by block ----------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Moments:
-    """Means over the field for each base sample: numerators (samples, n) and variance (samples,)."""
-
-    first: np.ndarray
-    total: np.ndarray
-    variance: np.ndarray
+Moments = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Means over the field for each base sample: numerators of first and total indices, (samples, n) each, and
+the variance, (samples,)."""
 
 
 def moments(y: np.ndarray, mean: np.ndarray) -> Moments:
     """Return the moments of a field, `y` (samples, n + 2, points), about its mean (points,)."""
     A, AB, B = y[:, 0] - mean, y[:, 1:-1] - mean, y[:, -1] - mean
-    points = y.shape[2]
     change = AB - A[:, None]
-    return Moments(
-        first=np.einsum("st,sjt->sj", B, change) / points,  # 2010, Table 2 (b)
-        total=np.einsum("sjt,sjt->sj", change, change) / (2 * points),  # 2010, Table 2 (f)
-        variance=(np.einsum("st,st->s", A, A) + np.einsum("st,st->s", B, B)) / (2 * points),
-    )
+    first = np.einsum("st,sjt->sj", B, change)  # 2010, Table 2 (b)
+    total = np.einsum("sjt,sjt->sj", change, change) / 2  # 2010, Table 2 (f)
+    variance = (np.einsum("st,st->s", A, A) + np.einsum("st,st->s", B, B)) / 2
+    return first / y.shape[2], total / y.shape[2], variance / y.shape[2]
 
 
 def field_indices(m: Moments, seed: int) -> Indices:
     """Return the indices of a field; intervals by the bootstrap over base samples."""
-    samples, n = m.first.shape
-    variance = m.variance.mean()
+    first, total, variances = m
+    samples, n = first.shape
+    variance = variances.mean()
     if not variance > 0:
         return Indices(*np.zeros((4, n)))
     rng = np.random.default_rng(seed)
     counts = rng.multinomial(samples, np.full(samples, 1 / samples), RESAMPLES) / samples
-    again = (counts @ m.variance)[:, None]
-    halves = [COVERAGE * ((counts @ part) / again).std(axis=0, ddof=1) for part in (m.first, m.total)]
-    return Indices(m.first.mean(axis=0) / variance, m.total.mean(axis=0) / variance, *halves)
+    again = (counts @ variances)[:, None]
+    halves = [COVERAGE * ((counts @ part) / again).std(axis=0, ddof=1) for part in (first, total)]
+    return Indices(first.mean(axis=0) / variance, total.mean(axis=0) / variance, *halves)
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,10 +331,10 @@ class _Sums:
             peak[:, at] = np.abs(plain).max(axis=-1)
             for part, y, centre in zip(parts, field, mean, strict=True):
                 part.append(moments(y, centre))
-        joined = [
-            Moments(*(np.concatenate([getattr(m, k) for m in part]) for k in ("first", "total", "variance")))
-            for part in parts
-        ]
+        joined = []
+        for part in parts:
+            first, total, variance = (np.concatenate(column) for column in zip(*part, strict=True))
+            joined.append((first, total, variance))
         square, peak = (v.reshape(len(v), -1) for v in (square, peak))
         return joined, Errors95(
             rms=np.sqrt(square.mean(axis=1)),
