@@ -57,11 +57,8 @@ class Ranges:
                 f"{self.step_s:g} s are {samples:.3g}: raise 'step_s' or lower 'seconds_per_run'."
             )
         limit = 0.5 / self.step_s
-        if not self.frequencies_hz or max(self.frequencies_hz) >= limit:
-            raise InputError(
-                f"Frequencies must be given and lie below half the sampling rate, {limit:g} Hz; instead "
-                f"received {list(self.frequencies_hz)!r}."
-            )
+        known, wanted = self.frequencies_hz, f"given, and below half the sampling rate, {limit:g} Hz"
+        require(known and max(known) < limit, "Frequencies", wanted, list(known))
         if self.seconds_per_run * min(self.frequencies_hz) < 0.5:
             raise InputError(
                 f"A run of {self.seconds_per_run:g} s is shorter than half a period of its lowest frequency, "

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc, erfc, fdtrc, ndtri, stdtr
 
-from hallsym.errors import InputError
+from hallsym.errors import require
 from hallsym.estimation import Evaluation, Fit, GoodnessOfFit, fit, noise_at
 from hallsym.estimation.calibration import coverage_factor
 from hallsym.estimation.covariance import BY_RUNS
@@ -156,11 +156,9 @@ class _Colour:
 
 def check_false_alarm(chance: float) -> None:
     """Refuse a probability that the tests cannot hold."""
-    if not LEAST_FALSE_ALARM <= chance <= MOST_FALSE_ALARM:
-        raise InputError(
-            f"The probability of a false alarm must be {LEAST_FALSE_ALARM:g} to {MOST_FALSE_ALARM:g}; instead"
-            f" received {chance!r}."
-        )
+    known = LEAST_FALSE_ALARM <= chance <= MOST_FALSE_ALARM
+    limits = f"{LEAST_FALSE_ALARM:g} to {MOST_FALSE_ALARM:g}"
+    require(known, "The probability of a false alarm", limits, chance)
 
 
 def belonging(seen: Evaluation, *, false_alarm: float = FALSE_ALARM) -> Belonging:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import require
 from hallsym.estimation import MANY, coverage_factor
 from hallsym.estimation.covariance import BY_RUNS
 from hallsym.estimation.likelihood import Cost
@@ -60,10 +60,7 @@ def intervals_of(evidence: Evidence, *, profiles: str, say: Callable[[str], None
 
     `profiles`: "auto", "all" or "none".
     """
-    if profiles not in CHOICES:
-        raise InputError(
-            f"Input profiles must be one of {', '.join(CHOICES)}; instead received {profiles!r}."
-        )
+    require(profiles in CHOICES, "Input profiles", f"one of {', '.join(CHOICES)}", profiles, CHOICES)
     told, asked = evidence.uncertainty, list(_asked(evidence))
     std, intervals = {}, {}
     for quantity, own, dof in asked:

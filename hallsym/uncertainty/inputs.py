@@ -18,7 +18,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, nearest, require
 from hallsym.estimation import Fit
 from hallsym.families import adapted, plain
 from hallsym.model import Model
@@ -73,11 +73,8 @@ class Settings:
         }
         for name, allowed in columns.items():
             for column, value in getattr(self, name).items():
-                if column not in allowed:
-                    raise InputError(
-                        f"Setting '{name}' must hold columns of {model.name} ({', '.join(allowed)}); "
-                        f"instead received {column!r}{nearest(column, list(allowed))}."
-                    )
+                wanted = f"of columns of {model.name} ({', '.join(allowed)})"
+                require(column in allowed, f"Setting '{name}'", wanted, column, allowed)
                 number(value, column, f"setting '{name}'", -np.inf if name == "zero_at" else 0.0)
         return self
 

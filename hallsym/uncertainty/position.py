@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, require
 from hallsym.estimation import Fit
 from hallsym.log import Log, batches
 from hallsym.model import Model
@@ -78,13 +78,9 @@ def place(model: Model, at: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray
     """Return pose (n_pose,) and state (n_state,) of `at`, at rest where not given; refuse unknown columns."""
     columns = [*model.pose, *model.state]
     for column, value in at.items():
-        if column not in columns:
-            raise InputError(
-                f"Position must be given in columns of {model.name} ({', '.join(columns)}); "
-                f"instead received {column!r}{nearest(column, columns)}."
-            )
-        if not np.isfinite(value):
-            raise InputError(f"Position {column} must be a finite number; instead received {value!r}.")
+        wanted = f"given in columns of {model.name} ({', '.join(columns)})"
+        require(column in columns, "Position", wanted, column, columns)
+        require(np.isfinite(value), f"Position {column}", "a finite number", value)
     whole = model.rest | dict(at)
     pose, state = (np.array([float(whole[c]) for c in names]) for names in (model.pose, model.state))
     return pose, state
@@ -287,11 +283,8 @@ def uncertainty_map(
 
 
 def _line(model: Model, column: str, values: np.ndarray) -> np.ndarray:
-    if values.ndim != 1 or not len(values) or not np.all(np.isfinite(values)) or np.any(np.diff(values) <= 0):
-        raise InputError(
-            f"Axis {column} of a map must be one or more finite numbers that grow; "
-            f"instead received {values.tolist()}."
-        )
+    good = values.ndim == 1 and len(values) and np.all(np.isfinite(values)) and np.all(np.diff(values) > 0)
+    require(good, f"Axis {column} of a map", "one or more finite numbers that grow", values.tolist())
     if len(values) != 2:
         return values
     return np.linspace(values[0], values[1], POINTS if column in model.pose else SLICES)

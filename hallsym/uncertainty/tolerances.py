@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, require
 from hallsym.model import Model
 from hallsym.records import named
 from hallsym.simulation import Campaign, Run, paper_campaign
@@ -193,9 +193,11 @@ def tolerances(
 
     Raises `InputError` for an unknown parameter or unit and a tolerance that is not positive.
     """
-    _check_samples(samples)
-    if seed < 0:
-        raise InputError(f"A seed must be a whole number, 0 or more; instead received {seed!r}.")
+    good = LEAST_SAMPLES <= samples <= MOST_SAMPLES and not samples & (samples - 1)
+    near = 2 ** round(np.log2(min(max(samples, LEAST_SAMPLES), MOST_SAMPLES)))
+    wanted = f"a power of two from {LEAST_SAMPLES} to {MOST_SAMPLES}, such as {near}"
+    require(good, "'samples'", wanted, samples)
+    require(seed >= 0, "A seed", "a whole number, 0 or more", seed)
     where = paper_campaign() if where is None else where
     space = workspace_of(model, where) if isinstance(where, Campaign) else where
     all_ = _ranges(model, ranges)
@@ -231,15 +233,6 @@ def _ranges(model: Model, ranges: Mapping[str, Any] | tuple[Tolerance, ...] | No
     if tuple(t.name for t in ranges) != model.names:
         raise InputError(f"'ranges' must hold one Tolerance per parameter of {model.name}, in its order.")
     return ranges
-
-
-def _check_samples(samples: int) -> None:
-    if not LEAST_SAMPLES <= samples <= MOST_SAMPLES or samples & (samples - 1):
-        near = 2 ** round(np.log2(min(max(samples, LEAST_SAMPLES), MOST_SAMPLES)))
-        raise InputError(
-            f"'samples' must be a power of two from {LEAST_SAMPLES} to {MOST_SAMPLES}, such as {near}; "
-            f"instead received {samples!r}."
-        )
 
 
 def _machines(all_: tuple[Tolerance, ...], active: tuple[Tolerance, ...], u: np.ndarray) -> np.ndarray:
