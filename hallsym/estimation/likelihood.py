@@ -16,7 +16,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -39,15 +39,6 @@ class Rows:
     slope: np.ndarray
 
 
-@runtime_checkable
-class Linear(Protocol):
-    """Features whose coefficients are linear in the parameters: most are nil, and none is written out."""
-
-    def linear(self, p: np.ndarray) -> tuple[np.ndarray, Rows]:
-        """Return the coefficients (1 + n_zeros, n_features, n_channels) and the slopes that are not nil."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class Coefficients:
     """c(p) and E_l(p) of a model with their derivatives, as one CasADi call each.
@@ -62,6 +53,15 @@ class Coefficients:
     def n_zeros(self) -> int:
         """Zeros of a run that these features carry: all of the model's, or none once projected out."""
         return self.features.n_zeros
+
+    @cached_property
+    def linear(self) -> Callable[[np.ndarray], tuple[np.ndarray, Rows]] | None:
+        """Of features whose coefficients are linear in the parameters, most of them nil: none is written out.
+
+        `linear(p) -> coefficients (1 + n_zeros, n_features, n_channels), slopes that are not nil`.
+        """
+        found: Callable[[np.ndarray], tuple[np.ndarray, Rows]] | None = getattr(self.features, "linear", None)
+        return found
 
     @cached_property
     def population(self) -> Callable[[np.ndarray], np.ndarray]:
@@ -93,8 +93,8 @@ class Coefficients:
         Where most features move a channel the slopes are as `first` gives them, and stand at None. Else they
         are those that are not nil, (1 + n_zeros, m, n), of m pairs of a channel and a feature.
         """
-        if isinstance(self.features, Linear):
-            c, rows = self.features.linear(p)
+        if self.linear:
+            c, rows = self.linear(p)
             if SPARSE * len(rows.channel) >= c[0].size:
                 dense = np.zeros((*c.shape[:2], len(p), c.shape[2]))
                 dense[:, rows.feature, :, rows.channel] = np.swapaxes(rows.slope, 0, 1)
@@ -110,7 +110,7 @@ class Coefficients:
 
     def curvature(self, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return sum of weights * d2 coefficient / dp2, shape (n, n), weights shaped as coefficients."""
-        if isinstance(self.features, Linear):
+        if self.linear:
             return np.zeros((len(p), len(p)))
         flat = np.swapaxes(weights, 1, 2).ravel()
         return self.features.expansion[1](p, self.centre, flat)
