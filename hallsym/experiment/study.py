@@ -8,9 +8,8 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.estimation import Cost, cost_near, least_information, scales, structural_directions
-from hallsym.experiment.candidates import Candidate, candidates
 from hallsym.experiment.criteria import Criterion, choose, criterion, greedy
-from hallsym.experiment.ranges import Ranges, corners
+from hallsym.experiment.ranges import Candidate, Ranges, candidates, corners
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.model.influence import influence

@@ -10,7 +10,9 @@ from twins import COLUMNS, SIGMAS, TRUTH, phi, pm, with_noise
 
 from hallsym.errors import InputError
 from hallsym.estimation import cost_of, determine, refit, scales, summarise
-from hallsym.experiment import CRITERIA, candidates, paper_ranges, plan, planned_cost
+from hallsym.experiment import CRITERIA, paper_ranges, plan
+from hallsym.experiment.ranges import candidates
+from hallsym.experiment.study import planned_cost
 from hallsym.families import build
 from hallsym.model.influence import influence
 from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simulate, sine
