@@ -1,6 +1,7 @@
 """The one exception that a user's input can cause, and the words of its message."""
 
 import re
+from collections.abc import Sequence
 
 LONGEST = 300
 """Characters of a message: what a terminal shows in three or four lines."""
@@ -18,6 +19,16 @@ class InputError(ValueError):
     def __init__(self, message: object = "") -> None:
         """Take the sentence."""
         super().__init__(one_line(str(message)))
+
+
+def require(good: object, what: str, wanted: str, received: object, known: Sequence[str] = ()) -> None:
+    """Raise an `InputError` unless `good`; it names the nearest of the `known` words.
+
+    >>> require(2 > 1, "Seed", "above 1", 2)
+    """
+    if not good:
+        near = nearest(str(received), list(known)) if known else ""
+        raise InputError(f"{what} must be {wanted}; instead received {received!r}{near}.")
 
 
 def one_line(text: str) -> str:

@@ -8,11 +8,10 @@ linearise. To add a global method write its equations as a generator
 Needs numpy and casadi, nothing else, and nothing of hallsym.
 """
 
-from solvers.driver import SOLVERS, minimize
+from solvers.driver import SOLVERS, minimize, screened_starts
 from solvers.gauss_newton import gauss_newton
 from solvers.hybrid import EXPLORERS, hybrid
 from solvers.ipopt import ipopt
-from solvers.multistart import screened_starts
 from solvers.newton import newton
 from solvers.problem import Population, Problem, Result
 

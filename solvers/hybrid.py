@@ -8,9 +8,8 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike
 
-from solvers.driver import SOLVERS, minimize
+from solvers.driver import APART, SOLVERS, best_apart, minimize
 from solvers.ipopt import Ipopt
-from solvers.multistart import APART, best_apart
 from solvers.problem import INTERRUPTED, FloatArray, Population, Problem, Result, choice, rows
 
 EXPLORERS = (*(solver.__name__ for solver in SOLVERS), "screening")

@@ -9,7 +9,7 @@ taken for solved before it began.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from time import perf_counter
 from typing import Any
 
@@ -29,6 +29,7 @@ CTRL_C = ("NonIpopt_Exception_Thrown", "User_Requested_Stop")  # what CasADi >= 
 
 
 Buffers = Sequence[memoryview | None]
+Values = Callable[[Buffers], tuple[Any, ...]]
 
 
 class Recent:
@@ -75,20 +76,26 @@ class Recent:
 
 
 class _Part(casadi.Callback):
-    """One of the functions IPOPT asks for; subclasses say which."""
+    """One of the functions that IPOPT asks for: `values(given)` of `u` and the scale, one per sparsity."""
 
-    inputs = 2
-
-    def __init__(self, name: str, recent: Recent) -> None:
+    def __init__(
+        self, name: str, recent: Recent, outputs: list[casadi.Sparsity], values: Values, inputs: int = 2
+    ) -> None:
         casadi.Callback.__init__(self)
-        self.recent, self.dim = recent, len(recent.unit)
+        self.recent, self.outputs, self.values, self.inputs = recent, outputs, values, inputs
         self.construct(name, {})
 
     def get_n_in(self) -> int:
         return self.inputs
 
+    def get_n_out(self) -> int:
+        return len(self.outputs)
+
     def get_sparsity_in(self, i: int) -> casadi.Sparsity:
-        return casadi.Sparsity.dense((self.dim, 1, 1, 0)[i], 1)
+        return casadi.Sparsity.dense((len(self.recent.unit), 1, 1, 0)[i], 1)
+
+    def get_sparsity_out(self, i: int) -> casadi.Sparsity:
+        return self.outputs[i]
 
     def has_eval_buffer(self) -> bool:
         return True
@@ -102,57 +109,25 @@ class _Part(casadi.Callback):
                 np.frombuffer(buffer)[:] = scale * value
         return 0
 
-    def values(self, given: Buffers) -> tuple[Any, ...]:
-        raise NotImplementedError
-
-
-class _Cost(_Part):
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_out(self, i: int) -> casadi.Sparsity:
-        return casadi.Sparsity.dense(1, 1)
-
-    def values(self, given: Buffers) -> tuple[Any, ...]:
-        return (self.recent.f,)
-
-
-class _Gradient(_Part):
-    def get_n_out(self) -> int:
-        return 2
-
-    def get_sparsity_out(self, i: int) -> casadi.Sparsity:
-        return casadi.Sparsity.dense((1, self.dim)[i], 1)
-
-    def values(self, given: Buffers) -> tuple[Any, ...]:
-        return self.recent.f, self.recent.gradient
-
-
-class _Hessian(_Part):
-    inputs = 4
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_out(self, i: int) -> casadi.Sparsity:
-        return casadi.Sparsity.upper(self.dim)
-
-    def values(self, given: Buffers) -> tuple[Any, ...]:
-        multiplier = 0.0 if given[2] is None else np.frombuffer(given[2])[0]
-        return (multiplier * self.recent.hessian.T[self.recent.upper_triangle],)
-
 
 class Callbacks:
     """What `nlpsol` needs: keep this alive as long as the solver, CasADi holds no reference to its parts."""
 
     def __init__(self, recent: Recent) -> None:
         """Build the problem, `u` scaled and `p` the factor of the cost, and the options that go with it."""
-        u, scale = casadi.MX.sym("u", len(recent.unit)), casadi.MX.sym("scale")
-        self.cost = _Cost("cost", recent)
+        dim = len(recent.unit)
+        one, slope = casadi.Sparsity.dense(1, 1), casadi.Sparsity.dense(dim, 1)
+
+        def hessian(given: Buffers) -> tuple[Any, ...]:
+            multiplier = 0.0 if given[2] is None else np.frombuffer(given[2])[0]
+            return (multiplier * recent.hessian.T[recent.upper_triangle],)
+
+        u, scale = casadi.MX.sym("u", dim), casadi.MX.sym("scale")
+        self.cost = _Part("cost", recent, [one], lambda _: (recent.f,))
         self.nlp = {"x": u, "p": scale, "f": self.cost(u, scale)}
         self.options: dict[str, Any] = {
-            "grad_f": _Gradient("gradient", recent),
-            "hess_lag": _Hessian("hessian", recent),
+            "grad_f": _Part("gradient", recent, [one, slope], lambda _: (recent.f, recent.gradient)),
+            "hess_lag": _Part("hessian", recent, [casadi.Sparsity.upper(dim)], hessian, inputs=4),
             "calc_lam_p": False,
             "no_nlp_grad": True,  # the callbacks have no derivatives of their own
         }

@@ -14,6 +14,7 @@ from hallsym.diagnosis.record import (
     Band,
     CurveShape,
     Diagnosis,
+    Estimate,
     FoundEffect,
     Separation,
     Significance,
@@ -25,7 +26,6 @@ from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.validation import QUIET
 from hallsym.diagnosis.words import gap_text, gap_unit, noise_text, place_unit
 from hallsym.families.user import load_effects
-from hallsym.inference import Estimate
 
 __all__ = [
     "POLICY", "QUIET", "Band", "Base", "CurveShape", "Diagnosis", "Estimate", "Examined", "FoundEffect",

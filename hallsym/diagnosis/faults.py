@@ -15,6 +15,7 @@ from scipy.special import chdtrc, fdtrc, fdtri, gammainc, stdtr
 
 from hallsym.diagnosis.p_values import as_often, beyond, statistic_at
 from hallsym.diagnosis.policy import Policy
+from hallsym.diagnosis.record import Estimate
 from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residual_table import sums
 from hallsym.diagnosis.residuals import Base, pieces
@@ -24,7 +25,6 @@ from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.outliers import residuals
 from hallsym.families.cordic import CHIP_STEPS, Levels, levels
 from hallsym.families.faults import FAULTS, RecordingFault
-from hallsym.inference import Estimate
 from hallsym.log import Block, Log
 from hallsym.log.batches import HELD, Weigh
 from hallsym.log.quality.scan import FEWEST_SAMPLES

@@ -6,12 +6,20 @@ from typing import Any, Final
 
 from hallsym.diagnosis.policy import Policy
 from hallsym.estimation.residual_noise import ResidualNoise
-from hallsym.inference import Estimate
 from hallsym.records import plain, schema_of, structured
 from hallsym.shown import Shown
 
 LARGER: Final = "noise larger than stated"
 """The verdict of a log whose excess over the stated noise is noise."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter: value and standard uncertainty in SI; None where there is none to give."""
+
+    value: float
+    std: float | None
+    unit: str
 
 
 @dataclass(frozen=True)

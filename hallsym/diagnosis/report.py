@@ -18,6 +18,7 @@ from hallsym.diagnosis.localisation import Located, located, shape, sizes
 from hallsym.diagnosis.record import (
     LARGER,
     Diagnosis,
+    Estimate,
     FoundEffect,
     Gap,
     LogRecord,
@@ -43,7 +44,6 @@ from hallsym.errors import InputError, counted
 from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.families import added_effects
 from hallsym.families.faults import WIRING
-from hallsym.inference import Estimate
 from hallsym.log.quality.gains import listed
 from hallsym.model import Model, ways_text
 

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 from scipy.special import chdtri, ndtr
 
@@ -25,7 +24,7 @@ from hallsym.estimation.goodness_of_fit import CERTAIN, GoodnessOfFit, goodness_
 from hallsym.estimation.identifiable import UNDETERMINED, Determination, linear_combinations
 from hallsym.estimation.likelihood import Cost, Point
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
+from hallsym.model.influence import reading_slopes
 from hallsym.model.quantities import combination, linear
 
 TOGETHER = 128
@@ -268,14 +267,15 @@ def _turning_noise(point: Point, free: np.ndarray) -> np.ndarray | None:
     if not summary.places or not np.any(cost.column_variance):
         return None
     K, n = len(cost.reading_variance), len(free)
-    slopes = model.remember("slopes of all kinds, on arrays", lambda: _slopes_of_all(model))
     out, W, poses = np.zeros((len(summary.runs), n, n)), point.W[:, None], len(model.pose)
     for some in _alike(summary.places):
         places = np.array([summary.places[k] for k in some])  # (r, columns, s)
         r, _, s = places.shape
         columns = np.swapaxes(places, 0, 1).reshape(-1, r * s)
-        found = slopes(p, np.repeat(point.zeros[some].T, s, axis=1), columns[:poses], columns[poses:])
-        g, j, z = (np.transpose(v.reshape(-1, K, r, s), (2, 3, 1, 0)) for v in found)
+        zeros = np.repeat(point.zeros[some].T, s, axis=1)
+        found = reading_slopes(model, p, zeros, columns[:poses], columns[poses:])
+        g, z, *by_columns = (v.reshape(r, s, K, v.shape[2]) for v in found)
+        j = np.concatenate(by_columns, axis=3)
         if z.shape[3]:  # what the zeros of a run leave of a slope
             square, both = (_products(z, W[some] @ v) for v in (z, g))
             g = g - z @ solve(square, both)[:, None]
@@ -421,11 +421,3 @@ def _open(model: Model) -> np.ndarray:
 
 def _std(gradient: np.ndarray, covariance: np.ndarray) -> float:
     return float(np.sqrt(max(gradient @ covariance @ gradient, 0.0)))
-
-
-def _slopes_of_all(model: Model) -> Callable[..., list[np.ndarray]]:
-    """`(parameters, zeros, pose, state) -> d reading / d parameter, / d column, / d zero` on arrays."""
-    s = model.symbols
-    reading, columns = s.full(s.reading), ca.vertcat(s.pose, s.state)
-    slopes = [ca.densify(ca.jacobian(reading, of)) for of in (s.parameters, columns, s.zeros)]
-    return on_arrays(ca.Function("slopes", [s.parameters, s.zeros, s.pose, s.state], slopes))

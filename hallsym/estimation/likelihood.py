@@ -256,18 +256,16 @@ class Point:
         chosen = [which for _, which in self.cost.shares]
         return ((part, chosen[part.log]) for part in self._parts)
 
-    def _derivatives(self) -> "Iterator[tuple[_Runs, np.ndarray, Derivatives]]":
-        """Yield the same with gradients and Hessians of the runs."""
-        kept = self._kept or (part.derivatives() for part in self._parts)
-        return ((*part, found) for part, found in zip(self._of_parts(), kept, strict=True))
-
     def derivatives(self) -> tuple[float, np.ndarray, np.ndarray]:
         """Return F, its gradient (n,) and its exact Hessian (n, n), the zeros eliminated."""
         n = len(self.p)
         gradient, hessian = np.zeros(n), np.zeros((n, n))
         bend: dict[int, np.ndarray] = {}
-        for part, chosen, (gradients, hessians) in self._derivatives():
+        for k, (part, chosen) in enumerate(self._of_parts()):
             weights = self.cost.weights[part.here]
+            if not self._kept:
+                part, weights = part.counted(weights), weights[weights != 0]
+            gradients, hessians = self._kept[k] if self._kept else part.derivatives()
             gradient[chosen] += weights @ gradients
             hessian[np.ix_(chosen, chosen)] += np.einsum("r,rij->ij", weights, hessians)
             own = np.tensordot(part.loads * weights[:, None], part.G, axes=(0, 0))
@@ -280,15 +278,16 @@ class Point:
     def run_gradients(self) -> np.ndarray:
         """Gradient of each run's own F, shape (r, n): what the run-block covariance is made of."""
         out = np.zeros((len(self.run_values), len(self.p)))
-        for part, chosen, (gradients, _) in self._derivatives():
-            out[part.here, chosen] = gradients
+        for part, chosen in self._of_parts():
+            out[part.here, chosen] = part.gradients
         return out
 
     @property
     def run_hessians(self) -> np.ndarray:
         """Exact Hessian of each run's own F with its zeros eliminated, shape (r, n, n)."""
         out = np.zeros((len(self.run_values), *2 * self.p.shape))
-        for part, chosen, (_, hessians) in self._derivatives():
+        for k, (part, chosen) in enumerate(self._of_parts()):
+            _, hessians = self._kept[k] if self._kept else part.derivatives()
             bends = [
                 part.cost.coefficients.curvature(self.p[chosen], load[:, None, None] * G)
                 for load, G in zip(part.loads, part.G, strict=True)
@@ -340,7 +339,8 @@ class _Runs:
         self, cost: Cost, c: np.ndarray, dc: np.ndarray, rows: Rows | None, at: slice, log: int, here: slice
     ) -> None:
         """`log`: number of the log, `here`: the runs among those of all logs."""
-        self.cost, self.c, self.dc, self.rows, self.at = cost, c, dc, rows, at
+        self.cost, self.c, self.dc, self.rows = cost, c, dc, rows
+        self.at: slice | np.ndarray = at
         self.log, self.here = log, here
         self.R_f, R_m = (part[at] for part in cost.triangles)
         self.Q, base = cost.noise_in_features[at], c[0]
@@ -364,6 +364,19 @@ class _Runs:
         moved = moved.reshape(r, z, -1)
         target = (residual @ L).reshape(r, -1, 1)
         return solve(moved @ np.swapaxes(moved, 1, 2), moved @ target)[..., 0]
+
+    def counted(self, weights: np.ndarray) -> "_Runs":
+        """Return those of the runs whose weight is not 0: a draw of runs leaves a third of them out."""
+        used = np.flatnonzero(weights)
+        if len(used) == len(self.zeros):
+            return self
+        other = copy(self)
+        for name in ("G", "_WSW", "gradients"):
+            other.__dict__.pop(name, None)
+        for name in ("R_f", "Q", "QX", "covariance", "W", "zeros", "A", "squares", "values"):
+            setattr(other, name, getattr(self, name)[used])
+        other.at = np.arange(len(self.cost.weights))[self.at][used]
+        return other
 
     @property
     def loads(self) -> np.ndarray:
@@ -398,24 +411,30 @@ class _Runs:
         """Sum of the products of each feature with each channel's residual, (r, f, K)."""
         return np.swapaxes(self.R_f, 1, 2) @ self.A
 
+    @cached_property
+    def gradients(self) -> np.ndarray:
+        """Gradient of each run's F with its zeros eliminated, (r, n)."""
+        along, loads = self.G, self.loads
+        if self.rows is None:
+            slopes = np.transpose(self.dc, (0, 1, 3, 2)).reshape(len(self.dc), -1, self.dc.shape[2])
+            flat = along.reshape(len(loads), -1)
+        else:
+            slopes, flat = self.dc, along[:, self.rows.feature, self.rows.channel]
+        return np.einsum("rl,lrn->rn", loads, flat @ slopes)
+
     def derivatives(self) -> Derivatives:
         """Gradient and Hessian of each run's F with its zeros eliminated, without the curvature of c."""
         B, z = self._slopes(), len(self.c) - 1
-        r, v = len(B), B.shape[-1]
-        if self.rows is None:
-            G = np.swapaxes(self.G, 1, 2).reshape(r, 1, -1)
-        else:
-            G = self.G[:, None, self.rows.feature, self.rows.channel]
-        gradients = (G @ B.reshape(r, -1, v))[:, 0, z:]
         H = 2.0 * self._quadratic(B, self.W, self._WSW) + self._covariance_terms(B)
         if z:
             if self.rows is None:
                 cross = np.tensordot(self.G, self.dc[1:], axes=([1, 2], [1, 3]))  # (r, z, n)
             else:
-                cross = np.tensordot(G[:, 0], self.dc[1:], axes=([1], [1]))
+                G = self.G[:, self.rows.feature, self.rows.channel]
+                cross = np.tensordot(G, self.dc[1:], axes=([1], [1]))
             H[:, :z, z:] += cross
             H[:, z:, :z] += np.swapaxes(cross, 1, 2)
-        return gradients, eliminate(H, z)[0]
+        return self.gradients, eliminate(H, z)[0]
 
     def _quadratic(self, B: np.ndarray, fit: np.ndarray, noise: np.ndarray) -> np.ndarray:
         """Sum over channels k, l of B_k^T (fit_kl R_f^T R_f - noise_kl Q) B_l, shape (r, v, v)."""

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, require
 from hallsym.estimation import columns_of, cost_near, noise_of
 from hallsym.experiment.criteria import CRITERIA
 from hallsym.experiment.ranges import Ranges
-from hallsym.experiment.study import Choice, Study, Worst, study
+from hallsym.experiment.study import Study, Worst, study
 from hallsym.families import build, default_model
 from hallsym.log import Log, Meta, Noise, check_log, check_noise_keys
 from hallsym.model import Model
@@ -26,15 +26,16 @@ FORMAT = "hallsym plan 1"
 class Plan(Shown):
     """What to record next.
 
-    `campaign`: the chosen runs, setting by setting. `choice`: how often each candidate of `study` is run, and
-    the criterion. `before`, `after`: the worst-determined combination without and with these
-    runs (None where nothing was recorded before). `std`: (q,) standard uncertainty of each of `names`
-    afterwards, SI. `position`: (n_pose,) worst standard uncertainty that the parameters leave in the decoded
-    position over the ranges, SI. `recorded`: runs of the log that the plan adds to.
+    `campaign`: the chosen runs, setting by setting. `counts`: how often each candidate of `study` is run.
+    `value`: the criterion of this choice. `before`, `after`: the worst-determined combination without these
+    runs (None where nothing was recorded before) and with them. `std`: (q,) standard uncertainty of each of
+    `names` afterwards, SI. `position`: (n_pose,) worst standard uncertainty that the parameters leave in the
+    decoded position over the ranges, SI. `recorded`: runs of the log that the plan adds to.
     """
 
     study: Study
-    choice: Choice
+    counts: np.ndarray
+    value: float
     campaign: Campaign
     before: Worst | None
     after: Worst
@@ -56,9 +57,9 @@ class Plan(Shown):
 
     def groups(self) -> list[tuple[int, str, str]]:
         """Return `(how often, setting, trajectory)` of each run that is chosen, in the order of recording."""
-        found, counts = self.study.candidates, self.choice.counts
-        order = _order(self.study, self.choice)
-        return [(int(counts[k]), found[k].setting, found[k].trajectory) for k in order]
+        found = self.study.candidates
+        order = _order(self.study, self.counts)
+        return [(int(self.counts[k]), found[k].setting, found[k].trajectory) for k in order]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the readable record that `hallsym plan --json` prints."""
@@ -71,7 +72,7 @@ class Plan(Shown):
             "minutes": self.minutes,
             "candidates": len(self.study.candidates),
             "chosen": [{"count": n, "setting": s, "trajectory": t} for n, s, t in self.groups()],
-            "value": self.choice.value,
+            "value": self.value,
             "recorded_runs": self.recorded,
             "worst_before": None if self.before is None else vars(self.before),
             "worst": vars(self.after),
@@ -107,25 +108,22 @@ def plan(
     Raises `InputError` where nothing is admissible, or where the model stays undetermined.
     """
     began = perf_counter()
-    if criterion not in CRITERIA:
-        raise InputError(
-            f"Criterion must be one of {', '.join(CRITERIA)}; instead received {criterion!r}"
-            f"{nearest(criterion, list(CRITERIA))}."
-        )
+    require(criterion in CRITERIA, "Criterion", f"one of {', '.join(CRITERIA)}", criterion, CRITERIA)
     model = model if isinstance(model, Model) else build(model or default_model(Meta()))
     allowed = ranges.allowed(runs, minutes)
     sigma = _noise(model, ranges.noise if noise is None else noise)
     recorded, n_recorded = (None, 0) if after is None else _recorded(after, model, model.vector(values or {}))
     found = study(ranges, model, dict(values or {}), sigma, criterion, recorded, seed)
-    found.check(allowed)
-    choice = found.choose(allowed)
-    total = choice.information
+    counts = found.choose(allowed)
+    total, order = found.information(counts), _order(found, counts)
+    runs_in_order = tuple(found.candidates[k].run for k in order for _ in range(counts[k]))
     return Plan(
         study=found,
-        choice=choice,
-        campaign=_campaign(found, choice),
-        before=None if after is None else found.directions.worst(found.known),
-        after=found.directions.worst(total),
+        counts=counts,
+        value=found.value(total),
+        campaign=Campaign(ranges.step_s, runs_in_order, noise=dict(sigma)),
+        before=None if after is None else found.worst(found.known),
+        after=found.worst(total),
         std=found.std(total),
         position=found.position(total),
         recorded=n_recorded,
@@ -154,17 +152,10 @@ def _recorded(log: Log, model: Model, p: np.ndarray) -> tuple[np.ndarray, int]:
     return cost.information(p), len(cost.summary.runs)
 
 
-def _order(found: Study, choice: Choice) -> list[int]:
+def _order(found: Study, counts: np.ndarray) -> list[int]:
     """Chosen candidates setting by setting: vertical axes move as seldom as they can."""
-    chosen = [int(k) for k in np.flatnonzero(choice.counts)]
 
     def place(k: int) -> tuple:
-        run = found.candidates[k].run
-        return tuple(run.setting.get(axis, 0.0) for axis in found.model.state)
+        return tuple(found.candidates[k].run.setting.get(axis, 0.0) for axis in found.model.state)
 
-    return sorted(chosen, key=place)
-
-
-def _campaign(found: Study, choice: Choice) -> Campaign:
-    chosen = (found.candidates[k].run for k in _order(found, choice) for _ in range(choice.counts[k]))
-    return Campaign(found.ranges.step_s, tuple(chosen), noise=dict(found.noise))
+    return sorted(np.flatnonzero(counts).tolist(), key=place)

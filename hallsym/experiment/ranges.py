@@ -1,21 +1,26 @@
-"""What may be recorded: ranges of the axes, clock, time, frequencies (docs/plan.md)."""
+"""What may be recorded: ranges of the axes, clock, time, frequencies (docs/plan.md), and the runs within."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations, product
 from pathlib import Path
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, require
 from hallsym.families import axes, published
-from hallsym.simulation import MOST_SAMPLES, noise_table
+from hallsym.model import Model
+from hallsym.simulation import MOST_SAMPLES, Run, Signal, noise_table, sine
 from hallsym.toml import Table, positive
+from hallsym.units import readable
 
 TRAJECTORIES = ("one-axis", "combined")
 KEYS = (
     "step_s", "seconds_per_run", "runs", "minutes", "reset_s", "frequencies_hz", "levels", "trajectories",
     "range", "exclude", "noise", "reference",
 )  # fmt: skip
+MOST_LEVELS = 1000
+"""Of one axis: more make too many candidates whatever else is asked for."""
 Box = Mapping[str, tuple[float, float]]
 
 
@@ -47,10 +52,7 @@ class Ranges:
     def __post_init__(self) -> None:
         """Refuse ranges within which nothing can be recorded."""
         for axis, (low, high) in self.box.items():
-            if not low <= high:
-                raise InputError(
-                    f"Range of {axis} must run from low to high; instead received {low:g} to {high:g}."
-                )
+            require(low <= high, f"Range of {axis}", "given from low to high", [low, high])
         samples = self.seconds_per_run / self.step_s
         if samples > MOST_SAMPLES:
             raise InputError(
@@ -58,11 +60,8 @@ class Ranges:
                 f"{self.step_s:g} s are {samples:.3g}: raise 'step_s' or lower 'seconds_per_run'."
             )
         limit = 0.5 / self.step_s
-        if not self.frequencies_hz or max(self.frequencies_hz) >= limit:
-            raise InputError(
-                f"Frequencies must be given and lie below half the sampling rate, {limit:g} Hz; instead "
-                f"received {list(self.frequencies_hz)!r}."
-            )
+        known, wanted = self.frequencies_hz, f"given, and below half the sampling rate, {limit:g} Hz"
+        require(known and max(known) < limit, "Frequencies", wanted, list(known))
         if self.seconds_per_run * min(self.frequencies_hz) < 0.5:
             raise InputError(
                 f"A run of {self.seconds_per_run:g} s is shorter than half a period of its lowest frequency, "
@@ -84,8 +83,8 @@ class Ranges:
         What is None is taken from the file. Raises `InputError` when nothing fits or nothing is stated.
         """
         for name, value in (("runs", runs), ("minutes", minutes)):
-            if value is not None and not 0 < value < np.inf:
-                raise InputError(f"'{name}' of a plan must be a positive number; instead received {value!r}.")
+            known = value is None or 0 < value < np.inf
+            require(known, f"'{name}' of a plan", "a positive number", value)
         runs, minutes = runs or self.runs, minutes or self.minutes
         if runs is None and minutes is None:
             raise InputError(
@@ -129,13 +128,14 @@ def read_ranges(path: str | Path) -> Ranges:
     for key in ("range", "frequencies_hz", "seconds_per_run", "step_s"):
         if key not in file:
             raise InputError(f"Key '{key}' is missing in {file.where}; nothing is assumed for it.")
-    reference = file.table("reference")
+    reference, levels = file.table("reference"), file.whole("levels", 5, least=2)
+    require(levels <= MOST_LEVELS, f"'levels' of {file.where}", f"{MOST_LEVELS} at most", levels)
     return Ranges(
         box=_box(file.table("range")),
         frequencies_hz=tuple(sorted(file.numbers("frequencies_hz", positive))),
         seconds_per_run=file.positive("seconds_per_run"),
         step_s=file.positive("step_s"),
-        levels=_levels(file),
+        levels=levels,
         excluded=tuple(map(_box, file.tables("exclude"))),
         trajectories=_trajectories(file),
         runs=file.whole("runs") if "runs" in file else None,
@@ -144,17 +144,6 @@ def read_ranges(path: str | Path) -> Ranges:
         noise=noise_table(file),
         reference={c: reference.positive(key) * factor for key, c, factor in reference.columns(axes())},
     )
-
-
-MOST_LEVELS = 1000
-"""Of one axis: more make too many candidates whatever else is asked for."""
-
-
-def _levels(file: Table) -> int:
-    levels = file.whole("levels", 5, least=2)
-    if levels > MOST_LEVELS:
-        raise InputError(f"'levels' of {file.where} must be {MOST_LEVELS} at most; it is {levels}.")
-    return levels
 
 
 def _box(raw: Table) -> dict[str, tuple[float, float]]:
@@ -169,16 +158,10 @@ def _box(raw: Table) -> dict[str, tuple[float, float]]:
 
 def _trajectories(file: Table) -> tuple[str, ...]:
     value = file.raw.get("trajectories", list(TRAJECTORIES))
+    what, listed = f"'trajectories' of {file.where}", ", ".join(TRAJECTORIES)
     for name in value if isinstance(value, list) else [value]:
-        if name not in TRAJECTORIES:
-            raise InputError(
-                f"'trajectories' of {file.where} must be a list of {', '.join(TRAJECTORIES)}; instead "
-                f"received {name!r}{nearest(str(name), list(TRAJECTORIES))}."
-            )
-    if not value or not isinstance(value, list):
-        raise InputError(
-            f"'trajectories' of {file.where} must be a list that is not empty; received {value!r}."
-        )
+        require(name in TRAJECTORIES, what, f"a list of {listed}", name, TRAJECTORIES)
+    require(isinstance(value, list) and value, what, "a list that is not empty", value)
     return tuple(value)
 
 
@@ -189,3 +172,136 @@ def corners(box: Box, axes: tuple[str, ...]) -> np.ndarray:
     faces = np.vstack([np.eye(len(axes)), -np.eye(len(axes)), np.zeros((1, len(axes)))])
     points = 0.5 * (low + high) + 0.5 * (high - low) * np.vstack([unit, faces])
     return np.unique(points, axis=0)
+
+
+# -- the runs within: vertical settings times trajectories, without what is excluded ------------------------
+
+MOST_CANDIDATES = 20_000
+"""Candidates beyond this are refused: fewer levels say the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A run that could be recorded, and what a table calls its setting and its trajectory."""
+
+    run: Run
+    setting: str
+    trajectory: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """Signals by axis, how far each axis goes from the middle, and the name of the trajectory."""
+
+    name: str
+    signals: Mapping[str, Signal]
+    reach: Mapping[str, float]
+
+
+def candidates(ranges: Ranges, model: Model) -> tuple[Candidate, ...]:
+    """Return every run of `model` that the ranges allow; raises `InputError` when there is none.
+
+    Its pose moves; its state is held at settings.
+    """
+    _check_axes(ranges, model)
+    found: list[Candidate] = []
+    held = [axis for axis in model.state if axis in ranges.box]
+    for motion in _motions(ranges, model):
+        for setting in _settings(ranges, model):
+            if not any(_touches(zone, setting, motion) for zone in ranges.excluded):
+                place = {axis: value for axis, value in setting.items() if value or axis in held}
+                words = _words(place, motion, model)
+                run = Run(ranges.seconds_per_run, place, motion.signals, name=f"{words}; {motion.name}")
+                found.append(Candidate(run, words, motion.name))
+            if len(found) > MOST_CANDIDATES:
+                raise InputError(
+                    f"These ranges make more than {MOST_CANDIDATES} candidate runs; lower 'levels'."
+                )
+    if not found and not ranges.excluded:
+        wanted = ", ".join(ranges.trajectories)
+        raise InputError(
+            f"Trajectories {wanted} cannot be made of {len(ranges.frequencies_hz)} frequencies; give one "
+            "frequency for every axis that moves, or allow 'one-axis'."
+        )
+    if not found:
+        raise InputError(
+            "No admissible setting is left: every candidate run touches an [[exclude]] zone; make the zones "
+            "smaller, the ranges wider or 'levels' more."
+        )
+    return tuple(found)
+
+
+def _check_axes(ranges: Ranges, model: Model) -> None:
+    """Refuse ranges of axes that the model has not, or in which its pose stands still."""
+    own = (*model.pose, *model.state)
+    for axis in (*ranges.box, *(a for zone in ranges.excluded for a in zone)):
+        if axis not in own:
+            raise InputError(f"Ranges move {axis}, which {model.name} has not; it has {', '.join(own)}.")
+    for axis in ranges.reference:
+        if axis not in model.pose:
+            raise InputError(
+                f"[reference] {axis} of the ranges must be a coordinate of {model.name}: "
+                f"{', '.join(model.pose)}."
+            )
+    if not any(ranges.place(axis)[1] > 0 for axis in model.pose):
+        names = [_axis(axis) for axis in model.pose]
+        listed = " or ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
+        raise InputError(
+            f"Ranges must let {listed} move: give one of them a range that is not empty, such as "
+            "x_um = [-300, 300]."
+        )
+
+
+def _motions(ranges: Ranges, model: Model) -> Iterator[_Motion]:
+    moving = [axis for axis in model.pose if ranges.place(axis)[1] > 0]
+    f, wanted = ranges.frequencies_hz, ranges.trajectories
+    if "one-axis" in wanted:
+        for axis in moving:
+            yield _sines(ranges, (axis,), f)
+    if "combined" in wanted:
+        for n in range(2, len(moving) + 1):
+            for axes in combinations(moving, n) if n <= len(f) else ():
+                yield _sines(ranges, axes, f)
+
+
+def _sines(ranges: Ranges, axes: Sequence[str], frequencies: Sequence[float]) -> _Motion:
+    pairs = list(zip(axes, frequencies, strict=False))
+    reach = {axis: ranges.place(axis)[1] for axis in axes}
+    name = ", ".join(f"{_axis(axis)} {f:g} Hz" for axis, f in pairs)
+    return _Motion(name, {axis: sine(reach[axis], f) for axis, f in pairs}, reach)
+
+
+def _settings(ranges: Ranges, model: Model) -> Iterator[dict[str, float]]:
+    """Grid over the vertical axes; every other axis at the middle of its range."""
+    middle = {axis: ranges.place(axis)[0] for axis in model.pose}
+    levels = []
+    for axis in model.state:
+        centre, half = ranges.place(axis)
+        shares = np.linspace(-1, 1, ranges.levels) if half else [0.0]
+        levels.append([tidy(centre + half * s) for s in shares])
+    for place in product(*levels):
+        yield middle | dict(zip(model.state, place, strict=True))
+
+
+def _touches(zone: Box, setting: Mapping[str, float], motion: _Motion) -> bool:
+    """Whether the run comes into the zone on every axis that the zone names."""
+    return all(
+        setting[axis] - motion.reach.get(axis, 0.0) <= high
+        and setting[axis] + motion.reach.get(axis, 0.0) >= low
+        for axis, (low, high) in zone.items()
+    )
+
+
+def _words(place: Mapping[str, float], motion: _Motion, model: Model) -> str:
+    parts = []
+    for axis, value in place.items():
+        factor, unit, _ = readable(axis, model.period)
+        about = "about " if axis in motion.signals else ""
+        if value:
+            parts.append(f"{_axis(axis)} {about}{factor * value:+.4g} {unit}")
+    return ", ".join(parts) or "level"
+
+
+def _axis(axis: str) -> str:
+    name = axis.rpartition("_")[0]
+    return name if name in ("x", "y") else name.capitalize()

@@ -1,16 +1,15 @@
 """What every choice of runs needs, computed once: the information of each candidate and what counts."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.estimation import Cost, cost_near, least_information, scales, structural_directions
-from hallsym.experiment.candidates import Candidate, candidates
 from hallsym.experiment.criteria import Criterion, choose, criterion, greedy
-from hallsym.experiment.ranges import Ranges, corners
+from hallsym.experiment.ranges import Candidate, Ranges, candidates, corners
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.model.influence import influence
@@ -50,48 +49,6 @@ def _fastest(run: Run) -> float:
     return max((s.fastest_hz if isinstance(s, Signal) else float("inf") for s in motions), default=0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Directions:
-    """The m directions of the n parameters that some recording can determine.
-
-    `basis`: (n, m), parameters = basis @ coordinates, coordinates scaled by the bound widths `scale` (n,).
-    `null`: (n, k) scaled directions that no recording determines, fixed parameters left out.
-    """
-
-    model: Model
-    scale: np.ndarray
-    basis: np.ndarray
-    null: np.ndarray
-
-    def reduced(self, information: np.ndarray) -> np.ndarray:
-        """Return information (..., n, n) about the parameters as (..., m, m) about the coordinates."""
-        out = self.basis.T @ information @ self.basis
-        return 0.5 * (out + np.swapaxes(out, -1, -2))
-
-    def weak(self, information: np.ndarray) -> np.ndarray:
-        """Return the scaled parameter directions (n, k) that information (m, m) leaves undetermined."""
-        values, vectors = np.linalg.eigh(information)
-        return (self.basis / self.scale[:, None]) @ vectors[:, values < least_information(values)]
-
-    def std(self, gradients: np.ndarray, information: np.ndarray) -> np.ndarray:
-        """Return standard uncertainties of functions with `gradients` (q, n), shape (q,), in their units."""
-        half = np.linalg.solve(np.linalg.cholesky(information), (gradients @ self.basis).T)
-        return np.sqrt(np.sum(half**2, axis=0))
-
-    def worst(self, information: np.ndarray) -> "Worst":
-        """Return the combination that information (m, m) determines worst."""
-        values, vectors = np.linalg.eigh(information)
-        direction = (self.basis / self.scale[:, None]) @ vectors[:, 0]
-        determined = values[0] > least_information(values)
-        direction = direction * np.sign(direction[int(np.argmax(np.abs(direction)))])
-        order = np.argsort(-np.abs(direction), kind="stable")
-        kept = [int(k) for k in order if abs(direction[k]) >= 0.3 * abs(direction[order[0]])]
-        return Worst(
-            {self.model.names[k]: float(direction[k]) for k in kept},
-            float(values[0] ** -0.5) if determined else None,
-        )
-
-
 @dataclass(frozen=True)
 class Worst:
     """The combination of parameters, each over its bound width, that is known worst.
@@ -110,54 +67,13 @@ class Worst:
         return joined.removeprefix("+ ")
 
 
-def directions(cost: Cost, p: np.ndarray) -> Directions:
-    """Return what can be determined about the model of `cost` at parameters `p` (n,)."""
-    model, (null, rest) = cost.summary.model, structural_directions(cost, p)
-    scale = scales(model)
-    return Directions(model, scale, scale[:, None] * rest, null)
-
-
-def quantities(found: Directions, p: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
-    """Names and gradients (q, n) of what can be determined.
-
-    Parameters, and the model's combinations of those that cannot.
-    """
-    model = found.model
-    rows = dict(zip(model.names, np.eye(len(p)), strict=True))
-    lost = {name for name, row in rows.items() if not _determined(found, row)}
-    for named in model.combinations:
-        if lost & set(named.parameters):
-            rows[named.expression] = combination(model, named).first(p)[1]
-    kept = {name: row for name, row in rows.items() if _determined(found, row)}
-    return tuple(kept), np.array(list(kept.values())).reshape(-1, len(p))
-
-
-def _determined(found: Directions, gradient: np.ndarray) -> bool:
-    """Whether null directions leave it alone and a direction that is not fixed moves it."""
-    scaled = gradient * found.scale
-    size = float(np.linalg.norm(scaled))
-    moved = float(np.linalg.norm(scaled @ found.null)) if found.null.shape[1] else 0.0
-    return moved <= 1e-6 * size and bool(np.linalg.norm(gradient @ found.basis) > 1e-6 * size)
-
-
-@dataclass(frozen=True, eq=False)
-class Choice:
-    """`counts`: (candidates,) how often each is run. `information`: (m, m) with what was known before.
-
-    `value`: phi of this choice.
-    """
-
-    counts: np.ndarray
-    information: np.ndarray
-    value: float
-
-
 @dataclass(frozen=True, eq=False)
 class Study:
-    """Candidates with their information (candidates, m, m) about the determinable `directions`.
+    """Candidates with their information about what can be determined, in m coordinates.
 
-    `known`: (m, m) information recorded before. `slopes`: (points, n_pose, m) of the decoded position over
-    the workspace, SI. `names`, `gradients`: what standard uncertainties are given for, (q, n).
+    `basis`: (n, m), parameters = basis @ coordinates. `infos`: (candidates, m, m), `known`: (m, m) of what is
+    recorded. `slopes`: (points, n_pose, m) of the decoded position over the workspace, SI. `names`,
+    `gradients`: what standard uncertainties are given for, (q, n).
     """
 
     model: Model
@@ -165,7 +81,7 @@ class Study:
     noise: Mapping[str, float]
     ranges: Ranges
     candidates: tuple[Candidate, ...]
-    directions: Directions
+    basis: np.ndarray
     infos: np.ndarray
     known: np.ndarray
     slopes: np.ndarray
@@ -173,7 +89,11 @@ class Study:
     gradients: np.ndarray
     criterion: Criterion
     seed: int
-    _choices: dict[int, Choice] = field(default_factory=dict)
+
+    @cached_property
+    def directions(self) -> np.ndarray:
+        """Orthonormal basis (n, m) of the coordinates, in parameters over the widths of their bounds."""
+        return self.basis / scales(self.model)[:, None]
 
     @cached_property
     def base(self) -> np.ndarray:
@@ -181,44 +101,20 @@ class Study:
         m = len(self.known)
         return self.known + RIDGE * np.trace(self.infos.mean(axis=0)) * np.eye(m)
 
+    def information(self, counts: np.ndarray) -> np.ndarray:
+        """Return the information (m, m) of candidates run `counts` times, with what is known before."""
+        return self.known + np.tensordot(counts, self.infos, axes=1)
+
     def value(self, information: np.ndarray) -> float:
         """Return the criterion of information (m, m) that is recorded in all."""
         return float(self.criterion.values(information + self.base - self.known))
 
-    def choose(self, runs: int) -> Choice:
-        """Return the best choice of `runs` runs that is found; the same for the same seed."""
-        if runs not in self._choices:
-            rng = np.random.default_rng((self.seed, runs))
-            counts = choose(self.infos, self.base, runs, self.criterion, rng)
-            total = self.known + np.tensordot(counts, self.infos, axes=1)
-            self._choices[runs] = Choice(counts, total, self.value(total))
-        return self._choices[runs]
+    def choose(self, runs: int) -> np.ndarray:
+        """Return how often each candidate is run in the best choice of `runs` runs that is found.
 
-    def determined(self, information: np.ndarray) -> bool:
-        """Whether information (m, m) determines every direction that can be."""
-        return self.directions.weak(information).shape[1] == 0
-
-    def least_runs(self) -> int:
-        """Return how few runs determine the model, chosen one by one for the volume (D)."""
-        d, counts = criterion("D", len(self.known), self.slopes), np.zeros(len(self.infos), dtype=int)
-        for n in range(1, MOST_RUNS + 1):
-            counts = greedy(self.infos, self.base, n, d, counts)
-            if self.determined(self.known + np.tensordot(counts, self.infos, axes=1)):
-                return n
-        raise InputError(f"Even {MOST_RUNS} runs within these ranges do not determine {self.model.name}.")
-
-    def std(self, information: np.ndarray) -> np.ndarray:
-        """Return the standard uncertainties of `names`, (q,), SI."""
-        return self.directions.std(self.gradients, information)
-
-    def position(self, information: np.ndarray) -> np.ndarray:
-        """Return the worst standard uncertainty over the workspace of each pose coordinate, (n_pose,), SI."""
-        half = np.linalg.solve(np.linalg.cholesky(information), self.slopes.reshape(-1, len(information)).T)
-        return np.sqrt(np.sum(half**2, axis=0)).reshape(self.slopes.shape[:2]).max(axis=0)
-
-    def check(self, runs: int) -> None:
-        """Refuse what no choice of `runs` runs can determine, and say what is missing."""
-        weak = self.directions.weak(self.known + runs * self.infos.sum(axis=0))
+        The same for the same seed. Refuses what no such choice can determine, and says what is missing.
+        """
+        weak = self.weak(self.known + runs * self.infos.sum(axis=0))
         if weak.shape[1]:
             share = np.abs(weak).max(axis=1)
             lost = [n for n, v in zip(self.model.names, share, strict=True) if v >= 0.3 * share.max()]
@@ -227,13 +123,61 @@ class Study:
                 "values: let the axes that they belong to take several positions, give other --values or a "
                 "smaller --model."
             )
-        if not self.determined(self.choose(runs).information):
-            least = self.least_runs()
-            if least > runs:
-                raise InputError(
-                    f"{runs} runs are too few to determine {self.model.name} within these ranges; allow at "
-                    f"least {least}."
-                )
+        rng = np.random.default_rng((self.seed, runs))
+        counts = choose(self.infos, self.base, runs, self.criterion, rng)
+        if self.weak(self.information(counts)).shape[1] and (least := self.least_runs()) > runs:
+            raise InputError(
+                f"{runs} runs are too few to determine {self.model.name} within these ranges; allow at "
+                f"least {least}."
+            )
+        return counts
+
+    def weak(self, information: np.ndarray) -> np.ndarray:
+        """Return the scaled parameter directions (n, k) that information (m, m) leaves undetermined."""
+        values, vectors = np.linalg.eigh(information)
+        return self.directions @ vectors[:, values < least_information(values)]
+
+    def least_runs(self) -> int:
+        """Return how few runs determine the model, chosen one by one for the volume (D)."""
+        d, counts = criterion("D", len(self.known), self.slopes), np.zeros(len(self.infos), dtype=int)
+        for n in range(1, MOST_RUNS + 1):
+            counts = greedy(self.infos, self.base, n, d, counts)
+            if not self.weak(self.information(counts)).shape[1]:
+                return n
+        raise InputError(f"Even {MOST_RUNS} runs within these ranges do not determine {self.model.name}.")
+
+    def std(self, information: np.ndarray) -> np.ndarray:
+        """Return the standard uncertainties of `names`, (q,), SI."""
+        return _std(self.gradients @ self.basis, information)
+
+    def position(self, information: np.ndarray) -> np.ndarray:
+        """Return the worst standard uncertainty over the workspace of each pose coordinate, (n_pose,), SI."""
+        return _std(self.slopes, information).max(axis=0)
+
+    def worst(self, information: np.ndarray) -> Worst:
+        """Return the combination that information (m, m) determines worst."""
+        values, vectors = np.linalg.eigh(information)
+        direction = self.directions @ vectors[:, 0]
+        determined = values[0] > least_information(values)
+        direction = direction * np.sign(direction[int(np.argmax(np.abs(direction)))])
+        order = np.argsort(-np.abs(direction), kind="stable")
+        kept = [int(k) for k in order if abs(direction[k]) >= 0.3 * abs(direction[order[0]])]
+        return Worst(
+            {self.model.names[k]: float(direction[k]) for k in kept},
+            float(values[0] ** -0.5) if determined else None,
+        )
+
+
+def _reduced(information: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """Return information (..., n, n) about the parameters as (..., m, m) about the coordinates."""
+    out = basis.T @ information @ basis
+    return np.asarray(0.5 * (out + np.swapaxes(out, -1, -2)))
+
+
+def _std(gradients: np.ndarray, information: np.ndarray) -> np.ndarray:
+    """Return standard uncertainties (...,) of functions with `gradients` (..., m) of the coordinates."""
+    half = np.linalg.solve(np.linalg.cholesky(information), gradients.reshape(-1, len(information)).T)
+    return np.asarray(np.sqrt(np.sum(half**2, axis=0)).reshape(gradients.shape[:-1]))
 
 
 def study(
@@ -247,30 +191,53 @@ def study(
 ) -> Study:
     """Return the study of what `ranges` allow. `recorded`: (n, n) information of an earlier log."""
     found = candidates(ranges, model)
-    p = model.vector(values)
+    p, scale = model.vector(values), scales(model)
     cost, factor = planned_cost([c.run for c in found], ranges.step_s, model, values, noise)
-    known = directions(cost, p)
-    infos = known.reduced(cost.at(p).information(0.0) * factor[:, None, None])
-    slopes = _workspace(ranges, model, p) @ known.basis
-    names, gradients = quantities(known, p)
-    m = infos.shape[1]
+    null, rest = structural_directions(cost, p)
+    basis = scale[:, None] * rest
+    m = basis.shape[1]
     if m == 0:
         raise InputError(f"Every parameter of {model.name} is fixed; there is nothing to plan for.")
+    names, gradients = _quantities(model, p, scale, null, basis)
+    slopes = _workspace(ranges, model, p) @ basis
     return Study(
         model=model,
         values=values,
         noise=noise,
         ranges=ranges,
         candidates=found,
-        directions=known,
-        infos=infos,
-        known=np.zeros((m, m)) if recorded is None else known.reduced(recorded),
+        basis=basis,
+        infos=_reduced(cost.at(p).information(0.0) * factor[:, None, None], basis),
+        known=np.zeros((m, m)) if recorded is None else _reduced(recorded, basis),
         slopes=slopes,
         names=names,
         gradients=gradients,
         criterion=criterion(name, m, slopes / ranges.references(model.pose)[:, None]),
         seed=seed,
     )
+
+
+def _quantities(
+    model: Model, p: np.ndarray, scale: np.ndarray, null: np.ndarray, basis: np.ndarray
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """Return names and gradients (q, n) of what can be determined.
+
+    Parameters, and the model's combinations of those that cannot: null directions leave them alone, and a
+    direction that is not fixed moves them.
+    """
+
+    def determined(gradient: np.ndarray) -> bool:
+        size = 1e-6 * np.linalg.norm(gradient * scale)
+        moved = np.linalg.norm((gradient * scale) @ null)
+        return bool(moved <= size and np.linalg.norm(gradient @ basis) > size)
+
+    rows = dict(zip(model.names, np.eye(len(p)), strict=True))
+    lost = {name for name, row in rows.items() if not determined(row)}
+    for named in model.combinations:
+        if lost & set(named.parameters):
+            rows[named.expression] = combination(model, named).first(p)[1]
+    kept = {name: row for name, row in rows.items() if determined(row)}
+    return tuple(kept), np.array(list(kept.values())).reshape(-1, len(p))
 
 
 def _workspace(ranges: Ranges, model: Model, p: np.ndarray) -> np.ndarray:

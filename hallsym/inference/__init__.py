@@ -2,16 +2,21 @@
 
 `evidence` is where the numbers come from: a fit with its log, or a plan. `profiles` and `bootstrap` give
 intervals where a normal one is not good enough, which `intervals` says. `identifiability` names what cannot
-be told apart, judges each parameter, and says what other recordings would determine; `parameter_changes`
-compares two recordings of one sensor, `belonging` tests whether a log still belongs to a calibration.
+be told apart, judges each parameter, and says what other recordings would determine; `belonging` compares
+two recordings of one sensor and tests whether a log still belongs to a calibration.
 """
 
-from hallsym.inference.belonging import FALSE_ALARM, Belonging, belonging, check_false_alarm
-from hallsym.inference.evidence import Change
+from hallsym.inference.belonging import (
+    FALSE_ALARM,
+    Belonging,
+    ParameterChange,
+    belonging,
+    check_false_alarm,
+)
 from hallsym.inference.identifiability import (
     VERDICTS,
+    Change,
     CombinationReport,
-    FurtherReport,
     Identifiability,
     NullDirection,
     NullSpace,
@@ -20,9 +25,6 @@ from hallsym.inference.identifiability import (
     Verdict,
     identify,
 )
-from hallsym.inference.intervals import Interval
-from hallsym.inference.parameter_changes import Estimate, Freedom, ParameterChange, changes, welch
-from hallsym.inference.profiles import Profile, Side, profile, skewness, tangent
 
 __all__ = [
     "FALSE_ALARM",
@@ -30,25 +32,14 @@ __all__ = [
     "Belonging",
     "Change",
     "CombinationReport",
-    "Estimate",
-    "Freedom",
-    "FurtherReport",
     "Identifiability",
-    "Interval",
     "NullDirection",
     "NullSpace",
     "Offsets",
     "ParameterChange",
     "ParameterReport",
-    "Profile",
-    "Side",
     "Verdict",
     "belonging",
-    "changes",
     "check_false_alarm",
     "identify",
-    "profile",
-    "skewness",
-    "tangent",
-    "welch",
 ]

@@ -13,14 +13,13 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc, fdtrc, ndtri
+from scipy.special import chdtrc, erfc, fdtrc, ndtri, stdtr
 
-from hallsym.errors import InputError
+from hallsym.errors import require
 from hallsym.estimation import Evaluation, Fit, GoodnessOfFit, fit, noise_at
 from hallsym.estimation.calibration import coverage_factor
 from hallsym.estimation.covariance import BY_RUNS
 from hallsym.estimation.factors import SINGULAR, pseudo_inverse, unit_scale
-from hallsym.inference.parameter_changes import Estimate, ParameterChange, changes, welch
 from hallsym.log import Noise, Sigma
 
 FALSE_ALARM = 1 / 500
@@ -31,6 +30,23 @@ SMALLEST = np.finfo(float).tiny
 """Least p-value, so that its score is a number."""
 RESIDUAL, TOGETHER = "residual error", "parameters together"
 """Names of the tests that are not of one parameter."""
+
+
+@dataclass(frozen=True)
+class ParameterChange:
+    """A parameter or combination in SI: values and standard uncertainties, `p_value` of no change.
+
+    `significant`: corrected for the number of tests.
+    """
+
+    name: str
+    unit: str
+    before: float
+    before_std: float
+    after: float
+    after_std: float
+    p_value: float
+    significant: bool
 
 
 @dataclass(frozen=True)
@@ -140,11 +156,9 @@ class _Colour:
 
 def check_false_alarm(chance: float) -> None:
     """Refuse a probability that the tests cannot hold."""
-    if not LEAST_FALSE_ALARM <= chance <= MOST_FALSE_ALARM:
-        raise InputError(
-            f"The probability of a false alarm must be {LEAST_FALSE_ALARM:g} to {MOST_FALSE_ALARM:g}; instead"
-            f" received {chance!r}."
-        )
+    known = LEAST_FALSE_ALARM <= chance <= MOST_FALSE_ALARM
+    limits = f"{LEAST_FALSE_ALARM:g} to {MOST_FALSE_ALARM:g}"
+    require(known, "The probability of a false alarm", limits, chance)
 
 
 def belonging(seen: Evaluation, *, false_alarm: float = FALSE_ALARM) -> Belonging:
@@ -166,20 +180,28 @@ def belonging(seen: Evaluation, *, false_alarm: float = FALSE_ALARM) -> Belongin
         loss=known.solver["loss"],
         start=known.values,
     )
+    assert after.goodness is not None
     colour = _colour_of(after)
     factors = [1.0 if f.covariance_method == BY_RUNS else colour.memory for f in (known, after)]
-    one, two, left = _estimates(known, after, factors)
-    single = [name for name in one if name in known.model.names]
-    level = 1 - (1 - false_alarm) ** (1 / (len(one) + 1 + (len(single) > 1)))
-    changed = changes(one, two, level, (_freedom(known), _freedom(after)))
-    tests = [_residual(known, after, colour, level)]
+    one, two = (_estimates(f, factor) for f, factor in zip((known, after), factors, strict=True))
+    units = {p.name: p.unit for p in known.model.parameters}
+    units |= {c.expression: c.unit for c in known.combinations}
+    names = [name for name in one if name in two]
+    single = [name for name in names if name in known.model.names]
+    level = 1 - (1 - false_alarm) ** (1 / (len(names) + 1 + (len(single) > 1)))
+    tests = [_residual(known, after.goodness, _independent(after, after.goodness, colour), colour, level)]
     if len(single) > 1:
         tests += _together(known, after, factors, single, level)
-    tests += [_test(c.name, _chance(c), level, np.sign(c.after - c.before), sides=2) for c in changed]
+    changes = []
+    for name in names:
+        (before, s, n), (now, t, m) = one[name], two[name]
+        p = chance_of(now - before, (s, t), (n, m))
+        changes.append(ParameterChange(name, units[name], before, s, now, t, p, p < level))
+        tests.append(_test(name, p, level, np.sign(now - before), sides=2))
     floor = 1.0 if known.goodness is None else known.goodness.residual_over_noise
     return Belonging(
-        false_alarm, _goodness(after).residual_over_noise, floor, tuple(tests), changed, left,
-        _notes(known, colour),
+        false_alarm, after.goodness.residual_over_noise, floor, tuple(tests), tuple(changes),
+        _not_identified(known, after), _notes(known, colour),
     )  # fmt: skip
 
 
@@ -212,24 +234,27 @@ def _notes(known: Fit, colour: _Colour) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _goodness(found: Fit) -> GoodnessOfFit:
-    if found.goodness is None:
-        raise InputError("A fit must say what it leaves; fit the log again.")
-    return found.goodness
+def _estimates(found: Fit, factor: float) -> dict[str, tuple[float, float, float]]:
+    """Return value, standard uncertainty and degrees of freedom of what a fit determines, by name.
 
-
-def _estimates(
-    known: Fit, after: Fit, factors: Sequence[float]
-) -> tuple[dict[str, Estimate], dict[str, Estimate], dict[str, str]]:
-    """Return what both determine, parameters and combinations, and why other parameters are not compared.
-
-    `factors`: by which the variances of the two are multiplied.
+    Of parameters and combinations; their variances are taken `factor` times.
     """
-    one, two, left = {}, {}, {}
-    more = np.sqrt(factors).tolist()
-    for k, name in enumerate(known.model.names):
-        unit = known.model.parameters[k].unit
-        if name in known.held and name in after.held and known.model.parameters[k].width == 0:
+    more = float(np.sqrt(factor))
+    columns = zip(found.values.tolist(), found.std.tolist(), found.degrees_of_freedom.tolist(), strict=True)
+    out = {
+        name: (value, more * std, dof)
+        for name, (value, std, dof), known in zip(found.model.names, columns, found.determined, strict=True)
+        if known and name not in found.at_bound
+    }
+    return out | {c.expression: (c.value, more * c.std, c.degrees_of_freedom) for c in found.combinations}
+
+
+def _not_identified(known: Fit, after: Fit) -> dict[str, str]:
+    """Return why some parameters are not compared."""
+    left = {}
+    for k, parameter in enumerate(known.model.parameters):
+        name = parameter.name
+        if parameter.width == 0 and name in known.held and name in after.held:
             continue
         if not known.determined[k]:
             left[name] = "the calibration does not determine it"
@@ -237,35 +262,34 @@ def _estimates(
             left[name] = "it is at a bound"
         elif not after.determined[k]:
             left[name] = "this log does not identify it"
-        else:
-            one[name] = Estimate(float(known.values[k]), more[0] * float(known.std[k]), unit)
-            two[name] = Estimate(float(after.values[k]), more[1] * float(after.std[k]), unit)
-    both = {c.expression for c in known.combinations} & {c.expression for c in after.combinations}
-    for found, out, factor in ((known, one, more[0]), (after, two, more[1])):
-        named = {c.expression: Estimate(c.value, factor * c.std, c.unit) for c in found.combinations}
-        out.update({name: named[name] for name in named if name in both})
-    return one, two, left
+    return left
 
 
-def _freedom(found: Fit) -> dict[str, float]:
-    own = dict(zip(found.model.names, found.degrees_of_freedom.tolist(), strict=True))
-    return own | {c.expression: c.degrees_of_freedom for c in found.combinations}
-
-
-def _chance(change: ParameterChange) -> float:
-    return 1.0 if change.p_value is None else change.p_value
-
-
-def _residual(known: Fit, after: Fit, colour: _Colour, level: float) -> BelongingTest:
+def _residual(known: Fit, new: GoodnessOfFit, dof: float, colour: _Colour, level: float) -> BelongingTest:
     """Test whether the log leaves more than the calibration left: the ratio of two variances."""
-    new, old = _goodness(after), known.goodness
-    dof = _independent(after, new, colour)
-    if old is None:
-        p = float(chdtrc(dof, new.cost_per_degree_of_freedom * dof))
-    else:
-        ratio = new.cost_per_degree_of_freedom / max(old.cost_per_degree_of_freedom, SMALLEST)
-        p = float(fdtrc(dof, _independent(known, old, colour), ratio))
-    return _test(RESIDUAL, p, level)
+    if known.goodness is None:
+        return _test(RESIDUAL, float(chdtrc(dof, new.cost_per_degree_of_freedom * dof)), level)
+    old = known.goodness
+    ratio = new.cost_per_degree_of_freedom / max(old.cost_per_degree_of_freedom, SMALLEST)
+    return _test(RESIDUAL, float(fdtrc(dof, _independent(known, old, colour), ratio)), level)
+
+
+def chance_of(difference: float, stds: tuple[float, float], dofs: tuple[float, float]) -> float:
+    """Return the p-value of no change between two independent estimates.
+
+    The difference over its standard uncertainty follows Student's t with the degrees of freedom after Welch
+    and Satterthwaite (Biometrics Bulletin 2 (1946) 110, doi:10.2307/3002019) where `dofs` are finite.
+    """
+    if not any(stds):
+        return 1.0
+    distance, dof = abs(difference) / np.hypot(*stds), welch(stds, dofs)
+    return float(2 * stdtr(dof, -distance) if np.isfinite(dof) else erfc(distance / np.sqrt(2)))
+
+
+def welch(stds: tuple[float, float], dofs: tuple[float, float]) -> float:
+    """Return the degrees of freedom of the root of two summed variances."""
+    share = sum(std**4 / dof for std, dof in zip(stds, dofs, strict=True))
+    return float(np.hypot(*stds) ** 4 / share) if share > 0 else float("inf")
 
 
 def _independent(found: Fit, left: GoodnessOfFit, colour: _Colour) -> float:

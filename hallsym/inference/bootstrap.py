@@ -14,8 +14,8 @@ import numpy as np
 import scipy
 
 from hallsym.errors import InputError
-from hallsym.estimation import Cost, least_information, refit, scales
-from hallsym.estimation.calibration import INTERVAL
+from hallsym.estimation import Cost, coverage_factor, least_information, refit, scales
+from hallsym.estimation.normal_equations import unit_scale
 from hallsym.model.quantities import Quantity
 
 CHECKED = 10
@@ -59,7 +59,7 @@ class Bootstrap:
         when few runs tell most of a parameter, because a sample of few runs does not show their tails.
         """
         value, _ = quantity.first(self.p)
-        half = float(scipy.special.stdtrit(self.runs - 1, 0.5 + 0.5 * INTERVAL)) * self.std_of(quantity)
+        half = float(coverage_factor(self.runs - 1)) * self.std_of(quantity)
         return max(value - half, quantity.lower), min(value + half, quantity.upper)
 
 
@@ -80,14 +80,15 @@ def bootstrap(cost: Cost, p: np.ndarray, held: Sequence[int], *, replicates: int
     weights = np.zeros((replicates, len(cost.weights)))
     weights[:, used] = rng.multinomial(len(used), np.full(len(used), 1.0 / len(used)), size=replicates)
     weights *= cost.weights
-    steps = _Steps(cost.anchored(np.asarray(p, dtype=float)), np.asarray(p, dtype=float), held)
+    p = np.asarray(p, dtype=float)
+    steps = _Steps(cost.anchored(p), p, held)
     weights = weights[steps.determines(weights)]
     if len(weights) < 2:
         raise InputError(
             f"Only {len(weights)} of {replicates} draws of the {len(used)} runs determine the parameters, "
             "too few for a bootstrap: record more runs of each kind."
         )
-    return Bootstrap(steps.p, steps.refits(weights), weights, replicates - len(weights), len(used))
+    return Bootstrap(p, steps.refits(weights), weights, replicates - len(weights), len(used))
 
 
 class _Steps:
@@ -97,15 +98,13 @@ class _Steps:
         self.cost, self.p, self.held, point = cost, p, held, cost.at(p)
         self.free = np.array([k for k in range(len(p)) if k not in held], dtype=int)
         model = cost.summary.model
-        self.lower, self.upper = model.bounds
+        self.lower, self.upper = (bound[self.free] for bound in model.bounds)
         hessians = point.run_hessians[:, self.free][:, :, self.free]
-        curvature = np.abs(np.einsum("r,rii->i", cost.weights, hessians))
-        self.unit = 1.0 / np.sqrt(np.where(curvature > 0, curvature, 1.0))
+        self.unit = unit_scale(np.abs(np.tensordot(cost.weights, hessians, axes=1)))
         self.gradients = point.run_gradients[:, self.free] * self.unit
         self.hessians = hessians * np.outer(self.unit, self.unit)
         width = scales(model)[self.free]
-        information = point.information(2.0)[:, self.free][:, :, self.free]
-        self.information = information * np.outer(width, width)
+        self.information = point.information(2.0, self.free) * np.outer(width, width)
 
     def determines(self, weights: np.ndarray) -> np.ndarray:
         """Which draws determine all free parameters, as `determine` judges it; (m,) booleans."""
@@ -115,35 +114,25 @@ class _Steps:
         curved = np.linalg.eigvalsh(np.tensordot(weights, self.hessians, axes=1))[:, 0] > 0
         return np.asarray((values[:, 0] >= least_information(values)) & curved)
 
-    def newton(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return one Newton step from the optimum for every draw, (m, n), and which left the box, (m,).
+    def refits(self, weights: np.ndarray) -> np.ndarray:
+        """Return the optimum of every draw (m, n): one Newton step for all, then those that need more.
 
-        Those are refitted.
+        A draw whose step leaves the box is refitted.
         """
         hessians = np.tensordot(weights, self.hessians, axes=1)
         steps = -np.linalg.solve(hessians, (weights @ self.gradients)[..., None])[..., 0]
         values = np.tile(self.p, (len(weights), 1))
         values[:, self.free] += steps * self.unit
-        outside = np.any(((values < self.lower) | (values > self.upper))[:, self.free], axis=1)
+        outside = ~self.inside(values)
         for k in np.flatnonzero(outside):
-            values[k] = self.refit(weights[k])
-        return values, np.asarray(outside)
-
-    def refit(self, weights: np.ndarray) -> np.ndarray:
-        """Return the optimum of one draw, converged."""
-        return refit(self.cost.weighted(weights), self.p, self.held)
-
-    def refits(self, weights: np.ndarray) -> np.ndarray:
-        """Return the optimum of every draw (m, n)."""
-        values, refitted = self.newton(weights)
+            values[k] = refit(self.cost.weighted(weights[k]), self.p, self.held)
         moved = (values - self.p)[:, self.free]
         if moved.size == 0:
             return values
         std = np.sqrt(np.mean(moved**2, axis=0))
         size = np.where(std > 0, std, np.inf)
-        weakest = np.linalg.eigvalsh(np.tensordot(weights, self.hessians, axes=1))[:, 0]
-        order = np.argsort(-(np.abs(moved / size).max(axis=1) ** 2) / weakest)
-        order = order[~refitted[order]]
+        order = np.argsort(-(np.abs(moved / size).max(axis=1) ** 2) / np.linalg.eigvalsh(hessians)[:, 0])
+        order = order[~outside[order]]
         for first in range(0, len(order), CHECKED):
             batch = order[first : first + CHECKED]
             best = np.array([self.improved(values[k], weights[k], size) for k in batch])
@@ -153,6 +142,11 @@ class _Steps:
                 break
         return values
 
+    def inside(self, values: np.ndarray) -> np.ndarray:
+        """Whether the free parameters of `values` (..., n) lie within their bounds."""
+        free = values[..., self.free]
+        return np.asarray(((self.lower <= free) & (free <= self.upper)).all(axis=-1))
+
     def improved(self, value: np.ndarray, weights: np.ndarray, size: np.ndarray) -> np.ndarray:
         """Go on to the optimum of one draw: the gradient where it is, the Hessian of where it came from."""
         hessian, value = np.tensordot(weights, self.hessians, axes=1), value.copy()
@@ -160,8 +154,8 @@ class _Steps:
             gradient = weights @ self.cost.at(value).run_gradients[:, self.free]
             step = -np.linalg.solve(hessian, gradient * self.unit) * self.unit
             value[self.free] += step
-            if ((value < self.lower) | (value > self.upper))[self.free].any():
+            if not self.inside(value):
                 break
             if np.max(np.abs(step / size)) <= ENOUGH:
                 return value
-        return self.refit(weights)
+        return refit(self.cost.weighted(weights), self.p, self.held)

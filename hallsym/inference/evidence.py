@@ -1,11 +1,9 @@
-"""Where a report's numbers come from: a fit with its log, or a campaign that is still a plan.
+"""Where a report's numbers come from: a fit with its log, or a campaign that is still a plan."""
 
-Beside it the recorded workspace, thinned, and what a change of each parameter does to the pose over it.
-"""
-
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -17,11 +15,12 @@ from hallsym.estimation import (
     Uncertainty,
     as_read,
     cost_near,
-    determine,
     fit,
     uncertainty,
 )
 from hallsym.estimation.decoding import columns_of
+from hallsym.estimation.identifiable import determine_at
+from hallsym.estimation.likelihood import Point
 from hallsym.families import same_layout
 from hallsym.log import Log
 from hallsym.log.batches import batches
@@ -34,90 +33,29 @@ SAMPLES = 2000
 """Poses that stand for the workspace of a log."""
 
 
-@dataclass(frozen=True, eq=False)
-class Workspace:
-    """Poses that a log visited: `pose` (n_pose, s), `state` (n_state, s), `runs` (s,)."""
-
-    pose: np.ndarray
-    state: np.ndarray
-    runs: np.ndarray
-
-
 def visited(
     log: Log,
     model: Model,
+    zeros: Mapping[int, np.ndarray],
     most: int = SAMPLES,
     sigma: Mapping[str, float] | None = None,
     values: Mapping[str, float] | None = None,
-) -> Workspace:
-    """Return about `most` poses of `log`, evenly spread over its samples; one pass over the log.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return zeros (n_zeros, s), pose (n_pose, s) and state (n_state, s) at about `most` samples of `log`.
 
-    `sigma`: noise by column, `values`: parameters by name, for the columns that are computed.
+    They are evenly spread over the samples. `zeros`: by run, 0 where a run is not in it. `sigma`: noise by
+    column, `values`: parameters by name, for the columns that are computed.
     """
     step = max(1, -(-log.rows // most))
-    pose: list[np.ndarray] = []
-    state: list[np.ndarray] = []
-    runs: list[np.ndarray] = []
-    offset = 0
+    parts, own, offset = [], [], 0
     for batch in batches(extended(log, model, sigma, values), columns_of(model)):
         pick = slice(offset, None, step)
-        number = np.repeat([block.run for block in batch.blocks], np.diff(batch.edges))
-        runs.append(number[pick])
-        pose.append(_rows(batch.columns(model.references), pick, len(runs[-1])))
-        state.append(_rows(batch.columns(model.state), pick, len(runs[-1])))
+        parts.append(np.array([c[pick] for c in batch.columns((*model.references, *model.state))]))
+        runs = np.repeat([block.run for block in batch.blocks], np.diff(batch.edges))[pick]
+        own += [zeros.get(run, np.zeros(len(model.zeros))) for run in runs.tolist()]
         offset = (offset - len(batch)) % step
-    return Workspace(np.hstack(pose), np.hstack(state), np.concatenate(runs))
-
-
-def _rows(columns: Sequence[np.ndarray], pick: slice, n: int) -> np.ndarray:
-    return np.array([c[pick] for c in columns]) if columns else np.zeros((0, n))
-
-
-@dataclass(frozen=True, eq=False)
-class Change:
-    """How far the decoded pose moves [unit of each pose column] when something changes: over a workspace."""
-
-    rms: Mapping[str, float]
-    worst: Mapping[str, float]
-
-    def to_dict(self) -> dict[str, dict[str, float]]:
-        """Return `{x_m: {rms, worst}, ...}`."""
-        return {c: {"rms": self.rms[c], "worst": self.worst[c]} for c in self.rms}
-
-
-@dataclass(frozen=True, eq=False)
-class Slopes:
-    """d pose / d parameters over a workspace, (s, n_pose, n), the zero deviations held."""
-
-    pose: tuple[str, ...]
-    slopes: np.ndarray
-
-    def change(self, step: np.ndarray) -> Change:
-        """Return what the parameter step (n,) does to the decoded pose."""
-        moved = self.slopes @ step
-        return Change(
-            dict(zip(self.pose, np.sqrt(np.mean(moved**2, axis=0)).tolist(), strict=True)),
-            dict(zip(self.pose, np.abs(moved).max(axis=0).tolist(), strict=True)),
-        )
-
-    def spread(self, covariance: np.ndarray) -> Change:
-        """Return the standard uncertainty of the decoded pose that a covariance (n, n) leaves."""
-        variance = np.einsum("spi,ij,spj->sp", self.slopes, covariance, self.slopes)
-        variance = np.maximum(variance, 0.0)
-        return Change(
-            dict(zip(self.pose, np.sqrt(variance.mean(axis=0)).tolist(), strict=True)),
-            dict(zip(self.pose, np.sqrt(variance.max(axis=0)).tolist(), strict=True)),
-        )
-
-
-def slopes_over(workspace: Workspace, cost: Cost, p: np.ndarray) -> Slopes:
-    """Return the slopes of the decoded pose with the parameters at every pose of a workspace."""
-    model, summary = cost.summary.model, cost.summary
-    own = dict(zip(summary.runs, cost.at(p).zeros, strict=True))
-    none = np.zeros(len(model.zeros))
-    zeros = np.array([own.get(int(run), none) for run in workspace.runs]).T
-    found = influence(model, p, zeros, workspace.pose, workspace.state, 1.0 / cost.reading_variance)
-    return Slopes(model.pose, found.parameters)
+    pose, state = np.split(np.hstack(parts), [len(model.references)])
+    return np.array(own).T, pose, state
 
 
 MOVED = 5.0
@@ -126,21 +64,31 @@ MOVED = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Likelihood `cost`, its optimum `p` (n,), what it determines (`found`), and how certainly.
+    """The likelihood at its optimum (`point`), what it determines (`found`), and how certainly.
 
-    `recorded`: what to call the log or the plan; `log`: its samples. `amiss`: the sentence that a report
-    begins with where the model does not describe the log; it is the first of the notes too.
+    `slopes`: d pose / d parameters over the workspace, (s, n_pose, n), the zero deviations held. `recorded`:
+    what to call the log or the plan; `log`: its samples. `amiss`: the sentence that a report begins with
+    where the model does not describe the log; it is the first of the notes too.
     """
 
-    cost: Cost
-    p: np.ndarray
+    point: Point
     found: Determination
     uncertainty: Uncertainty
-    workspace: Workspace
+    slopes: np.ndarray
     recorded: str
     log: Log
     notes: tuple[str, ...] = ()
     amiss: str = ""
+
+    @property
+    def cost(self) -> Cost:
+        """The likelihood."""
+        return self.point.cost
+
+    @property
+    def p(self) -> np.ndarray:
+        """The optimum, (n,)."""
+        return self.point.p
 
     @property
     def model(self) -> Model:
@@ -150,7 +98,7 @@ class Evidence:
     @cached_property
     def information(self) -> np.ndarray:
         """What all runs tell of the parameters, (n, n)."""
-        return self.cost.information(self.p)
+        return self.point.total_information()
 
 
 def from_fit(known: Fit, log: Log | None = None) -> Evidence:
@@ -164,25 +112,20 @@ def from_fit(known: Fit, log: Log | None = None) -> Evidence:
         if log is None:
             raise InputError("A calibration read from a file does not hold its log; give the log as well.")
         found, notes = _fitted_again(known, log)
-    cost, determination, source = found.likelihood, found.determination, found.source
-    assert cost is not None
-    assert determination is not None
-    assert source is not None
-    _check_samples(cost, found.model, source.name)
-    sigma = found.noise.std
-    fitted = known.goodness if known.goodness and (log is None or _same_log(known, log)) else found.goodness
-    amiss = fitted and fitted.sentence
-    notes = (amiss, *notes) if amiss else notes
-    return Evidence(
-        cost,
-        found.values,
-        determination,
-        uncertainty(cost.at(found.values), determination),
-        visited(source, found.model, sigma=sigma, values=found.model.named(found.values)),
-        source.name,
-        source,
-        notes,
-        amiss or "",
+    assert found.likelihood is not None
+    assert found.determination is not None
+    assert found.source is not None
+    goodness = known.goodness if known.goodness and (log is None or _same_log(known, log)) else found.goodness
+    amiss = (goodness and goodness.sentence) or ""
+    return _at(
+        found.likelihood.at(found.values),
+        found.determination,
+        found.source,
+        found.source.name,
+        sigma=found.noise.std,
+        values=found.model.named(found.values),
+        notes=(amiss, *notes) if amiss else notes,
+        amiss=amiss,
     )
 
 
@@ -198,12 +141,38 @@ def from_plan(
     missing = [c for c in model.channels if not noise.get(c, 0.0) > 0]
     if missing:
         raise InputError(f"A plan needs the noise of every channel; {missing[0]} has none: state it.")
-    cost = replace(cost_near(log, model, p, noise), planned=True)
-    _check_samples(cost, model, name)
-    found = determine(cost, p)
+    point = replace(cost_near(log, model, p, noise), planned=True).at(p)
+    planned = _at(point, determine_at(point), log, name)
     reason = "a plan: white noise of the stated size is taken for granted"
-    told = replace(uncertainty(cost.at(p), found), method="likelihood", reason=reason)
-    return Evidence(cost, p, found, told, visited(log, model), name, log)
+    return replace(planned, uncertainty=replace(planned.uncertainty, method="likelihood", reason=reason))
+
+
+def _at(
+    point: Point,
+    found: Determination,
+    log: Log,
+    name: str,
+    sigma: Mapping[str, float] | None = None,
+    values: Mapping[str, float] | None = None,
+    **said: Any,
+) -> Evidence:
+    """Return the evidence of a log at an optimum; `sigma`, `values` as for `visited`, `said`: notes.
+
+    Refuses a log with fewer readings than there is to estimate: no covariance can be formed.
+    """
+    cost, model = point.cost, point.cost.summary.model
+    open_ = sum(p.width > 0 for p in model.parameters)
+    zeros = len(model.zeros) * len(cost.summary.runs)
+    readings = int(cost.summary.counts.sum()) * len(model.channels)
+    if readings <= open_ + zeros:
+        raise InputError(
+            f"{name} holds {readings} readings for {open_} parameters and {zeros} zero deviations: too few "
+            "to form a covariance; record more samples."
+        )
+    own = dict(zip(cost.summary.runs, point.zeros, strict=True))
+    workspace = visited(log, model, own, sigma=sigma, values=values)
+    slopes = influence(model, point.p, *workspace, 1.0 / cost.reading_variance).parameters
+    return Evidence(point, found, uncertainty(point, found), slopes, name, log, **said)
 
 
 def _fitted_again(known: Fit, log: Log) -> tuple[Fit, tuple[str, ...]]:
@@ -243,15 +212,3 @@ def _fitted_again(known: Fit, log: Log) -> tuple[Fit, tuple[str, ...]]:
 def _same_log(known: Fit, log: Log) -> bool:
     said = known.log.get("sha256")
     return said is not None and said == log.sha256
-
-
-def _check_samples(cost: Cost, model: Model, name: str) -> None:
-    """Refuse a log with fewer readings than there is to estimate: no covariance can be formed."""
-    open_ = sum(p.width > 0 for p in model.parameters)
-    zeros = len(model.zeros) * len(cost.summary.runs)
-    readings = int(cost.summary.counts.sum()) * len(model.channels)
-    if readings <= open_ + zeros:
-        raise InputError(
-            f"{name} holds {readings} readings for {open_} parameters and {zeros} zero deviations: too few "
-            "to form a covariance; record more samples."
-        )

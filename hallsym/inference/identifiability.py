@@ -13,7 +13,6 @@ from hallsym.errors import InputError
 from hallsym.estimation import (
     CombinationEstimate,
     Cost,
-    Determination,
     Fit,
     cost_near,
     coverage_factor,
@@ -26,18 +25,23 @@ from hallsym.estimation import (
 )
 from hallsym.estimation.decoding import logged_columns
 from hallsym.estimation.identifiable import MOVING, echelon
-from hallsym.inference.evidence import Change, Evidence, Slopes, from_fit, from_plan, slopes_over, visited
-from hallsym.inference.intervals import Interval, Intervals, intervals_of, profile_record
+from hallsym.estimation.normal_equations import eliminate
+from hallsym.inference.evidence import Evidence, from_fit, from_plan, visited
+from hallsym.inference.intervals import Interval, Intervals, intervals_of
 from hallsym.log import Log, as_log
 from hallsym.model import Model, on_arrays
+from hallsym.records import named, plain
 from hallsym.shown import Shown
 from hallsym.simulation import Campaign, table8_noise
+
+FORMAT = "hallsym sensitivity 1"
+
+
+# -- directions that are not determined --------------------------------------------------------------------
 
 NAMED = 0.05
 """Parameters that move less than this part of the leading one along a direction that a recording leaves are
 not named with it. A structural direction names all that move: none of them is determined."""
-
-
 WIDE = 4
 """Parameters of one direction above which what is determined of them is not said in a sentence."""
 
@@ -64,48 +68,46 @@ class NullSpace:
     null: tuple[NullDirection, ...]
 
 
-def structural(cost: Cost, found: Determination, combinations: Sequence[CombinationEstimate]) -> NullSpace:
-    """Return the directions no recording determines.
+def null_spaces(evidence: Evidence, stated: Sequence[CombinationEstimate]) -> tuple[NullSpace, NullSpace]:
+    """Return the directions that no recording determines, and those that this one leaves beyond them.
 
-    Their parameters are read off at a point anywhere in the bounds: at the optimum itself an angle near zero
-    would hide that a parameter belongs.
+    The parameters of the former are read off at a point anywhere in the bounds: at the optimum itself an
+    angle near zero would hide that a parameter belongs. `stated`: combinations that are determined.
     """
-    model = cost.summary.model
-    open_ = np.array([p.width > 0 for p in model.parameters])
-    null = structural_null(cost.coefficients, feature_scale(cost), None, open_)
-    of = int(open_.sum())
-    return NullSpace(of - found.n_structural, of, _named(null, model.names, combinations, MOVING))
+    cost, found = evidence.cost, evidence.found
+    open_ = np.array([p.width > 0 for p in evidence.model.parameters])
+    anywhere = structural_null(cost.coefficients, feature_scale(cost), None, open_)
+    spaces = []
+    for null, lost, least in (
+        (anywhere, found.n_structural, MOVING),
+        (found.null[:, found.n_structural :], found.null.shape[1], NAMED),
+    ):
+        directions = _directions(null, evidence.model.names, stated, least)
+        spaces.append(NullSpace(int(open_.sum()) - lost, int(open_.sum()), directions))
+    return spaces[0], spaces[1]
 
 
-def practical(cost: Cost, found: Determination, combinations: Sequence[CombinationEstimate]) -> NullSpace:
-    """Return the directions that this recording leaves undetermined, beyond the structural ones."""
-    model = cost.summary.model
-    of = sum(p.width > 0 for p in model.parameters)
-    null = found.null[:, found.n_structural :]
-    return NullSpace(of - found.null.shape[1], of, _named(null, model.names, combinations, NAMED))
-
-
-def _named(
-    null: np.ndarray, names: Sequence[str], combinations: Sequence[CombinationEstimate], least: float
+def _directions(
+    null: np.ndarray, names: tuple[str, ...], stated: Sequence[CombinationEstimate], least: float
 ) -> tuple[NullDirection, ...]:
-    """Sparse directions that span the columns of `null`, in the order of their first parameter.
+    """Return sparse directions that span the columns of `null`, in the order of their first parameter.
 
     `least`: part of the leading parameter's motion from which on another one is named.
     """
-    if null.shape[1] == 0:
-        return ()
     out = []
     for row in echelon(null.T):
         involved = tuple(names[k] for k in np.flatnonzero(np.abs(row) > least * np.abs(row).max()).tolist())
-        telling = tuple(c.expression for c in combinations if mentions(c.expression, involved))
+        telling = tuple(c.expression for c in stated if mentions(c.expression, involved))
         out.append(NullDirection(involved, telling))
-    return tuple(sorted(out, key=lambda d: list(names).index(d.parameters[0])))
+    return tuple(sorted(out, key=lambda d: names.index(d.parameters[0])))
 
 
 def mentions(expression: str, parameters: Sequence[str]) -> bool:
     """Return whether an expression holds one of some parameters."""
     return bool(set(re.findall(r"[A-Za-z_]\w*", expression)) & set(parameters))
 
+
+# -- verdicts ----------------------------------------------------------------------------------------------
 
 VERDICTS = ("determined", "weak", "at bound", "not determined", "no effect", "fixed")
 WEAK = 1 / 3
@@ -124,25 +126,21 @@ class Verdict:
     because: str = ""
 
 
-def verdicts(
-    evidence: Evidence, structural: NullSpace, practical: NullSpace, correlation: np.ndarray
-) -> list[Verdict]:
-    """Return one verdict per parameter; `correlation` is (n, n), nan where there is none."""
-    return [_verdict(evidence, k, structural, practical, row) for k, row in enumerate(correlation)]
-
-
-def _verdict(
+def verdict_on(
     evidence: Evidence,
     k: int,
     structural: NullSpace,
     practical: NullSpace,
-    correlation: np.ndarray,
+    correlated: Sequence[tuple[str, float]],
 ) -> Verdict:
-    parameter, names, told = evidence.model.parameters[k], evidence.model.names, evidence.uncertainty
+    """Return the verdict on parameter k; `correlated`: names and correlations of the strongest others."""
+    parameter, told, value = evidence.model.parameters[k], evidence.uncertainty, evidence.p[k]
     if parameter.width == 0:
         return Verdict("fixed")
     if parameter.name in told.at_bound:
-        return Verdict("at bound", _bound(evidence, k))
+        side = "lower" if abs(value - parameter.lower) < abs(parameter.upper - value) else "upper"
+        bound = f"its {side} bound {getattr(parameter, side):g} {parameter.unit}"
+        return Verdict("at bound", f"the data pull it to {bound}")
     shared = [d for d in structural.null if parameter.name in d.parameters]
     if shared and not told.determined[k]:
         word = "not determined" if len(shared[0].parameters) > 1 else "no effect"
@@ -155,9 +153,9 @@ def _verdict(
         return Verdict("not determined", _instead(parameter.name, *lost, cause=cause))
     half = float(coverage_factor(told.degrees_of_freedom[k])) * told.std[k]
     share = 2 * half / parameter.width if np.isfinite(parameter.width) else 0.0
-    alone = told.std[k] / abs(evidence.p[k]) if not share and evidence.p[k] else 0.0
+    alone = told.std[k] / abs(value) if not share and value else 0.0
     if share > WEAK or alone > WEAK_ALONE:
-        traded = [f"{n} (r = {r:+.2f})" for n, r in strongest(correlation, names, k) if abs(r) > TRADED]
+        traded = [f"{n} (r = {r:+.2f})" for n, r in correlated if abs(r) > TRADED]
         spans = f"its interval spans {100 * share:.0f} % of its bounds"
         return Verdict("weak", f"traded off against {', '.join(traded)}" if traded else spans)
     return Verdict("determined")
@@ -165,22 +163,19 @@ def _verdict(
 
 def strongest(
     correlation: np.ndarray, names: Sequence[str], k: int, most: int = 3
-) -> list[tuple[str, float]]:
-    """Return the parameters whose estimates are most correlated with parameter k, largest first."""
+) -> tuple[tuple[str, float], ...]:
+    """Return the parameters whose estimates are most correlated with parameter k, largest first.
+
+    `correlation`: (n,) with parameter k, nan where there is none.
+    """
     size = np.abs(np.where(np.isfinite(correlation), correlation, 0.0))
     size[k] = 0.0
     order = [int(j) for j in np.argsort(-size, kind="stable") if size[j] > 0][:most]
-    return [(names[j], float(correlation[j])) for j in order]
-
-
-def _bound(evidence: Evidence, k: int) -> str:
-    p = evidence.model.parameters[k]
-    side = "lower" if abs(evidence.p[k] - p.lower) < abs(p.upper - evidence.p[k]) else "upper"
-    return f"the data pull it to its {side} bound {getattr(p, side):g} {p.unit}"
+    return tuple((names[j], float(correlation[j])) for j in order)
 
 
 def _instead(name: str, *directions: NullDirection, cause: str = "by any recording") -> str:
-    """What is determined in the place of a parameter that is not, or what it may change together with."""
+    """Return what is determined in the place of a parameter that is not, or what it may change with."""
     wide = next((d for d in directions if d.is_wide), None)
     if wide is not None:
         first, second, *more = (n for n in wide.parameters if n != name)
@@ -198,10 +193,15 @@ def _listed(expressions: Iterable[str]) -> str:
     return f"{', '.join(first)} and {last} are" if first else f"{last} is"
 
 
+# -- what a further recording would determine --------------------------------------------------------------
+
 SAMPLES = 20_000
 """Samples of a log that stand for a further recording; the information of more is proportional to them."""
 SHARED = 1e-6
 """Sine of the angle within which two structural null directions are one."""
+LEFT = 1e-3
+"""Part of a determined parameter that may lie along undetermined directions: they move it by less than a
+thousandth of its bounds."""
 
 
 @dataclass(frozen=True)
@@ -217,29 +217,21 @@ class FurtherReport:
     determined: Mapping[str, float]
 
 
-def further_reports(evidence: Evidence, log: Log) -> tuple[FurtherReport, ...]:
+def further_reports(evidence: Evidence) -> tuple[FurtherReport, ...]:
     """Return one report for each further recording that the family of the model offers."""
     model = evidence.model
     offered = [(f, read) for f in model.family.further if (read := f.read(model)) is not None]
     if not offered:
         return ()
-    columns, factor = _columns(evidence, log)
+    columns, factor = _columns(evidence)
     _, again = _together(evidence, model, columns, factor)
-    return tuple(
-        _report(evidence, f.text, again, *_together(evidence, read, columns | dict(f.moved(columns)), factor))
-        for f, read in offered
-    )
-
-
-LEFT = 1e-3
-"""Part of a determined parameter that may lie along undetermined directions: they move it by less than a
-thousandth of its bounds."""
-
-
-def _report(evidence: Evidence, text: str, again: np.ndarray, rank: int, known: np.ndarray) -> FurtherReport:
-    parameters = evidence.model.parameters
-    new = {p.name: float(known[k]) for k, p in enumerate(parameters) if np.isnan(again[k]) and known[k] > 0}
-    return FurtherReport(text, rank, sum(p.width > 0 for p in parameters), new)
+    of, out = sum(p.width > 0 for p in model.parameters), []
+    for further, read in offered:
+        rank, std = _together(evidence, read, columns | dict(further.moved(columns)), factor)
+        new = np.isnan(again) & (std > 0)
+        determined = {p.name: float(std[k]) for k, p in enumerate(model.parameters) if new[k]}
+        out.append(FurtherReport(further.text, rank, of, determined))
+    return tuple(out)
 
 
 def _together(
@@ -250,22 +242,21 @@ def _together(
     That is the rank and standard uncertainties (n,), nan where there is none. `factor`: times as much as
     these samples are recorded.
     """
-    n, first = len(evidence.p), evidence.cost
+    n, scale = len(evidence.p), scales(evidence.model)
     p = np.concatenate([evidence.p, model.nominal[n:]])
     second = _cost(evidence, model, p, columns)
-    scale = scales(evidence.model)
-    added = _eliminated(second.information(p, 2.0), n)
-    information = (first.information(evidence.p, 2.0) + factor * added) * np.outer(scale, scale)
-    always, rest = structural_directions(first, evidence.p)
+    own = len(p) - n  # parameters of the further recording alone: unknown too
+    added, _ = eliminate(np.roll(second.information(p, 2.0), own, axis=(0, 1)), own)
+    information = (evidence.point.total_information(2.0) + factor * added) * np.outer(scale, scale)
+    always, rest = structural_directions(evidence.cost, evidence.p)
     theirs = structural_directions(second, p)[0][:n]
     basis = np.hstack([rest, always @ _apart(always, theirs)])
     values, vectors = np.linalg.eigh(basis.T @ information @ basis)
     good = values >= least_information(values)
-    vectors = basis @ vectors
-    found = vectors[:, good] @ (vectors[:, good] / values[good]).T
-    left = 1 - np.sum(vectors[:, good] ** 2, axis=1)  # of a parameter, along what is not determined
-    std = np.where(left < LEFT**2, scale * np.sqrt(np.diag(found)), np.nan)
-    return int(good.sum()), std
+    vectors = (basis @ vectors)[:, good]
+    left = 1 - np.sum(vectors**2, axis=1)  # of a parameter, along what is not determined
+    variance = np.sum(vectors**2 / values[good], axis=1)
+    return int(good.sum()), np.where(left < LEFT**2, scale * np.sqrt(variance), np.nan)
 
 
 def _apart(always: np.ndarray, theirs: np.ndarray) -> np.ndarray:
@@ -273,55 +264,50 @@ def _apart(always: np.ndarray, theirs: np.ndarray) -> np.ndarray:
     if always.shape[1] == 0 or theirs.shape[1] == 0:
         return np.eye(always.shape[1])
     u, cosines, _ = np.linalg.svd(always.T @ scipy.linalg.orth(theirs))
-    shared = int(np.sum(cosines > np.sqrt(1 - SHARED**2)))
-    return np.asarray(u[:, shared:])
+    return np.asarray(u[:, int(np.sum(cosines > np.sqrt(1 - SHARED**2))) :])
 
 
-def _eliminated(information: np.ndarray, n: int) -> np.ndarray:
-    """Return the information about the first n parameters, the others unknown."""
-    own = information[n:, n:]
-    if own.size == 0:
-        return information
-    cross = information[n:, :n]
-    return np.asarray(information[:n, :n] - cross.T @ np.linalg.pinv(own, hermitian=True) @ cross)
-
-
-def _columns(evidence: Evidence, log: Log) -> tuple[dict[str, np.ndarray], float]:
+def _columns(evidence: Evidence) -> tuple[dict[str, np.ndarray], float]:
     """Return the first samples of each run that was fitted, and how many times as many there are."""
-    names = ("run", "t_s", *logged_columns(evidence.model))
-    kept: dict[str, list[np.ndarray]] = {c: [] for c in names}
-    counts = dict(zip(evidence.cost.summary.runs, evidence.cost.summary.counts.tolist(), strict=True))
-    most = max(1, SAMPLES // len(counts))
-    taken = dict.fromkeys(counts, 0)
-    for block in log.blocks(names[1:]):
+    summary = evidence.cost.summary
+    taken = dict.fromkeys(summary.runs, 0)
+    most, parts = max(1, SAMPLES // len(taken)), []
+    for block in evidence.log.blocks(("t_s", *logged_columns(evidence.model))):
         room = most - taken.get(block.run, most)
-        if room <= 0:
-            continue
-        rows = {c: np.asarray(v)[:room] for c, v in block.data.items()}
-        taken[block.run] += len(rows["t_s"])
-        kept["run"].append(np.full(len(rows["t_s"]), block.run))
-        for c in names[1:]:
-            kept[c].append(rows[c])
-    columns = {c: np.concatenate(parts) for c, parts in kept.items()}
-    return columns, sum(counts.values()) / len(columns["run"])
+        if room > 0:
+            rows = {c: np.asarray(v)[:room] for c, v in block.data.items()}
+            taken[block.run] += len(rows["t_s"])
+            parts.append({"run": np.full(len(rows["t_s"]), block.run), **rows})
+    columns = {c: np.concatenate([part[c] for part in parts]) for c in parts[0]}
+    return columns, float(summary.counts.sum()) / len(columns["run"])
 
 
 def _cost(evidence: Evidence, model: Model, p: np.ndarray, columns: Mapping[str, np.ndarray]) -> Cost:
     """Return the likelihood of a recording of these poses, its readings those of `model` at p."""
-    cost = evidence.cost
-    names = (*evidence.model.channels, *evidence.model.references, *evidence.model.state)
+    cost, known = evidence.cost, evidence.model
     sigma = np.sqrt([*cost.reading_variance, *cost.column_variance])
-    noise = dict(zip(names, sigma.tolist(), strict=True))
-    poses = Log.from_arrays(columns)
-    at = visited(poses, model, poses.rows, noise, model.named(p))
-    own = dict(zip(cost.summary.runs, cost.at(evidence.p).zeros, strict=True))
-    zeros = np.array([own[int(run)] for run in at.runs]).T
-    (read,) = on_arrays(model.reading)(p, zeros, at.pose, at.state)
+    noise = named((*known.channels, *known.references, *known.state), sigma)
+    poses, zeros = Log.from_arrays(columns), dict(zip(cost.summary.runs, evidence.point.zeros, strict=True))
+    own, pose, state = visited(poses, model, zeros, poses.rows, noise, model.named(p))
+    (read,) = on_arrays(model.reading)(p, own, pose, state)
     log = Log.from_arrays({**columns, **dict(zip(model.channels, read, strict=True))})
     return replace(cost_near(log, model, p, noise), planned=cost.planned)
 
 
-FORMAT = "hallsym sensitivity 1"
+# -- the report --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Change:
+    """How far the decoded pose moves when something changes, over a workspace, by pose column, SI."""
+
+    rms: Mapping[str, float]
+    worst: Mapping[str, float]
+
+    @staticmethod
+    def of(pose: Sequence[str], moved: np.ndarray) -> "Change":
+        """Return the size of what `moved` (s, n_pose) holds."""
+        return Change(named(pose, np.sqrt(np.mean(moved**2, axis=0))), named(pose, np.abs(moved).max(axis=0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,8 +331,31 @@ class ParameterReport:
     percent: Change
     verdict: Verdict
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record of this parameter, SI."""
+        sigma, percent = plain(self.sigma), plain(self.percent)
+        effect = {
+            c: {
+                "one_sigma": sigma and {size: sigma[size][c] for size in sigma},
+                "one_percent": {size: percent[size][c] for size in percent},
+            }
+            for c in self.percent.rms
+        }
+        return {
+            "value": self.value,
+            "unit": self.unit,
+            "std": self.std,
+            "degrees_of_freedom": plain(self.degrees_of_freedom),
+            "interval": plain(self.interval),
+            "share_of_bounds": self.share,
+            "verdict": self.verdict.word,
+            "because": self.verdict.because,
+            "correlated_with": [{"parameter": n, "correlation": r} for n, r in self.correlated_with],
+            "effect": effect,
+        }
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True)
 class CombinationReport:
     """A combination that is determined although its parameters are not; the same fields."""
 
@@ -378,30 +387,21 @@ class Offsets:
 
     def sizes(self) -> dict[str, dict[str, Any]]:
         """Return unit, rms, worst and standard uncertainty of each, over the runs."""
-        columns = zip(self.names, self.units, self.values.T, self.std.T, strict=True)
-        return {
-            name: {
-                "unit": unit,
-                "rms": float(np.sqrt(np.mean(v**2))),
-                "worst": float(np.abs(v).max()),
-                "std": float(np.sqrt(np.mean(s**2))),
-            }
-            for name, unit, v, s in columns
-        }
+        rms, std = (np.sqrt(np.mean(v**2, axis=0)).tolist() for v in (self.values, self.std))
+        worst = np.abs(self.values).max(axis=0).tolist()
+        keys = ("unit", "rms", "worst", "std")
+        sizes = zip(self.units, rms, worst, std, strict=True)
+        return {n: dict(zip(keys, own, strict=True)) for n, own in zip(self.names, sizes, strict=True)}
 
     def to_dict(self) -> dict[str, Any]:
         """Return how many there are, their sizes and each of them."""
         if not self.names:
             return {"count": 0, "zeros": {}}
-        runs = zip(self.runs, self.values.tolist(), self.std.tolist(), strict=True)
-        return {
-            "count": self.values.size,
-            "zeros": self.sizes(),
-            "runs": {
-                str(run): {n: {"value": v, "std": s} for n, v, s in zip(self.names, row, own, strict=True)}
-                for run, row, own in runs
-            },
+        runs = {
+            str(run): {n: {"value": v, "std": s} for n, v, s in zip(self.names, values, std, strict=True)}
+            for run, values, std in zip(self.runs, self.values.tolist(), self.std.tolist(), strict=True)
         }
+        return {"count": self.values.size, "zeros": self.sizes(), "runs": runs}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -445,24 +445,15 @@ class Identifiability(Shown):
             "model": self.model.name,
             "recorded": self.evidence.recorded,
             "planned": self.evidence.cost.planned,
-            "parameters": {entry.name: _entry(entry) for entry in self.parameters},
-            "combinations": [
-                {
-                    "expression": c.expression,
-                    "value": c.value,
-                    "unit": c.unit,
-                    "std": c.std,
-                    "interval": c.interval.to_dict(),
-                }
-                for c in self.combinations
-            ],
-            "structural": _space(self.structural),
-            "practical": _space(self.practical),
-            "further": [vars(report) for report in self.further],
-            "outputs": {c: vars(entry) for c, entry in self.outputs.items()},
+            "parameters": {entry.name: entry.to_dict() for entry in self.parameters},
+            "combinations": plain(self.combinations),
+            "structural": plain(self.structural),
+            "practical": plain(self.practical),
+            "further": plain(self.further),
+            "outputs": plain(self.outputs),
             "nuisance": self.offsets.to_dict(),
             "uncertainty": {"method": self.intervals.method, "reason": self.intervals.reason},
-            "profiles": [profile_record(p) for p in self.intervals.profiles],
+            "profiles": [p.to_dict() for p in self.intervals.profiles],
             "notes": list(self.evidence.notes),
             "partial": list(self.partial),
             "seconds": self.seconds,
@@ -490,34 +481,33 @@ def identify(
     Raises `InputError` when model and log do not belong together or no covariance can be formed.
     """
     began, say = perf_counter(), on_progress or (lambda _: None)
-    if on is not None and not isinstance(on, Campaign):
-        on = as_log(on, known.columns, known.read_with) if isinstance(known, Fit) else as_log(on)
     evidence = _evidence(known, on, values, noise, name)
     intervals = intervals_of(evidence, profiles=profiles, say=say)
     say("looking for null directions")
-    stated = [replace(c, std=intervals.std[c.expression]) for c in evidence.uncertainty.combinations]
-    always = structural(evidence.cost, evidence.found, stated)
-    here = practical(evidence.cost, evidence.found, stated)
-    correlation = _correlation(evidence.uncertainty.covariance, evidence.uncertainty.determined)
-    words = verdicts(evidence, always, here, correlation)
-    slopes = slopes_over(evidence.workspace, evidence.cost, evidence.p)
-    parameters = tuple(
-        _parameter(evidence, k, words[k], correlation[k], intervals, slopes) for k in range(len(evidence.p))
-    )
-    combinations = tuple(
-        CombinationReport(c.expression, c.value, c.unit, c.std, intervals.of[c.expression]) for c in stated
-    )
+    told, names = evidence.uncertainty, evidence.model.names
+    stated = [replace(c, std=intervals.std[c.expression]) for c in told.combinations]
+    spaces = null_spaces(evidence, stated)
+    std = np.sqrt(np.where(told.determined, np.diag(told.covariance), np.nan))
+    correlation = told.covariance / np.outer(std, std)
+    parameters = []
+    for k, row in enumerate(correlation):
+        correlated = strongest(row, names, k)
+        verdict = verdict_on(evidence, k, *spaces, correlated)
+        parameters.append(_parameter(evidence, k, intervals, correlated, verdict))
     return Identifiability(
         evidence=evidence,
-        parameters=parameters,
-        combinations=combinations,
-        structural=always,
-        practical=here,
+        parameters=tuple(parameters),
+        combinations=tuple(
+            CombinationReport(c.expression, c.value, c.unit, c.std, intervals.of[c.expression])
+            for c in stated
+        ),
+        structural=spaces[0],
+        practical=spaces[1],
         correlation=correlation,
-        outputs=_outputs(evidence, slopes),
+        outputs=_outputs(evidence),
         offsets=_offsets(evidence),
         intervals=intervals,
-        further=further_reports(evidence, evidence.log),
+        further=further_reports(evidence),
         partial=intervals.failures,
         seconds=perf_counter() - began,
     )
@@ -525,97 +515,64 @@ def identify(
 
 def _evidence(
     known: Fit | Model,
-    on: Log | Campaign | None,
+    on: Any,
     values: Mapping[str, float] | None,
     noise: Mapping[str, float] | None,
     name: str,
 ) -> Evidence:
-    if isinstance(known, Fit) and not isinstance(on, Campaign):
-        return from_fit(known, on)
-    if not isinstance(on, Campaign):
-        raise InputError("A model by itself determines nothing: give a campaign, or fit a log first.")
+    if isinstance(on, Campaign):
+        if isinstance(known, Fit):
+            values, noise = values or known.model.named(known.values), noise or known.noise.std
+        model, values = known.model if isinstance(known, Fit) else known, values or {}
+        return from_plan(model, values, on, noise or on.noise or table8_noise(model, values).sigma, name)
     if isinstance(known, Fit):
-        model = known.model
-        values = values or model.named(known.values)
-        noise = noise or known.noise.std
-    else:
-        model, values = known, values or {}
-        noise = noise or dict(on.noise or table8_noise(model, values).sigma)
-    return from_plan(model, values, on, noise, name)
-
-
-def _correlation(covariance: np.ndarray, determined: np.ndarray) -> np.ndarray:
-    std = np.sqrt(np.where(determined, np.diag(covariance), np.nan))
-    return covariance / np.outer(std, std)
+        return from_fit(known, None if on is None else as_log(on, known.columns, known.read_with))
+    raise InputError("A model by itself determines nothing: give a campaign, or fit a log first.")
 
 
 def _parameter(
     evidence: Evidence,
     k: int,
-    verdict: Verdict,
-    correlation: np.ndarray,
     intervals: Intervals,
-    slopes: Slopes,
+    correlated: tuple[tuple[str, float], ...],
+    verdict: Verdict,
 ) -> ParameterReport:
-    parameter, step = evidence.model.parameters[k], np.zeros(len(evidence.p))
+    parameter, value = evidence.model.parameters[k], float(evidence.p[k])
     std, interval = intervals.std.get(parameter.name), intervals.of.get(parameter.name)
     share = None
     if interval is not None and np.isfinite(parameter.width):
         share = float((interval.high - interval.low) / parameter.width)
-    step[k] = 1.0
+    pose, slope = evidence.model.pose, evidence.slopes[:, :, k]
     return ParameterReport(
         name=parameter.name,
-        value=float(evidence.p[k]),
+        value=value,
         unit=parameter.unit,
         std=std,
-        degrees_of_freedom=intervals.dof.get(parameter.name, np.inf),
+        degrees_of_freedom=float(evidence.uncertainty.degrees_of_freedom[k]),
         interval=interval,
         share=share,
-        correlated_with=tuple(strongest(correlation, evidence.model.names, k)),
-        sigma=None if std is None else slopes.change(step * std),
-        percent=slopes.change(step * 0.01 * abs(evidence.p[k])),
+        correlated_with=correlated,
+        sigma=None if std is None else Change.of(pose, slope * std),
+        percent=Change.of(pose, slope * 0.01 * abs(value)),
         verdict=verdict,
     )
 
 
-def _outputs(evidence: Evidence, slopes: Slopes) -> dict[str, Output]:
-    spread = slopes.spread(evidence.uncertainty.covariance)
-    floor = noise_floor(evidence.cost.at(evidence.p))
-    return {c: Output(float(floor[c]), spread.rms[c], spread.worst[c]) for c in evidence.model.pose}
+def _outputs(evidence: Evidence) -> dict[str, Output]:
+    """Return what noise and the covariance of the parameters leave in each coordinate, over the workspace."""
+    slopes, pose = evidence.slopes, evidence.model.pose
+    variance = np.einsum("spi,ij,spj->sp", slopes, evidence.uncertainty.covariance, slopes)
+    left = Change.of(pose, np.sqrt(np.maximum(variance, 0.0)))
+    floor = noise_floor(evidence.point)
+    return {c: Output(float(floor[c]), left.rms[c], left.worst[c]) for c in pose}
 
 
 def _offsets(evidence: Evidence) -> Offsets:
-    cost, model, p = evidence.cost, evidence.model, evidence.p
-    names, units = tuple(z.name for z in model.zeros), tuple(z.unit for z in model.zeros)
+    point, summary, zeros = evidence.point, evidence.cost.summary, evidence.model.zeros
+    names, units = tuple(z.name for z in zeros), tuple(z.unit for z in zeros)
     if not names:
-        return Offsets((), (), cost.summary.runs, np.zeros((0, 0)), np.zeros((0, 0)))
-    gain = model.zero_scale(p, cost.summary.first_state)
-    point = cost.at(p)
+        return Offsets((), (), summary.runs, np.zeros((0, 0)), np.zeros((0, 0)))
+    gain = evidence.model.zero_scale(evidence.p, summary.first_state)
     variance = np.diagonal(point.zero_covariance(evidence.uncertainty.covariance), axis1=1, axis2=2)
     std = np.sqrt(np.maximum(variance, 0.0)) * np.abs(gain)
-    return Offsets(names, units, cost.summary.runs, point.zeros * gain, std)  # (31): delta = d phi(0)
-
-
-def _entry(entry: ParameterReport) -> dict[str, Any]:
-    sigma = entry.sigma.to_dict() if entry.sigma else None
-    percent = entry.percent.to_dict()
-    return {
-        "value": entry.value,
-        "unit": entry.unit,
-        "std": entry.std,
-        "degrees_of_freedom": entry.degrees_of_freedom if np.isfinite(entry.degrees_of_freedom) else None,
-        "interval": None if entry.interval is None else entry.interval.to_dict(),
-        "share_of_bounds": entry.share,
-        "verdict": entry.verdict.word,
-        "because": entry.verdict.because,
-        "correlated_with": [{"parameter": n, "correlation": r} for n, r in entry.correlated_with],
-        "effect": {c: {"one_sigma": sigma[c] if sigma else None, "one_percent": percent[c]} for c in percent},
-    }
-
-
-def _space(space: NullSpace) -> dict[str, Any]:
-    return {
-        "rank": space.rank,
-        "of": space.of,
-        "null": [{"parameters": list(d.parameters), "determined": list(d.determined)} for d in space.null],
-    }
+    return Offsets(names, units, summary.runs, point.zeros * gain, std)  # (31): delta = d phi(0)

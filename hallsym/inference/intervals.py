@@ -1,19 +1,18 @@
 """95 % intervals: normal or Student's where good enough, else by profile likelihood or resampled runs."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import require
 from hallsym.estimation import MANY, coverage_factor
 from hallsym.estimation.covariance import BY_RUNS
 from hallsym.estimation.factors import inverse
 from hallsym.estimation.likelihood import Cost
 from hallsym.inference.bootstrap import bootstrap
 from hallsym.inference.evidence import Evidence
-from hallsym.inference.profiles import Profile, profile, skewness
+from hallsym.inference.profiles import Profile, normal_enough, profile, skewness
 from hallsym.model.quantities import Quantity, combination, linear, parameter
 from hallsym.terminal import Step
 
@@ -40,22 +39,15 @@ class Interval:
     how: str
     ends: tuple[str, str] = ("reached", "reached")
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the record; an end that is not finite is None."""
-        low, high = (float(v) if np.isfinite(v) else None for v in (self.low, self.high))
-        return {"low": low, "high": high, "how": self.how, "ends": list(self.ends)}
-
 
 @dataclass(frozen=True, eq=False)
 class Intervals:
     """`std` and interval (`of`) by name of parameter or combination; profiles, and what failed, in sentences.
 
-    `dof`: degrees of freedom of `std`, infinite where the noise is as stated. `method`, `reason`: where
-    standard uncertainties come from, and why from there.
+    `method`, `reason`: where standard uncertainties come from, and why from there.
     """
 
     std: Mapping[str, float]
-    dof: Mapping[str, float]
     of: Mapping[str, Interval]
     method: str
     reason: str
@@ -68,106 +60,76 @@ def intervals_of(evidence: Evidence, *, profiles: str, say: Callable[[str], None
 
     `profiles`: "auto", "all" or "none".
     """
-    if profiles not in CHOICES:
-        raise InputError(
-            f"Input profiles must be one of {', '.join(CHOICES)}; instead received {profiles!r}."
-        )
-    quantities, std, dof = _quantities(evidence), _std(evidence), _dof(evidence)
-    intervals = {
-        q.name: _by_std(q.first(evidence.p)[0], std[q.name], dof[q.name]) for q in quantities if q.name in std
-    }
-    found = Intervals(std, dof, intervals, evidence.uncertainty.method, evidence.uncertainty.reason)
-    if evidence.cost.planned or not quantities:
+    require(profiles in CHOICES, "Input profiles", f"one of {', '.join(CHOICES)}", profiles, CHOICES)
+    told, asked = evidence.uncertainty, list(_asked(evidence))
+    std, intervals = {}, {}
+    for quantity, own, dof in asked:
+        if own is not None:
+            value, half = quantity.first(evidence.p)[0], float(coverage_factor(dof)) * own
+            how = "student" if dof < MANY else "normal"
+            std[quantity.name] = own
+            intervals[quantity.name] = Interval(value - half, value + half, how)
+    found = Intervals(std, intervals, told.method, told.reason)
+    if evidence.cost.planned or not asked:
         return found
     cost = evidence.cost.anchored(evidence.p)
-    enough = np.count_nonzero(evidence.cost.weights) >= FEW_RUNS
-    if enough and evidence.uncertainty.method == BY_RUNS:
+    if told.method == BY_RUNS and np.count_nonzero(cost.weights) >= FEW_RUNS:
         say(f"refitting {REPLICATES} resampled campaigns")
-        found = _resampled(found, evidence, cost, quantities)
+        found = _resampled(found, evidence, cost, [quantity for quantity, *_ in asked])
     if profiles != "none":
-        found = _profiled(found, evidence, cost, quantities, profiles == "all", say)
+        found = _profiled(found, evidence, cost, asked, profiles == "all", say)
     return found
 
 
-def profile_record(profile: Profile) -> dict[str, Any]:
-    """Return a profile as a record: its curve (values, rises of -2 log likelihood) and how its ends came."""
-    return {
-        "of": profile.quantity.name,
-        "unit": profile.quantity.unit,
-        "value": profile.value,
-        "threshold": profile.threshold,
-        "values": profile.values.tolist(),
-        "rises": profile.rises.tolist(),
-        "ends": [
-            {
-                "value": side.value if np.isfinite(side.value) else None,
-                "status": side.status,
-                "why": side.reason,
-            }
-            for side in (profile.lower, profile.upper)
-        ],
-    }
+Asked = tuple[Quantity, float | None, float]
+"""A quantity, its standard uncertainty (None where it is at a bound) and the degrees of freedom of that."""
 
 
-def _quantities(evidence: Evidence) -> list[Quantity]:
-    """Determined parameters and those at a bound, then determined combinations."""
+def _asked(evidence: Evidence) -> Iterator[Asked]:
+    """Yield determined parameters and those at a bound, then determined combinations."""
     model, told = evidence.model, evidence.uncertainty
-    names = [n for k, n in enumerate(model.names) if told.determined[k] or n in told.at_bound]
+    for k, name in enumerate(model.names):
+        if told.determined[k] or name in told.at_bound:
+            std = float(told.std[k]) if told.determined[k] else None
+            yield parameter(model, name), std, float(told.degrees_of_freedom[k])
     known = {c.expression: c for c in model.combinations}
-    out = [parameter(model, name) for name in names]
     for c in told.combinations:
         if c.expression in known:
-            out.append(combination(model, known[c.expression]))
+            yield combination(model, known[c.expression]), c.std, c.degrees_of_freedom
         elif c.factors is not None:
             gradient = [c.factors.get(name, 0.0) for name in model.names]
-            out.append(linear(model, gradient, c.unit, c.expression))
-    return out
-
-
-def _std(evidence: Evidence) -> dict[str, float]:
-    names, told = evidence.model.names, evidence.uncertainty
-    std = {n: float(told.std[k]) for k, n in enumerate(names) if told.determined[k]}
-    return std | {c.expression: c.std for c in told.combinations}
-
-
-def _dof(evidence: Evidence) -> dict[str, float]:
-    told = evidence.uncertainty
-    dof = dict(zip(evidence.model.names, told.degrees_of_freedom.tolist(), strict=True))
-    return dof | {c.expression: c.degrees_of_freedom for c in told.combinations}
-
-
-def _by_std(value: float, std: float, dof: float) -> Interval:
-    half = float(coverage_factor(dof)) * std
-    return Interval(value - half, value + half, "student" if dof < MANY else "normal")
+            yield linear(model, gradient, c.unit, c.expression), c.std, c.degrees_of_freedom
 
 
 def _profiled(
     found: Intervals,
     evidence: Evidence,
     cost: Cost,
-    quantities: list[Quantity],
+    asked: list[Asked],
     every: bool,
     say: Callable[[str], None],
 ) -> Intervals:
     """Replace normal intervals by profiles where they are wanted; where one fails the normal one is kept."""
-    held, naive = evidence.found.held, _likelihood_std(evidence, quantities)
-    intervals, profiles, failures = dict(found.of), [], []
-    for k, quantity in enumerate(quantities):
-        std = found.std.get(quantity.name)
-        dof = found.dof.get(quantity.name, np.inf)
-        scale = 1.0 if not std or not naive[k] else (std / naive[k]) ** 2
+    free = np.flatnonzero(np.diag(evidence.uncertainty.covariance) > 0)
+    naive = np.zeros((len(evidence.p),) * 2)  # covariance that the likelihood alone gives
+    naive[np.ix_(free, free)] = inverse(evidence.information[np.ix_(free, free)])
+    held, intervals, profiles, failures = evidence.found.held, dict(found.of), [], [*found.failures]
+    for k, (quantity, _, dof) in enumerate(asked):
+        std, slope = found.std.get(quantity.name), quantity.first(evidence.p)[1]
+        variance, scale = float(slope @ naive @ slope), 1.0
+        if std and variance > 0:
+            scale = std**2 / variance
         scale *= float(coverage_factor(dof) / coverage_factor(np.inf)) ** 2
-        if not every and std:
-            check = skewness(cost, evidence.p, quantity, held=held, std=std, scale=scale)
-            if check.normal:
+        if std and not every:
+            ratios = skewness(cost, evidence.p, quantity, held=held, std=std, scale=scale)
+            if normal_enough(ratios):
                 continue
-        say(Step(f"profile likelihoods, {k + 1} of {len(quantities)} ({quantity.name})", k / len(quantities)))
+        say(Step(f"profile likelihoods, {k + 1} of {len(asked)} ({quantity.name})", k / len(asked)))
         result = profile(cost, evidence.p, quantity, held=held, std=std, scale=scale, points=POINTS)
         profiles.append(result)
         ends = (result.lower.status, result.upper.status)
         if result.ok or "open" in ends:
-            low, high = result.interval
-            intervals[quantity.name] = Interval(low, high, "profile", ends)
+            intervals[quantity.name] = Interval(*result.interval, "profile", ends)
         for side in (result.lower, result.upper):
             if side.status == "failed":
                 failures.append(f"The profile of {quantity.name} failed: {side.reason}.")
@@ -176,25 +138,14 @@ def _profiled(
                 f"The profile of {quantity.name} met a better optimum (cost lower by {result.drop:.3g}): "
                 "fit again with --solver hybrid."
             )
-    failures = [*found.failures, *failures]
     return replace(found, of=intervals, profiles=tuple(profiles), failures=tuple(failures))
-
-
-def _likelihood_std(evidence: Evidence, quantities: list[Quantity]) -> np.ndarray:
-    """Standard uncertainties that the likelihood alone gives, 0 where it gives none."""
-    free = np.flatnonzero(np.diag(evidence.uncertainty.covariance) > 0)
-    if not len(free):
-        return np.zeros(len(quantities))
-    naive = inverse(evidence.information[np.ix_(free, free)])
-    gradients = np.array([q.first(evidence.p)[1][free] for q in quantities])
-    return np.sqrt(np.maximum(np.einsum("qi,ij,qj->q", gradients, naive, gradients), 0.0))
 
 
 def _resampled(found: Intervals, evidence: Evidence, cost: Cost, quantities: list[Quantity]) -> Intervals:
     """Replace standard uncertainties and intervals by those of resampled runs."""
     names = evidence.model.names
-    held = tuple(sorted({*evidence.found.held, *(names.index(n) for n in evidence.uncertainty.at_bound)}))
-    drawn = bootstrap(cost, evidence.p, held, replicates=REPLICATES, seed=0)
+    held = {*evidence.found.held, *(names.index(n) for n in evidence.uncertainty.at_bound)}
+    drawn = bootstrap(cost, evidence.p, sorted(held), replicates=REPLICATES, seed=0)
     std, intervals, failures = dict(found.std), dict(found.of), []
     for quantity in (q for q in quantities if q.name in std):
         std[quantity.name] = drawn.std_of(quantity)

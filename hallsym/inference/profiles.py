@@ -10,8 +10,8 @@ threshold.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 import scipy
@@ -22,7 +22,10 @@ from hallsym.estimation.factors import pseudo_inverse
 from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.optimum import Scaled, scaled_around
 from hallsym.model.quantities import Quantity
+from hallsym.records import plain
 
+THRESHOLD = float(scipy.special.chdtri(1, 1 - INTERVAL))
+"""Rise of -2 log likelihood at the ends of an interval."""
 BOUND = 1e-6
 """A parameter this near to a bound, in widths, is at it."""
 ASYMMETRY, WIDTH = 0.02, 0.05
@@ -54,75 +57,47 @@ def tangent(cost: Cost, p: np.ndarray, quantity: Quantity, held: Sequence[int]) 
     f, gradient, hessian = cost.at(p).derivatives()
     value, slope = quantity.first(p)
     lower, upper = (bound[scaled.free] for bound in scaled.model.bounds)
-    near = BOUND * scaled.scale
-    at, pushes = p[scaled.free], gradient[scaled.free]
+    near, at, pushes = BOUND * scaled.scale, p[scaled.free], gradient[scaled.free]
     pinned = ((at - lower <= near) & (pushes > 0)) | ((upper - at <= near) & (pushes < 0))
+    still = Tangent(quantity, scaled, p, f, value, 0.0, np.zeros_like(p))
     for moving in (scaled.free[~pinned], scaled.free):
         own = hessian[np.ix_(moving, moving)]
-        curved = len(moving) > 0 and bool((np.diag(own) > 0).all())
-        along = pseudo_inverse(own, 1e-14) @ slope[moving] if curved else np.zeros(len(moving))
+        if not len(moving) or not (np.diag(own) > 0).all():
+            continue
+        along = pseudo_inverse(own, 1e-14) @ slope[moving]
         size = float(slope[moving] @ along)
         if size > 0:
-            break
-    else:
-        return Tangent(quantity, scaled, p, f, value, 0.0, np.zeros_like(p))
-    direction = np.zeros_like(p)
-    direction[moving] = along / size
-    return Tangent(quantity, scaled, p, f, value, float(np.sqrt(2.0 * size)), direction)
-
-
-@dataclass(frozen=True)
-class Skewness:
-    """What a straight line through the optimum says of an interval, without a profile.
-
-    `lower`, `upper`: half-widths over that of the normal interval, 1 where that is right (nan outside the
-    bounds). `inside`: whether the line stays inside the bounds as far as the interval's ends.
-    """
-
-    lower: float
-    upper: float
-    inside: bool
-
-    @property
-    def normal(self) -> bool:
-        """Whether the normal interval will do: no bound near, symmetric, of the same width."""
-        if not self.inside:
-            return False
-        mean, difference = 0.5 * (self.lower + self.upper), 0.5 * abs(self.upper - self.lower)
-        return bool(abs(mean - 1.0) <= WIDTH and difference <= ASYMMETRY)
+            still.direction[moving] = along / size
+            return replace(still, std=float(np.sqrt(2.0 * size)))
+    return still
 
 
 def skewness(
-    cost: Cost,
-    p: np.ndarray,
-    quantity: Quantity,
-    *,
-    held: Sequence[int],
-    std: float,
-    scale: float = 1.0,
-) -> Skewness:
-    """Evaluate F twice to see whether the normal interval of `quantity` will do; arguments as for `profile`.
+    cost: Cost, p: np.ndarray, quantity: Quantity, *, held: Sequence[int], std: float, scale: float = 1.0
+) -> np.ndarray:
+    """Return the half-widths of an interval over those of the normal one, (lower, upper), without a profile.
 
-    Along the tangent of the profile F differs from the profile only in fourth order of the distance: the
-    third order, which makes an interval lopsided, is all there.
+    Arguments as for `profile`. nan on a side that meets a bound. F is evaluated twice, along the tangent of
+    the profile: it differs from the profile only in fourth order of the distance, and the third order, which
+    makes an interval lopsided, is all there.
     """
-    began = tangent(cost, p, quantity, held)
+    began, aim, ratios = tangent(cost, p, quantity, held), float(np.sqrt(THRESHOLD)), np.full(2, np.nan)
     lower, upper = cost.summary.model.bounds
     if not (began.std > 0 and np.isfinite(std) and std > 0):
-        return Skewness(np.nan, np.nan, False)
-    aim = float(np.sqrt(scipy.special.chdtri(1, 1 - INTERVAL)))
-    ratios = []
-    for sign in (-1.0, 1.0):
+        return ratios
+    for side, sign in enumerate((-1.0, 1.0)):
         at = began.p + sign * aim * np.sqrt(scale) * began.std * began.direction
-        free = began.scaled.free
-        if not ((lower <= at) & (at <= upper))[free].all():
-            ratios.append(np.nan)
-            continue
-        away = abs(quantity.first(at)[0] - began.value)
-        root = np.sqrt(max(cost.at(at).value - began.cost, 0.0))
-        ratios.append(float(away * np.sqrt(scale) / (root * std)) if root > 0 else np.inf)
-    beyond = began.value - aim * std < quantity.lower or began.value + aim * std > quantity.upper
-    return Skewness(ratios[0], ratios[1], not beyond and bool(np.isfinite(ratios).all()))
+        inside = ((lower <= at) & (at <= upper))[began.scaled.free].all()
+        if inside and quantity.lower <= began.value + sign * aim * std <= quantity.upper:
+            away = abs(quantity.first(at)[0] - began.value)
+            root = np.sqrt(max(cost.at(at).value - began.cost, 0.0))
+            ratios[side] = away * np.sqrt(scale) / (root * std) if root > 0 else np.nan
+    return ratios
+
+
+def normal_enough(ratios: np.ndarray) -> bool:
+    """Return whether the normal interval will do for what `skewness` gives: symmetric, of the same width."""
+    return bool(abs(ratios.mean() - 1.0) <= WIDTH and 0.5 * abs(ratios[1] - ratios[0]) <= ASYMMETRY)
 
 
 Status = Literal["reached", "at bound", "open", "failed"]
@@ -167,21 +142,96 @@ class Point:
         return float(np.sqrt(max(self.rise, 0.0)))
 
 
-class Pull:
-    """Points of the profile: minimises F + mu (g - v)^2, per sample, in scaled parameters."""
+class Walk:
+    """Walks along the profile from the optimum to the end on one side, `sign` -1 or 1.
 
-    def __init__(self, cost: Cost, began: Tangent, std: float, threshold: float) -> None:
-        self.tangent, self.quantity, self.scaled = began, began.quantity, began.scaled
+    A point of the profile minimises F + mu (g - v)^2, per sample, in scaled parameters.
+    """
+
+    def __init__(self, cost: Cost, began: Tangent, std: float, threshold: float, sign: float) -> None:
+        self.tangent, self.quantity, self.scaled, self.sign = began, began.quantity, began.scaled, sign
         self.std, self.threshold = std if began.std > 0 else 0.0, threshold
+        self.aim = float(np.sqrt(threshold))
         self.mu = STIFF / self.std**2 if self.std > 0 else 0.0
-        self.start = Point(began.value, began.value, 0.0, began.p)
         self.samples, self.problem = self.scaled.samples(cost), self.scaled.problem(cost)
+        self.start = Point(began.value, began.value, 0.0, began.p)
+        self.path = [self.start]
+        self.name, low, high = self.quantity.name, self.quantity.lower, self.quantity.upper
+        self.limit = high if sign > 0 else low
+        self.slack = 1e-9 * (high - low if np.isfinite(high - low) else 1.0 + abs(began.value))
 
-    def solve(self, guess: np.ndarray, v: float) -> "Point | str":
-        """Return the point of the profile that the pull towards `v` ends at, or why there is none."""
-        start = self.scaled.to_unit(np.clip(guess, *self.scaled.model.bounds))
+    def ahead(self, value: float, of: float) -> float:
+        """How far `value` is outside of `of`."""
+        return self.sign * (value - of)
+
+    def end(self) -> Side:
+        """Find the end: secant steps of v on the root of the rise, kept between points that bracket it."""
+        start, std = self.start, self.std
+        if self.ahead(self.limit, start.value) <= self.slack:
+            return Side(self.limit, "at bound", f"{self.name} is at its bound")
+        if std == 0.0:
+            return Side(self.sign * np.inf, "open", f"nothing that is free moves {self.name}")
+        near, far, before, wall, why = start, None, start, self.sign * np.inf, ""
+        v = start.value + self.sign * self.aim * (std + 1.0 / (std * self.mu))
+        for _ in range(TRIES):
+            found = self.at(v)
+            if isinstance(found, str):
+                wall, why = v, found
+            else:
+                self.path.append(found)
+                if (side := self.stopped(near, far, before, found)) is not None:
+                    return side
+                near, far = (near, found) if found.root >= self.aim else (found, far)
+                v, before = self.next(before, found, near, far), found
+            if self.ahead(wall, near.v) <= WALL * std:
+                return Side(np.nan, "failed", f"the profile of {self.name} stops at {near.value:.6g}: {why}")
+            v = v if self.ahead(wall, v) > 0 else 0.5 * (near.v + wall)
+        if far is not None:
+            reason = f"{TRIES} points did not pin down where the rise of {self.name} is enough"
+            return Side(np.nan, "failed", reason)
+        away = f"{abs(near.value - start.value) / std:.3g} standard uncertainties from the optimum"
+        return Side(self.sign * np.inf, "open", f"{away} {self.name} has a rise of {near.rise:.3g}")
+
+    def stopped(self, near: Point, far: Point | None, before: Point, found: Point) -> Side | None:
+        """Return what ends the walk: the threshold, the quantity's bound, or those of other parameters."""
+        if abs(found.root - self.aim) <= CLOSE * self.aim:
+            step, value = found.root - before.root, found.value
+            if abs(step) > CLOSE * self.aim:  # where the line through the last two points meets the threshold
+                value += (self.aim - found.root) * (found.value - before.value) / step
+            return Side(float(np.clip(value, self.quantity.lower, self.quantity.upper)), "reached")
+        if found.root >= self.aim:
+            return None
+        if self.ahead(self.limit, found.value) <= self.slack:
+            return Side(self.limit, "at bound", f"{self.name} meets its bound at a rise of {found.rise:.3g}")
+        moved = self.ahead(found.value, near.value) > 1e-6 * abs(found.v - near.v)
+        if far is None and not moved and found.root <= near.root + 1e-6 * self.aim:
+            reason = f"bounds of other parameters stop {self.name} at {found.value:.6g}"
+            return Side(found.value, "open", reason)
+        return None
+
+    def next(self, before: Point, found: Point, near: Point, far: Point | None) -> float:
+        """Return the v to try: by the secant, inside the bracket, not too far beyond what is known."""
+        step = found.root - before.root
+        v = found.v + (self.aim - found.root) * (found.v - before.v) / step if step else np.nan
+        if far is not None:
+            inside = self.ahead(v, near.v) > 0 and self.ahead(far.v, v) > 0
+            return v if inside else 0.5 * (near.v + far.v)
+        most = near.v + self.sign * STRETCH * max(abs(near.v - self.start.v), self.std)
+        return v if self.ahead(v, near.v) > 0 and self.ahead(most, v) > 0 else most
+
+    def at(self, v: float) -> Point | str:
+        """Return the point that the pull towards `v` ends at, or why there is none; from the known points."""
+        if len(self.path) == 1:
+            share = 1.0 / (1.0 + 1.0 / (self.mu * self.std**2))
+            guess = self.start.p + share * (v - self.start.value) * self.tangent.direction
+        else:
+            a, b = sorted(self.path, key=lambda point: abs(point.v - v))[:2]
+            apart = b.v - a.v
+            far = abs(apart) > 1e-3 * abs(v - a.v)
+            guess = a.p + (b.p - a.p) * ((v - a.v) / apart) if far else a.p
+        begin = self.scaled.to_unit(np.clip(guess, *self.scaled.model.bounds))
         tolerance = SOLVED * self.threshold / max(abs(self.tangent.cost), self.threshold)
-        found = solvers.newton(self.pulled(v), start, tolerance=tolerance)
+        found = solvers.newton(self.pulled(v), begin, tolerance=tolerance)
         if found.status != "converged":
             return found.message
         p = self.scaled.from_unit(found.x)
@@ -205,113 +255,13 @@ class Pull:
                 hessian + 2.0 * weight * (np.outer(slope, slope) + off * bend),
             )
 
-        problem = self.problem
-        return solvers.Problem(problem.cost, problem.lower, problem.upper, derivatives=derivatives)
-
-
-class Walk:
-    """Walks from the optimum to the end on one side, `sign` -1 or 1."""
-
-    def __init__(self, pull: Pull, sign: float) -> None:
-        self.pull, self.sign, self.aim = pull, sign, float(np.sqrt(pull.threshold))
-        self.path = [pull.start]
-        quantity = pull.quantity
-        self.limit = quantity.upper if sign > 0 else quantity.lower
-        width = quantity.upper - quantity.lower
-        self.slack = 1e-9 * (width if np.isfinite(width) else 1.0 + abs(pull.start.value))
-
-    def ahead(self, value: float, of: float) -> float:
-        """How far `value` is outside of `of`."""
-        return self.sign * (value - of)
-
-    def end(self) -> Side:
-        """Find the end: secant steps of v on the root of the rise, kept between points that bracket it."""
-        name, start, std = self.pull.quantity.name, self.pull.start, self.pull.std
-        if self.ahead(self.limit, start.value) <= self.slack:
-            return Side(self.limit, "at bound", f"{name} is at its bound")
-        if std == 0.0:
-            return Side(self.sign * np.inf, "open", f"nothing that is free moves {name}")
-        near, far, before, wall, why = start, None, start, self.sign * np.inf, ""
-        v = start.value + self.sign * self.aim * (std + 1.0 / (std * self.pull.mu))
-        for _ in range(TRIES):
-            found = self.at(v)
-            if isinstance(found, str):
-                wall, why = v, found
-            else:
-                self.path.append(found)
-                if abs(found.root - self.aim) <= CLOSE * self.aim:
-                    return Side(self.within(self.crossing(before, found)), "reached")
-                if (side := self.stopped(near, far, found)) is not None:
-                    return side
-                near, far = (near, found) if found.root >= self.aim else (found, far)
-                v, before = self.next(before, found, near, far), found
-            if self.ahead(wall, near.v) <= WALL * std:
-                return Side(np.nan, "failed", f"the profile of {name} stops at {near.value:.6g}: {why}")
-            v = v if self.ahead(wall, v) > 0 else 0.5 * (near.v + wall)
-        return self.unfinished(near, far)
-
-    def stopped(self, near: Point, far: Point | None, found: Point) -> Side | None:
-        """What ends the walk before the threshold: the quantity's bound, or those of other parameters."""
-        name = self.pull.quantity.name
-        if found.root >= self.aim:
-            return None
-        if self.ahead(self.limit, found.value) <= self.slack:
-            return Side(self.limit, "at bound", f"{name} meets its bound at a rise of {found.rise:.3g}")
-        moved = self.ahead(found.value, near.value) > 1e-6 * abs(found.v - near.v)
-        if far is None and not moved and found.root <= near.root + 1e-6 * self.aim:
-            return Side(found.value, "open", f"bounds of other parameters stop {name} at {found.value:.6g}")
-        return None
-
-    def unfinished(self, near: Point, far: Point | None) -> Side:
-        """What is known after the last try."""
-        name, std = self.pull.quantity.name, self.pull.std
-        if far is not None:
-            return Side(
-                np.nan, "failed", f"{TRIES} points did not pin down where the rise of {name} is enough"
-            )
-        away = abs(near.value - self.pull.start.value) / std
-        reason = f"{away:.3g} standard uncertainties from the optimum {name} has a rise of {near.rise:.3g}"
-        return Side(self.sign * np.inf, "open", reason)
-
-    def within(self, value: float) -> float:
-        """Return the value inside the quantity's own bounds."""
-        return float(min(max(value, self.pull.quantity.lower), self.pull.quantity.upper))
-
-    def crossing(self, before: Point, found: Point) -> float:
-        """Value at which the root meets its aim, by the line through the last two points."""
-        step = found.root - before.root
-        if abs(step) <= CLOSE * self.aim:
-            return found.value
-        return found.value + (self.aim - found.root) * (found.value - before.value) / step
-
-    def next(self, before: Point, found: Point, near: Point, far: Point | None) -> float:
-        """Return the v to try: by the secant, inside the bracket, not too far beyond what is known."""
-        step = found.root - before.root
-        v = found.v + (self.aim - found.root) * (found.v - before.v) / step if step else np.nan
-        if far is not None:
-            inside = self.ahead(v, near.v) > 0 and self.ahead(far.v, v) > 0
-            return v if inside else 0.5 * (near.v + far.v)
-        most = near.v + self.sign * STRETCH * max(abs(near.v - self.pull.start.v), self.pull.std)
-        return v if self.ahead(v, near.v) > 0 and self.ahead(most, v) > 0 else most
-
-    def at(self, v: float) -> "Point | str":
-        """Return the point that the pull towards `v` ends at, from where the known points lead."""
-        start, pull = self.pull.start, self.pull
-        if len(self.path) == 1:
-            share = 1.0 / (1.0 + 1.0 / (pull.mu * pull.std**2))
-            return pull.solve(start.p + share * (v - start.value) * pull.tangent.direction, v)
-        a, b = sorted(self.path, key=lambda point: abs(point.v - v))[:2]
-        apart = b.v - a.v
-        far = abs(apart) > 1e-3 * abs(v - a.v)
-        return pull.solve(a.p + (b.p - a.p) * ((v - a.v) / apart) if far else a.p, v)
+        return replace(self.problem, derivatives=derivatives)
 
     def fill(self, points: int) -> None:
         """Add points evenly spaced in v between the optimum and the farthest one."""
-        last = self.path[-1].v
-        for share in np.arange(1, points + 1) / (points + 1):
-            found = (
-                self.at(self.pull.start.v + share * (last - self.pull.start.v)) if len(self.path) > 1 else ""
-            )
+        first, last = self.start.v, self.path[-1].v
+        for share in np.arange(1, points + 1) / (points + 1) if len(self.path) > 1 else ():
+            found = self.at(first + share * (last - first))
             if not isinstance(found, str):
                 self.path.append(found)
 
@@ -349,6 +299,22 @@ class Profile:
         """Whether both ends are where the threshold or the quantity's own bound is."""
         return all(side.status in ("reached", "at bound") for side in (self.lower, self.upper))
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the curve (values, rises of -2 log likelihood) and how its ends came."""
+        ends = [
+            {"value": plain(side.value), "status": side.status, "why": side.reason}
+            for side in (self.lower, self.upper)
+        ]
+        return {
+            "of": self.quantity.name,
+            "unit": self.quantity.unit,
+            "value": self.value,
+            "threshold": self.threshold,
+            "values": self.values.tolist(),
+            "rises": self.rises.tolist(),
+            "ends": ends,
+        }
+
 
 def profile(
     cost: Cost,
@@ -367,16 +333,13 @@ def profile(
     believed over the likelihood's; the threshold is multiplied by it. `points`: further points per side,
     about evenly spaced. For several quantities give `cost.anchored(p)`: what belongs to `p` is computed once.
     """
-    began = tangent(cost, p, quantity, held)
-    threshold = float(scipy.special.chdtri(1, 1 - INTERVAL)) * scale
+    began, threshold = tangent(cost, p, quantity, held), THRESHOLD * scale
     step = float(std) / np.sqrt(scale) if std is not None and np.isfinite(std) and std > 0 else began.std
-    pull = Pull(cost, began, step, threshold)
-    walks = [Walk(pull, sign) for sign in (-1.0, 1.0)]
+    walks = [Walk(cost, began, step, threshold, sign) for sign in (-1.0, 1.0)]
     lower, upper = (walk.end() for walk in walks)
     for walk in walks:
         walk.fill(points)
-    path = [pull.start] + [point for walk in walks for point in walk.path[1:]]
-    path.sort(key=lambda point: point.value)
+    path = sorted([*walks[0].path, *walks[1].path[1:]], key=lambda point: point.value)
     lowest = min(path, key=lambda point: point.rise)
     better = lowest.rise < -BETTER * threshold
     return Profile(

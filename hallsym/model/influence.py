@@ -45,14 +45,25 @@ def influence(
     `p`: (n,). `zeros`, `pose`, `state`: one scalar or (s,) array per zero, pose coordinate and state column.
     `weight`: 1/variance per channel, which matters only with more channels than coordinates (default 1).
     """
-    weight = np.ones(len(model.channels)) if weight is None else np.asarray(weight)
+    by_p, by_zero, J, by_state = reading_slopes(model, p, zeros, pose, state)
+    D = estimator(J, weight)
+    return Influence(parameters=-D @ by_p, readings=D, state=-D @ by_state, zeros=-D @ by_zero)
+
+
+def estimator(slopes: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
+    """Return (J^T W J)^-1 J^T W for J = `slopes` (..., n_channels, m) and the weights (n_channels,) W."""
+    JW = np.swapaxes(slopes, -1, -2) * (1.0 if weight is None else weight)
+    return np.linalg.solve(JW @ slopes, JW)
+
+
+def reading_slopes(
+    model: Model, p: np.ndarray, zeros: Columns, pose: Columns, state: Columns
+) -> list[np.ndarray]:
+    """Return d reading / d parameters, zeros, pose and state, each (s, n_channels, size)."""
     flat = _slopes(model)(p, zeros, pose, state)[0]
     sizes = (len(model.names), len(model.zeros), len(model.pose), len(model.state))
     slopes = np.moveaxis(flat.reshape(sum(sizes), len(model.channels), -1), (0, 1), (2, 1))
-    by_p, by_zero, J, by_state = np.split(slopes, np.cumsum(sizes)[:-1], axis=2)
-    JW = np.swapaxes(J, 1, 2) * weight
-    D = np.linalg.solve(JW @ J, JW)
-    return Influence(parameters=-D @ by_p, readings=D, state=-D @ by_state, zeros=-D @ by_zero)
+    return np.split(slopes, np.cumsum(sizes)[:-1], axis=2)
 
 
 @lru_cache(maxsize=64)

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from scipy.special import betaincinv
 
-from hallsym.diagnosis import QUIET, Diagnosis, diagnose, prepare
+from hallsym.diagnosis import QUIET, diagnose, prepare
 from hallsym.diagnosis.setup import Setup
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, require
 from hallsym.estimation.calibration import INTERVAL, Fit
 from hallsym.families.faults import FAULTS
 from hallsym.log import Log
@@ -157,8 +157,7 @@ class DetectionPower:
     def effect(self, name: str) -> Findable:
         """Return the row of one effect."""
         known = [e.name for e in self.effects]
-        if name not in known:
-            raise InputError(f"No effect was tried that is called {name!r}{nearest(name, known)}.")
+        require(name in known, "Effect", "one that was tried", name, known)
         return self.effects[known.index(name)]
 
 
@@ -216,9 +215,8 @@ class Bench:
         amount, gap_m = size
         rng = generator(self.seed, "noise", name, str(ratio), repeat)
         noise, reference = self.noise.draw(truth.recording.run, rng)
-        outcome, verdict, named = self.diagnosed(
-            truth.log(injection.make(amount, noise + small), reference), name
-        )
+        log = truth.log(injection.make(amount, noise + small), reference)
+        outcome, verdict, named = self.diagnosed(log, name)
         return Trial(
             name=name,
             ratio=ratio if injection.sized else None,
@@ -233,7 +231,7 @@ class Bench:
         )
 
     def diagnosed(self, log: Log, name: str) -> tuple[str, str, tuple[str, ...]]:
-        """Diagnose a simulated log; return outcome, verdict and names."""
+        """Diagnose a simulated log; return outcome, verdict and the names of the first group."""
         setup = self.setup
         try:
             found = diagnose(
@@ -242,23 +240,16 @@ class Bench:
             )  # fmt: skip
         except InputError:
             return "refused", "refused", ()
-        outcome, named = _outcome(found, name)
-        return outcome, found.verdict, named
-
-
-def _outcome(found: Diagnosis, name: str) -> tuple[str, tuple[str, ...]]:
-    """Return the outcome, and the names that were given: those of the first group, or the first."""
-    ranked = found.ranked
-    if found.verdict in QUIET:
-        return "no gap", ()
-    if not ranked or not found.effects:
-        return "unexplained", ()
-    group = next((g for g in found.groups if ranked[0] in g), (ranked[0],))
-    if ranked[0] == name:
-        return "found", group
-    if name in group:
-        return "group", group
-    return ("listed" if name in [e.name for e in found.effects] else "other"), group
+        if found.verdict in QUIET:
+            return "no gap", found.verdict, ()
+        ranked, named = found.ranked, [e.name for e in found.effects]
+        if not ranked or not named:
+            return "unexplained", found.verdict, ()
+        group = next((g for g in found.groups if ranked[0] in g), (ranked[0],))
+        outcome = "found" if ranked[0] == name else "group" if name in group else "listed"
+        if outcome == "listed" and name not in named:
+            outcome = "other"
+        return outcome, found.verdict, group
 
 
 def _run(
@@ -312,12 +303,13 @@ def detection_power(
     Raises `InputError` for an unknown name, a ratio not above 1, and wherever `diagnose` does.
     """
     began = perf_counter()
-    ratios = _ratios(ratios)
+    sizes = "gaps over the noise floor, each a number above 1"
+    require(
+        ratios and all(1 < r < np.inf for r in ratios), "Sizes of the detection power", sizes, list(ratios)
+    )
+    ratios = tuple(sorted(set(ratios)))
     for name, value in (("repeats", repeats), ("rows", rows)):
-        if value < 1:
-            raise InputError(
-                f"Input {name} of the detection power must be 1 or more; instead received {value}."
-            )
+        require(value >= 1, f"Input {name} of the detection power", "1 or more", value)
     setup = prepare(
         log, model, holdout=holdout, effects=effects, threshold=threshold, drop_bad=drop_bad,
         on_progress=on_progress,
@@ -357,24 +349,10 @@ def _wanted(names: Sequence[str] | None, catalogue: Sequence[Effect]) -> tuple[s
     known = list(dict.fromkeys((*(e.name for e in catalogue), *FAULTS)))
     if names is None:
         return tuple(known)
-    if not names:
-        raise InputError("Effects to test must be at least one name; none was given.")
+    require(names, "Effects to test", "at least one name", names)
     for name in names:
-        if name not in known:
-            raise InputError(
-                f"Effect to test must be one of {', '.join(known)}; instead received {name!r}"
-                f"{nearest(name, known)}."
-            )
+        require(name in known, "Effect to test", f"one of {', '.join(known)}", name, known)
     return tuple(dict.fromkeys(names))
-
-
-def _ratios(ratios: Sequence[float]) -> tuple[float, ...]:
-    if not ratios or not all(1 < r < np.inf for r in ratios):
-        raise InputError(
-            "Sizes of the detection power must be gaps over the noise floor, each a number above 1; instead "
-            f"received {', '.join(f'{r:g}' for r in ratios) or 'none'}."
-        )
-    return tuple(sorted(set(ratios)))
 
 
 def _findable(bench: Bench, name: str, trials: Sequence[Trial]) -> Findable:

@@ -1,6 +1,6 @@
 """Error model: what known causes make of the decoded pose along one coordinate, alone and together."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,21 +82,40 @@ def errors_along(
     for names, true in ((model.pose, pose), (model.state, state)):
         if coordinate in names:
             true[names.index(coordinate)] = places
-    nothing = np.zeros(len(model.zeros))
-    with np.errstate(all="ignore"):
-        (reading,) = on_arrays(model.reading)(model.vector(values), nothing, pose, state)
-        kept = [state[model.state.index(c)] for c in plain.state]
-        found = np.array(_decode(plain, decoder, reading, kept))
-    if not np.isfinite(found).all():
-        raise InputError(
-            f"The decoder of {plain.name} finds no pose for some readings of this machine; state smaller "
-            "deviations."
-        )
-    error = near(plain, found, pose) - pose
+    errors = decoding_errors(model, plain, pose, state, "state smaller deviations", decoder)
+    error = errors(model.vector(values)[None])[:, 0]
     return ErrorsAlong(coordinate, places, error, tuple(_waves(e) for e in error))
 
 
-def _decode(plain: Model, decoder: str, reading: np.ndarray, state: list[np.ndarray]) -> np.ndarray:
+Errors = Callable[[np.ndarray], np.ndarray]
+
+
+def decoding_errors(
+    model: Model, plain: Model, pose: np.ndarray, state: np.ndarray, remedy: str, decoder: str = LEAST_SQUARES
+) -> Errors:
+    """Return `errors(machines)`: decoded minus true pose, (n_pose, m, points), for machines (m, n).
+
+    A machine reads with its own parameters of `model` at `pose` (n_pose, points) and `state`, and is decoded
+    with the nominal values of `plain`. No noise and no zero deviations. `remedy`: what to do where a reading
+    gives no pose.
+    """
+    read, decode = on_arrays(model.reading), _decode(plain, decoder)
+    kept = [state[model.state.index(c)] for c in plain.state]
+
+    def errors(machines: np.ndarray) -> np.ndarray:
+        own = [column[:, None] for column in machines.T]
+        with np.errstate(all="ignore"):
+            (reading,) = read(own, np.zeros(len(model.zeros)), pose, state)
+            found = decode(reading, kept)
+        if not np.isfinite(found).all():
+            raise InputError(f"The decoder of {plain.name} finds no pose for some of the readings: {remedy}.")
+        return near(plain, found, pose[:, None]) - pose[:, None]
+
+    return errors
+
+
+def _decode(plain: Model, decoder: str) -> Callable[[np.ndarray, list[np.ndarray]], np.ndarray]:
+    """Return `decode(readings, states) -> pose` of a decoder by its name, with the nominal values."""
     known = [LEAST_SQUARES, *([CLOSED_FORM] if plain.begin else []), *plain.formulas]
     if decoder not in known:
         raise InputError(
@@ -104,12 +123,17 @@ def _decode(plain: Model, decoder: str, reading: np.ndarray, state: list[np.ndar
             f"{', '.join(known)}."
         )
     if decoder == LEAST_SQUARES:
-        weight = np.ones(len(plain.channels))
-        return on_arrays(plain.decoded)(plain.nominal, np.zeros(len(plain.zeros)), reading, state, weight)[0]
+        run, zeros, weight = (
+            on_arrays(plain.decoded),
+            np.zeros(len(plain.zeros)),
+            np.ones(len(plain.channels)),
+        )
+        return lambda reading, state: run(plain.nominal, zeros, reading, state, weight)[0]
     formula: Any = plain.begin if decoder == CLOSED_FORM else plain.formulas[decoder]
     v = ca.SX.sym("v", len(plain.channels))
     named = {n: ca.SX(a) for n, a in plain.named(plain.nominal).items()}
-    return on_arrays(ca.Function("closed", [v], [ca.densify(formula(v, named))]))(reading)[0]
+    closed = on_arrays(ca.Function("closed", [v], [ca.densify(formula(v, named))]))
+    return lambda reading, state: closed(reading)[0]
 
 
 def _waves(error: np.ndarray) -> int:

@@ -10,7 +10,7 @@ in its key; a curve that the machine follows adds its error.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, isfinite, sqrt
@@ -20,9 +20,10 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, nearest, require
+from hallsym.records import plain
 from hallsym.shown import Shown
-from hallsym.toml import Table, number, unit_of
+from hallsym.toml import Table, unit_of
 from hallsym.trajectory import Curve
 
 DIVISORS = {"rectangular": sqrt(3.0), "triangular": sqrt(6.0), "arcsine": sqrt(2.0)}
@@ -47,33 +48,22 @@ class Source:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be an uncertainty."""
-        if self.distribution not in DISTRIBUTIONS:
-            raise InputError(
-                f"Distribution of source {self.name!r} must be one of {', '.join(DISTRIBUTIONS)}; "
-                f"instead received {self.distribution!r}."
-            )
-        if not (isfinite(self.std) and self.std >= 0):
-            raise InputError(
-                f"Uncertainty of source {self.name!r} must be a number >= 0; instead received {self.std!r}."
-            )
-        if not isfinite(self.sensitivity):
-            raise InputError(
-                f"Sensitivity to source {self.name!r} must be a finite number; "
-                f"instead received {self.sensitivity!r}."
-            )
-        if not self.degrees_of_freedom >= 1:
-            raise InputError(
-                f"Degrees of freedom of source {self.name!r} must be 1 or more; "
-                f"instead received {self.degrees_of_freedom!r}."
-            )
+        known = ", ".join(DISTRIBUTIONS)
+        std, slope, dof = self.std, self.sensitivity, self.degrees_of_freedom
+        require(
+            self.distribution in DISTRIBUTIONS,
+            f"Distribution of source {self.name!r}",
+            f"one of {known}",
+            self.distribution,
+        )
+        require(isfinite(std) and std >= 0, f"Uncertainty of source {self.name!r}", "a number >= 0", std)
+        require(isfinite(slope), f"Sensitivity to source {self.name!r}", "a finite number", slope)
+        require(dof >= 1, f"Degrees of freedom of source {self.name!r}", "1 or more", dof)
 
     @staticmethod
     def normal(name: str, uncertainty: float, unit: str, k: float = 1.0, **more: Any) -> "Source":
         """Normal: an uncertainty stated as `k` standard uncertainties (JCGM 100, 4.3.3)."""
-        if not (isfinite(k) and k > 0):
-            raise InputError(
-                f"Coverage factor of source {name!r} must be a positive number; instead received {k!r}."
-            )
+        require(isfinite(k) and k > 0, f"Coverage factor of source {name!r}", "a positive number", k)
         return Source(name, uncertainty / k, unit, "normal", **more)
 
     @staticmethod
@@ -130,16 +120,10 @@ class Budget(Shown):
 
     def __post_init__(self) -> None:
         """Refuse a coverage or a correlation that cannot be."""
-        if not (isfinite(self.coverage) and self.coverage > 0):
-            raise InputError(
-                f"Coverage factor of {self.quantity} must be a positive number; "
-                f"instead received {self.coverage!r}."
-            )
-        if self.level is not None and not 0 < self.level < 1:
-            raise InputError(
-                f"Level of {self.quantity} must be a probability between 0 and 1, such as 0.95; "
-                f"instead received {self.level!r}."
-            )
+        k, level = self.coverage, self.level
+        require(isfinite(k) and k > 0, f"Coverage factor of {self.quantity}", "a positive number", k)
+        wanted = "a probability between 0 and 1, such as 0.95"
+        require(level is None or 0 < level < 1, f"Level of {self.quantity}", wanted, level)
         if self.correlation is not None:
             _check_correlation(self.correlation, len(self.sources), self.quantity)
 
@@ -180,11 +164,8 @@ class Budget(Shown):
 
     @property
     def factor(self) -> float:
-        """Coverage factor k: as stated, or Student's t of `level` (degrees of freedom truncated, G.4.1)."""
-        if self.level is None:
-            return self.coverage
-        half, dof = 0.5 + 0.5 * self.level, self.degrees_of_freedom
-        return float(stdtrit(max(np.floor(dof), 1.0), half) if isfinite(dof) else ndtri(half))
+        """Coverage factor k: as stated, or Student's t of `level`."""
+        return self.coverage if self.level is None else float(students(self.level, self.degrees_of_freedom))
 
     @property
     def expanded(self) -> float:
@@ -209,7 +190,7 @@ class Budget(Shown):
             "unit": self.unit,
             "value": self.value,
             "standard_uncertainty": self.std,
-            "degrees_of_freedom": _finite(self.degrees_of_freedom),
+            "degrees_of_freedom": plain(self.degrees_of_freedom),
             "coverage_factor": self.factor,
             "level": self.level,
             "expanded_uncertainty": self.expanded,
@@ -220,7 +201,7 @@ class Budget(Shown):
                     "standard_uncertainty": s.std,
                     "unit": s.unit,
                     "sensitivity": s.sensitivity,
-                    "degrees_of_freedom": _finite(s.degrees_of_freedom),
+                    "degrees_of_freedom": plain(s.degrees_of_freedom),
                     "contribution": abs(s.contribution),
                     "share": float(share),
                 }
@@ -240,6 +221,13 @@ class Budget(Shown):
         return [np.flatnonzero(label == k).tolist() for k in range(label.max(initial=-1) + 1)]
 
 
+def students(level: float, degrees_of_freedom: float | np.ndarray) -> np.ndarray:
+    """Return Student's t of a level, (...,); degrees of freedom are truncated (G.4.1) or infinite."""
+    half, dof = 0.5 + 0.5 * level, np.asarray(degrees_of_freedom)
+    few = np.maximum(np.floor(np.minimum(dof, 1e9)), 1.0)
+    return np.where(np.isfinite(dof), stdtrit(few, half), ndtri(half))
+
+
 def _check_correlation(matrix: np.ndarray, n: int, quantity: str) -> None:
     good = matrix.shape == (n, n) and np.all(np.isfinite(matrix)) and np.allclose(matrix, matrix.T)
     if not (good and np.allclose(np.diag(matrix), 1.0) and np.linalg.eigvalsh(matrix).min() >= -1e-8):
@@ -247,10 +235,6 @@ def _check_correlation(matrix: np.ndarray, n: int, quantity: str) -> None:
             f"Correlations of {quantity} must be coefficients from -1 to 1 that can hold together "
             "(a positive semi-definite matrix); check their signs and sizes."
         )
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if isfinite(value) else None
 
 
 # -- a curve that the machine follows ----------------------------------------------------------------------
@@ -290,8 +274,16 @@ def with_curve(budget: Budget, curve: Curve, column: str | None = None) -> Budge
 
 # -- a budget file -----------------------------------------------------------------------------------------
 
-SIZES = ("std", "expanded", "half_width", "full_width", "resolution", "readings")
-"""How large a source is: exactly one of these per source, with its unit (`half_width_nm`)."""
+SIZES: Mapping[str, tuple[tuple[str, ...], float]] = {
+    "std": (("normal", "student"), 1.0),
+    "expanded": (("normal", "student"), 1.0),
+    "half_width": (tuple(DIVISORS), 1.0),
+    "full_width": (tuple(DIVISORS), 0.5),
+    "resolution": (("rectangular",), 0.5),
+    "readings": (("student",), 1.0),
+}
+"""How large a source is: exactly one of these per source, with its unit (`half_width_nm`). The distributions
+that it may have, the default first, and the half-width or standard uncertainty over what is stated."""
 TOP = ("quantity", "unit", "coverage_factor", "level", "source", "correlation")
 OTHERS = ("name", "distribution", "coverage_factor", "degrees_of_freedom")
 
@@ -382,40 +374,17 @@ def _sensitivity(entry: Table, keys: Sequence[str], unit: str, suffix: str) -> t
 
 def _made(entry: Table, name: str, kind: str, factor: float, unit: str, more: dict[str, Any]) -> Source:
     """Return the source whose size stands under `kind`, `factor` times SI; `more`: what every kind takes."""
-    if kind in ("std", "expanded"):
-        asked = _only(entry, ("normal", "student"), expanded=kind == "expanded")
-        if kind == "expanded" and "coverage_factor" not in entry:
-            raise InputError(f"An expanded uncertainty of {entry.where} needs its 'coverage_factor'.")
-        k, size = entry.number("coverage_factor", 1.0), entry.number(kind, least=0.0) * factor
-        if asked == "normal":
-            return Source.normal(name, size, unit, k, **more)
-        if "degrees_of_freedom" not in more:
-            raise InputError(f"Student's distribution of {entry.where} needs 'degrees_of_freedom'.")
-        return Source(name, size / k, unit, "student", **more)
-    if kind in ("half_width", "full_width", "resolution"):
-        asked = _only(entry, ("rectangular",) if kind == "resolution" else tuple(DIVISORS))
-        half = entry.number(kind, least=0.0) * factor * (1.0 if kind == "half_width" else 0.5)
-        return Source(name, half / DIVISORS[asked], unit, asked, **more)
-    _only(entry, ("student",))
-    if not isinstance(entry.raw[kind], list):
-        raise InputError(
-            f"'readings' of {entry.where} must be a list of numbers; instead received {entry.raw[kind]!r}."
-        )
-    values = [number(v, kind, entry.where) * factor for v in entry.raw[kind]]
-    return Source.readings(name, values, unit, **more)
-
-
-def _only(entry: Table, distributions: Sequence[str], *, expanded: bool = False) -> str:
-    """Return the distribution; refuse one that does not belong to the size, and keys without effect."""
-    asked = entry.raw.get("distribution", distributions[0])
-    if asked not in distributions:
-        raise InputError(
-            f"'distribution' of {entry.where} must be {' or '.join(distributions)} for what is stated; "
-            f"instead received {asked!r}{nearest(str(asked), [*distributions])}."
-        )
-    if "coverage_factor" in entry and not expanded:
-        raise InputError(f"'coverage_factor' of {entry.where} has no effect there; take it out.")
-    return str(asked)
+    allowed, share = SIZES[kind]
+    asked = entry.choice("distribution", allowed, allowed[0])
+    if (kind == "expanded") != ("coverage_factor" in entry):
+        wrong = "needs its 'coverage_factor'" if kind == "expanded" else "takes no 'coverage_factor'"
+        raise InputError(f"'{kind}' of {entry.where} {wrong}.")
+    if kind == "readings":
+        return Source.readings(name, [v * factor for v in entry.numbers(kind)], unit, **more)
+    if asked == "student" and "degrees_of_freedom" not in more:
+        raise InputError(f"Student's distribution of {entry.where} needs 'degrees_of_freedom'.")
+    size = entry.number(kind, least=0.0) * factor * share / entry.positive("coverage_factor", 1.0)
+    return Source(name, size / DIVISORS.get(asked, 1.0), unit, asked, **more)
 
 
 def _correlation(file: Table, names: Sequence[str]) -> np.ndarray | None:

@@ -18,12 +18,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, nearest, require
 from hallsym.estimation import Fit
 from hallsym.families import adapted, plain
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
-from hallsym.model.influence import influence
+from hallsym.model.influence import estimator, influence, reading_slopes
 from hallsym.reading import read_json
 from hallsym.toml import Table, number, unit_of, whole
 from hallsym.uncertainty.gum import Source, coverage_of
@@ -73,11 +73,8 @@ class Settings:
         }
         for name, allowed in columns.items():
             for column, value in getattr(self, name).items():
-                if column not in allowed:
-                    raise InputError(
-                        f"Setting '{name}' must hold columns of {model.name} ({', '.join(allowed)}); "
-                        f"instead received {column!r}{nearest(column, list(allowed))}."
-                    )
+                wanted = f"of columns of {model.name} ({', '.join(allowed)})"
+                require(column in allowed, f"Setting '{name}'", wanted, column, allowed)
                 number(value, column, f"setting '{name}'", -np.inf if name == "zero_at" else 0.0)
         return self
 
@@ -158,11 +155,13 @@ class Input:
 class Slopes:
     """Total slopes of the decoded pose at s samples, the zeroing included, in SI per SI.
 
-    `parameters`: (s, n_pose, n). `places`: place -> (s, n_pose, size of the place).
+    `parameters`: (s, n_pose, n). `places`: place -> (s, n_pose, size of the place). `left`: variances of the
+    error of the model, (s, n_pose), by source; none without a diagnosis.
     """
 
     parameters: np.ndarray
     places: Mapping[str, np.ndarray]
+    left: Mapping[str, np.ndarray]
 
     def of(self, source: Input) -> np.ndarray:
         """Slopes with respect to one input, shape (s, n_pose)."""
@@ -194,74 +193,62 @@ def independent_inputs(fit: Fit, settings: Settings) -> tuple[Input, ...]:
 
 
 def _all_inputs(fit: Fit, settings: Settings) -> Iterator[Input]:
-    model = fit.model
-    noise = {column: sigma.value for column, sigma in fit.noise.sigmas.items()}
-
-    def make(name: str, std: float, column: str, *places: Place, adc: bool = False) -> Input:
-        unit = _unit(column)
-        source = Source.rectangular(name, std, unit) if adc else Source.normal(name, std, unit)
-        return Input(source, places)
-
-    half = 0.5 * settings.adc_step
-    once, zeroed = 1 / np.sqrt(settings.averaged), 1 / np.sqrt(settings.zero_averaged)
-    for k, column in enumerate(model.channels):
-        yield make(f"{word(column)} noise", noise.get(column, 0.0) * once, column, ("reading", k))
-    for k, column in enumerate(model.channels):
-        yield make(f"{word(column)} ADC step", half, column, ("reading", k), adc=True)
-    for k, column in enumerate(model.state):
-        yield make(f"{word(column)} noise", noise.get(column, 0.0) * once, column, ("state", k))
-    for k, column in enumerate(model.state):
-        both: tuple[Place, ...] = (("state", k), ("zero state", k)) if model.zeros else (("state", k),)
-        yield make(f"{word(column)} sensor", settings.state_std.get(column, 0.0), column, *both)
-    for k, column in enumerate(model.pose):
-        scale = settings.scale_std.get(column, 0.0)
-        yield Input(Source.normal(f"reference scale {word(column)}", scale, "1"), (("scale", k),))
-    if not model.zeros:
-        return
-    for k, column in enumerate(model.channels):
-        std = noise.get(column, 0.0) * zeroed
-        yield make(f"zeroing: {word(column)} noise", std, column, ("zero reading", k))
-    for k, column in enumerate(model.channels):
-        yield make(f"zeroing: {word(column)} ADC step", half, column, ("zero reading", k), adc=True)
-    for k, column in enumerate(model.state):
-        std = noise.get(column, 0.0) * zeroed
-        yield make(f"zeroing: {word(column)} noise", std, column, ("zero state", k))
-    for k, (column, reference) in enumerate(zip(model.pose, model.references, strict=True)):
-        std = settings.zero_pose_std.get(column, noise.get(reference, 0.0) * zeroed)
-        yield make(f"zeroing: pose {word(column)}", std, column, ("zero pose", k))
+    model, noise, zeroed = fit.model, fit.noise.std, 1 / np.sqrt(settings.zero_averaged)
+    once = {c: s / np.sqrt(settings.averaged) for c, s in noise.items()}
+    first = {c: s * zeroed for c, s in noise.items()}
+    half = dict.fromkeys(model.channels, 0.5 * settings.adc_step)
+    known = {c: first.get(r, 0.0) for c, r in zip(model.pose, model.references, strict=True)}
+    normal, uniform = Source.normal, Source.rectangular
+    both = ("state", "zero state") if model.zeros else ("state",)
+    listed: list[tuple[Callable[..., Source], str, tuple[str, ...], Mapping[str, float], tuple[str, ...]]] = [
+        (normal, "{} noise", model.channels, once, ("reading",)),
+        (uniform, "{} ADC step", model.channels, half, ("reading",)),
+        (normal, "{} noise", model.state, once, ("state",)),
+        (normal, "{} sensor", model.state, settings.state_std, both),
+        (normal, "reference scale {}", model.pose, settings.scale_std, ("scale",)),
+    ]
+    if model.zeros:
+        listed += [
+            (normal, "zeroing: {} noise", model.channels, first, ("zero reading",)),
+            (uniform, "zeroing: {} ADC step", model.channels, half, ("zero reading",)),
+            (normal, "zeroing: {} noise", model.state, first, ("zero state",)),
+            (normal, "zeroing: pose {}", model.pose, known | dict(settings.zero_pose_std), ("zero pose",)),
+        ]
+    for make, text, columns, std, places in listed:
+        for k, column in enumerate(columns):
+            unit = "1" if places == ("scale",) else _unit(column)
+            source = make(text.format(word(column)), std.get(column, 0.0), unit)
+            yield Input(source, tuple((place, k) for place in places))
 
 
 def slopes(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) -> Slopes:
     """Return the slopes of the decoded pose at `pose` (n_pose, s) and `state` (n_state, s).
 
-    Refuses a state at which a gain crosses zero: nothing can be decoded there.
+    Refuses a calibration without covariance, and a state at which a gain crosses zero: nothing can be decoded
+    there.
     """
-    model = fit.model
+    check_fit(fit)
     check_gain(fit, state, settings)
+    model, zero = fit.model, zero_point(fit.model, settings)
     found = influence(model, fit.values, np.zeros(len(model.zeros)), pose, state, weights(fit))
-    q0, s0 = zero_point(model, settings)
-    moved = np.asarray(pose).T - q0  # (s, n_pose)
+    moved, by_parameters = np.asarray(pose).T - zero[0], found.parameters  # (s, n_pose, ...)
     places = {
         "reading": found.readings,
         "state": found.state,
         "scale": moved[:, :, None] * np.eye(len(model.pose)),
     }
-    if not model.zeros:
-        return Slopes(found.parameters, places)
-    at_reset = zero_functions(model)[1](fit.values, q0, s0, weights(fit))
-    by_reading, by_p, by_pose, by_state = (found.zeros @ np.asarray(slope) for slope in at_reset)
-    places |= {"zero reading": by_reading, "zero state": by_state, "zero pose": by_pose}
-    return Slopes(found.parameters + by_p, places)
-
-
-def model_error(
-    fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings, found: Slopes
-) -> dict[str, np.ndarray]:
-    """Return the variances (s, n_pose) of the error of the model by source; none without a diagnosis."""
-    if settings.model_error is None:
-        return {}
-    zero = zero_point(fit.model, settings)
-    return settings.model_error.variances(fit, pose, state, zero, found.places)
+    if model.zeros:
+        none = np.zeros(len(model.zeros))
+        by_p, by_zero, by_pose, by_state = reading_slopes(
+            model, fit.values, none, *(v[:, None] for v in zero)
+        )
+        by_reading = found.zeros @ estimator(by_zero, weights(fit))  # through the zeros, which a reset gives
+        places |= {"zero reading": by_reading, "zero state": -by_reading @ by_state}
+        places |= {"zero pose": -by_reading @ by_pose}
+        by_parameters = by_parameters - by_reading @ by_p
+    error = settings.model_error
+    left = {} if error is None else error.variances(fit, pose, state, zero, places)
+    return Slopes(by_parameters, places, left)
 
 
 def zero_point(model: Model, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
@@ -271,11 +258,8 @@ def zero_point(model: Model, settings: Settings) -> tuple[np.ndarray, np.ndarray
 
 
 @lru_cache(maxsize=64)
-def zero_functions(model: Model) -> tuple[ca.Function, ca.Function]:
-    """`(parameters, reading, pose, state, weight) -> zeros` of a reset by weighted least squares, and slopes.
-
-    `(parameters, pose, state, weight) -> d zeros / d (reading, parameters, pose, state)` without deviation.
-    """
+def zeros_at_reset(model: Model) -> Callable[..., list[np.ndarray]]:
+    """`(parameters, reading, pose, state, weight) -> zeros` of a reset by weighted least squares."""
     s = model.symbols
     reading, weight = (ca.SX.sym(name, len(model.channels)) for name in ("reading", "weight"))
     full = s.full(s.reading)
@@ -283,13 +267,7 @@ def zero_functions(model: Model) -> tuple[ca.Function, ca.Function]:
     B = ca.jacobian(full, s.zeros)
     BW = (B * ca.repmat(weight, 1, B.size2())).T
     zeros = ca.densify(ca.solve(BW @ B, BW @ (reading - at_zero)))
-    inputs_ = [s.parameters, reading, s.pose, s.state, weight]
-    found = ca.Function("zeros", inputs_, [zeros])
-    slopes_ = [
-        ca.densify(ca.substitute(ca.jacobian(zeros, by), reading, at_zero))
-        for by in (reading, s.parameters, s.pose, s.state)
-    ]
-    return found, ca.Function("zero_slopes", [s.parameters, s.pose, s.state, weight], slopes_)
+    return on_arrays(ca.Function("zeros", [s.parameters, reading, s.pose, s.state, weight], [zeros]))
 
 
 def weights(fit: Fit) -> np.ndarray:

@@ -13,20 +13,16 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import chdtri, ndtr
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, require
 from hallsym.estimation import Fit, decoder
-from hallsym.model.arrays import on_arrays
 from hallsym.uncertainty.gum import Budget
 from hallsym.uncertainty.inputs import (
     Settings,
-    check_fit,
-    check_gain,
     independent_inputs,
-    model_error,
     slopes,
     weights,
-    zero_functions,
     zero_point,
+    zeros_at_reset,
 )
 from hallsym.uncertainty.position import place, position_budget
 
@@ -130,23 +126,24 @@ def propagate(
     `trials`: a fixed number, or None for the adaptive procedure of 7.9.4, which adds batches until the mean,
     u and both ends of the interval are stable within a fifth of the tolerance, at most `MOST` trials.
     """
-    if not 0 < level < 1:
-        raise InputError(
-            f"Level of Monte Carlo must be a probability such as 0.95; instead received {level!r}."
-        )
-    if digits not in (1, 2, 3):
-        raise InputError(f"Significant digits of Monte Carlo must be 1, 2 or 3; instead received {digits!r}.")
-    if trials is not None and trials < LEAST:
-        raise InputError(f"Monte Carlo trials must be {LEAST} or more; instead received {trials}.")
+    require(0 < level < 1, "Level of Monte Carlo", "a probability such as 0.95", level)
+    require(digits in (1, 2, 3), "Significant digits of Monte Carlo", "1, 2 or 3", digits)
+    require(trials is None or trials >= LEAST, "Monte Carlo trials", f"{LEAST} or more", trials)
     if trials is None:
         size = max(BATCH, int(np.ceil(100 / (1 - level))))
-        parts = _until_stable(measure, rng, size, level, digits)
+        sizes = [size] * max(2, MOST // size)
     else:
         sizes = [len(part) for part in np.array_split(np.arange(trials), max(PARTS, -(-trials // BATCH)))]
-        parts = [_results(measure, rng, n) for n in sizes]
-    batches = np.array([_summary(part, level) for part in parts])  # (parts, 4, n_outputs)
-    everything = np.concatenate(parts, axis=1)
-    scatter = batches.std(axis=0, ddof=1) / np.sqrt(len(parts))
+    parts: list[np.ndarray] = []
+    rows: list[np.ndarray] = []
+    for n in sizes:
+        parts.append(_results(measure, rng, n))
+        rows.append(_summary(parts[-1], level))
+        if trials is None and len(rows) > 1:
+            wanted = np.array([tolerance(u, digits) for u in np.mean(rows, axis=0)[1]])
+            if np.all(2 * _scatter(rows) <= wanted / FINER):
+                break
+    everything, scatter = np.concatenate(parts, axis=1), _scatter(rows)
     whole = _summary(everything, level)
     out = []
     for k, said in enumerate(linear):
@@ -162,22 +159,9 @@ def propagate(
     return out
 
 
-def _until_stable(
-    measure: Measure, rng: np.random.Generator, size: int, level: float, digits: int
-) -> list[np.ndarray]:
-    """Batches of the adaptive procedure, 7.9.4."""
-    parts: list[np.ndarray] = []
-    rows: list[np.ndarray] = []
-    while True:
-        parts.append(_results(measure, rng, size))
-        rows.append(_summary(parts[-1], level))
-        h = len(rows)
-        if h < 2:
-            continue
-        scatter = np.std(rows, axis=0, ddof=1) / np.sqrt(h)
-        delta = np.array([tolerance(u, digits) for u in np.mean(rows, axis=0)[1]])
-        if np.all(2 * scatter <= delta / FINER) or (h + 1) * size > MOST:
-            return parts
+def _scatter(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the standard deviation of the mean of what `_summary` gives of each part, (4, n_outputs)."""
+    return np.asarray(np.std(rows, axis=0, ddof=1) / np.sqrt(len(rows)))
 
 
 def _results(measure: Measure, rng: np.random.Generator, n: int) -> np.ndarray:
@@ -259,10 +243,9 @@ def position_monte_carlo(
 
 def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> Measure:
     """Return the measurement function of a position: zeroing, reading and decoding with random inputs."""
-    check_fit(fit)
     model, listed = fit.model, independent_inputs(fit, settings)
     pose, state = place(model, at)
-    check_gain(fit, state[:, None], settings)
+    left = slopes(fit, pose[:, None], state[:, None], settings).left
     q0, s0 = zero_point(model, settings)
     still = np.zeros(len(model.zeros))
     reading, first = (
@@ -274,9 +257,7 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
     }  # fmt: skip
     weight, root = weights(fit), _root(fit.covariance)
     decode, stretch = decoder(model, 1.0 / weight), _stretch(fit.degrees_of_freedom)
-    zeros = on_arrays(zero_functions(model)[0]) if model.zeros else None
-    found = slopes(fit, pose[:, None], state[:, None], settings)
-    left = model_error(fit, pose[:, None], state[:, None], settings, found)
+    zeros = zeros_at_reset(model) if model.zeros else None
     of_model = np.sqrt(sum((v[0] for v in left.values()), np.zeros(len(pose))))
 
     def measure(rng: np.random.Generator, n: int) -> np.ndarray:

@@ -3,21 +3,20 @@
 First-order propagation, JCGM 100 (10) and (13), with the exact slopes of `hallsym.model.influence`.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, require
 from hallsym.estimation import Fit
 from hallsym.log import Log, batches
 from hallsym.model import Model
 from hallsym.records import named
-from hallsym.uncertainty.gum import Budget, Source
-from hallsym.uncertainty.inputs import Settings, Slopes, check_fit, independent_inputs, model_error, slopes
+from hallsym.uncertainty.gum import Budget, Source, students
+from hallsym.uncertainty.inputs import Settings, independent_inputs, slopes
 
 POINTS, SLICES = 41, 5
 """Points along each planar axis of a map, and how many heights it shows, where only a span is given."""
@@ -37,17 +36,16 @@ def position_budget(
     "fit". Raises `InputError` where a gain crosses zero and for a calibration without covariance.
     """
     settings = settings or Settings()
-    check_fit(fit)
     pose, state = place(fit.model, at or {})
     found = slopes(fit, pose[:, None], state[:, None], settings)
-    listed = independent_inputs(fit, settings)
-    by_input = [found.of(entry)[0] for entry in listed]  # (n_pose,) each
-    left = model_error(fit, pose[:, None], state[:, None], settings, found)
+    by_input = [(entry.source, found.of(entry)[0]) for entry in independent_inputs(fit, settings)]
     budgets = {}
     for i, column in enumerate(fit.model.pose):
-        rest = [replace(e.source, sensitivity=float(c[i])) for e, c in zip(listed, by_input, strict=True)]
+        rest = [replace(source, sensitivity=float(slope[i])) for source, slope in by_input]
         unit = column.rpartition("_")[2]
-        rest += [Source.normal(n, float(np.sqrt(v[0, i])), unit) for n, v in left.items() if v[0, i] > 0]
+        rest += [
+            Source.normal(n, float(np.sqrt(v[0, i])), unit) for n, v in found.left.items() if v[0, i] > 0
+        ]
         slope = found.parameters[0, i]
         from_fit = float(np.sqrt(max(slope @ fit.covariance @ slope, 0.0)))
         dof = float(fit_degrees_of_freedom(fit, slope))
@@ -80,13 +78,9 @@ def place(model: Model, at: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray
     """Return pose (n_pose,) and state (n_state,) of `at`, at rest where not given; refuse unknown columns."""
     columns = [*model.pose, *model.state]
     for column, value in at.items():
-        if column not in columns:
-            raise InputError(
-                f"Position must be given in columns of {model.name} ({', '.join(columns)}); "
-                f"instead received {column!r}{nearest(column, columns)}."
-            )
-        if not np.isfinite(value):
-            raise InputError(f"Position {column} must be a finite number; instead received {value!r}.")
+        wanted = f"given in columns of {model.name} ({', '.join(columns)})"
+        require(column in columns, "Position", wanted, column, columns)
+        require(np.isfinite(value), f"Position {column}", "a finite number", value)
     whole = model.rest | dict(at)
     pose, state = (np.array([float(whole[c]) for c in names]) for names in (model.pose, model.state))
     return pose, state
@@ -123,116 +117,23 @@ def notes(fit: Fit, settings: Settings) -> list[str]:
 
 def _expanded(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) -> np.ndarray:
     """U of the positions decoded at poses (n_pose, s) and states (n_state, s), shape (s, n_pose)."""
-    found: Slopes = slopes(fit, pose, state, settings)
+    found = slopes(fit, pose, state, settings)
     from_fit = np.einsum("spj,spj->sp", found.parameters @ fit.covariance, found.parameters)
     total = from_fit.copy()
     for entry in independent_inputs(fit, settings):
         total += (entry.source.std * found.of(entry)) ** 2
-    for variance in model_error(fit, pose, state, settings, found).values():
+    for variance in found.left.values():
         total += variance
     if settings.level is None:
         return settings.coverage * np.sqrt(total)
-    half, dof = 0.5 + 0.5 * settings.level, fit_degrees_of_freedom(fit, found.parameters)
     with np.errstate(divide="ignore", invalid="ignore"):
-        effective = dof * np.square(total / from_fit)
-    k = stdtrit(np.maximum(np.floor(np.minimum(effective, 1e9)), 1.0), half)
-    return np.where(np.isfinite(effective), k, ndtri(half)) * np.sqrt(total)
-
-
-@dataclass(frozen=True, eq=False)
-class UncertaintyMap:
-    """U of every pose coordinate on a grid.
-
-    `axes`: column -> values along it [SI], in the order of the grid's axes. `fixed`: where the other columns
-    stay. `expanded`: (n_pose, *grid), in the units of `pose`. `turning`: columns that go round.
-    """
-
-    pose: tuple[str, ...]
-    axes: Mapping[str, np.ndarray]
-    fixed: Mapping[str, float]
-    expanded: np.ndarray
-    settings: Settings
-    turning: Collection[str] = ()
-
-    def worst(self, coordinate: str) -> tuple[dict[str, float], float]:
-        """Return where the uncertainty of a coordinate is largest, and its U there."""
-        grid = self.expanded[self.pose.index(coordinate)]
-        spot = np.unravel_index(int(np.argmax(grid)), grid.shape)
-        where = {c: float(v[k]) for (c, v), k in zip(self.axes.items(), spot, strict=True)}
-        return {**self.fixed, **where}, float(grid[spot])
-
-    def over(self) -> "Recorded":
-        """Return rms and worst over the points of the map."""
-        worst = {c: self.worst(c) for c in self.pose}
-        return Recorded(
-            span={c: (float(v[0]), float(v[-1])) for c, v in self.axes.items()},
-            rms=named(
-                self.pose, np.sqrt(np.mean(self.expanded**2, axis=tuple(range(1, self.expanded.ndim))))
-            ),
-            worst={c: u for c, (_, u) in worst.items()},
-            where={c: at for c, (at, _) in worst.items()},
-            samples=self.expanded[0].size,
-            turning=self.turning,
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the map as plain numbers in SI: one nested list per pose coordinate."""
-        return {
-            "axes": {c: v.tolist() for c, v in self.axes.items()},
-            "fixed": dict(self.fixed),
-            "expanded_uncertainty": named(self.pose, self.expanded),
-            "worst": self.over().to_dict()["worst"],
-        }
-
-
-def map_axes(model: Model) -> tuple[str, ...]:
-    """Columns of a map: two pose coordinates and, where the model has one, the first state column."""
-    return (*model.pose[:2], *model.state[:1])
-
-
-def uncertainty_map(
-    fit: Fit,
-    axes: Mapping[str, Sequence[float]],
-    settings: Settings | None = None,
-    *,
-    fixed: Mapping[str, float] | None = None,
-) -> UncertaintyMap:
-    """Return U on the grid of `axes`: column -> values. Other columns are `fixed`, or `Model.rest`.
-
-    Two values are least and greatest: 41 points along a pose coordinate, 5 along a state column.
-    """
-    settings, model = settings or Settings(), fit.model
-    check_fit(fit)
-    lines = {c: _line(model, c, np.asarray(v, dtype=float)) for c, v in axes.items()}
-    place(model, dict.fromkeys(lines, 0.0) | dict(fixed or {}))
-    rest = model.rest | dict(fixed or {})
-    mesh = np.meshgrid(*lines.values(), indexing="ij")
-    size = mesh[0].size
-    at = {c: np.full(size, v) for c, v in rest.items()}
-    at |= {c: grid.ravel() for c, grid in zip(lines, mesh, strict=True)}
-    pose, state = (
-        np.array([at[c] for c in names]).reshape(len(names), size) for names in (model.pose, model.state)
-    )
-    flat = _expanded(fit, pose, state, settings)
-    others = {c: float(v) for c, v in rest.items() if c not in lines}
-    U = flat.T.reshape(-1, *mesh[0].shape)
-    return UncertaintyMap(model.pose, lines, others, U, settings, model.period)
-
-
-def _line(model: Model, column: str, values: np.ndarray) -> np.ndarray:
-    if values.ndim != 1 or not len(values) or not np.all(np.isfinite(values)) or np.any(np.diff(values) <= 0):
-        raise InputError(
-            f"Axis {column} of a map must be one or more finite numbers that grow; "
-            f"instead received {values.tolist()}."
-        )
-    if len(values) != 2:
-        return values
-    return np.linspace(values[0], values[1], POINTS if column in model.pose else SLICES)
+        dof = fit_degrees_of_freedom(fit, found.parameters) * np.square(total / from_fit)
+    return students(settings.level, dof) * np.sqrt(total)
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """U over a recorded workspace, one entry per pose coordinate.
+    """U over a workspace, one entry per pose coordinate.
 
     `span`: column -> least and greatest value of pose and state. `rms`: root mean square of U, `worst`: its
     largest value, `where`: the pose and state of that. `turning`: columns that go round.
@@ -267,36 +168,123 @@ class Recorded:
         }
 
 
-def over_log(fit: Fit, log: Log, settings: Settings | None = None) -> Recorded:
-    """Return U over every recorded pose and state of `log`, read in batches."""
-    settings, model = settings or Settings(), fit.model
-    check_fit(fit)
-    columns, names = (*model.references, *model.state), (*model.pose, *model.state)
-    low, high = np.full(len(columns), np.inf), np.full(len(columns), -np.inf)
-    squares, worst = np.zeros(len(model.pose)), np.zeros(len(model.pose))
-    where, count = np.zeros((len(model.pose), len(columns))), 0
-    for batch in batches(log, columns):
-        data = np.array(batch.columns(columns))
-        good = np.all(np.isfinite(data), axis=0)
-        data = data[:, good]
-        if not data.shape[1]:
-            continue
-        pose, state = data[: len(model.pose)], data[len(model.pose) :]
-        U = _expanded(fit, pose, state, settings)
+def _over(model: Model, parts: Iterable[tuple[np.ndarray, np.ndarray]]) -> Recorded | None:
+    """Return U over a workspace in parts: pose and state (columns, s), U (s, n_pose); None without any."""
+    names, n = (*model.pose, *model.state), len(model.pose)
+    low, high = np.full(len(names), np.inf), np.full(len(names), -np.inf)
+    squares, worst, where, count = np.zeros(n), np.zeros(n), np.zeros((n, len(names))), 0
+    for data, U in parts:
         low, high = np.minimum(low, data.min(axis=1)), np.maximum(high, data.max(axis=1))
         squares, count = squares + np.einsum("sp,sp->p", U, U), count + len(U)
-        peak = np.argmax(U, axis=0)
-        for i, k in enumerate(peak):
+        for i, k in enumerate(np.argmax(U, axis=0)):
             if U[k, i] > worst[i]:
                 worst[i], where[i] = U[k, i], data[:, k]
     if not count:
-        raise InputError(f"{log.name} holds no sample with a reference and a state; give another log.")
-    rms = np.sqrt(squares / count)
+        return None
     return Recorded(
         span=dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True)),
-        rms=named(model.pose, rms),
+        rms=named(model.pose, np.sqrt(squares / count)),
         worst=named(model.pose, worst),
         where={c: named(names, where[i]) for i, c in enumerate(model.pose)},
         samples=count,
         turning=model.period,
     )
+
+
+def over_log(fit: Fit, log: Log, settings: Settings | None = None) -> Recorded:
+    """Return U over every recorded pose and state of `log`, read in batches."""
+    settings, model = settings or Settings(), fit.model
+
+    def parts() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for batch in batches(log, (*model.references, *model.state)):
+            data = np.array(batch.columns((*model.references, *model.state)))
+            data = data[:, np.all(np.isfinite(data), axis=0)]
+            if data.shape[1]:
+                pose, state = np.split(data, [len(model.pose)])
+                yield data, _expanded(fit, pose, state, settings)
+
+    found = _over(model, parts())
+    if found is None:
+        raise InputError(f"{log.name} holds no sample with a reference and a state; give another log.")
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class UncertaintyMap:
+    """U of every pose coordinate on a grid.
+
+    `axes`: column -> values along it [SI], in the order of the grid's axes. `fixed`: where the other columns
+    stay. `expanded`: (n_pose, *grid), in the units of `pose`. `recorded`: rms and worst over the grid.
+    """
+
+    pose: tuple[str, ...]
+    axes: Mapping[str, np.ndarray]
+    fixed: Mapping[str, float]
+    expanded: np.ndarray
+    settings: Settings
+    recorded: Recorded
+
+    @property
+    def turning(self) -> Collection[str]:
+        """Columns that go round."""
+        return self.recorded.turning
+
+    def over(self) -> Recorded:
+        """Return rms and worst over the points of the map."""
+        return self.recorded
+
+    def worst(self, coordinate: str) -> tuple[Mapping[str, float], float]:
+        """Return where the uncertainty of a coordinate is largest, and its U there."""
+        return self.recorded.where[coordinate], self.recorded.worst[coordinate]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the map as plain numbers in SI: one nested list per pose coordinate."""
+        return {
+            "axes": {c: v.tolist() for c, v in self.axes.items()},
+            "fixed": dict(self.fixed),
+            "expanded_uncertainty": named(self.pose, self.expanded),
+            "worst": self.recorded.to_dict()["worst"],
+        }
+
+
+def map_axes(model: Model) -> tuple[str, ...]:
+    """Columns of a map: two pose coordinates and, where the model has one, the first state column."""
+    return (*model.pose[:2], *model.state[:1])
+
+
+def uncertainty_map(
+    fit: Fit,
+    axes: Mapping[str, Sequence[float]],
+    settings: Settings | None = None,
+    *,
+    fixed: Mapping[str, float] | None = None,
+) -> UncertaintyMap:
+    """Return U on the grid of `axes`: column -> values. Other columns are `fixed`, or `Model.rest`.
+
+    Two values are least and greatest: 41 points along a pose coordinate, 5 along a state column.
+    """
+    settings, model = settings or Settings(), fit.model
+    lines = {c: _line(model, c, np.asarray(v, dtype=float)) for c, v in axes.items()}
+    place(model, dict.fromkeys(lines, 0.0) | dict(fixed or {}))
+    rest = model.rest | dict(fixed or {})
+    mesh = np.meshgrid(*lines.values(), indexing="ij")
+    size = mesh[0].size
+    at = {c: np.full(size, v) for c, v in rest.items()}
+    at |= {c: grid.ravel() for c, grid in zip(lines, mesh, strict=True)}
+    pose, state = (
+        np.array([at[c] for c in names]).reshape(len(names), size) for names in (model.pose, model.state)
+    )
+    flat = _expanded(fit, pose, state, settings)
+    over = _over(model, [(np.vstack([pose, state]), flat)])
+    assert over is not None
+    over = replace(over, span={c: over.span[c] for c in lines})
+    others = {c: float(v) for c, v in rest.items() if c not in lines}
+    return UncertaintyMap(model.pose, lines, others, flat.T.reshape(-1, *mesh[0].shape), settings, over)
+
+
+def _line(model: Model, column: str, values: np.ndarray) -> np.ndarray:
+    good = values.ndim == 1 and len(values) and np.all(np.isfinite(values)) and np.all(np.diff(values) > 0)
+    require(good, f"Axis {column} of a map", "one or more finite numbers that grow", values.tolist())
+    if len(values) != 2:
+        return values
+    return np.linspace(values[0], values[1], POINTS if column in model.pose else SLICES)

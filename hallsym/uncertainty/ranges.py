@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, nearest, require
 from hallsym.model import Model, Parameter
-from hallsym.toml import Table, number, positive
+from hallsym.toml import Table, positive
 from hallsym.uncertainty.gum import DIVISORS
 from hallsym.units import UNITS
 
@@ -102,8 +102,7 @@ def given_tolerances(
     where that is 0), `per_m` for 1/m. `others`: what holds for parameters that are not named, their "bounds"
     or "exact".
     """
-    if others not in OTHERS:
-        raise InputError(f'\'others\' in {where} must be "bounds" or "exact"; instead received {others!r}.')
+    require(others in OTHERS, f"'others' in {where}", '"bounds" or "exact"', others)
     found: dict[str, Tolerance] = {}
     for key, value in ranges.items():
         tolerance = _tolerance(model, key, value, where)
@@ -152,13 +151,7 @@ def _table(value: Mapping[str, Any], key: str, where: str) -> tuple[Any, str]:
     if len(sizes) != 1:
         raise InputError(f"Tolerance {key} in {where} must have half_width or std, one of them.")
     allowed = ("normal",) if sizes[0] == "std" else tuple(DIVISORS)
-    distribution = entry.raw.get("distribution", allowed[0])
-    if distribution not in allowed:
-        raise InputError(
-            f"'distribution' of tolerance {key} in {where} must be {' or '.join(allowed)} with {sizes[0]}; "
-            f"instead received {distribution!r}."
-        )
-    return value[sizes[0]], distribution
+    return value[sizes[0]], entry.choice("distribution", allowed, allowed[0])
 
 
 def read_value(model: Model, text: str, where: str) -> tuple[str, float]:
@@ -222,11 +215,7 @@ def _factor(parameter: Parameter, suffix: str, key: str, where: str, what: str =
 
 
 def _limits(value: list, key: str, where: str) -> tuple[float, float]:
-    if len(value) != 2:
-        raise InputError(
-            f"Limits of {key} in {where} must be two numbers [low, high]; instead received {value!r}."
-        )
-    low, high = (number(v, key, where) for v in value)
-    if not low < high:
-        raise InputError(f"Limits of {key} in {where} must be [low, high], low < high; received {value!r}.")
-    return low, high
+    limits = Table({key: value}, where).numbers(key)
+    wanted = "[low, high], low < high"
+    require(len(limits) == 2 and limits[0] < limits[1], f"Limits of {key} in {where}", wanted, value)
+    return limits[0], limits[1]

@@ -7,18 +7,18 @@ of errors y(t), numerators and denominator are averaged over t before the divisi
 J. Stat. 8 (2014) 575, doi:10.1214/14-EJS895): large errors count as such, wherever they are.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError
-from hallsym.log.phase import near
-from hallsym.model import Model, on_arrays
+from hallsym.errors import InputError, require
+from hallsym.model import Model
 from hallsym.records import named
 from hallsym.simulation import Campaign, Run, paper_campaign
+from hallsym.uncertainty.along import Errors, decoding_errors
 from hallsym.uncertainty.ranges import USUAL, Tolerance, default_tolerances, given_tolerances
 
 BLOCK = 2**16
@@ -66,33 +66,6 @@ def workspace_of(model: Model, campaign: Campaign, points_per_run: int = 8) -> W
 def _times(campaign: Campaign, run: Run, points: int) -> np.ndarray:
     total = campaign.samples(run)
     return np.arange(min(points, total)) * total // min(points, total) * campaign.step_s
-
-
-Errors = Callable[[np.ndarray], np.ndarray]
-
-
-def nominal_errors(model: Model, where: Workspace) -> Errors:
-    """Return `errors(machines)`: decoded minus true pose, (n_pose, m, points), for machines (m, n).
-
-    The machine reads with its own parameters, the decoder computes with the nominal ones. No noise and no
-    zero deviations.
-    """
-    read, decode, none = on_arrays(model.reading), on_arrays(model.decoded), np.zeros(len(model.zeros))
-    weight = np.ones(len(model.channels))
-
-    def errors(machines: np.ndarray) -> np.ndarray:
-        own = [column[:, None] for column in machines.T]
-        (reading,) = read(own, none, where.pose, where.state)
-        with np.errstate(all="ignore"):
-            (pose,) = decode(model.nominal, none, reading, where.state, weight)
-        if not np.isfinite(pose).all():
-            raise InputError(
-                f"The decoder of {model.name} finds no pose for some of the machines drawn: state narrower "
-                "tolerances in --ranges."
-            )
-        return near(model, pose, where.pose[:, None, :]) - where.pose[:, None, :]
-
-    return errors
 
 
 # -- what is found ---------------------------------------------------------------------------------------
@@ -220,9 +193,11 @@ def tolerances(
 
     Raises `InputError` for an unknown parameter or unit and a tolerance that is not positive.
     """
-    _check_samples(samples)
-    if seed < 0:
-        raise InputError(f"A seed must be a whole number, 0 or more; instead received {seed!r}.")
+    good = LEAST_SAMPLES <= samples <= MOST_SAMPLES and not samples & (samples - 1)
+    near = 2 ** round(np.log2(min(max(samples, LEAST_SAMPLES), MOST_SAMPLES)))
+    wanted = f"a power of two from {LEAST_SAMPLES} to {MOST_SAMPLES}, such as {near}"
+    require(good, "'samples'", wanted, samples)
+    require(seed >= 0, "A seed", "a whole number, 0 or more", seed)
     where = paper_campaign() if where is None else where
     space = workspace_of(model, where) if isinstance(where, Campaign) else where
     all_ = _ranges(model, ranges)
@@ -231,7 +206,10 @@ def tolerances(
         raise InputError(f"Every parameter of {model.name} is exact: there is no tolerance to judge.")
     draws = design(len(active), samples, seed)
     machines = partial(_machines, all_, active)
-    drawn = _Sums(nominal_errors(model, space), len(model.pose), space.points)
+    errors_of = decoding_errors(
+        model, model, space.pose, space.state, "state narrower tolerances in --ranges"
+    )
+    drawn = _Sums(errors_of, len(model.pose), space.points)
     fields, errors = drawn.run(draws, machines)
     return Tolerances(
         model=model,
@@ -255,15 +233,6 @@ def _ranges(model: Model, ranges: Mapping[str, Any] | tuple[Tolerance, ...] | No
     if tuple(t.name for t in ranges) != model.names:
         raise InputError(f"'ranges' must hold one Tolerance per parameter of {model.name}, in its order.")
     return ranges
-
-
-def _check_samples(samples: int) -> None:
-    if not LEAST_SAMPLES <= samples <= MOST_SAMPLES or samples & (samples - 1):
-        near = 2 ** round(np.log2(min(max(samples, LEAST_SAMPLES), MOST_SAMPLES)))
-        raise InputError(
-            f"'samples' must be a power of two from {LEAST_SAMPLES} to {MOST_SAMPLES}, such as {near}; "
-            f"instead received {samples!r}."
-        )
 
 
 def _machines(all_: tuple[Tolerance, ...], active: tuple[Tolerance, ...], u: np.ndarray) -> np.ndarray:
@@ -293,38 +262,33 @@ def design(n: int, samples: int, seed: int) -> np.ndarray:
 # -- machines drawn, block by block ----------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Moments:
-    """Means over the field for each base sample: numerators (samples, n) and variance (samples,)."""
-
-    first: np.ndarray
-    total: np.ndarray
-    variance: np.ndarray
+Moments = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Means over the field for each base sample: numerators of first and total indices, (samples, n) each, and
+the variance, (samples,)."""
 
 
 def moments(y: np.ndarray, mean: np.ndarray) -> Moments:
     """Return the moments of a field, `y` (samples, n + 2, points), about its mean (points,)."""
     A, AB, B = y[:, 0] - mean, y[:, 1:-1] - mean, y[:, -1] - mean
-    points = y.shape[2]
     change = AB - A[:, None]
-    return Moments(
-        first=np.einsum("st,sjt->sj", B, change) / points,  # 2010, Table 2 (b)
-        total=np.einsum("sjt,sjt->sj", change, change) / (2 * points),  # 2010, Table 2 (f)
-        variance=(np.einsum("st,st->s", A, A) + np.einsum("st,st->s", B, B)) / (2 * points),
-    )
+    first = np.einsum("st,sjt->sj", B, change)  # 2010, Table 2 (b)
+    total = np.einsum("sjt,sjt->sj", change, change) / 2  # 2010, Table 2 (f)
+    variance = (np.einsum("st,st->s", A, A) + np.einsum("st,st->s", B, B)) / 2
+    return first / y.shape[2], total / y.shape[2], variance / y.shape[2]
 
 
 def field_indices(m: Moments, seed: int) -> Indices:
     """Return the indices of a field; intervals by the bootstrap over base samples."""
-    samples, n = m.first.shape
-    variance = m.variance.mean()
+    first, total, variances = m
+    samples, n = first.shape
+    variance = variances.mean()
     if not variance > 0:
         return Indices(*np.zeros((4, n)))
     rng = np.random.default_rng(seed)
     counts = rng.multinomial(samples, np.full(samples, 1 / samples), RESAMPLES) / samples
-    again = (counts @ m.variance)[:, None]
-    halves = [COVERAGE * ((counts @ part) / again).std(axis=0, ddof=1) for part in (m.first, m.total)]
-    return Indices(m.first.mean(axis=0) / variance, m.total.mean(axis=0) / variance, *halves)
+    again = (counts @ variances)[:, None]
+    halves = [COVERAGE * ((counts @ part) / again).std(axis=0, ddof=1) for part in (first, total)]
+    return Indices(first.mean(axis=0) / variance, total.mean(axis=0) / variance, *halves)
 
 
 @dataclass(frozen=True, eq=False)
@@ -360,10 +324,10 @@ class _Sums:
             peak[:, at] = np.abs(plain).max(axis=-1)
             for part, y, centre in zip(parts, field, mean, strict=True):
                 part.append(moments(y, centre))
-        joined = [
-            Moments(*(np.concatenate([getattr(m, k) for m in part]) for k in ("first", "total", "variance")))
-            for part in parts
-        ]
+        joined = []
+        for part in parts:
+            first, total, variance = (np.concatenate(column) for column in zip(*part, strict=True))
+            joined.append((first, total, variance))
         square, peak = (v.reshape(len(v), -1) for v in (square, peak))
         return joined, Errors95(
             rms=np.sqrt(square.mean(axis=1)),

@@ -24,8 +24,9 @@ from scipy import optimize, sparse
 from hallsym.estimation import Cost, Fit, cost_of, determine, fit, refit, summarise
 from hallsym.estimation.optimum import closed_form, linear_fit
 from hallsym.families import build, published
-from hallsym.inference import identify, profile, tangent
+from hallsym.inference import identify
 from hallsym.inference.bootstrap import bootstrap
+from hallsym.inference.profiles import profile, tangent
 from hallsym.log import Log, Noise
 from hallsym.model.quantities import combination, parameter
 from hallsym.simulation import NoiseModel, paper_campaign, simulate, table8_noise

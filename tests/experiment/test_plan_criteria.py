@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hallsym.experiment import CRITERIA, Criterion, choose, criterion
+from hallsym.experiment.criteria import CRITERIA, Criterion, choose, criterion
 
 NOTHING = 1e-9
 

@@ -15,7 +15,8 @@ from scipy import stats
 import hallsym
 from hallsym.cli.main import main
 from hallsym.errors import InputError
-from hallsym.inference import FALSE_ALARM, Belonging, Estimate, changes, welch
+from hallsym.inference import FALSE_ALARM, Belonging
+from hallsym.inference.belonging import chance_of, welch
 from hallsym.log import Log, Noise, write_log
 from hallsym.model import Model
 from hallsym.simulation import Campaign, NoiseModel, campaign_from
@@ -134,16 +135,14 @@ def test_limits_share_the_false_alarm(known: hallsym.Fit) -> None:
 
 
 def test_estimated_noise_has_students_reference() -> None:
-    one, two = {"a": Estimate(1.0, 0.1, "m")}, {"a": Estimate(1.5, 0.2, "m")}
-    (change,) = changes(one, two, 0.05, ({"a": 6.0}, {"a": 9.0}))
     dof = welch((0.1, 0.2), (6.0, 9.0))
     expected = stats.ttest_ind_from_stats(
         1.0, 0.1 * np.sqrt(7), 7, 1.5, 0.2 * np.sqrt(10), 10, equal_var=False
     )
-    assert change.p_value == pytest.approx(expected.pvalue, rel=1e-9)
+    assert chance_of(0.5, (0.1, 0.2), (6.0, 9.0)) == pytest.approx(expected.pvalue, rel=1e-9)
     assert 9 < dof < 15  # more than the smaller, less than both together
-    (change,) = changes(one, two, 0.05)
-    assert change.p_value == pytest.approx(2 * stats.norm.sf(0.5 / np.hypot(0.1, 0.2)), rel=1e-9)
+    known = chance_of(0.5, (0.1, 0.2), (np.inf, np.inf))
+    assert known == pytest.approx(2 * stats.norm.sf(0.5 / np.hypot(0.1, 0.2)), rel=1e-9)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from solvers import Population, Problem, screened_starts
-from solvers.multistart import best_apart, latin_hypercube
+from solvers.driver import best_apart, latin_hypercube
 
 
 @given(st.integers(1, 60), st.integers(1, 6), st.integers(0, 9))

@@ -6,8 +6,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from solvers import Population, Problem, minimize
-from solvers.shtlbo import decline, learn_around, shtlbo, tally, teach_around, updated
-from solvers.tlbo import learn, learn_bare, partners, teach, teach_bare
+from solvers.tlbo import (
+    decline,
+    learn,
+    learn_around,
+    learn_bare,
+    partners,
+    shtlbo,
+    tally,
+    teach,
+    teach_around,
+    teach_bare,
+    updated,
+)
 
 
 class Dealt:

@@ -88,7 +88,7 @@ A = '[[source]]\nname = "a"\n'
         (A + "std_nm = 3\nhalf_width_nm = 3", "it has 2 sizes"),
         (A + "std_nn = 3", "Unit 'nn' of source 'a'"),
         (A + 'half_width_nm = 3\ndistribution = "rectangle"', "did you mean 'rectangular'"),
-        (A + 'std_nm = 3\ndistribution = "rectangular"', "normal or student"),
+        (A + 'std_nm = 3\ndistribution = "rectangular"', "one of normal, student"),
         (A + 'std_nm = 3\ndistribution = "student"', "needs 'degrees_of_freedom'"),
         (A + "expanded_nm = 3", "needs its 'coverage_factor'"),
         (A + "std_nm = 3\nsensitivity_nm_urad = 3", "sensitivity_RESULT_per_INPUT"),

@@ -66,7 +66,7 @@ def test_draws_have_the_standard_uncertainty(distribution):
         ({"H1x_um": "20"}, "must be a positive number; instead received '20'"),
         ({"H1x_um": 20, "H1x_mm": 1}, "H1x has two tolerances"),
         ({"H1x_um": {"std": 1, "half_width": 2}}, "must have half_width or std, one of them"),
-        ({"H1x_um": {"half_width": 1, "distribution": "flat"}}, "rectangular or triangular or arcsine"),
+        ({"H1x_um": {"half_width": 1, "distribution": "flat"}}, "one of rectangular, triangular, arcsine"),
         ({"H1x_um": {"sigma": 1}}, "Unknown key 'sigma'"),
         ({"eta_A": [0.98, 0.78]}, r"must be \[low, high\], low < high"),
     ],
