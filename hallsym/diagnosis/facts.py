@@ -193,12 +193,18 @@ def switched_runs(r: ResidualTable) -> tuple[tuple[int, ...], float]:
     return tuple(sorted(sides[int(r.run[0]) in sides[0]])), float(p)
 
 
+NUMBERS = 1_000_000
+"""Numbers that are drawn at once, 8 MB."""
+
+
 @lru_cache(maxsize=4)
 def _shares_by_chance(n: tuple[int, ...], channels: int) -> np.ndarray:
     """Return the shares of `_two_levels` (FLIPS,) where the offsets of runs of n samples are Gaussian."""
-    rng, size = np.random.default_rng(len(n)), np.array(n)
-    mean = (rng.standard_normal((len(n), channels)) / np.sqrt(size)[:, None] for _ in range(FLIPS))
-    return np.array([_two_levels(_levels(m[None], size), size)[0][0] for m in mean])
+    rng, size, found = np.random.default_rng(len(n)), np.array(n), list[np.ndarray]()
+    for draws in np.array_split(np.arange(FLIPS), -(-FLIPS * len(n) * channels // NUMBERS)):
+        mean = rng.standard_normal((len(draws), len(n), channels)) / np.sqrt(size)[:, None]
+        found.append(_two_levels(_levels(mean, size), size)[0])
+    return np.concatenate(found)
 
 
 def _levels(mean: np.ndarray, n: np.ndarray) -> np.ndarray:
