@@ -39,8 +39,7 @@ class Coordinate:
 
     `gain`: it may also change the gain. `own`: every sensor has its own, from `sensed` or `rate`. `fine`: the
     residual may have fine structure over it. `of`: several columns that together are the coordinate, and
-    `memory`: the direction of motion of each sensor; neither is a place on a line. `clocked`: it exists only
-    in a log with time.
+    `memory`: the direction of motion of each sensor; neither is a place on a line.
     """
 
     name: str
@@ -51,7 +50,6 @@ class Coordinate:
     fine: bool = False
     of: tuple[str, ...] = ()
     memory: bool = False
-    clocked: bool = False
 
     @property
     def ordered(self) -> bool:
@@ -90,8 +88,8 @@ def coordinates(r: ResidualTable) -> tuple[Coordinate, ...]:
         if c in model.period
     ]
     if len(phases) == len(references):
-        motion = [Coordinate(f"speed{of[c]}", f"d1_{c}", f"{unit_of(c)}/s", clocked=True) for c in references]
-        known = [*phases, *motion]
+        motion = [Coordinate(f"speed{of[c]}", f"d1_{c}", f"{unit_of(c)}/s") for c in references]
+        known = [*phases, *(motion if r.base.timed else ())]
     else:
         reading = unit_of(model.channels[0])
         made = {c.name for c in model.computed}
@@ -114,13 +112,12 @@ def coordinates(r: ResidualTable) -> tuple[Coordinate, ...]:
             Coordinate("acceleration", "acceleration", "m/s2", gain=False, of=rates),
             *(Coordinate(words.get(c, places[c]), f"d0_{c}", unit_of(c), fine=True) for c in references),
         ]
-    known = [
-        Coordinate("temperature", "temperature_degc", "degC"),
-        *known,
-        Coordinate("time in the campaign", "campaign_s", "s", clocked=True),
-        Coordinate("time since the start of the run", "run_s", "s", gain=False, clocked=True),
-    ]
-    return tuple(c for c in known if r.base.timed or not c.clocked)
+    clock = (
+        Coordinate("time in the campaign", "campaign_s", "s"),
+        Coordinate("time since the start of the run", "run_s", "s", gain=False),
+    )
+    warmth = Coordinate("temperature", "temperature_degc", "degC")
+    return (warmth, *known, *(clock if r.base.timed else ()))
 
 
 def unit_of(column: str) -> str:
