@@ -24,7 +24,16 @@ from scipy.ndimage import median_filter
 from hallsym.diagnosis.p_values import statistic_at
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.regression import NIL, RIDGE, others, regression, ridge
-from hallsym.diagnosis.residual_table import PARTS, ResidualTable, means, phase, residual_table, slices, sums
+from hallsym.diagnosis.residual_table import (
+    PARTS,
+    ResidualTable,
+    edges_of,
+    means,
+    phase,
+    residual_table,
+    slices,
+    sums,
+)
 from hallsym.diagnosis.residuals import Base, found_once, pieces
 from hallsym.diagnosis.sign_flips import drawn, moments, of_products, of_sums
 from hallsym.diagnosis.survey import SEGMENT
@@ -265,8 +274,7 @@ class Smooth(_Over):
             phi = np.array([hats(row, self.at) for row in _by_sensor(x, r)])
         elif c.memory:
             size = float(np.std(self.r.sensed))
-            edges = [*(s.start for s in slices(r.run)), len(r.run)]
-            phi = stop_operators(r.sensed, edges, [size * w for w in MEMORIES])
+            phi = stop_operators(r.sensed, edges_of(r.run).tolist(), [size * w for w in MEMORIES])
         else:
             old, new = (np.array([of.columns[n] for n in c.of]) for of in (self.r, r))
             middle = old.mean(axis=1, keepdims=True) if c.gain else 0.0
@@ -389,7 +397,7 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray
     parts = slices(r.part)
     cross = sums(r.sensed * (r.precision @ residual), r.part).T
     gram = np.array([r.sensed[:, s] @ r.sensed[:, s].T * r.precision for s in parts])
-    run = np.array([r.run[s.start] for s in parts])
+    run = r.run[edges_of(r.part)[:-1]]
     explained, total, variance, third, foreseen = 0.0, 0.0, 0.0, 0.0, np.zeros_like(residual)
     signs = drawn(len(parts))
     even = level_weights(r, residual, r.part)[:, None] * cross

@@ -15,7 +15,7 @@ import numpy as np
 from hallsym.diagnosis.p_values import beyond_one, statistic_at
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.regression import NIL
-from hallsym.diagnosis.residual_table import ROOM, ResidualTable, means, slices, sums, table_of
+from hallsym.diagnosis.residual_table import ROOM, ResidualTable, edges_of, means, slices, table_of
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.sign_flips import FLIPS
 from hallsym.diagnosis.survey import SEGMENT, Survey
@@ -106,7 +106,7 @@ def instants(r: ResidualTable, holdout: Collection[int], slow: float) -> tuple[t
 
 def _within(run: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return how many samples of its run lie before each sample, and how many from it on."""
-    sizes = np.array([s.stop - s.start for s in slices(run)])
+    sizes = np.diff(edges_of(run))
     before = np.arange(len(run)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     return before, np.repeat(sizes, sizes) - before
 
@@ -127,9 +127,8 @@ def steps(
     that of the sample, beside one sensitivity of all of them. Another ends with its run, which has a
     sensitivity of its own, and its offset is that at the mean of `x` there. Runs have offsets of their own.
     """
-    edges = slices(run)
-    sizes = np.array([s.stop - s.start for s in edges])
-    index = np.repeat(np.arange(len(edges)), sizes)
+    sizes = np.diff(edges_of(run))
+    index = np.repeat(np.arange(len(sizes)), sizes)
     own = index[at]
 
     def later(values: np.ndarray) -> np.ndarray:
@@ -179,8 +178,8 @@ def switched_runs(r: ResidualTable) -> tuple[tuple[int, ...], float]:
     either side says of itself, held out or not, on which level it lies. The first run is always on the other
     level. The p-value is the share of as many Gaussian offsets that split as well by chance.
     """
-    runs = r.run[[s.start for s in slices(r.run)]]
-    n = sums(np.ones(len(r.run)), r.run)
+    edges = edges_of(r.run)
+    runs, n = r.run[edges[:-1]], np.diff(edges)
     if len(runs) < r.base.policy.fewest:
         return (), 1.0
     mean = means(np.linalg.cholesky(r.precision).T @ r.residual, r.run).T

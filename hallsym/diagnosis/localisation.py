@@ -26,6 +26,7 @@ from hallsym.diagnosis.residual_table import (
     FrequencyBand,
     ResidualTable,
     both,
+    edges_of,
     means,
     phase,
     spectrum,
@@ -278,7 +279,7 @@ def of_runs(r: ResidualTable, told: float) -> list[Statement]:
     share = float(np.clip(each[k] / max(squares.sum(), 1e-300), 0.0, 1.0))
     if p >= policy.certain or share < 1 / U + policy.minor:
         return []
-    name = f"run {list(dict.fromkeys(r.run.tolist()))[k]}"
+    name = f"run {r.run[edges_of(r.run)[k]]}"
     return [_statement("run", name, share, p, f"lies in {name}, one of {U} fitted runs")]
 
 
