@@ -19,7 +19,6 @@ from hallsym.diagnosis.residual_table import ROOM, ResidualTable, edges_of, mean
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.sign_flips import FLIPS
 from hallsym.diagnosis.survey import SEGMENT, Survey
-from hallsym.estimation import pseudo_inverse
 from hallsym.families.mechanisms import CUT, MAINS_HZ, MAINS_REACH_HZ
 from hallsym.log import Log
 from hallsym.log.batches import batches
@@ -160,11 +159,15 @@ def steps(
     mean = np.array([later(ones), later(x)])
     raw = np.array([[mean[0], mean[1]], [mean[1], later(x**2) + after(about**2)]])
     left = raw - mean[:, None] * mean / sizes[own] - beside[:, None] * beside / size
-    seen = np.einsum("iit->it", left) > NIL * np.einsum("iit->it", raw)  # else rounding
-    inverse = pseudo_inverse((left * seen[:, None] * seen).transpose(2, 0, 1), NIL)
-    coefficients = np.einsum("tij,jt->it", inverse, shared * seen)
-    explained = np.einsum("it,it->t", shared * seen, coefficients)
-    return explained, coefficients, whole(y**2) - common**2 / size
+    squares = np.einsum("iit->it", left)
+    seen = squares > NIL * np.einsum("iit->it", raw)  # else rounding
+    length = np.where(seen, np.sqrt(np.where(seen, squares, 1.0)), np.inf)
+    # columns of length 1 have the eigenvalues 1 + r and 1 - r, along their sum and difference
+    correlation, (one, two) = left[0, 1] / length[0] / length[1], shared / length
+    values, along = np.array([1 + correlation, 1 - correlation]), np.array([one + two, one - two])
+    part = np.where(values > NIL * values.max(axis=0), along / np.maximum(2 * values, NIL), 0.0)
+    coefficients = np.array([part[0] + part[1], part[0] - part[1]]) / length
+    return (along * part).sum(axis=0), coefficients, whole(y**2) - common**2 / size
 
 
 # -- two levels of offset among the runs ---------------------------------------------------------------------
