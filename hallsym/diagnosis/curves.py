@@ -24,7 +24,16 @@ from scipy.ndimage import median_filter
 from hallsym.diagnosis.p_values import statistic_at
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.regression import NIL, RIDGE, others, regression, ridge
-from hallsym.diagnosis.residual_table import PARTS, ResidualTable, means, phase, residual_table, slices, sums
+from hallsym.diagnosis.residual_table import (
+    PARTS,
+    ResidualTable,
+    edges_of,
+    means,
+    phase,
+    residual_table,
+    slices,
+    sums,
+)
 from hallsym.diagnosis.residuals import Base, found_once, pieces
 from hallsym.diagnosis.sign_flips import drawn, moments, of_products, of_sums
 from hallsym.diagnosis.survey import SEGMENT
@@ -39,8 +48,7 @@ class Coordinate:
 
     `gain`: it may also change the gain. `own`: every sensor has its own, from `sensed` or `rate`. `fine`: the
     residual may have fine structure over it. `of`: several columns that together are the coordinate, and
-    `memory`: the direction of motion of each sensor; neither is a place on a line. `clocked`: it exists only
-    in a log with time.
+    `memory`: the direction of motion of each sensor; neither is a place on a line.
     """
 
     name: str
@@ -51,7 +59,6 @@ class Coordinate:
     fine: bool = False
     of: tuple[str, ...] = ()
     memory: bool = False
-    clocked: bool = False
 
     @property
     def ordered(self) -> bool:
@@ -90,8 +97,8 @@ def coordinates(r: ResidualTable) -> tuple[Coordinate, ...]:
         if c in model.period
     ]
     if len(phases) == len(references):
-        motion = [Coordinate(f"speed{of[c]}", f"d1_{c}", f"{unit_of(c)}/s", clocked=True) for c in references]
-        known = [*phases, *motion]
+        motion = [Coordinate(f"speed{of[c]}", f"d1_{c}", f"{unit_of(c)}/s") for c in references]
+        known = [*phases, *(motion if r.base.timed else ())]
     else:
         reading = unit_of(model.channels[0])
         made = {c.name for c in model.computed}
@@ -114,13 +121,12 @@ def coordinates(r: ResidualTable) -> tuple[Coordinate, ...]:
             Coordinate("acceleration", "acceleration", "m/s2", gain=False, of=rates),
             *(Coordinate(words.get(c, places[c]), f"d0_{c}", unit_of(c), fine=True) for c in references),
         ]
-    known = [
-        Coordinate("temperature", "temperature_degc", "degC"),
-        *known,
-        Coordinate("time in the campaign", "campaign_s", "s", clocked=True),
-        Coordinate("time since the start of the run", "run_s", "s", gain=False, clocked=True),
-    ]
-    return tuple(c for c in known if r.base.timed or not c.clocked)
+    clock = (
+        Coordinate("time in the campaign", "campaign_s", "s"),
+        Coordinate("time since the start of the run", "run_s", "s", gain=False),
+    )
+    warmth = Coordinate("temperature", "temperature_degc", "degC")
+    return (warmth, *known, *(clock if r.base.timed else ()))
 
 
 def unit_of(column: str) -> str:
@@ -268,8 +274,7 @@ class Smooth(_Over):
             phi = np.array([hats(row, self.at) for row in _by_sensor(x, r)])
         elif c.memory:
             size = float(np.std(self.r.sensed))
-            edges = [*(s.start for s in slices(r.run)), len(r.run)]
-            phi = stop_operators(r.sensed, edges, [size * w for w in MEMORIES])
+            phi = stop_operators(r.sensed, edges_of(r.run).tolist(), [size * w for w in MEMORIES])
         else:
             old, new = (np.array([of.columns[n] for n in c.of]) for of in (self.r, r))
             middle = old.mean(axis=1, keepdims=True) if c.gain else 0.0
@@ -392,7 +397,7 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray
     parts = slices(r.part)
     cross = sums(r.sensed * (r.precision @ residual), r.part).T
     gram = np.array([r.sensed[:, s] @ r.sensed[:, s].T * r.precision for s in parts])
-    run = np.array([r.run[s.start] for s in parts])
+    run = r.run[edges_of(r.part)[:-1]]
     explained, total, variance, third, foreseen = 0.0, 0.0, 0.0, 0.0, np.zeros_like(residual)
     signs = drawn(len(parts))
     even = level_weights(r, residual, r.part)[:, None] * cross

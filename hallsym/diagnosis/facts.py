@@ -15,11 +15,10 @@ import numpy as np
 from hallsym.diagnosis.p_values import beyond_one, statistic_at
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.regression import NIL
-from hallsym.diagnosis.residual_table import ROOM, ResidualTable, means, slices, sums, table_of
+from hallsym.diagnosis.residual_table import ROOM, ResidualTable, edges_of, means, slices, table_of
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.sign_flips import FLIPS
 from hallsym.diagnosis.survey import SEGMENT, Survey
-from hallsym.estimation import pseudo_inverse
 from hallsym.families.mechanisms import CUT, MAINS_HZ, MAINS_REACH_HZ
 from hallsym.log import Log
 from hallsym.log.batches import batches
@@ -106,7 +105,7 @@ def instants(r: ResidualTable, holdout: Collection[int], slow: float) -> tuple[t
 
 def _within(run: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return how many samples of its run lie before each sample, and how many from it on."""
-    sizes = np.array([s.stop - s.start for s in slices(run)])
+    sizes = np.diff(edges_of(run))
     before = np.arange(len(run)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     return before, np.repeat(sizes, sizes) - before
 
@@ -127,9 +126,8 @@ def steps(
     that of the sample, beside one sensitivity of all of them. Another ends with its run, which has a
     sensitivity of its own, and its offset is that at the mean of `x` there. Runs have offsets of their own.
     """
-    edges = slices(run)
-    sizes = np.array([s.stop - s.start for s in edges])
-    index = np.repeat(np.arange(len(edges)), sizes)
+    sizes = np.diff(edges_of(run))
+    index = np.repeat(np.arange(len(sizes)), sizes)
     own = index[at]
 
     def later(values: np.ndarray) -> np.ndarray:
@@ -161,11 +159,15 @@ def steps(
     mean = np.array([later(ones), later(x)])
     raw = np.array([[mean[0], mean[1]], [mean[1], later(x**2) + after(about**2)]])
     left = raw - mean[:, None] * mean / sizes[own] - beside[:, None] * beside / size
-    seen = np.einsum("iit->it", left) > NIL * np.einsum("iit->it", raw)  # else rounding
-    inverse = pseudo_inverse((left * seen[:, None] * seen).transpose(2, 0, 1), NIL)
-    coefficients = np.einsum("tij,jt->it", inverse, shared * seen)
-    explained = np.einsum("it,it->t", shared * seen, coefficients)
-    return explained, coefficients, whole(y**2) - common**2 / size
+    squares = np.einsum("iit->it", left)
+    seen = squares > NIL * np.einsum("iit->it", raw)  # else rounding
+    length = np.where(seen, np.sqrt(np.where(seen, squares, 1.0)), np.inf)
+    # columns of length 1 have the eigenvalues 1 + r and 1 - r, along their sum and difference
+    correlation, (one, two) = left[0, 1] / length[0] / length[1], shared / length
+    values, along = np.array([1 + correlation, 1 - correlation]), np.array([one + two, one - two])
+    part = np.where(values > NIL * values.max(axis=0), along / np.maximum(2 * values, NIL), 0.0)
+    coefficients = np.array([part[0] + part[1], part[0] - part[1]]) / length
+    return (along * part).sum(axis=0), coefficients, whole(y**2) - common**2 / size
 
 
 # -- two levels of offset among the runs ---------------------------------------------------------------------
@@ -179,8 +181,8 @@ def switched_runs(r: ResidualTable) -> tuple[tuple[int, ...], float]:
     either side says of itself, held out or not, on which level it lies. The first run is always on the other
     level. The p-value is the share of as many Gaussian offsets that split as well by chance.
     """
-    runs = r.run[[s.start for s in slices(r.run)]]
-    n = sums(np.ones(len(r.run)), r.run)
+    edges = edges_of(r.run)
+    runs, n = r.run[edges[:-1]], np.diff(edges)
     if len(runs) < r.base.policy.fewest:
         return (), 1.0
     mean = means(np.linalg.cholesky(r.precision).T @ r.residual, r.run).T
@@ -193,12 +195,18 @@ def switched_runs(r: ResidualTable) -> tuple[tuple[int, ...], float]:
     return tuple(sorted(sides[int(r.run[0]) in sides[0]])), float(p)
 
 
+NUMBERS = 1_000_000
+"""Numbers that are drawn at once, 8 MB."""
+
+
 @lru_cache(maxsize=4)
 def _shares_by_chance(n: tuple[int, ...], channels: int) -> np.ndarray:
     """Return the shares of `_two_levels` (FLIPS,) where the offsets of runs of n samples are Gaussian."""
-    rng, size = np.random.default_rng(len(n)), np.array(n)
-    mean = (rng.standard_normal((len(n), channels)) / np.sqrt(size)[:, None] for _ in range(FLIPS))
-    return np.array([_two_levels(_levels(m[None], size), size)[0][0] for m in mean])
+    rng, size, found = np.random.default_rng(len(n)), np.array(n), list[np.ndarray]()
+    for draws in np.array_split(np.arange(FLIPS), -(-FLIPS * len(n) * channels // NUMBERS)):
+        mean = rng.standard_normal((len(draws), len(n), channels)) / np.sqrt(size)[:, None]
+        found.append(_two_levels(_levels(mean, size), size)[0])
+    return np.concatenate(found)
 
 
 def _levels(mean: np.ndarray, n: np.ndarray) -> np.ndarray:

@@ -26,6 +26,7 @@ from hallsym.diagnosis.residual_table import (
     FrequencyBand,
     ResidualTable,
     both,
+    edges_of,
     means,
     phase,
     spectrum,
@@ -44,16 +45,10 @@ from hallsym.units import readable
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """Statements on where an excess lies, and what they rest on.
-
-    `curves`: behind the statements on coordinates. `fitted`, `held`: the residual on fitted and on held-out
-    runs, None where there are no samples.
-    """
+    """Statements on where an excess lies, and the `curves` behind those on coordinates."""
 
     statements: tuple[Statement, ...]
     curves: tuple[Curve, ...]
-    fitted: ResidualTable | None
-    held: ResidualTable | None = None
 
 
 def located(
@@ -74,7 +69,7 @@ def located(
     fitted, held = both(base, runs)
     steps = _steps([r for r in (fitted, held) if r is not None])
     if fitted is None or fitted.excess <= base.policy.negligible * fitted.residual.size:
-        return Located(tuple(steps), (), fitted, held)
+        return Located(tuple(steps), ())
     powers = [(p, p.statistics(fitted.block)) for p in (outputs(fitted), sensors(fitted))]
     others = [z for _, each in powers for z in each]
     if screened and screened.top is not None:
@@ -87,7 +82,7 @@ def located(
     if held is not None and held.excess > 0:
         statements = _confirmed(statements, curves, held)
     if not statements and not clear(fitted):
-        return Located(tuple(steps), tuple(curves), fitted, held)
+        return Located(tuple(steps), tuple(curves))
     told = sum(s.share for s in statements)
     mains, octaves = of_frequencies(fitted, frozenset(runs) - base.holdout, told)
     if mains and mains[0].share > told:
@@ -109,7 +104,7 @@ def located(
         s if s.p_value < base.policy.certain else replace(s, text=f"perhaps {s.text}")
         for s in (*statements, *said)
     )
-    return Located(tuple(worded), tuple(curves), fitted, held)
+    return Located(tuple(worded), tuple(curves))
 
 
 def _statement(by: str, at: str, share: float, p: float, text: str) -> Statement:
@@ -161,7 +156,7 @@ def _coordinates(
         share = min(first.explained / excess, 1.0 - sum(s.share for s in statements))
         if share < policy.negligible:
             break
-        statement = described(r, first, share, chance(first.statistic[0]))
+        statement = described(first, share, chance(first.statistic[0]))
         if statements:
             statement = replace(statement, text=f"a further {statement.text}")
         statements.append(statement)
@@ -183,8 +178,9 @@ def _confirmed(statements: list[Statement], curves: list[Curve], held: ResidualT
     return [*out, *statements[len(out) :]]
 
 
-def described(r: ResidualTable, c: Curve, share: float, p: float) -> Statement:
+def described(c: Curve, share: float, p: float) -> Statement:
     """Return the statement that `share` of the excess follows a curve."""
+    r = c.over.r
     text = f"goes with {c.coordinate.name}{_part(c, r.base.policy)}"
     seen = (c.predicted**2).sum(axis=1) * np.diag(r.precision)
     k = int(np.argmax(seen))
@@ -215,9 +211,10 @@ NAMES = {"sensed": "reading_m", "rate": "reading_rate_m_s"}
 """What JSON calls the columns that every sensor has for itself."""
 
 
-def shape(c: Curve, r: ResidualTable) -> CurveShape:
+def shape(c: Curve) -> CurveShape:
     """Return a curve as data; the bands at 95 % come from runs left out in turn."""
-    channels, references = r.base.model.channels, r.base.model.references
+    model = c.over.r.base.model
+    channels, references = model.channels, model.references
     m = len(c.over.at)
     gain = c.gain is not None and _size(c.gain) > _size(c.offset)
     part, scale = (slice(m, None), c.over.scale) if gain else (slice(m), 1.0)
@@ -282,7 +279,7 @@ def of_runs(r: ResidualTable, told: float) -> list[Statement]:
     share = float(np.clip(each[k] / max(squares.sum(), 1e-300), 0.0, 1.0))
     if p >= policy.certain or share < 1 / U + policy.minor:
         return []
-    name = f"run {list(dict.fromkeys(r.run.tolist()))[k]}"
+    name = f"run {r.run[edges_of(r.run)[k]]}"
     return [_statement("run", name, share, p, f"lies in {name}, one of {U} fitted runs")]
 
 

@@ -138,7 +138,8 @@ def report(
     metric = Metric(found.before.metric, after, found.floor.metric)
     share = closed(metric.before, metric.after, metric.floor)
     loud = noise if noise is not None and noise.larger and verdict != "unexplained" else None
-    where, rest = _located(setup, selection, found, verdict, loud)
+    plain = found.start.base.on_all
+    where, rest = _located(setup, selection, found, verdict, plain, loud)
     left = unexplained(rest, 1 - share) if rest else None
     gap_after, cured = found.before.gap, found.cured.gap
     if not quiet:  # faults of samples count by their power
@@ -161,7 +162,7 @@ def report(
         groups=alike.groups,
         effects=named,
         where=where.statements,
-        size=_size(setup, found, where, loud is not None),
+        size=_size(setup, found, plain),
         remaining=rest.statements if rest else (),
         unexplained=left,
         model_error=model_error(setup, found, gap_after, after, rest, left, alike),
@@ -197,29 +198,31 @@ def _shrinkage(found: Validation, metric: Metric, share: float, quiet: bool) -> 
 
 def unexplained(found: Located, share: float) -> Unexplained:
     """Return what is left, as `located` found it; `share`: part of the gap above the noise floor."""
-    curve = found.curves[0] if found.curves else None
-    return Unexplained(share, shape(curve, found.fitted) if curve and found.fitted else None)
+    return Unexplained(share, shape(found.curves[0]) if found.curves else None)
 
 
 def _located(
-    setup: Setup, selection: Selection, found: Validation, verdict: Verdict, loud: ResidualNoise | None
+    setup: Setup,
+    selection: Selection,
+    found: Validation,
+    verdict: Verdict,
+    plain: Base,
+    loud: ResidualNoise | None,
 ) -> tuple[Located, Located | None]:
     """Return where the gap lies and, if it is unexplained, where the rest lies.
 
-    Faults of samples count by their power over all of the excess. `loud`: noise that is larger than its
-    floor; the excess is what exceeds that, for noise lies nowhere.
+    Faults of samples count by their power over all of the excess. `plain`: the fit without effects on all
+    samples. `loud`: noise that is larger than its floor; the excess is what exceeds that, for noise lies
+    nowhere.
     """
-    start, runs = found.start.base, setup.base.log.runs
+    gap, runs, floor, start = Located((), ()), setup.base.log.runs, found.floor.metric, found.start.base
     if loud is not None:
-        larger = np.array([max(loud.by_sensor[c], 1.0) for c in start.model.channels])
-        start = replace(start, covariance=start.covariance * np.outer(larger, larger))
-    plain = start.on_all
-    floor = found.floor.metric * (1.0 if loud is None else loud.ratio)
+        larger = np.array([max(loud.by_sensor[c], 1.0) for c in plain.model.channels])
+        plain = replace(plain, covariance=plain.covariance * np.outer(larger, larger))
+        floor *= loud.ratio
     if found.before.metric > floor * (1 + setup.policy.negligible):
-        screened, noisy = selection.screened_at(found.start.base), verdict in QUIET
+        screened, noisy = selection.screened_at(start), verdict in QUIET
         gap = located(plain, runs, screened, found.faults, found.variance, noisy=noisy)
-    else:
-        gap = Located((), (), *both(plain, runs))
     if verdict != "unexplained":
         return gap, None
     if found.base is start:
@@ -227,13 +230,10 @@ def _located(
     return gap, located(found.base, runs, selection.screened_at(found.base))
 
 
-def _size(setup: Setup, found: Validation, where: Located, loud: bool) -> Sizes:
-    """Return how large the gap is over the noise floor, channels as they were logged.
-
-    `loud`: whether `where` holds it against noise that is larger than the floor.
-    """
-    start = setup.as_logged(found.start.base)
-    fitted, held = both(start, setup.base.log.runs) if setup.miswired or loud else (where.fitted, where.held)
+def _size(setup: Setup, found: Validation, plain: Base) -> Sizes:
+    """Return how large the gap of `plain` is over the noise floor, channels as they were logged."""
+    start = setup.as_logged(plain)
+    fitted, held = both(start, setup.base.log.runs)
     errors = {"fitted": decoded_errors(start, setup.runs), "held_out": found.before}
     floors = {"fitted": setup.floor_fitted.outputs, "held_out": setup.floor.outputs}
     return sizes({"fitted": fitted, "held_out": held}, errors, floors)

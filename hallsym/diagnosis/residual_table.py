@@ -68,7 +68,7 @@ class ResidualTable:
 
     def run_of(self, group: np.ndarray) -> np.ndarray:
         """Return the run, as it was recorded, in which each of the consecutive groups begins."""
-        return self.run[[s.start for s in slices(group)]] * (not self.base.sliced)
+        return self.run[edges_of(group)[:-1]] * (not self.base.sliced)
 
     @property
     def excess(self) -> float:
@@ -111,10 +111,9 @@ def table_of(base: Base, runs: frozenset[int]) -> ResidualTable | None:
         [joined[c] for c in names]
         for names in (model.references, [f"d0_{c}" for c in model.references], model.state)
     )
-    parts = slices(run)
-    zeros = [base.zeros_in(int(run[s.start])) for s in parts]
-    each = np.repeat(zeros, [s.stop - s.start for s in parts], axis=0).T
-    (sensed,) = on_arrays(model.reading)(base.p, each, smooth, state)
+    edges = edges_of(run)
+    zeros = np.repeat([base.zeros_in(k) for k in run[edges[:-1]].tolist()], np.diff(edges), axis=0).T
+    (sensed,) = on_arrays(model.reading)(base.p, zeros, smooth, state)
     fold, block, part = _blocks(run, place, sum(seen[k] for k in set(run.tolist())), base.policy)
     return ResidualTable(
         base, run, residual, sensed, rate, joined, base.to_pose(pose, state), fold, block, part
@@ -131,20 +130,24 @@ def both(base: Base, runs: Sequence[int]) -> tuple[ResidualTable | None, Residua
     return residual_table(base, set(runs) - held), residual_table(base, held)
 
 
+def edges_of(group: np.ndarray) -> np.ndarray:
+    """Return where groups of consecutive samples begin and the last one ends, (groups + 1,)."""
+    return np.array([0, *(np.flatnonzero(np.diff(group)) + 1), len(group)])
+
+
 def slices(group: np.ndarray) -> list[slice]:
     """Return the consecutive samples of each group."""
-    edges = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(group)]
-    return [slice(a, b) for a, b in pairwise(edges)]
+    return [slice(a, b) for a, b in pairwise(edges_of(group).tolist())]
 
 
 def sums(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     """Return the sums of `values` (..., n) over the consecutive samples of each group."""
-    return np.add.reduceat(values, [s.start for s in slices(group)], axis=-1)
+    return np.add.reduceat(values, edges_of(group)[:-1], axis=-1)
 
 
 def means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     """Return the means of `values` (..., n) over the consecutive samples of each group."""
-    return sums(values, group) / sums(np.ones(len(group)), group)
+    return sums(values, group) / np.diff(edges_of(group))
 
 
 def phase(reference: str) -> str:

@@ -181,10 +181,11 @@ def test_a_smooth_curve_is_found_with_a_band_that_holds_it() -> None:
     assert curve is not None
     assert curve.p_value == LEAST
     assert curve.explained == pytest.approx((truth**2).sum(), rel=0.05)
-    data = shape(curve, r)
+    data = shape(curve)
     band = data.readings["m_m"]
     assert data.value_unit == "m"
-    assert shape(curve, made_up(r.residual, x, channels=("v_sin_v",))).value_unit == "v"
+    of_encoder = made_up(r.residual, x, channels=("v_sin_v",))
+    assert shape(Smooth(of_encoder, Z).curve(r.residual)).value_unit == "v"
     inside = np.abs(np.array(data.grid)) < 0.95
     value, low, high = (np.array(v)[inside] for v in (band.value, band.low, band.high))
     expected = np.cos(2 * np.array(data.grid))[inside]
@@ -224,7 +225,7 @@ def test_the_shape_of_what_is_left_is_plain_data() -> None:
     place = rng.uniform(-1e-4, 1e-4)
     peak = data["curve"]["grid"][int(np.argmax(data["curve"]["readings"]["hall_c_m"]["value"]))]
     assert abs(peak - place) < 5e-5  # the bump is 20 to 50 um wide
-    assert unexplained(Located((), (), None), 0.3).curve is None
+    assert unexplained(Located((), ()), 0.3).curve is None
 
 
 def test_a_gain_of_every_run_is_told_from_noise() -> None:
