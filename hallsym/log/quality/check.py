@@ -85,7 +85,8 @@ def usable(
                 drop |= finding.drop
                 notes.append(finding.left_out)
             elif finding.refuse and not finding.bear and not on_rails:
-                raise InputError(_after(finding, notes[len(log.notes) :]))
+                before = [f" ({note[:-1]})" for note in notes[len(log.notes) :]]
+                raise InputError(f"{finding.sentence[:-1]}{''.join(before[-1:])}.")
             else:
                 told.append(finding.borne if finding.refuse else finding.sentence)
         if not drop:
@@ -108,11 +109,6 @@ def on_rails(log: Log, required: Sequence[str] = ()) -> Drop:
 def spans(log: Log, columns: Sequence[str] | None = None) -> Spans:
     """Return min, max, mean and standard deviation of each column, overall and per run, from one pass."""
     return scan(log, log.columns if columns is None else columns).spans()
-
-
-def _after(finding: Finding, dropped: Sequence[str]) -> str:
-    before = f" ({dropped[-1][:-1]})" if dropped else ""
-    return f"{finding.sentence[:-1]}{before}."
 
 
 def _judge(log: Log, required: Sequence[str], *, thinned: bool = False) -> Iterator[Finding]:

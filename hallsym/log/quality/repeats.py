@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -155,8 +155,7 @@ _AT_A_TURN = 4.0
 """Equal neighbours at a turning point over those elsewhere, at most."""
 
 
-@dataclass(frozen=True)
-class Stretch:
+class Stretch(NamedTuple):
     """Samples `start` to `stop` of the log in which a column of `run` holds `value`."""
 
     run: int
