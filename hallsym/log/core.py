@@ -123,6 +123,7 @@ class Log:
         waiting: list[Piece] = []
         count, last = 0, 0
         for piece in self.table.pieces(asked, size):
+            floats = {name: _float(piece[name]) for name in wanted}
             for run, start, stop in runs.segments(piece[RUN]):
                 if waiting and run != last:
                     yield Block(last, joined(waiting, wanted))
@@ -130,7 +131,7 @@ class Log:
                 last, lo = run, start
                 while lo < stop:
                     hi = min(lo + size - count, stop)
-                    waiting.append({name: _float(piece[name][lo:hi]) for name in wanted})
+                    waiting.append({name: values[lo:hi] for name, values in floats.items()})
                     count, lo = count + hi - lo, hi
                     if count == size:
                         yield Block(run, joined(waiting, wanted))
