@@ -16,7 +16,7 @@ from hallsym.log.quality.findings import Finding, name_of, others, the
 from hallsym.log.quality.rails import saturated
 from hallsym.log.quality.repeats import copied, dead, held, stale
 from hallsym.log.quality.scan import FEWEST_SAMPLES, Scan, Spans, scan, ticks, time
-from hallsym.units import UNITS, si_unit, split_unit
+from hallsym.units import UNITS, si_symbol, si_unit, split_unit
 
 
 def finite(log: Log, seen: Scan, required: Sequence[str]) -> Iterator[Finding]:
@@ -249,12 +249,11 @@ def speeds(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
     """A clock in which the references cross their range within a run faster than any machine."""
     if "t_s" not in spans.overall or log.counted:
         return
+    lasts = spans.covers("t_s")
     for name in filter(is_reference, spans.overall):
-        limit, unit = fastest(name), split_unit(name)[1]
-        lasts, covers = spans.covers("t_s"), spans.covers(name)
-        fast = np.flatnonzero((lasts > 0) & (covers > limit * lasts)) if unit else []
-        for k in fast[:1]:
-            run, symbol = list(spans.samples)[k], UNITS[unit.si].symbol if unit else ""
+        covers = spans.covers(name)
+        for k in np.flatnonzero((lasts > 0) & (covers > fastest(name) * lasts))[:1]:
+            run, symbol = list(spans.samples)[k], si_symbol(name)
             what = f"in run {run} {name} covers {covers[k]:.3g} {symbol} in {lasts[k]:.3g} s"
             yield _unit(log, "t_s", what, ["s"] if log.table.source_name("t_s") != "t_s" else [])
             return
