@@ -51,32 +51,23 @@ def nominal_variance(model: Model, reading_variance: np.ndarray) -> np.ndarray:
 
 
 def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndarray]:
-    """Return `decode(p, zeros, readings, states) -> (n_pose, samples)`, compiled once for arrays."""
-    run = model.remember("decoded, on arrays", lambda: on_arrays(model.decoded))
-    weight = 1.0 / np.asarray(reading_variance)
+    """Return `decode(p, zeros, readings, states, reference=None) -> (n_pose, samples)`, compiled once.
 
-    def decode(p: np.ndarray, zeros: np.ndarray, readings: list, states: list) -> np.ndarray:
-        with np.errstate(all="ignore"):  # readings that no pose gives have none: nan
-            return run(p, zeros, readings, states, weight)[0]
+    Near the reference (n_pose, samples) where one is given and the pose repeats.
+    """
+    weight, repeats = 1.0 / np.asarray(reading_variance), bool(set(model.pose) & set(model.period))
 
-    return decode
-
-
-def decoder_near(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndarray]:
-    """Return `decode(p, zeros, readings, states, reference) -> (n_pose, samples)`, near the reference."""
-    if not set(model.pose) & set(model.period):
-        decode = decoder(model, reading_variance)
-        return lambda p, zeros, readings, states, reference: decode(p, zeros, readings, states)
-    run = model.remember("decoded near, on arrays", lambda: on_arrays(model.decoded_near))
-    weight = 1.0 / np.asarray(reading_variance)
-
-    def near(
-        p: np.ndarray, zeros: np.ndarray, readings: list, states: list, reference: np.ndarray
+    def decode(
+        p: np.ndarray, zeros: np.ndarray, readings: list, states: list, reference: np.ndarray | None = None
     ) -> np.ndarray:
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):  # readings that no pose gives have none: nan
+            if reference is None or not repeats:
+                run = model.remember("decoded, on arrays", lambda: on_arrays(model.decoded))
+                return run(p, zeros, readings, states, weight)[0]
+            run = model.remember("decoded near, on arrays", lambda: on_arrays(model.decoded_near))
             return run(p, zeros, readings, states, weight, reference)[0]
 
-    return near
+    return decode
 
 
 def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
@@ -149,7 +140,7 @@ def pose_errors(model: Model, reading_variance: np.ndarray) -> Errors:
     """
     weight = 1.0 / np.asarray(reading_variance)
     if not knows_rails(model):
-        decode = decoder_near(model, reading_variance)
+        decode = decoder(model, reading_variance)
 
         def decoded(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
             readings, states = ([data[c] for c in names] for names in (model.channels, model.state))
