@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,6 @@ from hallsym.log.quality.scan import (
     HELD_SAMPLES,
     WHOLE_ROWS,
     Scan,
-    Span,
     Spans,
     equal_by_chance,
     gains,
@@ -175,24 +174,19 @@ def held(log: Log, seen: Scan, spans: Spans, rails: Drop) -> Iterator[Finding]:
             continue
         low, high = ends.get(name, (-np.inf, np.inf))
         found = [one for one in _stretches(log, seen, name, spans) if low < one.value < high]
-        if found:
-            yield _finding(log, name, found, seen.rows)
-
-
-def _finding(log: Log, name: str, found: list[Stretch], rows: int) -> Finding:
-    count = sum(one.stop - one.start for one in found)
-    longest = max(one.stop - one.start for one in found)
-    first = found[0]
-    where = f"first in row {first.start + 1}, run {first.run}, {first.value:.4g} {si_symbol(name)}"
-    stretches_of = "1 stretch" if len(found) == 1 else f"{len(found)} stretches"
-    zero = all(one.value == 0.0 for one in found)
-    return Finding(
-        f"{the(log, name)} holds one value for up to {longest} samples"
-        f" ({stretches_of}, {count / rows:.1%}, {where})"
-        + (": the channel dropped out" if zero else ": the logger repeated old samples"),
-        count > REFUSE * rows, Drop(rows=tuple((one.start, one.stop) for one in found)),
-        remedy="look at the channel and the logger",
-    )  # fmt: skip
+        if not found:
+            continue
+        lasts, first = [one.stop - one.start for one in found], found[0]
+        stretches_of = "1 stretch" if len(found) == 1 else f"{len(found)} stretches"
+        zero = not any(one.value for one in found)
+        yield Finding(
+            f"{the(log, name)} holds one value for up to {max(lasts)} samples ({stretches_of},"
+            f" {sum(lasts) / seen.rows:.1%}, first in row {first.start + 1}, run {first.run},"
+            f" {first.value:.4g} {si_symbol(name)})"
+            + (": the channel dropped out" if zero else ": the logger repeated old samples"),
+            sum(lasts) > REFUSE * seen.rows, Drop(rows=tuple((one.start, one.stop) for one in found)),
+            remedy="look at the channel and the logger",
+        )  # fmt: skip
 
 
 def _stretches(log: Log, seen: Scan, name: str, spans: Spans) -> list[Stretch]:
@@ -265,10 +259,19 @@ Pairs = dict[tuple[int, int], list[str]]
 
 def copied(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
     """Samples that are there twice. Only columns with noise count: without it every repetition is alike."""
-    same = _same(log, seen, spans)
-    if same:
+    if same := _same(log, seen, spans):
         yield _pasted(log, same, spans)
-    yield from _twins(log, seen, spans)
+    known: dict[tuple[int, ...], str] = {}
+    for name in filter(is_moving, spans.overall):
+        if spans.overall[name].min == spans.overall[name].max:
+            continue
+        twin = known.setdefault(tuple(seen.bit_sums(name)), name)
+        if twin != name and is_noisy(log.run(seen.segments[0][0], (name,))[name]):
+            yield Finding(
+                f"Columns {twin} and {name} of {name_of(log)} hold the same samples:"
+                " one signal was logged twice",
+                True, remedy="check which column of the logger is which",
+            )  # fmt: skip
 
 
 def _same(log: Log, seen: Scan, spans: Spans) -> Pairs:
@@ -293,15 +296,15 @@ def _same(log: Log, seen: Scan, spans: Spans) -> Pairs:
     return {pair: pairs[pair] for pair in sorted(noisy, key=lambda pair: pair[::-1])}
 
 
-def _all(names: list[str], spans: Mapping[str, Span]) -> bool:
-    """Say whether these are all readings and references of a run that change there."""
-    told = [c for c, span in spans.items() if (is_reading(c) or is_reference(c)) and span.min < span.max]
-    return set(told) <= set(names)
-
-
 def _pasted(log: Log, same: Pairs, spans: Spans) -> Finding:
     """Of a run that is a copy, the first one is good; of columns in two runs, either may be wrong."""
-    wrong = [run for pair, c in same.items() for run in (pair[1:] if _all(c, spans.runs[pair[1]]) else pair)]
+    told = [c for c in spans.overall if is_reading(c) or is_reference(c)]
+    runs = list(spans.samples)
+    wrong: set[int] = set()
+    for pair, c in same.items():
+        later = runs.index(pair[1])
+        whole = all(name in c or spans.rests(name)[later] for name in told)
+        wrong |= set(pair[1:] if whole else pair)
     (first, run), names = next(iter(same.items()))
     shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
     subject, verb = ("Columns", "hold") if len(names) > 1 else ("Column", "holds")
@@ -311,19 +314,3 @@ def _pasted(log: Log, same: Pairs, spans: Spans) -> Finding:
         True, Drop(runs=frozenset(wrong)),
         remedy="remove a run that is a copy, or give each run the columns that were recorded with it",
     )  # fmt: skip
-
-
-def _twins(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
-    """Two columns that hold the same signal."""
-    known: dict[tuple[int, ...], str] = {}
-    for name in filter(is_moving, spans.overall):
-        if spans.overall[name].min == spans.overall[name].max:
-            continue
-        bits = tuple(seen.bit_sums(name))
-        twin = known.setdefault(bits, name)
-        if twin != name and is_noisy(log.run(seen.segments[0][0], (name,))[name]):
-            yield Finding(
-                f"Columns {twin} and {name} of {name_of(log)} hold the same samples:"
-                " one signal was logged twice",
-                True, remedy="check which column of the logger is which",
-            )  # fmt: skip
