@@ -82,11 +82,8 @@ def read_log(
     wanted = _resolve({**stated.columns, **(columns or {})}, source)
     again = still_missing(_resolve(remembered or {}, source), source.names, wanted, source.units, where)
     wanted |= again
-    counts = (
-        counts_per_turn
-        if counts_per_turn is not None
-        else stated.counts_per_turn or meta.raw.get("counts_per_turn")
-    )
+    counts = stated.counts_per_turn or meta.raw.get("counts_per_turn")
+    counts = counts if counts_per_turn is None else counts_per_turn
     turn = None if counts is None else counts_in_turn(counts, where)
     bindings, changed = bind(source.names, wanted, where, turn, source.units)
     table = Table(source, bindings, where)
@@ -99,13 +96,10 @@ def read_log(
     known = _noise(meta, stated, noise or {}, table)
     meta = replace(meta, columns=table.columns)
     check_misspelt_noise(meta.noise_1sigma, table.columns, "meta.json")
-    log = Log(
-        table,
-        known,
-        meta,
-        file,
-        (*run_notes(table.bindings), *said, *_notes(source), *changed, *_again(again)),
-    )
+    renamed = ", ".join(f"{ours} is '{theirs.name}'" for ours, theirs in again.items() if ours != theirs.name)
+    as_before = [f"Columns are named as in the calibration: {renamed}."] if renamed else []
+    notes = (*run_notes(table.bindings), *said, *_notes(source), *changed, *as_before)
+    log = Log(table, known, meta, file, notes)
     return clean_log(log) if drop_bad else log
 
 
@@ -118,6 +112,7 @@ def _answered(
     """Open a file as `open_source` does; where it leaves something open, as an earlier one was read."""
     known = {name: text for name, text in read_with.items() if name in given and given[name] is None}
     plain, helped = dict(given), {**given, **known}
+    refused: dict[bool, InputError] = {}
     # a delimiter was stated because another one was recognised; the rest because it was asked for
     for options in (helped, plain) if "delimiter" in known else (plain, helped):
         try:
@@ -125,22 +120,13 @@ def _answered(
             if opened[2].unstated:
                 raise InputError(opened[2].unstated)
         except InputError as error:
-            refused = error
+            refused[options is plain] = error
             continue
         if options is plain or not known:
             return opened, ()
         words = ", ".join(f"{name} {text!r}" for name, text in known.items())
         return opened, (f"The file is read as the calibration's log was: {words}.",)
-    raise refused if not known else _first_refusal(path, plain)
-
-
-def _first_refusal(path: Any, given: Mapping[str, str | None]) -> InputError:
-    """Return why a file is refused without the help of an earlier one."""
-    try:
-        source = open_source(path, **given)[2]
-    except InputError as error:
-        return error
-    return InputError(source.unstated)
+    raise refused[True]  # without the help of an earlier one
 
 
 def _locate(path: Path) -> tuple[Path, Path | None]:
@@ -198,11 +184,6 @@ def open_source(
         "A log must be a path, a dict of arrays, a data frame or a Log; instead received a "
         f"{type(path).__name__}."
     )
-
-
-def _again(columns: Mapping[str, Foreign]) -> tuple[str, ...]:
-    said = [f"{ours} is '{foreign.name}'" for ours, foreign in columns.items() if ours != foreign.name]
-    return (f"Columns are named as in the calibration: {', '.join(said)}.",) if said else ()
 
 
 def _resolve(wanted: Mapping[str, str | Foreign], source: Source) -> dict[str, Foreign]:
