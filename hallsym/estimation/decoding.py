@@ -194,18 +194,20 @@ def error_tables(
         used = np.ones(len(batch), bool) if weights is None else weights > 0
         runs += [block.run for block in batch.blocks]
         counts.append(np.add.reduceat(used.astype(float), starts))
-        for column in (*model.references, *model.state) if used.any() else ():
-            values = batch.data[column] if used.all() else batch.data[column][used]
+        for column in (*model.references, *model.state) if counts[-1].any() else ():
+            values = batch.data[column] if weights is None else batch.data[column][used]
             low, high = span.get(column, (np.inf, -np.inf))
-            span[column] = (min(low, float(values.min())), max(high, float(values.max())))
+            least, most = float(np.minimum.reduce(values)), float(np.maximum.reduce(values))
+            span[column] = (min(low, least), max(high, most))
         for error, total in zip(decoded, sums, strict=True):
-            if not np.isfinite(error).all():
+            size = np.abs(error)
+            if weights is not None:
+                size[:, ~used] = 0.0
+            peak = np.maximum.reduceat(size, starts, axis=1)
+            if not np.isfinite(peak).all():
                 for block, at in batch.parts():
                     check_decoded(error[:, at][:, used[at]], model, log, block.run)
-            size = np.where(used, np.abs(error), 0.0)
-            total.append(
-                (np.add.reduceat(size**2, starts, axis=1), np.maximum.reduceat(size, starts, axis=1))
-            )
+            total.append((np.add.reduceat(np.square(size, out=size), starts, axis=1), peak))
     first = np.flatnonzero(np.diff(runs, prepend=runs[0] - 1))  # a run's blocks are consecutive
     count = np.add.reduceat(np.concatenate(counts), first)
     tables = []
@@ -232,7 +234,9 @@ def _decoded(
         errors = []
         for (p, zeros), of in zip(versions, errors_of, strict=True):
             own = np.array([zeros.get(block.run, none) for block in batch.blocks])
-            errors.append(of(p, np.repeat(own, np.diff(batch.edges), axis=0).T, batch.data))
+            alike = bool((own == own[0]).all())
+            each = own[0] if alike else np.repeat(own, np.diff(batch.edges), axis=0).T
+            errors.append(of(p, each, batch.data))
         yield batch, errors
 
 
