@@ -13,9 +13,8 @@ from hallsym.errors import InputError
 from hallsym.log.columns import RUN, fastest, is_reference, likely_units, limit_of
 from hallsym.log.core import Drop, Log, without
 from hallsym.log.quality.findings import Finding, name_of, others, the
-from hallsym.log.quality.rails import saturated
-from hallsym.log.quality.repeats import copied, dead, held, stale
 from hallsym.log.quality.scan import FEWEST_SAMPLES, Scan, Spans, scan, ticks, time
+from hallsym.log.quality.values import copied, dead, held, saturated, stale
 from hallsym.units import UNITS, si_symbol, si_unit, split_unit
 
 
