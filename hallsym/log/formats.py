@@ -106,7 +106,13 @@ class Guarded(Source):
         self.left_out, self.aliases = dict(self.inner.left_out), dict(self.inner.aliases)
         self.notes, self.units = self.inner.notes, dict(self.inner.units)
         self.recognised, self.unstated = self.inner.recognised, self.inner.unstated
-        self._check_names()
+        if len(set(self.names)) < len(self.names):
+            name = next(name for k, name in enumerate(self.names) if name in self.names[:k])
+            raise InputError(f"Columns of {quoted(self.path)} must have different names; '{name}' is twice.")
+        if RUN in self.left_out:
+            raise InputError(
+                f"Column run of {quoted(self.path)} cannot be used: {self.left_out[RUN]}; write it again."
+            )
 
     def count(self) -> int:
         """Return the number of rows."""
@@ -145,19 +151,6 @@ class Guarded(Source):
 
     def _reading(self) -> AbstractContextManager[None]:
         return reading(self.path, "Log", self.fault, "copy it again")
-
-    def _check_names(self) -> None:
-        known: set[str] = set()
-        for name in self.names:
-            if name in known:
-                raise InputError(
-                    f"Columns of {quoted(self.path)} must have different names; '{name}' is twice."
-                )
-            known.add(name)
-        if RUN in self.left_out:
-            raise InputError(
-                f"Column run of {quoted(self.path)} cannot be used: {self.left_out[RUN]}; write it again."
-            )
 
     def _possible(self, rows: int) -> int:
         if not 0 <= rows <= MOST_ROWS:
