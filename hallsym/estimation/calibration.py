@@ -22,7 +22,7 @@ from hallsym.log.batches import Weigh
 from hallsym.model import Family, Model
 from hallsym.model.effect import read_text
 from hallsym.reading import read_json
-from hallsym.records import schema_of, structured
+from hallsym.records import plain, schema_of, structured
 from hallsym.shown import Shown
 
 FORMAT = "hallsym calibration 1"
@@ -445,7 +445,7 @@ def _checked(
                 f"'wiring' of {where} must pair {', '.join(model.channels)} with 1 or -1; it has "
                 f"{[channel, sign]!r}: fit the log again."
             )
-    column = {k: np.array([_float(getattr(entries[n], k)) for n in names]) for k in ("value", "std")}
+    column = {k: np.array([_or(getattr(entries[n], k), np.nan) for n in names]) for k in ("value", "std")}
     return Fit(
         model=model,
         values=column["value"],
@@ -454,31 +454,31 @@ def _checked(
         covariance=np.array(matrix, dtype=float).reshape(len(names), len(names)),
         covariance_method=record.covariance.method,
         covariance_reason=record.covariance.reason,
-        degrees_of_freedom=np.array([_unlimited(entries[n].degrees_of_freedom) for n in names]),
+        degrees_of_freedom=np.array([_or(entries[n].degrees_of_freedom, np.inf) for n in names]),
         held=tuple(n for n in names if entries[n].held),
         structural=tuple(record.structural),
         at_bound=tuple(n for n in names if entries[n].at_bound),
         combinations=tuple(
             CombinationEstimate(
-                c.expression, c.value, c.std, c.unit, c.factors, _unlimited(c.degrees_of_freedom)
+                c.expression, c.value, c.std, c.unit, c.factors, _or(c.degrees_of_freedom, np.inf)
             )
             for c in record.combinations
         ),
         zeros={run: np.array([d[zero] for zero in zeros]) for run, d in record.zero_deviations.items()},
         noise=Noise(record.noise),
-        noise_floor={c: _float(v) for c, v in record.noise_floor.items()},
+        noise_floor={c: _or(v, np.nan) for c, v in record.noise_floor.items()},
         status=record.status,
         message=record.message,
         goodness=record.goodness_of_fit,
-        solver=_plain(record.solver),
-        log=_plain(record.log),
+        solver=plain(record.solver),
+        log=plain(record.log),
         seconds=record.seconds,
         notes=tuple(record.notes),
         undetermined_by_log=tuple(record.undetermined_by_log),
         wiring=None if record.wiring is None else tuple((c, s) for c, s in record.wiring),
         columns=record.columns,
         read_with=record.read_with,
-        logs=tuple(_plain(one) for one in record.logs),
+        logs=tuple(plain(one) for one in record.logs),
         versions=record.versions,
         error_rows=record.errors,
     )
@@ -494,7 +494,7 @@ def _model(
     bounds = {n: (e.lower, e.upper) for n, e in record.parameters.items()} | record.zero_bounds
     changes: dict[str, dict[str, float]] = {}
     for name, (low, high) in bounds.items():
-        changes[name] = {"lower": _bound(low, -1), "upper": _bound(high, 1)}
+        changes[name] = {"lower": _or(low, -np.inf), "upper": _or(high, np.inf)}
         if not changes[name]["lower"] <= changes[name]["upper"]:
             raise InputError(f"Bounds of {name} in {where} are inverted; fit the log again.")
     for name, entry in record.parameters.items():
@@ -508,28 +508,16 @@ def _same(wanted: Sequence[str], found: Iterable[str], where: str) -> None:
     """Refuse names that are missing or too much."""
     found = list(found)
     odd = [n for n in wanted if n not in found] or [n for n in found if n not in wanted]
-    if odd or (isinstance(found, list) and len(found) != len(wanted)):
+    if odd or len(found) != len(wanted):
         raise InputError(
             f"Names in the {where} must be those of the model; {', '.join(odd[:3]) or 'one'} is "
             f"{'missing' if odd and odd[0] in wanted else 'too much'}: fit the log again."
         )
 
 
-def _plain(record: Any) -> dict[str, Any]:
-    return msgspec.json.decode(msgspec.json.encode(record))
-
-
 def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _bound(value: float | None, sign: int) -> float:
-    return sign * float("inf") if value is None else float(value)
-
-
-def _unlimited(value: float | None) -> float:
-    return float("inf") if value is None else float(value)
-
-
-def _float(value: float | None) -> float:
-    return float("nan") if value is None else float(value)
+def _or(value: float | None, default: float) -> float:
+    return default if value is None else float(value)

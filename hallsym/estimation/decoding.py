@@ -51,32 +51,23 @@ def nominal_variance(model: Model, reading_variance: np.ndarray) -> np.ndarray:
 
 
 def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndarray]:
-    """Return `decode(p, zeros, readings, states) -> (n_pose, samples)`, compiled once for arrays."""
-    run = model.remember("decoded, on arrays", lambda: on_arrays(model.decoded))
-    weight = 1.0 / np.asarray(reading_variance)
+    """Return `decode(p, zeros, readings, states, reference=None) -> (n_pose, samples)`, compiled once.
 
-    def decode(p: np.ndarray, zeros: np.ndarray, readings: list, states: list) -> np.ndarray:
-        with np.errstate(all="ignore"):  # readings that no pose gives have none: nan
-            return run(p, zeros, readings, states, weight)[0]
+    Near the reference (n_pose, samples) where one is given and the pose repeats.
+    """
+    weight, repeats = 1.0 / np.asarray(reading_variance), bool(set(model.pose) & set(model.period))
 
-    return decode
-
-
-def decoder_near(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndarray]:
-    """Return `decode(p, zeros, readings, states, reference) -> (n_pose, samples)`, near the reference."""
-    if not set(model.pose) & set(model.period):
-        decode = decoder(model, reading_variance)
-        return lambda p, zeros, readings, states, reference: decode(p, zeros, readings, states)
-    run = model.remember("decoded near, on arrays", lambda: on_arrays(model.decoded_near))
-    weight = 1.0 / np.asarray(reading_variance)
-
-    def near(
-        p: np.ndarray, zeros: np.ndarray, readings: list, states: list, reference: np.ndarray
+    def decode(
+        p: np.ndarray, zeros: np.ndarray, readings: list, states: list, reference: np.ndarray | None = None
     ) -> np.ndarray:
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):  # readings that no pose gives have none: nan
+            if reference is None or not repeats:
+                run = model.remember("decoded, on arrays", lambda: on_arrays(model.decoded))
+                return run(p, zeros, readings, states, weight)[0]
+            run = model.remember("decoded near, on arrays", lambda: on_arrays(model.decoded_near))
             return run(p, zeros, readings, states, weight, reference)[0]
 
-    return near
+    return decode
 
 
 def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
@@ -149,7 +140,7 @@ def pose_errors(model: Model, reading_variance: np.ndarray) -> Errors:
     """
     weight = 1.0 / np.asarray(reading_variance)
     if not knows_rails(model):
-        decode = decoder_near(model, reading_variance)
+        decode = decoder(model, reading_variance)
 
         def decoded(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
             readings, states = ([data[c] for c in names] for names in (model.channels, model.state))
@@ -203,18 +194,20 @@ def error_tables(
         used = np.ones(len(batch), bool) if weights is None else weights > 0
         runs += [block.run for block in batch.blocks]
         counts.append(np.add.reduceat(used.astype(float), starts))
-        for column in (*model.references, *model.state) if used.any() else ():
-            values = batch.data[column] if used.all() else batch.data[column][used]
+        for column in (*model.references, *model.state) if counts[-1].any() else ():
+            values = batch.data[column] if weights is None else batch.data[column][used]
             low, high = span.get(column, (np.inf, -np.inf))
-            span[column] = (min(low, float(values.min())), max(high, float(values.max())))
+            least, most = float(np.minimum.reduce(values)), float(np.maximum.reduce(values))
+            span[column] = (min(low, least), max(high, most))
         for error, total in zip(decoded, sums, strict=True):
-            if not np.isfinite(error).all():
+            size = np.abs(error)
+            if weights is not None:
+                size[:, ~used] = 0.0
+            peak = np.maximum.reduceat(size, starts, axis=1)
+            if not np.isfinite(peak).all():
                 for block, at in batch.parts():
                     check_decoded(error[:, at][:, used[at]], model, log, block.run)
-            size = np.where(used, np.abs(error), 0.0)
-            total.append(
-                (np.add.reduceat(size**2, starts, axis=1), np.maximum.reduceat(size, starts, axis=1))
-            )
+            total.append((np.add.reduceat(np.square(size, out=size), starts, axis=1), peak))
     first = np.flatnonzero(np.diff(runs, prepend=runs[0] - 1))  # a run's blocks are consecutive
     count = np.add.reduceat(np.concatenate(counts), first)
     tables = []
@@ -241,7 +234,9 @@ def _decoded(
         errors = []
         for (p, zeros), of in zip(versions, errors_of, strict=True):
             own = np.array([zeros.get(block.run, none) for block in batch.blocks])
-            errors.append(of(p, np.repeat(own, np.diff(batch.edges), axis=0).T, batch.data))
+            alike = bool((own == own[0]).all())
+            each = own[0] if alike else np.repeat(own, np.diff(batch.edges), axis=0).T
+            errors.append(of(p, each, batch.data))
         yield batch, errors
 
 

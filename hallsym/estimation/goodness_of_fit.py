@@ -240,8 +240,8 @@ def uncertain(point: Point, noise: Noise, length_scale_m: float | None) -> float
     """
     known = {c: s.uncertain for c, s in noise.sigmas.items()}
     model = point.cost.summary.model
-    if all(factor == 1.0 for factor in known.values()):
-        return 1.0
+    if len(factors := set(known.values())) == 1:
+        return factors.pop()
     weights = model.family.pose_metric.weights(model.pose, length_scale_m)
     low, high = (float(np.linalg.norm(weights * floor)) for floor in _floors(point, {}, known))
     return high / low if low > 0 else max(known.values())

@@ -26,6 +26,7 @@ from hallsym.estimation.outliers import residual_of
 from hallsym.families.play import stop_operators
 from hallsym.log import Log, Noise
 from hallsym.log.batches import Weigh, batches
+from hallsym.log.core import edges_of
 from hallsym.log.derived import extended
 from hallsym.model import Model
 
@@ -194,7 +195,8 @@ class _Elimination:
     def __init__(self, r: Residual) -> None:
         self.used, n = r.used.astype(float), len(r.run)
         self.count = float(self.used.sum())
-        self.starts = np.flatnonzero(np.diff(r.run, prepend=r.run[0] - 1)) if r.offsets else np.zeros(1, int)
+        self.runs = np.array(edges_of(r.run)[:-1])
+        self.starts = self.runs if r.offsets else np.zeros(1, int)
         self.lengths = np.diff(self.starts, append=n)
         self.sizes = np.maximum(np.add.reduceat(self.used, self.starts), 1.0)
         X = self._centred(r.columns)
@@ -206,7 +208,6 @@ class _Elimination:
         real = values > ROUNDING * max(int(seen.sum()), 1)
         self.basis = ((axes[:, real] / np.sqrt(values[real])).T * unit) @ X
         self.free = self.count - len(self.starts) - len(self.basis)
-        self.runs = np.flatnonzero(np.diff(r.run, prepend=r.run[0] - 1))
         index = np.repeat(np.arange(len(self.runs)), np.diff(self.runs, append=n))
         same = [index[lag:] == index[: n - lag] for lag in range(LAGS + 1)]
         self.pairs = [self.used[: len(s)] * self.used[n - len(s) :] * s for s in same]
@@ -573,7 +574,7 @@ def _columns(model: Model, data: Data, sigma: Mapping[str, float]) -> Iterator[n
 
 def _within_runs(data: Data, lines: Data) -> Iterator[np.ndarray]:
     """Yield the time within a run and its square, and what coordinates remember of their direction."""
-    edges = _edges(data["run"])
+    edges = edges_of(data["run"])
     t = _unit(data["t_s"], np.array(edges))
     yield from (t, t * t)
     scaled = [x / max(float(np.std(x)), 1e-300) for x in lines.values()]
@@ -586,7 +587,7 @@ def _beside(data: Data, column: str) -> np.ndarray:
 
     The noise of a sample's own coordinate is in its residual: places beyond a turning point are noise.
     """
-    x, edges = data[column], np.array(_edges(data["run"]))
+    x, edges = data[column], np.array(edges_of(data["run"]))
     first, last = (np.repeat(ends, np.diff(edges)) for ends in (edges[:-1], edges[1:] - 1))
 
     def neighbour(steps: int) -> np.ndarray:
@@ -597,10 +598,6 @@ def _beside(data: Data, column: str) -> np.ndarray:
 
     near = (4.0 * (neighbour(-1) + neighbour(1)) - neighbour(-2) - neighbour(2)) / 6.0
     return np.where(last - first >= 4, near, x)
-
-
-def _edges(run: np.ndarray) -> list[int]:
-    return [0, *(np.flatnonzero(np.diff(run)) + 1).tolist(), len(run)]
 
 
 def _rates(data: Data, moves: Sequence[str]) -> Iterator[tuple[np.ndarray, np.ndarray]]:

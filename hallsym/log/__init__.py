@@ -5,13 +5,12 @@ from hallsym.log.columns import MOST_RUN, Foreign, parse_column_option, read_col
 from hallsym.log.core import Block, Drop, Log, without
 from hallsym.log.derived import extended
 from hallsym.log.estimate import estimate_noise
-from hallsym.log.formats import MOST_ROWS
+from hallsym.log.formats import MOST_ROWS, as_log, open_source, read_log
 from hallsym.log.meta import Meta, Noise, Sigma, check_noise_keys, meta_schema
 from hallsym.log.phase import continuous, near, unwrapped, wrapped
 from hallsym.log.quality.check import check_log, clean_log, on_rails, spans, usable
 from hallsym.log.quality.findings import Fault
 from hallsym.log.quality.scan import Span
-from hallsym.log.read import as_log, open_source, read_log
 from hallsym.log.write import LogWriter, write_log
 
 __all__ = [

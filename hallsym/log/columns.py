@@ -265,7 +265,9 @@ def _check_ours(ours: str) -> None:
 
 def _whole(raw: Array, source: str) -> Array:
     values = np.asarray(raw)
-    wrong = (values < -MOST_RUN) | (values > MOST_RUN) if values.dtype.kind in "iu" else _no_run(values)
+    wrong = (values < -MOST_RUN) | (values > MOST_RUN)
+    if values.dtype.kind not in "iu":
+        wrong = ~(np.abs(values) < MOST_RUN) | (values != np.floor(values))
     if wrong.any():
         row = int(np.argmax(wrong))
         raise InputError(
@@ -276,10 +278,6 @@ def _whole(raw: Array, source: str) -> Array:
 
 MOST_RUN = 2**53
 """Beyond it neighbouring whole numbers are one double, so that two runs would become one."""
-
-
-def _no_run(values: Array) -> Array:
-    return ~(np.abs(values) < MOST_RUN) | (values != np.floor(values))
 
 
 @dataclass(frozen=True)

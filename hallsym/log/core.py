@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,7 +14,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.log.columns import RUN, Binding, bind
 from hallsym.log.meta import Meta, Noise
-from hallsym.log.table import CHUNK_ROWS, Arrays, Filtered, Piece, Table, TableLike, joined
+from hallsym.log.table import CHUNK_ROWS, Arrays, Piece, Table, TableLike, View, joined
 from hallsym.units import Array
 
 
@@ -123,6 +123,7 @@ class Log:
         waiting: list[Piece] = []
         count, last = 0, 0
         for piece in self.table.pieces(asked, size):
+            floats = {name: _float(piece[name]) for name in wanted}
             for run, start, stop in runs.segments(piece[RUN]):
                 if waiting and run != last:
                     yield Block(last, joined(waiting, wanted))
@@ -130,7 +131,7 @@ class Log:
                 last, lo = run, start
                 while lo < stop:
                     hi = min(lo + size - count, stop)
-                    waiting.append({name: _float(piece[name][lo:hi]) for name in wanted})
+                    waiting.append({name: values[lo:hi] for name, values in floats.items()})
                     count, lo = count + hi - lo, hi
                     if count == size:
                         yield Block(run, joined(waiting, wanted))
@@ -152,6 +153,11 @@ class Log:
         return _float(joined(list(self.table.pieces((column,), CHUNK_ROWS)), (column,))[column])
 
 
+def edges_of(run: Array) -> list[int]:
+    """Return where the runs of samples (n,) begin, and where the last one ends."""
+    return [0, *(np.flatnonzero(run[1:] != run[:-1]) + 1).tolist(), len(run)]
+
+
 class RunOrder:
     """Splits run columns into runs along one pass and refuses a run that comes back."""
 
@@ -163,7 +169,7 @@ class RunOrder:
         """Return (run id, start, stop) of the consecutive stretches of an integer array of shape (rows,)."""
         if not len(run):
             return []
-        edges = [0, *(np.flatnonzero(run[1:] != run[:-1]) + 1).tolist(), len(run)]
+        edges = edges_of(run)
         found = list(zip(run[edges[:-1]].tolist(), edges[:-1], edges[1:], strict=True))
         for ident, _, _ in found:
             current = next(reversed(self._seen), None)
@@ -249,8 +255,7 @@ class Keep:
         """Return where time is later than at every kept sample before, within each run."""
         usable = np.where(keep & ~np.isnan(t), t, -np.inf)
         result = np.zeros(len(t), bool)
-        edges = [0, *(np.flatnonzero(run[1:] != run[:-1]) + 1).tolist(), len(run)]
-        for start, stop in pairwise(edges):
+        for start, stop in pairwise(edges_of(run)):
             if stop > start and run[start] != self._run:
                 self._run, self._latest = int(run[start]), -np.inf
             latest = np.maximum.accumulate(np.r_[self._latest, usable[start:stop]])
@@ -259,8 +264,47 @@ class Keep:
         return result
 
 
+class Filtered(View):
+    """A table without the samples that `drop` names."""
+
+    def __init__(self, table: TableLike, drop: Drop) -> None:
+        super().__init__(table)
+        self.drop = drop
+        self._rows: int | None = None
+        self._mask: Array | None = None
+        self._held: Piece = {}
+
+    def count(self) -> int:
+        """Return the number of rows that are kept."""
+        if self._rows is None:
+            self._rows = sum(len(piece[RUN]) for piece in self.pieces((RUN,), CHUNK_ROWS))
+        return self._rows
+
+    def pieces(self, columns: Sequence[str], size: int) -> Iterator[Piece]:
+        """Yield the kept rows, as `Table.pieces` does."""
+        if self.in_memory:
+            yield self._hold(columns)
+            return
+        keep = Keep(self.drop)
+        for piece in self.table.pieces(tuple(dict.fromkeys((*columns, *self.drop.columns))), size):
+            mask = keep(piece)
+            if mask.any():
+                yield {name: piece[name] if mask.all() else piece[name][mask] for name in columns}
+
+    def _hold(self, columns: Sequence[str]) -> Piece:
+        """Filter columns of a table in memory, each once."""
+        if self._mask is None:
+            self._mask = Keep(self.drop)(next(iter(self.table.pieces(self.drop.columns, CHUNK_ROWS))))
+        new = [name for name in columns if name not in self._held]
+        for name, values in next(iter(self.table.pieces(new, CHUNK_ROWS))).items():
+            kept = values if self._mask.all() else values[self._mask]
+            kept.flags.writeable = False
+            self._held[name] = kept
+        return {name: self._held[name] for name in columns}
+
+
 def without(log: Log, drop: Drop) -> Log:
     """Return the log without the samples that `drop` names; a stream stays a stream."""
-    table = Filtered(log.table, drop.columns, partial(Keep, drop))
+    table = Filtered(log.table, drop)
     recording = without(log.recording, drop) if log.recording else None
     return Log(table, log.noise, log.meta, log.path, log.notes, log.counted, recording)

@@ -102,7 +102,7 @@ class CsvSource(Source):
             raise first_fault(self, indices, error) from error
 
     def _pieces(self) -> Iterator[bytes]:
-        return TableStream.pieces(self.file, self.dialect, self.where, BLOCK)
+        return clean_pieces(self.file, self.dialect, self.where, BLOCK)
 
     def _arrow(self, indices: Sequence[int]) -> Iterator[list[Array]]:
         csv, arrow = load("pyarrow.csv"), load("pyarrow")
@@ -208,13 +208,14 @@ class Cleaner:
     """Takes out of lines what is no cell: comments, empty lines, quotes, blanks, separators of thousands."""
 
     def __init__(self, dialect: Dialect) -> None:
-        self.steps: list[Callable[[bytes], bytes]] = [_without_empty, *_without_comments(dialect)]
+        self.steps: list[Callable[[bytes], bytes]] = [_without_empty, _without_comments(dialect)]
         if dialect.quoted == "inside":
             self.steps.append(_unquoting(dialect))
         elif dialect.quoted:
             self.steps.append(lambda lines: lines.replace(b'"', b""))
         if dialect.delimiter == " ":
-            self.steps += [_trimmed, _tabbed]
+            self.steps.append(lambda lines: re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", lines))
+            self.steps.append(lambda lines: re.sub(rb"[ \t]+", b"\t", lines))
         elif dialect.padded:
             self.steps.append(_unpadding(dialect.delimiter))
         if dialect.numbers.grouping:
@@ -233,16 +234,8 @@ class TableStream(io.RawIOBase):
 
     def __init__(self, file: Encoded, dialect: Dialect, where: str, size: int) -> None:
         """Start at the first sample; pieces have about `size` bytes."""
-        self._pieces = self.pieces(file, dialect, where, size)
+        self._pieces = clean_pieces(file, dialect, where, size)
         self._rest = memoryview(b"")
-
-    @staticmethod
-    def pieces(file: Encoded, dialect: Dialect, where: str, size: int) -> Iterator[bytes]:
-        """Yield the clean lines of the table in pieces that end with a newline."""
-        clean = Cleaner(dialect)
-        for piece in _table(file, dialect, where, size):
-            if cleaned := clean(piece):
-                yield cleaned + b"\n"
 
     def readable(self) -> bool:
         """Say that it can be read."""
@@ -256,6 +249,14 @@ class TableStream(io.RawIOBase):
         buffer[:count] = self._rest[:count]
         self._rest = self._rest[count:]
         return count
+
+
+def clean_pieces(file: Encoded, dialect: Dialect, where: str, size: int) -> Iterator[bytes]:
+    """Yield the clean lines of the table in pieces that end with a newline."""
+    clean = Cleaner(dialect)
+    for piece in _table(file, dialect, where, size):
+        if cleaned := clean(piece):
+            yield cleaned + b"\n"
 
 
 def _table(file: Encoded, dialect: Dialect, where: str, size: int) -> Iterator[bytes]:
@@ -292,18 +293,17 @@ def _without_empty(lines: bytes) -> bytes:
     return _EMPTY.sub(b"", lines).removesuffix(b"\n")
 
 
-def _without_comments(dialect: Dialect) -> Iterator[Callable[[bytes], bytes]]:
+def _without_comments(dialect: Dialect) -> Callable[[bytes], bytes]:
     marks = [mark.encode() for mark in dialect.comments]
     pattern = re.compile(
         rb'^[ \t"]*(?:' + b"|".join(map(re.escape, marks)) + rb")[^\n]*(?:\n|\Z)", re.MULTILINE
     )
 
     def without(lines: bytes) -> bytes:
-        if not any(mark in lines for mark in marks):
-            return lines
-        return pattern.sub(b"", lines).removesuffix(b"\n")
+        held = any(mark in lines for mark in marks)
+        return pattern.sub(b"", lines).removesuffix(b"\n") if held else lines
 
-    yield without
+    return without
 
 
 def _unquoting(dialect: Dialect) -> Callable[[bytes], bytes]:
@@ -317,11 +317,9 @@ def _unquoting(dialect: Dialect) -> Callable[[bytes], bytes]:
         if comma and as_float(cell.decode("utf-8", "replace").strip(), dialect.numbers) is not None:
             grouping = dialect.numbers.grouping.encode()
             return (cell.replace(grouping, b"") if grouping else cell).replace(b",", b".")
-        if dialect.numbers.grouping == dialect.delimiter:
-            return (
-                cell.replace(delimiter, b"") if as_float(cell.decode(), dialect.numbers) is not None else cell
-            )
-        return cell.replace(delimiter, INSIDE.encode())
+        if dialect.numbers.grouping != dialect.delimiter:
+            return cell.replace(delimiter, INSIDE.encode())
+        return cell if as_float(cell.decode(), dialect.numbers) is None else cell.replace(delimiter, b"")
 
     return lambda lines: quotes.sub(bare, lines)
 
@@ -332,14 +330,6 @@ def _unpadding(delimiter: str) -> Callable[[bytes], bytes]:
     pattern = re.compile(blank + re.escape(mark) + blank)
     ends = re.compile(rb"(?m)^ +| +$")
     return lambda lines: ends.sub(b"", pattern.sub(lambda _: mark, lines))
-
-
-def _trimmed(lines: bytes) -> bytes:
-    return re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", lines)
-
-
-def _tabbed(lines: bytes) -> bytes:
-    return re.sub(rb"[ \t]+", b"\t", lines)
 
 
 def _ungrouping(grouping: str) -> Callable[[bytes], bytes]:

@@ -1,16 +1,29 @@
-"""The file formats of a log: to add one, write its file and add a row here."""
+"""The formats of a log, and a log from a file or a folder: to add one, write its file and a row here."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hallsym.errors import InputError, nearest, quoted
-from hallsym.log.columns import RUN
+from hallsym.log.arrow import is_table, source_of
+from hallsym.log.columns import (
+    RUN,
+    ColumnFile,
+    Foreign,
+    bind,
+    counts_in_turn,
+    listed,
+    read_column_file,
+    still_missing,
+)
+from hallsym.log.core import Log, run_notes
 from hallsym.log.format_csv import CsvSource
 from hallsym.log.format_hdf5 import Hdf5Source
 from hallsym.log.format_mat import open_mat
@@ -19,9 +32,12 @@ from hallsym.log.format_mdf import open_mdf
 from hallsym.log.format_parquet import ParquetSource
 from hallsym.log.format_tdms import open_tdms
 from hallsym.log.format_xlsx import open_workbook
-from hallsym.log.table import Source
-from hallsym.reading import reading
-from hallsym.units import Array
+from hallsym.log.meta import Meta, Noise, check_misspelt_noise, check_noise_keys
+from hallsym.log.quality.check import clean_log
+from hallsym.log.table import Source, Table
+from hallsym.log.text.sniff import stated_delimiter
+from hallsym.reading import reading, regular
+from hallsym.units import Array, split_unit
 
 
 @dataclass(frozen=True)
@@ -90,7 +106,13 @@ class Guarded(Source):
         self.left_out, self.aliases = dict(self.inner.left_out), dict(self.inner.aliases)
         self.notes, self.units = self.inner.notes, dict(self.inner.units)
         self.recognised, self.unstated = self.inner.recognised, self.inner.unstated
-        self._check_names()
+        if len(set(self.names)) < len(self.names):
+            name = next(name for k, name in enumerate(self.names) if name in self.names[:k])
+            raise InputError(f"Columns of {quoted(self.path)} must have different names; '{name}' is twice.")
+        if RUN in self.left_out:
+            raise InputError(
+                f"Column run of {quoted(self.path)} cannot be used: {self.left_out[RUN]}; write it again."
+            )
 
     def count(self) -> int:
         """Return the number of rows."""
@@ -130,19 +152,6 @@ class Guarded(Source):
     def _reading(self) -> AbstractContextManager[None]:
         return reading(self.path, "Log", self.fault, "copy it again")
 
-    def _check_names(self) -> None:
-        known: set[str] = set()
-        for name in self.names:
-            if name in known:
-                raise InputError(
-                    f"Columns of {quoted(self.path)} must have different names; '{name}' is twice."
-                )
-            known.add(name)
-        if RUN in self.left_out:
-            raise InputError(
-                f"Column run of {quoted(self.path)} cannot be used: {self.left_out[RUN]}; write it again."
-            )
-
     def _possible(self, rows: int) -> int:
         if not 0 <= rows <= MOST_ROWS:
             raise InputError(
@@ -168,3 +177,179 @@ class Guarded(Source):
                     f"values, '{names[0]}' {rows}."
                 )
         return columns
+
+
+def as_log(
+    data: Any,
+    remembered: Mapping[str, Foreign] | None = None,
+    read_with: Mapping[str, str] | None = None,
+) -> Log:
+    """Return a log: itself, or what `read_log` makes of a path or of a table in memory."""
+    return data if isinstance(data, Log) else read_log(data, remembered=remembered, read_with=read_with)
+
+
+def read_log(
+    path: Any,
+    *,
+    columns: Mapping[str, str] | None = None,
+    column_file: str | Path | None = None,
+    format: str | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    sheet: str | None = None,
+    clock: str | None = None,
+    drop_bad: bool = False,
+    noise: Mapping[str, float] | None = None,
+    counts_per_turn: float | None = None,
+    remembered: Mapping[str, Foreign] | None = None,
+    read_with: Mapping[str, str] | None = None,
+) -> Log:
+    """Open a log; samples are read when they are first used.
+
+    `path` is a data file, or a folder with `log.parquet` (or .csv, .h5, .mat) and perhaps `meta.json`; or a
+    table in memory: a dict of arrays, or a data frame of any library that speaks Arrow (pandas, polars,
+    pyarrow, DuckDB), whose names state their unit as those of a file do: `x_ref_um`, `x_ref [um]`.
+    `columns` maps our name, ending with the unit the foreign column is in, to the foreign name:
+    `{"hall_a_um": "HallA"}` gives the SI column `hall_a_m`. A column file (TOML) says the same and may give
+    noise. `noise` holds 1-sigma values, `{"hall_m": 5e-7}`, and wins over the column file and `meta.json`.
+    `counts_per_turn`: of angles in counts (`{"angle_count": "raw"}`); it wins in the same way.
+    Of a text file delimiter and decimal sign are recognised; `delimiter` ("tab" and "blank" are words for
+    them) and `decimal` state them. `sheet`: of a workbook that has several. `clock`: of a file whose channel
+    groups (TDMS, MDF, MCAP) have several, "Hall:linear": whose samples become the rows, and how channels of
+    other groups are read there, linear or nearest.
+    `remembered`: columns as an earlier log was mapped (`Fit.columns`); those that this file has, and that
+    nothing else gives, are read under the same names, and a note says so.
+    `read_with`: options (`decimal`, `sheet`, ...) that an earlier log was read with (`Fit.read_with`), which
+    answer what this file leaves open.
+    `drop_bad` leaves out the samples and runs that `check_log` would refuse.
+    """
+    given = {"format": format, "delimiter": delimiter, "decimal": decimal, "sheet": sheet, "clock": clock}
+    (file, folder, source), said = _answered(path, given, read_with or {})
+    where = quoted(file) if file is not None else path if isinstance(path, str) else "The table"
+    meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
+    stated = read_column_file(column_file) if column_file else ColumnFile()
+    wanted = _resolve({**stated.columns, **(columns or {})}, source)
+    again = still_missing(_resolve(remembered or {}, source), source.names, wanted, source.units, where)
+    wanted |= again
+    counts = stated.counts_per_turn or meta.raw.get("counts_per_turn")
+    counts = counts if counts_per_turn is None else counts_per_turn
+    turn = None if counts is None else counts_in_turn(counts, where)
+    bindings, changed = bind(source.names, wanted, where, turn, source.units)
+    table = Table(source, bindings, where)
+    if not any(name != RUN for name in table.columns):
+        raise InputError(
+            f"{where} has no column whose name ends with a unit, such as hall_a_m; it has"
+            f" {listed(source.names, 8)}; map them with --column hall_a_um=ITS_NAME, or have 'hallsym info"
+            " FILE --suggest' write a column file."
+        )
+    known = _noise(meta, stated, noise or {}, table)
+    meta = replace(meta, columns=table.columns)
+    check_misspelt_noise(meta.noise_1sigma, table.columns, "meta.json")
+    renamed = ", ".join(f"{ours} is '{theirs.name}'" for ours, theirs in again.items() if ours != theirs.name)
+    as_before = [f"Columns are named as in the calibration: {renamed}."] if renamed else []
+    notes = (*run_notes(table.bindings), *said, *_notes(source), *changed, *as_before)
+    log = Log(table, known, meta, file, notes)
+    return clean_log(log) if drop_bad else log
+
+
+Opened = tuple[Path | None, Path | None, Source]
+
+
+def _answered(
+    path: Any, given: Mapping[str, str | None], read_with: Mapping[str, str]
+) -> tuple[Opened, tuple[str, ...]]:
+    """Open a file as `open_source` does; where it leaves something open, as an earlier one was read."""
+    known = {name: text for name, text in read_with.items() if name in given and given[name] is None}
+    plain, helped = dict(given), {**given, **known}
+    refused: dict[bool, InputError] = {}
+    # a delimiter was stated because another one was recognised; the rest because it was asked for
+    for options in (helped, plain) if "delimiter" in known else (plain, helped):
+        try:
+            opened = open_source(path, **options)
+            if opened[2].unstated:
+                raise InputError(opened[2].unstated)
+        except InputError as error:
+            refused[options is plain] = error
+            continue
+        if options is plain or not known:
+            return opened, ()
+        words = ", ".join(f"{name} {text!r}" for name, text in known.items())
+        return opened, (f"The file is read as the calibration's log was: {words}.",)
+    raise refused[True]  # without the help of an earlier one
+
+
+def _locate(path: Path) -> tuple[Path, Path | None]:
+    """Return the data file and, for a log given as a folder, the folder."""
+    if path.is_dir():
+        names = [f"log{suffix}" for entry in FORMATS for suffix in entry.suffixes]
+        found = [path / name for name in names if (path / name).is_file()]
+        if not found:
+            raise InputError(
+                f"Folder {path} must hold a log named log.parquet, log.csv, log.h5 or log.mat; it has none."
+            )
+        return regular(found[0], "Log"), path
+    return regular(path, "Log"), None
+
+
+def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> Source:
+    entry = format_of(file, format)
+    if file.stat().st_size == 0:
+        raise InputError(f"Log {quoted(file)} is empty (0 bytes); record or copy it again.")
+    options = {name: text for name, text in stated.items() if text is not None}
+    for name in options:
+        if name not in entry.options:
+            raise InputError(
+                f"Option {name} must be left out for {quoted(file)}: a {entry.name} file has none."
+            )
+    if options.get("decimal", ".") not in (".", ","):
+        raise InputError(f"Decimal sign must be '.' or ','; instead received {options['decimal']!r}.")
+    if "delimiter" in options:
+        options["delimiter"] = stated_delimiter(options["delimiter"])
+    fault = f"must be a complete {entry.kind} file; it is cut short or damaged"
+    source = Guarded(file, partial(entry.open, **options), fault)
+    source.read_with = {**({"format": format} if format else {}), **options}
+    return source
+
+
+def _notes(source: Source) -> tuple[str, ...]:
+    """Return what has to be said about a file: columns that state a unit and cannot be used, and its own."""
+    left = [(name, why) for name, why in source.left_out.items() if split_unit(name)[1]]
+    return (*source.notes, *(f"Column {name} is left out: {why}." for name, why in left))
+
+
+def open_source(
+    path: Any, *, format: str | None = None, **stated: str | None
+) -> tuple[Path | None, Path | None, Source]:
+    """Return the data file, the folder of a log that is given as one, and its columns under their own names.
+
+    Arguments as for `read_log`; neither file nor folder for a table in memory.
+    """
+    if is_table(path):
+        return None, None, source_of(path, "The table")
+    if isinstance(path, str | Path):
+        file, folder = _locate(Path(path))
+        return file, folder, _open(file, format, stated)
+    raise InputError(
+        "A log must be a path, a dict of arrays, a data frame or a Log; instead received a "
+        f"{type(path).__name__}."
+    )
+
+
+def _resolve(wanted: Mapping[str, str | Foreign], source: Source) -> dict[str, Foreign]:
+    """Let a mapping use a column's long name (`log.HallA`) as well as its short one."""
+    entries = {ours: Foreign(e) if isinstance(e, str) else e for ours, e in wanted.items()}
+    return {ours: replace(e, name=source.aliases.get(e.name, e.name)) for ours, e in entries.items()}
+
+
+def _noise(meta: Meta, stated: ColumnFile, given: Mapping[str, float], table: Table) -> Noise:
+    check_noise_keys(given, table.columns, "the noise given")
+    check_noise_keys(stated.noise, table.columns, "the column file")
+    for key, value in given.items():
+        if not value > 0:
+            raise InputError(
+                f"Noise '{key}' must be a positive number (1 sigma); instead received {value!r}."
+            )
+    best = Noise.given(given, table.columns)
+    for values in (stated.noise, meta.noise_1sigma):
+        best = best.merged(Noise.given(values, table.columns))
+    return best

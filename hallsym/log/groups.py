@@ -187,12 +187,7 @@ class GroupedSource(Source):
     """One table of the groups of a file."""
 
     def __init__(
-        self,
-        where: str,
-        kind: str,
-        groups: Sequence[Group],
-        left_out: Mapping[str, str],
-        clock: str | None = None,
+        self, where: str, kind: str, groups: Sequence[Group], left_out: Mapping[str, str], clock: str | None
     ) -> None:
         """Arrange groups of a `kind` ("TDMS") of the file that messages call `where`."""
         self.where = where
@@ -210,11 +205,8 @@ class GroupedSource(Source):
         self.stated, self.master = stated, self._master(stated)
         kept = [self.master, *(g for members in self.sets for g in members if g is not self.master)]
         self.places, self.aliases = places(kept)
-        self.units = {
-            name: place.group.units.get(place.channel, "") or ("s" if place.channel == TIME else "")
-            for name, place in self.places.items()
-        }
-        self.units = {name: unit for name, unit in self.units.items() if unit}
+        own = {n: "s" if p.channel == TIME else p.group.units.get(p.channel) for n, p in self.places.items()}
+        self.units = {name: unit for name, unit in own.items() if unit}
         self._leave_other_clocks()
         self.names = (*((RUN,) if self.runs else ()), *self.places)
         self.rows = sum(g.rows for g in self.runs) or self.master.rows
@@ -273,9 +265,6 @@ class GroupedSource(Source):
                 del self.places[name]
                 self.left_out[name] = f"it is the time of {place.group.name}"
 
-    def _set_of(self, group: Group) -> int:
-        return next(k for k, members in enumerate(self.sets) if group in members)
-
     def _own(self) -> str:
         return next(name for name, place in self.places.items() if place.group is self.master)
 
@@ -305,7 +294,7 @@ class GroupedSource(Source):
     def _joined(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield columns of groups that have one clock."""
         wanted = _by_group(self.places, names)
-        if len({self._set_of(g) for g, _ in wanted}) > 1:
+        if sum(any(g in members for g, _ in wanted) for members in self.sets) > 1:
             raise InputError(self._ask())
         streams = [(g, asked, g.chunks([p for _, p in asked], size)) for g, asked in wanted]
         for pieces in zip(*(stream for _, _, stream in streams), strict=True):
@@ -345,7 +334,9 @@ class GroupedSource(Source):
         own = dict.fromkeys([*(name for name in names if self.places[name].group in mine), self._own()])
         ends = [_ends(g, self.master) for g in others]
         begin, end = max(first for first, _ in ends), min(last for _, last in ends)
-        rows = self._timed_rows(list(own), size)
+        times = self.master.chunks([TIME], size)
+        pieces = self._joined(list(own), size)
+        rows = ((time[TIME], piece) for time, piece in zip(times, pieces, strict=True))
         yield from resampled(rows, followers, method, (begin, end), names, size, self.where)
 
     def _mine(self) -> list[Group]:
@@ -359,11 +350,6 @@ class GroupedSource(Source):
         """Return a full turn in the unit of an angle, 0 for a column of another unit."""
         unit = UNITS[self.units[name]] if name in self.units else split_unit(name)[1]
         return 2 * math.pi / unit.factor if unit and unit.si == "rad" else 0.0
-
-    def _timed_rows(self, names: Sequence[str], size: int) -> Iterator[tuple[Array, Mapping[str, Array]]]:
-        times = self.master.chunks([TIME], size)
-        for time, piece in zip(times, self._joined(names, size), strict=True):
-            yield time[TIME], piece
 
 
 def _timed(group: Group, channels: Sequence[str], size: int) -> Iterator[tuple[Array, Mapping[str, Array]]]:

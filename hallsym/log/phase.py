@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.log.columns import RUN
-from hallsym.log.core import Log
+from hallsym.log.core import Log, edges_of
 from hallsym.log.table import View
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
@@ -254,8 +254,7 @@ class _Continuous(View):
         """Return a reference without jumps of a period, run by run, going on from the piece before."""
         values, run, period = piece[column], piece[RUN], self.references[column]
         out = np.array(values, dtype=float)
-        edges = [0, *(np.flatnonzero(run[1:] != run[:-1]) + 1).tolist(), len(run)]
-        for start, stop in pairwise(edges):
+        for start, stop in pairwise(edges_of(run)):
             if stop == start:
                 continue
             part = unwrapped(out[start:stop], period)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ IN_MEMORY_ROWS = 2_000_000
 CHUNK_ROWS = 65_536
 
 Piece = dict[str, Array]
-RowFilter = Callable[[Piece], Array]
 
 
 class Source(ABC):
@@ -205,49 +204,6 @@ class View:
         if name == "table":  # asked for while a copy is made, before it has one
             raise AttributeError(name)
         return getattr(self.table, name)
-
-
-class Filtered(View):
-    """A table seen through a row filter, which may carry state along one pass.
-
-    `make()` starts a fresh filter; it is shown the columns `needs` beside those asked for and returns which
-    rows to keep, (rows,) of bool.
-    """
-
-    def __init__(self, table: TableLike, needs: Sequence[str], make: Callable[[], RowFilter]) -> None:
-        super().__init__(table)
-        self.needs, self.make = tuple(needs), make
-        self._rows: int | None = None
-        self._mask: Array | None = None
-        self._held: Piece = {}
-
-    def count(self) -> int:
-        """Return the number of rows that are kept."""
-        if self._rows is None:
-            self._rows = sum(len(piece[RUN]) for piece in self.pieces((RUN,), CHUNK_ROWS))
-        return self._rows
-
-    def pieces(self, columns: Sequence[str], size: int) -> Iterator[Piece]:
-        """Yield the kept rows, as `Table.pieces` does."""
-        if self.in_memory:
-            yield self._hold(columns)
-            return
-        keep = self.make()
-        for piece in self.table.pieces(tuple(dict.fromkeys((*columns, *self.needs))), size):
-            mask = keep(piece)
-            if mask.any():
-                yield {name: piece[name] if mask.all() else piece[name][mask] for name in columns}
-
-    def _hold(self, columns: Sequence[str]) -> Piece:
-        """Filter columns of a table in memory, each once."""
-        if self._mask is None:
-            self._mask = self.make()(next(iter(self.table.pieces(self.needs, CHUNK_ROWS))))
-        new = [name for name in columns if name not in self._held]
-        for name, values in next(iter(self.table.pieces(new, CHUNK_ROWS))).items():
-            kept = values if self._mask.all() else values[self._mask]
-            kept.flags.writeable = False
-            self._held[name] = kept
-        return {name: self._held[name] for name in columns}
 
 
 TableLike = Table | View

@@ -13,10 +13,9 @@ from hallsym.errors import InputError
 from hallsym.log.columns import RUN, fastest, is_reference, likely_units, limit_of
 from hallsym.log.core import Drop, Log, without
 from hallsym.log.quality.findings import Finding, name_of, others, the
-from hallsym.log.quality.rails import saturated
-from hallsym.log.quality.repeats import copied, dead, held, stale
 from hallsym.log.quality.scan import FEWEST_SAMPLES, Scan, Spans, scan, ticks, time
-from hallsym.units import UNITS, si_unit, split_unit
+from hallsym.log.quality.values import copied, dead, held, saturated, stale
+from hallsym.units import UNITS, si_symbol, si_unit, split_unit
 
 
 def finite(log: Log, seen: Scan, required: Sequence[str]) -> Iterator[Finding]:
@@ -85,7 +84,8 @@ def usable(
                 drop |= finding.drop
                 notes.append(finding.left_out)
             elif finding.refuse and not finding.bear and not on_rails:
-                raise InputError(_after(finding, notes[len(log.notes) :]))
+                before = [f" ({note[:-1]})" for note in notes[len(log.notes) :]]
+                raise InputError(f"{finding.sentence[:-1]}{''.join(before[-1:])}.")
             else:
                 told.append(finding.borne if finding.refuse else finding.sentence)
         if not drop:
@@ -108,11 +108,6 @@ def on_rails(log: Log, required: Sequence[str] = ()) -> Drop:
 def spans(log: Log, columns: Sequence[str] | None = None) -> Spans:
     """Return min, max, mean and standard deviation of each column, overall and per run, from one pass."""
     return scan(log, log.columns if columns is None else columns).spans()
-
-
-def _after(finding: Finding, dropped: Sequence[str]) -> str:
-    before = f" ({dropped[-1][:-1]})" if dropped else ""
-    return f"{finding.sentence[:-1]}{before}."
 
 
 def _judge(log: Log, required: Sequence[str], *, thinned: bool = False) -> Iterator[Finding]:
@@ -253,12 +248,11 @@ def speeds(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
     """A clock in which the references cross their range within a run faster than any machine."""
     if "t_s" not in spans.overall or log.counted:
         return
+    lasts = spans.covers("t_s")
     for name in filter(is_reference, spans.overall):
-        limit, unit = fastest(name), split_unit(name)[1]
-        lasts, covers = spans.covers("t_s"), spans.covers(name)
-        fast = np.flatnonzero((lasts > 0) & (covers > limit * lasts)) if unit else []
-        for k in fast[:1]:
-            run, symbol = list(spans.samples)[k], UNITS[unit.si].symbol if unit else ""
+        covers = spans.covers(name)
+        for k in np.flatnonzero((lasts > 0) & (covers > fastest(name) * lasts))[:1]:
+            run, symbol = list(spans.samples)[k], si_symbol(name)
             what = f"in run {run} {name} covers {covers[k]:.3g} {symbol} in {lasts[k]:.3g} s"
             yield _unit(log, "t_s", what, ["s"] if log.table.source_name("t_s") != "t_s" else [])
             return

@@ -134,7 +134,8 @@ class Trace:
     """What one pass saw of one column.
 
     `parts` holds arrays (segments, 4): min, max, sum, sum of squares; `sums` arrays (segments,) of what the
-    samples' bits come to, whatever pieces they came in: equal for runs that hold the same samples.
+    samples' bits times their places come to, whatever pieces they came in: equal for runs that hold the same
+    samples. `repeats`: samples equal to the one before, `held`: whether `HELD_SAMPLES` are in a row.
     """
 
     pivot: float | None = None
@@ -149,50 +150,46 @@ class Trace:
     at_low: int = 0
     at_high: int = 0
 
-    def statistics(self, values: Array, starts: Array, scratch: Array) -> bool:
-        """Add extents and moments of the segments from `starts` on; return False if one is not finite."""
+    def add(self, name: str, values: Array, starts: Array, places: Array, row: int, scratch: Array) -> None:
+        """Take a piece that begins at `row`, with segments from `starts` on and the `places` of its samples.
+
+        A piece that holds NaN or infinity is only counted.
+        """
         if self.pivot is None:
             self.pivot = float(values[0])
         part = np.empty((len(starts), 4))
         np.minimum.reduceat(values, starts, out=part[:, 0])
         np.maximum.reduceat(values, starts, out=part[:, 1])
         if not np.isfinite(part[:, :2]).all():
-            return False
+            wrong = ~np.isfinite(values)
+            if self.nonfinite == 0:
+                self.first_nonfinite = row + int(np.argmax(wrong))
+            self.nonfinite += int(np.count_nonzero(wrong))
+            return
         shifted = np.subtract(values, self.pivot, out=scratch[: len(values)])
         np.add.reduceat(shifted, starts, out=part[:, 2])
         np.add.reduceat(np.square(shifted, out=shifted), starts, out=part[:, 3])
         self.parts.append(part)
-        return True
+        if is_reading(name):
+            self._extremes(values, part[:, 0].min(), part[:, 1].max())
+        if is_moving(name):
+            equal = values[1:] == values[:-1]
+            self.repeats += int(np.count_nonzero(equal))
+            if not self.held and len(equal) >= HELD_SAMPLES:
+                two = equal[1:] & equal[:-1]
+                four = two[2:] & two[:-2]
+                self.held = bool((four[3:] & four[:-3]).any())
+            # exact in any order, whole numbers modulo 2^64
+            self.sums.append(np.add.reduceat(values.view(np.uint64) * places, starts))
 
-    def extremes(self, values: Array) -> None:
+    def _extremes(self, values: Array, low: float, high: float) -> None:
         """Count the samples that sit exactly at the least and at the greatest value so far."""
-        low, high = self.parts[-1][:, 0].min(), self.parts[-1][:, 1].max()
         if low <= self.low:
             self.at_low = int(np.count_nonzero(values == low)) + (self.at_low if low == self.low else 0)
             self.low = low
         if high >= self.high:
             self.at_high = int(np.count_nonzero(values == high)) + (self.at_high if high == self.high else 0)
             self.high = high
-
-    def repeated(self, values: Array) -> None:
-        """Count samples equal to the one before, and look for `HELD_SAMPLES` equal ones in a row."""
-        equal = values[1:] == values[:-1]
-        self.repeats += int(np.count_nonzero(equal))
-        if not self.held and len(equal) >= HELD_SAMPLES:
-            two = equal[1:] & equal[:-1]
-            four = two[2:] & two[:-2]
-            self.held = bool((four[3:] & four[:-3]).any())
-
-    def summed(self, values: Array, starts: Array, places: Array) -> None:
-        """Sum the bits of the samples times their `places` in the run, which is exact in any order."""
-        self.sums.append(np.add.reduceat(values.view(np.uint64) * places, starts))
-
-    def bad(self, values: Array, row: int) -> None:
-        """Count NaN and infinity."""
-        wrong = ~np.isfinite(values)
-        if self.nonfinite == 0:
-            self.first_nonfinite = row + int(np.argmax(wrong))
-        self.nonfinite += int(np.count_nonzero(wrong))
 
 
 @dataclass
@@ -260,7 +257,7 @@ def scan(log: Log, columns: Sequence[str]) -> Scan:
         places = _places(found, result.segments)
         result.segments += [(run, stop - start) for run, start, stop in found]
         for name, trace in result.traces.items():
-            _observe(name, trace, piece[name], starts, places, result.rows, scratch)
+            trace.add(name, piece[name], starts, places, result.rows, scratch)
         if clock is not None:
             clock.add(piece["t_s"], found, result.rows)
         result.sample.add(piece, result.rows)
@@ -278,19 +275,6 @@ def _places(found: list[tuple[int, int, int]], before: list[tuple[int, int]]) ->
     parts = [np.arange(stop - start, dtype=np.uint64) for _, start, stop in found]
     parts[0] = parts[0] + np.uint64(first)
     return np.uint64(2) * np.concatenate(parts) + np.uint64(1)
-
-
-def _observe(
-    name: str, trace: Trace, values: Array, starts: Array, places: Array, row: int, scratch: Array
-) -> None:
-    if not trace.statistics(values, starts, scratch):
-        trace.bad(values, row)
-        return
-    if is_reading(name):
-        trace.extremes(values)
-    if is_moving(name):
-        trace.repeated(values)
-        trace.summed(values, starts, places)
 
 
 def _small_pieces(log: Log, columns: Sequence[str]) -> Iterator[Piece]:
@@ -352,33 +336,22 @@ class Clock:
         if not np.isfinite([low, high]).all():
             return  # not finite: reported as such
         if low <= 0:
-            self._backward(step, t, run, row)
+            wrong = np.flatnonzero(step <= 0)
+            i, self.backward = int(wrong[0]), self.backward + len(wrong)
+            self.first_backward = self.first_backward or (row + i, run, float(t[i]), float(step[i]))
         self.steps += len(step)
-        if self.tick > 0 and high <= _LATE * self.tick:
-            return
         if self.tick == 0 and low > 0 and high <= _LATE * low:
             self.tick = float(step[0])
+        if 0 < high <= _LATE * self.tick:
             return
-        self._late(step, t, run, row)
-
-    def _backward(self, step: Array, t: Array, run: int, row: int) -> None:
-        wrong = np.flatnonzero(step <= 0)
-        self.backward += len(wrong)
-        if self.first_backward is None:
-            i = int(wrong[0])
-            self.first_backward = (row + i, run, float(t[i]), float(step[i]))
-
-    def _late(self, step: Array, t: Array, run: int, row: int) -> None:
         forward = step[step > 0]
-        if self.tick == 0:
-            self.tick = float(np.median(forward)) if len(forward) else 0.0
+        if self.tick == 0 and len(forward):
+            self.tick = float(np.median(forward))
         late = np.flatnonzero(step > _LATE * self.tick) if self.tick else np.empty(0, int)
-        if not len(late):
-            return
-        self.missing += int(min((np.round(step[late] / self.tick) - 1).sum(), _MOST_MISSING))
-        if self.first_missing is None:
+        if len(late):
+            self.missing += int(min((np.round(step[late] / self.tick) - 1).sum(), _MOST_MISSING))
             i = int(late[0])
-            self.first_missing = (row + i, run, float(t[i] - step[i]), float(step[i]))
+            self.first_missing = self.first_missing or (row + i, run, float(t[i] - step[i]), float(step[i]))
 
 
 def time(log: Log, clock: Clock) -> Iterator[Finding]:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hallsym.estimation import ErrorTable, Fit, columns_of, decoder_near, nominal_variance
+from hallsym.estimation import ErrorTable, Fit, columns_of, decoder, nominal_variance
 from hallsym.log import Block, Log, Weigh, extended
 from hallsym.log.batches import SIZE
 from hallsym.log.phase import designed
@@ -80,8 +80,8 @@ class Decoder:
         self.fit, self.model = fit, fit.model
         self._nominal = designed(fit.model, fit.values)
         variance = np.array([fit.noise[c].value ** 2 for c in fit.model.channels])
-        self._decode_nominal = decoder_near(fit.model, nominal_variance(fit.model, variance))
-        self._decode = decoder_near(fit.model, variance)
+        self._decode_nominal = decoder(fit.model, nominal_variance(fit.model, variance))
+        self._decode = decoder(fit.model, variance)
 
     def zeros(self, run: int, first_state: np.ndarray) -> np.ndarray:
         """Return the displacements delta / phi(0) of one run, Eq. (31)."""
