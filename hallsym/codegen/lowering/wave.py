@@ -28,11 +28,8 @@ TWO = 2
 """Coordinates of one array: place and height."""
 SIX = 6
 """Coordinates of a mover over several arrays."""
-SWING = 0.1
-"""Share of its swing by which a reading may leave what the model gives over the box: noise, temperature."""
 ROUNDED = 1e-13
 LAST = {"": "", "radial": " and the radial part of a second", "linear": " and one along its slope"}
-FLAG = "field beyond the calibrated heights: too near, too far, or no array"
 
 
 def decoupler(
@@ -79,11 +76,10 @@ def readings_of(found: Phasor, place: float, height: float) -> np.ndarray:
 
 
 def ends_of(found: Phasor, k: int, heights: tuple[float, float]) -> tuple[float, float]:
-    """Return the range of a reading: what the model gives over the heights, and some room, both ends
-    alike."""
+    """Return the range of a reading, both ends alike: what the model gives over heights, and some room."""
     most = max(found.size(z) for z in heights)
     swing = float((np.abs(found.factor[k]) * most ** np.arange(1, found.factor.shape[1] + 1)).sum())
-    end = float(f"{swing * (1 + SWING) + abs(float(found.offset[k])):.3g}")
+    end = float(f"{swing * (1 + wave_steps.SWING) + abs(float(found.offset[k])):.3g}")
     return -end, end
 
 
@@ -118,7 +114,7 @@ class _Assembly:
             ends,
             margins=(Margin(inputs[0], "lc"),),
             exact=self._exact,
-            flags=(Flag("FIELD", "inside", "least_inside", FLAG),),
+            flags=(Flag("FIELD", "inside", "least_inside", wave_steps.FIELD),),
             approximation=found.lc * wave.error + ROUNDED,
             bounded=Rounding(wave, model.pose, self.along, tuple(made.steps[:after_vector]), values),
             listed=self._listed(),
