@@ -191,8 +191,7 @@ def _waves(found: Arrays, aim: float) -> tuple[Wave, ...]:
         if not np.isfinite(heights).all():
             raise InputError(
                 "Tilt brings an array of the box so near that its harmonics cannot be told apart; give a "
-                "smaller "
-                "range of rotations or heights with --range."
+                "smaller range of rotations or heights with --range."
             )
         out.append(wave_steps.wave_of(group.phasor, (float(heights.min()), float(heights.max())), aim))
     return tuple(out)
@@ -275,8 +274,7 @@ class Assembly:
         if series is None:
             raise InputError(
                 "Rotations of the box turn two arrays of an axis by most of a period against each other; "
-                "give a "
-                "smaller range of rotations with --range."
+                "give a smaller range of rotations with --range."
             )
         return series
 

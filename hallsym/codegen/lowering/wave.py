@@ -62,8 +62,7 @@ def _coordinates(model: Model) -> tuple[str, str]:
     if len(along) != 1 or len(height) != 1:
         raise InputError(
             f"C of a decaying wave is generated for one coordinate that repeats and one height; {model.name} "
-            f"has "
-            f"{', '.join(model.pose)}."
+            f"has {', '.join(model.pose)}."
         )
     return along[0], height[0]
 
@@ -109,18 +108,12 @@ class _Assembly:
         )
         values = made.values(inputs, ends)
         return made.finished(
-            model,
-            inputs,
-            ends,
-            margins=(Margin(inputs[0], "lc"),),
-            exact=self._exact,
+            model, inputs, ends, margins=(Margin(inputs[0], "lc"),), exact=self._exact,
             flags=(Flag("FIELD", "inside", "least_inside", wave_steps.FIELD),),
             approximation=found.lc * wave.error + ROUNDED,
             bounded=Rounding(wave, model.pose, self.along, tuple(made.steps[:after_vector]), values),
-            listed=self._listed(),
-            said=self._said(),
-            evident=False,
-        )
+            listed=self._listed(), said=self._said(), evident=False,
+        )  # fmt: skip
 
     def _pose(self, made: Collected, logarithm: ca.SX, phase: ca.SX) -> None:
         """Add the last steps: place within half a wavelength, and height."""
@@ -157,24 +150,18 @@ class _Assembly:
     def _said(self) -> tuple[str, ...]:
         wave, lc = self.wave, self.wave.phasor.lc
         out = [f"{self.along} repeats each {2e3 * pi * lc:.6g} mm; which period it is, readings do not say."]
-        return (*out, *said_of(wave))
-
-
-def said_of(wave: Wave) -> tuple[str, ...]:
-    """Return what is said of the approximations of a wave."""
-    lc, out = wave.phasor.lc, []
-    for name, series in (("arctangent", wave.arctangent), ("logarithm", wave.logarithm)):
-        out.append(
-            f"The {name} is a polynomial of degree {series.degree}: off by at most {series.error * lc:.2g} m "
-            f"(proved)."
-        )
-    if wave.harmonics:
-        names, along = ", ".join(map(str, wave.harmonics)), LAST[wave.last]
-        out.append(
-            f"{counted(wave.rounds, 'round')}{along} take harmonics {names} off, and leave at most "
-            f"{wave.left * lc:.2g} m (proved)."
-        )
-    return tuple(out)
+        for name, series in (("arctangent", wave.arctangent), ("logarithm", wave.logarithm)):
+            out.append(
+                f"The {name} is a polynomial of degree {series.degree}: off by at most "
+                f"{series.error * lc:.2g} m (proved)."
+            )
+        if wave.harmonics:
+            names, along = ", ".join(map(str, wave.harmonics)), LAST[wave.last]
+            out.append(
+                f"{counted(wave.rounds, 'round')}{along} take harmonics {names} off, and leave at most "
+                f"{wave.left * lc:.2g} m (proved)."
+            )
+        return tuple(out)
 
 
 @dataclass(frozen=True, eq=False)
