@@ -161,9 +161,9 @@ def open_log(
 
     `known`: a calibration, whose names of columns count where nothing else is stated.
     """
-    remembered = {} if known is None else {"remembered": known.columns, "read_with": known.read_with}
-    path = options.log if path is None else path
-    log = read_log(path, drop_bad=options.drop_bad, **remembered, **reading_of(options))
+    reading = reading_of(options) | {"drop_bad": options.drop_bad}
+    reading |= {} if known is None else {"remembered": known.columns, "read_with": known.read_with}
+    log = read_log(options.log if path is None else path, **reading)
     return log if machine is None else replace(log, meta=machine.applied(log.meta))
 
 

@@ -79,17 +79,12 @@ def _headline(fit: Fit, rows: Mapping[str, Gap], calibration: str) -> Headline:
     ratio = _ratios(fit, gap)
     above = max(ratio.values(), default=0.0) > NEAR or bool(_amiss(fit))
     state = "bad" if above or _unfinished(fit) else "good" if ratio else "open"
-    word = {
-        "bad": "Not at the noise floor.",
-        "good": "At the noise floor.",
-        "open": "No noise floor is known.",
-    }
+    words = {"bad": "Not at the noise floor.", "good": "At the noise floor."}
+    word = words.get(state, "No noise floor is known.")
     sizes = {"before": rows["nominal"]} if "nominal" in rows and where != "nominal" else {}
     table = shared.sizes_table({**sizes, "after" if sizes else where: gap}, fit.noise_floor, fit.model.period)
     why, command = _next(fit, above, calibration)
-    return Headline(
-        state, word, verdict(fit, rows), table, why, command
-    )
+    return Headline(state, word, verdict(fit, rows), table, why, command)
 
 
 def _next(fit: Fit, above: bool, calibration: str) -> tuple[str, str]:
