@@ -209,7 +209,7 @@ class FloatBackend(Backend):
         bad = []
         for k in range(len(low)):
             for value in (np.nan, np.inf, -np.inf, 2 * low[k], 2 * high[k], np.finfo(dtype).max):
-                column = inside[:, 9 + k].copy()
+                column = inside[:, (9 + k) % COUNT].copy()
                 column[k] = value
                 bad.append(column)
         bad.append(np.full(len(low), np.nan, dtype=dtype))
