@@ -65,7 +65,7 @@ def pictures(
     """Save pictures if a folder is given; `named` on each of them: file and model, those that are known."""
     if folder is None:
         return []
-    from hallsym.report.figures.saving import save_figures
+    from hallsym.report.figures.style import save_figures
 
     words = [str(name) for name in named if name]
     brief = ["/".join(Path(word).parts[-2:]) if Path(word).exists() else word for word in words]
