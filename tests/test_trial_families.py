@@ -167,7 +167,7 @@ def test_the_waves_of_an_error_over_x_are_counted():
 
 def test_pictures_of_a_fit_are_drawn(tmp_path):
     from hallsym.report.figures.campaign import fit_figure
-    from hallsym.report.figures.saving import save_figures
+    from hallsym.report.figures.style import save_figures
 
     log, fit = fitted(ARRAY)
     written = save_figures({"errors": lambda: fit_figure(log, fit)}, tmp_path)

@@ -65,7 +65,7 @@ def pictures(
     """Save pictures if a folder is given; `named` on each of them: file and model, those that are known."""
     if folder is None:
         return []
-    from hallsym.report.figures.saving import save_figures
+    from hallsym.report.figures.style import save_figures
 
     words = [str(name) for name in named if name]
     brief = ["/".join(Path(word).parts[-2:]) if Path(word).exists() else word for word in words]
@@ -161,9 +161,9 @@ def open_log(
 
     `known`: a calibration, whose names of columns count where nothing else is stated.
     """
-    remembered = {} if known is None else {"remembered": known.columns, "read_with": known.read_with}
-    path = options.log if path is None else path
-    log = read_log(path, drop_bad=options.drop_bad, **remembered, **reading_of(options))
+    reading = reading_of(options) | {"drop_bad": options.drop_bad}
+    reading |= {} if known is None else {"remembered": known.columns, "read_with": known.read_with}
+    log = read_log(options.log if path is None else path, **reading)
     return log if machine is None else replace(log, meta=machine.applied(log.meta))
 
 

@@ -85,7 +85,7 @@ def run(options: Namespace) -> int:
     effects, parameters = options.effect, machine.parameters
     if effects and not several:
         model = model_on(logs[0], options.model, effects, parameters=parameters, **shared)
-        effects, parameters = (), None
+        effects, parameters = (), {}
     result = fit(
         logs if several else logs[0],
         model,

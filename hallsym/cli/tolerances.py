@@ -7,9 +7,8 @@ from hallsym.cli import OK, common
 from hallsym.errors import InputError
 from hallsym.families.machine_file import read_machine
 from hallsym.model import Model
-from hallsym.report.figures.along import errors
-from hallsym.report.text.along import errors_text
-from hallsym.report.text.tolerances import tolerances_text
+from hallsym.report.figures.uncertainty import errors_along
+from hallsym.report.text.tolerances import errors_text, tolerances_text
 from hallsym.simulation.paper import DESIGNED
 from hallsym.uncertainty import error_model
 from hallsym.uncertainty.ranges import read_tolerances, read_value
@@ -115,6 +114,6 @@ def _along(options: Namespace, model: Model) -> int:
         )
     at = common.column_values(options.at, columns)
     found = error_model(model, values, over=(column, low, high), at=at)
-    pictures = common.plots(options, {"errors": lambda: errors(found)}, found.model.name)
+    pictures = common.plots(options, {"errors": lambda: errors_along(found)}, found.model.name)
     common.say(options, found.to_dict(), lambda: errors_text(found), wrote=pictures)
     return OK

@@ -68,11 +68,6 @@ class Slopes:
         """What they share, then one step each."""
         return shared_steps(self.whole)
 
-    @property
-    def stored(self) -> dict[str, str]:
-        """C lvalue of each step that is a slope."""
-        return {f"result_{k}": f"slopes->{name}" for k, name in enumerate(self.expressions)}
-
     def records(self) -> list[dict[str, Any]]:
         """Return what templates say of each slope."""
         pairs = [(c, m) for c in self.d.pose for m in self.d.model.channels]
@@ -80,11 +75,6 @@ class Slopes:
             {"name": name, "index": k, "unit": f"{unit(c)}/{unit(m)}", "of": commented(c), "by": commented(m)}
             for k, (name, (c, m)) in enumerate(zip(self.expressions, pairs, strict=True))
         ]
-
-    def fields(self) -> dict[str, str]:
-        """Return what templates say of all of them."""
-        units = dict.fromkeys(record["unit"] for record in self.records())
-        return {"quantity": self.d.quantity, "slope_units": ", ".join(units)}
 
     def of(self, held: np.ndarray) -> np.ndarray:
         """Return the slopes (n, s) in double of inputs (n_inputs, s) in their ranges."""
@@ -219,7 +209,7 @@ class FloatBackend(Backend):
         bad = []
         for k in range(len(low)):
             for value in (np.nan, np.inf, -np.inf, 2 * low[k], 2 * high[k], np.finfo(dtype).max):
-                column = inside[:, 9 + k].copy()
+                column = inside[:, (9 + k) % COUNT].copy()
                 column[k] = value
                 bad.append(column)
         bad.append(np.full(len(low), np.nan, dtype=dtype))
@@ -289,7 +279,7 @@ class FloatBackend(Backend):
 
     def _fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
         d, c = self.decoupler, self.real.constant
-        work = firmware_cost(d)
+        work, slopes = firmware_cost(d), self.slopes.records() if self.jacobian else []
         common = {
             "real": self.type,
             **taken(d),
@@ -298,8 +288,9 @@ class FloatBackend(Backend):
             "ieee": lines_of(f"{FRAGMENTS}ieee.c", {}),
             "out": self._outputs(errors),
             "in": self._inputs(),
-            "slope": self.slopes.records() if self.jacobian else [],
-            **(self.slopes.fields() if self.jacobian else {}),
+            "slope": slopes,
+            "quantity": d.quantity,
+            "slope_units": ", ".join(dict.fromkeys(record["unit"] for record in slopes)),
             # build files
             "deviations": UNIONS if any(map(self.by_size, d.inputs)) else [],
             "cpu": f"{M4} {FPU[self.real.size]}",
@@ -390,7 +381,8 @@ class FloatBackend(Backend):
         slopes: list[str] = []
         if self.jacobian:
             slopes = self._held(self.slopes.whole)
-            slopes += statements(self.slopes.steps, whole, real, self.slopes.stored)
+            stored = {f"result_{k}": f"slopes->{name}" for k, name in enumerate(self.slopes.expressions)}
+            slopes += statements(self.slopes.steps, whole, real, stored)
         magnitude = lines_of(f"{FRAGMENTS}magnitude.c", common)
         by_size = list(map(self.by_size, d.inputs))
         within = lines_of(f"{FRAGMENTS}within.c", {**common, **self._bits()}) if any(by_size) else []
@@ -452,7 +444,14 @@ class FloatBackend(Backend):
 
     def _selftest(self) -> dict[str, Any]:
         found, c = self.vectors, self.real.constant
-        slopes, slope_bounds = self._slope_vectors() if self.jacobian else (found.pose, [])
+        slopes, slope_bounds = found.pose, []
+        if self.jacobian:
+            slopes = self.slopes.of(found.held)
+            errors = self.slopes.errors(self.real)
+            # the reference is computed in double and written with 13 digits
+            limits = [error + 1e-12 * np.abs(row).max() for error, row in zip(errors, slopes, strict=True)]
+            listed = ", ".join(f"{limit:.3e}" for limit in limits)
+            slope_bounds = [f"static const double decoupler_slope_bounds[{len(limits)}] = {{{listed}}};"]
         rows = []
         for k in range(found.inputs.shape[1]):
             inputs = ", ".join(self._input(float(v)) for v in found.inputs[:, k])
@@ -533,15 +532,6 @@ class FloatBackend(Backend):
                 for share, found in ((1.0, "0U"), (1 + faults.JUST, "DECOUPLER_BAD_ZEROS")):
                     value = c(2.0 * sign * share * d.known(column))
                     yield from faults.expect([f"table.{zero.name} = {value};"], found)
-
-    def _slope_vectors(self) -> tuple[np.ndarray, list[str]]:
-        """Return the slopes (n_slopes, s) of the vectors in double, and the line of their bounds."""
-        slopes = self.slopes.of(self.vectors.held)
-        errors = self.slopes.errors(self.real)
-        # the reference is computed in double and written with 13 digits
-        limits = [error + 1e-12 * np.abs(row).max() for error, row in zip(errors, slopes, strict=True)]
-        listed = ", ".join(f"{limit:.3e}" for limit in limits)
-        return slopes, [f"static const double decoupler_slope_bounds[{len(limits)}] = {{{listed}}};"]
 
     def _input(self, value: float) -> str:
         cast = "" if self.real.size == 4 else "(double)"  # math.h has them as float

@@ -129,7 +129,7 @@ class IntegerBackend(Backend):
         share = np.hstack([rng.choice([0.0, 1.0], (len(low), 8)), rng.random((len(low), COUNT - 8))])
         given = [self._rounded(low + (high - low) * share)]
         for k in range(0 if self.reads_angle else len(low)):
-            beyond = np.repeat(given[0][:, 9 + k : 10 + k], 4, axis=1)
+            beyond = np.repeat(given[0][:, [(9 + k) % COUNT]], 4, axis=1)
             beyond[k] = (-MOST - 1, low[k, 0] - 1, high[k, 0] + 1, MOST)
             given.append(beyond)
         if d.listed:

@@ -494,7 +494,7 @@ class Compiler:
         divisor = Fixed(b.text, b.e, low, high)
         line = self._add(c0, self._mul(c1, divisor), minus=True)
         off = max(abs(level - slope * v - 1 / v) for v in (low, middle, high)) + line.error
-        r = self._grown(Fixed(line.text, line.e, *sorted((1 / low, 1 / high)), off))
+        r = self._grown(Fixed(line.text, line.e, *_ordered(1 / low, 1 / high), off))
         place, steps = len(self.p.plan), self._chosen(lambda: MOST_STEPS)
         for n in range(1, steps + 1):
             r, squared = self._newton(divisor, r)
@@ -511,7 +511,7 @@ class Compiler:
         given = Fixed(b.text, b.e, b.low - b.error, b.high + b.error)
         self.p.reciprocals.append(Reciprocal(given, r, first, len(self.p.lines)))
         least = min(abs(given.low), abs(given.high))
-        return Fixed(r.text, r.e, *sorted((1 / b.low, 1 / b.high)), r.error + b.error / least**2)
+        return Fixed(r.text, r.e, *_ordered(1 / b.low, 1 / b.high), r.error + b.error / least**2)
 
     def _varied(self, b: Fixed) -> tuple[float, float, float]:
         """Return the range of a divisor, a wider one where a plan is made, and what may be left then."""
@@ -549,3 +549,7 @@ class Compiler:
         if n <= 0:
             return self._checked(v)
         return self._checked(Fixed(self._line("left", v.text, i=n), v.e + n, v.low, v.high, v.error))
+
+
+def _ordered(a: float, b: float) -> tuple[float, float]:
+    return min(a, b), max(a, b)

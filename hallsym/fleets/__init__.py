@@ -12,15 +12,6 @@ from hallsym.fleets.spread import Spread, spread_of
 from hallsym.fleets.workers import Failed, completed
 
 __all__ = [
-    "Device",
-    "Failed",
-    "Fleet",
-    "Spread",
-    "completed",
-    "devices_of",
-    "fleet",
-    "load_fleet",
-    "machine_file",
-    "spread_of",
-    "tolerance_file",
-]
+    "Device", "Failed", "Fleet", "Spread", "completed", "devices_of", "fleet", "load_fleet",
+    "machine_file", "spread_of", "tolerance_file",
+]  # fmt: skip

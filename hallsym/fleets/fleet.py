@@ -78,9 +78,8 @@ def fleet(
             say(f"{len(rows)} of {counted(len(devices), 'device')}, {time_left} left")
     table = [{"device": d.name, "log": d.log, **d.covariates, **rows[d.name]} for d in devices]
     models = Counter(str(row["model"]) for row in table if "model" in row).most_common(1)
-    found = Fleet(
-        tuple(table), _built(models[0][0], settings) if models else None, perf_counter() - began
-    )  # fmt: skip
+    known_model = _built(models[0][0], settings) if models else None
+    found = Fleet(tuple(table), known_model, perf_counter() - began)
     if output is not None:
         found.save(output)
         journal_of(output).unlink(missing_ok=True)

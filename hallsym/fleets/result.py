@@ -1,5 +1,6 @@
 """A fleet: one row a device, what the devices have in common, and what to expect of the next ones."""
 
+import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -62,7 +63,9 @@ class Fleet(Shown):
 
     def column(self, name: str) -> np.ndarray:
         """Return a column of numbers, (devices,); nan where a device has none."""
-        return np.array([_number(row.get(name)) for row in self.rows])
+        found = [row.get(name) for row in self.rows]
+        known = (isinstance(v, int | float) and not isinstance(v, bool) for v in found)
+        return np.array([v if number else np.nan for v, number in zip(found, known, strict=True)], float)
 
     @cached_property
     def verdicts(self) -> dict[str, tuple[str, ...]]:
@@ -182,8 +185,9 @@ def machine_file(fleet: Fleet) -> str:
     Nominal: the mean of the devices. Bounds: a tolerance interval, which holds 9,999 of 10,000 next devices
     or more with a confidence of 95 %. Parameters that repeat are left out: mounting sets them.
     """
-    lines = [f"# From {_devices(fleet)}; SI units.", ""]
-    for s in _known(fleet):
+    known, devices = _known(fleet)
+    lines = [f"# From {devices}; SI units.", ""]
+    for s in known:
         low, high = bounds(s)
         lines += [f"[parameters.{s.name}]", f"nominal = {s.mean:.9g}", f"lower = {low:.9g}",
                   f"upper = {high:.9g}", ""]  # fmt: skip
@@ -206,14 +210,17 @@ def bounds(spread: Spread) -> tuple[float, float]:
 
 def tolerance_file(fleet: Fleet) -> str:
     """Return the text of a tolerance file for `hallsym tolerances`: the spread of each parameter, 1 sigma."""
-    lines = [f"# From {_devices(fleet)}.", 'others = "exact"', "", "[tolerance]"]
-    for s in _known(fleet):
-        key = f"{s.name}_{_suffix(s.unit)}" if s.unit != "1" else s.name
+    known, devices = _known(fleet)
+    lines = [f"# From {devices}.", 'others = "exact"', "", "[tolerance]"]
+    for s in known:
+        suffix = re.sub("^1/", "per_", s.unit).lower()
+        key = f"{s.name}_{suffix}" if s.unit != "1" else s.name
         lines.append(f"{key} = {{ std = {s.std:.9g} }}" if s.std > 0 else f'{key} = "exact"')
     return "\n".join([*lines, ""])
 
 
-def _known(fleet: Fleet) -> list[Spread]:
+def _known(fleet: Fleet) -> tuple[list[Spread], str]:
+    """Return the spreads that the next batch is made from, and of how many devices they are."""
     period = fleet.model.period if fleet.model else {}
     found = [s for s in fleet.spreads if s.name not in period]
     if not found:
@@ -221,16 +228,4 @@ def _known(fleet: Fleet) -> list[Spread]:
             "No parameter has a spread to make bounds or tolerances from: three good devices at least must "
             "determine it."
         )
-    return found
-
-
-def _devices(fleet: Fleet) -> str:
-    return counted(max(s.devices for s in fleet.spreads), "device")
-
-
-def _suffix(unit: str) -> str:
-    return f"per_{unit.removeprefix('1/')}".lower() if unit.startswith("1/") else unit.lower()
-
-
-def _number(value: Any) -> float:
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else float("nan")
+    return found, counted(max(s.devices for s in fleet.spreads), "device")

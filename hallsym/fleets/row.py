@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +14,6 @@ from hallsym.families.machine_file import Machine
 from hallsym.fleets.sources import Device
 from hallsym.log import Fault, Log, read_log
 from hallsym.model import Model
-
-if TYPE_CHECKING:
-    from hallsym.diagnosis import Diagnosis
 
 GOOD, AMISS, UNDETERMINED, NOT_CONVERGED, FAILED = (
     "good", "not described", "not determined", "not converged", "failed",
@@ -88,10 +85,10 @@ def row_of_fit(found: Fit) -> dict[str, Any]:
         "worst_run": int(goodness.worst_run),
         "worst_channel": goodness.worst_channel,
     }
-    free = [k for k, p in enumerate(found.model.parameters) if p.width > 0]
-    for k in free:
-        row[f"{VALUE}{found.model.names[k]}"] = float(found.values[k])
-        row[f"{STD}{found.model.names[k]}"] = _finite(found.std[k])
+    for p, value, std in zip(found.model.parameters, found.values, found.std, strict=True):
+        if p.width > 0:
+            row[f"{VALUE}{p.name}"] = float(value)
+            row[f"{STD}{p.name}"] = float(std) if np.isfinite(std) else None
     return row
 
 
@@ -105,7 +102,10 @@ def verdict_of(found: Fit) -> tuple[str, str]:
         return AMISS, amiss
     if faults:
         return AMISS, faults[0]
-    if pressed := _pressed(found):
+    nominal = {p.name: p.nominal for p in found.model.parameters}
+    for pressed in found.at_bound:
+        if np.isclose(found.value(pressed), nominal[pressed], atol=1e-12):
+            continue  # an effect is merely absent
         return AMISS, (
             f"{pressed} ends at its bound, {found.value(pressed):.6g}, so other parameters make up for it; "
             "widen the bound (--machine), or look at this device."
@@ -113,12 +113,6 @@ def verdict_of(found: Fit) -> tuple[str, str]:
     if found.undetermined_by_log:
         return UNDETERMINED, f"{', '.join(found.undetermined_by_log)} are not determined by this log."
     return GOOD, ""
-
-
-def _pressed(found: Fit) -> str | None:
-    """Return a parameter that ends at a bound which is no nominal value: there an effect is merely absent."""
-    nominal = {p.name: p.nominal for p in found.model.parameters}
-    return next((n for n in found.at_bound if not np.isclose(found.value(n), nominal[n], atol=1e-12)), None)
 
 
 def _diagnosed(log: Any, found: Fit, asked: Settings) -> dict[str, Any]:
@@ -129,18 +123,8 @@ def _diagnosed(log: Any, found: Fit, asked: Settings) -> dict[str, Any]:
         result = diagnose(log, found.model, drop_bad=asked.drop_bad)
     except InputError as error:
         return {"diagnosis": "not possible", "causes": "", "diagnosis_reason": one_line(str(error))}
-    return {
-        "diagnosis": result.verdict,
-        "causes": _causes(result),
-        "diagnosis_reason": one_line(result.sentence),
-    }
-
-
-def _causes(result: "Diagnosis") -> str:
-    """Return the effects that were found, each with those that the log cannot tell from it."""
+    # the effects that were found, each with those that the log cannot tell from it
     apart = {name: sorted(group) for group in result.groups for name in group}
-    return " + ".join(sorted({" or ".join(apart.get(e.name, [e.name])) for e in result.effects}))
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    causes = sorted({" or ".join(apart.get(e.name, [e.name])) for e in result.effects})
+    reason = one_line(result.sentence)
+    return {"diagnosis": result.verdict, "causes": " + ".join(causes), "diagnosis_reason": reason}

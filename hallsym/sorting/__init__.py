@@ -10,11 +10,6 @@ from hallsym.sorting.readings import read_readings
 from hallsym.sorting.sort import WIDTH, Sorting, sort_sensors
 
 __all__ = [
-    "WIDTH",
-    "Matching",
-    "Sorting",
-    "change_probability",
-    "match_sensors",
-    "read_readings",
+    "WIDTH", "Matching", "Sorting", "change_probability", "match_sensors", "read_readings",
     "sort_sensors",
-]
+]  # fmt: skip

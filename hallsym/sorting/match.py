@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import permutations
 from typing import Any
@@ -104,7 +104,14 @@ class Matching:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record as plain data."""
-        pose = self.model.pose
+        ways = []
+        for w in self.ways:
+            known = len(w.sets) > 0
+            peak = named(self.model.pose, w.pose_peak.max(axis=0)) if known else None
+            rms, expected = (w.overall, self.expected(w)) if known else (None, None)
+            ways.append(
+                {"way": w.name, "sets": len(w.sets), "rms": rms, "expected_rms": expected, "pose_peak": peak}
+            )
         return {
             "model": self.model.name,
             "unit": self.unit,
@@ -112,16 +119,7 @@ class Matching:
             "rms_from_uncertainty": self.floor,
             "optimal": self.optimal,
             "gain_over_bins": self.gain_over_bins if np.isfinite(self.gain_over_bins) else None,
-            "ways": [
-                {
-                    "way": w.name,
-                    "sets": len(w.sets),
-                    "rms": w.overall if len(w.sets) else None,
-                    "expected_rms": self.expected(w) if len(w.sets) else None,
-                    "pose_peak": named(pose, w.pose_peak.max(axis=0)) if len(w.sets) else None,
-                }
-                for w in self.ways
-            ],
+            "ways": ways,
             "sets": self.chosen(),
             "notes": list(self.notes),
         }
@@ -165,6 +163,14 @@ def match_sensors(
     }
     decoded = tuple(_decoded(influence, weights, members, *way, gain) for way in ways.items())
     floor = float(np.sqrt(np.mean(_channels(std[chosen] ** 2, members) @ np.diag(plain)) / members))
+    notes, alone = [], len(decoded[1].sets)
+    if alone < count:
+        notes.append(f"bins alone give {alone} of {count} sets: what is left over in a bin makes none.")
+    if floor > decoded[0].overall:
+        notes.append(
+            "the uncertainty of the gains makes more of the error than what matching leaves: measure each"
+            " sensor more often before sorting finer."
+        )
     return Matching(
         influence.model,
         influence,
@@ -174,7 +180,7 @@ def match_sensors(
         decoded,
         floor,
         symmetric,
-        tuple(_notes(decoded, floor, count)),
+        tuple(notes),
     )
 
 
@@ -233,9 +239,7 @@ def arranged(index: Array, gain: Array, square: Array, members: int) -> Array:
     return np.take_along_axis(sets, best[:, :, None], axis=1).reshape(index.shape)
 
 
-def _inventory(
-    inventory: Sorting | Mapping[str, float],
-) -> tuple[tuple[str, ...], Array, Array, float]:
+def _inventory(inventory: Sorting | Mapping[str, float]) -> tuple[tuple[str, ...], Array, Array, float]:
     """Names, relative gains and their standard uncertainties, and the width of the bins."""
     if isinstance(inventory, Sorting):
         return inventory.sensors, inventory.relative, inventory.std / inventory.nominal, inventory.width
@@ -287,17 +291,3 @@ def _decoded(influence: Influence, weights: Array, members: int, name: str, inde
         rms[at] = np.sqrt((e * e).mean(axis=2).T @ influence.weights**2)
         peak[at] = np.abs(e).max(axis=2).T
     return Way(name, index, common, rms, peak)
-
-
-def _notes(ways: Sequence[Way], floor: float, count: int) -> list[str]:
-    notes = []
-    if len(ways[1].sets) < count:
-        notes.append(
-            f"bins alone give {len(ways[1].sets)} of {count} sets: what is left over in a bin makes none."
-        )
-    if floor > ways[0].overall:
-        notes.append(
-            "the uncertainty of the gains makes more of the error than what matching leaves: measure each"
-            " sensor more often before sorting finer."
-        )
-    return notes

@@ -114,16 +114,18 @@ class Sorting:
     def to_dict(self) -> dict[str, Any]:
         """Return the record as plain data: every sensor, bins, drift, repeats."""
         columns = {
-            "sensor": np.array(self.sensors),
-            "gain": self.gain,
-            "gain_std": self.std,
-            "offset": self.offset,
-            "relative": self.relative,
-            "bin": self.bin,
-            "wrong_bin_probability": self.wrong,
+            "sensor": np.array(self.sensors), "gain": self.gain, "gain_std": self.std, "offset": self.offset,
+            "relative": self.relative, "bin": self.bin, "wrong_bin_probability": self.wrong,
             "measurements": self.measurements,
-        }
-        r = self.repeats
+        }  # fmt: skip
+        r, repeats = self.repeats, None
+        if r is not None:
+            changes = [
+                {"bins": k, "observed": n, "expected": e if np.isfinite(e) else None}
+                for k, (n, e) in r.changes(self.width).items()
+            ]
+            std = r.std if np.isfinite(r.std) else None
+            repeats = {"sensors": len(r.first), "drift": r.drift, "std_of_change": std, "changes": changes}
         return {
             "source": self.source,
             "unit": self.unit,
@@ -139,19 +141,7 @@ class Sorting:
             ],
             "bins": [{"bin": k, "centre": 1 + k * self.width, "sensors": n} for k, n in self.bins.items()],
             "expected_wrong": dict(zip(("number", "std"), self.expected_wrong, strict=True)),
-            "repeats": (
-                None
-                if r is None
-                else {
-                    "sensors": len(r.first),
-                    "drift": r.drift,
-                    "std_of_change": r.std if np.isfinite(r.std) else None,
-                    "changes": [
-                        {"bins": k, "observed": n, "expected": e if np.isfinite(e) else None}
-                        for k, (n, e) in r.changes(self.width).items()
-                    ],
-                }
-            ),
+            "repeats": repeats,
             "unsorted": list(self.unsorted),
             "notes": list(self.notes),
         }
@@ -192,10 +182,10 @@ def sort_sensors(
     m = _lines(readings, readings.value)
     at = np.flatnonzero(np.isfinite(m.gain))
     _check_gains(m.gain[at], readings)
-    drift = (
-        None if readings.reference is None else _drift(_lines(readings, readings.reference).gain, readings)
-    )
-    gain = m.gain / (1.0 if drift is None else drift)
+    drift, gain = None, m.gain
+    if readings.reference is not None:
+        drift = _drift(_lines(readings, readings.reference).gain, readings)
+        gain = m.gain / drift
     count = np.bincount(m.sensor[at], minlength=len(readings.ids))
     kept = np.flatnonzero(count)
 
@@ -205,27 +195,24 @@ def sort_sensors(
     gains = mean(gain)
     middle = float(np.median(gains)) if nominal is None else nominal
     again = _again(m.sensor, at)
-    scatter = _scatter(m, gain, again, repeatability, readings)
+    scatter, dof, notes = _scatter(m, gain, again, repeatability, readings)
+    notes += ["no drift was taken out: there is no reference sensor."] if drift is None else []
     return Sorting(
         tuple(readings.ids[k] for k in kept),
         gains,
         mean(m.offset),
-        scatter.std / np.sqrt(count[kept]) * np.abs(gains),
-        scatter.dof,
+        scatter / np.sqrt(count[kept]) * np.abs(gains),
+        dof,
         middle,
         readings.gain_unit,
         readings.unit,
         count[kept],
         width,
-        scatter.std,
+        scatter,
         drift,
         Repeats(*(gain[[g[:2] for g in again]].T / middle)) if again else None,
         tuple(readings.ids[k] for k in np.flatnonzero(count == 0)),
-        (
-            *readings.notes,
-            *([scatter.note] if scatter.note else []),
-            *(["no drift was taken out: there is no reference sensor."] if drift is None else []),
-        ),
+        (*readings.notes, *notes),
         readings.where,
     )
 
@@ -299,21 +286,15 @@ def _again(sensor: Array, at: Array) -> list[Array]:
     return [g for g in groups if len(g) > 1]
 
 
-@dataclass(frozen=True)
-class _Scatter:
-    """Repeatability of one measurement, relative (1 sigma), of `dof` degrees of freedom."""
-
-    std: float
-    dof: float
-    note: str = ""
-
-
 def _scatter(
     m: _Lines, gain: Array, groups: Sequence[Array], stated: float | None, readings: Readings
-) -> _Scatter:
-    """The stated repeatability; else that of sensors measured again."""
+) -> tuple[float, float, list[str]]:
+    """Repeatability of one measurement, relative (1 sigma), its degrees of freedom, and notes on it.
+
+    The stated one; else that of sensors measured again.
+    """
     if stated is not None:
-        return _Scatter(stated, np.inf)
+        return stated, np.inf, []
     if not groups:
         raise InputError(
             f"Nothing in {readings.where} tells the repeatability of a gain: measure some 20 sensors"
@@ -330,4 +311,4 @@ def _scatter(
         f" measure {'it' if len(names) == 1 else 'them'} again."
     )
     std = float(np.sqrt(sum(float(d @ d) for d in kept) / dof))
-    return _Scatter(std, dof, note if names else "")
+    return std, dof, [note] if names else []

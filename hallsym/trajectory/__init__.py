@@ -15,15 +15,6 @@ from hallsym.trajectory.nominal import Nominal, nominal
 from hallsym.trajectory.points import Points, read_points
 
 __all__ = [
-    "Candidate",
-    "Choice",
-    "Curve",
-    "Nominal",
-    "Points",
-    "bound",
-    "choose_curve",
-    "is_curve",
-    "nominal",
-    "read_curve",
-    "read_points",
-]
+    "Candidate", "Choice", "Curve", "Nominal", "Points", "bound", "choose_curve", "is_curve", "nominal",
+    "read_curve", "read_points",
+]  # fmt: skip

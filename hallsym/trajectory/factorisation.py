@@ -57,15 +57,10 @@ BERNSTEIN = Basis(
 )
 """Polynomials."""
 TRIGONOMETRIC = Basis(
-    "trigonometric",
-    -D,
-    D,
-    lambda t: np.sin((D + t) / 2),
-    lambda t: np.sin((D - t) / 2),
-    lambda t, s: math.sin(D) * np.sin((t - s) / 2),
-    (0.5 / math.tan(D), 0.5 / math.sin(D)),
+    "trigonometric", -D, D, lambda t: np.sin((D + t) / 2), lambda t: np.sin((D - t) / 2),
+    lambda t, s: math.sin(D) * np.sin((t - s) / 2), (0.5 / math.tan(D), 0.5 / math.sin(D)),
     lambda t: (((D + t) / 2).sin(), ((D - t) / 2).sin()),
-)
+)  # fmt: skip
 """Even orders n = 2m span the trigonometric polynomials of degree m; odd orders do not contain constants."""
 BASES = {basis.name: basis for basis in (BERNSTEIN, TRIGONOMETRIC)}
 

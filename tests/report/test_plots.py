@@ -17,8 +17,7 @@ from hallsym.log import Block, Log
 from hallsym.report.data.gather import version_of
 from hallsym.report.data.survey import COLUMNS, Survey, Trace, held_out, look_over, settings
 from hallsym.report.figures import campaign as plots
-from hallsym.report.figures.saving import save_figures
-from hallsym.report.figures.style import DPI, STYLE, WIDTH
+from hallsym.report.figures.style import DPI, STYLE, WIDTH, save_figures
 from hallsym.report.words import name, scale
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 

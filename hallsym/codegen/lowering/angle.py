@@ -22,7 +22,6 @@ from hallsym.codegen.decoupler import (
     Box,
     Collected,
     Decoupler,
-    Entry,
     Flag,
     Lookup,
     Margin,
@@ -116,20 +115,12 @@ class _Assembly(Collected):
         self._finish(phase, self.symbols[f"zero_{short(model.pose[0])}"])
         ends = self.given.over({c: self._ends(c) for c in inputs})
         return self.finished(
-            model,
-            inputs,
-            ends,
-            margins=(margin,),
+            model, inputs, ends, margins=(margin,), flags=flags, approximation=self._left,
             exact=lambda given: self.curve.angle(self.curve.phase(given))[None],
-            flags=flags,
-            approximation=self._left,
             cut=CUT * self.correction.slope if isinstance(self.correction, Grid) else 0.0,
-            bounded=Rounding(self.curve, self.correction, WEAK),
-            listed=self._listed(),
-            arrays=tuple(self.arrays),
-            options={"correction": self.correction.form},
-            said=self._said(),
-        )
+            bounded=Rounding(self.curve, self.correction, WEAK), listed=self._listed(),
+            arrays=tuple(self.arrays), options={"correction": self.correction.form}, said=self._said(),
+        )  # fmt: skip
 
     # -- steps -------------------------------------------------------------------------------------------
 
@@ -489,14 +480,9 @@ def _table(curve: Curve, count: int, bits: int, power: int | None = None, room: 
 
 class _Turns(Compiler):
     def __init__(
-        self,
-        d: Decoupler,
-        plan: Sequence[int] | None,
-        curve: Curve,
-        weak: float,
-        table: Grid | None,
+        self, d: Decoupler, plan: Sequence[int] | None, curve: Curve, weak: float, table: Grid | None,
         steps: int,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(d, plan)
         self.curve, self.weak, self.table, self.steps = curve, weak, table, steps
 
@@ -505,7 +491,11 @@ class _Turns(Compiler):
         d, p = self.d, self.p
         (pose,) = d.pose
         p.angles = frozenset({pose, *(() if not self.curve.angle_only else d.inputs)})
-        phase, error = self._read() if self.curve.angle_only else self._vector()
+        if self.curve.angle_only:
+            (column,) = d.inputs
+            p.inputs[column], phase, error = 0, short(column), 0.0
+        else:
+            phase, error = self._vector()
         angle, table = phase, self.table
         shift, left = self.curve.needed[0], 0.0
         if table is not None:
@@ -523,11 +513,11 @@ class _Turns(Compiler):
             )
             looked = self._line("look", phase, "correction")
         if self._shifts(shift):
-            angle = self._turn(angle, self._angle("shift", shift, "correction, the same all round"))
+            angle = self._line("turn", angle, self._angle("shift", shift, "correction, the same all round"))
             error += UNIT / 2
         if table is not None:
-            angle = self._turn(angle, looked)
-        angle = self._turn(angle, self._angle(f"zero_{short(pose)}", 0.0, "set by decoupler_zero()"))
+            angle = self._line("turn", angle, looked)
+        angle = self._line("turn", angle, self._angle(f"zero_{short(pose)}", 0.0, "set by decoupler_zero()"))
         p.outputs[pose] = (angle, 0)
         p.bounds[pose] = (0.0, 2 * pi, error + left + 1e-13)
         return p
@@ -537,20 +527,12 @@ class _Turns(Compiler):
         self.p.table[name] = (round(value / UNIT) % 2**32, 0)
         return name
 
-    def _turn(self, a: str, b: str) -> str:
-        return self._line("turn", a, b)
-
     def _shifts(self, shift: float) -> bool:
         moves = self.table is not None or abs(shift) >= UNIT / 2
         planned = bool(self._chosen(lambda: int(moves)))
         if moves and not planned:
             raise InputError(f"The calibration's shift of the angle {integer_c.DOES_NOT_FIT}")
         return planned
-
-    def _read(self) -> tuple[str, float]:
-        (column,) = self.d.inputs
-        self.p.inputs[column] = 0
-        return short(column), 0.0
 
     def _vector(self) -> tuple[str, float]:
         """Two voltages to a vector, its angle and the flag of its length.
@@ -573,11 +555,8 @@ class _Turns(Compiler):
         self._checked(Fixed("vector", e, -grown, grown))
         x, y = self._cut(x, e), self._cut(y, e)
         field = self._add(self._mul(x, x), self._mul(y, y))
-        least = Entry(
-            "least_field", self.weak**2, "1", "square of the least share of the calibrated amplitude"
-        )
-        p.table[least.name] = (round(least.value * 2.0**field.e), field.e)
-        p.flags["FIELD"] = (field.text, least.name)
+        p.table["least_field"] = (round(self.weak**2 * 2.0**field.e), field.e)
+        p.flags["FIELD"] = (field.text, "least_field")
         # where the flag is clear, the vector is as long but for the rounding of its square
         length = np.sqrt(max(self.weak**2 - field.error - field.unit, 1e-9))
         moved = asin(min(1.0, hypot(x.error, y.error) / (length - hypot(x.error, y.error))))

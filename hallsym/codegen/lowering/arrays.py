@@ -35,6 +35,7 @@ from hallsym.codegen.lowering.wave_steps import Pair, Wave, least_inside
 from hallsym.codegen.operations import TESTS, graph
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
+from hallsym.records import named
 
 POSES = 2000
 OF_ARCTANGENT = ("across", "up", "turned", "turned_square", "quadrant", "beyond", "half")
@@ -67,9 +68,10 @@ class Rounding:
         known = wave_steps.stored(self.values, digits)
         pose = self.found.model.pose
         known |= {f"zero_{c.rpartition('_')[0]}": Enclosure(0.0, 0.0) for c in pose}
-        ranges = self._ranges()
-        known |= self._functions(digits)
-        known |= self._ratios(digits, ranges)
+        inputs = self.drawn(np.random.default_rng(6), POSES)
+        columns = (*self.found.model.channels, *self.nears)
+        ranges = wave_steps.ranges_of(self.steps, columns, inputs, self.values, pose)
+        known |= self._functions(digits, ranges)
         for step in self.steps:
             if step.name in known:
                 continue
@@ -89,41 +91,30 @@ class Rounding:
         low, high = np.array([ranges[step.name] for step in self.steps[-6:]]).T
         return {c: Enclosure(low[k], high[k], float(last[k].error)) for k, c in enumerate(pose)}
 
-    def _functions(self, digits: int) -> dict[str, Enclosure]:
-        """Arctangents, logarithms and what leads to them, each with the rounding of its vector."""
-        made: dict[str, Enclosure] = {}
+    def _functions(self, digits: int, ranges: Mapping[str, tuple[float, float]]) -> dict[str, Enclosure]:
+        """Arctangents, logarithms, what leads to them and quotients, each with the rounding of its vector.
+
+        As a phasor turns and stretches by a share of itself, so do its powers.
+        """
+        moved: dict[str, float] = {}
+        none, u, made = Enclosure(0.0, 0.0), 2.0**-digits, dict[str, Enclosure]()
         for wave, group, name in zip(self.waves, self.found.groups, self.names, strict=True):
             own = _of_vector(self.steps, name)
-            vector = wave_steps.vector_error(wave, own, self.values, digits)
-            lc = group.phasor.lc
-            for (
-                step
-            ) in own:  # terms of tilt take powers of the first round: as far off as the vector, at most
-                made[step.name] = Enclosure(-wave.outer, wave.outer, vector)
-            made |= {f"{step}_{name}": Enclosure(0.0, 0.0) for step in OF_ARCTANGENT}
-            made[f"log_{name}"] = Enclosure(
-                *_sides(-np.log(wave.least)), wave_steps.height_error(wave, vector, digits) / lc
-            )
-            made[f"phase_{name}"] = Enclosure(
-                *_sides(np.pi), wave_steps.place_error(wave, vector, digits) / lc
-            )
-        return made
-
-    def _ratios(self, digits: int, ranges: Mapping[str, tuple[float, float]]) -> dict[str, Enclosure]:
-        """Quotients of parts of phasors: as a phasor turns and stretches by a share of itself, so do its
-        powers."""
-        moved: dict[str, float] = {}
-        u = 2.0**-digits
-        made: dict[str, Enclosure] = {}
-        for wave, name in zip(self.waves, self.names, strict=True):
-            vector = wave_steps.vector_error(wave, _of_vector(self.steps, name), self.values, digits)
+            vector, lc = wave_steps.vector_error(wave, own, self.values, digits), group.phasor.lc
+            # terms of tilt take powers of the first round: as far off as the vector, at most
+            made |= {step.name: Enclosure(-wave.outer, wave.outer, vector) for step in own}
+            made |= {f"{step}_{name}": none for step in OF_ARCTANGENT}
+            height = wave_steps.height_error(wave, vector, digits) / lc
+            place = wave_steps.place_error(wave, vector, digits) / lc
+            made[f"log_{name}"] = Enclosure(float(np.log(wave.least)), -float(np.log(wave.least)), height)
+            made[f"phase_{name}"] = Enclosure(-pi, pi, place)
             moved[name] = vector / (wave.least * wave_steps.SHORT - vector)
             for kind, (power, size) in enumerate(POWERS):
                 off = wave.outer**size * (1.1 * power * moved[name] + 4 * power * u)
                 ends = wave.outer**size
                 made |= {f"kind{kind}_{name}_{part}": Enclosure(-ends, ends, off) for part in ("re", "im")}
-            made |= {s.name: Enclosure(0.0, 0.0) for s in self.steps if s.name.endswith(f"_of_{name}")}
-            made[f"held_size_{name}"] = Enclosure(0.0, 0.0)
+            made |= {s.name: none for s in self.steps if s.name.endswith(f"_of_{name}")}
+            made[f"held_size_{name}"] = none
         for members in self.found.axes.values():
             for k in members[1:]:
                 name, first = self.names[k], self.names[members[0]]
@@ -131,13 +122,8 @@ class Rounding:
                 most = max(abs(low), abs(high))
                 off = 1.1 * (moved[first] + moved[name]) + ROUNDINGS * u * max(most, 1e-3)
                 made[f"turn_{name}"] = Enclosure(low, high, off)
-                made |= {f"{n}_{name}": Enclosure(0.0, 0.0) for n in CROSS}
+                made |= {f"{n}_{name}": none for n in CROSS}
         return made
-
-    def _ranges(self) -> dict[str, tuple[float, float]]:
-        inputs = self.drawn(np.random.default_rng(6), POSES)
-        columns = (*self.found.model.channels, *self.nears)
-        return wave_steps.ranges_of(self.steps, columns, inputs, self.values, self.found.model.pose)
 
 
 def _chosen(step: Step, known: Mapping[str, Enclosure], ends: tuple[float, float], digits: int) -> Enclosure:
@@ -164,18 +150,10 @@ def _of_vector(steps: Sequence[Step], name: str) -> tuple[Step, ...]:
     return tuple(own)
 
 
-def _sides(most: float) -> tuple[float, float]:
-    return -float(most), float(most)
-
-
 ENOUGH = 1e-6
 """Place [m] that terms and polynomials may leave, and rotation times the arm of the family's pose metric."""
-SWING = 0.1
-"""Share of its swing by which a reading may leave what the model gives over the box: noise, temperature."""
 NEAR = 0.3
 """Share of a period by which what says the period may be off, and trials let it be."""
-SAFE = 1.5
-"""What errors met over trial poses are multiplied by where they are stated."""
 TRIALS = 20_000
 FIELD = "an array's field beyond the calibrated heights: too near, too far, or no array"
 TILTED = "rotations beyond the calibrated box"
@@ -213,8 +191,7 @@ def _waves(found: Arrays, aim: float) -> tuple[Wave, ...]:
         if not np.isfinite(heights).all():
             raise InputError(
                 "Tilt brings an array of the box so near that its harmonics cannot be told apart; give a "
-                "smaller "
-                "range of rotations or heights with --range."
+                "smaller range of rotations or heights with --range."
             )
         out.append(wave_steps.wave_of(group.phasor, (float(heights.min()), float(heights.max())), aim))
     return tuple(out)
@@ -244,7 +221,10 @@ class Assembly:
             least = made.entry(f"least_cross_{name}", floor, "1", "least product of two phasors of the box")
             held = made.step(f"held_cross_{name}", ca.if_else(real > least, real, least))
             return self._turned(first, k, imaginary / held)
-        steep, floor = self._cone(first, k)
+        # no reading turns two phasors beyond the end of the polynomial: real - cotangent |imaginary| is held
+        angle, steep = self._angle(first, k), 1.0 / self.series(first, k).end
+        least_square = self.waves[first].least * self.waves[k].least
+        floor = 0.5 * least_square * (float(np.cos(angle)) - steep * float(np.sin(angle)))
         cone = made.entry(f"cone_{name}", steep, "1", "cotangent of the largest turn of two phasors")
         least = made.entry(f"least_cross_{name}", floor, "1", "least product of two phasors of the box")
         bound = made.step(f"bound_{name}", cone * ca.fabs(imaginary) + least)
@@ -280,15 +260,6 @@ class Assembly:
                 size = np.float64(start + found.largest(size))
         return size
 
-    def _cone(self, first: int, k: int) -> tuple[float, float]:
-        """Cotangent of the end of the polynomial, and the least that real - cotangent |imaginary| is, halved.
-
-        So no reading whatever turns two phasors beyond that end.
-        """
-        angle, steep = self._angle(first, k), 1.0 / self.series(first, k).end
-        least = self.waves[first].least * self.waves[k].least
-        return steep, 0.5 * least * (float(np.cos(angle)) - steep * float(np.sin(angle)))
-
     def _angle(self, first: int, k: int) -> float:
         """Largest turn of two phasors of an axis over the box [rad]."""
         pose = self.found.poses(np.random.default_rng(3), 2000)
@@ -303,8 +274,7 @@ class Assembly:
         if series is None:
             raise InputError(
                 "Rotations of the box turn two arrays of an axis by most of a period against each other; "
-                "give a "
-                "smaller range of rotations with --range."
+                "give a smaller range of rotations with --range."
             )
         return series
 
@@ -318,15 +288,12 @@ class Assembly:
         Then the place is that phase times lc: nothing to wrap, and no mean of the arrays is needed for it.
         """
         if axis not in self._unwrapped:
-            self._unwrapped[axis] = not self.wide(axis) and self._far_from_half(axis)
+            found, first = self.found, self.found.axes[axis][0]
+            phasors = found.phasors(found.readings(found.poses(np.random.default_rng(2), 2000)))
+            far = np.abs(np.angle(phasors[first])).max() < WITHIN * pi
+            far = far and abs(found.at_middle[first, 0]) < LOST
+            self._unwrapped[axis] = bool(far and not self.wide(axis))
         return self._unwrapped[axis]
-
-    def _far_from_half(self, axis: int) -> bool:
-        found = self.found
-        pose = found.poses(np.random.default_rng(2), 2000)
-        first = found.axes[axis][0]
-        phase = np.angle(found.phasors(found.readings(pose))[first])
-        return bool(np.abs(phase).max() < WITHIN * pi and abs(found.at_middle[first, 0]) < LOST)
 
     def vector(self, k: int) -> Pair:
         """Add the steps from the readings of an array to its phasor."""
@@ -369,8 +336,7 @@ class Assembly:
         return out
 
     def places(self, vectors: Sequence[Pair]) -> list[ca.SX]:
-        """For each axis: the mean place [m] from the middle, then the turns of the other arrays from the
-        first."""
+        """For each axis: mean place [m] from the middle, then turns of the other arrays from the first."""
         made, out = self.made, []
         for axis, members in self.found.axes.items():
             first = members[0]
@@ -678,7 +644,7 @@ class Assembly:
         ends = {}
         for c, row in zip(found.model.channels, seen, strict=True):
             middle, swing = (row.max() + row.min()) / 2, (row.max() - row.min()) / 2
-            end = float(f"{abs(middle) + swing * (1 + SWING):.3g}")
+            end = float(f"{abs(middle) + swing * (1 + wave_steps.SWING):.3g}")
             ends[c] = self.given.ends.get(c, (-end, end))
         for c in nears:
             axis = 0 if short(found.model.pose[0]) == c.removesuffix("_near_m") else 1
@@ -697,22 +663,12 @@ class Assembly:
         pose = self.found.poses(rng, count)
         return self.drawn(pose, rng.uniform(-NEAR, NEAR, (2, count)))
 
-    def _near(self, inputs: np.ndarray) -> np.ndarray | None:
-        """What says the period (2, s), the middle of the box where nothing does; None where nothing is
-        wide."""
-        found, rows = self.found, list(inputs[len(self.found.model.channels) :])
-        return np.array(
-            [
-                rows.pop(0) if self.wide(axis) else np.full(inputs.shape[1], found.middle[axis])
-                for axis in (0, 1)
-            ]
-        )
-
     def exact(self, inputs: np.ndarray) -> np.ndarray:
         """Return the poses (6, s) of inputs (n, s) by the reference decoder."""
-        given = np.asarray(inputs, dtype=float)
-        n = len(self.found.model.channels)
-        return self.found.solved(given[:n], self._near(given))
+        n, given = len(self.found.model.channels), np.asarray(inputs, dtype=float)
+        rows, middle = list(given[n:]), np.broadcast_to(self.found.middle[:2, None], (2, given.shape[1]))
+        near = [rows.pop(0) if self.wide(axis) else middle[axis] for axis in (0, 1)]  # what says the period
+        return self.found.solved(given[:n], np.array(near))
 
     def leaves(self) -> dict[str, float]:
         """What is left of each coordinate: met over trial poses by exact functions, and what these leave."""
@@ -725,8 +681,8 @@ class Assembly:
         for first, *others in found.axes.values():
             for k in others:
                 turned[k] = self.series(first, k).error * found.groups[k].phasor.lc
-        functions = np.abs(found.inverse) @ np.concatenate([each + turned, each]) * SAFE
-        return dict(zip(found.model.pose, (SAFE * met + functions).tolist(), strict=True)) if n else {}
+        functions = np.abs(found.inverse) @ np.concatenate([each + turned, each]) * wave_steps.SAFE
+        return named(found.model.pose, wave_steps.SAFE * met + functions) if n else {}
 
     def said(self, leaves: dict[str, float]) -> tuple[str, ...]:
         """Return sentences for header and report."""
@@ -736,14 +692,10 @@ class Assembly:
             for n, g in zip(self.names, found.groups, strict=True)
         )
         turning, bends = (sum(len(t.terms) for t in terms) for terms in (found.turning, found.bends))
-        listed = ", ".join(f"{c} {v:.2g} {unit(c)}" for c, v in leaves.items())
         return (
             f"Arrays: {sizes}. Six coordinates by weighted least squares of their places and heights, "
             f"{counted(turning, 'term')} of tilt and {counted(bends, 'product')} of coordinates.",
-            f"Against least squares over all readings, converged, in double it leaves at most {listed}: "
-            f"{SAFE:g} times what {TRIALS} poses of the box met, and what polynomials leave (measured, not "
-            "proved for every pose).",
-            "Only readings of a pose in the box have that error: others give a finite pose, mostly a flag.",
+            *wave_steps.measured(wave_steps.AGAINST, leaves, TRIALS),
         )
 
 

@@ -43,8 +43,28 @@ class Reference(ABC):
     """Trial poses and their readings by seed and number, the same whatever is chosen for a decoder."""
 
     @abstractmethod
+    def straight(self, readings: np.ndarray, near: np.ndarray | None) -> np.ndarray:
+        """Return displacements (6, s) from the middle, linear in places and heights without tilt."""
+
+    @abstractmethod
+    def _bent(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return poses (6, s) that products of coordinates are fitted to, and their `straight`."""
+
+    @cached_property
+    def bends(self) -> "tuple[Terms, ...]":
+        """Polynomial terms (numbers of coordinates) of displacements that are added to each coordinate."""
+        pose, v = self._bent()
+        off = pose - self.middle[:, None] - v
+        terms = [c for degree in range(4) for c in combined(range(6), degree)]
+        columns = np.array([np.prod(v[list(c)], axis=0) for c in terms])
+        return tuple(fewest(terms, columns, off[k], float(self.accuracy[k]) / 2) for k in range(6))
+
     def decoded(self, readings: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
         """Return the poses (6, s) as the generated code computes them, functions exact."""
+        v = self.straight(readings, near)
+        with np.errstate(all="ignore"):
+            rows = [b.of([np.prod(v[list(c)], axis=0) for c in b.terms], v.shape[1]) for b in self.bends]
+        return np.asarray(self.middle[:, None] + v + np.array(rows))
 
     @cached_property
     def _run(self) -> Callable[..., list[np.ndarray]]:
@@ -108,7 +128,6 @@ STEP = 1e-6
 """Step [m, rad] of the slopes of places and heights."""
 KINDS = ("2", "4", "6", "-4")
 """Terms that turn with u: conj(u)/u, u^4, conj(u)^5/u, conj(u)^2/u^2."""
-ROTATIONS = (3, 4, 5)
 MOST_TERMS = 14
 """Terms of each place, height or coordinate."""
 HARDLY = 1.1
@@ -170,8 +189,7 @@ class Arrays(Reference):
         return [g.phasor.solved(readings[list(g.channels)]) for g in self.groups]
 
     def seen(self, phasors: Sequence[np.ndarray], near: np.ndarray | None = None) -> np.ndarray:
-        """Return place and height (2 arrays, s) [m]: places of an axis by their mean, in the period of
-        `near`."""
+        """Return place and height (2 arrays, s) [m], places by the mean of an axis near `near`."""
         places: list[np.ndarray] = [np.zeros(0)] * len(self.groups)
         for axis, members in self.axes.items():
             first, lc = members[0], self.groups[members[0]].phasor.lc
@@ -260,33 +278,22 @@ class Arrays(Reference):
             out.append(fewest(terms, free, target, 1 / (2 * share[row])))
         return tuple(out)
 
-    def straightened(self, phasors: Sequence[np.ndarray], seen: np.ndarray) -> np.ndarray:
-        """Return the poses (6, s) that are linear in places and heights without what turns."""
+    def straight(self, readings: np.ndarray, near: np.ndarray | None) -> np.ndarray:
+        """Return displacements (6, s) from the middle, linear in places and heights without tilt."""
+        phasors = self.phasors(readings)
+        return self._straightened(phasors, self.seen(phasors, near))
+
+    def _straightened(self, phasors: Sequence[np.ndarray], seen: np.ndarray) -> np.ndarray:
         rotations, size = self.rotations(seen), seen.shape[1]
         off = [
             found.of([turning_of(phasors[row % len(self.groups)], rotations, t) for t in found.terms], size)
             for row, found in enumerate(self.turning)
         ]
-        return np.asarray(self.middle[:, None] + self.inverse @ (seen - self.at_middle - np.array(off)))
+        return np.asarray(self.inverse @ (seen - self.at_middle - np.array(off)))
 
-    @cached_property
-    def bends(self) -> tuple[Terms, ...]:
-        """Polynomial terms (numbers of coordinates) added to each coordinate, displacements from the
-        middle."""
+    def _bent(self) -> tuple[np.ndarray, np.ndarray]:
         pose, phasors, seen = self.sample
-        near = self.straightened(phasors, seen)
-        v = near - self.middle[:, None]
-        terms = [c for degree in range(4) for c in combined(range(6), degree)]
-        columns = np.array([np.prod(v[list(c)], axis=0) for c in terms])
-        return tuple(fewest(terms, columns, pose[k] - near[k], float(self.accuracy[k]) / 2) for k in range(6))
-
-    def decoded(self, readings: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
-        """Return the poses (6, s) as the generated code computes them, functions and phasors exact."""
-        phasors = self.phasors(readings)
-        linear = self.straightened(phasors, self.seen(phasors, near))
-        v = linear - self.middle[:, None]
-        rows = [b.of([np.prod(v[list(c)], axis=0) for c in b.terms], v.shape[1]) for b in self.bends]
-        return linear + np.array(rows)
+        return pose, self._straightened(phasors, seen)
 
 
 def turning_of(u: np.ndarray, rotations: np.ndarray, term: Term) -> np.ndarray:
@@ -350,8 +357,7 @@ def check_along(model: Model, axes: Sequence[int]) -> None:
 
 
 def _lever(sample: Sample, own: Sequence[int], axis: int, turn: int) -> np.ndarray:
-    """Return what a rotation moves the wave by under each channel [m / rad]: the larger of place and
-    height."""
+    """Return what a rotation moves the wave by under each channel [m / rad]: the larger of two parts."""
     move = np.zeros(6)
     move[turn] = TURN
     ends = [sample.analysed(own, axis, sign * move)[2][:, 0] for sign in (-1, 1)]

@@ -12,7 +12,7 @@ less.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
@@ -72,7 +72,11 @@ class _Assembly(Collected):
                     about = f"{column} per share of {share} that {label} sees"
                     value = inverse[i, k] / scale[k]
                     self.entry(f"{short(column)}_{label}", value, per(unit(column), share), about)
-        at_pose = self._solve(rows, self._bends(eta * scale), monomials)
+        bends = []
+        for poly, channel, of in zip(taken.bend, model.channels, eta * scale, strict=True):
+            about = f"displacement at {short(channel)} beyond the linear one"
+            bends.append(self._terms(poly, poly.rows, f"bend_{short(channel)}", of, "m", about, "per 1"))
+        at_pose = self._solve(rows, bends, monomials)
         box = taken.box.over({**taken.readings(self.p), **dict(taken.box.ends)})
         exact = taken.exact(self.p, self.weight)
         return self.finished(model, inputs, box, at_pose=at_pose, margins=margins, exact=exact)
@@ -139,15 +143,6 @@ class _Assembly(Collected):
             for t in terms
         )
 
-    def _bends(self, scale: np.ndarray) -> list[list["_Term"]]:
-        return [
-            self._terms(
-                poly, poly.rows, f"bend_{short(channel)}", scale[k], "m",
-                f"displacement at {short(channel)} beyond the linear one", "per 1",
-            )
-            for k, (poly, channel) in enumerate(zip(self.taken.bend, self.taken.model.channels, strict=True))
-        ]  # fmt: skip
-
     # -- from what the probes see to the pose ------------------------------------------------------------
 
     def _solve(self, rows: list[list[int]], bends: list, monomials: "_Monomials") -> tuple[Step, ...]:
@@ -204,17 +199,14 @@ class _Term:
     columns: tuple[str, ...]
 
 
+@dataclass(eq=False)
 class _Monomials:
     """Products of columns: one step each, made where first used; `pose` stands in for the pose columns."""
 
-    def __init__(
-        self,
-        symbols: dict[str, ca.SX],
-        steps: list[Step],
-        pose: Mapping[str, ca.SX] | None = None,
-        tag: str = "",
-    ) -> None:
-        self.symbols, self.steps, self.pose, self.tag = symbols, steps, pose or {}, tag
+    symbols: dict[str, ca.SX]
+    steps: list[Step]
+    pose: Mapping[str, ca.SX] = field(default_factory=dict)
+    tag: str = ""
 
     def __call__(self, names: Sequence[str]) -> ca.SX:
         column = {name: self.pose.get(name, self.symbols[name]) for name in names}

@@ -7,7 +7,6 @@ Nothing is remembered from one sample to the next, and no choice makes a step.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations_with_replacement as combined
 from math import pi
 from typing import Any
 
@@ -24,20 +23,11 @@ from hallsym.codegen.decoupler import (
     computed,
     of_step,
     short,
-    unit,
 )
 from hallsym.codegen.intervals import TINY, Enclosure, constant
 from hallsym.codegen.lowering import travel, wave_steps
-from hallsym.codegen.lowering.arrays import FIELD, NEAR, SAFE, TILTED, TRIALS, Assembly, ends_and_leaves
-from hallsym.codegen.lowering.arrays_fit import (
-    APART,
-    SAMPLES,
-    Reference,
-    Terms,
-    check_along,
-    fewest,
-    together,
-)
+from hallsym.codegen.lowering.arrays import FIELD, NEAR, TILTED, TRIALS, Assembly, ends_and_leaves
+from hallsym.codegen.lowering.arrays_fit import APART, SAMPLES, Reference, check_along, together
 from hallsym.codegen.lowering.passing import NeverEnds, Pass, Window, passes, readings
 from hallsym.codegen.lowering.phasors import HARMONICS, PLACES, TURN, WIDE, Phasor, Sample
 from hallsym.codegen.lowering.travel import weights
@@ -45,6 +35,7 @@ from hallsym.codegen.lowering.wave_steps import Pair, wave_of
 from hallsym.codegen.operations import Graph, Operation, graph
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
+from hallsym.records import named
 
 FAR = 30
 """Wavelengths away at which it is seen whether the arrays end: more than arrays have, and some mrad do not
@@ -52,8 +43,6 @@ lift a mover out of sight on the way."""
 ENDED = 0.05
 """Share of its swing that a channel may have there."""
 LEVELLING = 3
-MOST_DEGREE = 3
-"""Of the products of coordinates that are added at the end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +176,7 @@ class Mover(Reference):
         return np.array([*out, *heights]), phasors
 
     def straight(self, readings: np.ndarray, near: np.ndarray | None) -> np.ndarray:
-        """Return displacements (6, s) from the middle of the box, linear in places and heights."""
+        """Return displacements (6, s) from the middle, linear in places and heights without tilt."""
         r = self.without_offset(readings)
         shape = (2, r.shape[1])
         at = self.first(r, np.broadcast_to(self.middle[:2, None], shape) if near is None else near)
@@ -229,22 +218,9 @@ class Mover(Reference):
             for row in self.rows
         )
 
-    @cached_property
-    def bends(self) -> tuple[Terms, ...]:
-        """Polynomial terms (numbers of coordinates) added to each coordinate, of displacements."""
+    def _bent(self) -> tuple[np.ndarray, np.ndarray]:
         pose, readings = self.trials(1, SAMPLES)
-        v = self.straight(readings, pose[:2])
-        off = pose - self.middle[:, None] - v
-        terms = [c for degree in range(MOST_DEGREE + 1) for c in combined(range(6), degree)]
-        columns = np.array([np.prod(v[list(c)], axis=0) for c in terms])
-        return tuple(fewest(terms, columns, off[k], float(self.accuracy[k]) / 2) for k in range(6))
-
-    def decoded(self, readings: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
-        """Return the poses (6, s) as the generated code computes them, functions exact."""
-        v = self.straight(readings, near)
-        with np.errstate(all="ignore"):
-            rows = [b.of([np.prod(v[list(c)], axis=0) for c in b.terms], v.shape[1]) for b in self.bends]
-        return np.asarray(self.middle[:, None] + v + np.array(rows))
+        return pose, self.straight(readings, pose[:2])
 
 
 def exponential(v: np.ndarray) -> np.ndarray:
@@ -421,8 +397,6 @@ def _left(found: Mover) -> float:
 class _Assembly(Assembly):
     found: Mover  # type: ignore[assignment]
 
-    # -- sums ----------------------------------------------------------------------------------------------
-
     def _channels(self, row: Row) -> list[str]:
         return [short(self.found.model.channels[k]) for k in row.channels]
 
@@ -532,7 +506,8 @@ class _Assembly(Assembly):
         re, im = product("cos_seen", wc, field), product("sin_seen", ws, field)
         cover = made.step(f"cover_{name}{tag}", cc * ss - cs * cs, "[V4] cosine told from sine")
         if f"least_cover_{name}" not in made.symbols:
-            end = self._least_covers[name]
+            pose = self.found.poses(np.random.default_rng(3), travel.COVERS_SEEN)
+            end = travel.least_cover(self.found.weights(row, pose[row.axis]), *row.design())
             made.entry(f"least_cover_{name}", end, "V4", "share of the least of the box")
         least = made.symbols[f"least_cover_{name}"]
         held = made.step(f"held_cover_{name}{tag}", ca.if_else(cover > least, cover, least))
@@ -544,14 +519,13 @@ class _Assembly(Assembly):
         made = self.made
         if "longest" not in made.symbols:
             made.entry("longest", 2.0 * self.waves[0].outer, "1", "most of a phasor")
-        raw = [made.step(f"raw_{a}_{tag}", v * per) for a, v in zip(wave_steps.AXES, wide, strict=True)]
-        u = [self._held_part(v, f"{a}_{tag}") for a, v in zip(wave_steps.AXES, raw, strict=True)]
+        most, names = made.symbols["longest"], [f"{axis}_{tag}" for axis in wave_steps.AXES]
+        raw = [made.step(f"raw_{n}", v * per) for n, v in zip(names, wide, strict=True)]
+        u = []
+        for n, v in zip(names, raw, strict=True):
+            low = made.step(f"above_{n}", ca.if_else(v > -most, v, -most))
+            u.append(made.step(f"held_{n}", ca.if_else(low < most, low, most)))
         return u[0], u[1]
-
-    def _held_part(self, v: ca.SX, name: str) -> ca.SX:
-        most = self.made.symbols["longest"]
-        low = self.made.step(f"above_{name}", ca.if_else(v > -most, v, -most))
-        return self.made.step(f"held_{name}", ca.if_else(low < most, low, most))
 
     def _without_harmonics(
         self, row: Row, name: str, field: Sequence[ca.SX], lifted: Sequence[ca.SX]
@@ -571,14 +545,6 @@ class _Assembly(Assembly):
                 )
                 strong = wave_steps.power(made, known[k], n, f"lifted_{sensor}")
                 out[k] = made.step(f"left_{n}_{sensor}", out[k] - (a * re + b * im) * strong)
-        return out
-
-    @cached_property
-    def _least_covers(self) -> dict[str, float]:
-        """By row: determinant of the normal matrix [V4], at least without a flag."""
-        pose, out = self.found.poses(np.random.default_rng(3), travel.COVERS_SEEN), {}
-        for row, name in zip(self.found.rows, self.names, strict=True):
-            out[name] = travel.least_cover(self.found.weights(row, pose[row.axis]), *row.design())
         return out
 
     # -- the linear pose -----------------------------------------------------------------------------------
@@ -642,9 +608,7 @@ class _Assembly(Assembly):
         pose, readings = found.trials(5, TRIALS)
         met = np.abs(found.decoded(readings, pose[:2]) - pose).max(axis=1)
         each = np.full(2 * len(found.rows), self.waves[0].error * found.lc)
-        return dict(
-            zip(found.model.pose, (SAFE * (met + np.abs(found.inverse) @ each)).tolist(), strict=True)
-        )
+        return named(found.model.pose, wave_steps.SAFE * (met + np.abs(found.inverse) @ each))
 
     def said(self, leaves: dict[str, float]) -> tuple[str, ...]:
         """Return sentences for header and report."""
@@ -654,7 +618,6 @@ class _Assembly(Assembly):
             f"{1e3 * r.length:.3g} mm"
             for n, r in zip(self.names, found.rows, strict=True)
         )
-        listed = ", ".join(f"{c} {v:.2g} {unit(c)}" for c, v in leaves.items())
         return (
             f"Rows: {rows}. A sensor counts from {1e3 * found.margin * found.wavelength:.3g} mm inside the "
             "ends of its array on, and fully half a wavelength further: weights are smooth, so nothing steps "
@@ -664,9 +627,7 @@ class _Assembly(Assembly):
             f"What says the period, x_near_m and y_near_m where they are inputs, is the position so far or "
             f"the commanded one, within {1e3 * NEAR * found.wavelength:.2g} mm: it chooses the period and "
             "nothing else.",
-            f"It leaves at most {listed} of the poses of the model: {SAFE:g} times what {TRIALS} poses of "
-            "the box met, and what polynomials leave (measured, not proved for every pose).",
-            "Only readings of a pose in the box have that error: others give a finite pose, mostly a flag.",
+            *wave_steps.measured("It", leaves, TRIALS, " of the poses of the model"),
         )
 
 
@@ -716,8 +677,7 @@ _SLOPES: dict[str, Callable[..., tuple]] = {
     "inv": lambda z, x: (-z * z,),
     "sq": lambda z, x: (2 * x,),
 }
-"""Derivatives by the arguments of an operation with result z; choices are between values equal where they
-turn."""
+"""Derivatives by the arguments of an operation of result z; choices are between equals where they turn."""
 
 
 def rounding(

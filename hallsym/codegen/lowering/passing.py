@@ -32,7 +32,7 @@ class NeverEnds(InputError):
 
 
 class Pass:
-    """What sensors see as a wave passes them: their places, offsets, and the length of the wave."""
+    """What sensors see as a wave passes them: places, offsets, length of a wave that must end there."""
 
     def __init__(
         self, sample: Sample, axis: int, channels: Sequence[int], reach: float, wavelength: float
@@ -51,16 +51,13 @@ class Pass:
         level = np.array([e[np.abs(x + sample.at[axis] - at) < wavelength].mean()
                           for e, at in zip(energy, self.place, strict=True)])  # fmt: skip
         ends = energy[:, [pair, -pair - 1]].max(axis=1)
-        self.ended = bool(np.isfinite(self.place).all() and (ends < BEYOND * level).all())
-        self.length = float(np.median(total * step / level))
-
-    def refuse(self, name: str) -> None:
-        """Raise `NeverEnds` where the wave never ends."""
-        if not self.ended:
+        if not (np.isfinite(self.place).all() and (ends < BEYOND * level).all()):
             raise NeverEnds(
                 "C of decaying waves is generated for one coordinate that repeats and one height, or for an "
-                f"array shorter than the board; what {name} reads does not end where the array has passed."
+                f"array shorter than the board; what {sample.model.name} reads does not end where the array "
+                "has passed."
             )
+        self.length = float(np.median(total * step / level))
 
 
 class Window:
@@ -88,22 +85,18 @@ class Window:
         return np.asarray(self.read[k](list(pose))[0])[0]
 
     def _fitted(self, seen: np.ndarray, k: int, lc: float) -> tuple[np.ndarray, float]:
-        design, inverse = self._design(lc)
+        if lc not in self.designs:  # what is read of offset and powers of u at places from a sensor's own
+            m = np.arange(1, HARMONICS + 1)[:, None]
+            high = (self.z - self.sample.middle) * self.sample.rising(self.axis) / lc - self.sample.half / lc
+            powers = np.exp(m * (high + 1j * self.x / lc))
+            made = np.vstack([np.ones_like(self.x), powers.real, -powers.imag]).T
+            self.designs = {lc: (made, np.linalg.pinv(made))}
+        design, inverse = self.designs[lc]
         found, n, half = inverse @ seen, np.arange(1, HARMONICS + 1), self.sample.half / lc
         rest = seen - design @ found
         factor = (found[1 : HARMONICS + 1] + 1j * found[HARMONICS + 1 :]) * np.exp(-n * half)
         factor = factor * np.exp(-1j * n * self.place[k] / lc)  # of absolute places
         return np.concatenate([[found[0]], factor]), float(rest @ rest)
-
-    def _design(self, lc: float) -> tuple[np.ndarray, np.ndarray]:
-        """What is read of offset and powers of u at places from a sensor's own, and the inverse."""
-        if lc not in self.designs:
-            sample, n = self.sample, np.arange(1, HARMONICS + 1)[:, None]
-            high = (self.z - sample.middle) * sample.rising(self.axis) / lc - sample.half / lc
-            powers = np.exp(n * (high + 1j * self.x / lc))
-            design = np.vstack([np.ones_like(self.x), powers.real, -powers.imag]).T
-            self.designs = {lc: (design, np.linalg.pinv(design))}
-        return self.designs[lc]
 
     def lc(self, rough: float) -> float:
         """Return the wavelength over 2 pi that leaves least of what some sensors read."""
@@ -123,7 +116,6 @@ def passes(
     2 pi, near `rough`. What is seen of the pass depends little on the wavelength."""
     for _ in range(2):
         passed = Pass(sample, axis, channels, reach, 2 * pi * rough)
-        passed.refuse(sample.model.name)
         window = Window(sample, axis, channels, passed, 2 * pi * rough)
         rough = window.lc(rough)
     return passed, window, rough

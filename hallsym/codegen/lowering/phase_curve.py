@@ -130,18 +130,16 @@ class Curve:
                 break
         else:
             rest = np.abs(off) >= SETTLED
-            found[rest] = self._halved(aim[rest], angles[k[rest]], angles[k[rest] + 1])
+            low, high = angles[k[rest]], angles[k[rest] + 1]
+            while np.abs(high - low).max(initial=0.0) >= SETTLED:
+                middle = (low + high) / 2
+                above = self._ahead(aim[rest], middle) > 0
+                low, high = np.where(above, middle, low), np.where(above, high, middle)
+            found[rest] = (low + high) / 2
         return np.asarray(wrapped(found, 2 * pi))
 
     def _ahead(self, phase: np.ndarray, angle: np.ndarray) -> np.ndarray:
         return np.asarray(wrapped(phase - self.phase(self.readings(angle)), 2 * pi))
-
-    def _halved(self, phase: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        while np.abs(high - low).max(initial=0.0) >= SETTLED:
-            middle = (low + high) / 2
-            above = self._ahead(phase, middle) > 0
-            low, high = np.where(above, middle, low), np.where(above, high, middle)
-        return (low + high) / 2
 
     @cached_property
     def needed(self) -> tuple[float, np.ndarray]:

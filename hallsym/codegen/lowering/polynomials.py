@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import factorial
+from math import factorial, prod
 
 import casadi as ca
 import numpy as np
@@ -51,8 +51,7 @@ class Polynomial:
     def of(self, symbols: ca.SX) -> ca.SX:
         """Return the polynomial of `symbols` (n_variables,)."""
         total = ca.SX(0)
-        for row, coefficient in self.terms.items():
-            term = coefficient
+        for row, term in self.terms.items():
             for v, power in enumerate(row):
                 for _ in range(power):
                     term = term * symbols[v]
@@ -71,10 +70,7 @@ def polynomial(expression: ca.SX, symbols: ca.SX, variables: Sequence[str], what
     while level:
         higher: dict[Row, ca.SX] = {}
         for row, derivative in level.items():
-            scale = 1
-            for power in row:
-                scale *= factorial(power)
-            value = ca.substitute(derivative, symbols, origin) / scale
+            value = ca.substitute(derivative, symbols, origin) / prod(map(factorial, row))
             if not value.is_zero():
                 terms[row] = value
             slopes = ca.jacobian(derivative, symbols)
@@ -158,12 +154,11 @@ class PolynomialModel:
     def bend(self) -> list[Polynomial]:
         """h: the displacement without its terms linear in the pose, and without terms that count nowhere."""
         n = len(self.model.pose)
-        return [
-            Polynomial(
-                poly.variables, {row: c for row, c in poly.terms.items() if sum(row) != 1 or not sum(row[:n])}
-            )
-            for poly in self._pruned(self.displacement)
-        ]
+        kept = []
+        for poly in self._pruned(self.displacement):
+            terms = {row: c for row, c in poly.terms.items() if sum(row) != 1 or not sum(row[:n])}
+            kept.append(Polynomial(poly.variables, terms))
+        return kept
 
     @cached_property
     def offset(self) -> list[Polynomial]:
@@ -207,17 +202,12 @@ class PolynomialModel:
         trials = [self.model.nominal, *np.random.default_rng(0).uniform(lower, upper, (8, len(lower)))]
         kept = []
         for poly, most in zip(polys, self._largest(polys, trials), strict=True):
-            most_of = [reach[c] for c in poly.variables]
-            kept.append(
-                Polynomial(
-                    poly.variables,
-                    {
-                        row: c
-                        for row, c in poly.terms.items()
-                        if sum(row) < 2 or most[row] * np.prod(np.power(most_of, row)) > NEGLIGIBLE
-                    },
-                )
-            )
+            sizes = [reach[c] for c in poly.variables]
+            size = {
+                row: 1.0 if sum(row) < 2 else most[row] * np.prod(np.power(sizes, row)) for row in poly.terms
+            }
+            terms = {row: c for row, c in poly.terms.items() if size[row] > NEGLIGIBLE}
+            kept.append(Polynomial(poly.variables, terms))
         return kept
 
     def _largest(self, polys: Sequence[Polynomial], trials: Sequence[np.ndarray]) -> list[dict[Row, float]]:

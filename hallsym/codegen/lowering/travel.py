@@ -195,17 +195,12 @@ def row_of(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Row:
     return Row(model, p, weight, low, high, lc, sample.rising(0), passed.length, passed.place, offset, factor)
 
 
-SWING = 0.1
-"""Share of its swing by which a reading may leave what the model gives over the box: noise, temperature."""
 MARGINS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Wavelengths from the ends of the wave within which a sensor does not count, of which one is chosen."""
 TRIALS = 4000
-SAFE = 1.5
-"""What errors met over trial poses are multiplied by where they are stated."""
 COVER = 0.5
 """Share of the least cover of the box below which the flag is set."""
 MOST_ROUNDS = 4
-FIELD = "field beyond the calibrated heights: too near, too far, or no array"
 COVERED = "too few sensors see the array: it is at an end of the board or beyond"
 
 
@@ -267,7 +262,8 @@ class _Assembly:
         return made.finished(
             model, inputs, ends, margins=(Margin(inputs[0], "lc"),), exact=self.row.exact,
             flags=(
-                Flag("FIELD", "inside", "least_inside", FIELD), Flag("COVER", "cover", "least_cover", COVERED)
+                Flag("FIELD", "inside", "least_inside", wave_steps.FIELD),
+                Flag("COVER", "cover", "least_cover", COVERED),
             ),
             leaves=leaves, bounded=Rounding(self.row, self.wave, tuple(made.steps), values, self.drawn),
             drawn=self.drawn, said=self._said(leaves), evident=False,
@@ -278,7 +274,7 @@ class _Assembly:
         seen = self.row.readings(self.row.poses(np.random.default_rng(4), TRIALS))
         ends = {}
         for c, values in zip(self.row.model.channels, seen, strict=True):
-            end = float(f"{(1 + SWING) * np.abs(values).max():.3g}")
+            end = float(f"{(1 + wave_steps.SWING) * np.abs(values).max():.3g}")
             ends[c] = self.given.ends.get(c, (-end, end))
         return Box(ends)
 
@@ -293,13 +289,12 @@ class _Assembly:
         off = self.row.decoded(readings, self.row.rounds) - self.row.exact(readings)
         functions = self.wave.error * self.row.lc
         return {
-            c: SAFE * (float(np.abs(v).max()) + functions)
+            c: wave_steps.SAFE * (float(np.abs(v).max()) + functions)
             for c, v in zip(self.row.model.pose, off, strict=True)
         }
 
     def _said(self, leaves: dict[str, float]) -> tuple[str, ...]:
         row = self.row
-        listed = ", ".join(f"{c} {v:.2g} {unit(c)}" for c, v in leaves.items())
         return (
             f"{counted(len(row.model.channels), 'sensor')} over {1e3 * row.board[0]:.4g} to "
             f"{1e3 * row.board[1]:.4g} mm, an array of {1e3 * row.length:.3g} mm with a wavelength of "
@@ -308,10 +303,7 @@ class _Assembly:
             "array on, and fully half a wavelength further.",
             "Give all readings at every sample, also of sensors that the array is not over: the code weights "
             "them.",
-            f"Against least squares over all readings, converged, in double it leaves at most {listed}: "
-            f"{SAFE:g} times what {TRIALS} poses of the box met, and what polynomials leave (measured, not "
-            "proved for every pose).",
-            "Only readings of a pose in the box have that error: others give a finite pose, mostly a flag.",
+            *wave_steps.measured(wave_steps.AGAINST, leaves, TRIALS),
         )
 
     def _add(self) -> None:
@@ -404,7 +396,9 @@ class _Assembly:
         ss = self.made.total("sin_by_sin", [s * o for s, o in zip(ws, self.sin, strict=True)])
         seen = sums("seen", self._fields())
         cover = made.step("cover", cc * ss - cs * cs, "[V4] how well the sensors tell cosine from sine")
-        least = made.entry("least_cover", self._least_cover, "V4", "share of the least of the box")
+        weighted = row.weights(row.poses(np.random.default_rng(3), COVERS_SEEN)[0])
+        own = least_cover(weighted, row.factor[:, 0].real, -row.factor[:, 0].imag)
+        least = made.entry("least_cover", own, "V4", "share of the least of the box")
         per = made.step("per_cover", 1.0 / made.step("held_cover", ca.if_else(cover > least, cover, least)))
         cross = {n: self._cross(n, sums) for n in row.harmonics} if row.rounds else {}
         most = made.entry("longest", 2.0 * self.wave.outer, "1", "most of a phasor")
@@ -452,20 +446,15 @@ class _Assembly:
         (a, c), (b, d) = sums(f"by_cos_{n}", re), sums(f"by_sin_{n}", im)
         return (a, b), (c, d)
 
-    @property
-    def _least_cover(self) -> float:
-        """Determinant of the normal matrix [V4] below which the flag is set."""
-        row = self.row
-        w = row.weights(row.poses(np.random.default_rng(3), COVERS_SEEN)[0])
-        return least_cover(w, row.factor[:, 0].real, -row.factor[:, 0].imag)
-
 
 COVERS_SEEN = 2000
 
 
 def least_cover(w: np.ndarray, c: np.ndarray, s: np.ndarray) -> float:
-    """Return that determinant of sensors weighted `w` (n, s) that read `c` (n,) of the cosine, `s` of the
-    sine."""
+    """Return the determinant of the normal matrix [V4] below which the flag is set.
+
+    `w` (n, s): weights of sensors that read `c` (n,) of the cosine and `s` (n,) of the sine.
+    """
     cc, cs, ss = ((p[:, None] * w).sum(axis=0) for p in (c * c, c * s, s * s))
     return COVER * float((cc * ss - cs * cs).min())
 

@@ -28,11 +28,8 @@ TWO = 2
 """Coordinates of one array: place and height."""
 SIX = 6
 """Coordinates of a mover over several arrays."""
-SWING = 0.1
-"""Share of its swing by which a reading may leave what the model gives over the box: noise, temperature."""
 ROUNDED = 1e-13
 LAST = {"": "", "radial": " and the radial part of a second", "linear": " and one along its slope"}
-FLAG = "field beyond the calibrated heights: too near, too far, or no array"
 
 
 def decoupler(
@@ -65,8 +62,7 @@ def _coordinates(model: Model) -> tuple[str, str]:
     if len(along) != 1 or len(height) != 1:
         raise InputError(
             f"C of a decaying wave is generated for one coordinate that repeats and one height; {model.name} "
-            f"has "
-            f"{', '.join(model.pose)}."
+            f"has {', '.join(model.pose)}."
         )
     return along[0], height[0]
 
@@ -79,11 +75,10 @@ def readings_of(found: Phasor, place: float, height: float) -> np.ndarray:
 
 
 def ends_of(found: Phasor, k: int, heights: tuple[float, float]) -> tuple[float, float]:
-    """Return the range of a reading: what the model gives over the heights, and some room, both ends
-    alike."""
+    """Return the range of a reading, both ends alike: what the model gives over heights, and some room."""
     most = max(found.size(z) for z in heights)
     swing = float((np.abs(found.factor[k]) * most ** np.arange(1, found.factor.shape[1] + 1)).sum())
-    end = float(f"{swing * (1 + SWING) + abs(float(found.offset[k])):.3g}")
+    end = float(f"{swing * (1 + wave_steps.SWING) + abs(float(found.offset[k])):.3g}")
     return -end, end
 
 
@@ -113,18 +108,12 @@ class _Assembly:
         )
         values = made.values(inputs, ends)
         return made.finished(
-            model,
-            inputs,
-            ends,
-            margins=(Margin(inputs[0], "lc"),),
-            exact=self._exact,
-            flags=(Flag("FIELD", "inside", "least_inside", FLAG),),
+            model, inputs, ends, margins=(Margin(inputs[0], "lc"),), exact=self._exact,
+            flags=(Flag("FIELD", "inside", "least_inside", wave_steps.FIELD),),
             approximation=found.lc * wave.error + ROUNDED,
             bounded=Rounding(wave, model.pose, self.along, tuple(made.steps[:after_vector]), values),
-            listed=self._listed(),
-            said=self._said(),
-            evident=False,
-        )
+            listed=self._listed(), said=self._said(), evident=False,
+        )  # fmt: skip
 
     def _pose(self, made: Collected, logarithm: ca.SX, phase: ca.SX) -> None:
         """Add the last steps: place within half a wavelength, and height."""
@@ -161,24 +150,18 @@ class _Assembly:
     def _said(self) -> tuple[str, ...]:
         wave, lc = self.wave, self.wave.phasor.lc
         out = [f"{self.along} repeats each {2e3 * pi * lc:.6g} mm; which period it is, readings do not say."]
-        return (*out, *said_of(wave))
-
-
-def said_of(wave: Wave) -> tuple[str, ...]:
-    """Return what is said of the approximations of a wave."""
-    lc, out = wave.phasor.lc, []
-    for name, series in (("arctangent", wave.arctangent), ("logarithm", wave.logarithm)):
-        out.append(
-            f"The {name} is a polynomial of degree {series.degree}: off by at most {series.error * lc:.2g} m "
-            f"(proved)."
-        )
-    if wave.harmonics:
-        names, along = ", ".join(map(str, wave.harmonics)), LAST[wave.last]
-        out.append(
-            f"{counted(wave.rounds, 'round')}{along} take harmonics {names} off, and leave at most "
-            f"{wave.left * lc:.2g} m (proved)."
-        )
-    return tuple(out)
+        for name, series in (("arctangent", wave.arctangent), ("logarithm", wave.logarithm)):
+            out.append(
+                f"The {name} is a polynomial of degree {series.degree}: off by at most "
+                f"{series.error * lc:.2g} m (proved)."
+            )
+        if wave.harmonics:
+            names, along = ", ".join(map(str, wave.harmonics)), LAST[wave.last]
+            out.append(
+                f"{counted(wave.rounds, 'round')}{along} take harmonics {names} off, and leave at most "
+                f"{wave.left * lc:.2g} m (proved)."
+            )
+        return tuple(out)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Collected, Step, Values, computed, of_step, short
+from hallsym.codegen.decoupler import Collected, Step, Values, computed, of_step, short, unit
 from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
 from hallsym.codegen.lowering.odd_series import PI, Odd, odd, shortest
 from hallsym.codegen.lowering.phasors import Phasor
@@ -27,8 +27,7 @@ ROOM = 0.05
 """Share of the field by which it may leave what the model gives over the box before the flag is set."""
 MOST_ROUNDS = 6
 LADDER = 20
-"""Ends of the polynomial of the logarithm are whole multiples of 1 / LADDER: so code outlasts a
-calibration."""
+"""Ends of the logarithm's polynomial are whole multiples of 1 / LADDER: so code outlasts a calibration."""
 POLYNOMIALS = 0.25
 """Share of an accuracy that arctangent and logarithm may take each; the rounds take what these leave."""
 NEGLIGIBLE = 0.02
@@ -43,7 +42,12 @@ QUARTER_PI = PI / 4
 PERIODS = 1 << 12
 """Added to whole periods, so that they are no negative number."""
 AXES = {"cos": "cosine", "sin": "sine"}
-
+SWING = 0.1
+"""Share of its swing by which a reading may leave what the model gives over the box: noise, temperature."""
+SAFE = 1.5
+"""What errors met over trial poses are multiplied by where they are stated."""
+AGAINST = "Against least squares over all readings, converged, in double it"
+FIELD = "field beyond the calibrated heights: too near, too far, or no array"
 FIFTH = 5
 """The harmonic that square magnets have most of, which has a shorter form where it is alone."""
 
@@ -82,8 +86,7 @@ class Wave:
 
 
 def _outer(phasor: Phasor, reach: float) -> float:
-    """Bound of |u| in every round: the first, u + g(u), is the longest, and u lies within what the last
-    leaves."""
+    """Bound of |u| in every round: the first, u + g(u), is longest; u lies within what the last leaves."""
     return reach + NEAR * phasor.largest(reach)
 
 
@@ -146,10 +149,8 @@ def _rounds(phasor: Phasor, r: float, reach: float, share: float) -> tuple[int, 
         straight = slope * made + bend / 2 * (before + made) ** 2
         ways = [("", made), ("linear", straight)]
         if k == 1:
-            radial = sum(radial_of(phasor).values()) and _not_radial(phasor, r)
-            ways.insert(
-                1, ("radial", slope * made + bend / 2 * before**2 + radial + _folded(phasor, r, before))
-            )
+            radial = slope * made + bend / 2 * before**2 + _beside_radial(phasor, r, before)
+            ways.insert(1, ("radial", radial))
         for last, error in ways:
             left = error / reach * (1 + 2 * error / reach)
             if left <= share:
@@ -163,17 +164,26 @@ def radial_of(phasor: Phasor) -> dict[int, float]:
     return {n: n * abs(conjugate) ** 2 for n, (_, conjugate) in phasor.parts.items()}
 
 
-def _not_radial(phasor: Phasor, r: float) -> float:
-    """Bound of what the second order of g does beside its radial part."""
-    sizes = {n: abs(own) + abs(conjugate) for n, (own, conjugate) in phasor.parts.items()}
-    every = sum(n * a * b * r ** (n + m - 1) for n, a in sizes.items() for m, b in sizes.items())
-    return float(every - sum(f * r ** (2 * n - 1) for n, f in radial_of(phasor).items()))
+def _beside_radial(phasor: Phasor, r: float, before: float) -> float:
+    """Bound of what the second order of g does beside its radial part, and of what that loses by being added
+    to ln |u|, not to u, times r."""
+    sizes, radial = {n: abs(a) + abs(b) for n, (a, b) in phasor.parts.items()}, radial_of(phasor)
+    beside = 0.0
+    if sum(radial.values()):
+        every = sum(n * a * b * r ** (n + m - 1) for n, a in sizes.items() for m, b in sizes.items())
+        beside = every - sum(f * r ** (2 * n - 1) for n, f in radial.items())
+    term = sum(f * r ** (2 * n - 2) for n, f in radial.items())
+    return float(beside + term * (NEAR * before + r * term))
 
 
-def _folded(phasor: Phasor, r: float, before: float) -> float:
-    """Bound of what the radial part loses by being added to ln |u|, not to u, times r."""
-    term = sum(f * r ** (2 * n - 2) for n, f in radial_of(phasor).items())
-    return float(term * (NEAR * before + r * term))
+def measured(met: str, leaves: Mapping[str, float], trials: int, of: str = "") -> tuple[str, str]:
+    """Return the sentences on what a decoder `leaves` of each coordinate, met over trial poses."""
+    listed = ", ".join(f"{c} {v:.2g} {unit(c)}" for c, v in leaves.items())
+    return (
+        f"{met} leaves at most {listed}{of}: {SAFE:g} times what {trials} poses of the box met, and what "
+        "polynomials leave (measured, not proved for every pose).",
+        "Only readings of a pose in the box have that error: others give a finite pose, mostly a flag.",
+    )
 
 
 Pair = tuple[ca.SX, ca.SX]
@@ -432,8 +442,7 @@ def place_error(wave: Wave, vector: float, digits: int) -> float:
 
 
 def height_error(wave: Wave, vector: float, digits: int) -> float:
-    """Return the bound of what is added to the middle height [m]: stretch of the vector, logarithm,
-    factor."""
+    """Return the bound of what is added to the middle height [m]: stretch, logarithm, factor."""
     lc, least, stretch = wave.phasor.lc, wave.least * SHORT, _moved(wave, vector)
     size, t = ca.SX.sym("size"), ca.SX.sym("t")
     ends = np.geomspace(least**2, least**-2, CELLS + 1)

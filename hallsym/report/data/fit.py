@@ -43,21 +43,11 @@ def parameter_rows(fit: Fit) -> list[ParameterRow]:
         known = bool(fit.determined[k])
         value, std = factor * float(fit.values[k]), factor * float(fit.std[k]) if known else np.nan
         limits = (factor * p.nominal, factor * p.lower, factor * p.upper)
-        rows.append(ParameterRow(p.name, p.meaning, unit, value, std, *limits, known, _remark(fit, k)))
+        remark = "at its bound" if p.name in fit.at_bound else ""
+        if not (remark or known):
+            which = "any recording" if p.name in fit.structural else "this log"
+            done = "fixed at nominal" if p.name in fit.held else "see below"
+            remark = f"not identifiable from {which}; {done}"
+        remark = remark if p.width else ""
+        rows.append(ParameterRow(p.name, p.meaning, unit, value, std, *limits, known, remark))
     return rows
-
-
-def _remark(fit: Fit, k: int) -> str:
-    p = fit.model.parameters[k]
-    if p.width == 0:
-        return ""
-    if p.name in fit.at_bound:
-        return "at its bound"
-    if fit.determined[k]:
-        return ""
-    cause = (
-        "not identifiable from any recording"
-        if p.name in fit.structural
-        else "not identifiable from this log"
-    )
-    return cause + ("; fixed at nominal" if p.name in fit.held else "; see below")

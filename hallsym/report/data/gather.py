@@ -129,13 +129,9 @@ class RunSeries:
 
 
 def series_of(
-    title: str,
-    pose: tuple[str, ...],
-    traces: Mapping[str, Trace],
-    *,
-    timed: bool,
+    title: str, pose: tuple[str, ...], traces: Mapping[str, Trace], *, timed: bool,
     turning: Collection[str] | None = None,
-) -> RunSeries:
+) -> RunSeries:  # fmt: skip
     """Return the series of traces by name; each holds time and the errors of every coordinate."""
     first = next(iter(traces.values()))
     time = 0.5 * (first.low[0] + first.high[0]) - first.low[0][0] if timed else first.samples
@@ -220,7 +216,7 @@ def gather(
     take no part and interrupt the series.
     """
     survey = look_over(log, fit, keep)
-    chosen, timed = worst_first(survey, fit.noise_floor, RUNS), survey.timed
+    chosen = worst_first(survey, fit.noise_floor, RUNS)
     own = ((p.block, np.where(p.kept, p.fitted - p.reference, np.nan)) for p in decoded(log, fit, keep))
     passes = {label: own} | ({} if after is None else {after.name: after.read()})
     places = _maps(fit, survey)
@@ -230,7 +226,7 @@ def gather(
             f"run {run}{', held out' if run in held_out(fit) else ''}",
             fit.model.pose,
             {key: traces[run] for key, (_, traces) in found.items()},
-            timed=timed,
+            timed=survey.timed,
             turning=fit.model.period,
         )
         for run in chosen
@@ -240,12 +236,9 @@ def gather(
 
 
 def _read(
-    blocks: Iterator[tuple[Block, np.ndarray]],
-    fit: Fit,
-    survey: Survey,
-    places: Sequence[_Map],
+    blocks: Iterator[tuple[Block, np.ndarray]], fit: Fit, survey: Survey, places: Sequence[_Map],
     chosen: Sequence[int],
-) -> tuple[tuple[Cells, ...], dict[int, Trace]]:
+) -> tuple[tuple[Cells, ...], dict[int, Trace]]:  # fmt: skip
     """Return maps and the traces of the chosen runs from the errors (n_pose, samples) of every block."""
     floor = np.array([fit.noise_floor.get(c) or 0.0 for c in fit.model.pose])
     fine = np.maximum(floor / 20, survey.fitted.peak.max(axis=0) / 1e4)
@@ -283,7 +276,10 @@ def _maps(fit: Fit, survey: Survey) -> list[_Map]:
     else:
         maps.append(_grouped(title, groups, fit))
     if len(survey.runs) > 1:
-        maps.append(_grouped("run", _few_runs(survey.runs), fit, held_out(fit)))
+        per = -(-len(survey.runs) // MOST)
+        parts = [list(survey.runs[k : k + per]) for k in range(0, len(survey.runs), per)]
+        runs = [(f"{p[0]}" if len(p) == 1 else f"{p[0]}\N{EN DASH}{p[-1]}", p) for p in parts]
+        maps.append(_grouped("run", runs, fit, held_out(fit)))
     return maps
 
 
@@ -344,9 +340,3 @@ def _grouped(by: str, groups: Sequence[Group], fit: Fit, holdout: Sequence[int] 
         return np.full(len(next(iter(block.data.values()))), at.get(block.run, -1))
 
     return _Map(_frame(by, fit, labels=labels, marked=marked), len(groups), place)
-
-
-def _few_runs(runs: Sequence[int]) -> list[Group]:
-    per = -(-len(runs) // MOST)
-    parts = [list(runs[k : k + per]) for k in range(0, len(runs), per)]
-    return [(f"{p[0]}" if len(p) == 1 else f"{p[0]}\N{EN DASH}{p[-1]}", p) for p in parts]

@@ -7,8 +7,8 @@ anything else, so that the error splits into what belongs to the machine and wha
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -87,19 +87,7 @@ class PeriodicError:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record of `--json`, in SI."""
-        sizes = {name: vars(getattr(self, name)) for name in ("machine", "mounted", "calibrated", "pattern")}
-        return {
-            "coordinate": self.coordinate,
-            "period": self.period,
-            **sizes,
-            "rest": self.rest,
-            "rest_calibrated": self.rest_calibrated,
-            "harmonics": [vars(h) for h in self.harmonics],
-            "mount_orders": list(self.mount_orders),
-            "pattern_orders": list(self.pattern_orders),
-            "elsewhere": {str(n): list(names) for n, names in self.elsewhere.items()},
-            "slope": self.slope,
-        }
+        return asdict(self)
 
 
 def periodic_error(log: Log, fit: Fit, keep: Weigh | None = None) -> PeriodicError | None:
@@ -121,15 +109,11 @@ def periodic_error(log: Log, fit: Fit, keep: Weigh | None = None) -> PeriodicErr
     if not sums.enough:
         return None
     before, after = sums.solved(0), sums.solved(1)
-    size = {name: before.size(chosen) for name, chosen in {
-        "machine": [n for n in orders if n not in pattern],
-        "mounted": [n for n in orders if n not in pattern and n not in mount],
-        "pattern": list(pattern),
-    }.items()}  # fmt: skip
+    own = [n for n in orders if n not in pattern]
     return PeriodicError(
-        coordinate, period, tuple(before.harmonics), size["machine"], size["mounted"],
-        after.size([n for n in orders if n not in pattern]), size["pattern"], before.rest, after.rest,
-        mount, pattern, elsewhere, before.slope,
+        coordinate, period, tuple(before.harmonics), before.size(own),
+        before.size([n for n in own if n not in mount]), after.size(own), before.size(pattern), before.rest,
+        after.rest, mount, pattern, elsewhere, before.slope,
     )  # fmt: skip
 
 
@@ -158,13 +142,9 @@ class _Sums:
 
     orders: tuple[int, ...]
     rate: float
-    square: np.ndarray = field(init=False)
+    square: np.ndarray | float = 0.0
     groups: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
     seen: np.ndarray = field(default_factory=lambda: np.zeros(SECTORS, dtype=int))
-
-    def __post_init__(self) -> None:
-        """Begin at zero."""
-        self.square = np.zeros((self.width + 2,) * 2)
 
     @property
     def width(self) -> int:
@@ -186,7 +166,7 @@ class _Sums:
         for direction in (-1, 0, 1):
             chosen = rows[:, good & (ahead == direction)]
             if chosen.shape[1]:
-                self.square += chosen @ chosen.T
+                self.square = self.square + chosen @ chosen.T
                 sums = np.r_[chosen.sum(axis=1), chosen.shape[1]]
                 key = (block.block.run, direction)
                 self.groups[key] = self.groups.get(key, 0.0) + sums
@@ -201,10 +181,9 @@ class _Sums:
         means = np.array([g[:-1] / np.sqrt(g[-1]) for g in self.groups.values()])
         centred = self.square - means.T @ means
         target, free = self.width + version, self.seen.sum() - len(self.groups)
-        with_slope = _solve(centred, list(range(self.width)), target, free)
-        slope, std = with_slope[0][-1], np.sqrt(with_slope[1][-1, -1])
-        if abs(slope) > STEEP * std > 0:
-            return _Solved(self.orders, with_slope[0][:-1], with_slope[1][:-1, :-1], with_slope[2], slope)
+        found, covariance, rest = _solve(centred, list(range(self.width)), target, free)
+        if abs(found[-1]) > STEEP * np.sqrt(covariance[-1, -1]) > 0:
+            return _Solved(self.orders, found[:-1], covariance[:-1, :-1], rest, found[-1])
         return _Solved(self.orders, *_solve(centred, list(range(self.width - 1)), target, free), 0.0)
 
 
@@ -250,7 +229,7 @@ class _Solved:
             telling = bool(pair @ np.linalg.pinv(spread, hermitian=True) @ pair > limit)
             yield Harmonic(order, amplitude, half, telling)
 
-    def size(self, orders: list[int]) -> Size:
+    def size(self, orders: Sequence[int]) -> Size:
         """Return the size of the sum of those of `orders` that the log shows."""
         error = np.zeros(len(GRID))
         for k, harmonic in enumerate(self.harmonics):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -39,19 +39,16 @@ class Trace:
         """Append samples, shape (series, samples); nan marks what is left out."""
         n = values.shape[1]
         while self.count + n > self.width * 2 * COLUMNS:
-            self._merge()
+            for array, join in ((self._low, np.fmin), (self._high, np.fmax)):
+                array[:, :COLUMNS] = join(array[:, ::2], array[:, 1::2])
+                array[:, COLUMNS:] = np.nan
+            self.width *= 2
         column = (self.count + np.arange(n)) // self.width
         starts = np.flatnonzero(np.diff(column, prepend=-1))
         at = slice(int(column[0]), int(column[-1]) + 1)
         self._low[:, at] = np.fmin(self._low[:, at], np.fmin.reduceat(values, starts, axis=1))
         self._high[:, at] = np.fmax(self._high[:, at], np.fmax.reduceat(values, starts, axis=1))
         self.count += n
-
-    def _merge(self) -> None:
-        for array, join in ((self._low, np.fmin), (self._high, np.fmax)):
-            array[:, :COLUMNS] = join(array[:, ::2], array[:, 1::2])
-            array[:, COLUMNS:] = np.nan
-        self.width *= 2
 
     @property
     def low(self) -> np.ndarray:
@@ -284,12 +281,8 @@ def settings(fit: Fit, survey: Survey) -> tuple[list[Group], str]:
 
     order = sorted(range(len(centres)), key=place)
     groups = [(setting(columns, centres[k], near, turning=turning), members[k]) for k in order]
-    return groups, f"vertical setting ({_units(columns, turning)})"
-
-
-def _units(columns: Sequence[str], turning: Mapping[str, float]) -> str:
-    """Return `Z in µm; Rx, Ry in µrad`."""
     by_unit: dict[str, list[str]] = {}
     for column in columns:
         by_unit.setdefault(typeset(readable(column, turning)[1]), []).append(name(column))
-    return "; ".join(f"{', '.join(names)} in {unit}" for unit, names in by_unit.items())
+    units = "; ".join(f"{', '.join(names)} in {unit}" for unit, names in by_unit.items())
+    return groups, f"vertical setting ({units})"

@@ -38,7 +38,7 @@ LOOKS = {
     "fixed": (style.FAINT, "", "|", style.FAINT),
 }
 """Colour, hatch of bars, marker and its face by verdict."""
-MODEST = {"facecolor": "white", "edgecolor": style.GREY, "linewidth": 0.7}
+MODEST: dict[str, Any] = {"facecolor": "white", "edgecolor": style.GREY, "linewidth": 0.7}
 """Bars of 1 % of a value."""
 
 
@@ -211,7 +211,7 @@ def _verdicts(ax: Axes, words: list[str]) -> None:
     at, inches = ax.get_yaxis_transform(), ax.get_position().width * style.WIDTH
     for row, word in enumerate(words):
         color, _, marker, face = LOOKS[word]
-        look = {"ls": "none", "marker": marker, "ms": 4.2, "color": color, "mfc": face}
+        look: dict[str, Any] = {"ls": "none", "marker": marker, "ms": 4.2, "color": color, "mfc": face}
         ax.plot(1 + 0.12 / inches, row, transform=at, clip_on=False, **look)
         ax.text(1 + BESIDE / inches, row, word, transform=at, va="center_baseline")
 

@@ -1,4 +1,4 @@
-"""Pictures of a budget: U over the workspace, and what it is made of."""
+"""Pictures of a budget, of U over the workspace, and of errors along a coordinate by cause."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.report.figures.style import AFTER, FAINT, LINE, WIDTH, label_x, label_y, panels, text_width
+from hallsym.report.figures import style
+from hallsym.report.text.tolerances import span
 from hallsym.report.words import MINUS, largest, name, scale, setting, short, three
 from hallsym.units import fitting, typeset
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from hallsym.uncertainty import Budget, UncertaintyMap
+    from hallsym.uncertainty import Budget, ErrorModel, UncertaintyMap
 
 MOST_BARS = 12
 """Sources shown one by one; the others are one bar."""
@@ -29,13 +30,13 @@ def budget_bars(budgets: Mapping[str, Budget], *, worst: bool = False) -> Figure
     `worst`: the budgets are those of the worst position of each coordinate, which the picture then says.
     """
     labels, shares = _bars(list(budgets.values()))
-    margin = 0.12 + max(map(text_width, labels))
-    figure, axes = panels(
-        1, len(budgets), BAR * len(labels) + 0.1, top=2.6 * LINE, bottom=0.46, left=margin, right=0.1,
+    margin = 0.12 + max(map(style.text_width, labels))
+    figure, axes = style.panels(
+        1, len(budgets), BAR * len(labels) + 0.1, top=2.6 * style.LINE, bottom=0.46, left=margin, right=0.1,
         gaps=(0.16, 0.12), sharey=True,
     )  # fmt: skip
     place = np.arange(len(labels))
-    colours = [FAINT if label.startswith("other ") else AFTER for label in labels]
+    colours = [style.FAINT if label.startswith("other ") else style.AFTER for label in labels]
     for ax, percent, budget in zip(axes[0], 100 * shares, budgets.values(), strict=True):
         ax.barh(place, percent, height=0.72, color=colours)
         for y, value in zip(place, percent, strict=True):
@@ -45,7 +46,7 @@ def budget_bars(budgets: Mapping[str, Budget], *, worst: bool = False) -> Figure
         ax.tick_params(axis="y", length=0)
         ax.set(ylim=(len(labels) - 0.4, -0.6), xlim=(min(0.0, percent.min()), 1.3 * max(percent.max(), 1.0)))
         ax.set_title(_budget_title(budget, worst), loc="left", linespacing=1.4)
-        label_x(ax, "share of $u_c^2$ [%]", 0.26)
+        style.label_x(ax, "share of $u_c^2$ [%]", 0.26)
     return figure
 
 
@@ -81,7 +82,7 @@ def uncertainty_picture(grid: UncertaintyMap) -> Figure:
     if len(grid.axes) == 1:
         across, shown = scale(column, largest(values), grid.turning)
         label = f"{name(column)} [{shown}]"
-        figure = _lines(grid.pose, grid.expanded, across * values, label, grid.turning, top=1.7 * LINE)
+        figure = _lines(grid.pose, grid.expanded, across * values, label, grid.turning, top=1.7 * style.LINE)
     else:
         figure = _maps(grid)
     fixed = setting(
@@ -89,7 +90,7 @@ def uncertainty_picture(grid: UncertaintyMap) -> Figure:
     )
     level, coverage = grid.settings.level, grid.settings.coverage
     figure.text(
-        0.03 / WIDTH, 1 - 0.05 / figure.get_size_inches()[1],
+        0.03 / style.WIDTH, 1 - 0.05 / figure.get_size_inches()[1],
         f"Expanded uncertainty U ({f'k = {coverage:g}' if level is None else f'{100 * level:g} %'}) of the "
         "decoded position" + (f" at {fixed}" if fixed != "level" else ""),
         va="top",
@@ -100,13 +101,13 @@ def uncertainty_picture(grid: UncertaintyMap) -> Figure:
 def _lines(
     pose: Sequence[str], U: np.ndarray, place: np.ndarray, label: str, turning: Collection[str], top: float
 ) -> Figure:
-    figure, axes = panels(len(pose), 1, 1.4, top=top, bottom=0.44, right=0.14, sharex=True)
+    figure, axes = style.panels(len(pose), 1, 1.4, top=top, bottom=0.44, right=0.14, sharex=True)
     for ax, coordinate, own in zip(axes[:, 0], pose, U, strict=True):
         factor, unit = scale(coordinate, largest(own), turning)
-        ax.plot(place, factor * own, color=AFTER)
+        ax.plot(place, factor * own, color=style.AFTER)
         ax.set_ylim(0.0, 1.15 * factor * own.max())
-        label_y(ax, f"U {name(coordinate)} [{unit}]")
-    label_x(axes[-1, 0], label, 0.3)
+        style.label_y(ax, f"U {name(coordinate)} [{unit}]")
+    style.label_x(axes[-1, 0], label, 0.3)
     return figure
 
 
@@ -117,20 +118,20 @@ def _maps(grid: UncertaintyMap) -> Figure:
     scales = [scale(c, largest(grid.axes[c]), grid.turning) for c in (across, up)]
     x, y = (factor * grid.axes[c] for c, (factor, _) in zip((across, up), scales, strict=True))
     bar, gap = 0.75, 0.1
-    width = (WIDTH - 0.64 - bar - gap * (len(slices) - 1)) / len(slices)
+    width = (style.WIDTH - 0.64 - bar - gap * (len(slices) - 1)) / len(slices)
     spread = [float(np.ptp(grid.axes[c])) for c in (across, up)]
     height = float(np.clip(width * spread[1] / spread[0] if spread[0] else width, 0.8, 1.8))
-    figure, axes = panels(
-        len(grid.pose), len(slices), height, top=2.3 * LINE, bottom=0.44, right=bar, gaps=(gap, 0.16),
+    figure, axes = style.panels(
+        len(grid.pose), len(slices), height, top=2.3 * style.LINE, bottom=0.44, right=bar, gaps=(gap, 0.16),
         sharex=True, sharey=True,
     )  # fmt: skip
     for row, coordinate, U in zip(axes, grid.pose, values, strict=True):
         factor, unit = scale(coordinate, float(U.max()), grid.turning)
         _row(figure, row, (x, y), factor * U, f"U {name(coordinate)} [{unit}]")
-        label_y(row[0], f"{name(up)} [{scales[1][1]}]")
+        style.label_y(row[0], f"{name(up)} [{scales[1][1]}]")
     for first, last, value in zip(axes[0], axes[-1], slices, strict=True):
         first.set_title(_slice_words(third, value, largest(slices), grid.turning), loc="left")
-        label_x(last, f"{name(across)} [{scales[0][1]}]", 0.3)
+        style.label_x(last, f"{name(across)} [{scales[0][1]}]", 0.3)
     return figure
 
 
@@ -152,7 +153,7 @@ def _row(
             ax.contour(*plane, U, levels=levels, colors="white", linewidths=0.5)
         _inward(ax)
     box = axes[-1].get_position()
-    beside = figure.add_axes((box.x1 + 0.08 / WIDTH, box.y0, 0.1 / WIDTH, box.height))
+    beside = figure.add_axes((box.x1 + 0.08 / style.WIDTH, box.y0, 0.1 / style.WIDTH, box.height))
     colours = figure.colorbar(picture, cax=beside)
     colours.set_label(label, labelpad=2)
     colours.ax.yaxis.set_major_formatter(lambda v, _: short(v))
@@ -173,3 +174,36 @@ def _slice_words(column: str | None, value: float, most: float, turning: Collect
     factor, unit = scale(column, most or 1e-4, turning)
     step = 10.0 ** np.floor(np.log10(factor * (most or 1e-4)) - 2)
     return f"{name(column)} = {short(round(factor * value / step) * step)} {unit}".replace("-", MINUS)
+
+
+# -- errors along a coordinate -----------------------------------------------------------------------------
+
+
+PANEL, COLUMNS = 1.25, 3  # inches; entries of the legend in a line
+
+
+def errors_along(found: ErrorModel) -> Figure:
+    """Draw the error of each coordinate of the pose over the one that moves, a line per cause."""
+    pose, causes = found.model.pose, found.causes
+    lines = -(-len(causes) // COLUMNS)
+    figure, axes = style.panels(len(pose), 1, PANEL, top=0.1 + lines * style.LINE, bottom=0.42, sharex=True)
+    looks = [
+        {"color": style.BLACK, "ls": "-", "lw": 1.4}
+        if k and k == len(causes) - 1
+        else {"color": style.SERIES[k % len(style.SERIES)], "ls": style.DASHES[k % len(style.DASHES)]}
+        for k in range(len(causes))
+    ]
+    *_, factor, unit, moving = span(found)
+    for k, (ax, column) in enumerate(zip(axes[:, 0], pose, strict=True)):
+        y_factor, y_unit = scale(
+            column, largest(np.array([e.error[k] for *_, e in causes])), found.model.period
+        )
+        ax.axhline(0, color=style.FAINT, lw=0.6, zorder=0)
+        for (*_, e), look in zip(causes, looks, strict=True):
+            ax.plot(factor * e.at, y_factor * e.error[k], **look)
+        ax.margins(x=0)
+        style.label_y(ax, f"error of {name(column)} [{y_unit}]")
+    style.label_x(axes[-1, 0], f"{moving} [{typeset(unit)}]")
+    keys = [style.key(cause, **look) for (cause, *_), look in zip(causes, looks, strict=True)]
+    style.legend(figure, keys, "upper left", ncols=COLUMNS)
+    return figure

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from hallsym.diagnosis import Diagnosis, Separation, Statement, noise_text
+from hallsym.diagnosis import Diagnosis, Statement, noise_text
 from hallsym.estimation import Fit, added_effects
 from hallsym.families import plain
 from hallsym.report.data.gather import Cells, RunSeries
@@ -257,16 +257,11 @@ def effects_section(d: Diagnosis) -> Section:
     if not (d.effects or d.groups or d.ranked):
         none = "None. No effect of the catalogue lowers the gap by what is worth reporting."
         return Section("effects", "Which effects", [Words(none)])
-    notes = Items([Item(e.note, e.name) for e in d.effects if e.note])
-    return Section("effects", "Which effects", [_ranking(d), _ranked(d), notes, *_groups(d)])
-
-
-def _ranking(d: Diagnosis) -> Figure | None:
     rows = [(e.name, e.shrinkage, e.interval) for e in d.effects if math.isfinite(e.shrinkage)]
-    if not rows:
-        return None
-    how = "With the 95 % interval of each effect"
-    return Figure([pictures.shares(rows, "decrease of the gap [%]", 1)], how, look="two")
+    drawn = [pictures.shares(rows, "decrease of the gap [%]", 1)] if rows else []
+    ranking = Figure(drawn, "With the 95 % interval of each effect", look="two")
+    notes = Items([Item(e.note, e.name) for e in d.effects if e.note])
+    return Section("effects", "Which effects", [ranking, _ranked(d), notes, *_groups(d)])
 
 
 def _ranked(d: Diagnosis) -> Table:
@@ -274,38 +269,22 @@ def _ranked(d: Diagnosis) -> Table:
         "effect", "link", "form", "shrinks the gap by (95 %)", "share of the excess", "p",
         "not told apart from",
     ]  # fmt: skip
-    rows: list[list[Any]] = [
-        [
-            e.name,
-            e.link,
-            e.variant,
-            with_interval(e.shrinkage, e.interval),
-            percent(e.share, 0),
-            p_cell(e.p_value),
-            _others(d, e.name),
-        ]
-        for e in d.effects
-    ]
-    named = {e.name for e in d.effects}
-    rows += [[name, "", "", "", "", "", _others(d, name)] for name in d.ranked if name not in named]
+    known = {e.name: [e.link, e.variant, with_interval(e.shrinkage, e.interval), percent(e.share, 0),
+                      p_cell(e.p_value)] for e in d.effects}  # fmt: skip
+    rows: list[list[Any]] = []
+    for name in dict.fromkeys([*known, *d.ranked]):
+        others = dict.fromkeys(other for g in d.groups if name in g for other in g if other != name)
+        rows.append([name, *known.get(name, [""] * 5), ", ".join(others)])
     return Table(head, rows, "effects, best first", left=3, wordy=(6,), sortable=True)
 
 
-def _others(d: Diagnosis, name: str) -> str:
-    return ", ".join(dict.fromkeys(other for g in d.groups if name in g for other in g if other != name))
-
-
 def _groups(d: Diagnosis) -> list[Any]:
-    found = {s.group: s for s in d.separate_by}
-    lines = [_separation(group, found.get(group)) for group in dict.fromkeys([*d.groups, *found])]
-    return [Heading("Confusable effects"), Items(lines)] if lines else []
-
-
-def _separation(group: tuple[str, ...], s: Separation | None) -> Item:
-    if s is None:
-        return Item("this log cannot tell them apart.", ", ".join(group))
-    now = f"this log cannot tell them apart ({three(s.sigma_now)} sigma)"
-    return Item(f"{now}. Record {s.recording}.", ", ".join(group))
+    lines = dict.fromkeys(d.groups, "this log cannot tell them apart.")
+    for s in d.separate_by:
+        now = f"this log cannot tell them apart ({three(s.sigma_now)} sigma)"
+        lines[s.group] = f"{now}. Record {s.recording}."
+    items = Items([Item(line, ", ".join(group)) for group, line in lines.items()])
+    return [Heading("Confusable effects"), items] if lines else []
 
 
 # -- where the gap lies, and what no effect explains -----------------------------------------------------
@@ -343,19 +322,14 @@ def rest_section(d: Diagnosis) -> Section:
 
 
 def _statements(statements: Sequence[Statement], title: str) -> list[Any]:
-    drawn = [s for s in statements if math.isfinite(s.share)]
+    drawn = [(_place(s), s.share, None) for s in statements if math.isfinite(s.share)][:MOST]
     rows = [
         [typeset(s.text), "" if s.held_out is None else percent(max(s.held_out, 0.0), 0), p_cell(s.p_value)]
         for s in statements
     ]
-    chart = (
-        [pictures.shares([(_place(s), s.share, None) for s in drawn[:MOST]], title, look="before")]
-        if drawn
-        else []
-    )
+    chart = [pictures.shares(drawn, title, look="before")] if drawn else []
     head = ["statement (fitted runs)", "on holdout runs", "p"]
-    found = [Figure(chart, look="two"), Table(head, rows, "statements on the places")]
-    return found if statements else []
+    return [Figure(chart, look="two"), Table(head, rows, "statements on the places")] if statements else []
 
 
 def _place(s: Statement) -> str:

@@ -79,15 +79,12 @@ def _headline(fit: Fit, rows: Mapping[str, Gap], calibration: str) -> Headline:
     ratio = _ratios(fit, gap)
     above = max(ratio.values(), default=0.0) > NEAR or bool(_amiss(fit))
     state = "bad" if above or _unfinished(fit) else "good" if ratio else "open"
-    word = {
-        "bad": "Not at the noise floor.",
-        "good": "At the noise floor.",
-        "open": "No noise floor is known.",
-    }
+    words = {"bad": "Not at the noise floor.", "good": "At the noise floor."}
+    word = words.get(state, "No noise floor is known.")
     sizes = {"before": rows["nominal"]} if "nominal" in rows and where != "nominal" else {}
     table = shared.sizes_table({**sizes, "after" if sizes else where: gap}, fit.noise_floor, fit.model.period)
     why, command = _next(fit, above, calibration)
-    return Headline(state, word[state], verdict(fit, rows), table, why, command)
+    return Headline(state, word, verdict(fit, rows), table, why, command)
 
 
 def _next(fit: Fit, above: bool, calibration: str) -> tuple[str, str]:
@@ -96,13 +93,10 @@ def _next(fit: Fit, above: bool, calibration: str) -> tuple[str, str]:
         own = diagnose_command(fit.log["path"], fit.model, added_effects(fit.model))
         return "Next, find out what the model leaves:", found or own
     if fit.undetermined_by_log:
-        log = fit.log["path"] or "LOG"
-        return "Next, see which recording determines the rest:", shlex.join(
-            ["hallsym", "sensitivity", calibration, str(log)]
-        )
-    return "Next, write the decoder for the controller:", shlex.join(
-        ["hallsym", "codegen", calibration, "-o", "firmware"]
-    )
+        words = ["hallsym", "sensitivity", calibration, str(fit.log["path"] or "LOG")]
+        return "Next, see which recording determines the rest:", shlex.join(words)
+    words = ["hallsym", "codegen", calibration, "-o", "firmware"]
+    return "Next, write the decoder for the controller:", shlex.join(words)
 
 
 def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
@@ -172,9 +166,9 @@ def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Facts:
     runs, holdout = found.survey.runs, [r for r in fit.log["holdout"] if same]
     fitted = [r for r in runs if r not in holdout]
     count = int(np.diff(found.survey.edges).sum())
-    used = (
-        f"{len(fitted)} ({shared.numbers(fitted)})" if same else f"none: all {len(runs)} runs are only judged"
-    )
+    judged = f"{len(holdout)} ({shared.numbers(holdout)})" if holdout else "none"
+    used = f"{len(fitted)} ({shared.numbers(fitted)})"
+    used = used if same else f"none: all {len(runs)} runs are only judged"
     added = list(added_effects(fit.model))
     floor = shared.each(fit.noise_floor, fit.model.period)
     pairs = [
@@ -182,10 +176,7 @@ def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Facts:
         ("samples", f"{count} in {counted(len(runs), 'run')}"),
         ("model", f"{fit.model.name}{' with ' + ', '.join(added) if added else ''}"),
         ("runs fitted", used),
-        (
-            "runs held out",
-            (f"{len(holdout)} ({shared.numbers(holdout)})" if holdout else "none") if same else None,
-        ),
+        ("runs held out", judged if same else None),
         ("calibrated on", None if same else fit.log["path"] or "a log in memory"),
         ("noise floor", f"{floor}: what the noise of readings and reference alone leaves"),
     ]

@@ -96,9 +96,8 @@ def shares(
     ]
     ends = [v for row in entries for v in (row.value, *(row.span or ())) if math.isfinite(v)]
     x = Scale(min([0.0, *ends]), max([1.0, *(1.05 * v for v in ends)]), most=6)
-    return rows(
-        title, f"{title}: {'; '.join(f'{row.name} {row.shown}' for row in entries)}", x, entries, width=HALF
-    )
+    said = "; ".join(f"{row.name} {row.shown}" for row in entries)
+    return rows(title, f"{title}: {said}", x, entries, width=HALF)
 
 
 def in_bounds(value: float, std: float, lower: float, upper: float, nominal: float) -> Chart | None:
@@ -151,11 +150,8 @@ def _profile(both: Sequence[Cells], output: int, floor: float, reach: float, par
         medians.append(curve(np.ravel(places), np.repeat(median, len(places[0])), f"median{ending}"))
     held = [remark(k + 0.5, "h") for k in cells.marked if k in part]
     high = 1.08 * factor * reach or 1.0
-    x = (
-        Scale(part.start, part.stop, names=names)
-        if names
-        else Scale(cells.edges[0], cells.edges[-1], title=cells.by)
-    )
+    x = Scale(part.start, part.stop, names=names)
+    x = x if names else Scale(cells.edges[0], cells.edges[-1], title=cells.by)
     worst = max(part, key=lambda k: np.nan_to_num(both[-1].rms[output, k]))
     says = f"{what} by {cells.by}: largest rms {said[worst]}"
     layers = [*bands, *medians, level(factor * floor), level(-factor * floor), *held]
@@ -252,12 +248,8 @@ def _run(series: RunSeries, reach: Sequence[float], scales: Sequence[tuple[float
 
 
 def _panel(series: RunSeries, run: dict[str, Any], k: int, shown: tuple[float, str]) -> Chart:
-    last, reach, quantity, (factor, unit) = (
-        k == len(series.pose) - 1,
-        run["reach"][k],
-        name(series.pose[k]),
-        shown,
-    )
+    last, reach, quantity = k == len(series.pose) - 1, run["reach"][k], name(series.pose[k])
+    factor, unit = shown
     drawn = zip(LOOKS[len(run["lines"])], run["lines"], strict=True)
     lines = [path(paths[k], f"line median{ending}") for ending, paths in drawn]
 

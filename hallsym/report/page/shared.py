@@ -31,12 +31,10 @@ def numbers(runs: Sequence[int]) -> str:
     """Return run numbers, neighbours as `3 to 9`."""
     parts: list[list[int]] = []
     for run in sorted(runs):
-        if parts and run == parts[-1][-1] + 1:
-            parts[-1].append(run)
-        else:
-            parts.append([run])
-    words = [f"{p[0]} to {p[-1]}" if len(p) > 2 else ", ".join(map(str, p)) for p in parts]
-    return ", ".join(words)
+        if not parts or run != parts[-1][-1] + 1:
+            parts.append([])
+        parts[-1].append(run)
+    return ", ".join(f"{p[0]} to {p[-1]}" if len(p) > 2 else ", ".join(map(str, p)) for p in parts)
 
 
 def called(path: object) -> str:
