@@ -15,7 +15,7 @@ import scipy
 
 from hallsym.errors import InputError
 from hallsym.estimation import Cost, coverage_factor, least_information, refit, scales
-from hallsym.estimation.normal_equations import unit_scale
+from hallsym.estimation.factors import unit_scale
 from hallsym.model.quantities import Quantity
 
 CHECKED = 10

@@ -24,8 +24,8 @@ from hallsym.estimation import (
     structural_null,
 )
 from hallsym.estimation.decoding import logged_columns
+from hallsym.estimation.factors import eliminate
 from hallsym.estimation.identifiable import MOVING, echelon
-from hallsym.estimation.normal_equations import eliminate
 from hallsym.inference.evidence import Evidence, from_fit, from_plan, visited
 from hallsym.inference.intervals import Interval, Intervals, intervals_of
 from hallsym.log import Log, as_log
