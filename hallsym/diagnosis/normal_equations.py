@@ -145,7 +145,7 @@ def slopes_of(models: Sequence[tuple[Model, Sequence[str]]]) -> list[Slope]:
     out = []
     for slope in map(ca.sparsify, ca.substitute(slopes, known[:1], known[1:])):
         channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
-        out.append(Slope(slope.nz[:], channel, column))
+        out.append(Slope(ca.vec(slope.nz[:]), channel, column))
     return out
 
 

@@ -146,10 +146,10 @@ class Family:
     @cached_property
     def axes(self) -> tuple[str, ...]:
         """Coordinates and states that a campaign can move, of all models."""
-        models = () if self.moved else self._models.values()
-        return self.moved or tuple(
-            dict.fromkeys(c for part in ("pose", "state") for m in models for c in getattr(m, part))
-        )
+        if self.moved:
+            return self.moved
+        own = [c for part in ("pose", "state") for m in self._models.values() for c in getattr(m, part)]
+        return tuple(dict.fromkeys(own))
 
     @cached_property
     def _models(self) -> dict[str, Model]:

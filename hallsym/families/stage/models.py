@@ -405,7 +405,7 @@ def from_meta(make: Callable[..., Model], meta: Meta) -> Model:
     layout = None if meta.probes is None else tuple(_probe(entry) for entry in meta.probes)
     model = make(layout)
     labels = [probe.label for probe in model.layout]
-    known = {*vertical_coupling(stage30(layout)).names, *stage31_tied(layout).names}
+    known = {*stage31(layout).names, *stage31_tied(layout).names} if meta.nominal else set()
     changes: dict[str, dict[str, float]] = {}
     for key, value in meta.nominal.items():
         if key in ("eta", "theta_rad"):
