@@ -78,9 +78,7 @@ def located(
     moved = None if noisier is None else table_of(noisier, frozenset(fitted.run.tolist()))
     if moved is not None and moved.residual.shape != fitted.residual.shape:
         moved = None
-    statements, curves, joint = _coordinates(fitted, moved, others)
-    if held is not None and held.excess > 0:
-        statements = _confirmed(statements, curves, held)
+    statements, curves, joint = _coordinates(fitted, held, moved, others)
     if not statements and not clear(fitted):
         return Located(tuple(steps), tuple(curves))
     told = sum(s.share for s in statements)
@@ -121,18 +119,23 @@ def clear(r: ResidualTable) -> bool:
 
 
 def _coordinates(
-    r: ResidualTable, moved: ResidualTable | None, others: Sequence[np.ndarray]
+    r: ResidualTable,
+    held: ResidualTable | None,
+    moved: ResidualTable | None,
+    others: Sequence[np.ndarray],
 ) -> tuple[list[Statement], list[Curve], Joint]:
     """Coordinates one after the other, each with what it explains beyond those before.
 
     Of those that explain nearly the same the most telling is named. A gain of its own in every run is named
-    where no coordinate explains most of what it does. `moved`: the residual with more noise in the
-    references. `others`: statistics of all that is no coordinate, which p-values are corrected for too. The
-    tests that are returned are those of all coordinates, beside which the rest is tested.
+    where no coordinate explains most of what it does. `held`: the residual on held-out runs, of whose excess
+    each curve, as fitted, explains a part too. `moved`: the residual with more noise in the references.
+    `others`: statistics of all that is no coordinate, which p-values are corrected for too. The tests that
+    are returned are those of all coordinates, beside which the rest is tested.
     """
     excess, policy = r.excess, r.base.policy
     every = [each for c in coordinates(r) for each in over(r, c, moved)]
     statements, curves, joints, left = list[Statement](), list[Curve](), list[Joint](), r.residual
+    apart = np.zeros(0) if held is None else held.residual
     while True:
         taken = [c.coordinate.name for c in curves]
         found = [t.curve(left) for t in every if t.coordinate.name not in taken]
@@ -159,23 +162,14 @@ def _coordinates(
         statement = described(first, share, chance(first.statistic[0]))
         if statements:
             statement = replace(statement, text=f"a further {statement.text}")
+        if held is not None and held.excess > 0 and (says := first.says(held)) is not None:
+            before, apart = held.whitened_squares(apart).sum(), apart - says
+            part = (before - held.whitened_squares(apart).sum()) / held.excess
+            statement = replace(statement, held_out=float(np.clip(part, -1.0, 1.0)))
         statements.append(statement)
         curves.append(first)
         left = left - first.predicted
     return statements, curves, joints[0]
-
-
-def _confirmed(statements: list[Statement], curves: list[Curve], held: ResidualTable) -> list[Statement]:
-    """Add what each curve, as fitted, explains of the excess on held-out runs."""
-    out, left = [], held.residual
-    for s, c in zip(statements, curves, strict=False):
-        says = c.says(held)
-        if says is not None:
-            before, left = held.whitened_squares(left).sum(), left - says
-            share = (before - held.whitened_squares(left).sum()) / held.excess
-            s = replace(s, held_out=float(np.clip(share, -1.0, 1.0)))
-        out.append(s)
-    return [*out, *statements[len(out) :]]
 
 
 def described(c: Curve, share: float, p: float) -> Statement:
