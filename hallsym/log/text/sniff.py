@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from hallsym.errors import InputError
@@ -168,7 +168,7 @@ def table_under(lines: Sequence[Line], delimiter: str) -> Table:
     counts = Counter(len(row) for row in rows)
     most = max(counts.values(), default=0)
     width = next((len(row) for row in rows if counts[len(row)] == most), 0)
-    numeric = [_numeric(row) for row in rows]
+    numeric = [sum(map(is_number, row[:LOOKED_AT])) for row in rows]
     start = _start(rows, numeric, width)
     top = _top(rows, numeric, width, start)
     if top >= 0 and delimiter == BLANKS and len(rows[top]) > width:
@@ -190,10 +190,6 @@ def _glued(names: list[str], width: int) -> list[str]:
         else:
             glued.append(name)
     return glued if len(glued) == width else names
-
-
-def _numeric(row: list[str]) -> int:
-    return sum(map(is_number, row[:LOOKED_AT]))
 
 
 def _start(rows: list[list[str]], numeric: list[int], width: int) -> int:
@@ -276,11 +272,16 @@ def is_comment(text: str, marks: Sequence[str]) -> bool:
 
 
 def _sample(file: Encoded, where: str) -> tuple[list[Line], list[tuple[int, str]]]:
-    """Return the first lines that hold something, and the comments among them."""
+    """Return the first lines that hold something, and the comments among them; refuse what is no text."""
     lines: list[Line] = []
     comments: list[tuple[int, str]] = []
     length = 0
-    for number, text in enumerate(_guarded(file, where), start=1):
+    for number, text in enumerate(file.lines(where), start=1):
+        if "\0" in text and number <= FEW:
+            raise InputError(
+                f"Line {number} of {where} must hold column names; it is no text, so the file is damaged or "
+                "of another format: copy it again, or state its --format."
+            )
         length += len(text)
         if is_comment(text, _COMMENTS):
             comments.append((number, text.strip(' \t"')))
@@ -289,17 +290,6 @@ def _sample(file: Encoded, where: str) -> tuple[list[Line], list[tuple[int, str]
         if (length > SAMPLE and len(lines) >= FEW) or len(lines) >= NUMBERS:
             break
     return lines, comments
-
-
-def _guarded(file: Encoded, where: str) -> Iterator[str]:
-    """Yield lines; refuse a file whose first ones are no text."""
-    for number, text in enumerate(file.lines(where), start=1):
-        if "\0" in text and number <= FEW:
-            raise InputError(
-                f"Line {number} of {where} must hold column names; it is no text, so the file is damaged or "
-                "of another format: copy it again, or state its --format."
-            )
-        yield text
 
 
 def _table(
