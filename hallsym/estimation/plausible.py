@@ -17,10 +17,11 @@ from hallsym.estimation.start import MOVED, LinearFit
 from hallsym.log import Log, Noise
 from hallsym.log.phase import continuous
 from hallsym.log.quality.findings import Fault
-from hallsym.log.quality.gains import Explanation, Responses, judge_gains, medians_of
+from hallsym.log.quality.gains import Explanation, Responses, judge_gains
 from hallsym.log.quality.gains import Judgement as Judgement
 from hallsym.log.table import TableLike, View
 from hallsym.model import Model
+from hallsym.model.arrays import medians_of
 from hallsym.model.features import Features
 
 SHARE, CLEAR = 0.02, 0.1

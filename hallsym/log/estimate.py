@@ -12,7 +12,7 @@ from hallsym.log.columns import RUN
 from hallsym.log.core import Log
 from hallsym.log.meta import Noise, Sigma
 from hallsym.log.phase import unwrapped
-from hallsym.model.arrays import median, medians, middles
+from hallsym.model.arrays import median, medians, medians_of, middles
 from hallsym.units import Array, si_unit
 
 _ORDERS = range(2, 9)
@@ -212,16 +212,8 @@ def _coarse_steps(rows: Array) -> Array:
 
 def _combined(spreads: Array) -> Array:
     """Return the noise of each channel from spreads (blocks, channels, orders); nan where all are nan."""
-    blocks, channels, orders = spreads.shape
-    rows = spreads.transpose(1, 2, 0).reshape(channels * orders, blocks)
-    known = ~np.isnan(rows)
-    middle = np.full(len(rows), np.nan)
-    some = known.any(axis=1)
-    whole = known.all(axis=1) & some
-    middle[whole] = medians(rows[whole])
-    for k in np.flatnonzero(some & ~whole):
-        middle[k] = median(rows[k, known[k]])
-    by_order = middle.reshape(channels, orders)
+    known = ~np.isnan(spreads)
+    by_order = np.where(known.any(axis=0), medians_of(spreads, known), np.nan)
     least = np.where(np.isnan(by_order), np.inf, by_order).min(axis=1)
     chosen = np.argmax(by_order <= _SLACK * least[:, None], axis=1)  # the first that holds
-    return np.where(np.isfinite(least), by_order[np.arange(channels), chosen], np.nan)
+    return np.where(np.isfinite(least), by_order[np.arange(len(chosen)), chosen], np.nan)

@@ -15,7 +15,7 @@ import scipy
 from hallsym.errors import InputError
 from hallsym.log.quality.findings import Finding, name_of
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
+from hallsym.model.arrays import medians_of, on_arrays
 from hallsym.units import UNITS, split_unit
 
 DEGREE = math.pi / 180
@@ -196,14 +196,6 @@ def _usual(seen: Responses, lower: np.ndarray, upper: np.ndarray) -> Slopes:
     moved = np.asarray(seen.moved.any(axis=0))
     slopes, std = medians_of(seen.slopes, kept), medians_of(seen.std, kept)
     return Slopes(slopes, std, moved, lower, upper)
-
-
-def medians_of(values: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """Median over runs of the values that are kept; 0 where none is."""
-    ordered, count = np.sort(np.where(kept, values, np.inf), axis=0), kept.sum(axis=0)
-    middle = np.maximum(np.array([(count - 1) // 2, count // 2]), 0)
-    found = np.take_along_axis(ordered, middle, axis=0).mean(axis=0)
-    return np.where(count > 0, found, 0.0)
 
 
 # -- the whole log ---------------------------------------------------------------------------------------
