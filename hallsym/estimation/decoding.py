@@ -78,10 +78,8 @@ def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
     """
     if len(model.channels) == 1:
         return lambda p, pose, state, weight: [np.ones((1, np.size(pose[0])))]
-    if model.typical and len(model.channels) > len(model.pose) > WRITTEN_OUT:
-        return model.remember("gain of many readings", lambda: _gain_of_many(model))
     if model.typical:
-        return model.remember("gain at any pose, on arrays", lambda: on_arrays(model.noise_gain_at))
+        return gain_at(model)
     still = model.remember("gain at rest, on arrays", lambda: on_arrays(model.noise_gain))
     if model.state:
         return lambda p, pose, state, weight: still(p, state, weight)
@@ -91,6 +89,13 @@ def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
         return [np.broadcast_to(still(p, state, weight)[0].reshape(size, 1), (size, np.size(pose[0])))]
 
     return same
+
+
+def gain_at(model: Model) -> Callable[..., list[np.ndarray]]:
+    """Return the same of any pose, (K * n_pose, samples), whatever the model says of typical ones."""
+    if len(model.channels) > len(model.pose) > WRITTEN_OUT:
+        return model.remember("gain of many readings", lambda: _gain_of_many(model))
+    return model.remember("gain at any pose, on arrays", lambda: on_arrays(model.noise_gain_at))
 
 
 WRITTEN_OUT = 3

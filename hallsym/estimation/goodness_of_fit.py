@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri
 
-from hallsym.estimation.decoding import slopes_by_column
+from hallsym.estimation.decoding import gain_at, slopes_by_column
 from hallsym.estimation.likelihood import Cost, Point
 from hallsym.log import Noise
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
 from hallsym.records import named
 
 KNOWN = 0.03
@@ -298,11 +297,10 @@ def _decoded(D: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 def _gains(point: Point) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return d pose / d reading (m, r, n_pose, K) at m poses of r runs, the runs' shares, poses and state."""
     cost, summary, model = point.cost, point.cost.summary, point.cost.summary.model
-    gain = model.remember("gain at any pose, on arrays", lambda: on_arrays(model.noise_gain_at))
     share = cost.weights * summary.counts / (cost.weights @ summary.counts)
     K, poses, m = len(model.channels), _poses(cost), max(len(model.typical), 1)
     state = np.tile(summary.mean_state.T, m)
-    (flat,) = gain(point.p, poses, state, 1.0 / cost.reading_variance)
+    (flat,) = gain_at(model)(point.p, poses, state, 1.0 / cost.reading_variance)
     D = np.transpose(flat.reshape(K, len(model.pose), m, -1), (2, 3, 1, 0))
     return D, share, poses, state
 
