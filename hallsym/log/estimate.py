@@ -120,14 +120,17 @@ def _uneven_spreads(t: Array, rows: Array) -> Array:
     """Return the same of one block, by divided differences: (channels, orders)."""
     step = np.diff(t)
     filters = [_divided(t, step, median(step) if len(step) else 0.0, k) for k in _ORDERS]
-    found = [_spreads(np.array([_apply(f, v) for v in rows]), f[0].shape[-1] // 2) for f in filters]
+    found, origin = [], rows - rows[:, :1]
+    for k, (weights, usable) in zip(_ORDERS, filters, strict=True):
+        differences = np.empty((len(rows), 0))
+        if len(usable):
+            windows = np.lib.stride_tricks.sliding_window_view(origin, k + 1, axis=1)
+            differences = np.einsum("cij,ij->ci", windows[:, usable], weights[usable])
+        found.append(_spreads(differences, (k + 1) // 2))
     return np.transpose(found)
 
 
-Filter = tuple[Array, Array]
-
-
-def _divided(t: Array, step: Array, usual: float, k: int) -> Filter:
+def _divided(t: Array, step: Array, usual: float, k: int) -> tuple[Array, Array]:
     """Return (weights, usable windows), weights (windows, k + 1) of unit norm.
 
     1 / prod(t_j - t_m) annihilates polynomials of degree k - 1 on any spacing.
@@ -142,14 +145,6 @@ def _divided(t: Array, step: Array, usual: float, k: int) -> Filter:
         weights = 1.0 / apart.prod(axis=2)
         weights /= np.linalg.norm(weights, axis=1, keepdims=True)
     return weights, usable
-
-
-def _apply(filter: Filter, values: Array) -> Array:
-    weights, usable = filter
-    if len(values) < weights.shape[-1]:
-        return np.empty(0)
-    windows = np.lib.stride_tricks.sliding_window_view(values - values[0], weights.shape[-1])
-    return np.einsum("ij,ij->i", windows[usable], weights[usable])
 
 
 def _spreads(differences: Array, reach: int) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -122,15 +122,10 @@ def _judge(log: Log, required: Sequence[str], *, thinned: bool = False) -> Itera
     seen = scan(log, [name for name in columns if name != RUN])
     if seen.rows == 0:
         raise InputError(f"Log {log.name} has no samples; record it again.")
-    rounds: tuple[Callable[[], Iterator[Finding]], ...] = (
-        lambda: finite(log, seen, required),
-        lambda: _clock(log, seen, thinned),
-        lambda: short_runs(log, seen),
-        lambda: _values(log, seen),
-    )
-    for judge in rounds:
+    clocked = _clock(log, seen, thinned)
+    for found in (finite(log, seen, required), clocked, short_runs(log, seen), _values(log, seen)):
         stop = False
-        for finding in judge():
+        for finding in found:
             yield finding
             stop = stop or bool(finding.refuse and finding.drop)
         if stop:

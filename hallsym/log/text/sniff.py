@@ -321,7 +321,13 @@ def _table(
             f"Line {lines[0].number} of {where} must hold column names such as hall_a_m; it holds numbers."
         )
     names, number = chosen.rows[chosen.top], lines[chosen.top].number
-    _check_stated(lines[chosen.top], chosen, delimiter, where)
+    other = next((d for d in DELIMITERS[:-1] if d != delimiter and d in lines[chosen.top].text), None)
+    if delimiter and chosen.width == 1 and other:  # one column of a line that another one would split
+        raise InputError(
+            f"Columns of {where} must be separated by {SAID.get(delimiter, repr(delimiter))}; line"
+            f" {number} looks separated by {SAID[other]}: leave --delimiter out, or say"
+            f" --delimiter {TYPED.get(other, repr(other))} (in Python delimiter={other!r})."
+        )
     names = [*names, ""] if len(names) == chosen.width - 1 and chosen.trailing else names
     return chosen, names, number
 
@@ -334,17 +340,6 @@ def _commented(tables: list[Table], lines: list[Line], comments: list[tuple[int,
         if table.top < 0 and named and table.width > 1 and table.quality > 0.5:
             return table
     return None
-
-
-def _check_stated(line: Line, table: Table, delimiter: str | None, where: str) -> None:
-    """Refuse a stated delimiter that makes one column of a line that another one would split."""
-    other = next((d for d in DELIMITERS[:-1] if d != delimiter and d in line.text), None)
-    if delimiter and table.width == 1 and other:
-        raise InputError(
-            f"Columns of {where} must be separated by {SAID.get(delimiter, repr(delimiter))}; line"
-            f" {line.number} looks separated by {SAID[other]}: leave --delimiter out, or say"
-            f" --delimiter {TYPED.get(other, repr(other))} (in Python delimiter={other!r})."
-        )
 
 
 # -- names and units -------------------------------------------------------------------------------------
