@@ -26,10 +26,11 @@ def finite(log: Log, seen: Scan, required: Sequence[str]) -> Iterator[Finding]:
         elif trace.nonfinite == seen.rows:
             yield Finding(f"{the(log, name)} has no finite value", True, remedy="record it again")
         elif trace.nonfinite:
-            row = trace.first_nonfinite
+            row, ends = trace.first_nonfinite, np.cumsum([n for _, n in seen.segments])
+            run = seen.segments[int(np.searchsorted(ends, row, side="right"))][0]
             yield Finding(
                 f"{the(log, name)} must be finite; {trace.nonfinite} of {seen.rows} values are NaN or"
-                f" infinite, the first in row {row + 1} (run {seen.run_of(row)})",
+                f" infinite, the first in row {row + 1} (run {run})",
                 True, Drop(finite=(name,)), remedy="repair them",
             )  # fmt: skip
 

@@ -200,11 +200,6 @@ class Scan:
         runs = np.array([run for run, _ in self.segments])
         return np.flatnonzero(np.r_[True, runs[1:] != runs[:-1]]) if len(runs) else np.empty(0, int)
 
-    def run_of(self, row: int) -> int:
-        """Return the run that a row belongs to."""
-        ends = np.cumsum([n for _, n in self.segments])
-        return self.segments[int(np.searchsorted(ends, row, side="right"))][0]
-
     def spans(self) -> Spans:
         """Return extents overall and per run; a column with NaN or infinity has none."""
         counts = np.array([n for _, n in self.segments], float)
