@@ -394,26 +394,7 @@ def load_fit(
         raise InputError(
             f"File {quoted(path)} must be a calibration of format {FORMAT!r}; instead it says {found!r}."
         )
-    return _checked(read_record(raw, path), own or {}, families, f"calibration {quoted(path)}")
-
-
-def read_record(raw: Any, path: str | Path) -> CalibrationRecord:
-    """Return the JSON data of a calibration file as a record. Raises `InputError` that names the place."""
-    return structured(raw, CalibrationRecord, f"calibration {quoted(path)}", "fit the log again")
-
-
-def calibration_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a calibration file, from the types that `load_fit` checks it against."""
-    return schema_of(CalibrationRecord, "hallsym calibration")
-
-
-def _checked(
-    record: CalibrationRecord,
-    own: Mapping[str, Callable[[Model], Model]],
-    families: Sequence[Family],
-    where: str,
-) -> Fit:
-    """Return the fit of a record whose parts fit together; raises `InputError` for one whose do not."""
+    record, own, where = read_record(raw, path), own or {}, f"calibration {quoted(path)}"
     unknown = [name for name in record.own_effects if read_text(name)[0] not in own]
     if unknown:
         raise InputError(
@@ -482,6 +463,16 @@ def _checked(
         versions=record.versions,
         error_rows=record.errors,
     )
+
+
+def read_record(raw: Any, path: str | Path) -> CalibrationRecord:
+    """Return the JSON data of a calibration file as a record. Raises `InputError` that names the place."""
+    return structured(raw, CalibrationRecord, f"calibration {quoted(path)}", "fit the log again")
+
+
+def calibration_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a calibration file, from the types that `load_fit` checks it against."""
+    return schema_of(CalibrationRecord, "hallsym calibration")
 
 
 def _model(

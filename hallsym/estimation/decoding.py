@@ -78,10 +78,8 @@ def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
     """
     if len(model.channels) == 1:
         return lambda p, pose, state, weight: [np.ones((1, np.size(pose[0])))]
-    if model.typical and len(model.channels) > len(model.pose) > WRITTEN_OUT:
-        return model.remember("gain of many readings", lambda: _gain_of_many(model))
     if model.typical:
-        return model.remember("gain at any pose, on arrays", lambda: on_arrays(model.noise_gain_at))
+        return gain_at(model)
     still = model.remember("gain at rest, on arrays", lambda: on_arrays(model.noise_gain))
     if model.state:
         return lambda p, pose, state, weight: still(p, state, weight)
@@ -93,6 +91,13 @@ def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
     return same
 
 
+def gain_at(model: Model) -> Callable[..., list[np.ndarray]]:
+    """Return the same of any pose, (K * n_pose, samples), whatever the model says of typical ones."""
+    if len(model.channels) > len(model.pose) > WRITTEN_OUT:
+        return model.remember("gain of many readings", lambda: _gain_of_many(model))
+    return model.remember("gain at any pose, on arrays", lambda: on_arrays(model.noise_gain_at))
+
+
 WRITTEN_OUT = 3
 """Coordinates whose equations are solved in the expression itself, by Cramer's rule; of more, in numbers."""
 
@@ -102,15 +107,12 @@ def _gain_of_many(model: Model) -> Callable[..., list[np.ndarray]]:
 
     Written out, the solution of six equations and its products with all readings are most of the graph.
     """
-    s = model.symbols
-    reading = ca.substitute(s.full(s.reading), s.zeros, ca.SX.zeros(len(model.zeros)))
-    slope = on_arrays(
-        ca.Function("slope", [s.parameters, s.pose, s.state], [ca.densify(ca.jacobian(reading, s.pose))])
-    )
+    slope = slopes_by_column(model)
 
     def gain(p: np.ndarray, pose: list, state: list, weight: np.ndarray) -> list[np.ndarray]:
         (flat,) = slope(p, pose, state)
-        J = flat.reshape(len(model.pose), len(model.channels), -1).transpose(2, 0, 1)  # (samples, pose, K)
+        each = flat.reshape(len(model.pose) + len(model.state), len(model.channels), -1)
+        J = each[: len(model.pose)].transpose(2, 0, 1)  # (samples, pose, K)
         weighted = J * weight
         normal = weighted @ J.swapaxes(1, 2)
         try:
@@ -120,6 +122,18 @@ def _gain_of_many(model: Model) -> Callable[..., list[np.ndarray]]:
         return [found.transpose(2, 1, 0).reshape(len(model.channels) * len(model.pose), -1)]
 
     return gain
+
+
+def slopes_by_column(model: Model) -> Callable[..., list[np.ndarray]]:
+    """Return `(p, pose, state) -> d reading / d column` on arrays, (columns * K, samples), zeros at zero."""
+
+    def made() -> Callable[..., list[np.ndarray]]:
+        s = model.symbols
+        reading = ca.substitute(s.full(s.reading), s.zeros, ca.SX.zeros(s.zeros.numel()))
+        slope = ca.jacobian(reading, ca.vertcat(s.pose, s.state))
+        return on_arrays(ca.Function("slope", [s.parameters, s.pose, s.state], [ca.densify(slope)]))
+
+    return model.remember("slopes by column", made)
 
 
 def knows_rails(model: Model) -> bool:

@@ -141,7 +141,13 @@ def evaluate(
     model = known.model
     given, rails = as_log(log, known.columns, known.read_with), not knows_rails(model)
     given, notes = usable(given, logged_columns(model), drop_bad=drop_bad, rails=rails)
-    _belongs(given, known)
+    wired = rewired(given, model.channels, known.wiring)
+    if model.inspect and model.inspect(model, wired, fitted=False).wiring is not None:
+        raise InputError(
+            f"In {given.name} {' and '.join(model.references)} runs the other way round than when the "
+            "calibration was made: turn the sign of the reference in a column file, or put the wires of "
+            f"{' and '.join(model.channels)} right."
+        )
     seen = as_read(given, model, known.wiring)
     noise = noise_of(seen, model)
     notes += recording_notes(seen, model, known.values, noise.std)
@@ -154,20 +160,6 @@ def evaluate(
         model, found.table, goodness, noise_floor(found.point), noise, tuple(notes), known, given,
         deviations_of(found.point), found.log,
     )  # fmt: skip
-
-
-def _belongs(log: Log, known: Fit) -> None:
-    """Refuse a log that a family knows not to be of the machine that was calibrated."""
-    model = known.model
-    if model.inspect is None:
-        return
-    found = model.inspect(model, rewired(log, model.channels, known.wiring), fitted=False)
-    if found.wiring is not None:
-        raise InputError(
-            f"In {log.name} {' and '.join(model.references)} runs the other way round than when the "
-            "calibration was made: turn the sign of the reference in a column file, or put the wires of "
-            f"{' and '.join(model.channels)} right."
-        )
 
 
 def _shift_notes(model: Model, table: ErrorTable, shifts: Shifts, *, taken_out: bool) -> list[str]:

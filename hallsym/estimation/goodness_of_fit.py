@@ -10,18 +10,17 @@ degree of freedom is 1 within sqrt(2 / dof). Two questions are asked of it, and 
 """
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from scipy.special import chdtri
 
+from hallsym.estimation.decoding import gain_at, slopes_by_column
 from hallsym.estimation.likelihood import Cost, Point
 from hallsym.log import Noise
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
 from hallsym.records import named
 
 KNOWN = 0.03
@@ -258,7 +257,7 @@ def _floors(point: Point, *factors: Mapping[str, float]) -> list[np.ndarray]:
     D, share, poses, state = _gains(point)
     model, m, floors, J = point.cost.summary.model, len(D), [], None
     if model.typical:  # the covariance of a residual is not the same all over a run
-        (flat,) = model.remember("slopes by column", lambda: _slopes_by_column(model))(point.p, poses, state)
+        (flat,) = slopes_by_column(model)(point.p, poses, state)
         J = np.transpose(
             flat.reshape(len(point.cost.column_variance), len(model.channels), m, -1), (2, 3, 1, 0)
         )
@@ -298,11 +297,10 @@ def _decoded(D: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 def _gains(point: Point) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return d pose / d reading (m, r, n_pose, K) at m poses of r runs, the runs' shares, poses and state."""
     cost, summary, model = point.cost, point.cost.summary, point.cost.summary.model
-    gain = model.remember("gain at any pose, on arrays", lambda: on_arrays(model.noise_gain_at))
     share = cost.weights * summary.counts / (cost.weights @ summary.counts)
     K, poses, m = len(model.channels), _poses(cost), max(len(model.typical), 1)
     state = np.tile(summary.mean_state.T, m)
-    (flat,) = gain(point.p, poses, state, 1.0 / cost.reading_variance)
+    (flat,) = gain_at(model)(point.p, poses, state, 1.0 / cost.reading_variance)
     D = np.transpose(flat.reshape(K, len(model.pose), m, -1), (2, 3, 1, 0))
     return D, share, poses, state
 
@@ -320,11 +318,3 @@ def _poses(cost: Cost) -> np.ndarray:
             shares = (np.arange(len(typical)) + 0.5) / len(typical)
             out[k] = np.transpose([np.quantile(place[k], shares) for place in summary.places])
     return out.reshape(len(model.pose), -1)
-
-
-def _slopes_by_column(model: Model) -> Callable[..., list[np.ndarray]]:
-    """`(parameters, pose, state) -> d reading / d column` on arrays, zeros at zero."""
-    s = model.symbols
-    reading = ca.substitute(s.full(s.reading), s.zeros, ca.SX.zeros(s.zeros.numel()))
-    slope = ca.jacobian(reading, ca.vertcat(s.pose, s.state))
-    return on_arrays(ca.Function("slope", [s.parameters, s.pose, s.state], [ca.densify(slope)]))

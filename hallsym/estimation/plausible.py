@@ -17,10 +17,11 @@ from hallsym.estimation.outliers import residuals
 from hallsym.log import Log, Noise
 from hallsym.log.phase import continuous
 from hallsym.log.quality.findings import Fault
-from hallsym.log.quality.gains import Explanation, Responses, judge_gains, medians_of
+from hallsym.log.quality.gains import Explanation, Responses, judge_gains
 from hallsym.log.quality.gains import Judgement as Judgement
 from hallsym.log.table import TableLike, View
 from hallsym.model import Model
+from hallsym.model.arrays import medians_of
 from hallsym.model.features import Features
 
 SHARE, CLEAR = 0.02, 0.1
@@ -64,7 +65,9 @@ def responses_of(cost: Cost) -> Responses | None:
     never = ~clear.any(axis=0)  # then the noise is not in the unit of the column
     told = (part > SHARE) & (clear[:, :, None] | (never[:, None] & (left < CLEAR * total)[:, None, :]))
     share = np.where(signal > MOVED, left / np.maximum(total, 1e-300), 0.0)
-    moved = told.any(axis=2) & _moves(energy, own, (part > LEADS).any(axis=2), summary.counts)
+    leads, counts = (part > LEADS).any(axis=2), summary.counts[:, None]
+    usual = medians_of(energy / counts, leads | ~leads.any(axis=0))  # over the runs that a reference leads
+    moved = told.any(axis=2) & (own / counts > AT_REST**2 * usual)
     slopes, inverse, left = _regression(gram, cross, total, moved)
     freedom = np.maximum(summary.counts[:, None] - moved.sum(axis=1, keepdims=True) - 1.0, 1.0)
     each = left / freedom  # of a short run too small by chance: what is usual is the least
@@ -87,13 +90,6 @@ def _freed(summary: RunStatistics, index: list[int]) -> tuple[np.ndarray, np.nda
         summary.triangles[:, :, [*own, *index, *range(features.size, summary.triangles.shape[2])]], len(own)
     )
     return rows[:, :, : len(index)], rows[:, :, len(index) :]
-
-
-def _moves(energy: np.ndarray, own: np.ndarray, leads: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return whether each reference (runs, j) moves apart from the others, beside the runs it leads."""
-    mean = energy / counts[:, None]
-    usual = medians_of(mean, leads | ~leads.any(axis=0))
-    return np.asarray(own / counts[:, None] > AT_REST**2 * usual)
 
 
 def _regression(

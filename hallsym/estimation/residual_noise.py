@@ -171,7 +171,10 @@ def residual_noise(r: Residual, channels: Sequence[str]) -> ResidualNoise | None
     ratio, interval = work.size(left, kept, fewer)
     own = raw / np.sqrt(np.diag(r.covariance))[:, None]
     each = {c: work.size(row[None], kept, fewer) for c, row in zip(channels, own, strict=True)}
-    whiteness_p = _whiteness(body_of, seen, len(left))
+    # Ljung and Box, against white noise that was eliminated alike
+    pairs = np.array([float(p.sum()) for p in body_of.pairs])[1:]
+    off = (seen / seen[0] - body_of.of_white(LAGS))[1:]
+    whiteness_p = float(chdtrc(np.count_nonzero(pairs), float((off**2 * len(left) * pairs).sum())))
     squares = left**2
     kurtosis = float(np.min((squares**2).sum(axis=1) * work.count / squares.sum(axis=1) ** 2))
     return ResidualNoise(
@@ -290,7 +293,10 @@ def _autoregression(work: _Elimination, seen: np.ndarray, white: np.ndarray) -> 
 
 def autoregressive(phi: np.ndarray, white: np.ndarray) -> np.ndarray:
     """Return noise of unit variance (m, n) with coefficients `phi` from white noise (m, n)."""
-    return _driven(phi, np.sqrt(1.0 / gain_of(phi)) * white) if np.any(phi) else white
+    if not np.any(phi):
+        return white
+    rho = correlations(phi, len(phi) + 1)
+    return _driven(phi, np.sqrt(max(1.0 - float(phi @ rho[1:]), 1e-9)) * white)
 
 
 def _driven(phi: np.ndarray, drive: np.ndarray) -> np.ndarray:
@@ -320,21 +326,6 @@ def correlations(phi: np.ndarray, lags: int) -> np.ndarray:
     drive = np.zeros((1, lags))
     drive[0, : len(first)] = [first[k] - phi[:k] @ first[:k][::-1] for k in range(len(first))]
     return _driven(phi, drive)[0]
-
-
-def gain_of(phi: np.ndarray) -> float:
-    """Return the variance of an autoregression that is driven by unit variance."""
-    rho = correlations(phi, len(phi) + 1)
-    return 1.0 / max(1.0 - float(phi @ rho[1:]), 1e-9)
-
-
-def _whiteness(work: _Elimination, seen: np.ndarray, K: int) -> float:
-    """Return the p-value of no correlation (Ljung and Box), against white noise that was eliminated alike."""
-    expected = work.of_white(LAGS)
-    pairs = np.array([float(p.sum()) for p in work.pairs])
-    usable = pairs[1:] > 0
-    off = (seen / seen[0] - expected)[1:][usable]
-    return float(chdtrc(int(usable.sum()), float((off**2 * K * pairs[1:][usable]).sum())))
 
 
 ROOM = 8_000

@@ -12,7 +12,7 @@ from hallsym.log.columns import RUN
 from hallsym.log.core import Log
 from hallsym.log.meta import Noise, Sigma
 from hallsym.log.phase import unwrapped
-from hallsym.model.arrays import median, medians, middles
+from hallsym.model.arrays import median, medians, medians_of, middles
 from hallsym.units import Array, si_unit
 
 _ORDERS = range(2, 9)
@@ -120,14 +120,17 @@ def _uneven_spreads(t: Array, rows: Array) -> Array:
     """Return the same of one block, by divided differences: (channels, orders)."""
     step = np.diff(t)
     filters = [_divided(t, step, median(step) if len(step) else 0.0, k) for k in _ORDERS]
-    found = [_spreads(np.array([_apply(f, v) for v in rows]), f[0].shape[-1] // 2) for f in filters]
+    found, origin = [], rows - rows[:, :1]
+    for k, (weights, usable) in zip(_ORDERS, filters, strict=True):
+        differences = np.empty((len(rows), 0))
+        if len(usable):
+            windows = np.lib.stride_tricks.sliding_window_view(origin, k + 1, axis=1)
+            differences = np.einsum("cij,ij->ci", windows[:, usable], weights[usable])
+        found.append(_spreads(differences, (k + 1) // 2))
     return np.transpose(found)
 
 
-Filter = tuple[Array, Array]
-
-
-def _divided(t: Array, step: Array, usual: float, k: int) -> Filter:
+def _divided(t: Array, step: Array, usual: float, k: int) -> tuple[Array, Array]:
     """Return (weights, usable windows), weights (windows, k + 1) of unit norm.
 
     1 / prod(t_j - t_m) annihilates polynomials of degree k - 1 on any spacing.
@@ -142,14 +145,6 @@ def _divided(t: Array, step: Array, usual: float, k: int) -> Filter:
         weights = 1.0 / apart.prod(axis=2)
         weights /= np.linalg.norm(weights, axis=1, keepdims=True)
     return weights, usable
-
-
-def _apply(filter: Filter, values: Array) -> Array:
-    weights, usable = filter
-    if len(values) < weights.shape[-1]:
-        return np.empty(0)
-    windows = np.lib.stride_tricks.sliding_window_view(values - values[0], weights.shape[-1])
-    return np.einsum("ij,ij->i", windows[usable], weights[usable])
 
 
 def _spreads(differences: Array, reach: int) -> Array:
@@ -212,16 +207,8 @@ def _coarse_steps(rows: Array) -> Array:
 
 def _combined(spreads: Array) -> Array:
     """Return the noise of each channel from spreads (blocks, channels, orders); nan where all are nan."""
-    blocks, channels, orders = spreads.shape
-    rows = spreads.transpose(1, 2, 0).reshape(channels * orders, blocks)
-    known = ~np.isnan(rows)
-    middle = np.full(len(rows), np.nan)
-    some = known.any(axis=1)
-    whole = known.all(axis=1) & some
-    middle[whole] = medians(rows[whole])
-    for k in np.flatnonzero(some & ~whole):
-        middle[k] = median(rows[k, known[k]])
-    by_order = middle.reshape(channels, orders)
+    known = ~np.isnan(spreads)
+    by_order = np.where(known.any(axis=0), medians_of(spreads, known), np.nan)
     least = np.where(np.isnan(by_order), np.inf, by_order).min(axis=1)
     chosen = np.argmax(by_order <= _SLACK * least[:, None], axis=1)  # the first that holds
-    return np.where(np.isfinite(least), by_order[np.arange(channels), chosen], np.nan)
+    return np.where(np.isfinite(least), by_order[np.arange(len(chosen)), chosen], np.nan)

@@ -12,8 +12,7 @@ from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import Seconds, array_of, name_the_time, said_of_times
 from hallsym.log.table import Source, label, load
 from hallsym.log.text.cells import COMMA, MISSING, Convention, as_float
-from hallsym.log.text.encoding import END, Encoded, end_of, whole_lines
-from hallsym.log.text.sniff import Dialect, sniffed
+from hallsym.log.text.sniff import END, Dialect, Encoded, end_of, sniffed, whole_lines
 from hallsym.units import Array
 
 IN_MEMORY_BYTES = 250_000_000

@@ -247,7 +247,10 @@ def read_log(
     check_misspelt_noise(meta.noise_1sigma, table.columns, "meta.json")
     renamed = ", ".join(f"{ours} is '{theirs.name}'" for ours, theirs in again.items() if ours != theirs.name)
     as_before = [f"Columns are named as in the calibration: {renamed}."] if renamed else []
-    notes = (*run_notes(table.bindings), *said, *_notes(source), *changed, *as_before)
+    left = [
+        f"Column {name} is left out: {why}." for name, why in source.left_out.items() if split_unit(name)[1]
+    ]
+    notes = (*run_notes(table.bindings), *said, *source.notes, *left, *changed, *as_before)
     log = Log(table, known, meta, file, notes)
     return clean_log(log) if drop_bad else log
 
@@ -309,12 +312,6 @@ def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> S
     source = Guarded(file, partial(entry.open, **options), fault)
     source.read_with = {**({"format": format} if format else {}), **options}
     return source
-
-
-def _notes(source: Source) -> tuple[str, ...]:
-    """Return what has to be said about a file: columns that state a unit and cannot be used, and its own."""
-    left = [(name, why) for name, why in source.left_out.items() if split_unit(name)[1]]
-    return (*source.notes, *(f"Column {name} is left out: {why}." for name, why in left))
 
 
 def open_source(

@@ -99,10 +99,6 @@ class Arrays(Source):
         self.names = tuple(self.columns)
         self.rows = len(next(iter(self.columns.values()), ()))
 
-    def labels(self, name: str) -> list[str]:
-        """Return one column of text or numbers as text."""
-        return [label(value) for value in self.columns[name].tolist()]
-
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield everything at once."""
         yield {name: self.columns[name] for name in names}

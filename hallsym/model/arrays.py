@@ -208,3 +208,11 @@ def middles(ordered: np.ndarray) -> np.ndarray:
     half, odd = ordered.shape[1] // 2, ordered.shape[1] % 2
     middle = ordered[:, half] if odd else 0.5 * (ordered[:, half - 1] + ordered[:, half])
     return np.where(np.isnan(ordered[:, -1]), np.nan, middle)
+
+
+def medians_of(values: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Return the medians over the first axis of the values that are kept (same shape); 0 where none is."""
+    ordered, count = np.sort(np.where(kept, values, np.inf), axis=0), kept.sum(axis=0)
+    middle = np.maximum(np.array([(count - 1) // 2, count // 2]), 0)
+    found = np.take_along_axis(ordered, middle, axis=0).mean(axis=0)
+    return np.where(count > 0, found, 0.0)

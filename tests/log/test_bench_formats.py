@@ -18,7 +18,7 @@ from hallsym.cli.main import main
 from hallsym.errors import InputError
 from hallsym.families.published import values
 from hallsym.log import check_log, groups, read_log, write_log
-from hallsym.log.resample import Follower, Wanted, resampled
+from hallsym.log.groups import Follower, Wanted, resampled
 
 SUFFIXES = tuple(WRITERS)
 HALL, REFERENCE = "Hall", "Reference"
@@ -145,7 +145,7 @@ def test_the_stated_clock_is_what_numpy_gives(
 def test_pieces_of_any_size_give_the_same(
     size: int, method: str, ratio: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hallsym.log.resample.AT_ONCE", 2)
+    monkeypatch.setattr("hallsym.log.groups.AT_ONCE", 2)
     rng = np.random.default_rng(5)
     time, other = np.arange(60) / 10, np.sort(rng.uniform(0, 6, round(60 / ratio)))
     other = np.linspace(0, 6, len(other)) if ratio != 1.0 else time.copy()

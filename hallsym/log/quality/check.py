@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,10 +26,11 @@ def finite(log: Log, seen: Scan, required: Sequence[str]) -> Iterator[Finding]:
         elif trace.nonfinite == seen.rows:
             yield Finding(f"{the(log, name)} has no finite value", True, remedy="record it again")
         elif trace.nonfinite:
-            row = trace.first_nonfinite
+            row, ends = trace.first_nonfinite, np.cumsum([n for _, n in seen.segments])
+            run = seen.segments[int(np.searchsorted(ends, row, side="right"))][0]
             yield Finding(
                 f"{the(log, name)} must be finite; {trace.nonfinite} of {seen.rows} values are NaN or"
-                f" infinite, the first in row {row + 1} (run {seen.run_of(row)})",
+                f" infinite, the first in row {row + 1} (run {run})",
                 True, Drop(finite=(name,)), remedy="repair them",
             )  # fmt: skip
 
@@ -122,15 +123,10 @@ def _judge(log: Log, required: Sequence[str], *, thinned: bool = False) -> Itera
     seen = scan(log, [name for name in columns if name != RUN])
     if seen.rows == 0:
         raise InputError(f"Log {log.name} has no samples; record it again.")
-    rounds: tuple[Callable[[], Iterator[Finding]], ...] = (
-        lambda: finite(log, seen, required),
-        lambda: _clock(log, seen, thinned),
-        lambda: short_runs(log, seen),
-        lambda: _values(log, seen),
-    )
-    for judge in rounds:
+    clocked = _clock(log, seen, thinned)
+    for found in (finite(log, seen, required), clocked, short_runs(log, seen), _values(log, seen)):
         stop = False
-        for finding in judge():
+        for finding in found:
             yield finding
             stop = stop or bool(finding.refuse and finding.drop)
         if stop:

@@ -15,7 +15,7 @@ import scipy
 from hallsym.errors import InputError
 from hallsym.log.quality.findings import Finding, name_of
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
+from hallsym.model.arrays import medians_of, on_arrays
 from hallsym.units import UNITS, split_unit
 
 DEGREE = math.pi / 180
@@ -77,15 +77,6 @@ class Responses:
     products: np.ndarray
     total: np.ndarray
     together: np.ndarray
-
-    def misfit(self, slopes: np.ndarray) -> np.ndarray:
-        """Return what other slopes (n_pose, n_channels) leave of each run's readings, (runs, n_channels).
-
-        As a share of their variance, beside what the run's own slopes leave.
-        """
-        off = self.together - slopes
-        left = np.einsum("rjk,rjl,rlk->rk", off, self.products, off)
-        return np.asarray(left / np.maximum(self.total, 1e-300))
 
 
 VARIES = 0.2
@@ -198,14 +189,6 @@ def _usual(seen: Responses, lower: np.ndarray, upper: np.ndarray) -> Slopes:
     return Slopes(slopes, std, moved, lower, upper)
 
 
-def medians_of(values: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """Median over runs of the values that are kept; 0 where none is."""
-    ordered, count = np.sort(np.where(kept, values, np.inf), axis=0), kept.sum(axis=0)
-    middle = np.maximum(np.array([(count - 1) // 2, count // 2]), 0)
-    found = np.take_along_axis(ordered, middle, axis=0).mean(axis=0)
-    return np.where(count > 0, found, 0.0)
-
-
 # -- the whole log ---------------------------------------------------------------------------------------
 
 
@@ -272,12 +255,17 @@ def _by_run(
         return
     groups: dict[str, list[int]] = {}
     known: list[tuple[Explanation, str]] = []
-    foreign, model, searched = _foreign(seen), seen.model, 0
+    worst, model, searched = _worst(seen), seen.model, 0
+    # a reference that belongs to another run leaves most of a strong reading unexplained
+    foreign = (worst > ALIEN) & (np.median(worst) < USUAL)
     strength = seen.signal / np.maximum(seen.signal.max(axis=1, keepdims=True), 1e-300)
-    off = (seen.misfit(usual.found) * strength).max(axis=1) > OFF
+    beside = seen.together - usual.found  # what the slopes of the other runs leave, beside the run's own
+    left = np.einsum("rjk,rjl,rlk->rk", beside, seen.products, beside) / np.maximum(seen.total, 1e-300)
+    off = (left * strength).max(axis=1) > OFF
     varies = np.minimum(VARIES + np.broadcast_to(moved_by_state, seen.signal.shape), MOST)
     for r in np.flatnonzero(foreign | off):
-        near = _near(seen, usual, int(r), varies[r])
+        room = varies[r] * np.abs(usual.found).max(axis=1, keepdims=True)
+        near = Slopes(seen.slopes[r], seen.std[r], seen.moved[r], usual.found - room, usual.found + room)
         if not foreign[r] and near.possible():
             continue
         text = ""
@@ -307,12 +295,6 @@ def _run_finding(log: Any, runs: Sequence[int], text: str, holdout: Collection[i
     return Finding(whole if fits else short, bool(used), remedy=remedy)
 
 
-def _near(seen: Responses, usual: Slopes, r: int, varies: np.ndarray) -> Slopes:
-    """Slopes of run r beside those of the others, which may differ by the share `varies` (n_channels,)."""
-    room = varies * np.abs(usual.found).max(axis=1, keepdims=True)
-    return Slopes(seen.slopes[r], seen.std[r], seen.moved[r], usual.found - room, usual.found + room)
-
-
 def _odd(near: Slopes, model: Model) -> str:
     """Return how slopes of a run are unlike those of the others."""
     low, high = near.lower, near.upper
@@ -324,12 +306,6 @@ def _odd(near: Slopes, model: Model) -> str:
         f"{model.channels[k]} changes by {near.found[j, k]:.3g} per {model.references[j]} where {middle:.3g} "
         "is usual: references, readings or machine of another run"
     )
-
-
-def _foreign(seen: Responses) -> np.ndarray:
-    """Return which runs (runs,) have a reference that leaves most of a strong reading unexplained."""
-    worst = _worst(seen)
-    return np.asarray((worst > ALIEN) & (np.median(worst) < USUAL))
 
 
 def _worst(seen: Responses) -> np.ndarray:

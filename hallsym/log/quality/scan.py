@@ -63,29 +63,6 @@ class Whole:
     run: Array
     data: dict[str, Array]
 
-    @cached_property
-    def _ordered(self) -> dict[str, Array]:
-        return {}
-
-    def ordered(self, name: str) -> Array:
-        """Return the samples of a column by size, (n,)."""
-        if name not in self._ordered:
-            self._ordered[name] = np.sort(self.data[name])
-        return self._ordered[name]
-
-    @staticmethod
-    def of(log: Log, columns: Sequence[str]) -> Whole:
-        """Read whole columns of a log, of its first `WHOLE_ROWS` samples at most."""
-        parts: list[dict[str, Array]] = []
-        count = 0
-        for block in log.blocks((RUN, *columns)):
-            parts.append(block.data)
-            count += len(block.data[RUN])
-            if count >= WHOLE_ROWS:
-                break
-        data = {name: np.concatenate([part[name] for part in parts]) for name in (RUN, *columns)}
-        return Whole(data.pop(RUN).astype(np.int64), data)
-
 
 HELD_SAMPLES = 8
 _CACHE_ROWS = 32_768
@@ -222,11 +199,6 @@ class Scan:
         """The first segment of each run, at the end of the pass."""
         runs = np.array([run for run, _ in self.segments])
         return np.flatnonzero(np.r_[True, runs[1:] != runs[:-1]]) if len(runs) else np.empty(0, int)
-
-    def run_of(self, row: int) -> int:
-        """Return the run that a row belongs to."""
-        ends = np.cumsum([n for _, n in self.segments])
-        return self.segments[int(np.searchsorted(ends, row, side="right"))][0]
 
     def spans(self) -> Spans:
         """Return extents overall and per run; a column with NaN or infinity has none."""

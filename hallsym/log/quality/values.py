@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hallsym.log.columns import is_moving, is_reading, is_reference, tells
+from hallsym.log.columns import RUN, is_moving, is_reading, is_reference, tells
 from hallsym.log.core import Block, Drop, Log
 from hallsym.log.quality.findings import Finding, name_of, others, the
 from hallsym.log.quality.scan import (
@@ -27,6 +27,7 @@ from hallsym.log.quality.scan import (
     noise_in_codes,
     stretches,
 )
+from hallsym.log.table import joined
 from hallsym.units import Array, si_symbol
 
 TURN = 2.6
@@ -249,7 +250,7 @@ def saturated(log: Log, seen: Scan) -> Iterator[Finding]:
         trace = seen.traces[name]
         if trace.nonfinite or not trace.low < trace.high:
             continue
-        if max(trace.at_low, trace.at_high) < SAME and not piles(seen.sample.whole.ordered(name)):
+        if max(trace.at_low, trace.at_high) < SAME and not piles(np.sort(seen.sample.whole.data[name])):
             continue
         whole = _samples(log, seen, name)
         found, x = _rails(whole, name), whole.data[name]
@@ -276,12 +277,14 @@ def _samples(log: Log, seen: Scan, name: str) -> Whole:
     if seen.rows > WHOLE_ROWS:
         thinned = seen.sample.whole
         return Whole(thinned.run, {c: thinned.data[c] for c in (name, *references)})
-    return Whole.of(log, (name, *references))
+    columns = (RUN, name, *references)
+    data = joined([block.data for block in log.blocks(columns)], columns)
+    return Whole(data.pop(RUN).astype(np.int64), data)
 
 
 def _rails(whole: Whole, name: str) -> list[Pile]:
     """Return the piles at both ends in which the reading is cut off, and does not rest or turn."""
-    x, found = whole.data[name], piles(whole.ordered(name))
+    x, found = whole.data[name], piles(np.sort(whole.data[name]))
     free = ~np.any([pile.of(x) for pile in found], axis=0) if found else np.empty(0, bool)
     motion = [values for column, values in whole.data.items() if is_reference(column)]
     return [pile for pile in found if not motion or is_cut_off(x, motion, whole.run, pile, free)]

@@ -1,6 +1,5 @@
 """Tables of text as laboratories write them: what they are is recognised, then pyarrow streams them.
 
 - `cells`: numbers with a decimal point or comma, missing values, names with their unit (`x_ref [µm]`).
-- `sniff`: what a file is, in one record and one line.
-- `encoding`: bytes, compressed or not, in any of the usual codings, become UTF-8 in pieces.
+- `sniff`: bytes in any of the usual codings become UTF-8; what a file is, in one record and one line.
 """

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
+import gzip
+import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import IO, cast
 
 from hallsym.errors import InputError
 from hallsym.log.arrow import TimeForm, time_form
@@ -20,7 +27,6 @@ from hallsym.log.text.cells import (
     split_header,
     unit_of,
 )
-from hallsym.log.text.encoding import Encoded, end_of
 
 SAID = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}
 TYPED = {"\t": "tab", " ": "blank"}
@@ -168,7 +174,7 @@ def table_under(lines: Sequence[Line], delimiter: str) -> Table:
     counts = Counter(len(row) for row in rows)
     most = max(counts.values(), default=0)
     width = next((len(row) for row in rows if counts[len(row)] == most), 0)
-    numeric = [_numeric(row) for row in rows]
+    numeric = [sum(map(is_number, row[:LOOKED_AT])) for row in rows]
     start = _start(rows, numeric, width)
     top = _top(rows, numeric, width, start)
     if top >= 0 and delimiter == BLANKS and len(rows[top]) > width:
@@ -190,10 +196,6 @@ def _glued(names: list[str], width: int) -> list[str]:
         else:
             glued.append(name)
     return glued if len(glued) == width else names
-
-
-def _numeric(row: list[str]) -> int:
-    return sum(map(is_number, row[:LOOKED_AT]))
 
 
 def _start(rows: list[list[str]], numeric: list[int], width: int) -> int:
@@ -276,11 +278,16 @@ def is_comment(text: str, marks: Sequence[str]) -> bool:
 
 
 def _sample(file: Encoded, where: str) -> tuple[list[Line], list[tuple[int, str]]]:
-    """Return the first lines that hold something, and the comments among them."""
+    """Return the first lines that hold something, and the comments among them; refuse what is no text."""
     lines: list[Line] = []
     comments: list[tuple[int, str]] = []
     length = 0
-    for number, text in enumerate(_guarded(file, where), start=1):
+    for number, text in enumerate(file.lines(where), start=1):
+        if "\0" in text and number <= FEW:
+            raise InputError(
+                f"Line {number} of {where} must hold column names; it is no text, so the file is damaged or "
+                "of another format: copy it again, or state its --format."
+            )
         length += len(text)
         if is_comment(text, _COMMENTS):
             comments.append((number, text.strip(' \t"')))
@@ -289,17 +296,6 @@ def _sample(file: Encoded, where: str) -> tuple[list[Line], list[tuple[int, str]
         if (length > SAMPLE and len(lines) >= FEW) or len(lines) >= NUMBERS:
             break
     return lines, comments
-
-
-def _guarded(file: Encoded, where: str) -> Iterator[str]:
-    """Yield lines; refuse a file whose first ones are no text."""
-    for number, text in enumerate(file.lines(where), start=1):
-        if "\0" in text and number <= FEW:
-            raise InputError(
-                f"Line {number} of {where} must hold column names; it is no text, so the file is damaged or "
-                "of another format: copy it again, or state its --format."
-            )
-        yield text
 
 
 def _table(
@@ -325,7 +321,13 @@ def _table(
             f"Line {lines[0].number} of {where} must hold column names such as hall_a_m; it holds numbers."
         )
     names, number = chosen.rows[chosen.top], lines[chosen.top].number
-    _check_stated(lines[chosen.top], chosen, delimiter, where)
+    other = next((d for d in DELIMITERS[:-1] if d != delimiter and d in lines[chosen.top].text), None)
+    if delimiter and chosen.width == 1 and other:  # one column of a line that another one would split
+        raise InputError(
+            f"Columns of {where} must be separated by {SAID.get(delimiter, repr(delimiter))}; line"
+            f" {number} looks separated by {SAID[other]}: leave --delimiter out, or say"
+            f" --delimiter {TYPED.get(other, repr(other))} (in Python delimiter={other!r})."
+        )
     names = [*names, ""] if len(names) == chosen.width - 1 and chosen.trailing else names
     return chosen, names, number
 
@@ -338,17 +340,6 @@ def _commented(tables: list[Table], lines: list[Line], comments: list[tuple[int,
         if table.top < 0 and named and table.width > 1 and table.quality > 0.5:
             return table
     return None
-
-
-def _check_stated(line: Line, table: Table, delimiter: str | None, where: str) -> None:
-    """Refuse a stated delimiter that makes one column of a line that another one would split."""
-    other = next((d for d in DELIMITERS[:-1] if d != delimiter and d in line.text), None)
-    if delimiter and table.width == 1 and other:
-        raise InputError(
-            f"Columns of {where} must be separated by {SAID.get(delimiter, repr(delimiter))}; line"
-            f" {line.number} looks separated by {SAID[other]}: leave --delimiter out, or say"
-            f" --delimiter {TYPED.get(other, repr(other))} (in Python delimiter={other!r})."
-        )
 
 
 # -- names and units -------------------------------------------------------------------------------------
@@ -448,3 +439,129 @@ def _with_footer(found: Dialect, end: str, body: list[list[str]]) -> Dialect:
             break
         lines, said = passed, text.strip() if words else said
     return replace(found, footer=lines, footer_text=said) if lines else found
+
+
+PIECE = 1 << 18
+"""Bytes that are read at once."""
+END = 1 << 16
+"""Bytes of the end of a file in which lines after the table are looked for."""
+LONGEST_LINE = 10_000_000
+"""Characters of a line: 100,000 columns with long names."""
+_GZIP = b"\x1f\x8b"
+_MARKS = (
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+    (codecs.BOM_UTF8, "utf-8-sig"),
+)
+_WIDE, _NARROW = 0.6, 0.1
+"""Share of null bytes at even (odd) places from which on text without a mark is UTF-16; nearly all are."""
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """A file of text: its coding, as Python names it, and whether it is compressed.
+
+    `open_raw` opens its bytes; of a file in memory it is not a path that is opened.
+    """
+
+    open_raw: Callable[[], IO[bytes]]
+    compressed: bool
+    encoding: str
+
+    @staticmethod
+    def of(source: Path | Callable[[], IO[bytes]]) -> Encoded:
+        """Recognise compression and coding by the beginning of the file."""
+        open_raw = partial(_open, source) if isinstance(source, Path) else source
+        with open_raw() as stream:
+            compressed = stream.read(2) == _GZIP
+        found = Encoded(open_raw, compressed, "")
+        with found.raw() as stream:
+            head = stream.read(PIECE)
+        return Encoded(open_raw, compressed, _encoding(head))
+
+    @contextmanager
+    def raw(self) -> Iterator[IO[bytes]]:
+        """Open the bytes, decompressed."""
+        with self.open_raw() as stream:
+            yield cast(IO[bytes], gzip.GzipFile(fileobj=stream, mode="rb")) if self.compressed else stream
+
+    def pieces(self, size: int = PIECE) -> Iterator[bytes]:
+        """Yield the text as UTF-8 without a mark, in pieces of about `size` bytes."""
+        with self.raw() as stream:
+            if self.encoding.startswith("utf-8"):  # as it is: a bad byte is judged with the cell it stands in
+                if self.encoding == "utf-8-sig":
+                    stream.read(len(codecs.BOM_UTF8))
+                while piece := stream.read(size):
+                    yield piece
+                return
+            decoder = codecs.getincrementaldecoder(self.encoding)("strict")
+            while piece := stream.read(size):
+                yield decoder.decode(piece).encode("utf-8", "replace")
+            decoder.decode(b"", True)
+
+    def lines(self, where: str) -> Iterator[str]:
+        """Yield the lines of text, without what ends them; `where` names the file in messages."""
+        for line in whole_lines(self.pieces(), where):
+            yield from line.decode("utf-8", "replace").split("\n")
+
+
+def whole_lines(pieces: Iterator[bytes], where: str) -> Iterator[bytes]:
+    r"""Yield pieces of whole lines that are separated by \n, and do not end with one, whatever ended them.
+
+    Raises `InputError` for a line that does not end, before it fills the memory.
+    """
+    rest = b""
+    for piece in pieces:
+        piece = rest + piece
+        end = max(piece.rfind(b"\n"), piece.rfind(b"\r", 0, -1))  # a last \r may belong to a \n
+        if end < 0:
+            rest = piece
+            if len(rest) > LONGEST_LINE:
+                raise InputError(
+                    f"{where} must be text in lines of at most {LONGEST_LINE} characters; it is no text, so"
+                    " the file is damaged or of another format: copy it again, or state its --format."
+                )
+            continue
+        rest = piece[end + 1 :]
+        yield unified(piece[:end].removesuffix(b"\r") if piece[end : end + 1] == b"\n" else piece[:end])
+    if rest:
+        yield unified(rest.removesuffix(b"\n").removesuffix(b"\r"))
+
+
+def unified(lines: bytes) -> bytes:
+    r"""Return lines with \n between them, whatever was."""
+    return lines.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in lines else lines
+
+
+def end_of(file: Encoded, size: int = END) -> str:
+    """Return the last bytes of the text, about `size`; of a compressed file all of it is read."""
+    if file.compressed or file.encoding not in ("utf-8", "utf-8-sig", "latin-1"):
+        last = b""
+        for piece in file.pieces():
+            last = (last + piece)[-size:]
+        return last.decode("utf-8", "replace")
+    with file.raw() as stream:
+        length = stream.seek(0, os.SEEK_END)
+        stream.seek(max(0, length - size))
+        return stream.read().decode("latin-1" if file.encoding == "latin-1" else "utf-8", "replace")
+
+
+def _open(path: Path) -> IO[bytes]:
+    return open(path, "rb")
+
+
+def _encoding(head: bytes) -> str:
+    for mark, name in _MARKS:
+        if head.startswith(mark):
+            return name
+    half = max(1, len(head) // 2)
+    for first, name in ((1, "utf-16-le"), (0, "utf-16-be")):
+        if head[first::2].count(0) > _WIDE * half and head[1 - first :: 2].count(0) < _NARROW * half:
+            return name
+    try:
+        codecs.getincrementaldecoder("utf-8")("strict").decode(head)
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8"
