@@ -16,17 +16,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen import integer_c
-from hallsym.codegen.decoupler import (
-    Array,
-    Bits,
-    Box,
-    Collected,
-    Decoupler,
-    Flag,
-    Lookup,
-    Margin,
-    short,
-)
+from hallsym.codegen.decoupler import Array, Bits, Box, Collected, Decoupler, Flag, Lookup, Margin, short
 from hallsym.codegen.integer_c import UNIT, Compiler, Fixed, Program, planned
 from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
 from hallsym.codegen.lowering.correction import (
