@@ -10,20 +10,8 @@ from zlib import crc32
 
 import numpy as np
 
-from hallsym.codegen import faults
-from hallsym.codegen.backend import (
-    COUNT,
-    VERSION,
-    Backend,
-    Port,
-    Stored,
-    bit,
-    ends,
-    mix,
-    of_params,
-    raised,
-    taken,
-)
+from hallsym.codegen import backend, faults
+from hallsym.codegen.backend import COUNT, VERSION, Backend, Port, Stored, ends
 from hallsym.codegen.bounds import LEAST_GAIN, Bounds
 from hallsym.codegen.decoupler import flag_bit, short, unit
 from hallsym.codegen.integer_c import LARGEST, MASK, UNIT, Program, Reciprocal, helpers
@@ -114,8 +102,8 @@ class IntegerBackend(Backend):
     def sample(self, numbers: np.ndarray) -> np.ndarray:
         """Any integers, three quarters of them shifted towards the box."""
         n, count = np.asarray(numbers, dtype=np.uint32), len(self.decoupler.inputs)
-        raw = mix(n * np.uint32(count) + np.arange(1, count + 1, dtype=np.uint32)[:, None])
-        return np.asarray(raw.view(np.int32) >> ((mix(n) & np.uint32(3)).astype(np.int32)))
+        raw = backend.mix(n * np.uint32(count) + np.arange(1, count + 1, dtype=np.uint32)[:, None])
+        return np.asarray(raw.view(np.int32) >> ((backend.mix(n) & np.uint32(3)).astype(np.int32)))
 
     def _words(self, pose: np.ndarray) -> np.ndarray:
         return (pose & MASK).astype(np.uint32)
@@ -207,7 +195,7 @@ class IntegerBackend(Backend):
         d, c = self.decoupler, port.column
         if c in self.program.angles:
             return {"interval": "Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU)"}
-        return {"interval": f"Frama_C_interval({', '.join(map(of_params, ends(d, c)))})"}
+        return {"interval": f"Frama_C_interval({', '.join(map(backend.of_params, ends(d, c)))})"}
 
     def _of_output(self, port: Port) -> dict[str, Any]:
         p, c = self.program, port.column
@@ -266,13 +254,15 @@ class IntegerBackend(Backend):
         for port in self.inputs:
             c, name = port.column, short(port.column)
             low, high = ends(d, c)
-            call = f"limited(in->{port.member}, {low}, {high}, {bit(c)}, &status);"
+            call = f"limited(in->{port.member}, {low}, {high}, {backend.bit(c)}, &status);"
             if c in p.angles:
                 held.append(f"const uint32_t {name} = in->{port.member};")
             else:
                 held.append(f"const int32_t {name} = {call}" if name in used else f"(void){call}")
         flags = [
-            line for name, (seen, least) in p.flags.items() for line in raised(f"{seen} < p->{least}", name)
+            line
+            for name, (seen, least) in p.flags.items()
+            for line in backend.raised(f"{seen} < p->{least}", name)
         ]
         names = {e.name: f"p->{e.name}" for e in self.numbers}
         known = [f"(pose->{identifier(c)} >= -{KNOWN}) && (pose->{identifier(c)} <= {KNOWN})" for c in d.pose]
@@ -280,7 +270,7 @@ class IntegerBackend(Backend):
         can_fail = bool(self.limited or d.flags)
         return {
             "helpers": helpers(p),
-            "limits": lines_of(f"{FRAGMENTS}limited.c", taken(d)) if self.limited else [],
+            "limits": lines_of(f"{FRAGMENTS}limited.c", backend.taken(d)) if self.limited else [],
             "status": ["uint32_t status = 0U;"] if can_fail else [],
             "held": held,
             "body": p.c(names),
