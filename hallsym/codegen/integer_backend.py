@@ -77,12 +77,10 @@ class IntegerBackend(Backend):
     @cached_property
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """Integers towards zero."""
-        found = [
-            [int(v / port.scale) for v in self.decoupler.ends(port.column)]
-            if port.column in self.limited
-            else [0, MASK]
-            for port in self.inputs
-        ]
+        found = []
+        for port in self.inputs:
+            own = [int(v / port.scale) for v in self.decoupler.ends(port.column)]
+            found.append(own if port.column in self.limited else [0, MASK])
         return np.array(found)[:, :1], np.array(found)[:, 1:]
 
     def hold(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -145,15 +143,10 @@ class IntegerBackend(Backend):
             limits = {f"limit_{name}": high} if symmetric else {f"low_{name}": low, f"high_{name}": high}
             for limit, q in limits.items():
                 table.append(Stored(limit, np.array(q, "<i4"), "end of the range, in the unit of its input"))
-        rows = [
-            Stored(
-                a.name,
-                a.values.astype(f"<i{a.bits // 8}"),
-                f"[2^{a.shift - 32} turn] at as many phases of a turn",
-            )
-            for a in p.arrays.values()
-        ]
-        return [*table, *rows, *zeros]
+        for a in p.arrays.values():
+            note = f"[2^{a.shift - 32} turn] at as many phases of a turn"
+            table.append(Stored(a.name, a.values.astype(f"<i{a.bits // 8}"), note))
+        return [*table, *zeros]
 
     @property
     def numbers(self) -> list[Stored]:
@@ -204,20 +197,15 @@ class IntegerBackend(Backend):
     def _fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
         p, d = self.program, self.decoupler
         prefix = {**dict.fromkeys(p.inputs, "DECOUPLER_"), **dict.fromkeys(p.outputs, "DECOUPLER_OUT_")}
-        scales = [
-            {
-                "macro": prefix[c.column] + short(c.column).upper(),
-                "exponent": e,
-                "power": repr(2.0**e),
-                "step": repr(2.0**-e),
-                "column": commented(c.column),
-                "unit": c.unit,
-                "input": c.column in p.inputs,
-            }
-            for c in (*self.inputs, *self.outputs)
-            for e in [self.exponents.get(c.column, 0)]
-            if c.column not in p.angles
-        ]
+        scales = []
+        for c in (*self.inputs, *self.outputs):
+            if c.column not in p.angles:
+                e = self.exponents[c.column]
+                scales.append({
+                    "macro": prefix[c.column] + short(c.column).upper(), "exponent": e, "power": repr(2.0**e),
+                    "step": repr(2.0**-e), "column": commented(c.column), "unit": c.unit,
+                    "input": c.column in p.inputs,
+                })  # fmt: skip
         said = [f" * {line}" for text in p.said for line in textwrap.wrap(text, 110)]
         bam = f"#define DECOUPLER_RAD_PER_BAM {UNIT!r} /**< binary angles: 2^-32 turn */"
         of_angles = [bam, *lines_of(f"{FRAGMENTS}angle_conversions.h", {"per_rad": repr(1 / UNIT)})]

@@ -93,11 +93,9 @@ def _built(name: str, settings: Settings) -> Model:
     """
     meta = settings.machine.applied(Meta())
     plain = build(name, meta=meta)
-    stated = [e for e in settings.effects if ":" in e or not effect_named(e, plain).lacking(e)]
-    whole = len(stated) == len(settings.effects)
-    return build(
-        name, meta=meta, added=tuple(stated), parameters=settings.machine.parameters if whole else {}
-    )
+    stated = tuple(e for e in settings.effects if ":" in e or not effect_named(e, plain).lacking(e))
+    parameters = settings.machine.parameters if stated == settings.effects else {}
+    return build(name, meta=meta, added=stated, parameters=parameters)
 
 
 def journal_of(output: str | Path) -> Path:
