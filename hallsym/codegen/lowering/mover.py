@@ -450,22 +450,17 @@ class _Assembly(Assembly):
         up = made.step(f"above_{column}", ca.if_else(turn < most, turn, most))
         return made.step(f"first_{column}", ca.if_else(up > -most, up, -most))
 
-    def _lifted(self, row: Row, name: str, turn: ca.SX) -> list[ca.SX]:
-        """How much stronger the field is at each sensor than at the middle of the array."""
-        made, out = self.made, []
-        lift = made.entry(f"lift_{name}", self.found.lift_of(row), "1/m", "of ln |u| per metre and rotation")
-        steep = made.step(f"steep_{name}", lift * turn)
-        for sensor in self._channels(row):
-            v = made.step(f"tilt_{sensor}", steep * made.symbols[f"beside_{sensor}"])
-            out.append(made.step(f"lifted_{sensor}", 1.0 + v * (1.0 + v * (0.5 + v * (1 / 6)))))
-        return out
-
     def _vector(self, row: Row, name: str, tag: str, turn: ca.SX | None) -> Pair:
         made, sensors = self.made, self._channels(row)
         field = [made.symbols[f"field_{s}"] for s in sensors]
         cos, sin, weight = ([made.symbols[f"{n}_{s}"] for s in sensors] for n in ("cos", "sin", "weight"))
-        if turn is not None:
-            lifted = self._lifted(row, name, turn)
+        if turn is not None:  # how much stronger the field is at each sensor than at the array's middle
+            about, lifted = "of ln |u| per metre and rotation", []
+            lift = made.entry(f"lift_{name}", self.found.lift_of(row), "1/m", about)
+            steep = made.step(f"steep_{name}", lift * turn)
+            for s in sensors:
+                v = made.step(f"tilt_{s}", steep * made.symbols[f"beside_{s}"])
+                lifted.append(made.step(f"lifted_{s}", 1.0 + v * (1.0 + v * (0.5 + v * (1 / 6)))))
             field = self._without_harmonics(row, name, field, lifted)
             cos = [made.step(f"lifted_cos_{s}", c * v) for s, c, v in zip(sensors, cos, lifted, strict=True)]
             sin = [made.step(f"lifted_sin_{s}", c * v) for s, c, v in zip(sensors, sin, lifted, strict=True)]
@@ -544,9 +539,8 @@ class _Assembly(Assembly):
                 made.symbols[f"cover_{name}_first"] - made.symbols[f"least_cover_{name}"],
                 "[V4]",
             )
-            value = (
-                own if value is None else made.step(f"cover_to_{name}", ca.if_else(value < own, value, own))
-            )
+            least = own if value is None else ca.if_else(value < own, value, own)
+            value = own if value is None else made.step(f"cover_to_{name}", least)
         made.entry("least_cover", 0.0, "V4", "what each row must have more than its least")
 
     def linear(self, nears: Sequence[str]) -> list[ca.SX]:
