@@ -24,6 +24,7 @@ _REASONS = {
     errno.EISDIR: "it is a folder; give a file name",
     errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
 }
+LONGEST_SUFFIX = 16
 
 
 @contextmanager
@@ -37,7 +38,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise InputError("The name of an output must not be empty, nor hold a null character; give a file.")
     check_output(os.fspath(path))
     target = Path(os.path.realpath(path))
-    temporary = beside(target)
+    suffix = target.suffix if len(target.suffix) <= LONGEST_SUFFIX else ""
+    temporary = target.with_name(f".hallsym-{os.urandom(8).hex()}.tmp{suffix}")
     try:
         if target.is_dir():
             raise IsADirectoryError(errno.EISDIR, "is a directory")
@@ -45,7 +47,11 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
             raise OSError(0, "it is a device or a pipe, not a file; choose a file name")
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temporary
-        _flush(temporary)
+        handle = os.open(temporary, os.O_RDWR)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
         os.replace(temporary, target)
     except OSError as error:
         raise InputError(f"Cannot write {quoted(path)}: {reason(error)}.") from error
@@ -85,20 +91,3 @@ def reason(error: Exception, *, reading: bool = False) -> str:
         return summary(error)  # a name with a null character, say
     known = _REASONS | _READING if reading else _REASONS
     return known.get(error.errno or 0, " ".join(error.strerror.split()).rstrip("."))
-
-
-_LONGEST_SUFFIX = 16
-
-
-def beside(target: Path) -> Path:
-    """Return a new name in the folder of `target`, with its suffix."""
-    suffix = target.suffix if len(target.suffix) <= _LONGEST_SUFFIX else ""
-    return target.with_name(f".hallsym-{os.urandom(8).hex()}.tmp{suffix}")
-
-
-def _flush(path: Path) -> None:
-    handle = os.open(path, os.O_RDWR)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -44,19 +44,15 @@ def _folded(line: str, width: int) -> str:
     if command and len(line) > width:
         before = line[: command.start()].rstrip()
         parts = [_folded(before, width)] if len(before) > width else [before] if before.strip() else []
-        typed = _continued(f"{indent}{command[0]}", width, f"{indent}    ")
+        typed = f"{indent}{command[0]}"
+        if len(typed) > width:
+            typed = _filled(typed, width - 2, f"{indent}    ").replace("\n", " \\\n")
         return "\n".join([*parts, typed])
-    return fill(line, width, subsequent_indent=f"{indent}  ", break_long_words=False, break_on_hyphens=False)
+    return _filled(line, width, f"{indent}  ")
 
 
-def _continued(line: str, width: int, indent: str) -> str:
-    """Fold a command of a shell."""
-    if len(line) <= width:
-        return line
-    lines = fill(
-        line, width - 2, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
-    ).split("\n")
-    return " \\\n".join(lines)
+def _filled(line: str, width: int, indent: str) -> str:
+    return fill(line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 class Step(str):

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hallsym.errors import LONGEST, InputError, one_line, quoted
-from hallsym.files import atomic_write, beside
+from hallsym.files import atomic_write, replacing
 from hallsym.guard import announce, check_output, note_input, task
 from hallsym.reading import read_json, read_text, reading
 from hallsym.records import structured
@@ -43,7 +43,8 @@ def test_names_with_spaces_are_quoted():
 
 
 def test_a_temporary_keeps_the_suffix_and_a_long_name_fits(tmp_path):
-    assert beside(tmp_path / "log.parquet").suffix == ".parquet"
+    with replacing(tmp_path / "log.parquet") as temporary:
+        assert temporary.suffix == ".parquet"
     atomic_write(tmp_path / ("x" * 250 + ".json"), "{}")
     assert (tmp_path / ("x" * 250 + ".json")).read_text() == "{}"
 

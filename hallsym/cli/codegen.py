@@ -83,7 +83,10 @@ def _made(fit: Fit, options: Namespace) -> Generated:
     digest = sha256(Path(options.calibration).read_bytes())
     columns = (*fit.model.pose, *fit.model.state, *fit.model.channels)
     ranges, allow = column_ranges(options.range, columns), options.allow_undetermined
-    folder = Path(options.output)
+    folder, accuracy = Path(options.output), None
+    if options.accuracy is not None:
+        example = "angle_mrad=1"
+        accuracy = column_numbers(options.accuracy, fit.model.pose, "--accuracy", example)[1][0]
     name = options.name or (name_of(folder) if options.params_only else PREFIX)
     return generate(
         fit,
@@ -91,7 +94,7 @@ def _made(fit: Fit, options: Namespace) -> Generated:
         ranges=ranges,
         double=options.double,
         jacobian=options.jacobian,
-        accuracy=_accuracy(options.accuracy, fit),
+        accuracy=accuracy,
         correction=options.correction,
         allow_undetermined=allow,
         calibration_sha256=digest,
@@ -118,10 +121,3 @@ def _text(made: Generated, options: Namespace) -> list[str]:
     wrote = sorted(made.params) if options.params_only else sorted(made.files)
     lines += [f"wrote {Path(options.output) / name}" for name in wrote]
     return lines
-
-
-def _accuracy(given: str | None, fit: Fit) -> float | None:
-    """`angle_mrad=1` in SI."""
-    if given is None:
-        return None
-    return column_numbers(given, fit.model.pose, "--accuracy", "angle_mrad=1")[1][0]

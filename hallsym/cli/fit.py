@@ -103,7 +103,8 @@ def run(options: Namespace) -> int:
         goodness = replace(result.goodness, next_command=_diagnose(options, result))
         result = replace(result, goodness=goodness)
     wrote = _saved(options, result)
-    for name, log, part in _pictured(result, logs):
+    parts = list(zip([log["name"] for log in result.logs], logs, result.by_log, strict=False))
+    for name, log, part in parts or [("", logs[0], result)]:
         folder = options.plots and str(Path(options.plots) / name)
         wrote += common.fit_pictures(log, part, folder, options.plot_format)
     common.say(options, result.to_dict(), lambda: fit_text(result), wrote=wrote, then=_next(options, result))
@@ -128,13 +129,6 @@ def _saved(options: Namespace, result: Fit) -> list[str | Path]:
             wrote.append(path.with_name(f"{path.stem}.{log}{path.suffix}"))
             part.save(wrote[-1])
     return wrote
-
-
-def _pictured(result: Fit, logs: list[Log]) -> list[tuple[str, Log, Fit]]:
-    if not result.by_log:
-        return [("", logs[0], result)]
-    return [(entry["name"], log, part)
-            for entry, log, part in zip(result.logs, logs, result.by_log, strict=False)]  # fmt: skip
 
 
 def _diagnose(options: Namespace, result: Fit) -> str:

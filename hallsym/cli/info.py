@@ -21,7 +21,7 @@ from hallsym.log.table import Source
 from hallsym.report.tables import grid
 from hallsym.report.text.fit import fit_text
 from hallsym.report.text.info import effect_record, effect_text, is_explained, model_record, model_text
-from hallsym.simulation import Campaign, read_campaign
+from hallsym.simulation import read_campaign
 from hallsym.terminal import PROSE
 from hallsym.terminal import columns as columns_of_line
 from hallsym.trajectory import is_curve, read_curve
@@ -80,7 +80,12 @@ def run(options: Namespace) -> int:
         known = load_fit(options.file)
         say(options, known.to_dict(), lambda: fit_text(known))
     elif options.file.endswith(".toml"):
-        record = _about_campaign(read_campaign(options.file))
+        campaign = read_campaign(options.file)
+        record = {
+            "runs": len(campaign.runs), "samples": campaign.rows, "clock [s]": campaign.step_s,
+            "seconds recorded": sum(run.duration_s for run in campaign.runs),
+            "noise": dict(campaign.noise or {}),
+        }  # fmt: skip
         say(options, record, lambda: "\n".join(f"{k}: {v}" for k, v in record.items()))
     elif options.suggest:
         return _suggest(options)
@@ -153,16 +158,6 @@ def _listing(record: Mapping[str, Any]) -> str:
     parts.append("solvers: " + ", ".join(record["solvers"]))
     parts.append("losses: " + ", ".join(record["losses"]))
     return "\n\n".join(parts)
-
-
-def _about_campaign(campaign: Campaign) -> dict[str, Any]:
-    return {
-        "runs": len(campaign.runs),
-        "samples": campaign.rows,
-        "clock [s]": campaign.step_s,
-        "seconds recorded": sum(run.duration_s for run in campaign.runs),
-        "noise": dict(campaign.noise or {}),
-    }
 
 
 ROUNDING = 1e-12

@@ -6,7 +6,7 @@ from typing import Any
 from hallsym.cli import OK, common
 from hallsym.errors import InputError
 from hallsym.estimation import fit, load_fit, noise_of
-from hallsym.experiment import CRITERIA, Plan, Ranges, paper_ranges, plan, read_ranges
+from hallsym.experiment import CRITERIA, Ranges, paper_ranges, plan, read_ranges
 from hallsym.families.machine_file import Machine, read_machine
 from hallsym.log import Log
 from hallsym.model import Model
@@ -81,7 +81,10 @@ def run(options: Namespace) -> int:
     notes = [told, source, advice]
     written = [options.output] if options.output else []
     if options.output:
-        write_campaign(found.campaign, options.output, comment=_comment(found))
+        groups = [f"{n} x {setting}; {trajectory}" for n, setting, trajectory in found.groups()]
+        head = f"{len(found.campaign.runs)} runs for {model.name}, criterion {found.study.criterion.name}"
+        comment = "\n".join([f"Planned by hallsym: {head}.", *groups])
+        write_campaign(found.campaign, options.output, comment=comment)
     written += common.plots(options, {"coverage": lambda: coverage(found, log)}, options.ranges, model.name)
     common.say(
         options, found.to_dict() | {"notes": notes}, lambda: f"{plan_text(found)}\n",
@@ -125,10 +128,3 @@ def _noise(
     if is_the_papers(model):
         return dict(table8_noise(model, values).sigma), "noise that reproduces Table 8."
     return None, ""
-
-
-def _comment(found: Plan) -> str:
-    study = found.study
-    groups = [f"{n} x {setting}; {trajectory}" for n, setting, trajectory in found.groups()]
-    head = f"{len(found.campaign.runs)} runs for {study.model.name}, criterion {study.criterion.name}"
-    return "\n".join([f"Planned by hallsym: {head}.", *groups])

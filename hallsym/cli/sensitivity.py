@@ -54,8 +54,13 @@ def add(sub: Any) -> None:
 def run(options: Namespace) -> int:
     """Carry the command out."""
     report = _planned(options) if options.plan is not None else _recorded(options)
-    record = report.to_dict()
-    common.say(options, record, lambda: report_text(report), wrote=_written(options, report, record))
+    record, written = report.to_dict(), []
+    if options.output:
+        write_json(options.output, record)
+        written.append(Path(options.output))
+    draw = {picture.__name__: partial(picture, report) for picture in drawable(report)}
+    written += common.plots(options, draw, report.evidence.recorded, report.model.name)
+    common.say(options, record, lambda: report_text(report), wrote=written)
     return _exit_code(report)
 
 
@@ -86,15 +91,6 @@ def _planned(options: Namespace) -> Identifiability:
         return identify(known, campaign, noise=noise, name=name)
     model, values = common.truth_of(options, read_machine(options.machine))
     return identify(model, campaign, values=values, noise=common.levels(campaign, model, values), name=name)
-
-
-def _written(options: Namespace, report: Identifiability, record: dict[str, Any]) -> list[Path]:
-    written = []
-    if options.output:
-        write_json(options.output, record)
-        written.append(Path(options.output))
-    draw = {picture.__name__: partial(picture, report) for picture in drawable(report)}
-    return written + common.plots(options, draw, report.evidence.recorded, report.model.name)
 
 
 def _exit_code(report: Identifiability) -> int:

@@ -310,15 +310,9 @@ class Backend(ABC):
     def json(self) -> str:
         """Return the table as a readable record."""
         record = {
-            "format": "hallsym decoupler parameters 1",
-            "generator": MARK,
-            **self.record,
-            "version": VERSION,
-            "layout": f"0x{self.layout:08x}",
-            "crc32": f"0x{self.crc:08x}",
-            "type": self.type,
-            **self._json(),
-        }
+            "format": "hallsym decoupler parameters 1", "generator": MARK, **self.record, "version": VERSION,
+            "layout": f"0x{self.layout:08x}", "crc32": f"0x{self.crc:08x}", "type": self.type, **self._json(),
+        }  # fmt: skip
         return json.dumps(record, indent=1) + "\n"
 
     def _values(self) -> list[str]:
@@ -419,12 +413,15 @@ class Backend(ABC):
             {"name": f.name, "mask": f"0x{flag_bit(k):08X}UL", "meaning": f.meaning}
             for k, f in enumerate(d.flags)
         ]
+        params = {
+            "table": [e.member for e in self.constant],
+            "reserved": ["uint32_t reserved; /**< 0 */"] if self.pad else [],
+            "zeros": [e.member for e in self.zeros],
+        }
         raised = [sum(some) for some in product(*((0, flag_bit(k)) for k in range(len(d.flags))))]
         return {
             "in": inputs,
-            "limited": [
-                i for i, port in zip(inputs, self.inputs, strict=True) if port.column in self.limited
-            ],
+            "limited": [i for i in inputs if self.inputs[i["index"]].column in self.limited],
             "out": outputs,
             "flag": flags,
             "entry": [{"name": e.name} for e in self.entries if not e.values.ndim],
@@ -447,14 +444,7 @@ class Backend(ABC):
             "why_no_eva": "frama-c is not installed"
             if d.evident
             else "it relates no two values, as this code needs",
-            "params": lines_of(
-                "common/fragments/params.h",
-                {
-                    "table": [e.member for e in self.constant],
-                    "reserved": ["uint32_t reserved; /**< 0 */"] if self.pad else [],
-                    "zeros": [e.member for e in self.zeros],
-                },
-            ),
+            "params": lines_of("common/fragments/params.h", params),
             "crc": lines_of("common/fragments/crc.c", {"first_zero": self.zeros[0].name}),
             "first_zero": self.zeros[0].name,
             "values": self._values(),

@@ -10,20 +10,8 @@ from zlib import crc32
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen import faults
-from hallsym.codegen.backend import (
-    COUNT,
-    VERSION,
-    Backend,
-    Port,
-    Stored,
-    bit,
-    ends,
-    mix,
-    raised,
-    status_bit,
-    taken,
-)
+from hallsym.codegen import backend, faults
+from hallsym.codegen.backend import COUNT, VERSION, Backend, Port, Stored, ends
 from hallsym.codegen.bounds import LEAST_GAIN, Bounds, pose_bounds, spreads, step_errors
 from hallsym.codegen.cost import firmware_cost
 from hallsym.codegen.decoupler import Array, Decoupler, Entry, Step, short, steps_on_arrays, unit
@@ -164,13 +152,13 @@ class FloatBackend(Backend):
         (low, high), dtype = self.ends, self.real.dtype
         n = np.asarray(numbers, dtype=np.uint32)
         count = np.uint32(len(self.decoupler.inputs))
-        kind = mix(n ^ np.uint32(0x9E3779B9)) & np.uint32(15)
-        raw = mix(n * count + np.arange(1, count + 1, dtype=np.uint32)[:, None])
+        kind = backend.mix(n ^ np.uint32(0x9E3779B9)) & np.uint32(15)
+        raw = backend.mix(n * count + np.arange(1, count + 1, dtype=np.uint32)[:, None])
         share = (raw >> np.uint32(8)).astype(dtype) * dtype(2.0**-24)
         with np.errstate(all="ignore"):
             value = low + (high - low) * share
             value = np.where(kind == 1, value * dtype(4), value)
-        wild = raw if self.real.size == 4 else (raw.astype(np.uint64) << np.uint64(32)) | mix(raw)
+        wild = raw if self.real.size == 4 else (raw.astype(np.uint64) << np.uint64(32)) | backend.mix(raw)
         return np.where(kind == 0, wild.view(dtype), value).astype(dtype)
 
     @cached_property
@@ -181,7 +169,7 @@ class FloatBackend(Backend):
 
     def hashed_step(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Half of the samples have no zeros, a quarter each those of a reset at one end and at the other."""
-        kind = mix(np.asarray(numbers, dtype=np.uint32) ^ np.uint32(0x85EBCA6B)) & np.uint32(3)
+        kind = backend.mix(np.asarray(numbers, dtype=np.uint32) ^ np.uint32(0x85EBCA6B)) & np.uint32(3)
         sign: np.ndarray = np.select([kind == 2, kind == 3], [1, -1], 0).astype(self.real.dtype)
         zeros = np.array([self.real.dtype(self.reset[c]) * sign for c in self.decoupler.pose])
         held, status = self.hold(self.sample(numbers))
@@ -192,7 +180,7 @@ class FloatBackend(Backend):
         if self.real.size == 4:
             return pose.view(np.uint32)
         bits = pose.view(np.uint64)
-        return np.asarray((bits >> np.uint64(32)).astype(np.uint32) ^ mix(bits.astype(np.uint32)))
+        return np.asarray((bits >> np.uint64(32)).astype(np.uint32) ^ backend.mix(bits.astype(np.uint32)))
 
     def _rounded(self, inputs: np.ndarray) -> np.ndarray:
         return inputs.astype(self.real.dtype)
@@ -282,7 +270,7 @@ class FloatBackend(Backend):
         work, slopes = firmware_cost(d), self.slopes.records() if self.jacobian else []
         common = {
             "real": self.type,
-            **taken(d),
+            **backend.taken(d),
             "builtin_fabs": self.real.fabs,
             "zero": c(0.0),
             "ieee": lines_of(f"{FRAGMENTS}ieee.c", {}),
@@ -330,7 +318,7 @@ class FloatBackend(Backend):
         def units(columns: Sequence[str], between: str = ", ") -> str:
             return between.join(dict.fromkeys(map(unit, columns)))
 
-        flags = ", ".join(status_bit(f.name) for f in d.flags)
+        flags = ", ".join(backend.status_bit(f.name) for f in d.flags)
         return {
             "probes": len(d.model.channels),
             "all_units": units((*d.inputs, *d.pose), " and "),
@@ -361,9 +349,9 @@ class FloatBackend(Backend):
         d, lines = self.decoupler, []
         for c in d.inputs:
             low, high = ends(d, c)
-            call = f"limited(in->{identifier(c)}, {low}, {high}, {bit(c)}, &status);"
+            call = f"limited(in->{identifier(c)}, {low}, {high}, {backend.bit(c)}, &status);"
             if self.by_size(c):
-                call = f"within(in->{identifier(c)}, {high}, {bit(c)}, &status);"
+                call = f"within(in->{identifier(c)}, {high}, {backend.bit(c)}, &status);"
             needed = used is None or ca.depends_on(used, d.symbols[c])
             lines.append(f"const {self.type} {short(c)} = {call}" if needed else f"(void){call}")
         return lines
@@ -374,7 +362,7 @@ class FloatBackend(Backend):
         last = d.steps[-len(d.pose) :]
         results = {s.name: f"out->{identifier(c)}" for s, c in zip(last, d.pose, strict=True)}
         body = statements(d.steps, names, real, results)
-        flags = [line for f in d.flags for line in raised(f"!({f.step} >= p->{f.least})", f.name)]
+        flags = [line for f in d.flags for line in backend.raised(f"!({f.step} >= p->{f.least})", f.name)]
         most = {identifier(c): real.constant(d.known(c)) for c in d.pose}
         known = [f"((pose->{c} >= -{far}) && (pose->{c} <= {far}))" for c, far in most.items()]
         whole = {**names, **{e.name: f"p->{e.name}" for e in d.zeros}}

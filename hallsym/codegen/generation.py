@@ -211,8 +211,8 @@ def _integers(
 
 def _recorded(options: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the choices of a lowering as `params/decoupler_params.json` holds them, for a recalibration."""
-    accuracy = {} if given["accuracy"] is None else {"accuracy": given["accuracy"]}
-    return {"options": {**options, **accuracy}} if options or accuracy else {}
+    found = {**options, **({} if given["accuracy"] is None else {"accuracy": given["accuracy"]})}
+    return {"options": found} if found else {}
 
 
 def decouple(fit: Fit) -> ca.Function:

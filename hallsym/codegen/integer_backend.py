@@ -10,20 +10,8 @@ from zlib import crc32
 
 import numpy as np
 
-from hallsym.codegen import faults
-from hallsym.codegen.backend import (
-    COUNT,
-    VERSION,
-    Backend,
-    Port,
-    Stored,
-    bit,
-    ends,
-    mix,
-    of_params,
-    raised,
-    taken,
-)
+from hallsym.codegen import backend, faults
+from hallsym.codegen.backend import COUNT, VERSION, Backend, Port, Stored, ends
 from hallsym.codegen.bounds import LEAST_GAIN, Bounds
 from hallsym.codegen.decoupler import flag_bit, short, unit
 from hallsym.codegen.integer_c import LARGEST, MASK, UNIT, Program, Reciprocal, helpers
@@ -89,12 +77,10 @@ class IntegerBackend(Backend):
     @cached_property
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """Integers towards zero."""
-        found = [
-            [int(v / port.scale) for v in self.decoupler.ends(port.column)]
-            if port.column in self.limited
-            else [0, MASK]
-            for port in self.inputs
-        ]
+        found = []
+        for port in self.inputs:
+            own = [int(v / port.scale) for v in self.decoupler.ends(port.column)]
+            found.append(own if port.column in self.limited else [0, MASK])
         return np.array(found)[:, :1], np.array(found)[:, 1:]
 
     def hold(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -114,8 +100,8 @@ class IntegerBackend(Backend):
     def sample(self, numbers: np.ndarray) -> np.ndarray:
         """Any integers, three quarters of them shifted towards the box."""
         n, count = np.asarray(numbers, dtype=np.uint32), len(self.decoupler.inputs)
-        raw = mix(n * np.uint32(count) + np.arange(1, count + 1, dtype=np.uint32)[:, None])
-        return np.asarray(raw.view(np.int32) >> ((mix(n) & np.uint32(3)).astype(np.int32)))
+        raw = backend.mix(n * np.uint32(count) + np.arange(1, count + 1, dtype=np.uint32)[:, None])
+        return np.asarray(raw.view(np.int32) >> ((backend.mix(n) & np.uint32(3)).astype(np.int32)))
 
     def _words(self, pose: np.ndarray) -> np.ndarray:
         return (pose & MASK).astype(np.uint32)
@@ -157,15 +143,10 @@ class IntegerBackend(Backend):
             limits = {f"limit_{name}": high} if symmetric else {f"low_{name}": low, f"high_{name}": high}
             for limit, q in limits.items():
                 table.append(Stored(limit, np.array(q, "<i4"), "end of the range, in the unit of its input"))
-        rows = [
-            Stored(
-                a.name,
-                a.values.astype(f"<i{a.bits // 8}"),
-                f"[2^{a.shift - 32} turn] at as many phases of a turn",
-            )
-            for a in p.arrays.values()
-        ]
-        return [*table, *rows, *zeros]
+        for a in p.arrays.values():
+            note = f"[2^{a.shift - 32} turn] at as many phases of a turn"
+            table.append(Stored(a.name, a.values.astype(f"<i{a.bits // 8}"), note))
+        return [*table, *zeros]
 
     @property
     def numbers(self) -> list[Stored]:
@@ -207,7 +188,7 @@ class IntegerBackend(Backend):
         d, c = self.decoupler, port.column
         if c in self.program.angles:
             return {"interval": "Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU)"}
-        return {"interval": f"Frama_C_interval({', '.join(map(of_params, ends(d, c)))})"}
+        return {"interval": f"Frama_C_interval({', '.join(map(backend.of_params, ends(d, c)))})"}
 
     def _of_output(self, port: Port) -> dict[str, Any]:
         p, c = self.program, port.column
@@ -216,20 +197,15 @@ class IntegerBackend(Backend):
     def _fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
         p, d = self.program, self.decoupler
         prefix = {**dict.fromkeys(p.inputs, "DECOUPLER_"), **dict.fromkeys(p.outputs, "DECOUPLER_OUT_")}
-        scales = [
-            {
-                "macro": prefix[c.column] + short(c.column).upper(),
-                "exponent": e,
-                "power": repr(2.0**e),
-                "step": repr(2.0**-e),
-                "column": commented(c.column),
-                "unit": c.unit,
-                "input": c.column in p.inputs,
-            }
-            for c in (*self.inputs, *self.outputs)
-            for e in [self.exponents.get(c.column, 0)]
-            if c.column not in p.angles
-        ]
+        scales = []
+        for c in (*self.inputs, *self.outputs):
+            if c.column not in p.angles:
+                e = self.exponents[c.column]
+                scales.append({
+                    "macro": prefix[c.column] + short(c.column).upper(), "exponent": e, "power": repr(2.0**e),
+                    "step": repr(2.0**-e), "column": commented(c.column), "unit": c.unit,
+                    "input": c.column in p.inputs,
+                })  # fmt: skip
         said = [f" * {line}" for text in p.said for line in textwrap.wrap(text, 110)]
         bam = f"#define DECOUPLER_RAD_PER_BAM {UNIT!r} /**< binary angles: 2^-32 turn */"
         of_angles = [bam, *lines_of(f"{FRAGMENTS}angle_conversions.h", {"per_rad": repr(1 / UNIT)})]
@@ -266,13 +242,15 @@ class IntegerBackend(Backend):
         for port in self.inputs:
             c, name = port.column, short(port.column)
             low, high = ends(d, c)
-            call = f"limited(in->{port.member}, {low}, {high}, {bit(c)}, &status);"
+            call = f"limited(in->{port.member}, {low}, {high}, {backend.bit(c)}, &status);"
             if c in p.angles:
                 held.append(f"const uint32_t {name} = in->{port.member};")
             else:
                 held.append(f"const int32_t {name} = {call}" if name in used else f"(void){call}")
         flags = [
-            line for name, (seen, least) in p.flags.items() for line in raised(f"{seen} < p->{least}", name)
+            line
+            for name, (seen, least) in p.flags.items()
+            for line in backend.raised(f"{seen} < p->{least}", name)
         ]
         names = {e.name: f"p->{e.name}" for e in self.numbers}
         known = [f"(pose->{identifier(c)} >= -{KNOWN}) && (pose->{identifier(c)} <= {KNOWN})" for c in d.pose]
@@ -280,7 +258,7 @@ class IntegerBackend(Backend):
         can_fail = bool(self.limited or d.flags)
         return {
             "helpers": helpers(p),
-            "limits": lines_of(f"{FRAGMENTS}limited.c", taken(d)) if self.limited else [],
+            "limits": lines_of(f"{FRAGMENTS}limited.c", backend.taken(d)) if self.limited else [],
             "status": ["uint32_t status = 0U;"] if can_fail else [],
             "held": held,
             "body": p.c(names),

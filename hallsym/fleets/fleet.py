@@ -14,12 +14,12 @@ from pathlib import Path
 from time import perf_counter
 from typing import IO, Any
 
-from hallsym.errors import InputError, counted
+from hallsym.errors import InputError, counted, one_line
 from hallsym.families import build, effect_named
 from hallsym.families.machine_file import Machine, read_machine
 from hallsym.files import reason
 from hallsym.fleets.result import Fleet
-from hallsym.fleets.row import Settings, failed, row_of
+from hallsym.fleets.row import FAILED, Settings, row_of
 from hallsym.fleets.sources import Device, devices_of
 from hallsym.fleets.workers import Failed, completed
 from hallsym.log import Meta
@@ -71,7 +71,9 @@ def fleet(
     work = completed(partial(row_of, settings), left, workers=workers, scheduler=scheduler) if left else ()
     with journal:
         for device, told in work:
-            rows[device.name] = failed(told.reason) if isinstance(told, Failed) else told
+            if isinstance(told, Failed):
+                told = {"verdict": FAILED, "reason": one_line(told.reason)}
+            rows[device.name] = told
             journal.add(device, rows[device.name])
             each = (perf_counter() - started) / (len(rows) - before)
             time_left = said_time(each * (len(devices) - len(rows)))
@@ -93,11 +95,9 @@ def _built(name: str, settings: Settings) -> Model:
     """
     meta = settings.machine.applied(Meta())
     plain = build(name, meta=meta)
-    stated = [e for e in settings.effects if ":" in e or not effect_named(e, plain).lacking(e)]
-    whole = len(stated) == len(settings.effects)
-    return build(
-        name, meta=meta, added=tuple(stated), parameters=settings.machine.parameters if whole else {}
-    )
+    stated = tuple(e for e in settings.effects if ":" in e or not effect_named(e, plain).lacking(e))
+    parameters = settings.machine.parameters if stated == settings.effects else {}
+    return build(name, meta=meta, added=stated, parameters=parameters)
 
 
 def journal_of(output: str | Path) -> Path:

@@ -52,20 +52,14 @@ def row_of(asked: Settings, device: Device) -> dict[str, Any]:
     return {**row, "seconds": perf_counter() - began}
 
 
-def failed(reason: str) -> dict[str, Any]:
-    """Return what is known of a device whose log was not fitted."""
-    return {"verdict": FAILED, "reason": one_line(reason)}
-
-
 def _model(log: Log, asked: Settings) -> Model:
     """Return the model of a device; numbers of effects that are left open are those its own log shows."""
+    parameters = asked.machine.parameters
     if not asked.effects:
-        return model_of(log, asked.model, (), asked.machine.parameters)
+        return model_of(log, asked.model, (), parameters)
     from hallsym.diagnosis import model_on  # what most fleets do not need takes a second to import
 
-    return model_on(
-        log, asked.model, asked.effects, parameters=asked.machine.parameters, drop_bad=asked.drop_bad
-    )
+    return model_on(log, asked.model, asked.effects, parameters=parameters, drop_bad=asked.drop_bad)
 
 
 def row_of_fit(found: Fit) -> dict[str, Any]:

@@ -8,6 +8,7 @@ inverse of the model times that.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -84,11 +85,8 @@ def influence_of_gains(
     part = ca.vertcat(*(_part(model, reading, k) for k in range(len(model.channels))))
     weight = np.ones(len(model.channels))
     slope = model.noise_gain_at(s.parameters, s.pose, s.state, weight) @ ca.diag(part)
-    found = on_arrays(
-        ca.Function(
-            "influence", [s.parameters, s.pose, s.state], [ca.densify(x) for x in (slope, reading, part)]
-        )
-    )(p, space.pose, space.state)
+    given, made = [s.parameters, s.pose, s.state], [ca.densify(x) for x in (slope, reading, part)]
+    found = on_arrays(ca.Function("influence", given, made))(p, space.pose, space.state)
     flat, read, parts = (np.broadcast_to(x, (len(x), space.points)) for x in found)
     error = flat.reshape(len(model.channels), len(model.pose), space.points).transpose(1, 2, 0)
     if not np.isfinite(error).all():
@@ -124,10 +122,8 @@ def _gains(model: Model) -> list[set[str]]:
         {n for n, d in zip(model.names, ca.which_depends(gain[k], p, 1, False), strict=True) if d}
         for k in range(len(model.channels))
     ]
-    return [
-        mine - set().union(*(other for j, other in enumerate(depends) if j != k))
-        for k, mine in enumerate(depends)
-    ]
+    shared = Counter(name for names in depends for name in names)
+    return [{name for name in names if shared[name] == 1} for names in depends]
 
 
 def _workspace(model: Model, where: Campaign | Workspace | None) -> Workspace:

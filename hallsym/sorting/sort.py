@@ -179,28 +179,27 @@ def sort_sensors(
         readings = read_readings(readings, fields=fields)
     elif not isinstance(readings, Readings):
         readings = readings_from(readings, fields)
-    m = _lines(readings, readings.value)
-    at = np.flatnonzero(np.isfinite(m.gain))
-    _check_gains(m.gain[at], readings)
-    drift, gain = None, m.gain
+    sensor, gain, offset = _lines(readings, readings.value)
+    at, drift = np.flatnonzero(np.isfinite(gain)), None
+    _check_gains(gain[at], readings)
     if readings.reference is not None:
-        drift = _drift(_lines(readings, readings.reference).gain, readings)
-        gain = m.gain / drift
-    count = np.bincount(m.sensor[at], minlength=len(readings.ids))
+        drift = _drift(_lines(readings, readings.reference)[1], readings)
+        gain = gain / drift
+    count = np.bincount(sensor[at], minlength=len(readings.ids))
     kept = np.flatnonzero(count)
 
     def mean(values: Array) -> Array:
-        return np.asarray(np.bincount(m.sensor[at], values[at], len(count))[kept] / count[kept])
+        return np.asarray(np.bincount(sensor[at], values[at], len(count))[kept] / count[kept])
 
     gains = mean(gain)
     middle = float(np.median(gains)) if nominal is None else nominal
-    again = _again(m.sensor, at)
-    scatter, dof, notes = _scatter(m, gain, again, repeatability, readings)
+    again = _again(sensor, at)
+    scatter, dof, notes = _scatter(sensor, gain, again, repeatability, readings)
     notes += ["no drift was taken out: there is no reference sensor."] if drift is None else []
     return Sorting(
         tuple(readings.ids[k] for k in kept),
         gains,
-        mean(m.offset),
+        mean(offset),
         scatter / np.sqrt(count[kept]) * np.abs(gains),
         dof,
         middle,
@@ -217,19 +216,11 @@ def sort_sensors(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Lines:
-    """Least-squares lines through the readings of each measurement (m,), in the order of time.
+def _lines(readings: Readings, values: Array) -> tuple[Array, Array, Array]:
+    """Return least-squares lines through the readings of each measurement (m,), in the order of time.
 
-    `gain` [unit / T] (nan with fewer than two fields) and `offset` [unit].
+    The sensor, its gain [unit / T] (nan with fewer than two fields) and offset [unit].
     """
-
-    sensor: Array
-    gain: Array
-    offset: Array
-
-
-def _lines(readings: Readings, values: Array) -> _Lines:
     count = int(readings.measurement.max()) + 1
     use = np.isfinite(values) & np.isfinite(readings.field)
     at, b, v = readings.measurement[use], readings.field[use], values[use]
@@ -249,7 +240,7 @@ def _lines(readings: Readings, values: Array) -> _Lines:
     sensor[readings.measurement] = readings.sensor
     np.maximum.at(ended, readings.measurement, readings.time)
     order = np.argsort(ended, kind="stable")
-    return _Lines(sensor[order], gain[order], (mean_v - gain * mean_b)[order])
+    return sensor[order], gain[order], (mean_v - gain * mean_b)[order]
 
 
 def _check_gains(gain: Array, readings: Readings) -> None:
@@ -287,7 +278,7 @@ def _again(sensor: Array, at: Array) -> list[Array]:
 
 
 def _scatter(
-    m: _Lines, gain: Array, groups: Sequence[Array], stated: float | None, readings: Readings
+    sensor: Array, gain: Array, groups: Sequence[Array], stated: float | None, readings: Readings
 ) -> tuple[float, float, list[str]]:
     """Repeatability of one measurement, relative (1 sigma), its degrees of freedom, and notes on it.
 
@@ -305,7 +296,7 @@ def _scatter(
     apart = worst > APART * np.median(worst)
     kept = [d for d, out in zip(away, apart, strict=True) if not out]
     dof = float(sum(len(d) - 1 for d in kept))
-    names = [readings.ids[m.sensor[g[0]]] for g, out in zip(groups, apart, strict=True) if out]
+    names = [readings.ids[sensor[g[0]]] for g, out in zip(groups, apart, strict=True) if out]
     note = (
         f"the measurements of {', '.join(names)} are too far apart to count for the repeatability:"
         f" measure {'it' if len(names) == 1 else 'them'} again."

@@ -87,9 +87,8 @@ def gcode(curve: Curve, *, chord_m: float, duration_s: float | None = None) -> s
     """
     names = {"x_m": "X", "y_m": "Y", "z_m": "Z"}
     axes = [names[name] for name in curve.coordinates if name in names]
-    error = (
-        "not known" if curve.max_error_m is None else f"{1e6 * curve.max_error_m:.4g} um, {curve.error_kind}"
-    )
+    known = curve.max_error_m
+    error = "not known" if known is None else f"{1e6 * known:.4g} um, {curve.error_kind}"
     turning = [name for name in curve.coordinates if name not in names]
     points = 1e3 * curve(chord_points(curve, chord_m))[:, curve.lengths]
     feed = 60.0 if duration_s is None else 6e4 * curve.length() / duration_s

@@ -89,23 +89,20 @@ def read_points(path: str | Path) -> Points:
         raise InputError(f"Points file {path} must hold a line of column names and at least 2 points.")
     names = [name.strip() for name in rows[0]]
     columns = [_column(name, path) for name in names]
-    kept = [k for k, c in enumerate(columns) if c[0] != "t"]
-    si = [columns[k][0] for k in kept]
-    order = [k for c in COORDINATES.values() for k, name in zip(kept, si, strict=True) if name == c]
-    if len(set(si)) != len(si) or len(columns) - len(kept) > 1:
+    si = [column for column, _ in columns]
+    if len(set(si)) != len(si):
         raise InputError(f"Points file {path} gives a column twice; keep one of each.")
-    lengths = [k for k in order if columns[k][0].endswith("_m")]
-    if not lengths:
+    order = [si.index(c) for c in COORDINATES.values() if c in si]
+    if not any(si[k].endswith("_m") for k in order):
         raise InputError(f"Points file {path} must have at least one of the columns x, y, z, such as x_um.")
     numbered = enumerate(rows[1:], 1)
     table = np.array(
         [[_cell(row, k, number, names, path) for k in range(len(names))] for number, row in numbered]
     )
-    parameter = [k for k, c in enumerate(columns) if c[0] == "t"]
     made = points_of(
         table[:, order] * np.array([columns[k][1] for k in order]),
-        table[:, parameter[0]] if parameter else None,
-        tuple(columns[k][0] for k in order),
+        table[:, si.index("t")] if "t" in si else None,
+        tuple(si[k] for k in order),
         path.name,
     )
     torn = (

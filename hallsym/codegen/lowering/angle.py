@@ -16,19 +16,10 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen import integer_c
-from hallsym.codegen.decoupler import (
-    Array,
-    Bits,
-    Box,
-    Collected,
-    Decoupler,
-    Flag,
-    Lookup,
-    Margin,
-    short,
-)
+from hallsym.codegen.decoupler import Array, Bits, Box, Collected, Decoupler, Flag, Lookup, Margin, short
 from hallsym.codegen.integer_c import UNIT, Compiler, Fixed, Program, planned
 from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
+from hallsym.codegen.lowering import odd_series
 from hallsym.codegen.lowering.correction import (
     ROUNDED,
     SIZES,
@@ -42,16 +33,7 @@ from hallsym.codegen.lowering.correction import (
     sampled,
     shortest_correction,
 )
-from hallsym.codegen.lowering.odd_series import (
-    ARCTANGENT,
-    HALF_PI,
-    PI,
-    SINE,
-    arctangent_error,
-    odd,
-    sine_error,
-    wrapped,
-)
+from hallsym.codegen.lowering.odd_series import ARCTANGENT, HALF_PI, PI, SINE, odd
 from hallsym.codegen.lowering.phase_curve import POINTS, Curve, check_static
 from hallsym.errors import InputError, counted
 from hallsym.log.phase import wrapped as within_turn
@@ -129,7 +111,7 @@ class _Assembly(Collected):
         (channel,) = self.curve.model.channels
         name = f"gain_{short(channel)}"
         gain = self.entry(name, 1.0, "1", f"phase per {channel}, 1")
-        self.step("phase", wrapped(gain * self.symbols[channel]), "[rad] as read, either branch")
+        self.step("phase", odd_series.wrapped(gain * self.symbols[channel]), "[rad] as read, either branch")
         return Margin(channel, name)
 
     def _ellipse(self) -> Margin:
@@ -175,9 +157,9 @@ class _Assembly(Collected):
         elif found.cos:
             angle = angle + self._waves(found, phase)
         if self.curve.angle_only and angle is not phase:
-            angle = self.step("turned", wrapped(angle))
+            angle = self.step("turned", odd_series.wrapped(angle))
         total = self.step("total", zero + angle)
-        self.step("angle", wrapped(total), "[rad] within half a turn")
+        self.step("angle", odd_series.wrapped(total), "[rad] within half a turn")
 
     def _looked_up(self, grid: Grid, phase: ca.SX) -> ca.SX:
         """Entry of the table, and a line or a cubic to the next."""
@@ -272,11 +254,16 @@ class _Assembly(Collected):
     def _left(self) -> float:
         """What the polynomials and the correction may leave in the angle [rad]."""
         found = self.correction
-        arctangent = 0.0 if self.curve.angle_only else arctangent_error() * (1 + found.slope)
+        arctangent = 0.0 if self.curve.angle_only else odd_series.arctangent_error() * (1 + found.slope)
         sines = 0.0
         if isinstance(found, Series):
             # sine and cosine off by e change wave n by at most n e sqrt 2 (1 + e)^n
-            sines = sine_error() * 2**0.5 * found.slope * (1 + 2 * sine_error()) ** len(found.cos)
+            sines = (
+                odd_series.sine_error()
+                * 2**0.5
+                * found.slope
+                * (1 + 2 * odd_series.sine_error()) ** len(found.cos)
+            )
         return float(arctangent + sines + found.left + ROUNDED)
 
     def _listed(self) -> tuple[tuple[float, ...], ...]:
@@ -292,7 +279,7 @@ class _Assembly(Collected):
         if not self.curve.angle_only:
             out.append(
                 f"The arctangent is a polynomial of degree {2 * len(ARCTANGENT) - 1}: off by at most "
-                f"{arctangent_error():.2g} rad (proved)."
+                f"{odd_series.arctangent_error():.2g} rad (proved)."
             )
         if isinstance(found, Grid):
             size = (2 if found.integers else 4) * len(found.values)

@@ -31,7 +31,7 @@ from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
 from hallsym.codegen.lowering import wave_steps
 from hallsym.codegen.lowering.arrays_fit import KINDS, NEGLIGIBLE, Arrays, groups_of
 from hallsym.codegen.lowering.odd_series import Odd, odd, shortest
-from hallsym.codegen.lowering.wave_steps import Pair, Wave, least_inside
+from hallsym.codegen.lowering.wave_steps import Pair, Wave
 from hallsym.codegen.operations import TESTS, graph
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
@@ -295,28 +295,14 @@ class Assembly:
             self._unwrapped[axis] = bool(far and not self.wide(axis))
         return self._unwrapped[axis]
 
-    def vector(self, k: int) -> Pair:
-        """Add the steps from the readings of an array to its phasor."""
-        group, name = self.found.groups[k], self.names[k]
-        readings = {
-            short(c): self.made.symbols[c] for c in (self.found.model.channels[j] for j in group.channels)
-        }
-        return wave_steps.phasor_steps(self.made, self.waves[k], readings, f"_{name}")
-
-    def least_inside(self) -> str:
-        """The least of what the flag of the field looks at, over the arrays, each over its own least."""
-        least_inside(self.made, self.waves)
-        return self.least()
-
-    def least(self) -> str:
-        """The least of these steps of all arrays."""
+    def least(self) -> None:
+        """Add what the flag of the field looks at: the least of 1 - t^2 over the arrays."""
         made, names = self.made, self.names
         value = made.symbols[f"tangent_square_{names[0]}"]
         for name in names[1:]:
             other = made.symbols[f"tangent_square_{name}"]
             value = made.step(f"most_to_{name}", ca.if_else(value > other, value, other))
-        made.step(f"least_to_{names[-1]}", 1.0 - value)  # the least of 1 - t^2, to the last bit
-        return f"least_to_{names[-1]}"
+        made.step(f"least_to_{names[-1]}", 1.0 - value)  # to the last bit
 
     # -- places and heights --------------------------------------------------------------------------------
 
@@ -326,29 +312,23 @@ class Assembly:
         for k, (group, seen) in enumerate(zip(self.found.groups, logs, strict=True)):
             at = float(self.found.at_middle[len(logs) + k, 0])
             value = group.phasor.rising * (at - group.phasor.middle) / group.phasor.lc
-            if abs(value) * group.phasor.lc < LOST:
-                out.append(self.made.step(f"deep_{self.names[k]}", seen))
-                continue
-            entry = self.made.entry(
-                f"log_{self.names[k]}_middle", value, "1", "logarithm in the middle of the box"
-            )
-            out.append(self.made.step(f"deep_{self.names[k]}", seen - entry))
+            if abs(value) * group.phasor.lc >= LOST:
+                about = "logarithm in the middle of the box"
+                seen = seen - self.made.entry(f"log_{self.names[k]}_middle", value, "1", about)
+            out.append(self.made.step(f"deep_{self.names[k]}", seen))
         return out
 
     def places(self, vectors: Sequence[Pair]) -> list[ca.SX]:
         """For each axis: mean place [m] from the middle, then turns of the other arrays from the first."""
         made, out = self.made, []
         for axis, members in self.found.axes.items():
-            first = members[0]
-            phase = wave_steps.arctangent_steps(
-                made, self.waves[first], vectors[first], f"_{self.names[first]}"
-            )
+            first, name = members[0], self.names[members[0]]
+            phase = wave_steps.arctangent_steps(made, self.waves[first], vectors[first], f"_{name}")
             turns = [self.turn(first, k, vectors) for k in members[1:]]
             total = phase
             if turns and not self.unwrapped(axis):
                 total = phase + sum(turns[1:], start=turns[0]) * (1.0 / len(members))
             lc = self.found.groups[first].phasor.lc
-            name = self.names[first]
             entry = made.entry(f"lc_{name}", lc, "m", "wavelength over 2 pi")
             if self.unwrapped(axis):
                 out += [made.step(f"along_{name}", entry * total, "[m] from the middle"), *turns]
@@ -605,12 +585,17 @@ class Assembly:
 
     def linear(self, nears: Sequence[str]) -> list[ca.SX]:
         """Add the steps from the readings to the linear pose; returns its displacements from the middle."""
-        vectors = [self.vector(k) for k in range(len(self.waves))]
+        vectors: list[Pair] = []
+        for wave, group, name in zip(self.waves, self.found.groups, self.names, strict=True):
+            columns = [self.found.model.channels[k] for k in group.channels]
+            readings = {short(c): self.made.symbols[c] for c in columns}
+            vectors.append(wave_steps.phasor_steps(self.made, wave, readings, f"_{name}"))
         logs = [
             wave_steps.logarithm_steps(self.made, w, u, f"_{n}")
             for w, u, n in zip(self.waves, vectors, self.names, strict=True)
         ]
-        self.least_inside()
+        wave_steps.least_inside(self.made, self.waves)
+        self.least()
         seen = [*self.places(vectors), *self.heights(logs)]
         return self.pose(seen, self.turning(vectors))
 
@@ -652,16 +637,12 @@ class Assembly:
             ends[c] = (-most, most)
         return self.given.over(ends)
 
-    def drawn(self, pose: np.ndarray, off: np.ndarray) -> np.ndarray:
-        """Return inputs (n, s) of poses (6, s); `off` (2, s): of what says the period, in periods."""
-        found = self.found
+    def drawn_of_box(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Return random inputs (n, s) of poses of the box, what says the period off by `NEAR` at most."""
+        found, pose = self.found, self.found.poses(rng, count)
+        off = rng.uniform(-NEAR, NEAR, (2, count))
         nears = [pose[axis] + off[axis] * found.wave_of(axis) for axis in (0, 1) if self.wide(axis)]
         return np.vstack([found.readings(pose), *nears])
-
-    def drawn_of_box(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Return random inputs (n, s) of poses of the box."""
-        pose = self.found.poses(rng, count)
-        return self.drawn(pose, rng.uniform(-NEAR, NEAR, (2, count)))
 
     def exact(self, inputs: np.ndarray) -> np.ndarray:
         """Return the poses (6, s) of inputs (n, s) by the reference decoder."""

@@ -158,6 +158,11 @@ class Grid:
         """Largest magnitude of an entry [rad]."""
         return float(np.abs(self.unit * self.values).max())
 
+    @property
+    def bytes(self) -> int:
+        """About how many bytes it takes, code and entries, on a Cortex-M4F."""
+        return table_bytes(len(self.values), self.degree, self.integers)
+
 
 Form = TypeVar("Form", Series, Grid)
 

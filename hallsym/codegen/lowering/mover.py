@@ -13,22 +13,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import (
-    Box,
-    Decoupler,
-    Flag,
-    Step,
-    Values,
-    Whole,
-    computed,
-    of_step,
-    short,
-)
+from hallsym.codegen.decoupler import Box, Decoupler, Flag, Step, Values, Whole, computed, of_step, short
 from hallsym.codegen.intervals import TINY, Enclosure, constant
 from hallsym.codegen.lowering import travel, wave_steps
 from hallsym.codegen.lowering.arrays import FIELD, NEAR, TILTED, TRIALS, Assembly, ends_and_leaves
 from hallsym.codegen.lowering.arrays_fit import APART, SAMPLES, Reference, check_along, together
-from hallsym.codegen.lowering.passing import NeverEnds, Pass, Window, passes, readings
+from hallsym.codegen.lowering.passing import NeverEnds, passes, readings
 from hallsym.codegen.lowering.phasors import HARMONICS, PLACES, TURN, WIDE, Phasor, Sample
 from hallsym.codegen.lowering.travel import weights
 from hallsym.codegen.lowering.wave_steps import Pair, wave_of
@@ -244,41 +234,30 @@ def ends(model: Model, p: np.ndarray, middle: np.ndarray, heights: tuple[float, 
 
 
 def mover_of(
-    model: Model,
-    p: np.ndarray,
-    weight: np.ndarray,
-    middle: np.ndarray,
-    half: np.ndarray,
-    accuracy: np.ndarray,
+    model: Model, p: np.ndarray, weight: np.ndarray, box: tuple[np.ndarray, np.ndarray], accuracy: np.ndarray
 ) -> Mover:
     """Return the rows of a model over a box, its middle made level. Raises `InputError` for too few.
 
-    `middle`, `half` (6,): of the box; `accuracy` (6,): what terms may leave of each coordinate.
+    `box`: its middle and half (6,); `accuracy` (6,): what terms may leave of each coordinate.
     """
+    middle, half = box
     sample = Sample(model, p, middle, (middle[2] - half[2], middle[2] + half[2]))
-    axes = _axes(sample, half)
-    seen = [_Seen(sample, axis, own, half) for axis, own in axes.items()]
-    for _ in range(LEVELLING):
-        sample.at[3:] -= np.nan_to_num(np.nanmean([s.off_level() for s in seen], axis=0))
-    seen = [_Seen(sample, axis, own, half) for axis, own in axes.items()]
-    lcs = [s.lc for s in seen]
-    rows = [row for s in seen for row in s.rows()]
-    check_along(model, [row.axis for row in rows])
-    at = sample.at.copy()
-    at[:3] = middle[:3]
-    wide = half + np.abs(middle - at)
-    return Mover(model, p, weight, at, wide, accuracy, tuple(rows), float(np.mean(lcs)), sample.rising(0))
-
-
-def _axes(sample: Sample, half: np.ndarray) -> dict[int, list[int]]:
-    """Return the numbers of the channels that follow each of the first two coordinates."""
     swings = []
     for axis in (0, 1):
         reach = half[axis] + 4 * pi * sample.lc(axis) + WIDE
         x = sample.at[axis] + np.random.default_rng(0).uniform(-1, 1, 8 * PLACES) * reach
         swings.append(readings(sample, axis, x, np.full(len(x), sample.middle)).std(axis=1))
     follows = np.argmax(swings, axis=0)
-    return {axis: np.flatnonzero(follows == axis).tolist() for axis in (0, 1) if (follows == axis).any()}
+    axes = {axis: np.flatnonzero(follows == axis).tolist() for axis in (0, 1) if (follows == axis).any()}
+    seen = [_Seen(sample, axis, own, half) for axis, own in axes.items()]
+    for _ in range(LEVELLING):
+        sample.at[3:] -= np.nan_to_num(np.nanmean([s.off_level() for s in seen], axis=0))
+    seen = [_Seen(sample, axis, own, half) for axis, own in axes.items()]
+    rows, lc = [row for s in seen for row in s.rows()], float(np.mean([s.lc for s in seen]))
+    check_along(model, [row.axis for row in rows])
+    at = np.concatenate([middle[:3], sample.at[3:]])
+    wide = half + np.abs(middle - at)
+    return Mover(model, p, weight, at, wide, accuracy, tuple(rows), lc, sample.rising(0))
 
 
 class _Seen:
@@ -288,19 +267,13 @@ class _Seen:
         self.sample, self.axis, self.own = sample, axis, list(own)
         rough = sample.lc(axis)
         reach = 4 * half[axis] + 8 * pi * rough + WIDE
-        self.passed: Pass
-        self.window: Window
         self.passed, self.window, self.lc = passes(sample, axis, own, reach, rough)
-
-    def _factor(self, move: np.ndarray) -> np.ndarray:
-        """First harmonics (n,) of the channels, the pose moved by `move` (6,)."""
-        return np.array([self.window.fitted(k, self.lc, move)[0][1] for k in range(len(self.own))])
 
     def _slopes(self, k: int, step: float) -> np.ndarray:
         """What a coordinate moves height (real) and place (imaginary part) of each channel by, (n,)."""
-        move = np.zeros(6)
-        move[k] = step
-        return np.asarray(self.lc * np.log(self._factor(move) / self._factor(-move)) / (2 * step))
+        moves, channels = step * np.eye(6)[k] * np.array([[1.0], [-1.0]]), range(len(self.own))
+        up, down = np.array([[self.window.fitted(j, self.lc, m)[0][1] for j in channels] for m in moves])
+        return np.asarray(self.lc * np.log(up / down) / (2 * step))
 
     def off_level(self) -> np.ndarray:
         """Rotations (3,) by which the mover is off level, as a step across the array says; NaN of the other.
@@ -352,7 +325,7 @@ def decoupler(
         return None
     own = replace(model, period={c: v for c, v in model.period.items() if c not in model.pose})
     try:
-        found = replace(mover_of(model, p, weight, middle, half, leaves), model=own)
+        found = replace(mover_of(model, p, weight, (middle, half), leaves), model=own)
     except NeverEnds:
         return None
     if not found.travels():
@@ -477,22 +450,17 @@ class _Assembly(Assembly):
         up = made.step(f"above_{column}", ca.if_else(turn < most, turn, most))
         return made.step(f"first_{column}", ca.if_else(up > -most, up, -most))
 
-    def _lifted(self, row: Row, name: str, turn: ca.SX) -> list[ca.SX]:
-        """How much stronger the field is at each sensor than at the middle of the array."""
-        made, out = self.made, []
-        lift = made.entry(f"lift_{name}", self.found.lift_of(row), "1/m", "of ln |u| per metre and rotation")
-        steep = made.step(f"steep_{name}", lift * turn)
-        for sensor in self._channels(row):
-            v = made.step(f"tilt_{sensor}", steep * made.symbols[f"beside_{sensor}"])
-            out.append(made.step(f"lifted_{sensor}", 1.0 + v * (1.0 + v * (0.5 + v * (1 / 6)))))
-        return out
-
     def _vector(self, row: Row, name: str, tag: str, turn: ca.SX | None) -> Pair:
         made, sensors = self.made, self._channels(row)
         field = [made.symbols[f"field_{s}"] for s in sensors]
         cos, sin, weight = ([made.symbols[f"{n}_{s}"] for s in sensors] for n in ("cos", "sin", "weight"))
-        if turn is not None:
-            lifted = self._lifted(row, name, turn)
+        if turn is not None:  # how much stronger the field is at each sensor than at the array's middle
+            about, lifted = "of ln |u| per metre and rotation", []
+            lift = made.entry(f"lift_{name}", self.found.lift_of(row), "1/m", about)
+            steep = made.step(f"steep_{name}", lift * turn)
+            for s in sensors:
+                v = made.step(f"tilt_{s}", steep * made.symbols[f"beside_{s}"])
+                lifted.append(made.step(f"lifted_{s}", 1.0 + v * (1.0 + v * (0.5 + v * (1 / 6)))))
             field = self._without_harmonics(row, name, field, lifted)
             cos = [made.step(f"lifted_cos_{s}", c * v) for s, c, v in zip(sensors, cos, lifted, strict=True)]
             sin = [made.step(f"lifted_sin_{s}", c * v) for s, c, v in zip(sensors, sin, lifted, strict=True)]
@@ -571,9 +539,8 @@ class _Assembly(Assembly):
                 made.symbols[f"cover_{name}_first"] - made.symbols[f"least_cover_{name}"],
                 "[V4]",
             )
-            value = (
-                own if value is None else made.step(f"cover_to_{name}", ca.if_else(value < own, value, own))
-            )
+            least = own if value is None else ca.if_else(value < own, value, own)
+            value = own if value is None else made.step(f"cover_to_{name}", least)
         made.entry("least_cover", 0.0, "V4", "what each row must have more than its least")
 
     def linear(self, nears: Sequence[str]) -> list[ca.SX]:

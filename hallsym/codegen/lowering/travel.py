@@ -314,7 +314,8 @@ class _Assembly:
         made.entry("per_wave", 1 / row.wavelength, "1/m", "periods per metre")
         wave_steps.least_inside(made, (self.wave,))
         self._table()
-        everything = self._all()
+        alike = [[a * f for a, f in zip(part, self.fields, strict=True)] for part in (self.cos, self.sin)]
+        everything = made.total("cos_all", alike[0], "all alike"), made.total("sin_all", alike[1])
         x = place_steps(made, self.wave, everything, self._middle(), "_first")
         u = self._vector(self._weights(x))
         log = wave_steps.logarithm_steps(made, self.wave, u)
@@ -328,28 +329,19 @@ class _Assembly:
 
     def _table(self) -> None:
         row, made = self.row, self.made
-        self.cos, self.sin, self.places = [], [], []
+        self.cos, self.sin, self.places, self.fields = [], [], [], []
         for name, c, at, off in zip(self.names, row.factor[:, 0], row.place, row.offset, strict=True):
             self.cos.append(made.entry(f"cos_{name}", c.real, "V", f"read by {name} of the cosine"))
             self.sin.append(made.entry(f"sin_{name}", -c.imag, "V", f"read by {name} of the sine"))
             self.places.append(made.entry(f"at_{name}", at, "m", f"place at which the array is over {name}"))
             offset = made.entry(f"offset_{name}", off, "V", f"offset of {name} under the array")
-            made.step(f"field_{name}", made.symbols[row.model.channels[len(self.cos) - 1]] - offset)
-
-    def _fields(self) -> list[ca.SX]:
-        return [self.made.symbols[f"field_{n}"] for n in self.names]
-
-    def _all(self) -> Pair:
-        fields = self._fields()
-        return (
-            self.made.total("cos_all", [a * f for a, f in zip(self.cos, fields, strict=True)], "all alike"),
-            self.made.total("sin_all", [a * f for a, f in zip(self.sin, fields, strict=True)]),
-        )
+            reading = made.symbols[row.model.channels[len(self.cos) - 1]]
+            self.fields.append(made.step(f"field_{name}", reading - offset))
 
     def _middle(self) -> ca.SX:
         """The middle of the wave as far as the squares of the readings say it."""
         made, row = self.made, self.row
-        energy = [made.step(f"energy_{n}", f * f) for n, f in zip(self.names, self._fields(), strict=True)]
+        energy = [made.step(f"energy_{n}", f * f) for n, f in zip(self.names, self.fields, strict=True)]
         total = self.made.total("energy", energy, "[V2] of all sensors")
         first = self.made.total("energy_first", [a * e for a, e in zip(self.places, energy, strict=True)])
         at = made.step("energy_middle", first / (total + TINY), "[m] middle of what is read, squared")
@@ -394,7 +386,7 @@ class _Assembly:
 
         cc, cs = sums("by_cos", self.cos)
         ss = self.made.total("sin_by_sin", [s * o for s, o in zip(ws, self.sin, strict=True)])
-        seen = sums("seen", self._fields())
+        seen = sums("seen", self.fields)
         cover = made.step("cover", cc * ss - cs * cs, "[V4] how well the sensors tell cosine from sine")
         weighted = row.weights(row.poses(np.random.default_rng(3), COVERS_SEEN)[0])
         own = least_cover(weighted, row.factor[:, 0].real, -row.factor[:, 0].imag)

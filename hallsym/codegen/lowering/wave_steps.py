@@ -309,7 +309,12 @@ def logarithm_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.S
     made.step(f"inside{tag}", 1.0 - square)
     total = odd(wave.logarithm.coefficients, t, square)
     if wave.last == "radial":
-        known = _squares_seen(made, tag)
+        # the square of the phasor as it was seen, and its powers that the first round has made
+        names = ((n, f"length_{2 * n}_1{tag}") for n in (1, 2))
+        known = {n: made.symbols[name] for n, name in names if name in made.symbols}
+        if not known:
+            cos, sin = (made.symbols[f"{axis}_seen{tag}"] for axis in AXES)
+            known = {1: made.step(f"size_seen{tag}", cos * cos + sin * sin)}
         for n in wave.harmonics:
             value = radial_of(wave.phasor)[n]
             entry = made.entry(
@@ -317,15 +322,6 @@ def logarithm_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.S
             )
             total = total + entry * power(made, known, n - 1, f"size_seen{tag}")
     return made.step(f"log{tag}", total, "[1] logarithm, a polynomial")
-
-
-def _squares_seen(made: Collected, tag: str) -> dict[int, ca.SX]:
-    """The square of the phasor as it was seen, and its powers that the first round has made."""
-    of_round = {n: made.symbols.get(f"length_{2 * n}_1{tag}") for n in (1, 2)}
-    if of_round[1] is not None:
-        return {n: v for n, v in of_round.items() if v is not None}
-    cos, sin = (made.symbols[f"{axis}_seen{tag}"] for axis in AXES)
-    return {1: made.step(f"size_seen{tag}", cos * cos + sin * sin)}
 
 
 def power(made: Collected, known: dict[int, ca.SX], n: int, name: str) -> ca.SX:

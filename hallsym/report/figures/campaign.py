@@ -14,7 +14,6 @@ from hallsym.report.figures import style
 from hallsym.report.words import largest, name, scale, thinned
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from hallsym.diagnosis import Diagnosis
@@ -65,9 +64,11 @@ def gap(found: Diagnosis) -> Figure:
 def errors_by_setting(fit: Fit, survey: Survey) -> Figure:
     """Draw rmse by vertical setting (by run where there are no settings) before and after."""
     groups, title = settings(fit, survey)
-    series = _series(fit, survey, groups)
-    ticks, below = _tick_words(groups)
-    pose = fit.model.pose
+    series, pose = _series(fit, survey, groups), fit.model.pose
+    ticks = range(len(groups)) if len(groups) <= MOST_SETTINGS else thinned(len(groups), 12)
+    turned = len(ticks) > 30 or any(not label.lstrip("-").isdigit() for label, _ in groups)
+    longest = max((groups[k][0] for k in ticks), key=len)
+    below = 0.12 + (style.text_width(longest) if turned else style.LINE)
     figure, axes = style.panels(len(pose), 1, 1.35, top=style.LINE + 0.12, bottom=below + 0.24, sharex=True)
     for k, (ax, coordinate) in enumerate(zip(axes[:, 0], pose, strict=True)):
         values = np.array([[_rmse(table, runs, k) for runs in sets] for _, table, sets, _, _ in series])
@@ -85,7 +86,11 @@ def errors_by_setting(fit: Fit, survey: Survey) -> Figure:
         style.log_axis(ax, "y", factor * np.array([*values.ravel(), floor]))
         ax.grid(axis="y", which="major", color=style.SHADE, lw=0.5, zorder=0)
         style.label_y(ax, f"rmse {name(coordinate)} [{shown}]")
-    _number(axes[-1, 0], groups, ticks)
+    last = axes[-1, 0]
+    last.set_xticks(list(ticks), [groups[k][0] for k in ticks], rotation=90 if turned else 0)
+    if len(ticks) > 30:
+        last.tick_params("x", labelsize=7)
+    last.set_xlim(-0.7, len(groups) - 0.3)
     style.label_x(axes[-1, 0], title, below + 0.03)
     handles = axes[0, 0].get_legend_handles_labels()[0]
     style.legend(figure, handles, "upper center", ncols=len(handles), handlelength=1.8, columnspacing=1.4)
@@ -114,25 +119,5 @@ def _series(
 
 
 def _rmse(table: ErrorTable, runs: Sequence[int], k: int) -> float:
-    pick = [table.runs.index(run) for run in runs if run in table.runs]
-    count = float(table.count[pick].sum()) if pick else 0.0
-    return float(np.sqrt(table.squares[pick, k].sum() / count)) if count else float("nan")
-
-
-def _tick_words(groups: Sequence[Group]) -> tuple[Sequence[int], float]:
-    """Which groups get a label, and how many inches the labels take below the axis."""
-    ticks = range(len(groups)) if len(groups) <= MOST_SETTINGS else thinned(len(groups), 12)
-    longest = max((groups[k][0] for k in ticks), key=len)
-    return ticks, 0.12 + (style.text_width(longest) if _turned(groups, ticks) else style.LINE)
-
-
-def _turned(groups: Sequence[Group], ticks: Sequence[int]) -> bool:
-    return len(ticks) > 30 or any(not label.lstrip("-").isdigit() for label, _ in groups)
-
-
-def _number(ax: Axes, groups: Sequence[Group], ticks: Sequence[int]) -> None:
-    rotation = 90 if _turned(groups, ticks) else 0
-    ax.set_xticks(list(ticks), [groups[k][0] for k in ticks], rotation=rotation)
-    if len(ticks) > 30:
-        ax.tick_params("x", labelsize=7)
-    ax.set_xlim(-0.7, len(groups) - 0.3)
+    found = table.over(runs) if runs else None
+    return found["rmse"][table.pose[k]] if found else float("nan")

@@ -57,7 +57,12 @@ def coverage(plan: Plan, other: Campaign | Log | None = None, other_name: str = 
             ax.grid(color=SHADE, lw=0.5, zorder=0)
         for ax in line[len(pairs) :]:
             ax.set_axis_off()
-    _coverage_legend(figure, len(planned), len(shown), other_name)
+    dot: dict[str, Any] = {"ls": "-", "marker": "o", "ms": 5.0}
+    handles = [key(f"planned, {len(planned)} runs", color=AFTER, **dot)]
+    if shown:
+        look = dot | {"ls": "none", "mfc": "none"}
+        handles.append(key(f"{other_name}, {len(shown)} runs", color=BEFORE, **look))
+    legend(figure, handles, "upper center", ncols=2)
     return figure
 
 
@@ -100,23 +105,10 @@ def _motion(
     ax: Axes, paths: list[np.ndarray], at: tuple[int, int], factors: list[float], color: str, full: bool
 ) -> None:
     look: dict[str, Any] = {"lw": 0.9} if full else {"ls": "none", "marker": "o", "ms": 2.2, "mfc": "none"}
-    for path in _distinct([p[list(at)] for p in paths]):
+    distinct: dict[bytes, np.ndarray] = {}
+    for path in (p[list(at)] for p in paths):
+        distinct.setdefault(np.round(path * 1e7).astype(int).tobytes(), path)
+    for path in distinct.values():
         step = 1 if full else max(1, path.shape[1] // CIRCLES)
         x, y = (f * row[::step] for f, row in zip(factors, path, strict=True))
         ax.plot(x, y, color=color, zorder=2 + full, **look)
-
-
-def _distinct(paths: list[np.ndarray]) -> list[np.ndarray]:
-    found: dict[bytes, np.ndarray] = {}
-    for path in paths:
-        found.setdefault(np.round(path * 1e7).astype(int).tobytes(), path)
-    return list(found.values())
-
-
-def _coverage_legend(figure: Figure, planned: int, recorded: int, other_name: str) -> None:
-    dot: dict[str, Any] = {"ls": "-", "marker": "o", "ms": 5.0}
-    handles = [key(f"planned, {planned} runs", color=AFTER, **dot)]
-    if recorded:
-        look = dot | {"ls": "none", "mfc": "none"}
-        handles.append(key(f"{other_name}, {recorded} runs", color=BEFORE, **look))
-    legend(figure, handles, "upper center", ncols=2)

@@ -13,7 +13,6 @@ from hallsym.report.words import MINUS, largest, name, scale, setting, short, th
 from hallsym.units import fitting, typeset
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from hallsym.uncertainty import Budget, ErrorModel, UncertaintyMap
@@ -45,7 +44,11 @@ def budget_bars(budgets: Mapping[str, Budget], *, worst: bool = False) -> Figure
         ax.set_yticks(place, labels)
         ax.tick_params(axis="y", length=0)
         ax.set(ylim=(len(labels) - 0.4, -0.6), xlim=(min(0.0, percent.min()), 1.3 * max(percent.max(), 1.0)))
-        ax.set_title(_budget_title(budget, worst), loc="left", linespacing=1.4)
+        factor, unit = fitting(budget.unit, budget.expanded, turns=budget.turns)
+        what = name(budget.quantity) if budget.value is not None else budget.quantity
+        size = f"U = {three(budget.expanded * factor)} {typeset(unit)} (k = {budget.factor:.3g})"
+        title = f"{what}{', worst position' if worst else ''}\n{size}"
+        ax.set_title(title, loc="left", linespacing=1.4)
         style.label_x(ax, "share of $u_c^2$ [%]", 0.26)
     return figure
 
@@ -64,13 +67,6 @@ def _bars(budgets: Sequence[Budget]) -> tuple[list[str], np.ndarray]:
     rest = shares[:, MOST_BARS - 1 :].sum(axis=1, keepdims=True)
     kept = MOST_BARS - 1
     return [*names[:kept], f"other {len(names) - kept} sources"], np.hstack([shares[:, :kept], rest])
-
-
-def _budget_title(budget: Budget, worst: bool) -> str:
-    factor, unit = fitting(budget.unit, budget.expanded, turns=budget.turns)
-    what = name(budget.quantity) if budget.value is not None else budget.quantity
-    words = f"{what}{', worst position' if worst else ''}"
-    return f"{words}\nU = {three(budget.expanded * factor)} {typeset(unit)} (k = {budget.factor:.3g})"
 
 
 def uncertainty_picture(grid: UncertaintyMap) -> Figure:
@@ -139,6 +135,8 @@ def _row(
     figure: Figure, axes: np.ndarray, plane: tuple[np.ndarray, np.ndarray], shown: np.ndarray, label: str
 ) -> None:
     """Draw one pose coordinate: the same colours in every slice, contour lines that need no colour."""
+    from matplotlib.ticker import MaxNLocator
+
     low, high = float(shown.min()), float(shown.max())
     if high - low < 1e-3 * high:  # flat: no colours made of rounding
         low, high = 0.98 * low, 1.02 * high
@@ -151,20 +149,14 @@ def _row(
         levels = np.linspace(low, high, 7)[1:-1]
         if np.any((levels > U.min()) & (levels < U.max())):
             ax.contour(*plane, U, levels=levels, colors="white", linewidths=0.5)
-        _inward(ax)
+        ax.xaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]))
+        ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
     box = axes[-1].get_position()
     beside = figure.add_axes((box.x1 + 0.08 / style.WIDTH, box.y0, 0.1 / style.WIDTH, box.height))
     colours = figure.colorbar(picture, cax=beside)
     colours.set_label(label, labelpad=2)
     colours.ax.yaxis.set_major_formatter(lambda v, _: short(v))
     colours.outline.set_linewidth(0.6)
-
-
-def _inward(ax: Axes) -> None:
-    from matplotlib.ticker import MaxNLocator
-
-    ax.xaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]))
-    ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
 
 
 def _slice_words(column: str | None, value: float, most: float, turning: Collection[str]) -> str:

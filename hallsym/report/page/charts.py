@@ -125,14 +125,9 @@ def px(value: float) -> str:
 
 
 def text(
-    x: float,
-    y: float,
-    words: str,
-    anchor: str | None = None,
-    look: str | None = None,
-    *,
+    x: float, y: float, words: str, anchor: str | None = None, look: str | None = None, *,
     upright: bool = False,
-) -> Mark:
+) -> Mark:  # fmt: skip
     """Return words whose baseline starts, ends or is centred (`middle`) at (x, y)."""
     turn = f"rotate(-90 {px(x)} {px(y)})" if upright else None
     place = {"x": px(x), "y": px(y), "text-anchor": anchor, "class": look, "transform": turn}

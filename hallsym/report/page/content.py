@@ -34,11 +34,8 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    found.policies["json.dumps_kwargs"] = {
-        "allow_nan": False,
-        "ensure_ascii": False,
-        "separators": (",", ":"),
-    }
+    dumped = {"allow_nan": False, "ensure_ascii": False, "separators": (",", ":")}
+    found.policies["json.dumps_kwargs"] = dumped
     script = part("page.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     found.globals |= {
@@ -189,14 +186,9 @@ class Headline:
 
 def document(title: str, headline: Headline, sections: Sequence[Section], footer: str) -> str:
     """Return the page as HTML. Its policy forbids every request and every script but its own."""
-    shown = [
-        Section(s.ident, s.title, content)
-        for s in sections
-        if (content := [c for c in s.content if _full(c)])
-    ]
+    full = {"table": "rows", "items": "lines", "figure": "charts"}
+    shown = []
+    for s in sections:
+        content = [c for c in s.content if c is not None and getattr(c, full.get(c.kind, "kind"))]
+        shown += [Section(s.ident, s.title, content)] if content else []
     return render("page.html.j2", title=title, headline=headline, sections=shown, footer=footer)
-
-
-def _full(content: Any) -> bool:
-    empty = {"table": "rows", "items": "lines", "figure": "charts"}
-    return content is not None and bool(getattr(content, empty.get(content.kind, "kind")))

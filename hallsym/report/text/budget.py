@@ -22,8 +22,7 @@ def budget_text(budget: Budget, shown: str | None = None) -> str:
     head = ["source", "distribution", "std uncertainty", "sensitivity", f"u [{unit}]", "share [%]"]
     ranked = budget.ranked()
     small = [source for source, share in ranked if abs(share) < _SMALL]
-    if len(small) < 2:
-        small = []
+    small = small if len(small) > 1 else []
     rows = [head, *(_row(s, share, budget.unit, factor, unit) for s, share in ranked if s not in small)]
     if small:
         rows.append([f"other {len(small)} sources", "", "", "", "", f"<{100 * _SMALL * len(small):.2f}"])
@@ -46,7 +45,8 @@ def budget_text(budget: Budget, shown: str | None = None) -> str:
 
 
 def _row(source: Source, share: float, result: str, factor: float, unit: str) -> list[str]:
-    own, name = (factor, unit) if source.unit == result else _own(source)
+    own, name = fitting("1", source.std) if source.unit == "1" else reading_unit(source.unit)
+    own, name = (factor, unit) if source.unit == result else (own, name)
     slope = _three(source.sensitivity * factor / own)
     per = "" if name == unit else f" {unit}/{f'({name})' if '/' in name else name}"
     return [
@@ -57,11 +57,6 @@ def _row(source: Source, share: float, result: str, factor: float, unit: str) ->
         _three(abs(source.contribution) * factor),
         f"{100 * share:.2f}" if abs(share) < 0.01 else f"{100 * share:.1f}",
     ]
-
-
-def _own(source: Source) -> tuple[float, str]:
-    """Return the unit of a source that has another than the result: um, urad, ppm."""
-    return fitting("1", source.std) if source.unit == "1" else reading_unit(source.unit)
 
 
 def comparison_text(comparisons: Sequence[Comparison]) -> str:

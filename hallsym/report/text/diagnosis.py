@@ -5,15 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from textwrap import fill
 
-from hallsym.diagnosis import (
-    QUIET,
-    Diagnosis,
-    Estimate,
-    FoundEffect,
-    Significance,
-    Statement,
-    noise_text,
-)
+from hallsym.diagnosis import QUIET, Diagnosis, Estimate, FoundEffect, Significance, Statement, noise_text
 from hallsym.errors import counted
 from hallsym.report.tables import concise, error_rows, grid
 from hallsym.report.words import NOT_DECODED

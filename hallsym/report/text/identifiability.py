@@ -31,7 +31,11 @@ def report_text(report: Identifiability) -> str:
         parameters_text(report.parameters, {p.name: p.meaning for p in report.model.parameters}),
     ]
     if report.combinations:
-        parts += ["", combinations_text(report.combinations)]
+        rows = [["identifiable combinations", "value (1 sigma)", "unit", "95 % interval"]]
+        for c in report.combinations:
+            interval = _interval(c, parameter_unit(c.unit)[0])
+            rows.append([c.expression, *in_units(c.value, c.std, c.unit), interval])
+        parts += ["", grid(rows)]
     parts += ["", *null_text(report.structural, report.practical)]
     parts += ["", further_text(report)] if report.further else []
     parts += ["", effects_text(report)]
@@ -56,11 +60,10 @@ def parameters_text(parameters: Sequence[ParameterReport], meanings: Mapping[str
         if entry.std is not None:
             value = concise(entry.value * factor, entry.std * factor)
         share = "" if entry.share is None else f"{100 * entry.share:.2g} %"
-        rows.append([entry.name, value, unit, _interval(entry, factor), share, _other(entry)])
+        other = "".join(f"{name} {r:+.2f}" for name, r in entry.correlated_with[:1] if entry.std is not None)
         because, meaning = entry.verdict.because, (meanings or {}).get(entry.name)
-        rows[-1].append(
-            entry.verdict.word + (f": {because}" if because else f"; {meaning}" if meaning else "")
-        )
+        verdict = entry.verdict.word + (f": {because}" if because else f"; {meaning}" if meaning else "")
+        rows.append([entry.name, value, unit, _interval(entry, factor), share, other, verdict])
     return grid(rows, words=True)
 
 
@@ -71,22 +74,6 @@ def _interval(entry: ParameterReport | CombinationReport, factor: float) -> str:
     ends = (f"{v * factor:.{min(digits, 9)}f}" for v in (entry.interval.low, entry.interval.high))
     mark = {"normal": "", "student": " t", "profile": " p", "block bootstrap": " b"}[entry.interval.how]
     return " .. ".join(ends) + mark
-
-
-def _other(entry: ParameterReport) -> str:
-    if not entry.correlated_with or entry.std is None:
-        return ""
-    name, r = entry.correlated_with[0]
-    return f"{name} {r:+.2f}"
-
-
-def combinations_text(combinations: Sequence[CombinationReport]) -> str:
-    """Return the combinations that are identifiable although their parameters are not."""
-    rows = [["identifiable combinations", "value (1 sigma)", "unit", "95 % interval"]]
-    for c in combinations:
-        interval = _interval(c, parameter_unit(c.unit)[0])
-        rows.append([c.expression, *in_units(c.value, c.std, c.unit), interval])
-    return grid(rows)
 
 
 def null_text(structural: NullSpace, practical: NullSpace) -> list[str]:
@@ -115,7 +102,8 @@ def further_text(report: Identifiability) -> str:
     """Return what each further recording would determine beside this one."""
     rows = [["with another recording", "practical rank", "then determined (1 sigma)"]]
     for f in report.further:
-        sized = [f"{n} ({_size(std, report[n].unit)})" for n, std in f.determined.items()]
+        units = {n: parameter_unit(report[n].unit, bare=True) for n in f.determined}
+        sized = [f"{n} ({f'{s * units[n][0]:.2g} {units[n][1]}'.rstrip()})" for n, s in f.determined.items()]
         more = f" and {len(sized) - LISTED} more" if len(sized) > LISTED else ""
         rows.append([f.recording, f"{f.rank} of {f.of}", ", ".join(sized[:LISTED]) + more or "nothing more"])
     return grid(rows, words=True)
@@ -123,11 +111,6 @@ def further_text(report: Identifiability) -> str:
 
 LISTED = 8
 """Gains of a further recording that are listed; all are in the JSON record."""
-
-
-def _size(std: float, unit: str) -> str:
-    factor, shown = parameter_unit(unit)
-    return f"{std * factor:.2g} {shown}".replace(" 1", "")
 
 
 def effects_text(report: Identifiability) -> str:

@@ -1,5 +1,6 @@
 """A model, an effect or a fault of recordings explained: `hallsym info NAME`."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from math import inf, isclose
 from typing import Any, cast
@@ -17,15 +18,12 @@ from hallsym.units import parameter_unit
 
 def model_record(model: Model) -> dict[str, Any]:
     """Return what a model is, as `hallsym info MODEL --json` prints it: SI, null for infinite bounds."""
+    steps = Counter(link for link, _ in model.steps)
     taken = {*model.effects, *(text.partition(":")[0] for text in model.texts.values())}
     return {
         "model": model.name,
         "family": model.family.name,
-        "chain": [
-            {"link": link, "steps": sum(name == link for name, _ in model.steps)}
-            for link in LINKS
-            if any(name == link for name, _ in model.steps)
-        ],
+        "chain": [{"link": link, "steps": steps[link]} for link in LINKS if steps[link]],
         "effects": list(model.effects),
         "pose": [
             {"column": c, "reference": r, "period": model.period.get(c)}
@@ -45,21 +43,22 @@ def model_record(model: Model) -> dict[str, Any]:
 
 
 def _entry(p: Parameter) -> dict[str, Any]:
-    lower, upper = (None if abs(v) == inf else v for v in (p.lower, p.upper))
-    return {
-        "unit": p.unit, "nominal": p.nominal, "lower": lower, "upper": upper, "meaning": p.meaning,
-    }  # fmt: skip
+    ends = {end: None if abs(v) == inf else v for end, v in (("lower", p.lower), ("upper", p.upper))}
+    return {"unit": p.unit, "nominal": p.nominal, **ends, "meaning": p.meaning}
 
 
 def model_text(record: Mapping[str, Any]) -> str:
     """Return the record of a model for a person."""
     links = " -> ".join(entry["link"] for entry in record["chain"])
-    pose = ", ".join(p["column"] + _period(p) for p in record["pose"])
+    pose = []
+    for column, period in ((p["column"], p["period"]) for p in record["pose"]):
+        every = f" (repeats every {period:.6g} {column.rpartition('_')[2]})" if period else ""
+        pose.append(column + every)
     lines = [
         f"{record['model']}, a model of the family {record['family']}",
         "",
         f"chain: pose -> {links} -> reading",
-        f"pose: {pose}",
+        f"pose: {', '.join(pose)}",
         f"references: {', '.join(p['reference'] for p in record['pose'])}",
         f"state: {', '.join(record['state']) or 'none'}",
         f"channels: {', '.join(record['channels'])}",
@@ -75,24 +74,15 @@ def model_text(record: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _period(coordinate: Mapping[str, Any]) -> str:
-    period = coordinate["period"]
-    return f" (repeats every {period:.6g} {coordinate['column'].rpartition('_')[2]})" if period else ""
-
-
 def _table(what: str, entries: Sequence[Mapping[str, Any]]) -> str:
     rows = [[what, "unit", "nominal", "lower", "upper", "meaning"]]
     for e in entries:
         fixed = e["lower"] is not None and e["upper"] is not None and isclose(e["lower"], e["upper"])
         factor, unit = parameter_unit(e["unit"])
-        ends = [_number(e["lower"], factor, "-inf"), _number(e["upper"], factor, "inf")]
+        ends = [f"{(v if e[k] is None else e[k]) * factor:.6g}" for k, v in (("lower", -inf), ("upper", inf))]
         ends = ["fixed", ""] if fixed else ends
         rows.append([e["name"], unit, f"{e['nominal'] * factor:.6g}", *ends, e["meaning"]])
     return grid(rows, left=2, words=True)
-
-
-def _number(value: float | None, factor: float, none: str) -> str:
-    return none if value is None else f"{value * factor:.6g}"
 
 
 # -- an effect, or a fault of recordings -----------------------------------------------------------------
@@ -111,9 +101,7 @@ def effect_record(name: str) -> dict[str, Any]:
     """Return what `hallsym info NAME --json` prints, with an entry for each family that has the effect."""
     if name in FAULTS:
         fault = FAULTS[name]
-        return {
-            "fault": name, "link": fault.link, "meaning": fault.meaning, "remedy": fault.remedy,
-        }  # fmt: skip
+        return {"fault": name, "link": fault.link, "meaning": fault.meaning, "remedy": fault.remedy}
     having = [family for family in FAMILIES if name in effects(family)]
     records = {f.name: _of_family(f, effects(f)[name]) for f in having}
     if all("error" in record for record in records.values()):
@@ -186,7 +174,7 @@ def _section(name: str, family: str, r: Mapping[str, Any]) -> str:
         return f"{name} of the {family} family: {r['error']}"
     parts = [f"{name} of the {family} family, link {r['link']}: {r['meaning']}"]
     if r["numbers"]:
-        rows = [[n, e["unit"] or "", _default(e), _meaning(e)] for n, e in r["numbers"].items()]
+        rows = [[n, *_said(e)] for n, e in r["numbers"].items()]
         parts += ["", grid([["number", "unit", "default", "meaning"], *rows], left=3, words=True)]
     added = [{"name": n, **p} for n, p in r["parameters"].items()]
     parts += ["", _table(f"adds to {r['parameters_of']}", added), ""] if added else [""]
@@ -197,15 +185,10 @@ def _section(name: str, family: str, r: Mapping[str, Any]) -> str:
     return "\n".join([*parts, *(f"example: hallsym fit LOG --effect {text}" for text in r["examples"])])
 
 
-def _default(entry: Mapping[str, Any]) -> str:
-    if entry["found_on_log"]:
-        return "from the log"
-    usual = entry["default"]
-    return "/".join(map(str, usual)) if isinstance(usual, list) else str(usual)
-
-
-def _meaning(entry: Mapping[str, Any]) -> str:
-    said = entry["meaning"]
-    if entry["choices"]:
-        said += f" (one of {', '.join(map(str, entry['choices']))})"
-    return said + (f"; instead of {', '.join(entry['instead_of'])}" if entry["instead_of"] else "")
+def _said(entry: Mapping[str, Any]) -> list[str]:
+    """Return unit, default and meaning of a number of an effect."""
+    usual, meaning = entry["default"], entry["meaning"]
+    default = "/".join(map(str, usual)) if isinstance(usual, list) else str(usual)
+    meaning += f" (one of {', '.join(map(str, entry['choices']))})" if entry["choices"] else ""
+    meaning += f"; instead of {', '.join(entry['instead_of'])}" if entry["instead_of"] else ""
+    return [entry["unit"] or "", "from the log" if entry["found_on_log"] else default, meaning]

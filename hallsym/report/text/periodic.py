@@ -24,14 +24,12 @@ def periodic_text(found: PeriodicError, family: Family) -> str:
             f"with this calibration rms {factor * hypot(found.calibrated.rms, rest):.3g} {unit}, of which "
             f"{factor * rest:.3g} {unit} do not repeat (noise)"
         )
-    rows = [
-        [f"error of the {noun}, by remedy", f"rms [{unit}]", f"bought [{unit}]", f"repeating, peak [{unit}]"]
-    ]
+    columns = (f"{what} [{unit}]" for what in ("rms", "bought", "repeating, peak"))
+    rows = [[f"error of the {noun}, by remedy", *columns]]
     remedies = [("nothing done", found.machine, found.rest)]
     if found.mount_orders:
-        remedies.append(
-            (f"mounted anew, at best: no {_per(found.mount_orders, over)}", found.mounted, found.rest)
-        )
+        mounted = f"mounted anew, at best: no {_per(found.mount_orders, over)}"
+        remedies.append((mounted, found.mounted, found.rest))
     remedies += [
         ("with this calibration", found.calibrated, found.rest_calibrated),
         (f"with a correction table over the {over}", Size(0, 0), found.rest),
@@ -66,9 +64,8 @@ def _sentences(found: PeriodicError, noun: str, factor: float, unit: str, over: 
             "table made from this reference would copy it"
         )
     elif found.pattern_orders:
-        lines.append(
-            f"pattern of the reference ({_per(found.pattern_orders, over)}): none that the log shows"
-        )
+        per = _per(found.pattern_orders, over)
+        lines.append(f"pattern of the reference ({per}): none that the log shows")
     lines += [
         f"{n} per {over} may come from {', '.join(names)} too, which mounting does not remove"
         for n, names in found.elsewhere.items()

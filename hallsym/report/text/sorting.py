@@ -46,16 +46,9 @@ def bin_table(found: Sorting) -> str:
     items = sorted(found.bins.items(), key=lambda item: -item[1])[:MOST_BINS]
     rows = [["bin", "gain [%]", "sensors", "wrong, expected"]]
     for k, n in sorted(items):
-        middle = 100 * k * found.width
-        half = 50 * found.width
-        rows.append(
-            [
-                f"{k:+d}" if k else "0",
-                f"{middle - half:+.3g} to {middle + half:+.3g}",
-                str(n),
-                f"{found.wrong[found.bin == k].sum():.1f}",
-            ]
-        )
+        middle, half = 100 * k * found.width, 50 * found.width
+        ends = f"{middle - half:+.3g} to {middle + half:+.3g}"
+        rows.append([_change(k), ends, str(n), f"{found.wrong[found.bin == k].sum():.1f}"])
     text = grid(rows)
     rest = len(found.bins) - len(items)
     return text + (f"\nand {counted(rest, 'bin')} with fewer sensors" if rest > 0 else "")
@@ -70,10 +63,8 @@ def _bench(found: Sorting) -> Iterator[str]:
             f" {counted(len(r.first), 'sensor')} measured again, {100 * r.drift:+.3f} % on average"
         )
         rows = [["change of bin", "sensors", "expected"]]
-        rows += [
-            [f"{k:+d}" if k else "0", str(n), f"{e:.1f}" if np.isfinite(e) else ""]
-            for k, (n, e) in r.changes(found.width).items()
-        ]
+        for k, (n, e) in r.changes(found.width).items():
+            rows.append([_change(k), str(n), f"{e:.1f}" if np.isfinite(e) else ""])
         yield "\n".join(["", grid(rows)])
     if found.unsorted:
         yield f"not read in two fields, and not sorted: {', '.join(found.unsorted)}"
@@ -146,6 +137,10 @@ def save_table(path: str, found: Sorting, matching: Matching | None = None) -> N
         cells = [sensor, f"{gain:.9g}", f"{std:.3g}", f"{offset:.9g}", k, f"{wrong:.4f}"]
         writer.writerow([*cells, *(place.get(i, ("", "")) if matching else ())])
     atomic_write(path, text.getvalue())
+
+
+def _change(bins: int) -> str:
+    return f"{bins:+d}" if bins else "0"
 
 
 def _percent(value: float) -> str:

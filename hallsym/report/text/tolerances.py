@@ -33,10 +33,6 @@ def tolerances_text(found: Tolerances) -> str:
     )
 
 
-def _heads(found: Tolerances) -> list[str]:
-    return [readable(c)[2] for c in found.model.pose]
-
-
 def error_table(found: Tolerances) -> str:
     """Return the errors of the machines drawn, in um and urad."""
     pose, period, e = found.model.pose, found.model.period, found.errors
@@ -50,16 +46,13 @@ def error_table(found: Tolerances) -> str:
     return grid([["", *heads(pose, period)], *body])
 
 
-def _order(found: Tolerances) -> list[int]:
-    return [found.active.index(name) for name in found.ranking]
-
-
 def worth_table(found: Tolerances) -> str:
     """Return the ranking: fall of the rms of each coordinate if one tolerance is made exact."""
     ranges = {t.name: t for t in found.tolerances}
-    rows = [["tolerance", "range", *_heads(found), "+- (95 %)"]]
-    for j in _order(found):
-        name, wide = found.active[j], _percent(found.worth.exact_half[j].max())
+    rows = [["tolerance", "range", *(readable(c)[2] for c in found.model.pose), "+- (95 %)"]]
+    for name in found.ranking:
+        j = found.active.index(name)
+        wide = _percent(found.worth.exact_half[j].max())
         rows.append([name, size(ranges[name]), *map(_percent, found.worth.exact[j]), wide])
     return grid(rows, left=2)
 
@@ -67,11 +60,10 @@ def worth_table(found: Tolerances) -> str:
 def index_table(found: Tolerances) -> str:
     """Return first and total indices of the error, one line per tolerance, with the widest interval."""
     indices = [found.indices[c] for c in found.model.pose]
-    rows = [["tolerance", *_heads(found)]]
-    for j in _order(found):
-        rows.append(
-            [found.active[j], *(f"{_percent(i.first[j])} {_percent(i.total[j]):>5}" for i in indices)]
-        )
+    rows = [["tolerance", *(readable(c)[2] for c in found.model.pose)]]
+    for name in found.ranking:
+        j = found.active.index(name)
+        rows.append([name, *(f"{_percent(i.first[j])} {_percent(i.total[j]):>5}" for i in indices)])
     rows.append(["sum", *(f"{_percent(i.first.sum())} {_percent(i.total.sum()):>5}" for i in indices)])
     rows.append(["widest +- (95 %)", *(_percent(i.widest) for i in indices)])
     return grid(rows)
