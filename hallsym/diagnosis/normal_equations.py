@@ -9,7 +9,8 @@ matrices any set of effects can be fitted, cross-validated and judged without re
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import chain
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -35,13 +36,23 @@ class Products(NamedTuple):
     border: np.ndarray
     inner: np.ndarray
 
-    def plus(self, other: "Products") -> "Products":
-        """Return the sum."""
-        return Products(self.border + other.border, self.inner + other.inner)
+    @classmethod
+    def nil(cls, *shapes: tuple[int, ...]) -> "Products":
+        """Return products of these shapes that are still nil."""
+        return cls(*map(np.zeros, shapes))
 
-    def block(self, k: int) -> "Products":
-        """Return the products of block k."""
-        return Products(self.border[k], self.inner[k])
+    @classmethod
+    def joined(cls, parts: Sequence["Products"]) -> "Products":
+        """Return stacks one after the other."""
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
+
+    def at(self, index: Any) -> "Products":
+        """Return some of a stack."""
+        return Products(self.border[index], self.inner[index])
+
+    def summed(self, first: np.ndarray) -> "Products":
+        """Return the sums over stretches of a stack that begin at `first`."""
+        return Products(np.add.reduceat(self.border, first), np.add.reduceat(self.inner, first))
 
     def of(self, span: slice, place: slice) -> np.ndarray:
         """Return the products (..., p, p) of own columns, those of one candidate, and the residual.
@@ -106,17 +117,27 @@ class NormalEquations:
         return np.array([k for k, unit in enumerate(self.runs) if known.issuperset(unit)], dtype=int)
 
 
-def reading_and_derivatives(model: Model) -> Callable[..., list[np.ndarray]]:
-    """Return `(p, zeros, pose, state) -> reading, its derivatives by parameters and by zeros`, on arrays."""
+def reading_and_slopes(
+    model: Model, free: Sequence[int]
+) -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
+    """Return `run(p, zeros, pose, state) -> reading, slopes (rows, samples)`, channel and column of each row.
 
-    def made() -> Callable[..., list[np.ndarray]]:
+    Columns are the zeros, then the parameters `free`; slopes that are nil everywhere have no row.
+    """
+
+    def made() -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
         s = model.symbols
         reading = s.full(s.reading)
-        parts = [reading, ca.jacobian(reading, s.parameters), ca.jacobian(reading, s.zeros)]
+        slope = ca.jacobian(reading, ca.vertcat(s.zeros, s.parameters[list(free)]))
+        channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
         inputs = [s.parameters, s.zeros, s.pose, s.state]
-        return on_arrays(ca.Function("base", inputs, [ca.densify(part) for part in parts]))
+        rows = ca.vertcat(*slope.nonzeros()) if len(channel) else ca.SX(0, 1)
+        run = on_arrays(ca.Function("base", inputs, [ca.densify(reading), ca.densify(rows)]))
+        return run, channel, column
 
-    return model.remember("reading, derivatives", made)
+    found: tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]
+    found = model.remember(("reading, slopes", *free), made)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,20 +229,36 @@ ENTRIES = 500_000
 """Derivatives of the readings, and products of them, that are held at once: 4 MB each."""
 
 
-class Unit(NamedTuple):
-    """Runs, products for the likelihood and in the output, samples, and products with the zeros."""
+class Units(NamedTuple):
+    """Stretches of runs: the `run` of each, samples, sum of their weights, and the products of their columns.
 
-    runs: tuple[int, ...]
+    Shapes (units,); products as a fit weighs them (`white`) and in the output (`out`).
+    """
+
+    run: np.ndarray
+    samples: np.ndarray
+    count: np.ndarray
     white: Products
     out: Products
-    samples: float
-    offsets: np.ndarray | None = None
 
-    def plus(self, other: "Unit") -> "Unit":
-        """Return both together."""
-        runs = tuple(dict.fromkeys((*self.runs, *other.runs)))
-        white, out = self.white.plus(other.white), self.out.plus(other.out)
-        return Unit(runs, white, out, self.samples + other.samples)
+    @classmethod
+    def joined(cls, parts: Sequence["Units"]) -> "Units":
+        """Return units one after the other."""
+        run, samples, count = (np.concatenate([part[k] for part in parts]) for k in range(3))
+        white, out = (Products.joined([part[k] for part in parts]) for k in (3, 4))
+        return cls(run, samples, count, white, out)
+
+    def at(self, index: Any) -> "Units":
+        """Return some of them."""
+        run, samples, count = self.run[index], self.samples[index], self.count[index]
+        return Units(run, samples, count, self.white.at(index), self.out.at(index))
+
+    def summed(self, first: np.ndarray) -> "Units":
+        """Return stretches that begin at `first` as one unit each."""
+        if len(first) == len(self.run):
+            return self
+        samples, count = (np.add.reduceat(x, first) for x in (self.samples, self.count))
+        return Units(self.run[first], samples, count, self.white.summed(first), self.out.summed(first))
 
 
 def normal_equations(
@@ -280,7 +317,7 @@ class Accumulator:
     ) -> None:
         self.base, self.length, self.decoded = base, length, decoded
         model = base.model
-        self.read = reading_and_derivatives(model)
+        self.read = reading_and_slopes(model, base.free)
         self.z, self.n = len(base.model.zeros), len(base.free)
         self.slopes = Slopes(base.model, base.p, candidates or {})
         self.models = (base.model, *(model for model, _ in (candidates or {}).values()))
@@ -300,8 +337,10 @@ class Accumulator:
         self.whiten = np.linalg.cholesky(self.precision).T
         self.run: int | None = None
         self.seen = 0
-        self.open: list[Unit] = []
-        self.done: list[Unit] = []
+        self.open: Units | None = None
+        self.done: list[Units] = []
+        self.members: list[tuple[int, ...]] = []
+        self.offsets: list[np.ndarray] = []
         self.order: list[int] = []
         self.follow: list[np.ndarray] = []
 
@@ -326,23 +365,21 @@ class Accumulator:
 
     def add(self, batch: Batch, weights: np.ndarray | None) -> None:
         """Add a batch to the runs that it belongs to."""
+        run = np.array([block.run for block in batch.blocks])
         if self.length:
-            batch = batch.cut(self.length, self.seen if batch.blocks[0].run == self.run else 0)
+            batch = batch.cut(self.length, self.seen if run[0] == self.run else 0)
+            run = np.array([block.run for block in batch.blocks])
+        samples = np.diff(batch.edges)
+        count = samples if weights is None else np.add.reduceat(weights, batch.edges[:-1])
         (near, rows), D = self.columns(batch, weights), self._to_pose(batch)
-        for first, last in batch.groups(max(1, ENTRIES // (len(self.near) * self.size))):
-            lay = batch.layout(first, last)
+        for first, last in batch.groups(max(1, ENTRIES // (len(near) * self.size))):
+            lay, at = batch.layout(first, last), slice(first, last)
             white, out = stacked_products(self, lay(near), [lay(r) for r in rows], lay(D))
-            for k, block in enumerate(batch.blocks[first:last]):
-                part = slice(batch.edges[first + k], batch.edges[first + k + 1])
-                count = float(part.stop - part.start if weights is None else weights[part].sum())
-                unit = Unit((block.run,), white.block(k), out.block(k), count)
-                self._gather(unit, part.stop - part.start)
+            self._gather(Units(run[at], samples[at], count[at].astype(float), white, out))
 
     def nil(self, blocks: int) -> Products:
         """Return products of so many blocks, still nil."""
-        return Products(
-            np.zeros((blocks, len(self.near), self.size)), np.zeros((blocks, self.pairs.shape[1]))
-        )
+        return Products.nil((blocks, len(self.near), self.size), (blocks, self.pairs.shape[1]))
 
     def own_of(self, made: Products, key: str) -> np.ndarray:
         """Return a view (blocks, k, k) of the products of a candidate's columns with each other."""
@@ -360,105 +397,120 @@ class Accumulator:
     def _near(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
         """Columns of zeros, parameters and residual, (own + 1, K, samples)."""
         base, model = self.base, self.base.model
-        samples, K, own = len(batch), len(model.channels), self.z + self.n
         pose, state = batch.columns(model.references), batch.columns(model.state)
-        A = np.empty((own + 1, K, samples))
-        reading, *slopes = self.read(base.p, self.base.zeros_of(batch), pose, state)
-        A[self.z : own] = slopes[0].reshape(-1, K, samples)[list(base.free)]
-        if self.z:
-            A[: self.z] = slopes[1].reshape(-1, K, samples)
+        run, channel, column = self.read
+        reading, slopes = run(base.p, base.zeros_of(batch), pose, state)
+        A = np.zeros((self.z + self.n + 1, len(model.channels), len(batch)))
+        A[column, channel] = slopes
         A[-1] = np.array(batch.columns(model.channels)) - reading
         if weights is not None:
             A *= np.sqrt(weights)
         return A
 
-    def _gather(self, part: Unit, samples: int) -> None:
-        if part.runs[0] != self.run:
-            self._close()
-            self.run, self.seen = part.runs[0], 0
-            self.order.append(self.run)
-        if self.open and (self.length is None or self.seen % self.length):
-            self.open[-1] = self.open[-1].plus(part)
-        else:
-            self.open.append(part)
-        self.seen += samples
+    def _gather(self, more: Units) -> None:
+        """Add stretches to the units that they belong to, and close the runs that are complete."""
+        u = more if self.open is None else Units.joined([self.open, more])
+        first = np.flatnonzero(np.append(True, u.run[1:] != u.run[:-1]))
+        begins = np.zeros(len(u.run), dtype=bool)
+        begins[first] = True
+        if self.length:
+            before = np.cumsum(u.samples) - u.samples
+            before -= np.repeat(before[first], np.diff([*first, len(u.run)]))
+            begins |= before % self.length == 0
+        u = u.summed(np.flatnonzero(begins))
+        last = int(np.argmax(u.run == u.run[-1]))
+        self.run, self.open = int(u.run[-1]), u.at(slice(last, None))
+        self.seen = int(self.open.samples.sum())
+        if last:
+            self._close(u.at(slice(last)))
 
-    def _close(self) -> None:
-        """Eliminate the zeros of a run: they follow the likelihood, also where the output is measured."""
-        if not self.open:
-            return
-        z = self.z
-        across = np.sum([u.white.border[:z] for u in self.open], axis=0)
-        follow = -solve(across[:, :z], across[:, z:]) if z else np.zeros((0, self.size))
+    def _close(self, u: Units) -> None:
+        """Eliminate the zeros of whole runs: they follow the likelihood, in the output too."""
+        z, first = self.z, np.flatnonzero(np.append(True, u.run[1:] != u.run[:-1]))
+        parts = np.diff([*first, len(u.run)])
+        across = np.add.reduceat(u.white.border[:, :z], first)
+        follow = -solve(across[:, :, :z], across[:, :, z:]) if z else across
+        self.order += u.run[first].tolist()
         # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
-        self.follow.append(follow[:, :0] if self.slopes.columns else follow)
-        whole = len(self.open) == 1
-        root = np.linalg.cholesky(pseudo_inverse(across[:, :z])).T if z and not whole else np.zeros((z, z))
-        left = [tuple(self._eliminated(p, follow) for p in (u.white, u.out)) for u in self.open]
-        nil = self._clear([u.white for u in self.open], left)
-        for u, (white, out) in zip(self.open, left, strict=True):
-            rest = u.white.border[:z, z:] + u.white.border[:z, :z] @ follow
-            rest[:, nil] = 0.0
-            self.done.append(u._replace(white=white, out=out, offsets=None if whole else root @ rest))
-        self.open = []
-        if len(self.done) > 2 * UNITS and not self.length:
-            self._pool()
-
-    def _eliminated(self, p: Products, follow: np.ndarray) -> Products:
-        """Return products once the zeros follow the other columns as `follow` (zeros, c) says."""
-        z, rows = self.z, self.near[self.z :] - self.z
-        half = p.border[:z, z:] + 0.5 * p.border[:z, :z] @ follow
-        border = p.border[z:, z:] + half[:, rows].T @ follow + follow[:, rows].T @ half
-        i, j = self.pairs
-        inner = (half[:, i] * follow[:, j] + follow[:, i] * half[:, j]).sum(axis=0)
-        return Products(border, p.inner + inner)
-
-    def _clear(self, before: Sequence[Products], left: Sequence[tuple[Products, ...]]) -> np.ndarray:
-        """Set to 0 the columns of which the zeros of a run leave rounding: a step between runs is one.
-
-        `before`, `left`: of each part of the run. Returns the columns.
-        """
+        self.follow.append(follow[:, :, :0] if self.slopes.columns else follow)
+        by_unit = np.repeat(follow, parts, axis=0)
+        white, out = (self._eliminated(p, by_unit) for p in (u.white, u.out))
         i, j = self.pairs
         own = i == j
-        rest, whole = (np.sum([p.inner[own] for p in of], axis=0) for of in ([p for p, _ in left], before))
-        nil = i[own][rest <= NIL * whole]
-        for p in (p for both in left for p in both if len(nil)):
-            p.border[:, nil] = 0.0
-            p.inner[np.isin(i, nil) | np.isin(j, nil)] = 0.0
-        return np.asarray(nil)
+        # a run's zeros leave rounding of some columns, such as a step between runs
+        left, whole = (np.add.reduceat(p.inner[:, own], first) for p in (white, u.white))
+        run, candidate = np.nonzero(left <= NIL * whole)
+        nil = np.zeros((len(first), self.size - z), dtype=bool)
+        nil[run, i[own][candidate]] = True
+        nil = np.repeat(nil, parts, axis=0)
+        if len(run):
+            for p in (white, out):
+                p.border[np.broadcast_to(nil[:, None], p.border.shape)] = 0.0
+                p.inner[nil[:, i] | nil[:, j]] = 0.0
+        if self.length:
+            self.offsets.append(self._offsets(u.white.border[:, :z], across, by_unit, nil, parts))
+        self.done.append(u._replace(white=white, out=out))
+        self.members += [(run,) for run in u.run.tolist()]
+        if len(self.members) > 2 * UNITS and not self.length:
+            self._pool()
+
+    def _offsets(
+        self, border: np.ndarray, across: np.ndarray, follow: np.ndarray, nil: np.ndarray, parts: np.ndarray
+    ) -> np.ndarray:
+        """Return `NormalEquations.offsets` of the units of some runs; nil of those that are whole runs."""
+        z = self.z
+        out = border[:, :, z:] + border[:, :, :z] @ follow
+        out[np.broadcast_to(nil[:, None], out.shape)] = 0.0
+        root = np.zeros((len(parts), z, z))
+        if z and (cut := parts > 1).any():
+            root[cut] = np.linalg.cholesky(pseudo_inverse(across[cut, :, :z])).swapaxes(1, 2)
+        return np.repeat(root, parts, axis=0) @ out
+
+    def _eliminated(self, p: Products, follow: np.ndarray) -> Products:
+        """Return products once the zeros follow the other columns as `follow` (units, zeros, c) says."""
+        z, rows = self.z, self.near[self.z :] - self.z
+        half = p.border[:, :z, z:] + 0.5 * p.border[:, :z, :z] @ follow
+        border = p.border[:, z:, z:] + half[..., rows].swapaxes(1, 2) @ follow
+        border += follow[..., rows].swapaxes(1, 2) @ half
+        i, j = self.pairs
+        inner = (half[..., i] * follow[..., j] + follow[..., i] * half[..., j]).sum(axis=1)
+        return Products(border, p.inner + inner)
 
     def _pool(self) -> None:
-        """Pool neighbouring units of the same side."""
-        sides: dict[bool, list[Unit]] = {True: [], False: []}
-        for unit in self.done:
-            sides[unit.runs[0] in self.base.holdout].append(unit)
-        self.done = [
-            units[k].plus(units[k + 1]) if k + 1 < len(units) else units[k]
-            for units in sides.values()
-            for k in range(0, len(units), 2)
-        ]
+        """Pool neighbouring units of the same side, whenever there are too many."""
+        u = Units.joined(self.done)
+        known = len(u.run) - len(self.done[-1].run)
+        groups = [(k,) for k in range(known)]
+        for k in range(known, len(u.run)):
+            groups.append((k,))
+            if len(groups) > 2 * UNITS:
+                judging = [self.members[group[0]][0] in self.base.holdout for group in groups]
+                sides = (
+                    [g for g, held in zip(groups, judging, strict=True) if held is of] for of in (True, False)
+                )
+                groups = [tuple(chain(*side[k : k + 2])) for side in sides for k in range(0, len(side), 2)]
+        first = np.cumsum([0, *map(len, groups[:-1])])
+        self.done = [u.at(np.array([*chain(*groups)])).summed(first)]
+        self.members = [tuple(chain(*(self.members[k] for k in group))) for group in groups]
 
     def result(self) -> NormalEquations:
         """Return what has been gathered."""
-        self._close()
-        parts = any(u.offsets is not None for u in self.done)
-        none = np.zeros((self.z, self.size - self.z))
+        if self.open is not None:
+            self._close(self.open)
+        u = Units.joined(self.done)
+        parts = self.z > 0 and len(self.order) < len(u.run) and bool(self.length)
         return NormalEquations(
-            _stacked([u.white for u in self.done]),
-            _stacked([u.out for u in self.done]),
-            np.array([u.samples for u in self.done]),
-            tuple(u.runs for u in self.done),
+            u.white,
+            u.out,
+            u.count,
+            tuple(self.members),
             self.span,
             self.places,
-            np.array(self.follow),
+            np.concatenate(self.follow),
             tuple(self.order),
             frozenset(self.slopes.spoiled),
-            np.array([none if u.offsets is None else u.offsets for u in self.done]) if parts else None,
+            np.concatenate(self.offsets) if parts else None,
         )
-
-
-def _stacked(made: Sequence[Products]) -> Products:
-    return Products(np.array([p.border for p in made]), np.array([p.inner for p in made]))
 
 
 # -- products of a batch -------------------------------------------------------------------------------------

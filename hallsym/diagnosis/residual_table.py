@@ -12,7 +12,7 @@ import numpy as np
 
 from hallsym.diagnosis.normal_equations import UNITS
 from hallsym.diagnosis.policy import Policy
-from hallsym.diagnosis.residuals import Base, Piece, pieces
+from hallsym.diagnosis.residuals import Base, Piece, found_once, pieces
 from hallsym.diagnosis.sign_flips import stretch
 from hallsym.estimation.residual_noise import STILL
 from hallsym.families.mechanisms import MAINS_HZ
@@ -146,35 +146,34 @@ class ResidualTable:
         return float(np.linalg.norm(self.weights[:, None] * self.decoded(residual)) / np.sqrt(len(self.run)))
 
 
-def residual_table(base: Base, runs: Iterable[int]) -> ResidualTable | None:
+@found_once
+def residual_table(base: Base, runs: frozenset[int]) -> ResidualTable | None:
     """Return what `base` leaves on `runs`; None where no sample of them counts."""
-    model, wanted = base.model, frozenset(runs)
+    model = base.model
     read, back = on_arrays(model.reading), np.linalg.inv(base.whiten)
     stride = max(1, -(-base.log.rows // ROOM))
     seen = Counter[int]()
     out: dict[str, list[np.ndarray]] = {}
     spectrum = Spectrum()
-    for piece in pieces(base, wanted):
+    for piece in pieces(base, runs):
         spectrum.add(piece)
         at = np.flatnonzero(piece.used)[::stride]
         place, seen[piece.run] = seen[piece.run] + at, seen[piece.run] + len(piece.t)
         data = {c: v[at] for c, v in piece.data.items()}
-        state = [data[c] for c in model.state]
-        decoding = base.to_pose([data[c] for c in model.references], state)
         for c in model.references:
             if c in model.period:
                 data[phase(c)] = data[f"d0_{c}"] % model.period[c]
             data[f"d0_{c}"] = at_rest(data[f"d0_{c}"], base.sigma.get(c, 0.0))
-        smooth = [data[f"d0_{c}"] for c in model.references]
-        (sensed,) = read(base.p, base.zeros_in(piece.run), smooth, state)
         rows = {"residual": back @ piece.residual[:, at], "rate": back @ piece.speed[:, at]}
-        rows |= {"sensed": sensed, "decoding": decoding}
         for name, values in {**data, **rows, "run": np.full(len(at), piece.run), "place": place}.items():
             out.setdefault(name, []).append(values)
     if not out or sum(len(v) for v in out["run"]) == 0:
         return None
     joined = {c: np.concatenate(v, axis=-1) for c, v in out.items()}
     run = joined.pop("run")
+    state = [joined[c] for c in model.state]
+    smooth = [joined[f"d0_{c}"] for c in model.references]
+    (sensed,) = read(base.p, base.zeros_in_runs(run), smooth, state)
     known = dict.fromkeys(run.tolist())
     samples = sum(seen[k] for k in known) / len(known)
     fold, block, part = _blocks(run, joined.pop("place"), samples, base.policy)
@@ -186,9 +185,9 @@ def residual_table(base: Base, runs: Iterable[int]) -> ResidualTable | None:
         state=tuple(c for c in model.state if c not in made),
         run=run,
         residual=joined.pop("residual"),
-        sensed=joined.pop("sensed"),
+        sensed=sensed,
         rate=joined.pop("rate"),
-        decoding=joined.pop("decoding"),
+        decoding=base.to_pose([joined[c] for c in model.references], state),
         columns=joined,
         precision=np.linalg.inv(base.covariance),
         fold=fold,

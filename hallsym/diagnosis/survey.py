@@ -4,6 +4,7 @@ One pass over the log, block by block. No model holds these findings (an outlier
 are numbers from which effects are searched (a mains frequency).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -159,17 +160,42 @@ FINER = 8
 """Frequencies in what a block resolves: power between two of them is a straight line within 0.6 %."""
 
 
-class Block(NamedTuple):
-    """Fourier amplitudes of a block about its middle, (K, frequencies); middle and length [s], `f` [Hz]."""
+class Blocks(NamedTuple):
+    """Fourier amplitudes of blocks of one length about their middles, (blocks, K, frequencies).
 
-    middle: float
+    `middle`: (blocks,) [s], `length` [s], `f` [Hz].
+    """
+
+    middle: np.ndarray
     length: float
     f: np.ndarray
     amplitudes: np.ndarray
 
-    def at(self, f: np.ndarray) -> np.ndarray:
-        """Return the amplitudes at other frequencies, (K, f)."""
-        return np.array([np.interp(f, self.f, row) for row in self.amplitudes])
+    def hats(self, f: np.ndarray) -> tuple[slice, np.ndarray]:
+        """Return which amplitudes lie around frequencies `f`, and their weights there (knots, f)."""
+        low = np.clip(np.searchsorted(self.f, f) - 1, 0, len(self.f) - 2)
+        share = np.clip((f - self.f[low]) / (self.f[low + 1] - self.f[low]), 0.0, 1.0)
+        first, weights = low.min(), np.zeros((low.max() + 2 - low.min(), len(f)))
+        weights[low - first, np.arange(len(f))] = 1 - share
+        weights[low - first + 1, np.arange(len(f))] = share
+        return slice(first, first + len(weights)), weights
+
+    def power(self, f: np.ndarray) -> np.ndarray:
+        """Return the power (f,) of all blocks at some frequencies."""
+        at, weights = self.hats(f)
+        return np.asarray((np.abs(self.amplitudes[..., at] @ weights) ** 2).sum(axis=(0, 1)) / self.length)
+
+    def together(self, f: np.ndarray, first: float) -> np.ndarray:
+        """Return the amplitudes (K, f) of all blocks about the instant `first`, at evenly spaced `f`."""
+        shift = self.middle - first
+        step = np.exp(-2j * np.pi * np.outer(shift, f[: math.isqrt(len(f)) + 1] - f[0]))
+        parts = []
+        for low in range(0, len(f), step.shape[1]):
+            part = f[low : low + step.shape[1]]
+            at, weights = self.hats(part)
+            turned = np.exp(-2j * np.pi * part[0] * shift)[:, None] * step[:, : len(part)]
+            parts.append((np.tensordot(self.amplitudes[..., at], turned, (0, 0)) * weights).sum(axis=1))
+        return np.concatenate(parts, axis=1)
 
 
 def hum(times: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> tuple[float, ...]:
@@ -178,27 +204,32 @@ def hum(times: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> tuple[float,
     `times`: (n,) [s] of each block, evenly spaced; `rest`: its residual, (K, n). The power of the blocks
     tells where it is, and their phases where exactly.
     """
-    blocks = [_block(t, r) for t, r in zip(times, rest, strict=True) if len(t) > 2 * FEWEST_SAMPLES]
-    if not blocks:
+    alike: dict[tuple[int, float], list[tuple[np.ndarray, np.ndarray]]] = {}
+    for t, r in zip(times, rest, strict=True):
+        if len(t) > 2 * FEWEST_SAMPLES:
+            alike.setdefault((len(t), float(f"{t[-1] - t[0]:.9g}")), []).append((t, r))
+    if not alike:
         return ()
-    longest, first = max(b.length for b in blocks), blocks[0].middle
-    span = max(blocks[-1].middle - first, longest)
+    blocks = [_blocks(*zip(*each, strict=True)) for each in alike.values()]
+    longest = max(b.length for b in blocks)
+    first, last = min(b.middle[0] for b in blocks), max(b.middle[-1] for b in blocks)
+    span = max(last - first, longest)
     out = []
     for hz in MAINS_HZ:
         f = hz + np.arange(-MAINS_REACH_HZ, MAINS_REACH_HZ, 0.5 / longest)
-        power = sum((np.abs(b.at(f)) ** 2).sum(axis=0) / b.length for b in blocks)
-        f = f[np.argmax(power)] + np.arange(-0.5 / longest, 0.5 / longest, 0.25 / span)
-        together = sum(b.at(f) * np.exp(-2j * np.pi * f * (b.middle - first)) for b in blocks)
-        out.append(float(f[np.argmax((np.abs(together) ** 2).sum(axis=0))]))
+        f = f[np.argmax(sum(b.power(f) for b in blocks))]
+        f = f + np.arange(-0.5 / longest, 0.5 / longest, 0.25 / span)
+        amplitudes = sum(b.together(f, first) for b in blocks)
+        out.append(float(f[np.argmax((np.abs(amplitudes) ** 2).sum(axis=0))]))
     return tuple(out)
 
 
-def _block(t: np.ndarray, r: np.ndarray) -> Block:
+def _blocks(times: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> Blocks:
     """Differences of neighbouring samples are taken: what changes slowly has no power there."""
-    x, n = np.diff(r), len(t) - 1
-    middle, length = 0.5 * (t[1] + t[-1]), t[-1] - t[0]
+    t, x = np.array(times), np.diff(rest)
+    n, length = x.shape[-1], t[0, -1] - t[0, 0]
     ends = [FINER * length * (hz + np.array([-MAINS_REACH_HZ, MAINS_REACH_HZ])) for hz in MAINS_HZ]
     lines = np.concatenate([np.arange(int(low), int(high) + 2) for low, high in ends])
-    spectrum = np.fft.fft(x, FINER * n)[:, lines % (FINER * n)]  # a log that is too slow shows an alias
-    f = lines / (FINER * length)
-    return Block(middle, length, f, spectrum * np.exp(2j * np.pi * f * (middle - t[1])))
+    spectrum = [np.fft.fft(each, FINER * n)[:, lines % (FINER * n)] for each in x]  # too slow: an alias
+    middle, f = 0.5 * (t[:, 1] + t[:, -1]), lines / (FINER * length)
+    return Blocks(middle, length, f, spectrum * np.exp(2j * np.pi * np.outer(middle - t[:, 1], f))[:, None])
