@@ -225,8 +225,8 @@ class Slopes:
 
 UNITS = 64
 """Runs whose matrices are kept one by one; beyond that neighbouring runs are pooled."""
-ENTRIES = 500_000
-"""Derivatives of the readings, and products of them, that are held at once: 4 MB each."""
+ENTRIES = 2_000_000
+"""Derivatives of the readings, and products of them, that are held at once: 16 MB each."""
 
 
 class Units(NamedTuple):

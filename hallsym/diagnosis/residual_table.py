@@ -4,7 +4,7 @@ At most `ROOM` samples are held, evenly decimated, so that memory does not grow 
 """
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 

@@ -1,7 +1,7 @@
 """Screening: score tests of the whole catalogue, from one pass over the log."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -126,9 +126,18 @@ class Screen:
     """
 
     def __init__(
-        self, base: Base, tried: dict[str, Candidate], runs: Sequence[int], *, tested: bool = True
+        self,
+        base: Base,
+        tried: dict[str, Candidate],
+        runs: Sequence[int],
+        *,
+        tested: bool = True,
+        over: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Score `tried` on `runs`; `tested`: for p-values (`weigh`), for which few runs are cut."""
+        """Score `tried` on `runs`; `tested`: for p-values (`weigh`), for which few runs are cut.
+
+        There are no further passes once it is `over`.
+        """
         self.base, self.tried, self.runs = base, tried, tuple(runs)
         rows = base.log.rows / len(base.log.runs)
         self.length = stretch(rows * len(runs), len(runs), base.policy) if tested else None
@@ -137,7 +146,10 @@ class Screen:
             ({k: (c.model, c.new) for k, c in part.items()}, part) for part in _parts(tried, len(base.free))
         )
         channels = len(base.model.channels)
-        self.tables = [Table(normal_equations(base, new, self.length), part, channels) for new, part in parts]
+        self.tables: list[Table] = []
+        for new, part in parts:
+            if not self.tables or not over():
+                self.tables.append(Table(normal_equations(base, new, self.length), part, channels))
         places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in tried.values()))}
         self.scores = sorted(
             (

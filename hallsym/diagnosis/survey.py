@@ -171,30 +171,30 @@ class Blocks(NamedTuple):
     f: np.ndarray
     amplitudes: np.ndarray
 
-    def hats(self, f: np.ndarray) -> tuple[slice, np.ndarray]:
-        """Return which amplitudes lie around frequencies `f`, and their weights there (knots, f)."""
+    def around(self, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the last own frequency below each of `f`, and how far it is from there to the next."""
         low = np.clip(np.searchsorted(self.f, f) - 1, 0, len(self.f) - 2)
-        share = np.clip((f - self.f[low]) / (self.f[low + 1] - self.f[low]), 0.0, 1.0)
-        first, weights = low.min(), np.zeros((low.max() + 2 - low.min(), len(f)))
-        weights[low - first, np.arange(len(f))] = 1 - share
-        weights[low - first + 1, np.arange(len(f))] = share
-        return slice(first, first + len(weights)), weights
+        return low, np.clip((f - self.f[low]) / (self.f[low + 1] - self.f[low]), 0.0, 1.0)
 
     def power(self, f: np.ndarray) -> np.ndarray:
         """Return the power (f,) of all blocks at some frequencies."""
-        at, weights = self.hats(f)
-        return np.asarray((np.abs(self.amplitudes[..., at] @ weights) ** 2).sum(axis=(0, 1)) / self.length)
+        low, share = self.around(f)
+        at = ((1 - share) * each[:, low] + share * each[:, low + 1] for each in self.amplitudes)
+        return np.asarray(sum((np.abs(each) ** 2).sum(axis=0) for each in at) / self.length)
 
     def together(self, f: np.ndarray, first: float) -> np.ndarray:
         """Return the amplitudes (K, f) of all blocks about the instant `first`, at evenly spaced `f`."""
         shift = self.middle - first
         step = np.exp(-2j * np.pi * np.outer(shift, f[: math.isqrt(len(f)) + 1] - f[0]))
+        low, share = self.around(f)
         parts = []
-        for low in range(0, len(f), step.shape[1]):
-            part = f[low : low + step.shape[1]]
-            at, weights = self.hats(part)
-            turned = np.exp(-2j * np.pi * part[0] * shift)[:, None] * step[:, : len(part)]
-            parts.append((np.tensordot(self.amplitudes[..., at], turned, (0, 0)) * weights).sum(axis=1))
+        for start in range(0, len(f), step.shape[1]):
+            here = slice(start, start + step.shape[1])
+            k, own = np.arange(len(f[here])), low[here] - low[start]
+            turned = np.exp(-2j * np.pi * f[start] * shift)[:, None] * step[:, : len(k)]
+            knots = self.amplitudes[..., low[start] : low[start] + own[-1] + 2]
+            at = np.tensordot(knots, turned, (0, 0))
+            parts.append((1 - share[here]) * at[:, own, k] + share[here] * at[:, own + 1, k])
         return np.concatenate(parts, axis=1)
 
 
