@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.diagnosis.normal_equations import Accumulator
+from hallsym.diagnosis.normal_equations import Accumulator, Slopes
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation.residual_noise import ROOM
 from hallsym.log import Block
@@ -81,14 +81,15 @@ def shared_noise(
     candidates: Mapping[str, tuple[Model, Sequence[str]]],
     length: int | None,
     colour: np.ndarray = WHITE,
+    slopes: Slopes | None = None,
 ) -> dict[tuple[int, int], np.ndarray]:
     """Return (run, stretch) -> what noise alone makes of the whitened products with the residual, (columns,).
 
     Columns are [parameters | candidates]. `length`: samples of a stretch, None for whole runs.
-    `colour`: autocorrelation of the residual at lags 0, 1, ...
+    `colour`: autocorrelation of the residual at lags 0, 1, ... `slopes`: of the candidates, where known.
     """
     noisy = with_noise(base, colour)
-    work = Accumulator(base, candidates, decoded=False)
+    work = Accumulator(base, candidates, decoded=False, slopes=slopes)
     own, column = work.z + work.n, work.slopes.column
     if noisy is None or not work.slopes.columns:
         return {}

@@ -9,7 +9,7 @@ matrices any set of effects can be fitted, cross-validated and judged without re
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -69,6 +69,105 @@ class Products(NamedTuple):
         return out
 
 
+def reading_and_slopes(
+    model: Model, free: Sequence[int]
+) -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
+    """Return `run(p, zeros, pose, state) -> reading, slopes (rows, samples)`, channel and column of each row.
+
+    Columns are the zeros, then the parameters `free`; slopes that are nil everywhere have no row.
+    """
+
+    def made() -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
+        s = model.symbols
+        reading = s.full(s.reading)
+        slope = ca.jacobian(reading, ca.vertcat(s.zeros, s.parameters[list(free)]))
+        channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
+        inputs = [s.parameters, s.zeros, s.pose, s.state]
+        rows = ca.vertcat(*slope.nonzeros()) if len(channel) else ca.SX(0, 1)
+        run = on_arrays(ca.Function("base", inputs, [ca.densify(reading), ca.densify(rows)]))
+        return run, channel, column
+
+    found: tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]
+    found = model.remember(("reading, slopes", *free), made)
+    return found
+
+
+def slopes_by(model: Model, new: Sequence[str], at: Sequence[float]) -> tuple[ca.SX, np.ndarray, np.ndarray]:
+    """Return d reading / d parameters `new` at their values: the entries, channel and column of each.
+
+    Entries that are nil everywhere are left out.
+    """
+    index = [model.names.index(name) for name in new]
+
+    def made() -> tuple[ca.SX, np.ndarray, np.ndarray]:
+        s = model.symbols
+        slope = ca.jacobian(s.full(s.reading), s.parameters[index])
+        slope = ca.sparsify(ca.substitute(slope, s.parameters[index], ca.DM(at)))
+        channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
+        return ca.vertcat(*slope.nonzeros()) if len(channel) else ca.SX(0, 1), channel, column
+
+    found: tuple[ca.SX, np.ndarray, np.ndarray] = model.remember(("slopes", *index, *at), made)
+    return found
+
+
+class Slopes:
+    """The rows of all candidates, channel by channel, from one graph: what they share is computed once.
+
+    `span`: columns of each candidate, `columns` of them in all. For each channel k `column[k]` is the column
+    of each row and `parts[k]` the rows of each candidate. `spoiled`: candidates that were not finite
+    somewhere; their rows are 0 there.
+    """
+
+    def __init__(
+        self, model: Model, p: np.ndarray, candidates: Mapping[str, tuple[Model, Sequence[str]]]
+    ) -> None:
+        values, own = dict(zip(model.names, p.tolist(), strict=True)), model.symbols
+        state = dict(zip(model.state, ca.vertsplit(own.state), strict=True)) if model.state else {}
+        self.references, self.candidates = model.references, tuple(candidates)
+        self.span: dict[str, slice] = {}
+        self.columns = 0
+        self.spoiled: set[str] = set()
+        entries: list[ca.SX] = []
+        known: list[np.ndarray] = [np.zeros((3, 0), dtype=int)]
+        for key, (wide, new) in candidates.items():
+            at, s = wide.vector(values), wide.symbols
+            rows, channel, column = slopes_by(wide, new, [at[wide.names.index(n)] for n in new])
+            state |= {c: ca.SX.sym(c) for c in wide.state if c not in state}
+            theirs = ca.vertcat(s.parameters, s.zeros, s.pose, s.state)
+            ours = ca.vertcat(ca.SX(ca.DM(at)), own.zeros, own.pose, *(state[c] for c in wide.state))
+            entries.append(ca.substitute(rows, theirs, ours))
+            known.append(np.array([channel, np.full(len(channel), len(self.span)), column + self.columns]))
+            self.span[key] = slice(self.columns, self.columns + len(new))
+            self.columns += len(new)
+        channel, self.owner, column = np.concatenate(known, axis=1)
+        order = np.lexsort((column, self.owner, channel))
+        self.owner = self.owner[order]
+        self.channels = [
+            slice(*np.searchsorted(channel[order], (k, k + 1))) for k in range(len(model.channels))
+        ]
+        self.column = [column[order][at] for at in self.channels]
+        ends = [np.searchsorted(self.owner[at], range(len(self.span) + 1)).tolist() for at in self.channels]
+        self.parts = [[slice(*pair) for pair in pairwise(each)] for each in ends]
+        self.state = tuple(state)
+        inputs = [own.zeros, own.pose, ca.vertcat(*state.values()) if state else ca.SX(0, 1)]
+        if len(order):
+            rows = ca.cse(ca.vertcat(*entries)[order.tolist()])
+            self.run = on_arrays(ca.Function("slopes", inputs, [ca.densify(rows)]))
+
+    def rows(self, batch: Batch, zeros: np.ndarray, weights: np.ndarray | None) -> list[np.ndarray]:
+        """Return the rows of each channel, (rows, samples), times the root of the weights."""
+        if not len(self.owner):
+            return [np.zeros((0, len(batch)))] * len(self.channels)
+        (values,) = self.run(zeros, batch.columns(self.references), batch.columns(self.state))
+        spoiled = np.unique(self.owner[~np.isfinite(values).all(axis=1)])
+        if len(spoiled):
+            self.spoiled |= {self.candidates[k] for k in spoiled}
+            values[np.isin(self.owner, spoiled)] = 0.0
+        if weights is not None:
+            values *= np.sqrt(weights)
+        return [values[at] for at in self.channels]
+
+
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
     """Products of the columns [parameters | effects | residual], the zeros of each run eliminated.
@@ -88,8 +187,8 @@ class NormalEquations:
     """(runs, zeros, c): how the zeros of a run follow the other columns; none with candidates."""
     order: tuple[int, ...]
     """The runs of `follow`."""
-    spoiled: frozenset[str] = frozenset()
-    """Candidates whose slope is not finite somewhere; their columns are 0."""
+    slopes: Slopes
+    """What computes the columns of the candidates."""
     offsets: np.ndarray | None = None
     """(units, zeros, c): products with the run's own zeros, in units in which these are orthonormal.
 
@@ -115,112 +214,6 @@ class NormalEquations:
         """Return the index of the units whose runs are all among `runs`."""
         known = set(runs)
         return np.array([k for k, unit in enumerate(self.runs) if known.issuperset(unit)], dtype=int)
-
-
-def reading_and_slopes(
-    model: Model, free: Sequence[int]
-) -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
-    """Return `run(p, zeros, pose, state) -> reading, slopes (rows, samples)`, channel and column of each row.
-
-    Columns are the zeros, then the parameters `free`; slopes that are nil everywhere have no row.
-    """
-
-    def made() -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
-        s = model.symbols
-        reading = s.full(s.reading)
-        slope = ca.jacobian(reading, ca.vertcat(s.zeros, s.parameters[list(free)]))
-        channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
-        inputs = [s.parameters, s.zeros, s.pose, s.state]
-        rows = ca.vertcat(*slope.nonzeros()) if len(channel) else ca.SX(0, 1)
-        run = on_arrays(ca.Function("base", inputs, [ca.densify(reading), ca.densify(rows)]))
-        return run, channel, column
-
-    found: tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]
-    found = model.remember(("reading, slopes", *free), made)
-    return found
-
-
-@dataclass(frozen=True, eq=False)
-class Slope:
-    """`run(p, zeros, pose, state) -> (rows, samples)`; each row has a channel and a column (parameter)."""
-
-    run: Callable[..., list[np.ndarray]]
-    model: Model
-    p: np.ndarray
-    channel: np.ndarray
-    column: np.ndarray
-
-
-def slope_of(model: Model, p: np.ndarray, new: Sequence[str]) -> Slope:
-    """Return d reading / d new parameters at the values p of `model`, rows in order of their channel."""
-    index = [model.names.index(name) for name in new]
-    at = tuple(p[index].tolist())
-    run, channel, column = model.remember(("slope", *index, *at), lambda: _rows_of(model, index, at))
-    return Slope(run, model, p, channel, column)
-
-
-def _rows_of(
-    model: Model, index: Sequence[int], at: Sequence[float]
-) -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
-    """Function, channels and columns of a `Slope` with respect to some parameters at their values."""
-    s = model.symbols
-    slope = ca.jacobian(s.full(s.reading), s.parameters[index])
-    slope = ca.sparsify(ca.substitute(slope, s.parameters[index], ca.DM(at)))
-    channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
-    order = np.lexsort((column, channel))
-    entries = slope.nonzeros()
-    rows = ca.vertcat(*(entries[k] for k in order)) if len(order) else ca.SX(0, 1)
-    function = ca.Function("slope", [s.parameters, s.zeros, s.pose, s.state], [ca.densify(rows)])
-    return on_arrays(function), channel[order], column[order]
-
-
-class Slopes:
-    """The rows of all candidates, channel by channel.
-
-    `span`: columns of each candidate, `columns` of them in all. For each channel k `column[k]` is the column
-    of each row and `parts[k]` the rows of each candidate. `spoiled`: candidates that were not finite
-    somewhere; their rows are 0 there.
-    """
-
-    def __init__(
-        self, model: Model, p: np.ndarray, candidates: Mapping[str, tuple[Model, Sequence[str]]]
-    ) -> None:
-        values = dict(zip(model.names, p.tolist(), strict=True))
-        self.channels = range(len(model.channels))
-        self.references = model.references
-        self.each: dict[str, Slope] = {}
-        self.span: dict[str, slice] = {}
-        self.columns = 0
-        self.spoiled: set[str] = set()
-        columns: list[list[np.ndarray]] = [[] for _ in self.channels]
-        self.parts: list[list[slice]] = [[] for _ in self.channels]
-        for key, (wide, new) in candidates.items():
-            slope = slope_of(wide, wide.vector(values), new)
-            self.each[key] = slope
-            self.span[key] = slice(self.columns, self.columns + len(new))
-            for k in self.channels:
-                here = slope.column[slope.channel == k] + self.columns
-                start = self.parts[k][-1].stop if self.parts[k] else 0
-                self.parts[k].append(slice(start, start + len(here)))
-                columns[k].append(here)
-            self.columns += len(new)
-        self.column = [np.concatenate([*c, np.zeros(0, dtype=int)]) for c in columns]
-
-    def rows(self, batch: Batch, zeros: np.ndarray, weights: np.ndarray | None) -> list[np.ndarray]:
-        """Return the rows of each channel, (rows, samples), times the root of the weights."""
-        out = [np.empty((len(c), len(batch))) for c in self.column]
-        pose = batch.columns(self.references)
-        for j, (key, slope) in enumerate(self.each.items()):
-            (values,) = slope.run(slope.p, zeros, pose, batch.columns(slope.model.state))
-            if not np.isfinite(values).all():
-                self.spoiled.add(key)
-                values = np.zeros_like(values)
-            for k in self.channels:
-                out[k][self.parts[k][j]] = values[slope.channel == k]
-        if weights is not None:
-            for rows in out:
-                rows *= np.sqrt(weights)
-        return out
 
 
 UNITS = 64
@@ -314,12 +307,13 @@ class Accumulator:
         length: int | None = None,
         *,
         decoded: bool = True,
+        slopes: Slopes | None = None,
     ) -> None:
         self.base, self.length, self.decoded = base, length, decoded
         model = base.model
         self.read = reading_and_slopes(model, base.free)
         self.z, self.n = len(base.model.zeros), len(base.free)
-        self.slopes = Slopes(base.model, base.p, candidates or {})
+        self.slopes = slopes or Slopes(base.model, base.p, candidates or {})
         self.models = (base.model, *(model for model, _ in (candidates or {}).values()))
         own = self.z + self.n
         self.size = own + self.slopes.columns + 1
@@ -508,7 +502,7 @@ class Accumulator:
             self.places,
             np.concatenate(self.follow),
             tuple(self.order),
-            frozenset(self.slopes.spoiled),
+            self.slopes,
             np.concatenate(self.offsets) if parts else None,
         )
 

@@ -236,7 +236,7 @@ class Screen:
         """Yield what flips the signs of each candidate, for noise of the references of these variances."""
         new = {key: (c.model, c.new) for key, c in table.tried.items()}
         base = self.base
-        noise = shared_noise(base, new, self.length, colour)
+        noise = shared_noise(base, new, self.length, colour, table.t.slopes)
         if remembers is None:
             remembers = 0.0 if base.sliced else memory(colour, base.policy)
         memories = self.lasting / max(remembers, NIL)
@@ -250,7 +250,7 @@ class Screen:
     @property
     def spoiled(self) -> frozenset[str]:
         """Candidates whose readings are not finite."""
-        return frozenset(key for table in self.tables for key in table.t.spoiled)
+        return frozenset(key for table in self.tables for key in table.t.slopes.spoiled)
 
 
 def _by_noise(score: Score, peak: float, tried: float) -> float:
@@ -374,7 +374,7 @@ class Table:
         N = float(units @ self.t.count * self.channels)
         training = Training(self, units[None])
         for key, c in self.tried.items():
-            if key not in self.t.spoiled:
+            if key not in self.t.slopes.spoiled:
                 found, size = training.solved(key), len(c.new) + c.variant.shapes
                 criterion = float(bic(found.left[0], N, size, N))
                 gain = max(float(found.plain[0] - found.left[0]), 0.0)
