@@ -103,8 +103,8 @@ def shared_noise(
         change = work.precision @ (near[-1] - near2[-1])
         products = np.zeros((work.n + work.slopes.columns, change.shape[1]))
         products[: work.n] = np.einsum("cks,ks->cs", near[work.z : own] - near2[work.z : own], change)
-        for k in range(len(column)):
-            products[work.n + column[k]] += (rows[k] - rows2[k]) * change[k]  # a column has one row a channel
+        for k, at in enumerate(work.slopes.of_channel):
+            products[work.n + column[at]] += (rows[at] - rows2[at]) * change[k]  # a column has one row a channel
         keys, first, counts = _stretches(up, seen, length)
         low = np.minimum(-(-np.array(first) // every), products.shape[1] - 1)
         high = np.minimum(-(-(np.array(first) + counts) // every), products.shape[1])

@@ -113,9 +113,9 @@ def slopes_by(model: Model, new: Sequence[str], at: Sequence[float]) -> tuple[ca
 class Slopes:
     """The rows of all candidates, channel by channel, from one graph: what they share is computed once.
 
-    `span`: columns of each candidate, `columns` of them in all. For each channel k `column[k]` is the column
-    of each row and `parts[k]` the rows of each candidate. `spoiled`: candidates that were not finite
-    somewhere; their rows are 0 there.
+    `span`: columns of each candidate, `columns` of them in all. `channel`, `column`: (rows,) of each row,
+    rows of one channel together at `of_channel`. `own`: of each candidate, see `OwnRows`. `spoiled`:
+    candidates that were not finite somewhere; their rows are 0 there.
     """
 
     def __init__(
@@ -139,25 +139,28 @@ class Slopes:
             known.append(np.array([channel, np.full(len(channel), len(self.span)), column + self.columns]))
             self.span[key] = slice(self.columns, self.columns + len(new))
             self.columns += len(new)
-        channel, self.owner, column = np.concatenate(known, axis=1)
-        order = np.lexsort((column, self.owner, channel))
-        self.owner = self.owner[order]
-        self.channels = [
-            slice(*np.searchsorted(channel[order], (k, k + 1))) for k in range(len(model.channels))
-        ]
-        self.column = [column[order][at] for at in self.channels]
-        ends = [np.searchsorted(self.owner[at], range(len(self.span) + 1)).tolist() for at in self.channels]
-        self.parts = [[slice(*pair) for pair in pairwise(each)] for each in ends]
+        channel, owner, column = np.concatenate(known, axis=1)
+        order = np.lexsort((column, owner, channel))
+        self.channel, self.owner, self.column = channel[order], owner[order], column[order]
+        ends = np.searchsorted(self.channel, range(len(model.channels) + 1)).tolist()
+        self.of_channel = [slice(*pair) for pair in pairwise(ends)]
+        self.own = [self._own(c, span.start) for c, span in enumerate(self.span.values())]
         self.state = tuple(state)
         inputs = [own.zeros, own.pose, ca.vertcat(*state.values()) if state else ca.SX(0, 1)]
         if len(order):
             rows = ca.cse(ca.vertcat(*entries)[order.tolist()])
             self.run = on_arrays(ca.Function("slopes", inputs, [ca.densify(rows)]))
 
-    def rows(self, batch: Batch, zeros: np.ndarray, weights: np.ndarray | None) -> list[np.ndarray]:
-        """Return the rows of each channel, (rows, samples), times the root of the weights."""
+    def _own(self, c: int, start: int) -> "OwnRows":
+        rows = np.flatnonzero(self.owner == c)
+        rows = rows[np.argsort(self.column[rows], kind="stable")]
+        first = np.flatnonzero(np.diff(self.column[rows], prepend=-1))
+        return OwnRows(rows, self.channel[rows], first, self.column[rows][first] - start)
+
+    def rows(self, batch: Batch, zeros: np.ndarray, weights: np.ndarray | None) -> np.ndarray:
+        """Return all rows (rows, samples), times the root of the weights."""
         if not len(self.owner):
-            return [np.zeros((0, len(batch)))] * len(self.channels)
+            return np.zeros((0, len(batch)))
         (values,) = self.run(zeros, batch.columns(self.references), batch.columns(self.state))
         spoiled = np.unique(self.owner[~np.isfinite(values).all(axis=1)])
         if len(spoiled):
@@ -165,7 +168,19 @@ class Slopes:
             values[np.isin(self.owner, spoiled)] = 0.0
         if weights is not None:
             values *= np.sqrt(weights)
-        return [values[at] for at in self.channels]
+        return values
+
+
+class OwnRows(NamedTuple):
+    """Which rows (r,) a candidate has, column by column, and the channel of each.
+
+    `first`: where each column that is not nil begins among them, `column`: its place in the candidate.
+    """
+
+    rows: np.ndarray
+    channel: np.ndarray
+    first: np.ndarray
+    column: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,7 +340,7 @@ class Accumulator:
         self.places = {key: slice(*ends[j : j + 2]) for j, key in enumerate(widths)}
         pairs = [np.indices((k, k)).reshape(2, -1) + self.span[c].start for c, k in widths.items()]
         self.pairs = np.concatenate([np.zeros((2, 0), dtype=int), *pairs], axis=1)
-        rows = max(len(self.near) * len(model.channels), sum(map(len, self.slopes.column)))
+        rows = max(len(self.near) * len(model.channels), len(self.slopes.column))
         self.most = max(FEWEST, ENTRIES // rows)
         self.precision = np.linalg.inv(base.covariance)
         self.whiten = np.linalg.cholesky(self.precision).T
@@ -346,7 +361,7 @@ class Accumulator:
         columns = tuple(dict.fromkeys(c for m in self.models for c in columns_of(m)))
         return batches(extended(log, wide, base.sigma, base.values), columns)
 
-    def columns(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, list[np.ndarray]]:
+    def columns(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Return the columns of zeros, parameters and residual, and the rows of the candidates."""
         return self._near(batch, weights), self.slopes.rows(batch, self.base.zeros_of(batch), weights)
 
@@ -368,7 +383,7 @@ class Accumulator:
         (near, rows), D = self.columns(batch, weights), self._to_pose(batch)
         for first, last in batch.groups(max(1, ENTRIES // (len(near) * self.size))):
             lay, at = batch.layout(first, last), slice(first, last)
-            white, out = stacked_products(self, lay(near), [lay(r) for r in rows], lay(D))
+            white, out = stacked_products(self, lay(near), lay(rows), lay(D))
             self._gather(Units(run[at], samples[at], count[at].astype(float), white, out))
 
     def nil(self, blocks: int) -> Products:
@@ -511,29 +526,29 @@ class Accumulator:
 
 
 def stacked_products(
-    work: Accumulator, near: np.ndarray, rows: list[np.ndarray], D: np.ndarray
+    work: Accumulator, near: np.ndarray, rows: np.ndarray, D: np.ndarray
 ) -> tuple[Products, Products]:
     """Return products under the precision of `work`, and mapped to the pose by D; where D is empty no others.
 
     `work`: the `Accumulator`. `near`: (own, K, blocks, samples) of zeros, parameters and residual, `rows`:
-    (rows, blocks, samples) of each channel, `D`: (n_pose, K, blocks, samples).
+    (rows, blocks, samples) of the candidates, `D`: (n_pose, K, blocks, samples).
     """
     first, blocks, precision = work.z + work.n, near.shape[2], work.precision
     white, decoded = np.tensordot(work.whiten, near, axes=(1, 1)).swapaxes(0, 1), _decoded(D, near)
     out = work.nil(blocks), work.nil(blocks)
     for M, columns in zip(out, (white, decoded), strict=True):
         M.border[:, :, work.near] = _gram(columns)
-    if not any(map(len, rows)):
+    if not len(rows):
         return out
     metric = np.tensordot(precision, near, axes=(1, 1)).swapaxes(0, 1)
     mapped = np.einsum("ikbs,oibs->okbs", D, decoded)
     for M, columns in zip(out, (metric, mapped), strict=True):
-        for k, block in enumerate(rows):
-            if len(block):
-                across = columns[:, k].transpose(1, 0, 2) @ block.transpose(1, 2, 0)
-                M.border[:, :, first + work.slopes.column[k]] += across
-    for c, key in enumerate(work.slopes.span):
-        _add_own(work, rows, c, precision, D, *(work.own_of(M, key) for M in out))
+        for k, at in enumerate(work.slopes.of_channel):
+            across = columns[:, k].transpose(1, 0, 2) @ rows[at].transpose(1, 2, 0)
+            M.border[:, :, first + work.slopes.column[at]] += across
+    for key, own in zip(work.slopes.span, work.slopes.own, strict=True):
+        if len(own.rows):
+            _add_own(work, rows, own, D, *(work.own_of(M, key) for M in out))
     return out
 
 
@@ -552,26 +567,24 @@ def _gram(columns: np.ndarray) -> np.ndarray:
 
 
 def _add_own(
-    work: Accumulator,
-    rows: list[np.ndarray],
-    c: int,
-    precision: np.ndarray,
-    D: np.ndarray,
-    white: np.ndarray,
-    out: np.ndarray,
+    work: Accumulator, rows: np.ndarray, own: OwnRows, D: np.ndarray, white: np.ndarray, out: np.ndarray
 ) -> None:
-    """Add the products of the rows of candidate c with each other, (blocks, k, k) twice."""
-    parts = [work.slopes.parts[k][c] for k in range(len(rows))]
-    channel = np.repeat(np.arange(len(rows)), [part.stop - part.start for part in parts])
-    if not len(channel):
-        return
-    stack = np.concatenate([block[part] for block, part in zip(rows, parts, strict=True)]).swapaxes(0, 1)
-    column = np.concatenate([work.slopes.column[k][part] for k, part in enumerate(parts)])
-    known, place = np.unique(column, return_inverse=True)
-    at = known - list(work.slopes.span.values())[c].start
-    one = (place == np.arange(len(known))[:, None]).astype(float)  # (columns, rows)
-    gram = (stack @ stack.swapaxes(1, 2)) * precision[channel[:, None], channel]
-    white[:, at[:, None], at] += one @ gram @ one.T
-    for spread in D[:, channel].swapaxes(1, 2):
-        moved = one @ (spread * stack)
-        out[:, at[:, None], at] += moved @ moved.swapaxes(1, 2)
+    """Add the products of the rows of a candidate with each other, (blocks, k, k) twice."""
+    stack, count, K = rows[own.rows].swapaxes(0, 1), len(own.column), len(work.whiten)
+    at = own.column[:, None], own.column
+
+    def by_column(values: np.ndarray, axis: int = 1) -> np.ndarray:
+        """Sum rows of one column."""
+        return values if count == len(own.rows) else np.add.reduceat(values, own.first, axis=axis)
+
+    if len(own.rows) ** 2 <= count * K * (count + K):
+        gram = (stack @ stack.swapaxes(1, 2)) * work.precision[own.channel[:, None], own.channel]
+        white[:, *at] += by_column(by_column(gram), axis=2)
+    else:  # most columns have a row in most channels
+        columns = np.zeros((count, K, *rows.shape[1:]))
+        place = np.repeat(np.arange(count), np.diff([*own.first, len(own.rows)]))
+        columns[place, own.channel] = rows[own.rows]
+        white[:, *at] += _gram(np.tensordot(work.whiten, columns, axes=(1, 1)).swapaxes(0, 1))
+    for spread in D[:, own.channel].swapaxes(1, 2):
+        moved = by_column(spread * stack)
+        out[:, *at] += moved @ moved.swapaxes(1, 2)
