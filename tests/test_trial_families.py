@@ -5,6 +5,7 @@ three waves of error per period of x (Maguire, UBC 2015, section 2.6); what was 
 """
 
 import json
+import sys
 from dataclasses import replace
 from functools import cache
 
@@ -14,11 +15,13 @@ from firmware import need, ran
 from trial_families import ARRAY, PLANE, TRIALS, second_harmonic
 
 import hallsym
-from hallsym import InputError, Log, Noise, NoiseModel
-from hallsym.families import FAMILIES
-from hallsym.log import continuous, near, wrapped
-from hallsym.model import Parameter
+from hallsym import InputError, Log, Meta, Noise, NoiseModel, families
+from hallsym.cli.main import main
+from hallsym.families import FAMILIES, machine_file, suggest
+from hallsym.log import continuous, near, open_source, wrapped
+from hallsym.model import Family, Parameter, effect
 from hallsym.report.page.diagnosis_page import diagnosis_page
+from hallsym.report.text import info
 from hallsym.report.text.diagnosis import diagnosis_text
 from hallsym.simulation import campaign_from, paper_campaign
 
@@ -59,7 +62,8 @@ def test_a_record_is_whole(family):
         assert model.family is family
         assert model.name == make.__name__
         assert len(model.references) == len(model.pose)
-        assert set(model.pose) <= set(family.axes)
+        assert family.references in ((), model.references)
+        assert {*model.pose, *model.state} <= set(family.axes)
         assert family.reads((*model.channels, *model.references))
         assert set(model.homes.values()) <= set(model.period)
         assert set(model.period) <= {*model.pose, *model.references, *model.channels, *model.names}
@@ -291,3 +295,91 @@ def test_runs_are_brought_to_one_origin_of_x():
 def test_the_paper_s_campaign_is_no_log_of_an_array():
     with pytest.raises(InputError, match="array_2dof has not"):
         hallsym.simulate(ARRAY.models[0](), {}, paper_campaign(), seed=1)
+
+
+# -- a family whose code fails -----------------------------------------------------------------------------
+
+
+def broken_model(layout=None):
+    """A model that cannot be built."""
+    raise RuntimeError("no magnets")
+
+
+@effect(link="transducer")
+def offset_error(model):
+    """An offset that cannot be added."""
+    raise RuntimeError("no magnets")
+
+
+BROKEN = Family(
+    "broken",
+    models=(broken_model,),
+    default="broken_model",
+    about="a ruin (x_ref_m)",
+    effects=(offset_error,),
+)
+UNUSABLE = "Family broken cannot be used: its code fails (RuntimeError: no magnets)"
+
+
+@pytest.fixture
+def beside_a_broken_one(monkeypatch):
+    """Register a family whose maker and effect raise beside all others."""
+    for module in (families, info, suggest, machine_file):
+        monkeypatch.setattr(module, "FAMILIES", (*FAMILIES, BROKEN))
+    return BROKEN
+
+
+def bare(log: Log) -> Log:
+    """The log without any word of what it is of."""
+    return Log.from_arrays({c: log.array(c) for c in log.columns}, log.noise)
+
+
+@pytest.mark.parametrize("family", FAMILIES, ids=str)
+def test_a_broken_family_harms_no_other(family, beside_a_broken_one):
+    log = recorded(family.maker(family.default)()) if family.example else hallsym.bundled_campaign()
+    model = families.build(families.default_model(Meta(columns=log.columns)))
+    assert model.family is family
+    assert families.model_for(model.pose) in (f.default for f in FAMILIES)
+    assert set(model.pose) <= set(families.axes())
+    found = suggest.suggest(open_source({c: log.array(c) for c in log.columns})[2])
+    assert found.model == model.name
+
+
+def test_a_log_is_fitted_and_diagnosed_beside_a_broken_family(beside_a_broken_one):
+    log = recorded(families.build("rotary"))
+    fit = hallsym.fit(bare(log), solver="direct")
+    assert fit.model.name == "rotary"
+    assert hallsym.diagnose(log, holdout=[2]).verdict == "no gap"
+
+
+def test_a_broken_family_is_listed_and_said_to_be_broken_when_it_is_asked_for(beside_a_broken_one, capsys):
+    assert main(["info"]) == 0
+    assert "broken_model" in capsys.readouterr().out
+    assert main(["info", "offset_error"]) == 0
+    shown = capsys.readouterr().out
+    assert f"offset_error of the broken family: {UNUSABLE}" in shown
+    assert "offset_error of the rotary family, link transducer" in shown
+    assert main(["info", "broken_model"]) == 2
+    assert UNUSABLE in capsys.readouterr().err
+    for asked in (families.build, lambda name: hallsym.fit(hallsym.bundled_campaign(), name)):
+        with pytest.raises(InputError) as raised:
+            asked("broken_model")
+        assert str(raised.value).startswith(UNUSABLE)
+
+
+def test_a_fit_runs_no_code_of_another_family():
+    log, entered = hallsym.bundled_campaign(), set()
+
+    def enter(frame, event, _):
+        module = frame.f_globals.get("__name__", "")
+        if module.startswith("hallsym.families."):
+            entered.add(module.split(".")[2])
+
+    before = sys.getprofile()
+    sys.setprofile(enter)
+    try:
+        hallsym.fit(bare(log), solver="direct")
+    finally:
+        sys.setprofile(before)
+    assert "stage" in entered
+    assert not entered & {"rotary", "halbach"}

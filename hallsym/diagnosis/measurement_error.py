@@ -104,7 +104,8 @@ def shared_noise(
         products = np.zeros((work.n + work.slopes.columns, change.shape[1]))
         products[: work.n] = np.einsum("cks,ks->cs", near[work.z : own] - near2[work.z : own], change)
         for k, at in enumerate(work.slopes.of_channel):
-            products[work.n + column[at]] += (rows[at] - rows2[at]) * change[k]  # a column has one row a channel
+            # a column has one row a channel
+            products[work.n + column[at]] += (rows[at] - rows2[at]) * change[k]
         keys, first, counts = _stretches(up, seen, length)
         low = np.minimum(-(-np.array(first) // every), products.shape[1] - 1)
         high = np.minimum(-(-(np.array(first) + counts) // every), products.shape[1])

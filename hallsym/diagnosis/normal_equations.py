@@ -92,22 +92,33 @@ def reading_and_slopes(
     return found
 
 
-def slopes_by(model: Model, new: Sequence[str], at: Sequence[float]) -> tuple[ca.SX, np.ndarray, np.ndarray]:
-    """Return d reading / d parameters `new` at their values: the entries, channel and column of each.
+class Slope(NamedTuple):
+    """d reading / d parameters where it is not nil: `rows`, each with its channel and column (parameter)."""
 
-    Entries that are nil everywhere are left out.
+    rows: ca.SX
+    channel: np.ndarray
+    column: np.ndarray
+
+
+def slopes_of(models: Sequence[tuple[Model, Sequence[str]]]) -> list[Slope]:
+    """Return d reading / d some parameters of each model, at their nominal values.
+
+    What models share of their expressions, their slopes share too.
     """
-    index = [model.names.index(name) for name in new]
-
-    def made() -> tuple[ca.SX, np.ndarray, np.ndarray]:
-        s = model.symbols
-        slope = ca.jacobian(s.full(s.reading), s.parameters[index])
-        slope = ca.sparsify(ca.substitute(slope, s.parameters[index], ca.DM(at)))
+    slopes: list[ca.SX] = []
+    at: dict[int, tuple[ca.SX, ca.SX]] = {}
+    for model, names in models:
+        s, index = model.symbols, [model.names.index(name) for name in names]
+        slopes.append(ca.jacobian(s.reading, s.parameters[index]))  # what is derived depends on no parameter
+        symbols = (*ca.vertsplit(s.parameters[index]), *ca.vertsplit(s.derived))
+        values = (*map(ca.SX, model.nominal[index].tolist()), *ca.vertsplit(s.derived_as))
+        at |= {symbol.element_hash(): (symbol, value) for symbol, value in zip(symbols, values, strict=True)}
+    known = [ca.vertcat(*each) for each in zip(*at.values(), strict=True)] or [ca.SX(0, 1)] * 2
+    out = []
+    for slope in map(ca.sparsify, ca.substitute(slopes, known[:1], known[1:])):
         channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
-        return ca.vertcat(*slope.nonzeros()) if len(channel) else ca.SX(0, 1), channel, column
-
-    found: tuple[ca.SX, np.ndarray, np.ndarray] = model.remember(("slopes", *index, *at), made)
-    return found
+        out.append(Slope(ca.vec(slope.nz[:]), channel, column))
+    return out
 
 
 class Slopes:
@@ -121,35 +132,19 @@ class Slopes:
     def __init__(
         self, model: Model, p: np.ndarray, candidates: Mapping[str, tuple[Model, Sequence[str]]]
     ) -> None:
-        values, own = dict(zip(model.names, p.tolist(), strict=True)), model.symbols
-        state = dict(zip(model.state, ca.vertsplit(own.state), strict=True)) if model.state else {}
-        self.references, self.candidates = model.references, tuple(candidates)
-        self.span: dict[str, slice] = {}
-        self.columns = 0
+        self.model, self.p, self.keys = model, p, list(candidates)
+        ends = np.cumsum([0, *(len(new) for _, new in candidates.values())]).tolist()
+        self.span = {key: slice(*pair) for key, pair in zip(candidates, pairwise(ends), strict=True)}
+        self.columns = ends[-1]
         self.spoiled: set[str] = set()
-        entries: list[ca.SX] = []
-        known: list[np.ndarray] = [np.zeros((3, 0), dtype=int)]
-        for key, (wide, new) in candidates.items():
-            at, s = wide.vector(values), wide.symbols
-            rows, channel, column = slopes_by(wide, new, [at[wide.names.index(n)] for n in new])
-            state |= {c: ca.SX.sym(c) for c in wide.state if c not in state}
-            theirs = ca.vertcat(s.parameters, s.zeros, s.pose, s.state)
-            ours = ca.vertcat(ca.SX(ca.DM(at)), own.zeros, own.pose, *(state[c] for c in wide.state))
-            entries.append(ca.substitute(rows, theirs, ours))
-            known.append(np.array([channel, np.full(len(channel), len(self.span)), column + self.columns]))
-            self.span[key] = slice(self.columns, self.columns + len(new))
-            self.columns += len(new)
-        channel, owner, column = np.concatenate(known, axis=1)
-        order = np.lexsort((column, owner, channel))
-        self.channel, self.owner, self.column = channel[order], owner[order], column[order]
-        ends = np.searchsorted(self.channel, range(len(model.channels) + 1)).tolist()
-        self.of_channel = [slice(*pair) for pair in pairwise(ends)]
-        self.own = [self._own(c, span.start) for c, span in enumerate(self.span.values())]
-        self.state = tuple(state)
-        inputs = [own.zeros, own.pose, ca.vertcat(*state.values()) if state else ca.SX(0, 1)]
-        if len(order):
-            rows = ca.cse(ca.vertcat(*entries)[order.tolist()])
-            self.run = on_arrays(ca.Function("slopes", inputs, [ca.densify(rows)]))
+        wide = [(wide, *new) for wide, new in candidates.values()]
+        self.run, self.state, self.channel, self.column = model.remember(
+            ("slopes", *wide), lambda: _rows_of(model, list(candidates.values()))
+        )
+        self.owner = np.searchsorted(ends, self.column, side="right") - 1
+        limits = np.searchsorted(self.channel, range(len(model.channels) + 1)).tolist()
+        self.of_channel = [slice(*pair) for pair in pairwise(limits)]
+        self.own = [self._own(c, start) for c, start in enumerate(ends[:-1])]
 
     def _own(self, c: int, start: int) -> "OwnRows":
         rows = np.flatnonzero(self.owner == c)
@@ -161,14 +156,39 @@ class Slopes:
         """Return all rows (rows, samples), times the root of the weights."""
         if not len(self.owner):
             return np.zeros((0, len(batch)))
-        (values,) = self.run(zeros, batch.columns(self.references), batch.columns(self.state))
+        pose, state = batch.columns(self.model.references), batch.columns(self.state)
+        values: np.ndarray
+        (values,) = self.run(self.p, zeros, pose, state)
         spoiled = np.unique(self.owner[~np.isfinite(values).all(axis=1)])
         if len(spoiled):
-            self.spoiled |= {self.candidates[k] for k in spoiled}
+            self.spoiled |= {self.keys[k] for k in spoiled}
             values[np.isin(self.owner, spoiled)] = 0.0
         if weights is not None:
             values *= np.sqrt(weights)
         return values
+
+
+def _rows_of(
+    model: Model, candidates: Sequence[tuple[Model, Sequence[str]]]
+) -> tuple[Callable[..., list[np.ndarray]], tuple[str, ...], np.ndarray, np.ndarray]:
+    """Return `run(p, zeros, pose, state)` of all rows, the columns `state`, channel and column of each."""
+    each = slopes_of(candidates)
+    starts = np.cumsum([0, *(len(new) for _, new in candidates)])
+    channel = np.concatenate([np.zeros(0, dtype=int), *(s.channel for s in each)])
+    column = np.concatenate(
+        [np.zeros(0, dtype=int), *(s.column + start for s, start in zip(each, starts[:-1], strict=True))]
+    )
+    order = np.lexsort((column, channel))
+    rows = ca.vertcat(*(s.rows for s in each))[order.tolist()] if len(order) else ca.SX(0, 1)
+    s = model.symbols
+    state = {
+        symbol.element_hash(): (name, symbol)
+        for wide, _ in candidates
+        for name, symbol in zip(wide.state, ca.vertsplit(wide.symbols.state), strict=True)
+    }
+    inputs = [s.parameters, s.zeros, s.pose, ca.vertcat(*(symbol for _, symbol in state.values()))]
+    run = on_arrays(ca.Function("slopes", inputs, [ca.densify(rows)]))
+    return run, tuple(name for name, _ in state.values()), channel[order], column[order]
 
 
 class OwnRows(NamedTuple):

@@ -8,7 +8,7 @@ import numpy as np
 
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.faults import faults
-from hallsym.diagnosis.normal_equations import slopes_by
+from hallsym.diagnosis.normal_equations import slopes_of
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.refit import Refitted, refit, with_effects, with_model
@@ -186,11 +186,11 @@ def cancels(fit: Refitted, names: Sequence[str]) -> bool:
     Parameters that do nothing where the others are nil, such as a rail of what is not clipped, have no size.
     """
     model = fit.base.model
-    _, channel, column = slopes_by(model, names, [model.nominal[model.names.index(n)] for n in names])
+    (slope,) = slopes_of([(model, names)])
     units = {q.name: q.unit for q in model.parameters}
     same: dict[tuple[str, tuple[int, ...]], list[str]] = {}
     for k, name in enumerate(names):
-        moved_readings = tuple(channel[column == k].tolist())
+        moved_readings = tuple(slope.channel[slope.column == k].tolist())
         if moved_readings:
             same.setdefault((units[name], moved_readings), []).append(name)
     return any(

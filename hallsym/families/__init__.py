@@ -57,7 +57,8 @@ def build(
     if not found:
         raise _unknown("Model", name, models(families))
     family, make = found[0]
-    return adapted(family.from_meta(make, meta or Meta()), added, parameters or {}, own)
+    model = family.made(family.from_meta, make, meta or Meta())
+    return adapted(model, added, parameters or {}, own)
 
 
 def default_model(meta: Meta) -> str:
@@ -65,15 +66,16 @@ def default_model(meta: Meta) -> str:
 
     Raises `InputError` where the columns are of no family.
     """
-    if meta.columns and not meta.base_model and not any(map(is_moving, meta.columns)):
+    if meta.base_model:
+        return meta.base_model
+    if meta.columns and not any(map(is_moving, meta.columns)):
         kinds = " nor ".join(f"{f.about.partition(';')[0].rstrip(')')})" for f in FAMILIES)
         raise InputError(
             f"The log's columns ({listed(meta.columns, 3)}) are neither {kinds}; map columns with "
             "--column-file ('hallsym info LOG --suggest' writes it), or name the model with --model."
         )
-    fitting = [f for f in FAMILIES if f.refers(meta.columns)]
-    sure = [f for f in fitting if f.reads(meta.columns)]
-    return meta.base_model or (sure or fitting or FAMILIES)[0].model_of(meta.columns)
+    fitting = (f for test in (Family.reads, Family.refers) for f in FAMILIES if test(f, meta.columns))
+    return next(fitting, FAMILIES[0]).model_of(meta.columns)
 
 
 def axes() -> tuple[str, ...]:

@@ -5,15 +5,18 @@ there. New parameters are 0 where the effect is absent.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from hallsym.errors import InputError
+from hallsym.families.faults import inject_rails
 from hallsym.model import Effect, Facts, Model, Parameter, Signals, effect
-from hallsym.model.arguments import POSITIVE, Try, from_log, one_of, searched
+from hallsym.model.arguments import POSITIVE, Number, Try, beside, found, from_log, one_of, searched
 from hallsym.model.derived import Computed, Stretch, campaign_time, rate
 
 P = Mapping[str, ca.SX]
@@ -131,13 +134,38 @@ def nonlinearity(
     )
 
 
-ODD = one_of({3: "cubic", 5: "cubic and quintic"}, "highest power")
-EVEN = one_of({2: "square", 4: "square and fourth power"}, "highest power")
+def bends(
+    what: str,
+    link: str,
+    port: Port,
+    limit: float,
+    unit: Callable[[Model], float],
+    odd: Mapping[str, Any],
+    even: Mapping[str, Any],
+    *,
+    by_channel: bool = True,
+    by_place: bool = False,
+) -> tuple[Effect, Effect]:
+    """Return the effects of `nonlinearity` in odd powers and in even ones; `what`: is bent, in words.
 
+    `odd`, `even`: about each effect. Coefficients are numbered by their power, or `by_place` from 0.
+    """
 
-def powers_to(order: int) -> tuple[int, ...]:
-    """Return the odd powers 3, 5, or the even ones 2, 4, up to `order`."""
-    return ((3, 5) if order % 2 else (2, 4))[: order // 2]
+    def made(name: str, words: Mapping[int, str], about: Mapping[str, Any]) -> Effect:
+        def bent(model: Model, order: int) -> Model:
+            powers = list(words)[: order // 2]
+            names = {f"{name}{j if by_place else n}_{{k}}": n for j, n in enumerate(powers)}
+            return nonlinearity(model, name, link, port, names, limit, unit(model), by_channel=by_channel)
+
+        first = next(iter(words.values())).capitalize()
+        meaning, numbers = (
+            f"{first} deviation of {what} from a line.",
+            {"order": one_of(words, "highest power")},
+        )
+        return effect(link=link, name=name, meaning=meaning, numbers=numbers, **about)(bent)
+
+    cubic, square = {3: "cubic", 5: "cubic and quintic"}, {2: "square", 4: "square and fourth power"}
+    return made("odd_nonlinearity", cubic, odd), made("even_nonlinearity", square, even)
 
 
 def clipping(model: Model, port: Port, low: Sequence[float], high: Sequence[float]) -> Model:
@@ -176,6 +204,25 @@ def rails(low: str, high: str, *, alike: bool) -> Callable[[Model, Facts], list[
         return out
 
     return tries
+
+
+def saturation(unit: str, what: str, port: Port, separate: str) -> Effect:
+    """Return the effect that readings [`unit`] stop at a rail, one per channel; `what` is read: "probe"."""
+    low, high = f"low_{unit}", f"high_{unit}"
+    highest = found(rails(low, high, alike=True), f"highest reading of each {what}")
+    numbers = {low: beside(f"lowest reading of each {what}"), high: highest}
+
+    def stop(model: Model, **rail: Sequence[float]) -> Model:
+        if not len(rail[low]) == len(rail[high]) == len(model.channels):
+            raise InputError(
+                f"Rails of saturation must be {len(model.channels)} numbers each, separated by /."
+            )
+        return clipping(model, port, rail[low], rail[high])
+
+    return effect(
+        link="electronics", name="saturation", meaning="Readings stop at a rail.", inject=inject_rails,
+        numbers={name: replace(n, kind=tuple[float, ...]) for name, n in numbers.items()}, separate=separate,
+    )(stop)  # fmt: skip
 
 
 # -- functions of time, temperature and runs that gains and offsets follow ----------------------------------
@@ -315,63 +362,63 @@ WARM = "warm up and cool down, so that temperature is not a function of time"
 AGAIN = "the first run again at the end; log the temperature"
 
 
-def temperature_drift(name: str, meaning: str, follow: Follow, *, per: bool = False, **about: Any) -> Effect:
-    """Return the effect that gains or offsets follow the logged temperature; `about` as for `effect`.
-
-    `per`: all channels alike is tried too.
-    """
-    mean = from_log(lambda facts: facts.temperature or 0.0, "mean temperature of the log")
-
-    def drift(model: Model, mean_degc: float = mean) -> Model:
-        return follow(model, name, with_temperature(mean_degc))
-
-    def drift_per(model: Model, per: str = _per(""), mean_degc: float = mean) -> Model:
-        return follow(model, name, with_temperature(mean_degc), per == "all")
-
-    about = {"separate": WARM, "needs": ("temperature_degc",), "label": "linear"} | about
-    return effect(link="transducer", name=name, meaning=meaning, **about)(drift_per if per else drift)
-
-
-def time_drift(
-    name: str,
-    meaning: str,
-    follow: Follow,
+def drifts(
+    gains: Follow,
+    offsets: Follow,
+    what: Sequence[str],
     parts: Sequence[int],
-    grid: bool = False,
     *,
+    grid: bool = False,
     per: bool = False,
-    **about: Any,
-) -> Effect:
-    """Return the effect that gains or offsets drift over the campaign: polynomials, or an exponential.
+    separate: Mapping[str, str] = MappingProxyType({}),
+    needs: tuple[str, ...] = (),
+) -> tuple[Effect, Effect, Effect, Effect]:
+    """Return the drifts of gains and of offsets with temperature, then those over the campaign.
 
-    `parts`: of the campaign, tried as its time constant; `grid`: it may lie between them. `per`: all channels
-    alike is tried too.
+    `gains`, `offsets`: how they follow functions of data; `what`: do the four, in words. Over the campaign
+    they follow polynomials, or an exponential: `parts` of the campaign are tried as its time constant, and it
+    may lie between them (`grid`). `per`: all channels alike is tried too. `separate`: other ways than the
+    usual ones, by name; `needs`: of drifts over the campaign.
     """
-    duration = from_log(lambda facts: facts.duration_s, "length of the campaign", valid=POSITIVE)
-    degrees = one_of({n: f"polynomial of degree {n}" for n in (1, 2, 3)}, "degree of the polynomial of time")
-    settling = searched(
-        lambda facts: [facts.duration_s / n for n in parts],
-        "time constant of the exponential that the drift follows instead",
-        label="settling, {:.3g} s", instead=True, shapes=1,
-        grid=grid,
-    )  # fmt: skip
+    temperature: dict[str, Number] = {"per": _per("")} if per else {}
+    temperature["mean_degc"] = from_log(lambda facts: facts.temperature or 0.0, "mean temperature of the log")
+    degrees = {n: f"polynomial of degree {n}" for n in (1, 2, 3)}
+    time = {
+        "duration_s": from_log(lambda facts: facts.duration_s, "length of the campaign", valid=POSITIVE),
+        "degree": one_of(degrees, "degree of the polynomial of time"),
+        "settling_s": searched(
+            lambda facts: [facts.duration_s / n for n in parts],
+            "time constant of the exponential that the drift follows instead",
+            label="settling, {:.3g} s", instead=True, shapes=1, grid=grid,
+        ),
+    } | ({"per": _per(", ")} if per else {})  # fmt: skip
+    warm = {"separate": WARM, "needs": ("temperature_degc",), "label": "linear"}
+    again = {"separate": AGAIN, "needs": needs}
 
-    def drift(
-        model: Model, duration_s: float = duration, degree: int = degrees, settling_s: float | None = settling
-    ) -> Model:
-        return follow(model, name, over_time(duration_s, degree, settling_s))
+    def made(
+        name: str,
+        meaning: str,
+        follow: Follow,
+        numbers: dict[str, Number],
+        functions: Any,
+        about: dict[str, Any],
+    ) -> Effect:
+        def drift(model: Model, per: str | None = None, **given: Any) -> Model:
+            return follow(model, name, functions(**given), *([per == "all"] if "per" in numbers else []))
 
-    def drift_per(
-        model: Model,
-        duration_s: float = duration,
-        degree: int = degrees,
-        settling_s: float | None = settling,
-        per: str = _per(", "),
-    ) -> Model:
-        return follow(model, name, over_time(duration_s, degree, settling_s), per == "all")
+        way = separate.get(name, about["separate"])
+        known = about | {"link": "transducer", "name": name, "meaning": meaning, "separate": way}
+        return effect(**known, numbers=numbers)(drift)
 
-    about = {"separate": AGAIN} | about
-    return effect(link="transducer", name=name, meaning=meaning, **about)(drift_per if per else drift)
+    with_it, over = "the logged temperature.", "smoothly over the campaign."
+    return (
+        made("gain_temperature_drift", f"{what[0]} {with_it}", gains, temperature, with_temperature, warm),
+        made(
+            "offset_temperature_drift", f"{what[1]} {with_it}", offsets, temperature, with_temperature, warm
+        ),
+        made("gain_time_drift", f"{what[2]} {over}", gains, time, over_time, again),
+        made("offset_time_drift", f"{what[3]} {over}", offsets, time, over_time, again),
+    )
 
 
 # -- delay and low-pass ------------------------------------------------------------------------------------

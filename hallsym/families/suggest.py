@@ -8,7 +8,8 @@ from __future__ import annotations
 import json
 import re
 import string
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -94,6 +95,7 @@ def numbers_of(names: tuple[str, ...]) -> tuple[int, ...]:
 
 ROWS = 50_000
 """Samples that are looked at."""
+STATED, BY_SIZE = "its unit is stated", "UNIT ONLY BY ITS SIZE"
 MOVES = 0.9
 """Correlation from which a column moves as another one does: the other axes and the noise make the rest."""
 NEAR = 3.0
@@ -116,6 +118,10 @@ class Guess:
     def ours(self) -> str:
         """Our name, with the unit."""
         return self.stem if self.stem == RUN else f"{self.stem}_{self.unit or 'UNIT'}"
+
+    def in_unit(self, unit: str, said: str, turn: int | None = None) -> Guess:
+        """Return the guess with a unit, what is said for it, and counts per turn."""
+        return replace(self, unit=unit, why=f"{self.why}; {said}", counts_per_turn=turn)
 
     @property
     def line(self) -> str:
@@ -174,32 +180,24 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
 
 def _numbers(source: Source) -> dict[str, Array]:
     """Return the first samples of the columns that hold numbers."""
-    if not source.names:
-        return {}
-    try:
-        return _head(source, source.names)
-    except InputError:
-        pass
     found: dict[str, Array] = {}
-    for name in source.names:
+    for names in (source.names, *((name,) for name in source.names)):
         try:
-            found |= _head(source, [name])
+            found |= _head(source, names) if names else {}
         except InputError:
             continue  # words, dates
+        if names == source.names:
+            break
     return found
 
 
 def _head(source: Source, names: Sequence[str]) -> dict[str, Array]:
     parts: list[Mapping[str, Array]] = []
-    rows = 0
     for part in source.chunks(names, ROWS):
         parts.append(part)
-        rows += len(part[names[0]])
-        if rows >= ROWS:
+        if sum(len(p[names[0]]) for p in parts) >= ROWS:
             break
-    joined = (
-        {n: np.concatenate([np.asarray(p[n], float) for p in parts])[:ROWS] for n in names} if parts else {}
-    )
+    joined = {n: np.concatenate([np.asarray(p[n], float) for p in parts])[:ROWS] for n in names if parts}
     return {n: v for n, v in joined.items() if np.isfinite(v).any()}
 
 
@@ -217,23 +215,27 @@ def _model(source: Source, name: str | None, meta: Meta) -> Model:
     numbers = numbers_of(source.names)
 
     def fits(model: Model) -> float:
-        stems, names, total = _stems(model), list(source.names), 0.0
-        pairs = sorted((-likeness(s, n, numbers), s, n) for s in stems for n in names)
-        for score, stem, theirs in pairs:  # each column is one of ours
-            if score < 0 and stem in stems and theirs in names:
-                stems.remove(stem)
-                names.remove(theirs)
-                total -= score
+        stems, names = _stems(model), list(source.names)
+        pairs = [(likeness(s, n, numbers), s, n) for s in sorted(stems) for n in sorted(names)]
+        total, like = 0.0, _likeliest(p for p in pairs if p[0] > 0)
+        for score, stem, theirs in like:  # each column is one of ours
+            stems.remove(stem)
+            names.remove(theirs)
+            total += score
         for stem in stems:  # no name is like it, a unit may be
             told = [n for n in names if _stated(source, n) and _unit_fits(source, n, stem, model)]
             names = [n for n in names if n not in told[:1]]
             total += BARE * len(told[:1])
         return total / len(_stems(model))
 
-    stated = name or meta.base_model
-    names = [stated] if stated else [family.default for family in FAMILIES]
     own = tuple(si_name(n) for n in source.names if _own(n))
-    return max((form for name in names for form in _forms(name, own, meta)), key=fits)
+    if stated := name or meta.base_model:
+        return max(_forms(stated, own, meta), key=fits)
+    found: list[Model] = []
+    for family in FAMILIES:
+        with suppress(InputError):  # of a family whose code fails, which nobody has asked for
+            found += _forms(family.default, own, meta)
+    return max(found, key=fits)
 
 
 def _forms(name: str, own: tuple[str, ...], meta: Meta) -> list[Model]:
@@ -251,28 +253,36 @@ def _forms(name: str, own: tuple[str, ...], meta: Meta) -> list[Model]:
 # -- by name ---------------------------------------------------------------------------------------------
 
 
+def _likeliest(pairs: Iterable[tuple[float, str, str]]) -> list[tuple[float, str, str]]:
+    """Return the pairs (how likely, stem, name) with each stem and each name once, the likeliest first."""
+    found: list[tuple[float, str, str]] = []
+    for pair in sorted(pairs, key=lambda p: -p[0]):
+        if all(pair[1] != stem and pair[2] != name for _, stem, name in found):
+            found.append(pair)
+    return found
+
+
 def _by_name(source: Source, data: Mapping[str, Array], model: Model) -> list[Guess]:
     numbers = numbers_of(source.names)
     stems = [RUN, TIME, *_stems(model), *OTHERS]
-    pairs = [(likeness(stem, name, numbers), stem, name) for stem in stems for name in data]
-    alone = [(stem, name) for stem in (RUN, TIME) for name in data if _behaves(stem, data[name])]
-    pairs += [(BARE / 2, s, n) for s, n in alone if s == RUN or not _whole(data[n])]  # an index is no time
-    found: dict[str, Guess] = {}
-    taken: set[str] = set()
-    for score, stem, name in sorted(pairs, key=lambda p: (-p[0], stems.index(p[1]))):
-        unfit = stem in (RUN, TIME) and not _behaves(stem, data[name])
-        foreign = _own(name) in ("", stem)  # a name of ours is not another one of ours
-        if score <= 0 or stem in found or name in taken or unfit or not foreign:
-            continue
-        if not _unit_fits(source, name, stem, model):
-            continue
-        why = "its name" if score >= BARE else "its data"
-        if stem == RUN:
-            why += ": whole numbers that stay" if score < BARE else ""
-        guess = _with_unit(source, data[name], Guess(stem, name, "", why))
-        found[stem] = guess
-        taken.add(name)
-    return list(found.values())
+    own = {name: _own(name) for name in data}
+    fitting = [
+        (stem, name)
+        for stem in stems
+        for name in data
+        if own[name] in ("", stem)  # a name of ours is not another one of ours
+        and (stem not in (RUN, TIME) or _behaves(stem, data[name]))
+        and _unit_fits(source, name, stem, model)
+    ]
+    pairs = [(likeness(stem, name, numbers), stem, name) for stem, name in fitting]
+    # an index is no time
+    pairs += [(BARE / 2, s, n) for s, n in fitting if s == RUN or (s == TIME and not _whole(data[n]))]
+    found = []
+    for score, stem, name in _likeliest(p for p in pairs if p[0] > 0):
+        by_data = "its data: whole numbers that stay" if stem == RUN else "its data"
+        guess = Guess(stem, name, "", "its name" if score >= BARE else by_data)
+        found.append(_with_unit(source, data[name], guess))
+    return found
 
 
 def _behaves(stem: str, values: Array) -> bool:
@@ -318,34 +328,36 @@ def _unit_fits(source: Source, name: str, stem: str, model: Model) -> bool:
     return not stated or stem == RUN or UNITS[stated].si in (*kinds, *("count",) * ("rad" in kinds))
 
 
-def _with_unit(source: Source, values: Array, guess: Guess) -> Guess:
-    """Add the unit that the file states, else the one that the size of the values suggests."""
+def _with_unit(source: Source, values: Array, guess: Guess, expected: Array | None = None) -> Guess:
+    """Add the unit that the file states, else the one in which the values are as large as they should be.
+
+    That is what is `expected` of them, or what is likely. An angle that goes round: whole numbers are counts,
+    up to 7 radians, up to 400 degrees.
+    """
     if guess.stem == RUN:
         return guess
-    stated = _stated(source, guess.theirs)
-    kinds = quantity(guess.stem)
+    stated, kinds = _stated(source, guess.theirs), quantity(guess.stem)
     if stated and UNITS[stated].si == "count" and "rad" in kinds:
-        why = f"{guess.why}; its unit is stated, THE TURN ONLY BY ITS SIZE"
-        return replace(guess, unit="count", counts_per_turn=_turn(values), why=why)
+        return guess.in_unit("count", f"{STATED}, THE TURN ONLY BY ITS SIZE", _turn(values))
     if stated:
-        return replace(guess, unit=stated, why=f"{guess.why}; its unit is stated")
+        return guess.in_unit(stated, STATED)
+    if expected is not None:
+        apart = {u.name: abs(np.log(u.factor * np.std(values) / np.std(expected)))
+                 for u in UNITS.values() if u.si in kinds[:1]}  # fmt: skip
+        best = min(apart, key=lambda u: apart[u], default="")
+        return guess.in_unit(best, BY_SIZE) if best and apart[best] < np.log(NEAR) else guess
     span = float(np.nanmax(values) - np.nanmin(values))
     for si in kinds:
         limit = limit_of(f"{guess.stem}_{si}")
         if limit and span > 0:
             units = [si] if span <= limit.likely else likely_units(limit, span)
             if units:
-                return replace(guess, unit=units[0], why=f"{guess.why}; UNIT ONLY BY ITS SIZE")
-    return _turning(values, guess, span) if "rad" in kinds else guess
-
-
-def _turning(values: Array, guess: Guess, span: float) -> Guess:
-    """An angle that goes round: whole numbers are counts, up to 7 radians, up to 400 degrees."""
+                return guess.in_unit(units[0], BY_SIZE)
+    if "rad" not in kinds:
+        return guess
     if _whole(values) and span > 400:
-        turn = _turn(values)
-        return replace(guess, unit="count", counts_per_turn=turn, why=f"{guess.why}; COUNTS ONLY BY SIZE")
-    unit = "rad" if span < 7 else "deg" if span < 400 else ""
-    return replace(guess, unit=unit, why=f"{guess.why}; UNIT ONLY BY ITS SIZE") if unit else guess
+        return guess.in_unit("count", "COUNTS ONLY BY SIZE", _turn(values))
+    return guess.in_unit("rad" if span < 7 else "deg", BY_SIZE) if span < 400 else guess
 
 
 def _turn(values: Array) -> int:
@@ -366,7 +378,20 @@ def _by_motion(
     if not lacking or not any(split_unit(c)[0] in known for c in model.references):
         return []
     expected = _readings(model, known)
-    return _matched(source, data, free, {split_unit(c)[0]: expected[c] for c in lacking}, model)
+    likely = {
+        (stem, name): float(np.corrcoef(expected[stem], data[name])[0, 1])
+        for stem in (split_unit(c)[0] for c in lacking)
+        for name in free
+        if _unit_fits(source, name, stem, model)
+        and np.isfinite(data[name]).all()
+        and np.ptp(expected[stem]) > 0
+    }
+    found = []
+    for _, stem, name in _likeliest((abs(r), *pair) for pair, r in likely.items() if abs(r) >= MOVES):
+        r = likely[stem, name]
+        guess = Guess(stem, name, "", f"moves as {stem} should (r = {r:.3f})", 1 if r > 0 else -1)
+        found.append(_with_unit(source, data[name], guess, expected[stem]))
+    return found
 
 
 def _si(values: Array, guess: Guess) -> Array:
@@ -383,41 +408,4 @@ def _readings(model: Model, known: Mapping[str, Array]) -> dict[str, Array]:
     state = np.array([known.get(split_unit(c)[0], np.full(rows, rest.get(c, 0.0))) for c in model.state])
     zeros = np.zeros((len(model.zeros), 1))
     found = np.asarray(model.reading(model.nominal, zeros, pose, state.reshape(len(model.state), rows)))
-    return dict(zip(model.channels, found, strict=True))
-
-
-def _matched(
-    source: Source,
-    data: Mapping[str, Array],
-    free: Sequence[str],
-    expected: Mapping[str, Array],
-    model: Model,
-) -> list[Guess]:
-    """Return the pairs of columns and stems that move together, the surest first."""
-    pairs = []
-    for stem, wanted in expected.items():
-        for name in free:
-            if _unit_fits(source, name, stem, model) and np.isfinite(data[name]).all() and np.ptp(wanted) > 0:
-                pairs.append((float(np.corrcoef(wanted, data[name])[0, 1]), stem, name))
-    found: dict[str, Guess] = {}
-    taken: set[str] = set()
-    for r, stem, name in sorted(pairs, key=lambda p: -abs(p[0])):
-        if abs(r) < MOVES or stem in found or name in taken:
-            continue
-        why = f"moves as {stem} should (r = {r:.3f})"
-        guess = Guess(stem, name, "", why, 1 if r > 0 else -1)
-        found[stem] = _sized(source, data[name], expected[stem], guess)
-        taken.add(name)
-    return list(found.values())
-
-
-def _sized(source: Source, values: Array, expected: Array, guess: Guess) -> Guess:
-    """Add the unit in which the values have the size that is expected of them."""
-    stated = _stated(source, guess.theirs)
-    if stated:
-        return replace(guess, unit=stated, why=f"{guess.why}; its unit is stated")
-    factor = float(np.std(expected) / np.std(values))
-    kinds = quantity(guess.stem)[:1]
-    near = [u for u in UNITS.values() if u.si in kinds and 1 / NEAR < u.factor / factor < NEAR]
-    best = min(near, key=lambda u: abs(np.log(u.factor / factor)), default=None)
-    return replace(guess, unit=best.name, why=f"{guess.why}; UNIT ONLY BY ITS SIZE") if best else guess
+    return dict(zip((split_unit(c)[0] for c in model.channels), found, strict=True))

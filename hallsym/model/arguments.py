@@ -146,7 +146,7 @@ def one_of(
         return [Try({name: value}, label) for value, label in labels.items() if when(value, model, facts)]
 
     usual = next(iter(labels)) if default is None else default
-    return Number(meaning, tries, usual, {} if valid else labels, valid or ANY)
+    return Number(meaning, tries, usual, {} if valid else labels, valid or ANY, kind=type(usual))
 
 
 def searched(

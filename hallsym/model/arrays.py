@@ -98,7 +98,7 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
                 out[b][target] = work[a]
         return [_stack(entries, shape) for entries in out]
 
-    most = max(FEWEST, WORK // (function.sz_w() + sum(rows)))
+    most = max(FEWEST, WORK // max(1, function.sz_w() + sum(rows)))
 
     def run(*inputs: Sequence) -> list[np.ndarray]:
         shape = np.broadcast_shapes(*{getattr(v, "shape", ()) for column in inputs for v in column})
@@ -183,14 +183,7 @@ def median(values: np.ndarray) -> float:
     >>> median(np.array([3.0, 1.0, 2.0, 10.0]))
     2.5
     """
-    n = len(values)
-    if n == 0:
-        return np.nan
-    half = n // 2
-    ordered = np.sort(values)
-    if np.isnan(ordered[-1]):  # nan sorts to the end
-        return np.nan
-    return float(ordered[half]) if n % 2 else float(0.5 * (ordered[half - 1] + ordered[half]))
+    return float(medians(values[None])[0]) if len(values) else np.nan
 
 
 def medians(rows: np.ndarray) -> np.ndarray:

@@ -206,12 +206,13 @@ def effect(
     name: str = "",
     meaning: str = "",
     separate: str | Way | Sequence[str | Way] = (),
+    numbers: Mapping[str, Number] | None = None,
     **about: Any,
 ) -> Decorated:
     """Make a function `Model -> Model` an `Effect`; `about`: the fields of the record that are not usual.
 
-    Name and meaning are those of the function and of the first line of its docstring if they are not stated.
-    `separate`: one way to record it so that it shows by itself, or several.
+    Name, meaning and numbers are those of the function, of the first line of its docstring and of its
+    signature if they are not stated. `separate`: one way to record it so that it shows by itself, or several.
     """
     if link not in (*LINKS, "user"):
         raise InputError(f"Link of an effect must be one of {', '.join(LINKS)}; instead received {link!r}.")
@@ -223,7 +224,8 @@ def effect(
     def decorate(function: Callable[..., Model]) -> Effect:
         called = name or function.__name__
         first = (function.__doc__ or "").strip().split("\n")[0]
-        return Effect(called, link, meaning or first, function, _numbers(called, function), **about)
+        own = _numbers(called, function) if numbers is None else numbers
+        return Effect(called, link, meaning or first, function, own, **about)
 
     return decorate
 

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+
+from hallsym.errors import InputError, summary
 
 Model = Any
 """`hallsym.model.Model`, which holds its family."""
@@ -92,6 +95,10 @@ class Family:
     models: tuple[Maker, ...] = ()
     default: str = ""
     readings: str = r"(hall|col|v)_\w+"
+    references: tuple[str, ...] = ()
+    """Logged columns beside the pose, of all models. A record that does not state them asks its makers."""
+    moved: tuple[str, ...] = ()
+    """Coordinates and states that a campaign can move, of all models; likewise."""
     about: str = ""
     noun: str = ""
     pose_metric: PoseMetric = PoseMetric()
@@ -139,23 +146,51 @@ class Family:
     @cached_property
     def axes(self) -> tuple[str, ...]:
         """Coordinates and states that a campaign can move, of all models."""
-        models = [make() for make in self.models]
-        return tuple(dict.fromkeys(c for part in ("pose", "state") for m in models for c in getattr(m, part)))
+        models = () if self.moved else self._models.values()
+        return self.moved or tuple(
+            dict.fromkeys(c for part in ("pose", "state") for m in models for c in getattr(m, part))
+        )
+
+    @cached_property
+    def _models(self) -> dict[str, Model]:
+        """The models by name, without those whose maker fails: nobody may have asked for these."""
+        made = {}
+        for make in self.models:
+            with suppress(InputError):
+                made[make.__name__] = self.made(make)
+        return made
+
+    def made(self, call: Callable[..., Any], *given: Any) -> Any:
+        """Return `call(*given)`, where `call` is this family's: a maker, an effect or `from_meta`.
+
+        Raises `InputError` with one sentence for whatever it raises.
+        """
+        try:
+            return call(*given)
+        except InputError:
+            raise
+        except Exception as error:
+            what = f"{type(error).__name__}: {summary(error)}"
+            raise InputError(
+                f"Family {self.name} cannot be used: its code fails ({what}); correct the family, or take "
+                "a model of another one."
+            ) from error
 
     def refers(self, columns: Collection[str]) -> bool:
         """Return whether a log with these columns has a reference that its models have."""
-        return any(make().references[0] in columns for make in self.models)
+        first = self.references[:1] or [m.references[0] for m in self._models.values()]
+        return any(c in columns for c in first)
 
     def reads(self, columns: Collection[str]) -> bool:
         """Return whether a log with these columns has such a reference and is read as this family is."""
-        return self.refers(columns) and any(re.fullmatch(self.readings, c) for c in columns)
+        return any(re.fullmatch(self.readings, c) for c in columns) and self.refers(columns)
 
     def model_of(self, columns: Collection[str]) -> str:
         """Return the name of the model that has most references of a log, else the default."""
         first = self.default or self.models[0].__name__
-        names = sorted((make.__name__ for make in self.models), key=lambda name: name != first)
-        known = {make.__name__: make().references for make in self.models}
-        return max(names, key=lambda n: len(known[n]) if set(known[n]) <= set(columns) else 0)
+        known = {} if self.references else {n: m.references for n, m in self._models.items()}
+        fitting = {n: len(own) for n, own in known.items() if set(own) <= set(columns)}
+        return max([first, *fitting], key=lambda n: fitting.get(n, 0))
 
     def maker(self, name: str) -> Maker | None:
         """Return the maker of the model called `name` or an alias of it; None where there is none."""

@@ -74,18 +74,15 @@ class Features:
         Features that carry zeros are left out: their slope with the state is a second-order weight, and
         without it the weight of a residual does not depend on the zeros.
         """
-        rows, columns = (np.array(k, dtype=int) for k in self._slope_sparsity.get_triplet())
+        s = self.model.symbols
+        slopes = ca.jacobian(self._monomials, ca.vertcat(s.pose, s.state))
+        rows, columns = (np.array(k, dtype=int) for k in slopes.sparsity().get_triplet())
         parts = []
         for column in np.unique(columns):
             moved = np.sort(rows[(columns == column) & (rows >= self.n_zero)])
             i, j = np.triu_indices(len(moved))
             parts.append([np.full(len(i), column), moved[i], moved[j]])
         return np.hstack(parts) if parts else np.zeros((3, 0), dtype=int)
-
-    @property
-    def _slope_sparsity(self) -> ca.Sparsity:
-        s = self.model.symbols
-        return ca.jacobian(self._monomials, ca.vertcat(s.pose, s.state)).sparsity()
 
     @cached_property
     def variables(self) -> ca.Function:
@@ -203,7 +200,7 @@ def find_features(model: Model) -> Features:
         found |= level
         if any(sum(row) > MAX_DEGREE for row in level) or len(found) > MAX_FEATURES:
             raise _not_polynomial(model)
-    carries_zero = {row: _depends(expression, s.zeros) for row, expression in found.items()}
+    carries_zero = {row: bool(len(model.zeros) and ca.depends_on(e, s.zeros)) for row, e in found.items()}
     order = sorted(found, key=lambda row: (not carries_zero[row], sum(row), [-k for k in row]))
     features = Features(model, np.array(order, dtype=int), sum(carries_zero.values()))
     if not _reproduces(features):
@@ -264,10 +261,6 @@ def _higher(
     for v in range(variables.numel()):
         if jacobian[:, v].nnz() and not ca.SX(jacobian[:, v]).is_zero():
             yield tuple(k + (i == v) for i, k in enumerate(row)), jacobian[:, v]
-
-
-def _depends(expression: ca.SX, symbols: ca.SX) -> bool:
-    return symbols.numel() > 0 and bool(ca.depends_on(expression, symbols))
 
 
 def _derivative(expression: ca.SX, variables: ca.SX, row: np.ndarray) -> ca.SX:

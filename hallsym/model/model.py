@@ -8,9 +8,11 @@ leave behind, so there is one copy of the mathematics.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from itertools import takewhile
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -47,17 +49,40 @@ class Signals(dict):
 
     Keys set before the first step: the columns of pose and state. `derive` adds a data-only quantity (such
     as 1 - cos Rz) that is not polynomial in the columns, so that readings stay polynomial in data.
+    `functions`: what a step leaves for later ones to call with the signals of that moment.
     """
 
     def __init__(self, columns: Iterable[str]) -> None:
         super().__init__({name: ca.SX.sym(name) for name in columns})
         self.derived: dict[str, tuple[ca.SX, ca.SX]] = {}
+        self.functions: dict[str, Callable[..., Any]] = {}
+
+    def copied(self) -> "Signals":
+        """Return the signals for another chain that goes on from here.
+
+        Raises `TypeError` where one is no expression, number or container: it may hold these signals.
+        """
+        out = Signals(())
+        out.update({k: ca.SX(v) if isinstance(v, ca.SX) else _copied(v) for k, v in self.items()})
+        out.derived, out.functions = dict(self.derived), dict(self.functions)
+        return out
 
     def derive(self, name: str, expression: ca.SX) -> ca.SX:
         """Return the symbol that stands for `expression` of the columns; made at the first call."""
         if name not in self.derived:
             self.derived[name] = (ca.SX.sym(name), expression)
         return self.derived[name][0]
+
+
+def _copied(value: Any) -> Any:
+    """A value whose containers are new ones."""
+    if isinstance(value, ca.SX | ca.DM | float | int | str):
+        return value
+    if isinstance(value, dict):
+        return {key: _copied(v) for key, v in value.items()}
+    if type(value) in (list, tuple):
+        return type(value)([_copied(v) for v in value])
+    raise TypeError
 
 
 Step = Callable[[Signals, Mapping[str, ca.SX]], None]
@@ -136,6 +161,8 @@ class Model:
     inspect: "Callable[..., Inspection] | None" = None
     """`(model, log, fitted=True)`: what the family says of a log before it is fitted, or judged. Raises
     `InputError`."""
+    before: "Model | None" = field(default=None, repr=False)
+    """The model that this one was made from; it shares the expressions up to the first step that differs."""
 
     def with_step(
         self,
@@ -161,6 +188,7 @@ class Model:
             parameters=self.parameters + parameters,
             zeros=self.zeros + zeros,
             effects=(*self.effects, effect),
+            before=self,
         )
 
     def with_columns(self, *columns: "str | Computed") -> "Model":
@@ -171,7 +199,7 @@ class Model:
             if name not in state:
                 state.append(name)
                 computed += [] if isinstance(column, str) else [column]
-        return replace(self, state=tuple(state), computed=tuple(computed))
+        return replace(self, state=tuple(state), computed=tuple(computed), before=self)
 
     def with_parameters(self, changes: Mapping[str, Mapping[str, Any]]) -> "Model":
         """Return a model with other nominal values or bounds: `{"H1x": {"nominal": .2, "lower": .1}}`."""
@@ -185,7 +213,7 @@ class Model:
         def changed(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
             return tuple(replace(p, **dict(changes.get(p.name, {}))) for p in parameters)
 
-        model = replace(self, parameters=changed(self.parameters), zeros=changed(self.zeros))
+        model = replace(self, parameters=changed(self.parameters), zeros=changed(self.zeros), before=self)
         for p in (*model.parameters, *model.zeros):
             if not p.lower <= p.upper:
                 raise InputError(
@@ -255,31 +283,50 @@ class Model:
     # -- expressions -------------------------------------------------------------------------------------
 
     @cached_property
-    def _chain(self) -> tuple[Signals, dict[str, ca.SX], dict[str, ca.SX]]:
-        signals = Signals((*self.pose, *self.state))
-        p = {name: ca.SX.sym(name) for name in self.names}
-        zeros = {z.name: ca.SX.sym(z.name) for z in self.zeros}
-        for _, step in self.steps:
-            step(signals, {**p, **zeros})
-        return signals, p, zeros
+    def _symbols(self) -> dict[tuple[str, str], ca.SX]:
+        """Symbols of parameters, zeros and columns by kind and name; the model before has the same ones."""
+        known = self.before._symbols if self.before else {}
+        own = [("parameter", name) for name in (*self.names, *(z.name for z in self.zeros))]
+        own += [("column", name) for name in (*self.pose, *self.state)]
+        return {key: known[key] if key in known else ca.SX.sym(key[1]) for key in own}
+
+    @cached_property
+    def _chain(self) -> "Chain":
+        before = self.before
+        while before and "_chain" not in before.__dict__:  # one that nobody has asked for
+            before = before.before
+        known = before._chain.after if before else []
+        pairs = zip(self.steps, before.steps if before else (), known, strict=False)
+        after = [signals for _, _, signals in takewhile(lambda pair: pair[0] is pair[1], pairs)]
+        signals = after[-1].copied() if after else Signals(())
+        for column in (*self.pose, *self.state):
+            signals.setdefault(column, self._symbols["column", column])
+        p = {name: symbol for (kind, name), symbol in self._symbols.items() if kind == "parameter"}
+        for k, (_, step) in list(enumerate(self.steps))[len(after) :]:
+            step(signals, p)
+            if len(after) == k:
+                with suppress(TypeError):
+                    after.append(signals.copied())
+        return Chain(signals, after)
 
     @cached_property
     def symbols(self) -> "Symbols":
         """The symbols and the reading of the chain, with derived quantities still symbols of their own."""
-        signals, p, zeros = self._chain
+        signals, derived = self._chain.signals, list(self._chain.signals.derived.values())
         return Symbols(
-            parameters=ca.vertcat(*p.values()),
-            zeros=ca.vertcat(*zeros.values()) if zeros else ca.SX(0, 1),
-            pose=ca.vertcat(*(signals[c] for c in self.pose)),
-            state=ca.vertcat(*(signals[c] for c in self.state)) if self.state else ca.SX(0, 1),
-            derived=ca.vertcat(*(s for s, _ in signals.derived.values())) if signals.derived else ca.SX(0, 1),
-            derived_as=ca.vertcat(*(e for _, e in signals.derived.values()))
-            if signals.derived
-            else ca.SX(0, 1),
+            parameters=self._of("parameter", self.names),
+            zeros=self._of("parameter", (z.name for z in self.zeros)),
+            pose=self._of("column", self.pose),
+            state=self._of("column", self.state),
+            derived=_column(s for s, _ in derived),
+            derived_as=_column(e for _, e in derived),
             reading=signals["reading"],
             gain=signals["gain"] if "gain" in signals else ca.SX.ones(len(self.channels)),
             displacement=signals["displacement"] if "displacement" in signals else ca.SX(0, 1),
         )
+
+    def _of(self, kind: str, names: Iterable[str]) -> ca.SX:
+        return _column(self._symbols[kind, name] for name in names)
 
     @cached_property
     def reading(self) -> ca.Function:
@@ -382,13 +429,27 @@ class Model:
     @cached_property
     def combined(self) -> ca.Function:
         """Values of the readable combinations, `(parameters) -> (n_combinations,)`."""
-        _, p, _ = self._chain
-        values = [c.value(p) for c in self.combinations]
+        values = [
+            c.value({name: self._symbols["parameter", name] for name in self.names})
+            for c in self.combinations
+        ]
         return ca.Function(
             "combined",
-            [ca.vertcat(*p.values())],
+            [self._of("parameter", self.names)],
             [ca.densify(ca.vertcat(*values)) if values else ca.DM(0, 1)],
         )
+
+
+class Chain(NamedTuple):
+    """The signals at the end of a chain, and `after` each step as far as they can be copied."""
+
+    signals: Signals
+    after: list[Signals]
+
+
+def _column(entries: Iterable[ca.SX]) -> ca.SX:
+    listed = list(entries)
+    return ca.vertcat(*listed) if listed else ca.SX(0, 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -98,25 +98,20 @@ def _campaign(file: Table, folder: Path) -> Campaign:
         raise InputError(
             f"A {file.where} must have at most {MOST_RUNS} runs; it has {count}, so leave settings out."
         )
-    product = (_run(setting, entry, folder) for setting in settings for entry in trajectories)
+    product = (_run(entry, folder, setting) for setting in settings for entry in trajectories)
     made = Campaign(
         file.positive("step_s", 2e-3),
-        (*product, *(_single(entry, folder) for entry in single)),
+        (*product, *(_run(entry, folder, {}, single=True) for entry in single)),
         file.number("zero_spread_m", 1e-6, least=0.0),
         noise_table(file),
     )
-    _check_length(made, file)
-    return made
-
-
-def _check_length(campaign: Campaign, file: Table) -> None:
-    """Refuse runs that no memory holds, or no log."""
-    samples = sum(run.duration_s for run in campaign.runs) / campaign.step_s
+    samples = sum(run.duration_s for run in made.runs) / made.step_s
     if samples > MOST_SAMPLES:
         raise InputError(
             f"A {file.where} must have at most {MOST_SAMPLES:g} samples; it has {samples:.3g}: raise "
             "'step_s' or shorten 'duration_s'."
         )
+    return made
 
 
 def noise_table(file: Table) -> dict[str, float]:
@@ -125,23 +120,17 @@ def noise_table(file: Table) -> dict[str, float]:
     return {column: noise.positive(column) for column in noise.raw}
 
 
-def _run(setting: Mapping[str, float], entry: Table, folder: Path) -> Run:
-    motion = {axis: _signal(entry, axis) for axis in axes() if axis in entry}
-    return Run(entry.positive("duration_s"), setting, motion | _curve(entry, motion, folder))
-
-
-def _single(entry: Table, folder: Path) -> Run:
-    """A [[run]]: each axis held at a number or moved by a signal, about a place of its own."""
-    setting: dict[str, float] = {}
-    motion: dict[str, Signal] = {}
+def _run(entry: Table, folder: Path, held: Mapping[str, float], *, single: bool = False) -> Run:
+    """A run with axes `held` at a setting; a `single` one, [[run]], holds axes and has places of its own."""
+    setting, motion = dict(held), {}
     name = entry.raw.get("name", "")
     if not isinstance(name, str):
         raise InputError(f"'name' of {entry.where} must be a text; instead received {name!r}.")
     for axis in (axis for axis in axes() if axis in entry):
-        if isinstance(entry.raw[axis], Mapping):
-            motion[axis] = _signal(entry, axis, setting)
-        else:
+        if single and not isinstance(entry.raw[axis], Mapping):
             setting[axis] = entry.number(axis)
+        else:
+            motion[axis] = _signal(entry, axis, setting if single else None)
     zeros = tuple(entry.numbers("zero_deviations_m")) if "zero_deviations_m" in entry else None
     motion |= _curve(entry, motion, folder)
     return Run(entry.positive("duration_s"), setting, motion, zeros, name)

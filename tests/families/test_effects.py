@@ -1,6 +1,7 @@
 """Every effect is complete: numbers, texts, parameters with a meaning, and nothing where they are 0."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -17,7 +18,7 @@ from hallsym.model.arguments import example_facts, from_log, searched
 
 ANGLE = Meta(columns=("angle_rad", "angle_ref_rad"))
 MODELS = [build("stage15"), build("stage31"), build("rotary_ideal"), build("rotary"),
-          build("rotary_ideal", meta=ANGLE), build("rotary", meta=ANGLE)]  # fmt: skip
+          build("rotary_ideal", meta=ANGLE), build("rotary", meta=ANGLE), build("halbach")]  # fmt: skip
 CASES = [
     pytest.param(model, e, id=f"{model.name}-{len(model.channels)}-{e.name}")
     for model in MODELS
@@ -70,6 +71,25 @@ def test_an_effect_says_all_about_itself(model: Model, known: Effect) -> None:
         after = wide.reading(p, zeros, pose, list(state.values()))
         moved = np.asarray(after - before).ravel()
         assert np.allclose(moved - 2 * np.pi * np.round(moved / (2 * np.pi)), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("family", FAMILIES, ids=str)
+def test_expressions_that_models_share_are_those_of_a_model_by_itself(family) -> None:
+    """An effect goes on from the expressions of the model it is added to, also where it is the second."""
+    rng = np.random.default_rng(0)
+    model = family.maker(family.default)()
+    _ = model.symbols
+    variants = [v for e in family.catalogue for v in e.variants(model, example_facts(model))[-1:]]
+    for k in rng.permutation(len(variants))[:12]:
+        wide = variants[k].make(model)
+        others = (wide, variants[k - 1].make(wide))
+        for other in others:
+            alone = replace(other, before=None)
+            p = other.nominal + 1e-3 * rng.standard_normal(len(other.nominal))
+            zeros, state = (1e-3 * rng.standard_normal(len(c)) for c in (other.zeros, other.state))
+            pose = other.poses(1, rng).ravel() * (1.0 if other.typical else 1e-3)
+            read = [np.asarray(m.reading(p, zeros, pose, state)).ravel() for m in (other, alone)]
+            assert np.allclose(*read, rtol=1e-12, atol=1e-13)
 
 
 def layout_of(model: Model) -> Meta:

@@ -170,22 +170,21 @@ def _positive(value: Any, key: str) -> float:
 
 def check_sums(count: int, pitch_m: float, wavelength_m: float) -> None:
     """Raise `InputError` where sums of `count` sensors at a pitch leave the field of a crossing array."""
-    left = abs(np.mean(np.exp(2j * pi / wavelength_m * pitch_m * np.arange(count))))
-    if count > 1 and left > LEAKS:
-        raise InputError(
-            f"Sums of {count} sensors at a pitch of {1e3 * pitch_m:g} mm leave {100 * left:.0f} % of the "
-            f"field of an array along them (wavelength {1e3 * wavelength_m:g} mm); sum sensors over whole "
-            f"wavelengths, such as three at {1e3 * wavelength_m / 3:g} mm."
-        )
+    what = f"Sums of {count} sensors at a pitch of {1e3 * pitch_m:g} mm"
+    _check(what, pitch_m * np.arange(count), wavelength_m)
 
 
 def check_channel(sensor: Sensor, array: Array) -> None:
     """Raise `InputError` where the sensors of a channel leave the field of an array that crosses theirs."""
-    across = np.array(sensor.positions)[:, 1 - array.axis]
-    left = abs(np.mean(np.exp(1j * array.wavenumber * across)))
-    if len(across) > 1 and np.ptp(across) > 0 and left > LEAKS:
+    what = f"The {len(sensor.positions)} sensors of channel {sensor.channel}"
+    _check(what, np.array(sensor.positions)[:, 1 - array.axis], array.wavelength_m)
+
+
+def _check(what: str, across: np.ndarray, wavelength_m: float) -> None:
+    left = abs(np.mean(np.exp(2j * pi / wavelength_m * across)))
+    if np.ptp(across) > 0 and left > LEAKS:
         raise InputError(
-            f"The {len(across)} sensors of channel {sensor.channel} leave {100 * left:.0f} % of the field of "
-            f"an array that crosses (wavelength {1e3 * array.wavelength_m:g} mm); sum sensors over whole "
-            f"wavelengths, such as three at {1e3 * array.wavelength_m / 3:g} mm."
+            f"{what} leave {100 * left:.0f} % of the field of an array that crosses (wavelength "
+            f"{1e3 * wavelength_m:g} mm); sum sensors over whole wavelengths, such as three at "
+            f"{1e3 * wavelength_m / 3:g} mm."
         )

@@ -5,9 +5,10 @@ coordinate (clock, reference); `placed`: what is added to the position (x, y, z)
 the slopes (x, y) of their axes [rad]; `mounted`: shift [m] and rotation of arrays that are not at their
 place; `stretch`: share by which wavelengths are long; `turn`: -1 where the mover is turned half round
 about z, else 1; `field`: what each channel sees [V]; `reading`.
-Functions: `seen(channel)`: what each of its elements sees (`Seen`), `harmonic(channel, h, a, b)`: its reading
-of a cos + b sin of harmonic h. `crest`: place [m] along an array where the first harmonic points to the
-sensors, `amplitude`: of it at the level [V].
+`crest`: place [m] along an array where the first harmonic points to the sensors, `amplitude`: of it at the
+level [V]; `waves`: of the harmonics that have been asked for.
+Functions: `seen(s, channel)`: what each of its elements sees (`Seen`), `harmonic(s, channel, h, a, b)`: its
+reading of a cos + b sin of harmonic h.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,8 +20,8 @@ from hallsym.families.halbach.layout import Array, sensors
 from hallsym.families.mechanisms import P, Port, port
 from hallsym.model import Model, Signals
 
-LATER = "later"
-"""Signal of the time [s] by which the field is taken later, where a link filters it."""
+LATER, FILTER = "later", "filter"
+"""Time [s] by which the field is taken later where a link filters it, and the function (field) that does."""
 
 
 def begin(s: Signals, model: Model) -> None:
@@ -29,7 +30,6 @@ def begin(s: Signals, model: Model) -> None:
     s["moved"] = [dict.fromkeys(model.pose, ca.SX(0)) for _ in range(count)]
     s["placed"] = [[ca.SX(0)] * 3 for _ in range(count)]
     s["tilted"] = [[ca.SX(0)] * 2 for _ in range(count)]
-    s["filters"] = []
     s["mounted"] = {}
     s["stretch"] = ca.SX(0)
     s["turn"] = 1
@@ -54,9 +54,9 @@ def move(s: Signals, coordinate: str, by: ca.SX | Sequence[ca.SX]) -> None:
 
 
 def filtered(s: Signals, p: P) -> None:
-    """Take the field through the filters that effects have put in its way."""
-    for low_pass in s["filters"]:
-        s["field"] = low_pass(s["field"])
+    """Take the field through the filter that an effect has put in its way."""
+    if FILTER in s.functions:
+        s["field"] = s.functions[FILTER](s, s["field"])
 
 
 def read(s: Signals, p: P) -> None:

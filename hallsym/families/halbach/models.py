@@ -121,22 +121,27 @@ def array_of(layout: Layout) -> Array:
 
 def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
     """Set the field at each channel: harmonics 1 and 5, with the tilt of each sensor's axis."""
-    s["waves"] = cache(lambda h: waves(s, layout, h))
-    s["seen"] = lambda k: seen_by(s, layout, k)
+    s["waves"] = {}
+    s.functions["seen"] = lambda s, k: seen_by(s, layout, k)
+    s.functions["harmonic"] = lambda s, k, h, a, b: harmonic(s, layout, k, h, a, b)
     s["amplitude"] = ca.sqrt(p["a1"] ** 2 + p["b1"] ** 2)
     s["crest"] = -ca.atan2(p["b1"], p["a1"]) / array_of(layout).wavenumber
-    s["harmonic"] = lambda k, h, a, b: harmonic(s, k, h, a, b)
     s["field"] = ca.vertcat(
-        *(sum(harmonic(s, k, h, p[f"a{h}"], p[f"b{h}"]) for h in HARMONICS) for k in range(len(s["moved"])))
+        *(
+            sum(harmonic(s, layout, k, h, p[f"a{h}"], p[f"b{h}"]) for h in HARMONICS)
+            for k in range(len(s["moved"]))
+        )
     )
 
 
-def harmonic(s: Signals, k: int, h: int, a: ca.SX, b: ca.SX) -> ca.SX:
+def harmonic(s: Signals, layout: Layout, k: int, h: int, a: ca.SX, b: ca.SX) -> ca.SX:
     """Return what channel k sees of harmonic h: the field along its axis.
 
     Bz = a cos + b sin of h k (x - x_j); outside the magnets curl B = 0 = div B, so Bx = a sin - b cos.
     """
-    cos, sin = (wave[k] for wave in s["waves"](h))
+    if h not in s["waves"]:
+        s["waves"][h] = waves(s, layout, h)
+    cos, sin = (wave[k] for wave in s["waves"][h])
     b = s["turn"] * b
     slope = s["tilted"][k][0]
     vertical, along = a * cos + b * sin, a * sin - b * cos

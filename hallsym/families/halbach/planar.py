@@ -93,12 +93,15 @@ def _typical(level: float, wave: float) -> np.ndarray:
 
 # -- the pose of a rigid body ------------------------------------------------------------------------------
 
+Rigid = Callable[[tuple[ca.SX, ...]], tuple[ca.SX, ca.SX]]
+"""What is added to the logged pose -> rotation (3, 3) and place (3,) of the mover on the board."""
 
-def seen_by(s: Signals, p: Mapping[str, ca.SX], layout: Layout, k: int) -> list[links.Seen]:
+
+def seen_by(s: Signals, rigid: Rigid, layout: Layout, k: int) -> list[links.Seen]:
     """Return what each element of channel k sees of its array."""
     sensor, known = sensors(layout)[k], arrays(layout)
     moved, placed, tilted = s["moved"][k], s["placed"][k], s["tilted"][k]
-    turn, at = s["rigid"](tuple(moved.values()))
+    turn, at = rigid(tuple(moved.values()))
     array = known[sensor.array] if s["turn"] > 0 else opposite(layout, known[sensor.array])
     i, out = array.axis, []
     for x, y in sensor.positions:
@@ -140,7 +143,7 @@ def _in_mover() -> ca.Function:
 _SENSOR = {"turn": (3, 3), "at": (3, 1), "place": (3, 1), "slopes": (2, 1)}
 
 
-def rigid(s: Signals, p: Mapping[str, ca.SX]) -> Callable[[tuple[ca.SX, ...]], tuple[ca.SX, ca.SX]]:
+def rigid(s: Signals, p: Mapping[str, ca.SX]) -> Rigid:
     """Return a function of what is added to the logged pose: rotation and place of the mover on the board."""
     known: dict[tuple[int, ...], tuple[ca.SX, ca.SX]] = {}
 
@@ -157,9 +160,9 @@ def rigid(s: Signals, p: Mapping[str, ca.SX]) -> Callable[[tuple[ca.SX, ...]], t
 
 def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
     """Set the field at each channel: harmonics 1 and 5 of its array along its sensors' axes."""
-    s["rigid"] = rigid(s, p)
-    s["seen"] = cache(lambda k: seen_by(s, p, layout, k))
-    s["harmonic"] = lambda k, h, a, b: harmonic(s, k, h, a, b)
+    pose = rigid(s, p)
+    seen = cache(lambda k: seen_by(s, pose, layout, k))
+    s.functions["seen"], s.functions["harmonic"] = lambda s, k: seen(k), harmonic
     s["crest"], s["amplitude"] = ca.SX(0), p["a1"]
     rows = []
     for k in range(len(s["moved"])):
@@ -169,7 +172,7 @@ def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
 
 def harmonic(s: Signals, k: int, h: int, a: ca.SX, b: ca.SX) -> ca.SX:
     """Return what channel k sees of harmonic h, a cos + b sin across the array, -(a sin - b cos) along it."""
-    seen = s["seen"](k)
+    seen = s.functions["seen"](s, k)
     parts = [
         _harmonic()(
             h * e.array.wavenumber / (1 + s["stretch"]), e.array.level_m, e.u, e.height, e.up, e.along, a, b

@@ -38,6 +38,11 @@ K1, K2, K3 = 0.1896, 10.0, 0.0
 """K2 m = 1 at 100 mT, and K1 m / K2 = 1.896e-3 there, which gives Table 1's 0.07682 deg; not printed."""
 
 
+BETA = Parameter("beta", 0.0, -0.5, 0.5, "rad", "angle by which the sine plate is more than 90 deg ahead")
+ZERO = Parameter("zero", 0.0, -TURN, TURN, "rad", "angle of the magnet at the zero of the reference")
+"""Two turns wide, so that no zero lies at a bound."""
+
+
 @dataclass(frozen=True)
 class Output:
     """A column in which the encoder is read: a voltage or the decoded angle."""
@@ -82,7 +87,7 @@ def rotary_ideal(layout: tuple[Output, ...] | None = None) -> Model:
     both = _amplitude("A", layout, "amplitude of both voltages")
     if layout == angle_only():  # which has none
         both = Parameter("A", 1.0, 1.0, 1.0, "1", both.meaning)
-    parameters = (both, _zero())
+    parameters = (both, ZERO)
     return _encoder("rotary_ideal", layout, parameters, transducer, begin)
 
 
@@ -98,7 +103,7 @@ def rotary(layout: tuple[Output, ...] | None = None) -> Model:
     def begin(v: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
         return _inverse((v[0] - p["Vy"]) / p["Ay"], (v[1] - p["Vx"]) / p["Ax"], p)
 
-    parameters = (*_plates(layout), _beta(), _zero())
+    parameters = (*_plates(layout), BETA, ZERO)
     return _encoder("rotary", layout, parameters, transducer, begin, _RATIOS)
 
 
@@ -120,9 +125,9 @@ def rotary_meng(layout: tuple[Output, ...] | None = None) -> Model:
 
     parameters = (
         *_plates(layout),
-        _beta(),
+        BETA,
         Parameter("m", 0.1, 0.02, 0.3, "T", "flux density at the plates"),
-        _zero(),
+        ZERO,
         Parameter("K1", K1, K1, K1, "1/T2", "quadratic coefficient of F"),
         Parameter("K2", K2, K2, K2, "1/T", "linear coefficient of F"),
         Parameter("K3", K3, K3, K3, "1", "constant of F"),
@@ -228,15 +233,6 @@ def _plates(layout: tuple[Output, ...] | None) -> tuple[Parameter, ...]:
     )
 
 
-def _beta() -> Parameter:
-    return Parameter("beta", 0.0, -0.5, 0.5, "rad", "angle by which the sine plate is more than 90 deg ahead")
-
-
-def _zero() -> Parameter:
-    """Two turns wide, so that no zero lies at a bound."""
-    return Parameter("zero", 0.0, -TURN, TURN, "rad", "angle of the magnet at the zero of the reference")
-
-
 def _ratio(a: str, b: str) -> Combination:
     return Combination(f"{a}/{b}", "1", (a, b), lambda p: p[a] / p[b])
 
@@ -259,9 +255,8 @@ _MENG_RATIOS = (_offset("x"), _offset("y"), _ratio("Ay", "Ax"))
 def harmonics(model: Model) -> Model:
     """3 to 8 waves of angle error per turn, whatever their cause.
 
-    Add 3 to 8 waves of angle error per turn, whatever their cause: what a correction table would hold.
-
-    One and two waves are the ellipse's own. To first order: valid for errors up to about 10 mrad.
+    What a correction table would hold; one and two waves are the ellipse's own. To first order: valid for
+    errors up to about 10 mrad.
     """
     orders = range(3, 9)
     added = tuple(
@@ -289,10 +284,9 @@ def harmonics(model: Model) -> Model:
 def zero_deviation(model: Model) -> Model:
     """A zero of the reference in each run.
 
-    Give the reference a zero of its own in each run: it was homed or coupled anew between runs.
-
-    Each run is turned to the encoder's own zero first (`hallsym.log.phase.homes`); `delta` is what is left.
-    `zero` is that of each run then, and no parameter any more.
+    The reference was homed or coupled anew between runs. Each run is turned to the encoder's own zero first
+    (`hallsym.log.phase.homes`); `delta` is what is left. `zero` is that of each run then, and no parameter
+    any more.
     """
 
     def step(s: Signals, p: Mapping[str, ca.SX]) -> None:

@@ -7,10 +7,12 @@ nobody asks for harmonics: a `Waveform` is only ever evaluated, and a product is
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import pi
+from typing import Any
 
 import casadi as ca
 
@@ -59,26 +61,24 @@ class Waveform:
 
     def __add__(self, other: Waveform | Wave | ca.SX | float) -> Waveform:
         """Return the sum with another signal or a constant."""
-        if not isinstance(other, Waveform | Wave):
-            return Waveform(lambda theta: plus(self.at(theta), other), self.degree, lambda: self.wave + other)
-        o = waveform(other)
-        return Waveform(
-            lambda theta: plus(self.at(theta), o.at(theta)),
-            max(self.degree, o.degree),
-            lambda: self.wave + o.wave,
-        )
+        return self._with(other, plus, operator.add, max)
 
     def __mul__(self, other: Waveform | Wave | ca.SX | float) -> Waveform:
         """Return the product with another signal or a factor."""
+        return self._with(other, times, operator.mul, operator.add)
+
+    def _with(self, other: Any, of_values: Callable, of_waves: Callable, of_degrees: Callable) -> Waveform:
         if not isinstance(other, Waveform | Wave):
             return Waveform(
-                lambda theta: times(self.at(theta), other), self.degree, lambda: self.wave * other
+                lambda theta: of_values(self.at(theta), other),
+                self.degree,
+                lambda: of_waves(self.wave, other),
             )
         o = waveform(other)
         return Waveform(
-            lambda theta: times(self.at(theta), o.at(theta)),
-            self.degree + o.degree,
-            lambda: self.wave * o.wave,
+            lambda theta: of_values(self.at(theta), o.at(theta)),
+            of_degrees(self.degree, o.degree),
+            lambda: of_waves(self.wave, o.wave),
         )
 
     __radd__, __rmul__ = __add__, __mul__

@@ -9,6 +9,8 @@ FAMILY = Family(
     noun="stage",
     about="a stage (hall_a_m, ..., x_ref_m)",
     readings=r"hall_\w+_m",
+    references=models.REFERENCES,
+    moved=(*models.POSE, *models.STATE),
     pose_metric=PoseMetric("m", arm_m=0.35),
     models=(models.stage15, models.stage30, models.stage31, models.stage31_tied),
     default="stage31",

@@ -94,19 +94,19 @@ def stage15(layout: tuple[Probe, ...] | None = None) -> Model:
 @cache
 def stage30(layout: tuple[Probe, ...] | None = None) -> Model:
     """Return Model (30): Model (15) with the zero deviations of each run."""
-    return _named("stage30", zero_deviation(stage15(layout)))
+    return replace(zero_deviation(stage15(layout)), name="stage30")
 
 
 @cache
 def stage31(layout: tuple[Probe, ...] | None = None) -> Model:
     """Return Model (31): Model (30) with gains that follow Z, Rx, Ry in nine free coefficients."""
-    return _named("stage31", vertical_coupling(stage30(layout)))
+    return replace(vertical_coupling(stage30(layout)), name="stage31")
 
 
 @cache
 def stage31_tied(layout: tuple[Probe, ...] | None = None) -> Model:
     """Return Model (31) with the vertical coupling of a rigid stage: three slopes and one point."""
-    return _named("stage31_tied", tied_vertical_coupling(stage30(layout)))
+    return replace(tied_vertical_coupling(stage30(layout)), name="stage31_tied")
 
 
 # -- effects ---------------------------------------------------------------------------------------------
@@ -116,9 +116,8 @@ def stage31_tied(layout: tuple[Probe, ...] | None = None) -> Model:
 def zero_deviation(model: Model) -> Model:
     """Zero deviations of the probes in each run, Eq. (30).
 
-    Add the zero deviations of Eq. (30), (31) to the reference link: one per probe and run, in m.
-
-    They enter as displacement d_k = delta_k / phi_k(0); |delta_k| <= 10 um in the paper.
+    One per probe and run, in m. They enter as displacement d_k = delta_k / phi_k(0); |delta_k| <= 10 um in
+    the paper.
     """
     zeros = tuple(
         Parameter(f"delta_{p.label}", 0.0, -10e-6, 10e-6, "m", f"zero deviation of probe {p.label} in a run")
@@ -135,9 +134,8 @@ def zero_deviation(model: Model) -> Model:
 def vertical_coupling(model: Model) -> Model:
     """Gain follows Z, Rx, Ry: a, b, c of Eq. (31).
 
-    Add phi_k = eta_k + a_k Z + b_k Rx + c_k Ry, Eq. (31), with bounds of Table 5.
-
-    Table 5's signs belong to the paper's layout; for another layout the bounds are +-5000.
+    phi_k = eta_k + a_k Z + b_k Rx + c_k Ry with bounds of Table 5. Its signs belong to the paper's layout;
+    for another layout the bounds are +-5000.
     """
     units = {"a": "1/m", "b": "1/rad", "c": "1/rad"}
     what = {"a": "Z", "b": "Rx", "c": "Ry"}
@@ -168,8 +166,6 @@ def vertical_coupling(model: Model) -> Model:
 def tied_vertical_coupling(model: Model) -> Model:
     """Gain follows the height of each probe on a rigid stage.
 
-    Add the vertical coupling of a rigid stage: phi_k = eta_k + a_k (height change at probe k).
-
     A rigid stage lifts probe k by Z + (y_k - y0) Rx - (x_k - x0) Ry, where (x0, y0) is the point at which Z
     is measured: b_k / a_k = y_k - y0 and c_k / a_k = -(x_k - x0). Five parameters instead of nine, and the
     probe coordinates along the sensing axis become observable.
@@ -197,8 +193,6 @@ def tied_vertical_coupling(model: Model) -> Model:
 @effect(link="mechanics", diagnosed=False)
 def exact_rotation(model: Model) -> Model:
     """Finite rotation, Eq. (2), in place of small angles.
-
-    Replace the small-angle displacement of Eq. (8) by the finite rotation of Eq. (2).
 
     A probe at p moves by R(Rz) (p + (x, y)) - p; the terms that Eq. (8) dropped are x Rz, y Rz and Rz^2.
     """
@@ -285,10 +279,6 @@ def _tied_start(model: Model, slopes: Mapping[str, np.ndarray]) -> dict[str, flo
 
 
 # -- the chain -------------------------------------------------------------------------------------------
-
-
-def _named(name: str, model: Model) -> Model:
-    return replace(model, name=name)
 
 
 FARTHEST = 5.0

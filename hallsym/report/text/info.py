@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from math import inf, isclose
-from typing import Any
+from typing import Any, cast
 
 from hallsym.errors import InputError
 from hallsym.families import FAMILIES, effects
@@ -115,10 +115,21 @@ def effect_record(name: str) -> dict[str, Any]:
             "fault": name, "link": fault.link, "meaning": fault.meaning, "remedy": fault.remedy,
         }  # fmt: skip
     having = [family for family in FAMILIES if name in effects(family)]
-    return {"effect": name, "families": {f.name: _of_family(f, effects(f)[name]) for f in having}}
+    records = {f.name: _of_family(f, effects(f)[name]) for f in having}
+    if all("error" in record for record in records.values()):
+        raise InputError(records[having[0].name]["error"])
+    return {"effect": name, "families": records}
 
 
 def _of_family(family: Family, effect: Effect) -> dict[str, Any]:
+    """What the effect is in a family; its "error" where code of that family fails."""
+    try:
+        return cast("dict[str, Any]", family.made(_explained, family, effect))
+    except InputError as error:
+        return {"error": str(error)}
+
+
+def _explained(family: Family, effect: Effect) -> dict[str, Any]:
     model, variants = _tried(family, effect)
     wide = [v.make(model) for v in variants]
     old = {p.name for p in (*model.parameters, *model.zeros)}
@@ -171,6 +182,8 @@ def effect_text(record: Mapping[str, Any]) -> str:
 
 
 def _section(name: str, family: str, r: Mapping[str, Any]) -> str:
+    if "error" in r:
+        return f"{name} of the {family} family: {r['error']}"
     parts = [f"{name} of the {family} family, link {r['link']}: {r['meaning']}"]
     if r["numbers"]:
         rows = [[n, e["unit"] or "", _default(e), _meaning(e)] for n, e in r["numbers"].items()]

@@ -1,6 +1,6 @@
 """Effects of Halbach arrays that their models leave out: physics only, one function each.
 
-One file per link of the chain; mechanisms that other families share are in `hallsym.families.mechanisms`.
+One file per part of the chain; mechanisms that other families share are in `hallsym.families.mechanisms`.
 The same effects serve the model of x and z and that of six coordinates: they act on what `links` passes on.
 """
 
@@ -11,7 +11,6 @@ from hallsym.families.halbach.effects import (
     magnets,
     mechanics,
     planar_ends,
-    reference,
     transducer,
 )
 
@@ -21,7 +20,7 @@ COMMON = (
     transducer.even_nonlinearity, mechanics.time_skew, transducer.first_order_lag,
     transducer.gain_temperature_drift, transducer.offset_temperature_drift, transducer.gain_time_drift,
     transducer.offset_time_drift, electronics.motor_stray_field, electronics.saturation,
-    electronics.mains_hum, reference.reference_scale_error, reference.reference_abbe_error,
+    electronics.mains_hum, mechanics.reference_scale_error, mechanics.reference_abbe_error,
 )  # fmt: skip
 """Effects of both models."""
 EFFECTS = (

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import casadi as ca
 
 from hallsym.errors import InputError
-from hallsym.families.faults import inject_rails
+from hallsym.families import mechanisms
 from hallsym.families.halbach.links import READING
-from hallsym.families.mechanisms import LINE, Functions, at_frequency, clipping, following, rails
+from hallsym.families.mechanisms import LINE, Functions, at_frequency, following
 from hallsym.model import Facts, Model, Signals, effect
-from hallsym.model.arguments import Try, beside, found
+from hallsym.model.arguments import Try, found
 from hallsym.model.derived import Computed, rate
 
 CURRENT = "current"
@@ -50,18 +50,7 @@ def motor_stray_field(
     return following(model, "motor_stray_field", "electronics", READING, functions, 10.0, "V/A", names=own)
 
 
-@effect(link="electronics", separate="a wider gap", inject=inject_rails)
-def saturation(
-    model: Model,
-    low_v: tuple[float, ...] = beside("lowest reading of each channel"),
-    high_v: tuple[float, ...] = found(
-        rails("low_v", "high_v", alike=True), "highest reading of each channel"
-    ),
-) -> Model:
-    """Readings stop at a rail."""
-    if not len(low_v) == len(high_v) == len(model.channels):
-        raise InputError(f"Rails of saturation must be {len(model.channels)} numbers each, as -1.2/-1.2.")
-    return clipping(model, READING, low_v, high_v)
+saturation = mechanisms.saturation("v", "channel", READING, "a wider gap")
 
 
 @effect(link="electronics", separate="a run at rest on the full clock", needs=("t_s",))

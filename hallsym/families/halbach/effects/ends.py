@@ -236,7 +236,7 @@ def _missing_at(s: Signals, model: Model, k: int, reads: str) -> list[tuple[ca.S
     moved, (dx, _, dz) = s["moved"][k], s["placed"][k]
     still = all(v.is_zero() for v in (dx, dz, moved["x_m"], moved["z_m"]))
     out = []
-    for seen, x in zip(s["seen"](k), places, strict=True):
+    for seen, x in zip(s.functions["seen"](s, k), places, strict=True):
         u, gap = (s["turn"] * (x - s["x_m"]), s["z_m"]) if still else (seen.u, seen.height)
         if reads == "nearest":
             u = nearest(array, u, len(places))

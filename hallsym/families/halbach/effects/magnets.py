@@ -3,6 +3,7 @@
 What is fixed to the mover repeats from run to run and moves with x; what is fixed to the board does not.
 """
 
+from collections.abc import Mapping
 from functools import cache
 from math import pi
 
@@ -42,59 +43,52 @@ def segments(model: Model) -> list[tuple[str, int]]:
     return out
 
 
-def magnet_fields(
-    s: Signals, model: Model, which: list[tuple[str, int]]
-) -> list[dict[tuple[str, int], tuple[ca.SX, ca.SX]]]:
-    """Return what each channel sees of some magnets: field per share of the remanence, and per rad of turn.
+def of_magnets(s: Signals, model: Model, shares: Mapping[tuple[str, int], ca.SX], part: int) -> ca.SX:
+    """Return the field (channels,) that magnets add by their shares of the remanence (part 0) or turns (1).
 
-    `which`: neighbours, from first to last.
+    `shares`: by array and number, neighbours of an array from first to last.
 
     Complex field of a magnetised rectangle in two dimensions: Bu - i Bw = -i m / (2 pi) (ln corners), m its
     remanence; a turn multiplies m by i. Fields in V by the first harmonic of the whole array, whose remanence
     is its amplitude over sin(pi/n) / (pi/n) (1 - exp(-k t)), n magnets of height t per period.
     """
-    out = []
-    for k in range(len(model.channels)):
-        seen = s["seen"](k)
-        row: dict[tuple[str, int], tuple[ca.SX, ca.SX]] = {}
-        for e in seen:
-            for number, pair in _of_element(s, e, [n for a, n in which if a == e.array.name]).items():
-                stronger, turned = row.get((e.array.name, number), (ca.SX(0), ca.SX(0)))
-                row[e.array.name, number] = stronger + pair[0] / len(seen), turned + pair[1] / len(seen)
-        out.append(row)
-    return out
+    own = {
+        name: {number: share for (array, number), share in shares.items() if array == name}
+        for name in arrays(model.layout)
+    }
 
+    def seen_by(e: Seen) -> ca.SX:
+        array, n, of = e.array, e.array.magnets_per_period, own[e.array.name]
+        if not of:
+            return ca.SX(0)
+        filled = np.sin(pi / n) / (pi / n) * (1 - np.exp(-array.wavenumber * array.height))
+        size = s["amplitude"] * np.exp(array.wavenumber * array.level_m) / filled / (2 * pi)
+        field = _magnets(array, tuple(of), part)
+        return field(e.u - s["crest"], e.height, e.up, e.along, size, ca.vertcat(*of.values()))
 
-def _of_element(s: Signals, e: Seen, which: list[int]) -> dict[int, tuple[ca.SX, ca.SX]]:
-    array, n = e.array, e.array.magnets_per_period
-    if not which:
-        return {}
-    filled = np.sin(pi / n) / (pi / n) * (1 - np.exp(-array.wavenumber * array.height))
-    size = s["amplitude"] * np.exp(array.wavenumber * array.level_m) / filled / (2 * pi)
-    pairs = _magnets(array, tuple(which))(e.u - s["crest"], e.height, e.up, e.along, size)
-    return dict(zip(which, zip(*map(ca.vertsplit, pairs), strict=True), strict=True))
+    rows = [s.functions["seen"](s, k) for k in range(len(model.channels))]
+    return ca.vertcat(*(sum(map(seen_by, row), ca.SX(0)) / len(row) for row in rows))
 
 
 @cache
-def _magnets(array: Array, which: tuple[int, ...]) -> ca.Function:
-    """`(u, height, up, along, size) -> stronger, turned`: of each magnet; made once, it is called often."""
+def _magnets(array: Array, which: tuple[int, ...], part: int) -> ca.Function:
+    """`(u, height, up, along, size, shares) -> field`; made once, it is called often."""
     u, height, up, along, size = symbols = [ca.SX.sym(n) for n in ("u", "height", "up", "along", "size")]
-    n = array.magnets_per_period
+    shares, n = ca.SX.sym("shares", len(which)), array.magnets_per_period
     corners = []
     for edge in (*which, which[-1] + 1):
         away = u - (edge - 0.5) * array.wavelength_m / n
         low, high = (away**2 + g**2 for g in (height, height + array.height))
         turn = ca.atan2(away, height + array.height) - ca.atan2(away, height)  # less a constant
         corners.append((ca.log(high / low) / 2, turn))
-    stronger, turned = [], []
+    fields = []
     for j, i in enumerate(which):
         re, im = (corners[j][c] - corners[j + 1][c] for c in (0, 1))
         angle = pi / 2 - 2 * pi / n * i  # of the magnet's direction from the period's axis
         cos, sin = np.cos(angle), np.sin(angle)
         real, imag = cos * re - sin * im, sin * re + cos * im  # of m Q: Bw and Bu times 2 pi
-        stronger.append(size * (up * real + along * imag))
-        turned.append(size * (-up * imag + along * real))
-    return ca.Function("magnets", symbols, [ca.vertcat(*stronger), ca.vertcat(*turned)])
+        fields.append(size * ((-up * imag + along * real) if part else (up * real + along * imag)))
+    return ca.Function("magnets", [*symbols, shares], [ca.dot(shares, ca.vertcat(*fields))])
 
 
 def _of_magnets(model: Model, name: str, part: int, meaning: str, unit: str) -> Model:
@@ -104,12 +98,8 @@ def _of_magnets(model: Model, name: str, part: int, meaning: str, unit: str) -> 
     names = [f"{name}_{array}_{i}" if several else f"{name}_{i}" for array, i in which]
 
     def step(s: Signals, p: P) -> None:
-        own = {key: p[n] for key, n in zip(which, names, strict=True)}
-        added = [
-            sum((own[key] * pair[part] for key, pair in row.items()), ca.SX(0))
-            for row in magnet_fields(s, model, which)
-        ]
-        s["field"] = s["field"] + ca.vertcat(*added)
+        shares = {key: p[n] for key, n in zip(which, names, strict=True)}
+        s["field"] = s["field"] + of_magnets(s, model, shares, part)
 
     said = {n: f"{meaning} {n.removeprefix(name + '_').replace('_', ' ')}" for n in names}
     return model.with_step("field", step, effect=name, parameters=free(said, LIMIT, unit))
@@ -152,8 +142,7 @@ def lost_magnet(
     key, name = (next(iter(arrays(model.layout))), magnet), f"lost_{magnet}"
 
     def step(s: Signals, p: P) -> None:
-        seen = [row[key][0] for row in magnet_fields(s, model, [key])]
-        s["field"] = s["field"] - p[name] * ca.vertcat(*seen)
+        s["field"] = s["field"] - of_magnets(s, model, {key: p[name]}, 0)
 
     new = free({name: f"share of its remanence that magnet {magnet} lacks"}, LIMIT, "1")
     return model.with_step("field", step, effect="lost_magnet", parameters=new)
@@ -172,7 +161,7 @@ def forbidden_harmonics(
     def step(s: Signals, p: P) -> None:
         rows = []
         for k in range(len(model.channels)):
-            rows.append(s["harmonic"](k, order, p[f"a{order}"], p[f"b{order}"]))
+            rows.append(s.functions["harmonic"](s, k, order, p[f"a{order}"], p[f"b{order}"]))
         s["field"] = s["field"] + ca.vertcat(*rows)
 
     new = tuple(

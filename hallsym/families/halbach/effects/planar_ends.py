@@ -23,7 +23,7 @@ def array_edges(model: Model) -> Model:
     def step(s: Signals, p: P) -> None:
         added = []
         for k in range(len(model.channels)):
-            seen = s["seen"](k)
+            seen = s.functions["seen"](s, k)
             added.append(sum((_taken(e) for e in seen), ca.SX(0)) / len(seen))
         s["field"] = s["field"] + p["edges"] * p["a1"] * ca.vertcat(*added)
 

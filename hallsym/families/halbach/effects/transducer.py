@@ -5,19 +5,8 @@ import casadi as ca
 from hallsym.errors import InputError
 from hallsym.families.halbach import links
 from hallsym.families.halbach.layout import arrays, sensors
-from hallsym.families.halbach.links import FIELD, LATER
-from hallsym.families.mechanisms import (
-    EVEN,
-    LOW_PASS,
-    ODD,
-    Functions,
-    P,
-    following,
-    nonlinearity,
-    powers_to,
-    temperature_drift,
-    time_drift,
-)
+from hallsym.families.halbach.links import FIELD, FILTER, LATER
+from hallsym.families.mechanisms import LOW_PASS, Functions, P, bends, drifts, following
 from hallsym.model import Facts, Model, Parameter, Signals, Way, effect
 from hallsym.model.arguments import Try, found, one_of
 from hallsym.model.derived import rate
@@ -76,22 +65,11 @@ def gain_mismatch(
     )  # fmt: skip
 
 
-def _bent(model: Model, effect: str, order: int) -> Model:
-    """Reading v becomes v + sum of c v^n / (1 V)^(n - 1), c per channel."""
-    names = {f"{effect}{n}_{{k}}": n for n in powers_to(order)}
-    return nonlinearity(model, effect, "transducer", FIELD, names, 100.0, BEND)
-
-
-@effect(link="transducer", waves=(2, 4), separate="the same sweep at a smaller gap")
-def odd_nonlinearity(model: Model, order: int = ODD) -> Model:
-    """Cubic deviation of each reading from a line."""
-    return _bent(model, "odd_nonlinearity", order)
-
-
-@effect(link="transducer", waves=(1, 3), separate="the same sweep at a smaller gap")
-def even_nonlinearity(model: Model, order: int = EVEN) -> Model:
-    """Square deviation of each reading from a line."""
-    return _bent(model, "even_nonlinearity", order)
+odd_nonlinearity, even_nonlinearity = bends(
+    "each reading", "transducer", FIELD, 100.0, lambda model: BEND,
+    {"waves": (2, 4), "separate": "the same sweep at a smaller gap"},
+    {"waves": (1, 3), "separate": "the same sweep at a smaller gap"},
+)  # fmt: skip
 
 
 @effect(
@@ -119,7 +97,7 @@ def first_order_lag(
         for coordinate, column in zip(model.pose, model.references, strict=True):
             links.move(s, coordinate, s[f"d1_{column}"] * later + s[f"d2_{column}"] * later**2 / 2)
 
-        def low_passed(field: ca.SX) -> ca.SX:
+        def low_passed(s: Signals, field: ca.SX) -> ca.SX:
             tau = ca.vertcat(*(p[n] for n in names)) if per == "channel" else p[names[0]]
             out = slope = field
             for n, factor in enumerate(LOW_PASS, start=1):
@@ -127,7 +105,7 @@ def first_order_lag(
                 out = out + factor * tau**n * slope
             return ca.substitute(out, later, ca.SX(0))
 
-        s["filters"].append(low_passed)
+        s.functions[FILTER] = low_passed
 
     return model.with_columns(*columns).with_step("clock", step, effect="first_order_lag", parameters=new)
 
@@ -142,17 +120,11 @@ def offsets_follow(model: Model, effect: str, functions: Functions, shared: bool
     return following(model, effect, "transducer", FIELD, functions, 100.0, "V", shared=shared)
 
 
-gain_temperature_drift = temperature_drift(
-    "gain_temperature_drift", "Gains, or magnets, follow the logged temperature.", gains_follow, per=True,
-)  # fmt: skip
-offset_temperature_drift = temperature_drift(
-    "offset_temperature_drift", "Offsets follow the logged temperature.", offsets_follow, per=True,
-)  # fmt: skip
-gain_time_drift = time_drift(
-    "gain_time_drift", "Gains, or magnets, drift smoothly over the campaign.", gains_follow, (16, 5),
-    per=True, needs=("t_s",),
-)  # fmt: skip
-offset_time_drift = time_drift(
-    "offset_time_drift", "Offsets drift smoothly over the campaign.", offsets_follow, (16, 5), per=True,
+gain_temperature_drift, offset_temperature_drift, gain_time_drift, offset_time_drift = drifts(
+    gains_follow,
+    offsets_follow,
+    ("Gains, or magnets, follow", "Offsets follow", "Gains, or magnets, drift", "Offsets drift"),
+    (16, 5),
+    per=True,
     needs=("t_s",),
-)  # fmt: skip
+)

@@ -1,14 +1,15 @@
 """What effects of an encoder share: its ports, the harmonics of its field, and how they are declared."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import casadi as ca
 
 from hallsym.families.mechanisms import P, Port, port
 from hallsym.families.rotary import models as rotary
-from hallsym.families.rotary.effects.direct import direct
-from hallsym.families.rotary.waves import Wave
-from hallsym.model import Model, Parameter, Signals
+from hallsym.families.rotary.waveforms import waveform
+from hallsym.families.rotary.waves import Wave, cosine, sine
+from hallsym.model import Model, Parameter, Signals, Step
 from hallsym.model.derived import Computed
 
 (REFERENCE,) = rotary.REFERENCES
@@ -75,3 +76,40 @@ def harmonic(s: Signals, n: int, re: ca.SX, im: ca.SX) -> None:
     sign = 1.0 if n >= 0 else -1.0
     s["cosine"] = s["cosine"] + Wave({abs(n): (re, -sign * im if n else ca.SX(0))})
     s["sine"] = s["sine"] + Wave({abs(n): (im, sign * re if n else ca.SX(0))})
+
+
+def direct(model: Model) -> Model:
+    """Return the model evaluated at each sample's own angle: atan2 itself, no series, no features.
+
+    A fit from run statistics needs readings that are linear in features; a diagnosis, which goes over the
+    samples, does not, and the series of many effects are long.
+    """
+    plain: dict[Step, Step] = {
+        rotary.turned: _direct_field,
+        rotary.voltages: _direct_voltages,
+        rotary.arctangent: _direct_angle,
+    }
+    steps = tuple((link, plain.get(step, step)) for link, step in model.steps)
+    return model.remember("direct", lambda: replace(model, steps=steps))
+
+
+def _direct_field(s: Signals, p: P) -> None:
+    s["cosine"], s["sine"] = waveform(cosine()), waveform(sine())
+
+
+def _plates(s: Signals, p: P) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Angle of the magnet and both voltages there."""
+    u = s[rotary.POSE[0]] + p["zero"]
+    return u, s["v_sin"].at(u), s["v_cos"].at(u)
+
+
+def _direct_voltages(s: Signals, p: P) -> None:
+    _, y, x = _plates(s, p)
+    s["reading"] = ca.vertcat(y, x)
+
+
+def _direct_angle(s: Signals, p: P) -> None:
+    """The angle on the branch of the magnet's."""
+    u, y, x = _plates(s, p)
+    cos, sin = ca.cos(u), ca.sin(u)
+    s["reading"], s["gain"] = u + ca.atan2(y * cos - x * sin, x * cos + y * sin), ca.SX(1)

@@ -2,18 +2,7 @@
 
 import casadi as ca
 
-from hallsym.families.mechanisms import (
-    EVEN,
-    ODD,
-    Functions,
-    P,
-    following,
-    free,
-    nonlinearity,
-    powers_to,
-    temperature_drift,
-    time_drift,
-)
+from hallsym.families.mechanisms import Functions, P, bends, drifts, following, free
 from hallsym.families.rotary.effects.parts import (
     LATE,
     MAGNET,
@@ -64,26 +53,15 @@ def orthogonality_error(model: Model) -> Model:
     return model.with_step("transducer", step, effect="orthogonality_error", parameters=new)
 
 
-def _bent(model: Model, effect: str, order: int) -> Model:
-    """Voltage v becomes v + sum of c v^n / A^(n - 1), c per plate, A the nominal amplitude."""
-    names = {f"{effect}{j}_{{k}}": n for j, n in enumerate(powers_to(order))}
-    return nonlinearity(model, effect, "transducer", VOLTAGES, names, 100.0, amplitude(model))
-
-
-@effect(
-    link="transducer",
-    waves=(4,),
-    separate=Way("another air gap", "the field's own harmonics do not follow the amplitude"),
-)
-def odd_nonlinearity(model: Model, order: int = ODD) -> Model:
-    """Cubic deviation of each voltage from a line."""
-    return _bent(model, "odd_nonlinearity", order)
-
-
-@effect(link="transducer", separate="another air gap", waves=(3,))
-def even_nonlinearity(model: Model, order: int = EVEN) -> Model:
-    """Square deviation of each voltage from a line."""
-    return _bent(model, "even_nonlinearity", order)
+odd_nonlinearity, even_nonlinearity = bends(
+    "each voltage", "transducer", VOLTAGES, 100.0, amplitude,
+    {
+        "waves": (4,),
+        "separate": Way("another air gap", "the field's own harmonics do not follow the amplitude"),
+    },
+    {"waves": (3,), "separate": "another air gap"},
+    by_place=True,
+)  # fmt: skip
 
 
 @effect(link="transducer", label="one time constant", needs=("t_s",), separate=LATE)
@@ -117,17 +95,11 @@ def offsets_follow(model: Model, effect: str, functions: Functions) -> Model:
     return following(model, effect, "transducer", VOLTAGES, functions, 100.0, "1")
 
 
-gain_temperature_drift = temperature_drift(
-    "gain_temperature_drift", "Gains follow the logged temperature.", gains_follow
-)
-offset_temperature_drift = temperature_drift(
-    "offset_temperature_drift", "Offsets follow the logged temperature.", offsets_follow
-)
-gain_time_drift = time_drift(
-    "gain_time_drift", "Gains drift smoothly over the campaign.", gains_follow, (16, 8, 4, 2), True,
+gain_temperature_drift, offset_temperature_drift, gain_time_drift, offset_time_drift = drifts(
+    gains_follow,
+    offsets_follow,
+    ("Gains follow", "Offsets follow", "Gains drift", "Offsets drift"),
+    (16, 8, 4, 2),
+    grid=True,
     needs=("t_s",),
-)  # fmt: skip
-offset_time_drift = time_drift(
-    "offset_time_drift", "Offsets drift smoothly over the campaign.", offsets_follow, (16, 8, 4, 2), True,
-    needs=("t_s",),
-)  # fmt: skip
+)

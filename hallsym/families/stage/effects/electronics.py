@@ -4,12 +4,11 @@ from collections.abc import Callable
 
 import casadi as ca
 
-from hallsym.errors import InputError
-from hallsym.families.faults import inject_rails
-from hallsym.families.mechanisms import LINE, P, add_terms, at_frequency, clipping, following, rails
+from hallsym.families import mechanisms
+from hallsym.families.mechanisms import LINE, P, add_terms, at_frequency, following
 from hallsym.families.stage.effects.parts import AXES, READING, UNIT
 from hallsym.model import Model, Signals, effect
-from hallsym.model.arguments import Valid, beside, found, one_of
+from hallsym.model.arguments import Valid, one_of
 from hallsym.model.derived import rate
 
 
@@ -43,16 +42,7 @@ def motor_stray_field(
     )
 
 
-@effect(link="electronics", separate="strokes of several lengths", inject=inject_rails)
-def saturation(
-    model: Model,
-    low_m: tuple[float, ...] = beside("lowest reading of each probe"),
-    high_m: tuple[float, ...] = found(rails("low_m", "high_m", alike=True), "highest reading of each probe"),
-) -> Model:
-    """Readings stop at a rail."""
-    if not len(low_m) == len(high_m) == len(model.layout):
-        raise InputError(f"Rails of saturation must be {len(model.layout)} numbers each, as -2e-4/-2e-4.")
-    return clipping(model, READING, low_m, high_m)
+saturation = mechanisms.saturation("m", "probe", READING, "strokes of several lengths")
 
 
 @effect(link="electronics", separate="a run at rest on the full clock")

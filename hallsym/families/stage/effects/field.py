@@ -5,30 +5,19 @@ from collections.abc import Callable, Mapping
 import casadi as ca
 import numpy as np
 
-from hallsym.families.mechanisms import EVEN, ODD, P, add_terms, free, nonlinearity, powers_to
+from hallsym.families.mechanisms import P, add_terms, bends, free
 from hallsym.families.play import stop_state, travel
 from hallsym.families.stage.effects.parts import AXES, SENSED, UNIT, across, labels
 from hallsym.model import Model, Parameter, Signals, Way, effect
 from hallsym.model.arguments import one_of, searched
 from hallsym.model.derived import Computed, Stretch
 
-
-def _bent(model: Model, effect: str, order: int) -> Model:
-    """Displacement u becomes u + sum of c u^n / (0.5 mm)^(n - 1), c per probe."""
-    names = {f"{effect}{n}_{{k}}": n for n in powers_to(order)}
-    return nonlinearity(model, effect, "field", SENSED, names, 0.5, UNIT, by_channel=False)
-
-
-@effect(link="field", separate="strokes of several lengths")
-def odd_nonlinearity(model: Model, order: int = ODD) -> Model:
-    """Cubic deviation of the reading from a line."""
-    return _bent(model, "odd_nonlinearity", order)
-
-
-@effect(link="field", separate="strokes of several lengths on both sides of zero")
-def even_nonlinearity(model: Model, order: int = EVEN) -> Model:
-    """Square deviation of the reading from a line."""
-    return _bent(model, "even_nonlinearity", order)
+odd_nonlinearity, even_nonlinearity = bends(
+    "the reading", "field", SENSED, 0.5, lambda model: UNIT,
+    {"separate": "strokes of several lengths"},
+    {"separate": "strokes of several lengths on both sides of zero"},
+    by_channel=False,
+)  # fmt: skip
 
 
 CROSS = {"uv": (1, 1), "vv": (0, 2), "uuv": (2, 1), "uvv": (1, 2), "vvv": (0, 3)}

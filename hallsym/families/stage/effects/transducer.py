@@ -9,10 +9,9 @@ from hallsym.families.mechanisms import (
     Functions,
     P,
     add_terms,
+    drifts,
     following,
     late,
-    temperature_drift,
-    time_drift,
 )
 from hallsym.families.stage import models as stage
 from hallsym.families.stage.effects.mechanics import rates_along
@@ -101,18 +100,14 @@ def offset_follows(model: Model, effect: str, functions: Functions) -> Model:
     return following(model, effect, "electronics", READING, functions, 1e-3, "m", by_channel=False)
 
 
-gain_temperature_drift = temperature_drift(
-    "gain_temperature_drift", "Gain follows the logged temperature.", gain_follows,
-)  # fmt: skip
-offset_temperature_drift = temperature_drift(
-    "offset_temperature_drift", "Offset follows the logged temperature.", offset_follows,
-    separate="long runs over which the temperature changes",
-)  # fmt: skip
-gain_time_drift = time_drift(
-    "gain_time_drift", "Gain drifts smoothly over the campaign.", gain_follows, (16, 5),
-    separate="the first setting again at the end; log the temperature",
-)  # fmt: skip
-offset_time_drift = time_drift(
-    "offset_time_drift", "Offset drifts smoothly over the campaign.", offset_follows, (16, 5),
-    separate="long runs at rest; log the temperature",
-)  # fmt: skip
+gain_temperature_drift, offset_temperature_drift, gain_time_drift, offset_time_drift = drifts(
+    gain_follows,
+    offset_follows,
+    ("Gain follows", "Offset follows", "Gain drifts", "Offset drifts"),
+    (16, 5),
+    separate={
+        "offset_temperature_drift": "long runs over which the temperature changes",
+        "gain_time_drift": "the first setting again at the end; log the temperature",
+        "offset_time_drift": "long runs at rest; log the temperature",
+    },
+)
