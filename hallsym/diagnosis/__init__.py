@@ -9,7 +9,6 @@
 from hallsym.diagnosis.choose import model_on
 from hallsym.diagnosis.decoded_errors import errors_of
 from hallsym.diagnosis.engine import Examined, diagnose, examine, prepare
-from hallsym.diagnosis.noise import noise_text
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import (
     Band,
@@ -24,7 +23,7 @@ from hallsym.diagnosis.record import (
 )
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.validation import QUIET
-from hallsym.diagnosis.words import gap_text, gap_unit, place_unit
+from hallsym.diagnosis.words import gap_text, gap_unit, noise_text, place_unit
 from hallsym.families.user import load_effects
 from hallsym.inference import Estimate
 

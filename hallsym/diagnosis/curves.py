@@ -1,26 +1,163 @@
-"""Curves of a residual over a coordinate: fitted, left out run by run, and tested against chance.
+"""Curves of a residual over what it may depend on: fitted, left out run by run, and tested against chance.
 
-Per sensor the residual may have an offset and a gain that follow the coordinate smoothly: linear
-interpolation between knots, bending penalised. What a curve explains is counted on runs that it was not
-fitted on, so that it cannot exceed what is there. Its significance rests on signs (`sign_flips`): without the
-effect the blocks' products with the curve are as often positive as negative, whatever the noise within a
-block. Blocks count alike, however large their residual. Products of a block with itself and with its
-neighbour in the same run are left out, so that correlation in time does not count; so is what residual and
-coordinate have in common because both hold the noise of the references (`measurement_error`).
+Coordinates are states, readings, motion, time, places on an axis or within its period. Per sensor the
+residual may have an offset and a gain that follow the coordinate smoothly: linear interpolation between
+knots, bending penalised. What a curve explains is counted on runs that it was not fitted on, so that it
+cannot exceed what is there. Its significance rests on signs (`sign_flips`): without the effect the blocks'
+products with the curve are as often positive as negative, whatever the noise within a block. Blocks count
+alike, however large their residual. Products of a block with itself and with its neighbour in the same run
+are left out, so that correlation in time does not count; so is what residual and coordinate have in common
+because both hold the noise of the references (`measurement_error`).
+
+What a curve, or a gain of every run, predicts on runs (or stretches) that it was not fitted on is lack of
+fit, whatever the noise floor is said to be.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import tau
 
 import numpy as np
+from scipy.ndimage import median_filter
 
-from hallsym.diagnosis.coordinates import Coordinate, hats, knots
+from hallsym.diagnosis.p_values import statistic_at
+from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.regression import NIL, RIDGE, others, regression, ridge
-from hallsym.diagnosis.residual_table import PARTS, ResidualTable, slices
+from hallsym.diagnosis.residual_table import (
+    PARTS,
+    ResidualTable,
+    edges_of,
+    means,
+    phase,
+    residual_table,
+    slices,
+    sums,
+)
+from hallsym.diagnosis.residuals import Base, found_once, pieces
 from hallsym.diagnosis.sign_flips import drawn, moments, of_products, of_sums
-from hallsym.estimation.residual_noise import MEMORIES
+from hallsym.diagnosis.survey import SEGMENT
+from hallsym.estimation.residual_noise import MEMORIES, STILL
 from hallsym.families.play import stop_operators
+from hallsym.units import readable
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """What a residual may depend on: its `name`, the `column` behind it, the unit of that.
+
+    `gain`: it may also change the gain. `own`: every sensor has its own, from `sensed` or `rate`. `fine`: the
+    residual may have fine structure over it. `of`: several columns that together are the coordinate, and
+    `memory`: the direction of motion of each sensor; neither is a place on a line.
+    """
+
+    name: str
+    column: str
+    unit: str
+    gain: bool = True
+    own: bool = False
+    fine: bool = False
+    of: tuple[str, ...] = ()
+    memory: bool = False
+
+    @property
+    def ordered(self) -> bool:
+        """Whether it is a place on a line."""
+        return not self.of and not self.memory
+
+    def values(self, r: ResidualTable) -> np.ndarray | None:
+        """Return (n,) values, (K, n) for each sensor's own; None where there are none or they do not vary."""
+        if self.memory:
+            return np.sign(r.rate) if np.std(r.sensed) > 0 else None
+        if self.of:
+            there = all(c in r.columns and (not self.gain or np.std(r.columns[c]) > 0) for c in self.of)
+            return r.columns[self.of[0]] if there else None
+        x = getattr(r, self.column) if self.own else r.columns.get(self.column)
+        if x is None:
+            return None
+        if self.unit == "rad" and self.fine and np.ptp(x) > tau:
+            x = np.mod(x, tau)
+        return x if np.std(x) > max(STILL * r.base.sigma.get(self.column, 0.0), 1e-15) else None
+
+
+def coordinates(r: ResidualTable) -> tuple[Coordinate, ...]:
+    """Return what a residual may depend on, from the most telling to the least.
+
+    Of two that explain the same the first is named. Where all references are periodic, their place within the
+    period says all that the readings and the pose could say.
+    """
+    model = r.base.model
+    words, references = model.family.words, model.references
+    stems = {c: readable(c)[2].removesuffix("_ref").replace("_", " ") for c in (*references, *model.state)}
+    of = {c: f" of {stems[c]}" if len(references) > 1 else "" for c in references}
+    turn = {c: "turn" if unit_of(c) == "rad" else "period" for c in references}
+    phases = [
+        Coordinate(f"place in the {turn[c]}{of[c]}", phase(c), unit_of(c), gain=False, fine=True)
+        for c in references
+        if c in model.period
+    ]
+    if len(phases) == len(references):
+        motion = [Coordinate(f"speed{of[c]}", f"d1_{c}", f"{unit_of(c)}/s") for c in references]
+        known = [*phases, *(motion if r.base.timed else ())]
+    else:
+        reading = unit_of(model.channels[0])
+        made = {c.name for c in model.computed}
+        states = [Coordinate(words.get(c, stems[c]), c, unit_of(c)) for c in model.state if c not in made]
+        if len(states) > 1:
+            together = model.family.together or ", ".join(s.name for s in states) + " together"
+            states.append(Coordinate(together, "states", "1", of=tuple(s.column for s in states)))
+        places = {c: f"place in the stroke of {stems[c]}" for c in references}
+        for c in references:
+            if unit_of(c) == "rad":
+                far = np.ptp(r.columns[f"d0_{c}"]) > tau
+                places[c] = f"place in the turn of {stems[c]}" if far else f"angle {stems[c]}"
+        rates = tuple(f"d2_{c}" for c in references)
+        known = [
+            *states,
+            *phases,
+            Coordinate("the reading itself", "sensed", reading, gain=False, own=True, fine=True),
+            Coordinate("direction of motion", "direction", "1", gain=False, own=True, memory=True),
+            Coordinate("velocity", "rate", f"{reading}/s", own=True),
+            Coordinate("acceleration", "acceleration", "m/s2", gain=False, of=rates),
+            *(Coordinate(words.get(c, places[c]), f"d0_{c}", unit_of(c), fine=True) for c in references),
+        ]
+    clock = (
+        Coordinate("time in the campaign", "campaign_s", "s"),
+        Coordinate("time since the start of the run", "run_s", "s", gain=False),
+    )
+    warmth = Coordinate("temperature", "temperature_degc", "degC")
+    return (warmth, *known, *(clock if r.base.timed else ()))
+
+
+def unit_of(column: str) -> str:
+    """Return the unit of a column: the end of its name."""
+    unit = column.rpartition("_")[2]
+    return "degC" if unit == "degc" else unit
+
+
+def knots(x: np.ndarray) -> np.ndarray:
+    """Return up to 9 knots of a smooth curve over x, quantiles: none closer than 2 % of the range."""
+    wanted = np.quantile(x, np.linspace(0.0, 1.0, 9))
+    low, high = wanted[0], wanted[-1]
+    kept = [low]
+    for k in wanted[1:-1]:
+        if k - kept[-1] > 0.02 * (high - low) and high - k > 0.02 * (high - low):
+            kept.append(k)
+    return np.array([*kept, high])
+
+
+def hats(x: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return linear interpolation between `at` as features, (len(at), n)."""
+    k = np.clip(np.searchsorted(at, x, side="right") - 1, 0, len(at) - 2)
+    share = np.clip((x - at[k]) / (at[k + 1] - at[k]), 0.0, 1.0)
+    out = np.zeros((len(at), len(x)))
+    columns = np.arange(len(x))
+    out[k, columns], out[k + 1, columns] = 1.0 - share, share
+    return out
+
+
+# -- curves --------------------------------------------------------------------------------------------------
+
 
 BENDS = (0.01, 0.3, 10.0)
 """Weights of the bending penalty against the data that are tried, from free knots to nearly a straight line.
@@ -31,72 +168,100 @@ no bend."""
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """How a residual follows a coordinate.
+    """How a residual follows the coordinate that it was fitted `over`.
 
-    `at`: (m,) places. `offset`, `gain`: (K, m), the residual is offset + gain * sensed / scale [m]; `gain`
-    None where it has none. `spread`, `gain_spread`: standard errors of these, from runs left out in turn.
-    `explained`: whitened squares that it removes from runs it was not fitted on. `statistic`: (draws,) with
-    random signs, that of the log first. `predicted`: (K, n), `foreseen`: the same without the fold of each
-    sample; `says`: of other samples, None where the coordinate does not vary.
+    `beta`: (K, features) offsets at the m places `over.at`, then gains, if any: the residual is offset +
+    gain * sensed / scale [m]. `left`: (folds, K, features) the same with runs left out in turn, `foreseen`:
+    (K, n) what that predicts of them, `explained`: whitened squares that this removes. `statistic`: (draws,)
+    with random signs, that of the log first.
     """
 
-    coordinate: Coordinate
-    values: np.ndarray
-    at: np.ndarray
-    offset: np.ndarray
-    spread: np.ndarray
+    over: "_Over"
+    beta: np.ndarray
+    left: np.ndarray
+    foreseen: np.ndarray
     explained: float
     statistic: np.ndarray
-    predicted: np.ndarray
-    foreseen: np.ndarray
-    says: Callable[[ResidualTable], np.ndarray | None]
-    gain: np.ndarray | None = None
-    gain_spread: np.ndarray | None = None
-    scale: float = 1.0
-    fine: bool = False
 
     @property
     def p_value(self) -> float:
         """P-value of this curve alone: the share of draws with as large a statistic."""
         return float((self.statistic >= self.statistic[0]).mean())
 
+    @property
+    def coordinate(self) -> Coordinate:
+        """What the residual follows."""
+        return self.over.coordinate
 
-class _Fit(NamedTuple):
-    """Coefficients of a curve of all runs, (K, features), and without each fold, (folds, K, features).
+    @property
+    def offset(self) -> np.ndarray:
+        """Offsets at each place, (K, m)."""
+        return self.beta[:, : len(self.over.at)]
 
-    `foreseen`: (K, n) what the latter predict of their folds, `explained`: whitened squares that this
-    removes. `statistic`: (draws,), of all sensors.
+    @property
+    def gain(self) -> np.ndarray | None:
+        """Gains at each place, (K, m); None where it has none."""
+        gain = self.beta[:, len(self.over.at) :]
+        return gain if self.coordinate.ordered and gain.size else None
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Standard errors of the coefficients (K, features), by a jackknife over the folds."""
+        U = len(self.left)
+        return np.sqrt((U - 1) / U * ((self.left - self.left.mean(axis=0)) ** 2).sum(axis=0))
+
+    def says(self, r: ResidualTable) -> np.ndarray | None:
+        """Return the residual (K, n) of some samples; None where the coordinate does not vary."""
+        x = self.over.values if r is self.over.r else self.coordinate.values(r)
+        return None if x is None else self.over.predicted(self.beta, r, x)
+
+    @cached_property
+    def predicted(self) -> np.ndarray:
+        """The residual (K, n) of the samples that it was fitted to."""
+        return self.over.predicted(self.beta, self.over.r, self.over.values)
+
+
+class _Over:
+    """A residual over one coordinate: its `values` and, with more noise in the references, those `there`.
+
+    `at`: places at which there is an offset. `scale`: of the expected reading, by which gains are stated.
     """
 
-    explained: float
-    foreseen: np.ndarray
-    beta: np.ndarray
-    left: np.ndarray
-    statistic: np.ndarray
+    at: np.ndarray
+    scale = 1.0
+
+    def __init__(self, r: ResidualTable, coordinate: Coordinate, moved: ResidualTable | None = None) -> None:
+        """Take the residual on some runs; `moved`: the same with more noise in the references."""
+        values = coordinate.values(r)
+        if values is None:
+            raise ValueError(f"{coordinate.name} does not vary")
+        self.r, self.coordinate, self.values = r, coordinate, values
+        self.there = None if moved is None else coordinate.values(moved)
+        self.change = np.zeros(1) if moved is None else moved.residual - r.residual
+
+    def predicted(self, coefficients: np.ndarray, r: ResidualTable, x: np.ndarray) -> np.ndarray:
+        """Return what coefficients (K, features) predict where the coordinate has the values `x`."""
+        raise NotImplementedError
 
 
-class Smooth:
+class Smooth(_Over):
     """Smooth curves over one coordinate: what does not depend on the residual is computed once."""
 
     def __init__(self, r: ResidualTable, coordinate: Coordinate, moved: ResidualTable | None = None) -> None:
         """Take the residual on some runs; `moved`: the same with more noise in the references."""
-        self.r, self.coordinate = r, coordinate
-        self.values = values = _values(coordinate, r)
-        self.scale = float(np.sqrt(np.mean(r.sensed**2))) or 1.0
+        super().__init__(r, coordinate, moved)
         c = coordinate
+        self.scale = float(np.sqrt(np.mean(r.sensed**2))) or 1.0
         free = MEMORIES if c.memory else np.arange(len(c.of) * (1.0 + c.gain))
-        self.at = knots(values) if c.ordered else np.asarray(free)
-        self.phi = self._features(r, values)
+        self.at = knots(self.values) if c.ordered else np.asarray(free)
+        self.phi = self._features(r, self.values)
         self.folds, self.blocks = slices(r.fold), slices(r.block)
-        there = None if moved is None else c.values(moved)
-        by = np.zeros((*self.phi.shape[:2], 1))
-        if moved is not None and there is not None:
-            change = r.precision @ (moved.residual - r.residual)
-            by = (self._features(moved, there) - self.phi) * change[:, None, :]
-        self.shared = [
-            np.array([by[:, :, s].sum(axis=2) for s in group]) for group in (self.folds, self.blocks)
-        ]
-        self.own = 1 / np.diag(np.linalg.inv(r.precision))
+        self.shared = [np.zeros((len(self.phi), 1, 1))] * 2
+        if moved is not None and self.there is not None:
+            change = r.precision @ self.change
+            by = (self._features(moved, self.there) - self.phi) * change[:, None, :]
+            self.shared = [sums(by, group).swapaxes(1, 2) for group in (r.fold, r.block)]
+        self.own = 1 / r.variance
         self.gram = self.own[:, None, None, None] * np.array(
             [[phi[:, s] @ phi[:, s].T for s in self.folds] for phi in self.phi]
         )
@@ -109,55 +274,43 @@ class Smooth:
             phi = np.array([hats(row, self.at) for row in _by_sensor(x, r)])
         elif c.memory:
             size = float(np.std(self.r.sensed))
-            edges = [*(s.start for s in slices(r.run)), len(r.run)]
-            phi = stop_operators(r.sensed, edges, [size * w for w in MEMORIES])
+            phi = stop_operators(r.sensed, edges_of(r.run).tolist(), [size * w for w in MEMORIES])
         else:
             old, new = (np.array([of.columns[n] for n in c.of]) for of in (self.r, r))
             middle = old.mean(axis=1, keepdims=True) if c.gain else 0.0
             rows = (new - middle) / np.maximum(old.std(axis=1, keepdims=True), 1e-300)
-            phi = np.broadcast_to(rows, (len(r.channels), *rows.shape))
+            phi = np.broadcast_to(rows, (len(r.residual), *rows.shape))
         return np.concatenate([phi, phi * (r.sensed / self.scale)[:, None, :]], axis=1) if c.gain else phi
 
+    def predicted(self, coefficients: np.ndarray, r: ResidualTable, x: np.ndarray) -> np.ndarray:
+        """Return the residual (K, n) where the coordinate has the values `x`."""
+        phi = self.phi if r is self.r else self._features(r, x)
+        return np.asarray((coefficients[:, None] @ phi)[:, 0])
+
     def curve(self, residual: np.ndarray) -> Curve:
-        """Return the curve of a residual (K, n)."""
+        """Return the curve of a residual (K, n): the bending penalty that predicts runs left out best."""
         fits = self._fits(residual)
-        explained, foreseen, beta, left, _ = max(fits, key=lambda f: f.explained)
         z = np.max([f.statistic for f in fits], axis=0)
-        U, m = len(left), len(self.at)
-        error = np.sqrt((U - 1) / U * ((left - left.mean(axis=0)) ** 2).sum(axis=0))
-        both = self.coordinate.ordered and self.coordinate.gain
-        predicted = (beta[:, None] @ self.phi)[:, 0]
+        return replace(max(fits, key=lambda f: f.explained), statistic=z)
 
-        def says(other: ResidualTable) -> np.ndarray | None:
-            x = self.coordinate.values(other)
-            return None if x is None else (beta[:, None] @ self._features(other, x))[:, 0]
-
-        return Curve(
-            self.coordinate, self.values, self.at, beta[:, :m], error[:, :m], explained, z, predicted,
-            foreseen, says, beta[:, m:] if both else None, error[:, m:] if both else None, self.scale,
-        )  # fmt: skip
-
-    def _fits(self, residual: np.ndarray) -> list["_Fit"]:
+    def _fits(self, residual: np.ndarray) -> list[Curve]:
         """Fit the coefficients of each sensor to its own residual, for each bending penalty."""
         r = self.r
-        level, weighted = level_weights(r, residual, r.block)[:, None], r.precision @ residual
-        cross, scores = (
-            [
-                np.array([phi[:, s] @ row[s] for s in group]) - shared[:, k]
-                for k, (phi, row) in enumerate(zip(self.phi, rows, strict=True))
-            ]
+        level = level_weights(r, residual, r.block)[:, None]
+        targets, scores = (
+            [sums(phi * row, group).T - own for phi, row, own in zip(self.phi, rows, shared, strict=True)]
             for rows, group, shared in (
-                (self.own[:, None] * residual, self.folds, self.shared[0]),
-                (weighted, self.blocks, self.shared[1]),
+                (self.own[:, None] * residual, r.fold, self.shared[0]),
+                (r.precision @ residual, r.block, self.shared[1]),
             )
         )
         out = []
         for bend in BENDS if self.coordinate.ordered else BENDS[:1]:
             q = np.zeros((len(self.blocks),) * 2)
             each = []
-            for gram, rest, targets, of_blocks in zip(self.gram, self.rest, cross, scores, strict=True):
+            for gram, rest, target, of_blocks in zip(self.gram, self.rest, targets, scores, strict=True):
                 penalty = _penalty(np.diag(gram.sum(axis=0)), len(self.at), bend)
-                each.append(regression(gram, targets, penalty, rest))
+                each.append(regression(gram, target, penalty, rest))
                 own = level * of_blocks
                 q += own @ np.linalg.solve(gram.sum(axis=0) + penalty, own.T)
             left = np.stack([fit.left_out for fit in each], axis=1)
@@ -165,11 +318,12 @@ class Smooth:
             parts = zip(left, self.folds, strict=True)
             foreseen = np.hstack([(own[:, None] @ self.phi[:, :, s])[:, 0] for own, s in parts])
             explained = float((foreseen * (r.precision @ (2 * residual - foreseen))).sum())
-            out.append(_Fit(explained, foreseen, beta, left, of_products(q, r.run_of(r.block), r.policy)))
+            statistic = of_products(q, r.run_of(r.block), r.base.policy)
+            out.append(Curve(self, beta, left, foreseen, explained, statistic))
         return out
 
 
-class FineMap:
+class FineMap(_Over):
     """Offsets in many narrow bins of a coordinate, each drawn towards 0 by what its samples can tell.
 
     No bin is narrower than 8 sigma of what places it, which is in the residual. There are up to 96: with
@@ -178,69 +332,54 @@ class FineMap:
 
     def __init__(self, r: ResidualTable, coordinate: Coordinate, moved: ResidualTable | None = None) -> None:
         """Take the residual on some runs; `moved`: the same with more noise in the references."""
-        self.r, self.coordinate = r, coordinate
-        self.values = x = _values(coordinate, r)
-        low, high = np.quantile(_by_sensor(x, r), [0.002, 0.998])
-        noise = max((r.sigma.get(c, 0.0) for c in r.sigma if c.endswith(f"_{coordinate.unit}")), default=0.0)
-        self.bins = int(np.clip((high - low) / max(8 * noise, 1e-300), 12, 96))
-        self.width = (high - low) / self.bins
-        self.at = low + self.width * (np.arange(self.bins) + 0.5)
-        self.low = low
-        self.bin = self._bin(x, r)
-        self.shared: Callable[[np.ndarray], np.ndarray | float] = lambda group: 0.0
-        there = None if moved is None else coordinate.values(moved)
-        if moved is not None and there is not None:
-            change, other = moved.residual - r.residual, self._bin(there, r)
-            self.shared = lambda group: (
-                self._sums(change, group, other)[1] - self._sums(change, group, self.bin)[1]
-            )
+        super().__init__(r, coordinate, moved)
+        self.low, high = np.quantile(_by_sensor(self.values, r), [0.002, 0.998])
+        of_places = [s for c, s in r.base.sigma.items() if c.endswith(f"_{coordinate.unit}")]
+        width = max(8 * max(of_places, default=0.0), 1e-300)
+        self.bins = int(np.clip((high - self.low) / width, 12, 96))
+        self.width = (high - self.low) / self.bins
+        self.at = self.low + self.width * (np.arange(self.bins) + 0.5)
+        self.bin = self._bin(self.values, r)
+        self.count = self._sums(np.ones_like(r.residual), r.fold, self.bin)
         self.prior = r.residual.size / max(r.excess, 1e-3 * r.residual.size)
+        self.shared: list[np.ndarray | float] = [0.0, 0.0]
+        if moved is not None and self.there is not None:
+            there = self._bin(self.there, r)
+            self.shared = [
+                self._sums(self.change, group, there) - self._sums(self.change, group, self.bin)
+                for group in (r.fold, r.block)
+            ]
+
+    def predicted(self, coefficients: np.ndarray, r: ResidualTable, x: np.ndarray) -> np.ndarray:
+        """Return the offsets (K, n) where the coordinate has the values `x`."""
+        return np.take_along_axis(coefficients, self._bin(x, r), axis=1)
 
     def curve(self, residual: np.ndarray) -> Curve:
         """Return the map of a residual (K, n)."""
-        r = self.r
-        n, sums = self._sums(residual, r.fold, self.bin)
-        sums = sums - self.shared(r.fold)
-        N, S = n.sum(axis=0), sums.sum(axis=0)
-        left = (S - sums) / (N - n + self.prior)
+        r, n = self.r, self.count
+        of_folds, of_blocks = (
+            self._sums(residual, group, self.bin) - shared
+            for group, shared in zip((r.fold, r.block), self.shared, strict=True)
+        )
+        N, S = n.sum(axis=0), of_folds.sum(axis=0)
+        left = (S - of_folds) / (N - n + self.prior)
         weight = np.diag(r.precision)[:, None]
-        explained = float((weight * (2 * sums * left - n * left**2)).sum())
-        mean = S / (N + self.prior)
-        _, parts = self._sums(residual, r.block, self.bin)
-        parts = parts - self.shared(r.block)
-        parts *= level_weights(r, residual, r.block)[:, None, None]
-        scores = (parts * np.sqrt(weight / (N + self.prior))).reshape(len(parts), -1)
-        U = len(left)
-        error = np.sqrt((U - 1) / U * ((left - left.mean(axis=0)) ** 2).sum(axis=0))
-
-        def says(other: ResidualTable) -> np.ndarray | None:
-            x = self.coordinate.values(other)
-            return None if x is None else np.take_along_axis(mean, self._bin(x, other), axis=1)
-
-        z = of_products(scores @ scores.T, r.run_of(r.block), r.policy)
-        predicted = np.take_along_axis(mean, self.bin, axis=1)
-        fold = np.unique(r.fold, return_inverse=True)[1]
-        foreseen = left[fold, np.arange(len(left[0]))[:, None], self.bin]
-        return Curve(
-            self.coordinate, self.values, self.at, mean, error, explained, z, predicted, foreseen, says,
-            fine=True,
-        )  # fmt: skip
+        explained = float((weight * (2 * of_folds * left - n * left**2)).sum())
+        of_blocks *= level_weights(r, residual, r.block)[:, None, None]
+        scores = (of_blocks * np.sqrt(weight / (N + self.prior))).reshape(len(of_blocks), -1)
+        z = of_products(scores @ scores.T, r.run_of(r.block), r.base.policy)
+        foreseen = left[_index(r.fold), np.arange(len(residual))[:, None], self.bin]
+        return Curve(self, S / (N + self.prior), left, foreseen, explained, z)
 
     def _bin(self, x: np.ndarray, r: ResidualTable) -> np.ndarray:
         return np.clip(((_by_sensor(x, r) - self.low) / self.width).astype(int), 0, self.bins - 1)
 
-    def _sums(
-        self, residual: np.ndarray, group: np.ndarray, bins: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Samples and sums of the residual by group, sensor and bin, (groups, K, bins) each."""
-        _, index = np.unique(group, return_inverse=True)
-        groups, K = index.max() + 1, len(residual)
+    def _sums(self, values: np.ndarray, group: np.ndarray, bins: np.ndarray) -> np.ndarray:
+        """Return the sums of values (K, n) by group, sensor and bin, (groups, K, bins)."""
+        index, K = _index(group), len(values)
         place = (index * K + np.arange(K)[:, None]) * self.bins + bins
-        flat = place.ravel()
-        shape = (groups, K, self.bins)
-        size = groups * K * self.bins
-        n = np.bincount(flat, minlength=size).reshape(shape).astype(float)
-        return n, np.bincount(flat, residual.ravel(), size).reshape(shape)
+        shape = (index[-1] + 1, K, self.bins)
+        return np.bincount(place.ravel(), values.ravel(), int(np.prod(shape))).reshape(shape)
 
 
 def over(r: ResidualTable, c: Coordinate, moved: ResidualTable | None = None) -> list[Smooth | FineMap]:
@@ -250,24 +389,16 @@ def over(r: ResidualTable, c: Coordinate, moved: ResidualTable | None = None) ->
     return [make(r, c, moved) for make in ((Smooth, FineMap) if c.fine else (Smooth,))]
 
 
-def _values(coordinate: Coordinate, r: ResidualTable) -> np.ndarray:
-    values = coordinate.values(r)
-    if values is None:
-        raise ValueError(f"{coordinate.name} does not vary")
-    return values
-
-
 def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Return what a gain of its own in every run explains, its statistic (draws,), what it foresees (K, n).
 
     Each stretch of a run is predicted by the other stretches of the same run. The first draw is the log.
     """
-    products = r.sensed * (r.precision @ residual)
     parts = slices(r.part)
-    cross = np.array([products[:, s].sum(axis=1) for s in parts])
+    cross = sums(r.sensed * (r.precision @ residual), r.part).T
     gram = np.array([r.sensed[:, s] @ r.sensed[:, s].T * r.precision for s in parts])
-    run = np.array([r.run[s.start] for s in parts])
-    explained, sums, variance, third, foreseen = 0.0, 0.0, 0.0, 0.0, np.zeros_like(residual)
+    run = r.run[edges_of(r.part)[:-1]]
+    explained, total, variance, third, foreseen = 0.0, 0.0, 0.0, 0.0, np.zeros_like(residual)
     signs = drawn(len(parts))
     even = level_weights(r, residual, r.part)[:, None] * cross
     for number in np.unique(run):
@@ -281,10 +412,10 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray
             foreseen[:, parts[k]] = gain[:, None] * r.sensed[:, parts[k]]
         q = even[at] @ np.linalg.solve(gram[at].sum(axis=0) + penalty, even[at].T)
         q[np.abs(np.subtract.outer(at, at)) <= 1] = 0.0
-        sums = sums + ((signs[:, at] @ q) * signs[:, at]).sum(axis=1)
+        total = total + ((signs[:, at] @ q) * signs[:, at]).sum(axis=1)
         variance, third = (a + b for a, b in zip((variance, third), moments(q), strict=True))
-    statistic = of_sums(sums + np.zeros(len(signs)), variance, third, enough=len(parts) >= r.policy.fewest)
-    return explained, statistic, foreseen
+    enough = len(parts) >= r.base.policy.fewest
+    return explained, of_sums(total + np.zeros(len(signs)), variance, third, enough=enough), foreseen
 
 
 def level_weights(r: ResidualTable, residual: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -292,10 +423,14 @@ def level_weights(r: ResidualTable, residual: np.ndarray, group: np.ndarray) -> 
 
     It is 0 for a group that is fitted exactly, such as a single knot with a zero of its own.
     """
-    squares = np.einsum("kn,kl,ln->n", residual, r.precision, residual)
-    means = np.array([squares[s].mean() for s in slices(group)])
-    some = means > NIL * means.mean()
-    return np.where(some, 1.0 / np.sqrt(np.where(some, means, 1.0)), 0.0)
+    size = means(r.whitened_squares(residual), group)
+    some = size > NIL * size.mean()
+    return np.where(some, 1.0 / np.sqrt(np.where(some, size, 1.0)), 0.0)
+
+
+def _index(group: np.ndarray) -> np.ndarray:
+    """Return the number (n,) of the consecutive group that each sample is in."""
+    return np.cumsum(np.diff(group, prepend=group[0]) != 0)
 
 
 def _by_sensor(x: np.ndarray, r: ResidualTable) -> np.ndarray:
@@ -311,3 +446,102 @@ def _penalty(size: np.ndarray, m: int, bend: float) -> np.ndarray:
     D = np.diff(np.eye(m), 2, axis=0)
     weight = np.maximum(size.reshape(-1, m).mean(axis=1), 1e-300)
     return np.kron(np.diag(weight), bend * D.T @ D + RIDGE * np.eye(m))
+
+
+# -- lack of fit ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How far a family of curves lowers the gap metric of runs it was not fitted on, and its p-value.
+
+    `name`: of the coordinate that the residual may depend on.
+    """
+
+    name: str
+    drop: float
+    p_value: float
+
+
+@dataclass(frozen=True, eq=False)
+class LackOfFit:
+    """Families of curves, best first; `tones`: decrease of the gap metric without its steady tones."""
+
+    shapes: tuple[Shape, ...]
+    tones: float = 0.0
+
+    def best(self, level: float) -> Shape | None:
+        """Return the family that explains most and is no chance (level corrected for all tried)."""
+        tried = max(len(self.shapes), 1)
+        return next((s for s in self.shapes if s.p_value * tried < level and s.drop > 0), None)
+
+
+@found_once
+def lack_of_fit(base: Base, runs: frozenset[int]) -> LackOfFit:
+    """Hold the families of curves against what `base` leaves on `runs`."""
+    r = residual_table(base, runs)
+    if r is None:
+        return LackOfFit(())
+    whole = max(r.metric(r.residual), 1e-300)
+    _, z, foreseen = run_gains(r, r.residual)
+    found = [("gain of its own", foreseen, float((z >= z[0]).mean()))]
+    for c in coordinates(r):
+        curves = [each.curve(r.residual) for each in over(r, c)]
+        found += [(c.name, x.foreseen, x.p_value) for x in curves]
+    shapes = [Shape(name, 1 - r.metric(r.residual - x) / whole, p) for name, x, p in found]
+    return LackOfFit(tuple(sorted(shapes, key=lambda s: -s.drop)), tones(base, runs))
+
+
+# -- steady tones --------------------------------------------------------------------------------------------
+
+
+LOBE = 4
+"""Frequencies that a line takes in a spectrum with Hann's window, the width of its main lobe: so many at the
+slow end are drift, and a median over four lobes is what lies between lines."""
+
+
+def tones(base: Base, runs: Iterable[int]) -> float:
+    """Return by how much the gap metric of `runs` falls without the steady tones of the decoded error."""
+    model, back, length = base.model, np.linalg.inv(base.whiten), 2 * SEGMENT
+    run, power = [], [np.zeros((0, SEGMENT + 1))]
+    for piece in pieces(base, frozenset(runs)):
+        pose, state = ([piece.data[c] for c in names] for names in (model.references, model.state))
+        e = np.einsum("iks,ks->is", base.to_pose(pose, state), back @ piece.residual)
+        e = np.where(piece.used, e * base.pose_weights[:, None], 0.0)
+        parts = e[:, : e.shape[1] // length * length].reshape(len(e), -1, length)
+        parts = (parts - parts.mean(axis=2, keepdims=True)) * np.hanning(length)
+        run += [piece.run] * parts.shape[1]
+        power.append((np.abs(np.fft.rfft(parts)) ** 2).sum(axis=0))
+    if len(run) < base.policy.fewest:
+        return 0.0
+    each = np.concatenate(power)
+    P = each.sum(axis=0)
+    smooth = median_filter(P, 4 * LOBE - 1, mode="reflect")
+    freedom = 2 * len(model.pose) * len(run)
+    certain = P * freedom > smooth * statistic_at(base.policy.certain / len(P), freedom)
+    certain[:LOBE] = False
+    if not _steady(np.array(run), each, certain, base.policy):
+        return 0.0
+    share = float(np.where(certain, P - smooth, 0.0).sum() / max(P.sum(), 1e-300))
+    return 1 - float(np.sqrt(max(1 - share, 0.0)))
+
+
+def _steady(run: np.ndarray, power: np.ndarray, certain: np.ndarray, policy: Policy) -> bool:
+    """Return whether lines have the same power (segments, frequencies) all through a run, unlike noise.
+
+    Of few segments some noise is steady by chance, so no more of the other frequencies may be as steady than
+    a false alarm has; of many, all noise is nearly as steady, so the line must be by a good part more. Runs
+    of one segment are held against each other.
+    """
+    _, index, count = np.unique(run, return_inverse=True, return_counts=True)
+    alone = count[index] == 1
+    _, group, count = np.unique(np.where(alone, -1, index), return_inverse=True, return_counts=True)
+    level = np.array([power[group == k].mean(axis=0) for k in range(len(count))]).clip(1e-300)
+    varies = ((power - level[group]) ** 2 / level[group]).sum(axis=0)
+    squares = (count - 1) @ level
+    beside = np.convolve(certain, np.ones(3), mode="same") > 0  # a part of the line's power is theirs
+    rest = varies[~beside] / np.maximum(squares[~beside], 1e-300)
+    if not len(rest) or not squares[certain].sum() > 0:
+        return True
+    line = varies[certain].sum() / squares[certain].sum()
+    return bool(np.mean(rest <= line) < policy.false_alarm and line < (1 - policy.minor) * np.median(rest))

@@ -7,7 +7,7 @@ import numpy as np
 
 from hallsym.diagnosis.record import Gap, Waves
 from hallsym.diagnosis.residuals import Base
-from hallsym.estimation.decoding import check_decoded, nominal_variance, pose_errors
+from hallsym.estimation.decoding import error_tables, nominal_variance, pose_errors
 from hallsym.log import Block
 from hallsym.log.batches import Weigh
 from hallsym.log.phase import decoding, designed
@@ -16,7 +16,7 @@ from hallsym.records import named
 
 @dataclass(frozen=True, eq=False)
 class DecodedErrors:
-    """Decoded errors of `count` samples: sums of `squares` and `peak`, (pose,) each, in SI.
+    """Decoded errors of `count` samples: `rms` and `peak` of each coordinate, (pose,) each, in SI.
 
     `weights`: (pose,) of the pose metric.
     """
@@ -24,13 +24,8 @@ class DecodedErrors:
     pose: tuple[str, ...]
     weights: np.ndarray
     count: int
-    squares: np.ndarray
+    rms: np.ndarray
     peak: np.ndarray
-
-    @property
-    def rms(self) -> np.ndarray:
-        """Root mean square of each coordinate, (pose,)."""
-        return np.sqrt(self.squares / max(self.count, 1))
 
     @property
     def metric(self) -> float:
@@ -43,10 +38,7 @@ class DecodedErrors:
         return Gap(named(self.pose, self.rms), named(self.pose, self.peak))
 
 
-Decode = Callable[[Block], np.ndarray]
-
-
-def errors_of(base: Base) -> Decode:
+def errors_of(base: Base) -> Callable[[Block], np.ndarray]:
     """Return `block -> (n_pose, samples)` errors of the decoded pose; the block needs the model's columns."""
     errors = pose_errors(base.model, np.diag(base.covariance))
     return lambda block: errors(base.p, base.zeros_in(block.run), block.data)
@@ -54,20 +46,12 @@ def errors_of(base: Base) -> Decode:
 
 def decoded_errors(base: Base, runs: Iterable[int], keep: Weigh | None = None) -> DecodedErrors:
     """Decode the samples of some runs that `keep` does not leave out, and return their errors."""
-    model, wanted, decode = base.model, set(runs), errors_of(base)
-    count, squares, peak = 0, np.zeros(len(model.pose)), np.zeros(len(model.pose))
-    for batch in base.batches():
-        weights = batch.weights(keep)
-        for block, at in batch.parts():
-            if block.run in wanted:
-                error = decode(block)
-                if weights is not None:
-                    error = error[:, weights[at] > 0]
-                check_decoded(error, model, base.log, block.run)
-                count += error.shape[1]
-                squares += (error**2).sum(axis=1)
-                peak = np.maximum(peak, np.abs(error).max(axis=1, initial=0.0))
-    return DecodedErrors(model.pose, base.pose_weights, count, squares, peak)
+    version = base.p, base.zeros
+    (found,) = error_tables(base.log, base.model, [version], np.diag(base.covariance), keep, sigma=base.sigma)
+    pick = np.isin(found.runs, list(runs))
+    count, peak = int(found.count[pick].sum()), found.peak[pick].max(axis=0, initial=0.0)
+    rms = np.sqrt(found.squares[pick].sum(axis=0) / max(count, 1))
+    return DecodedErrors(found.pose, base.pose_weights, count, rms, peak)
 
 
 FIRST = 12
@@ -107,28 +91,23 @@ def _amplitudes(base: Base, periodic: Sequence[int], orders: Sequence[int]) -> t
     Amplitudes (periodic, orders), fitted together, over all samples of the log; 0 where the log does not
     cover the period. Rest (periodic,): rms of the error without them.
     """
-    model, decode = base.model, errors_of(base)
-    columns = [model.references[k] for k in periodic]
-    size = 1 + 2 * len(orders)
-    M, b = np.zeros((len(columns), size, size)), np.zeros((len(columns), size))
-    squares, seen = np.zeros(len(columns)), np.zeros((len(columns), 2 * FIRST), dtype=bool)
+    model, count = base.model, len(periodic)
+    errors = pose_errors(model, np.diag(base.covariance))
+    products = np.zeros((count, 2 + 2 * len(orders), 2 + 2 * len(orders)))
+    seen = np.zeros((count, 2 * FIRST), dtype=bool)
     for batch in base.batches():
         weights = batch.weights(base.keep)
-        for block, at in batch.parts():
-            errors = decode(block)
-            for j, (k, c) in enumerate(zip(periodic, columns, strict=True)):
-                periods = block.data[c] / model.period[c]
-                seen[j, (periods % 1 * 2 * FIRST).astype(int) % (2 * FIRST)] = True
-                turn = np.outer(orders, 2 * np.pi * periods)
-                x = np.vstack([np.ones(turn.shape[1]), np.cos(turn), np.sin(turn)])
-                wx = x if weights is None else x * weights[at]
-                M[j] += wx @ x.T
-                b[j] += wx @ errors[k]
-                squares[j] += wx[0] @ errors[k] ** 2
-    out, rest = np.zeros((len(columns), len(orders))), np.zeros(len(columns))
-    for j in range(len(columns)):
+        error = errors(base.p, base.zeros_of(batch), batch.data)
+        for j, k in enumerate(periodic):
+            periods = batch.data[model.references[k]] / model.period[model.references[k]]
+            seen[j, (periods % 1 * 2 * FIRST).astype(int) % (2 * FIRST)] = True
+            turn = np.outer(orders, 2 * np.pi * periods)
+            x = np.vstack([np.ones(len(batch)), np.cos(turn), np.sin(turn), error[k]])
+            products[j] += (x if weights is None else x * weights) @ x.T
+    out, rest = np.zeros((count, len(orders))), np.zeros(count)
+    for j, M in enumerate(products):
         if seen[j].all():
-            solved = np.linalg.lstsq(M[j], b[j], rcond=1e-9)[0]
+            solved = np.linalg.lstsq(M[:-1, :-1], M[:-1, -1], rcond=1e-9)[0]
             out[j] = np.hypot(*solved[1:].reshape(2, -1))
-            rest[j] = np.sqrt(max(squares[j] - b[j] @ solved, 0.0) / M[j, 0, 0])
+            rest[j] = np.sqrt(max(M[-1, -1] - M[-1, :-1] @ solved, 0.0) / M[0, 0])
     return out, rest

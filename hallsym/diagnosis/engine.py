@@ -14,16 +14,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from hallsym.diagnosis.change_points import change_points
-from hallsym.diagnosis.confusable import Confusable, confusable
-from hallsym.diagnosis.noise import noise_of_rest
+from hallsym.diagnosis.facts import change_points
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Diagnosis
-from hallsym.diagnosis.report import findings, report
+from hallsym.diagnosis.report import Confusable, confusable, findings, report
 from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import select
 from hallsym.diagnosis.setup import Setup, floors, prepare
+from hallsym.diagnosis.survey import noise_of_rest
 from hallsym.diagnosis.validation import QUIET, decide, validate
 from hallsym.estimation.calibration import Fit
 from hallsym.log import as_log

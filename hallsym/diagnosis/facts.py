@@ -1,22 +1,72 @@
-"""What effects may know of a log before they are tried: length, columns, rails, hum, change points."""
+"""What effects may know of a log before they are tried: length, columns, rails, hum, steps.
+
+A reading jumps once, as a mount that slips makes it, within a run or between runs. A step within one run
+(`change_points`) is held against the largest step that each other run seems to have, for random signs of the
+runs say nothing of it: noise of any memory makes such steps in every run, of much the same size.
+"""
 
 from collections.abc import Collection
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
-from hallsym.diagnosis.change_points import solved
-from hallsym.diagnosis.p_values import statistic_at
+from hallsym.diagnosis.p_values import beyond_one, statistic_at
 from hallsym.diagnosis.policy import Policy
-from hallsym.diagnosis.residual_table import ROOM, ResidualTable, residual_table
+from hallsym.diagnosis.regression import NIL
+from hallsym.diagnosis.residual_table import ROOM, ResidualTable, edges_of, means, slices, table_of
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.sign_flips import FLIPS
 from hallsym.diagnosis.survey import SEGMENT, Survey
 from hallsym.families.mechanisms import CUT, MAINS_HZ, MAINS_REACH_HZ
 from hallsym.log import Log
 from hallsym.log.batches import batches
+from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.model import Facts, Model
+
+
+@dataclass(frozen=True)
+class ChangePoint:
+    """The largest step within a run: channel, instant [s since the log began] and size [its unit].
+
+    `p_value`: that noise makes as large a step in any of the runs. `squares`: whitened squares that it takes
+    off the residual.
+    """
+
+    run: int
+    channel: int
+    instant_s: float
+    size: float
+    squares: float
+    p_value: float = 1.0
+
+
+def change_points(*tables: ResidualTable) -> tuple[ChangePoint, ...]:
+    """Return the largest step of each run that is long enough, with p-values; none of too few runs.
+
+    Offset and sensitivity step together, as those of a probe that moves do; the run has both of its own.
+    `tables`: the residual on fitted and on held-out runs, each of which may step.
+    """
+    found, levels = list[ChangePoint](), list[float]()
+    for r in tables:
+        at = np.flatnonzero(np.min(_within(r.run), axis=0) >= FEWEST_SAMPLES)
+        if not r.base.timed or not len(at):
+            continue
+        each = [steps(y, x, r.run, at, lasting=False) for y, x in zip(r.residual, r.sensed, strict=True)]
+        explained, size, whole = (np.array(part) for part in zip(*each, strict=True))
+        share = explained / np.maximum(whole, 1e-300)
+        for part in slices(r.run[at]):
+            channel, k = np.unravel_index(int(np.argmax(share[:, part])), share[:, part].shape)
+            best, k = float(share[channel, part][k]), k + part.start
+            where = int(r.run[at[k]]), int(channel), float(r.columns["campaign_s"][at[k]])
+            squares = float(explained[channel, k] / r.variance[channel])
+            found.append(ChangePoint(*where, float(size[channel, 0, k]), squares))
+            levels.append(float(np.log(max(best, 1e-300) / max(1 - best, 1e-12))))
+    if not found or len(found) < tables[0].base.policy.fewest:
+        return ()
+    p = [len(found) * beyond_one(v, np.delete(levels, k)) for k, v in enumerate(levels)]
+    return tuple(replace(s, p_value=min(1.0, value)) for s, value in zip(found, p, strict=True))
 
 
 def instants(r: ResidualTable, holdout: Collection[int], slow: float) -> tuple[tuple[int, float], ...]:
@@ -27,57 +77,97 @@ def instants(r: ResidualTable, holdout: Collection[int], slow: float) -> tuple[t
     their zero deviation. It lies within a run, a fitted one, if it explains more there than any between runs
     does by more than noise: `slow` is the variance of a slow average of the whitened residual.
     """
-    first = np.diff(r.run, prepend=r.run[0] - 1) != 0
-    within = np.arange(len(r.run)) - np.flatnonzero(first)[np.cumsum(first) - 1]
-    fitted = ~np.isin(r.run, list(holdout))
+    within, _ = _within(r.run)
+    first, fitted = within == 0, ~np.isin(r.run, list(holdout))
     between, inside = np.flatnonzero(first), np.flatnonzero(fitted & (within % SEGMENT == 0) & ~first)
-    noise = np.diag(np.linalg.inv(r.precision)) * slow * statistic_at(r.policy.certain / (1 + len(inside)), 2)
+    noise = slow * r.variance * statistic_at(r.base.policy.certain / (1 + len(inside)), 2)
     out = []
-    for k in range(len(r.channels)):
-        gains, inner = (step_gains(r, k, fitted, at) for at in (between, inside))
-        most = float(gains.max())
+    for k in range(len(r.residual)):
+
+        def gains(at: np.ndarray, counted: np.ndarray = fitted, k: int = k) -> np.ndarray:
+            return steps(r.residual[k] * counted, r.sensed[k] * counted, r.run, at, counted=counted)[0]
+
+        on_sides, inner = gains(between), gains(inside)
+        most = float(on_sides.max())
         if inner.max(initial=0.0) > most + noise[k]:
             best = inside[np.argmax(inner)]
             near = np.arange(max(best - SEGMENT, 0), min(best + SEGMENT, len(r.run)))
             near = near[(r.run[near] == r.run[best]) & ~first[near]]
-            best = near[np.argmax(step_gains(r, k, fitted, near))]
+            best = near[np.argmax(gains(near))]
         else:
-            open_ = gains >= most - noise[k]  # and not only elsewhere in the log
+            open_ = on_sides >= most - noise[k]  # and not only elsewhere in the log
             index = np.cumsum(np.diff(open_, prepend=False))
-            equal = between[index == index[np.argmax(gains)]]
-            best = equal[np.argmax(step_gains(r, k, np.ones_like(fitted), equal))]
+            equal = between[index == index[np.argmax(on_sides)]]
+            best = equal[np.argmax(gains(equal, np.ones_like(fitted)))]
         out.append((k, float(r.columns["campaign_s"][best])))
     return tuple(out)
 
 
-def step_gains(r: ResidualTable, k: int, counted: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return the squares that a step of channel k at each sample of `at` takes off the `counted` ones."""
-    _, run, sizes = np.unique(r.run, return_inverse=True, return_counts=True)
-    n = sizes[run[at]]
-    y, x = r.residual[k] * counted, r.sensed[k] * counted
+def _within(run: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how many samples of its run lie before each sample, and how many from it on."""
+    sizes = np.diff(edges_of(run))
+    before = np.arange(len(run)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    return before, np.repeat(sizes, sizes) - before
+
+
+def steps(
+    y: np.ndarray,
+    x: np.ndarray,
+    run: np.ndarray,
+    at: np.ndarray,
+    *,
+    counted: np.ndarray | float = 1.0,
+    lasting: bool = True,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what a step at each sample of `at` takes off the squares of `y`, its coefficients, all squares.
+
+    `y`, `x`: (n,) residual of a channel and its expected reading, both 0 where a sample is not `counted`.
+    Offset and sensitivity step; coefficients (2, k) are theirs. A `lasting` step goes on in all runs after
+    that of the sample, beside one sensitivity of all of them. Another ends with its run, which has a
+    sensitivity of its own, and its offset is that at the mean of `x` there. Runs have offsets of their own.
+    """
+    sizes = np.diff(edges_of(run))
+    index = np.repeat(np.arange(len(sizes)), sizes)
+    own = index[at]
 
     def later(values: np.ndarray) -> np.ndarray:
         """Sum from each sample to the end of its run."""
         ends = np.cumsum(values[::-1])[::-1]
-        return (ends - np.append(ends, 0.0)[np.cumsum(sizes)][run])[at]
+        return (ends - np.append(ends, 0.0)[np.cumsum(sizes)][index])[at]
 
     def after(values: np.ndarray) -> np.ndarray:
-        """Sum over all runs after that of each sample."""
-        sums = np.bincount(run, values)
-        return (np.cumsum(sums[::-1])[::-1] - sums)[run[at]]
+        """Sum over all runs after that of each sample, as far as the step goes."""
+        each = np.bincount(index, values)
+        return (np.cumsum(each[::-1])[::-1] - each)[own] * lasting
+
+    def whole(values: np.ndarray) -> np.ndarray:
+        """Sum over all that a sensitivity is common to."""
+        return np.full(len(at), values.sum()) if lasting else np.bincount(index, values)[own]
 
     def centred(values: np.ndarray) -> np.ndarray:
-        return values - counted * (np.bincount(run, values) / sizes)[run]
+        return values - counted * (np.bincount(index, values) / sizes)[index]
 
     # a step's columns less their mean in its run: of its offset they are 0 in the runs after it
     y, about = centred(y), centred(x)
-    whole = max(float(about @ about), 1e-300)
+    if not lasting:  # each of size 1, so that sums over all runs round none away
+        own_size, level = (np.sqrt(np.bincount(index, v**2) / sizes) for v in (about, x))
+        x = about = about / np.where(own_size > NIL * level, own_size, np.inf)[index]
+    size, common = np.maximum(whole(about**2), 1e-300), whole(about * y)
     beside = np.array([later(about), later(x * about) + after(about**2)])
-    shared = np.array([later(y), later(x * y) + after(about * y)]) - beside * float(about @ y) / whole
-    means = np.array([later(counted * 1.0), later(x)])
-    raw = np.array([[means[0], means[1]], [means[1], later(x**2) + after(about**2)]])
-    left = raw - means[:, None] * means / n - beside[:, None] * beside / whole
-    return solved(left, raw, shared)[0]
+    shared = np.array([later(y), later(x * y) + after(about * y)]) - beside * common / size
+    ones = np.broadcast_to(counted, len(y)) * 1.0
+    mean = np.array([later(ones), later(x)])
+    raw = np.array([[mean[0], mean[1]], [mean[1], later(x**2) + after(about**2)]])
+    left = raw - mean[:, None] * mean / sizes[own] - beside[:, None] * beside / size
+    squares = np.einsum("iit->it", left)
+    seen = squares > NIL * np.einsum("iit->it", raw)  # else rounding
+    length = np.where(seen, np.sqrt(np.where(seen, squares, 1.0)), np.inf)
+    # columns of length 1 have the eigenvalues 1 + r and 1 - r, along their sum and difference
+    correlation, (one, two) = left[0, 1] / length[0] / length[1], shared / length
+    values, along = np.array([1 + correlation, 1 - correlation]), np.array([one + two, one - two])
+    part = np.where(values > NIL * values.max(axis=0), along / np.maximum(2 * values, NIL), 0.0)
+    coefficients = np.array([part[0] + part[1], part[0] - part[1]]) / length
+    return (along * part).sum(axis=0), coefficients, whole(y**2) - common**2 / size
 
 
 # -- two levels of offset among the runs ---------------------------------------------------------------------
@@ -91,11 +181,11 @@ def switched_runs(r: ResidualTable) -> tuple[tuple[int, ...], float]:
     either side says of itself, held out or not, on which level it lies. The first run is always on the other
     level. The p-value is the share of as many Gaussian offsets that split as well by chance.
     """
-    runs, index, n = np.unique(r.run, return_inverse=True, return_counts=True)
-    if len(runs) < r.policy.fewest:
+    edges = edges_of(r.run)
+    runs, n = r.run[edges[:-1]], np.diff(edges)
+    if len(runs) < r.base.policy.fewest:
         return (), 1.0
-    whitened = np.linalg.cholesky(r.precision).T @ r.residual
-    mean = np.array([np.bincount(index, row) for row in whitened]).T / n[:, None]
+    mean = means(np.linalg.cholesky(r.precision).T @ r.residual, r.run).T
     level = _levels(mean[None], n)
     share, split = _two_levels(level, n)
     chance = _shares_by_chance(tuple(n.tolist()), len(r.residual))
@@ -105,12 +195,18 @@ def switched_runs(r: ResidualTable) -> tuple[tuple[int, ...], float]:
     return tuple(sorted(sides[int(r.run[0]) in sides[0]])), float(p)
 
 
+NUMBERS = 1_000_000
+"""Numbers that are drawn at once, 8 MB."""
+
+
 @lru_cache(maxsize=4)
 def _shares_by_chance(n: tuple[int, ...], channels: int) -> np.ndarray:
     """Return the shares of `_two_levels` (FLIPS,) where the offsets of runs of n samples are Gaussian."""
-    rng, size = np.random.default_rng(len(n)), np.array(n)
-    mean = (rng.standard_normal((len(n), channels)) / np.sqrt(size)[:, None] for _ in range(FLIPS))
-    return np.array([_two_levels(_levels(m[None], size), size)[0][0] for m in mean])
+    rng, size, found = np.random.default_rng(len(n)), np.array(n), list[np.ndarray]()
+    for draws in np.array_split(np.arange(FLIPS), -(-FLIPS * len(n) * channels // NUMBERS)):
+        mean = rng.standard_normal((len(draws), len(n), channels)) / np.sqrt(size)[:, None]
+        found.append(_two_levels(_levels(mean, size), size)[0])
+    return np.concatenate(found)
 
 
 def _levels(mean: np.ndarray, n: np.ndarray) -> np.ndarray:
@@ -149,14 +245,14 @@ def _slips(base: Base, r: ResidualTable, found: Survey) -> tuple[tuple[int, floa
 
 def facts_of(base: Base, found: Survey) -> Facts:
     """Return what effects may know of the log; searched numbers come from the residual of `base`."""
-    model, log = base.model, base.log
-    r, values = residual_table(base, log.runs), _readings(log, model)
+    model, log, warm = base.model, base.log, "temperature_degc"
+    r, values = table_of(base, frozenset(log.runs)), _readings(log, model)
     several = len(model.channels) > len(model.pose) and not model.zeros
     on_runs, on_runs_p = switched_runs(r) if r and several else ((), 1.0)
     return Facts(
         duration_s=max(found.duration_s, 1e-6),
         columns=tuple(c for c in log.columns if base.timed or c != "t_s"),
-        temperature=_mean(log, "temperature_degc") if "temperature_degc" in log.columns else None,
+        temperature=float(log.array(warm).mean()) if warm in log.columns else None,
         extremes=np.vstack([np.quantile(values, [1 - share, share], axis=1) for share in CUT]),
         rails=rails_of(values, base.policy),
         lines_hz=found.lines_hz,
@@ -167,11 +263,6 @@ def facts_of(base: Base, found: Survey) -> Facts:
         on_runs_tried=2 ** (len(log.runs) - 1),
         on_runs_p=on_runs_p,
     )
-
-
-def _mean(log: Log, column: str) -> float:
-    sums = [(b.data[column].sum(), len(b)) for b in batches(log, (column,))]
-    return float(sum(s for s, _ in sums) / sum(n for _, n in sums))
 
 
 def _readings(log: Log, model: Model) -> np.ndarray:

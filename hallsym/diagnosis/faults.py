@@ -1,4 +1,4 @@
-"""Faults of single samples, which no equation of a model holds: spikes, stale samples, jitter, ADC steps.
+"""Faults of samples, which no equation of a model holds: spikes, stale samples, jitter, steps of values.
 
 They are judged on what the best model leaves. What each costs is what the gap would lose without it.
 """
@@ -6,20 +6,23 @@ They are judged on what the best model leaves. What each costs is what the gap w
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from math import factorial
+from math import factorial, pi, tau
 
 import numpy as np
 from scipy.ndimage import median_filter
+from scipy.optimize import brentq
+from scipy.special import chdtrc, fdtrc, fdtri, gammainc, stdtr
 
-from hallsym.diagnosis.cordic import cordic
-from hallsym.diagnosis.p_values import as_many, as_often, beyond, exceeds, statistic_at, student
+from hallsym.diagnosis.p_values import as_often, beyond, statistic_at
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.regression import NIL
+from hallsym.diagnosis.residual_table import sums
 from hallsym.diagnosis.residuals import Base, pieces
-from hallsym.diagnosis.survey import WINDOW, Survey
+from hallsym.diagnosis.survey import TOLERANCE, WINDOW, Survey
 from hallsym.diagnosis.words import shown
 from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.outliers import residuals
+from hallsym.families.cordic import CHIP_STEPS, Levels, levels
 from hallsym.families.faults import FAULTS, RecordingFault
 from hallsym.inference import Estimate
 from hallsym.log import Block, Log
@@ -91,7 +94,8 @@ def of_samples(found: Survey, policy: Policy) -> Iterator[Fault]:
         of_late = max(float(np.mean(np.where(spikes, 0.0, z**2 - expected))), 0.0) if late.any() else 0.0
         tail, share = of_spikes + of_late, 100 * float(spikes.mean())
         if of_spikes > policy.half * tail:  # a late sample is off along the motion only
-            p = as_many(_events(spikes), policy.tails * exceeds(rest, across, limit, beside) * n)
+            expected_far = policy.tails * exceeds(rest, across, limit, beside) * n
+            p = float(gammainc(_events(spikes), max(expected_far, 1e-300)))  # Poisson
             text = f"{share:.2g} % of the samples are spikes"
             yield fault("outliers", text, tail, p, Estimate(share / 100, None, "1"))
         events, share = _events(late), 100 * float(late.mean())
@@ -101,9 +105,34 @@ def of_samples(found: Survey, policy: Policy) -> Iterator[Fault]:
         yield fault("dropped_samples", text, tail, p, Estimate(share / 100, None, "1"))
     if z[1:] @ z[:-1] < policy.smooth * (z @ z):
         rms, power = float(np.sqrt(growth)), growth * float(np.mean(size**2))
-        p = student(slope / max(error, 1e-300), bins - 2)
+        p = float(stdtr(bins - 2, -slope / max(error, 1e-300)))
         text = f"sampling instants scatter by {1e6 * rms:.3g} us rms"
         yield fault("clock_jitter", text, power, p, Estimate(rms, None, "s"))
+
+
+def exceeds(values: np.ndarray, freedom: int, limit: float, white: np.ndarray) -> float:
+    """Return the probability that one of `values` exceeds `limit`, as far as their body says.
+
+    `values`: (n,) squared distances with `freedom` directions; `white`: the same of white noise of variance 1
+    that went the same way. Median and upper 5 % (the upper end of its 95 % interval) give the scale and the
+    weight of the tails of an F distribution (noise of Student's t), so that noise with heavy tails is
+    expected to exceed often.
+    """
+    ends = 0.5, 0.95 + 1.96 * np.sqrt(0.05 * 0.95 / len(values))
+    middle, high = np.quantile(values, np.minimum(ends, 1.0)) / np.quantile(white, [0.5, 0.95])
+    if middle <= 0.0:
+        return 1.0
+    middle, high = middle * statistic_at(0.5, freedom), high * statistic_at(0.05, freedom)
+
+    def heavier(logarithm: float) -> float:
+        weight = 10.0**logarithm
+        return float(fdtri(freedom, weight, 0.95) / fdtri(freedom, weight, 0.5) - high / middle)
+
+    lightest, heaviest = 4.0, 0.0
+    if heavier(lightest) >= 0.0:
+        return float(chdtrc(freedom, limit * statistic_at(0.5, freedom) / float(middle)))
+    weight = 10.0 ** (brentq(heavier, heaviest, lightest) if heavier(heaviest) > 0.0 else heaviest)
+    return float(fdtrc(freedom, weight, limit * float(fdtri(freedom, weight, 0.5)) / float(middle)))
 
 
 def far_from(freedom: int, samples: int, policy: Policy) -> float:
@@ -170,7 +199,7 @@ def _chip(base: Base, found: Survey) -> Fault | None:
     seen = cordic(found.values[0], base.policy, spread, step)
     if seen is None:
         return None
-    chip = seen.levels
+    chip, p = seen
     fine = {
         "steps": Estimate(float(chip.steps), None, "1"),
         "distance": Estimate(chip.distance, None, "rad"),
@@ -179,7 +208,83 @@ def _chip(base: Base, found: Survey) -> Fault | None:
     many, worst = 2 * len(chip.angles), np.degrees(chip.worst)
     text = f"{chip.steps} steps of CORDIC: {many} angles a turn, up to {worst:.2g} deg off"
     power = (chip.rms / sigma) ** 2 / found.variance
-    return Fault("cordic_steps", text, power, fine, seen.p_value)
+    return Fault("cordic_steps", text, power, fine, p)
+
+
+# -- few steps of CORDIC: a decoded angle takes certain values only ------------------------------------------
+
+
+def cordic(
+    values: np.ndarray, policy: Policy, spread: float, step: float = 0.0
+) -> tuple[Levels, float] | None:
+    """Return the fewest steps of CORDIC that explain the distinct `values` [rad] of an angle, None for none.
+
+    With them, how likely it is that as many values are levels of any that were tried.
+
+    The zero register of a chip may turn all of them by any angle. `spread`: rms of what a model leaves [rad].
+    `step`: equal steps between the values where they have them: levels less than two of them apart are not
+    told from a rounding, and not looked for. Nor are levels that equal steps of any size are nearer to: a
+    rounding, or a motor that goes from step to step.
+    """
+    v = np.unique(np.round(np.mod(values, tau) / NIL)) * NIL
+    tried = [
+        k
+        for k in map(levels, CHIP_STEPS)
+        if k.rms**2 > policy.negligible * spread**2
+        and (1 - policy.minor) * len(v) <= 4 * len(k.angles)  # rounded to counts a level has two at most
+        and not 2 * TOLERANCE < step / k.distance < 1 - TOLERANCE
+    ]
+    for k in tried:
+        near, off, bins = _hits(v, k)
+        p = min(1.0, as_often(near, len(v), 2 * TOLERANCE) * bins * len(tried))
+        if near >= (1 - policy.minor) * len(v) and p < 1.0 and off < _off_even(v, k.distance, bins):
+            return k, p
+    return None
+
+
+def _hits(v: np.ndarray, k: Levels) -> tuple[int, float, int]:
+    """Values near a level at the best offset, their rms distance [rad], and how many offsets were tried."""
+    bins = int(2 ** np.ceil(np.log2(tau / (TOLERANCE**2 * k.distance))))
+    width, reach = tau / bins, TOLERANCE * k.distance
+    at = np.sort(np.mod(np.concatenate([k.angles, k.angles + pi]), tau))  # all of a turn
+    centres = (np.arange(bins) + 0.5) * width
+    cost = np.minimum(_apart(centres, at) ** 2, reach**2)
+    total = np.fft.irfft(np.fft.rfft(_held(v, bins)) * np.conj(np.fft.rfft(cost)), bins)
+    best = float(np.argmin(total)) * width
+    for _ in range(2):  # offsets between those tried
+        off = _apart(np.mod(v - best, tau), at)
+        near = np.abs(off) <= reach
+        if not near.any():
+            return 0, reach, bins
+        best -= float(np.median(off[near]))
+    return int(near.sum()), float(np.sqrt(np.mean(off[near] ** 2))), bins
+
+
+def _off_even(v: np.ndarray, distance: float, bins: int) -> float:
+    """Rms distance of the values from the equal steps that suit them best, `distance` or more [rad]."""
+    waves = np.arange(bins + 1) / 2  # per turn; the steps need not divide it
+    size = np.abs(np.fft.rfft(_held(v, bins), 2 * bins))
+    asked = (waves >= 4) & (waves <= tau / ((1 - TOLERANCE) * distance))
+    best = float(waves[asked][np.argmax(size[asked])])
+    near = best + np.linspace(-0.5, 0.5, 51)
+    length = np.abs(np.exp(1j * np.outer(near, v)).mean(axis=1))
+    at = int(np.argmax(length))
+    return float(np.sqrt(max(-2 * np.log(max(length[at], 1e-300)), 0.0)) / near[at])
+
+
+def _held(v: np.ndarray, bins: int) -> np.ndarray:
+    return np.bincount((v / tau * bins).astype(int) % bins, minlength=bins).astype(float)
+
+
+def _apart(angles: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Signed distance of each angle within a turn from the nearest of `at`."""
+    round_ = np.concatenate([at[-1:] - tau, at, at[:1] + tau])
+    after = np.clip(np.searchsorted(round_, angles), 1, len(round_) - 1)
+    above, below = round_[after] - angles, round_[after - 1] - angles
+    return np.where(above < -below, above, below)
+
+
+# -- repairs -------------------------------------------------------------------------------------------------
 
 
 def without_tail(base: Base) -> Weigh:
@@ -208,12 +313,9 @@ def wiring_p(base: Base, log: Log, runs: Sequence[int]) -> float:
     `base` holds the log as rewired. The score of a run is what its readings differ by from the rewired ones,
     times what the model leaves of them; its noise is the same times what is left after rewiring.
     """
-    wanted = frozenset(runs)
-    scores: dict[int, float] = {}
-    noise: dict[int, float] = {}
-    whiten = base.whiten
+    wanted, whiten, found = frozenset(runs), base.whiten, []
     for now, was in zip(pieces(base, wanted), pieces(replace(base, log=log), wanted), strict=True):
         moved = (whiten @ (was.readings - now.readings)) * now.used
-        scores[now.run] = scores.get(now.run, 0.0) + float((moved * was.residual).sum())
-        noise[now.run] = noise.get(now.run, 0.0) + float((moved * now.residual).sum())
-    return beyond(np.array(list(scores.values())), np.array(list(noise.values())))
+        found.append((now.run, (moved * was.residual).sum(), (moved * now.residual).sum()))
+    run, score, noise = np.array(found).T
+    return beyond(sums(score, run), sums(noise, run))

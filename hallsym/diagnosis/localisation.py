@@ -1,45 +1,54 @@
-"""Localisation of a gap: which share of the excess goes with a coordinate, a sensor, a frequency, a run.
+"""Where a gap lies: which share of the excess goes with a coordinate, a sensor, a frequency, a run, a link.
 
 Coordinates are taken one after the other, the one that explains most of what is still there first, so that
 shares add up to at most the whole and nothing is said twice. Each share is counted on runs that the curve was
 not fitted on. Everything that is tried is tested with the same random signs of the runs (`sign_flips`), also
 the effects of the catalogue, and each p-value is corrected for all of it by the largest statistic of all.
-Frequencies and single runs are few numbers; they are corrected for their count (Bonferroni).
+Frequencies and single runs are few numbers; they are corrected for their count (Bonferroni). An output or a
+sensor is named when it has more than its part: noise that is larger than it was stated is larger everywhere,
+and is no place where a gap lies.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.diagnosis.change_points import change_points
-from hallsym.diagnosis.coordinates import coordinates, unit_of
-from hallsym.diagnosis.curve_words import described
-from hallsym.diagnosis.curves import Curve, over, run_gains
+from hallsym.diagnosis.curves import MEMORIES, Curve, coordinates, over, run_gains, unit_of
+from hallsym.diagnosis.decoded_errors import DecodedErrors
+from hallsym.diagnosis.facts import change_points
 from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.measurement_error import WHITE, with_noise
+from hallsym.diagnosis.p_values import beyond, beyond_one, statistic_at
 from hallsym.diagnosis.policy import Policy
-from hallsym.diagnosis.record import Statement
-from hallsym.diagnosis.residual_table import ResidualTable, both, residual_table
-from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.record import Band, CurveShape, Size, Sizes, Statement
+from hallsym.diagnosis.residual_table import (
+    FrequencyBand,
+    ResidualTable,
+    both,
+    edges_of,
+    means,
+    phase,
+    spectrum,
+    sums,
+    table_of,
+)
+from hallsym.diagnosis.residuals import Base, pieces
+from hallsym.diagnosis.scores import Score, by_name
 from hallsym.diagnosis.selection import Screened
-from hallsym.diagnosis.shares import clear, of_frequencies, of_links, of_powers, of_runs, outputs, sensors
-from hallsym.diagnosis.sign_flips import Joint
+from hallsym.diagnosis.sign_flips import Joint, of_means
 from hallsym.diagnosis.words import percent, plain, shown
+from hallsym.estimation.calibration import coverage_factor
+from hallsym.model import LINKS
+from hallsym.units import readable
 
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """Statements on where an excess lies, and what they rest on.
-
-    `curves`: behind the statements on coordinates. `fitted`, `held`: the residual on fitted and on held-out
-    runs, None where there are no samples.
-    """
+    """Statements on where an excess lies, and the `curves` behind those on coordinates."""
 
     statements: tuple[Statement, ...]
     curves: tuple[Curve, ...]
-    fitted: ResidualTable | None
-    held: ResidualTable | None = None
 
 
 def located(
@@ -60,23 +69,31 @@ def located(
     fitted, held = both(base, runs)
     steps = _steps([r for r in (fitted, held) if r is not None])
     if fitted is None or fitted.excess <= base.policy.negligible * fitted.residual.size:
-        return Located(tuple(steps), (), fitted, held)
-    tried = _Tried(base, fitted, screened)
-    statements, curves, joint = _coordinates(tried)
+        return Located(tuple(steps), ())
+    powers = [(p, p.statistics(fitted.block)) for p in (outputs(fitted), sensors(fitted))]
+    others = [z for _, each in powers for z in each]
+    if screened and screened.top is not None:
+        others.append(screened.top)
+    noisier = with_noise(base, screened.colour if screened else WHITE)
+    moved = None if noisier is None else table_of(noisier, frozenset(fitted.run.tolist()))
+    if moved is not None and moved.residual.shape != fitted.residual.shape:
+        moved = None
+    statements, curves, joint = _coordinates(fitted, moved, others)
     if held is not None and held.excess > 0:
         statements = _confirmed(statements, curves, held)
     if not statements and not clear(fitted):
-        return Located(tuple(steps), tuple(curves), fitted, held)
+        return Located(tuple(steps), tuple(curves))
     told = sum(s.share for s in statements)
-    mains, octaves = of_frequencies(fitted, told)
+    mains, octaves = of_frequencies(fitted, frozenset(runs) - base.holdout, told)
     if mains and mains[0].share > told:
         statements, mains = [*mains, *statements], []
-    size = variance * fitted.residual.size / fitted.excess
-    bad = [replace(f, power=f.power * size) for f in faults]
-    scores = screened.scores if screened else []
-    counted = [replace(s, p_value=max(s.p_value, joint.p_value(s.statistic))) for s in scores]
-    said = of_links(base, counted, fitted, bad) if counted else []
-    for p, statistics in tried.powers:
+    said = list[Statement]()
+    if screened and screened.scores:
+        size = variance * fitted.residual.size / fitted.excess
+        bad = [replace(f, power=f.power * size) for f in faults]
+        counted = [replace(s, p_value=max(s.p_value, joint.p_value(s.statistic))) for s in screened.scores]
+        said = of_links(base, counted, powers[0][0], bad)
+    for p, statistics in powers:
         said += of_powers(p, [joint.p_value(z[0]) for z in statistics], base.policy)
     said += [*mains, *(() if noisy else octaves), *of_runs(fitted, told)]
     if steps and steps[0].share > told:
@@ -87,70 +104,51 @@ def located(
         s if s.p_value < base.policy.certain else replace(s, text=f"perhaps {s.text}")
         for s in (*statements, *said)
     )
-    return Located(tuple(worded), tuple(curves), fitted, held)
+    return Located(tuple(worded), tuple(curves))
 
 
-def _steps(tables: Sequence[ResidualTable]) -> list[Statement]:
-    """Return the steps within runs that are certain, and what they take of the excess of their side."""
-    side = {run: r for r in tables for run in dict.fromkeys(r.run.tolist())}
-    out = []
-    for s in change_points(*tables):
-        r = side[s.run]
-        share = float(np.clip(s.squares / r.excess, 0.0, 1.0)) if r.excess > 0 else 0.0
-        if s.p_value < r.policy.certain and share >= r.policy.negligible:
-            size = shown(abs(s.size), unit_of(r.channels[s.channel]))
-            text = f"{percent(share)} of the excess is a step of {plain(r.channels[s.channel])} by {size}"
-            at = f"run {s.run} at {s.instant_s:.6g} s"
-            out.append(Statement("run", at, share, s.p_value, f"{text} in {at}"))
-    return sorted(out, key=lambda s: -s.share)
+def _statement(by: str, at: str, share: float, p: float, text: str) -> Statement:
+    """Return what `share` of the excess does, in words."""
+    return Statement(by, at, share, p, f"{percent(share)} of the excess {text}")
 
 
-class _Tried:
-    """Everything that is tried on a residual, and what its p-values are corrected for."""
-
-    def __init__(self, base: Base, r: ResidualTable, screened: Screened | None) -> None:
-        self.r = r
-        noisy = with_noise(base, screened.colour if screened else WHITE)
-        moved = None if noisy is None else residual_table(noisy, list(dict.fromkeys(r.run.tolist())))
-        if moved is not None and moved.residual.shape != r.residual.shape:
-            moved = None
-        self.every = [each for c in coordinates(r) for each in over(r, c, moved)]
-        self.powers = [(p, p.statistics(r.block)) for p in (outputs(r), sensors(r))]
-        self.others = [z for _, each in self.powers for z in each]
-        if screened and screened.top is not None:
-            self.others.append(screened.top)
-
-    def curves(self, left: np.ndarray, taken: Sequence[str]) -> tuple[list[Curve], Statement | None, Joint]:
-        """Curves of what is left over all coordinates but some, a statement on gains of the runs' own.
-
-        Both are corrected for each other and for all that is no coordinate, by the tests that are returned.
-        """
-        found = [t.curve(left) for t in self.every if t.coordinate.name not in taken]
-        explained, own, _ = run_gains(self.r, left)
-        joint = Joint([*(c.statistic for c in found), own, *self.others])
-        return found, _own_gain(explained / self.r.excess, joint.p_value(own[0]), self.r.policy), joint
+def clear(r: ResidualTable) -> bool:
+    """Whether the excess is more than chance: block by block, so that memory of the noise does not count."""
+    return beyond(means(r.squares - len(r.residual), r.part)) < r.base.policy.certain
 
 
 # -- coordinates -------------------------------------------------------------------------------------------
 
 
-def _coordinates(tried: _Tried) -> tuple[list[Statement], list[Curve], Joint]:
+def _coordinates(
+    r: ResidualTable, moved: ResidualTable | None, others: Sequence[np.ndarray]
+) -> tuple[list[Statement], list[Curve], Joint]:
     """Coordinates one after the other, each with what it explains beyond those before.
 
     Of those that explain nearly the same the most telling is named. A gain of its own in every run is named
-    where no coordinate explains most of what it does. The tests that are returned are those of all
-    coordinates, beside which the rest is tested.
+    where no coordinate explains most of what it does. `moved`: the residual with more noise in the
+    references. `others`: statistics of all that is no coordinate, which p-values are corrected for too. The
+    tests that are returned are those of all coordinates, beside which the rest is tested.
     """
-    r, excess, policy = tried.r, tried.r.excess, tried.r.policy
-    statements, curves, left = list[Statement](), list[Curve](), r.residual
-    found, run, first_joint = tried.curves(left, [])
-    joint = first_joint
+    excess, policy = r.excess, r.base.policy
+    every = [each for c in coordinates(r) for each in over(r, c, moved)]
+    statements, curves, joints, left = list[Statement](), list[Curve](), list[Joint](), r.residual
     while True:
-        chance, least = joint.p_value, policy.negligible * excess
-        good = [c for c in found if chance(c.statistic[0]) < policy.false_alarm and c.explained > least]
-        best = max((c.explained for c in good), default=0.0)
-        if run and policy.half * run.share * excess > best:
-            statements.append(run)
+        taken = [c.coordinate.name for c in curves]
+        found = [t.curve(left) for t in every if t.coordinate.name not in taken]
+        of_runs_own, own, _ = run_gains(r, left)
+        joints.append(Joint([*(c.statistic for c in found), own, *others]))
+        chance = joints[-1].p_value
+        good = [
+            c
+            for c in found
+            if chance(c.statistic[0]) < policy.false_alarm and c.explained > policy.negligible * excess
+        ]
+        best, share = max((c.explained for c in good), default=0.0), min(of_runs_own / excess, 1.0)
+        certain = chance(own[0]) < policy.false_alarm and share > policy.negligible
+        if certain and policy.half * share * excess > best:
+            text = "is a gain that differs from run to run and follows nothing logged"
+            statements.append(_statement("run", "gain of its own", share, chance(own[0]), text))
             break
         if not good:
             break
@@ -158,19 +156,13 @@ def _coordinates(tried: _Tried) -> tuple[list[Statement], list[Curve], Joint]:
         share = min(first.explained / excess, 1.0 - sum(s.share for s in statements))
         if share < policy.negligible:
             break
-        statements.append(described(r, first, share, chance(first.statistic[0]), bool(statements)))
+        statement = described(first, share, chance(first.statistic[0]))
+        if statements:
+            statement = replace(statement, text=f"a further {statement.text}")
+        statements.append(statement)
         curves.append(first)
         left = left - first.predicted
-        found, run, joint = tried.curves(left, [c.coordinate.name for c in curves])
-    return statements, curves, first_joint
-
-
-def _own_gain(share: float, p: float, policy: Policy) -> Statement | None:
-    if p >= policy.false_alarm or share <= policy.negligible:
-        return None
-    share = min(share, 1.0)
-    text = f"{percent(share)} of the excess is a gain that differs from run to run and follows nothing logged"
-    return Statement("run", "gain of its own", share, p, text)
+    return statements, curves, joints[0]
 
 
 def _confirmed(statements: list[Statement], curves: list[Curve], held: ResidualTable) -> list[Statement]:
@@ -178,11 +170,289 @@ def _confirmed(statements: list[Statement], curves: list[Curve], held: ResidualT
     out, left = [], held.residual
     for s, c in zip(statements, curves, strict=False):
         says = c.says(held)
-        if says is None:
-            out.append(s)
-            continue
-        rest = left - says
-        before, after = (float(np.einsum("kn,kl,ln->", x, held.precision, x)) for x in (left, rest))
-        out.append(replace(s, held_out=float(np.clip((before - after) / held.excess, -1.0, 1.0))))
-        left = rest
+        if says is not None:
+            before, left = held.whitened_squares(left).sum(), left - says
+            share = (before - held.whitened_squares(left).sum()) / held.excess
+            s = replace(s, held_out=float(np.clip(share, -1.0, 1.0)))
+        out.append(s)
     return [*out, *statements[len(out) :]]
+
+
+def described(c: Curve, share: float, p: float) -> Statement:
+    """Return the statement that `share` of the excess follows a curve."""
+    r = c.over.r
+    text = f"goes with {c.coordinate.name}{_part(c, r.base.policy)}"
+    seen = (c.predicted**2).sum(axis=1) * np.diag(r.precision)
+    k = int(np.argmax(seen))
+    if seen[k] > r.base.policy.half * seen.sum():
+        text += f"; seen by {plain(r.base.model.channels[k])} above all"
+    return _statement(c.coordinate.name, "", share, p, text)
+
+
+def _part(c: Curve, policy: Policy) -> str:
+    """Whether the gain or the offset follows the coordinate above all, and which part of several."""
+    names = [readable(n)[2].capitalize() for n in c.coordinate.of] if c.coordinate.gain else []
+    if names:
+        offset, gain = (c.offset**2).sum(axis=0).reshape(2, len(names))
+        parts = (offset + gain) / (offset + gain).sum()
+        each = ", ".join(f"{a} {percent(x)}" for a, x in zip(names, parts, strict=True))
+    elif c.gain is not None:
+        offset, gain = (np.array(_size(curve)) for curve in (c.offset, c.gain))
+        each = ""
+    else:
+        return ""
+    least = policy.half * (gain.sum() + offset.sum())
+    what = "the gain" if gain.sum() > least else "the offset" if offset.sum() > least else ""
+    said = ": ".join(filter(None, (what, each)))
+    return f" ({said})" if said else ""
+
+
+NAMES = {"sensed": "reading_m", "rate": "reading_rate_m_s"}
+"""What JSON calls the columns that every sensor has for itself."""
+
+
+def shape(c: Curve) -> CurveShape:
+    """Return a curve as data; the bands at 95 % come from runs left out in turn."""
+    model = c.over.r.base.model
+    channels, references = model.channels, model.references
+    m = len(c.over.at)
+    gain = c.gain is not None and _size(c.gain) > _size(c.offset)
+    part, scale = (slice(m, None), c.over.scale) if gain else (slice(m), 1.0)
+    column = {**NAMES, **{phase(x): x for x in references}}.get(c.coordinate.column, c.coordinate.column)
+    value, wide = c.beta[:, part], coverage_factor(np.inf) * c.spread[:, part]
+    bands = (np.stack([value, value - wide, value + wide], axis=1) / scale).tolist()
+    labels, names = None, [readable(n)[2] for n in c.coordinate.of]
+    if c.coordinate.memory:
+        labels = tuple(f"play {w:g} rms" for w in MEMORIES)
+    elif c.coordinate.gain and names:
+        labels = tuple(f"{what}, {n.capitalize()}" for what in ("offset", "gain") for n in names)
+    elif names:
+        labels = tuple(readable(n)[2].removesuffix("_ref") for n in references)
+    return CurveShape(
+        coordinate=c.coordinate.name,
+        line=c.coordinate.ordered,
+        column=column,
+        unit=c.coordinate.unit,
+        kind="gain" if gain else "offset",
+        value_unit="1" if gain else unit_of(channels[0]),
+        grid=tuple(c.over.at.tolist()),
+        labels=labels,
+        readings={channel: Band(*map(tuple, each)) for channel, each in zip(channels, bands, strict=True)},
+    )
+
+
+def _size(curve: np.ndarray) -> float:
+    """Mean square of a curve about its mean: a constant is the model's own."""
+    return float(((curve - curve.mean(axis=1, keepdims=True)) ** 2).mean())
+
+
+# -- steps, runs and frequencies ---------------------------------------------------------------------------
+
+
+def _steps(tables: Sequence[ResidualTable]) -> list[Statement]:
+    """Return the steps within runs that are certain, and what they take of the excess of their side."""
+    side = {run: r for r in tables for run in set(r.run.tolist())}
+    out = []
+    for s in change_points(*tables):
+        r = side[s.run]
+        policy, channel = r.base.policy, r.base.model.channels[s.channel]
+        share = float(np.clip(s.squares / r.excess, 0.0, 1.0)) if r.excess > 0 else 0.0
+        if s.p_value < policy.certain and share >= policy.negligible:
+            size, at = shown(abs(s.size), unit_of(channel)), f"run {s.run} at {s.instant_s:.6g} s"
+            text = f"is a step of {plain(channel)} by {size} in {at}"
+            out.append(_statement("run", at, share, s.p_value, text))
+    return sorted(out, key=lambda s: -s.share)
+
+
+def of_runs(r: ResidualTable, told: float) -> list[Statement]:
+    """Whether one run has much more than its part of the excess.
+
+    A square counts up to the largest that noise makes in so many samples, so no few wild samples are a run.
+    """
+    policy = r.base.policy
+    squares = np.minimum(r.squares, statistic_at(1 / len(r.run), len(r.residual))) - len(r.residual)
+    level, each = np.log(means(squares, r.run) + len(r.residual)), sums(squares, r.run)
+    k, U = int(np.argmax(level)), len(level)
+    if policy.fewest > U or each[k] <= 0 or told > policy.half:
+        return []
+    p = min(1.0, U * beyond_one(float(level[k]), np.delete(level, k)))
+    share = float(np.clip(each[k] / max(squares.sum(), 1e-300), 0.0, 1.0))
+    if p >= policy.certain or share < 1 / U + policy.minor:
+        return []
+    name = f"run {r.run[edges_of(r.run)[k]]}"
+    return [_statement("run", name, share, p, f"lies in {name}, one of {U} fitted runs")]
+
+
+def of_frequencies(
+    r: ResidualTable, runs: frozenset[int], told: float
+) -> tuple[list[Statement], list[Statement]]:
+    """Return statements on the mains and on octaves of the residual on `runs`.
+
+    Those are named that hold more than the part of them that white noise would have; octaves that follow each
+    other are one.
+    """
+    policy, found = r.base.policy, spectrum(pieces(r.base, runs)) if r.base.timed else {}
+    known = sorted({run for each in found.values() for run in each})
+    powers = {band: np.array([each.get(run, np.zeros(2)) for run in known]).T for band, each in found.items()}
+    everything = sum(white for _, white in powers.values())
+    excess = float(sum((power - white).sum() for power, white in powers.values()))
+    if excess <= 0:
+        return [], []
+    worth = []
+    for band, (power, white) in powers.items():
+        part, share = float(white.sum() / np.sum(everything)), float((power - white).sum()) / excess
+        p = min(1.0, len(powers) * beyond((power - white) / everything))
+        named = band.mains or told <= policy.half
+        if p < policy.certain and named and share >= part + policy.minor:
+            worth.append((share, band, p))
+    mains, octaves, rest = list[Statement](), list[Statement](), 1.0
+    for share, band, p in sorted(_joined(worth), key=lambda w: -w[0]):
+        share = min(share, rest)  # bands below the noise make the others more than the whole
+        rest -= share
+        if share >= policy.negligible:
+            said = _statement("frequency", band.name, share, p, f"lies at {band.name}")
+            (mains if band.mains else octaves).append(said)
+    return mains, octaves
+
+
+Worth = tuple[float, FrequencyBand, float]
+"""A band with its share of the excess and its p-value."""
+
+
+def _joined(worth: Sequence[Worth]) -> list[Worth]:
+    """Return the bands by frequency, octaves that follow each other as one."""
+    out: list[Worth] = []
+    for share, band, p in sorted(worth, key=lambda w: (w[1].mains, w[1].low)):
+        if out and not band.mains and out[-1][1].high == band.low:
+            more, before, other = out.pop()
+            share, band, p = share + more, FrequencyBand(before.low, band.high), max(p, other)
+        out.append((share, band, p))
+    return out
+
+
+# -- outputs and sensors -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Powers:
+    """Squares of outputs or sensors on some samples: `squares` (k, n) and what noise makes of them (k,).
+
+    `weight`: (k,) what each counts by: outputs as in the gap metric, sensors by their own noise.
+    """
+
+    kind: str
+    names: tuple[str, ...]
+    squares: np.ndarray
+    noise: np.ndarray
+    weight: np.ndarray
+
+    def statistics(self, block: np.ndarray) -> list[np.ndarray]:
+        """Statistics with random signs of the blocks that each has more than its part, (draws,) each."""
+        over = self.squares / self.noise[:, None]
+        if len(over) < 2:
+            return []
+        return [of_means(row) for row in means(over - over.mean(axis=0), block)]
+
+
+def outputs(r: ResidualTable) -> Powers:
+    """Return the squares of the residual as it moves the decoded pose."""
+    noise = np.square(np.einsum("ikn,kl->iln", r.decoding, np.linalg.cholesky(r.base.covariance)))
+    squares, weight = r.decoded(r.residual) ** 2, r.base.pose_weights**2
+    return Powers("output", r.base.model.pose, squares, noise.sum(axis=1).mean(axis=1), weight)
+
+
+def sensors(r: ResidualTable) -> Powers:
+    """Return the squares of the residual of the readings."""
+    return Powers("sensor", r.base.model.channels, r.residual**2, r.variance, 1 / r.variance)
+
+
+def of_powers(p: Powers, p_values: Sequence[float], policy: Policy) -> list[Statement]:
+    """Which of several outputs or sensors have more than their part of the excess."""
+    own = p.noise * p.weight
+    above = p.squares.mean(axis=1) * p.weight - own
+    said = []
+    for k, (name, chance) in enumerate(zip(p.names, p_values, strict=False)):
+        share = float(np.clip(above[k] / above.sum(), 0.0, 1.0)) if above.sum() > 0 else np.nan
+        if chance < policy.false_alarm and share >= own[k] / own.sum() + policy.minor:
+            seen = "is seen by" if p.kind == "sensor" else "lies in"
+            text = f"{seen} {plain(name)}, one of {len(p.names)} {p.kind}s"
+            said.append(_statement(p.kind, name, share, chance, text))
+    return sorted(said, key=lambda s: -s.share)
+
+
+def sizes(
+    residues: Mapping[str, ResidualTable | None],
+    errors: Mapping[str, DecodedErrors],
+    floors: Mapping[str, Mapping[str, float]],
+) -> Sizes:
+    """Return how large the gap is on each side, "fitted" and "held_out".
+
+    Outputs come from `errors`, the decoded pose; sensors from `residues`. `floors`: noise by output. P-values
+    come from blocks of samples.
+    """
+    out = Sizes()
+    for side, r in residues.items():
+        if r is None:
+            continue
+        told, of_outputs, of_sensors = clear(r), outputs(r), sensors(r)
+        noise = np.array([floors[side].get(c, 0.0) for c in of_outputs.names])
+        rms = np.sqrt(of_sensors.squares.mean(axis=1))
+        for store, p, size, least in (
+            (out.outputs, of_outputs, errors[side].rms, noise),
+            (out.sensors, of_sensors, rms, np.sqrt(of_sensors.noise)),
+        ):
+            above = np.maximum(size**2 - least**2, 0.0)
+            total = float((above * p.weight).sum())
+            over = means(p.squares / p.noise[:, None] - 1.0, r.part)
+            for k, name in enumerate(p.names):
+                store.setdefault(name, {})[side] = Size(
+                    rms=float(size[k]),
+                    noise=float(least[k]),
+                    above=float(np.sqrt(above[k])),
+                    share=float(above[k] * p.weight[k] / total) if told and total > 0 else None,
+                    p_value=beyond(over[k]),
+                )
+    return out
+
+
+# -- links of the chain --------------------------------------------------------------------------------------
+
+
+def of_links(base: Base, scored: Sequence[Score], out: Powers, faults: Sequence[Fault]) -> list[Statement]:
+    """Return statements on the links that can surely take up much of the excess.
+
+    `scored`: effects at `base`, each by its own score: the gap metric, cross-validated, and the p-value for
+    all that was tried. `out`: of the outputs. `faults`: of samples, with `power` as part of the excess.
+    """
+    whole, noise = float(out.weight @ out.squares.mean(axis=1)), float(out.weight @ out.noise)
+    excess = max(whole - noise, 1e-300)
+    claims = [
+        Statement("link", _link_of(base, s), (1 - s.ratio**2) * whole / excess, s.p_value, s.effect.name)
+        for s in by_name(scored)
+        if not s.absorbed
+    ]
+    claims += [Statement("link", f.record.link, f.power, f.p_value, f.name) for f in faults]
+    found: dict[str, Statement] = {}
+    for claim in claims:
+        if claim.at not in found or claim.share > found[claim.at].share:
+            found[claim.at] = replace(claim, share=float(np.clip(claim.share, 0.0, 1.0)))
+    policy = base.policy
+    likely = [f for f in found.values() if f.p_value < policy.false_alarm]
+    least = max(policy.negligible, (1 - policy.minor) * max((f.share for f in likely), default=0.0))
+    said = []
+    for own in sorted(likely, key=lambda f: (*LINKS, *found).index(f.at)):
+        other = max((f for f in found.values() if f is not own), key=lambda f: f.share, default=None)
+        beside = f"{other.at} {percent(other.share)}" if other else "none tested"
+        if own.share >= least:
+            text = f"can come from the {own.at} ({own.text}; another link: {beside})"
+            said.append(_statement("link", own.at, own.share, own.p_value, text))
+    # of links that take up the same the first of the chain stands first, whatever the rounding
+    return sorted(said, key=lambda s: -round(s.share, 6))
+
+
+def _link_of(base: Base, score: Score) -> str:
+    """Return the link that an effect acts on; one that does not say it is placed by the step that it adds."""
+    if score.effect.link in LINKS:
+        return score.effect.link
+    old = {id(step) for _, step in base.model.steps}
+    return next((on for on, step in score.model.steps if id(step) not in old), score.effect.link)

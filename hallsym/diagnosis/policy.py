@@ -17,108 +17,81 @@ class Policy:
     # levels and shares that several decisions have in common
 
     false_alarm: float = 0.05
-    """Probability of a statement about a log in which nothing is, all that was tried counted: for a
-    shape without a name, a place where a gap lies, a parameter that changed between two records; half of
-    it on each side of an interval, and for an excess without a shape.
-
-    The usual 5 %."""
+    """Probability of a statement about a log in which nothing is, all that was tried counted; half of it
+    on each side of an interval, and for an excess without a shape. The usual 5 %."""
     certain: float = 0.01
-    """Corrected p-value below which an effect, a fault or a smaller finding is certain.
-
-    The usual 1 %."""
+    """Corrected p-value below which an effect, a fault or a smaller finding is certain. The usual 1 %."""
     negligible: float = 0.03
-    """Share below which nothing is a finding: of what a best effect explains and a plainer one leaves, and
-    of the gap; of an excess, of the largest wave, of a noise floor.
-
-    Below the 5 % that are worth reporting: what is left out is no finding. A noise floor from n samples
-    is known to 1 / sqrt(2 n), which is 3 % of 560 samples at rest."""
+    """Share below which nothing is a finding: of what a best effect explains and a plainer one leaves,
+    and of the gap; of an excess, of the largest wave, of a noise floor. Below the 5 % that are worth
+    reporting. A noise floor from 560 samples at rest is known to 3 %."""
     minor: float = 0.1
     """Share up to which a part is minor: of the excess that named effects leave open in a gap that is
-    explained, of the threshold that a smaller finding is worth; by which a steady line
-    scatters less than the rest of a spectrum; of the error rate, which a test beside that by signs has: one
-    by the stated noise, and one of an event such as a step, which lies in one run, of which signs know
-    nothing.
-
-    Of a gap of twice the floor, a tenth of the excess is 14 % above the floor: a gap of its own."""
+    explained; of the threshold that a smaller finding is worth; by which a steady line scatters less than
+    the rest of a spectrum; of the error rate, for a test beside that by signs (by the stated noise, of a
+    step). Of a gap of twice the floor, a tenth of the excess is 14 % above the floor: a gap of its
+    own."""
     half: float = 0.5
-    """Part from which on something is the larger one: of the threshold from which on a first, certain
-    effect is taken up, and that a refit must keep of its score; of what a parameter alone makes, that the
-    others must leave; of far samples that have others around them; of the best effect's gain, to
-    first order, from which on an effect is refitted exactly; of a curve that one sensor makes if named.
-
-    A majority. An effect may be worth twice as much on the holdout runs, which decide."""
+    """Part from which on something is the larger one: of the threshold, for a first, certain effect to be
+    taken up, and that a refit must keep of its score; of what a parameter alone makes, that the others
+    must leave; of far samples that have others around them; of the best effect's gain, for an effect to
+    be refitted exactly; of a curve that one sensor makes if named. A majority. An effect may be worth
+    twice as much on the holdout runs, which decide."""
     fewest: int = 6
     """Runs, or units of time, from which on their scatter says something: for an interval of the
-    shrinkage, signs, a single run among others, pieces of a short recording.
-
-    Student's t of 6 is 2.6 standard errors wide, of 4 it is 3.2, and the error is known to a factor of
-    2."""
+    shrinkage, signs, a single run among others, pieces of a short recording. Student's t of 6 is 2.6
+    standard errors wide, of 4 it is 3.2."""
 
     # noise: what is independent, and what its tails are like
 
     fewest_units: int = 24
     """Runs from which on runs are the units of signs; of fewer, stretches are, so that there are about as
-    many.
-
-    So many units have 2^23 different signs, far more than are drawn."""
+    many. So many units have 2^23 different signs, far more than are drawn."""
     forgotten: float = 0.02
-    """Autocorrelation below which a residual's memory ends.
-
-    Noise has it by chance after some 10,000 readings."""
+    """Autocorrelation below which a residual's memory ends. Noise has it by chance after some 10,000
+    readings."""
     memories: float = 4.0
-    """Memories of a residual from which on stretches of it are independent.
-
-    The scores of neighbouring stretches of an autoregressive residual then have a correlation of 3 %."""
+    """Memories of a residual from which on stretches of it are independent. The scores of neighbouring
+    stretches of an autoregressive residual then have a correlation of 3 %."""
     heavy: float = 5.0
-    """Kurtosis from which on chi-square is not trusted.
-
-    That of Student's t of 7 degrees of freedom."""
+    """Kurtosis from which on chi-square is not trusted. That of Student's t of 7 degrees of freedom."""
     tails: float = 2.0
     """Factor to which the body of noise with heavy tails tells how many samples lie beyond that.
-
     Student's t of 3 degrees of freedom in every reading and reference has up to 1.5 times as many."""
     smooth: float = 0.25
-    """Correlation of neighbouring time shifts from which on they are no jitter, which has none.
-
-    White noise has -0.08 after the running median, noise with a memory of 3 samples 0.3, a gap of the model
+    """Correlation of neighbouring time shifts from which on they are no jitter, which has none. White
+    noise has -0.08 after the running median, noise with a memory of 3 samples 0.3, a gap of the model
     that is sampled finely nearly 1."""
 
     # input: which runs judge, and which gap counts
 
     worth_reporting: float = WORTH_REPORTING
-    """Relative decrease of the gap metric from which on a gap is worth reporting.
-
-    A choice; the user (--threshold) or the log (meta.json) may state another."""
+    """Relative decrease of the gap metric from which on a gap is worth reporting. A choice; the user
+    (--threshold) or the log (meta.json) may state another."""
     holdout_every: int = 5
-    """One run of so many is held out where neither the user nor the log names holdout runs.
-
-    A fifth of the runs judges, as in 5-fold cross-validation."""
+    """One run of so many is held out where neither the user nor the log names holdout runs. A fifth of
+    the runs judges, as in 5-fold cross-validation."""
 
     # selection and verdict
 
     rail_repeats: int = 4
-    """Times that a channel must take its very highest or lowest value for that to be a rail.
-
-    A turning point may fall on one step of the converter two or three times."""
+    """Times that a channel must take its very highest or lowest value for that to be a rail. A turning
+    point may fall on one step of the converter two or three times."""
     most_refits: int = 6
     """Effects refitted exactly in one step. Cost: a refit takes about five passes over the log."""
     starts: int = 3
-    """Starts refitted of an effect whose numbers were searched on a grid.
-
-    The score of one grid point, such as a rail, says little of where a refit ends."""
+    """Starts refitted of an effect whose numbers were searched on a grid. The score of one grid point,
+    such as a rail, says little of where a refit ends."""
     as_good: float = 10.0
-    """Difference of BIC up to which a variant with as few parameters as another effect explains as
-    much; at twice that, unneeded parameters make an effect no competitor of a plainer one.
-
-    What Kass and Raftery (1995) call very strong."""
+    """Difference of BIC up to which a variant with as few parameters as another effect explains as much;
+    at twice that, unneeded parameters make an effect no competitor of a plainer one. What Kass and
+    Raftery (1995) call very strong."""
 
     # confusable effects
 
     separated: float = 5.0
     """Standard deviations at which something is certain without a test: two effects are told apart (of a
-    slow average), a coordinate varies (of its noise).
-
-    The convention of 5 sigma."""
+    slow average), a coordinate varies (of its noise). The convention of 5 sigma."""
 
 
 POLICY = Policy()

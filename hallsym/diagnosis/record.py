@@ -2,13 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from hallsym.diagnosis.policy import Policy
 from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.inference import Estimate
 from hallsym.records import plain, schema_of, structured
 from hallsym.shown import Shown
+
+LARGER: Final = "noise larger than stated"
+"""The verdict of a log whose excess over the stated noise is noise."""
 
 
 @dataclass(frozen=True)
@@ -24,9 +27,9 @@ class Band:
 class CurveShape:
     """How the residual of each reading follows a coordinate.
 
-    `column`, `unit`: of the `grid`. `line`: whether that is a place on a line; several coordinates together,
-    a direction of motion and an acceleration are none, `grid` then counts features, which `labels` names.
-    `kind`: "offset" (in `value_unit`, the unit of the reading) or "gain" (relative change of the gain).
+    `column`, `unit`: of the `grid`. `line`: whether that is a place on a line; else `grid` counts features,
+    which `labels` names. `kind`: "offset" (in `value_unit`, the unit of the reading) or "gain" (relative
+    change of the gain).
     """
 
     coordinate: str
@@ -69,8 +72,8 @@ class ModelLeft:
     """What the error of the model adds to the uncertainty of a position, for `hallsym budget --diagnosis`.
 
     `rest`: standard uncertainty by output of what is left above the noise, without its shape where
-    `shape_counts`: then `unexplained.curve` holds that as a function of the pose or the state. `candidates`:
-    the named model first, then the others that the log does not exclude; none where there is no other.
+    `shape_counts`: `unexplained.curve` holds that then. `candidates`: the named model first, then the others
+    that the log does not exclude; none where there is no other.
     """
 
     rest: dict[str, float] = field(default_factory=dict)
@@ -128,8 +131,8 @@ class Shrinkage:
 class Significance:
     """Whether any effect of the catalogue is there at all.
 
-    `p_value`: from random signs of `units` scores, each of a "run" or of a "stretch" of one (`unit`), the
-    largest of all that was tried. `least`: the smallest p-value that so many units can give.
+    `p_value`: by random signs of `units` scores, each of a "run" or of a "stretch" of one (`unit`), corrected
+    for all that was tried. `least`: the smallest p-value that so many units can give.
     """
 
     p_value: float
@@ -153,11 +156,10 @@ class FoundEffect:
 
     `shrinkage`: 1 - gap with it / gap without it, on runs that took part in neither fit nor choice;
     `interval`: as of `Shrinkage`, None too for a fault of the recording. `share`: part of the excess above
-    the noise floor that it closes. `p_value`: of its absence, from random signs of the runs, corrected for
-    everything that was tried.
+    the noise floor that it closes. `p_value`: of its absence, corrected for everything that was tried.
     `cost`: firmware cost. `text`: what `--effect` takes to fit it, empty for a fault of the recording.
-    `at_bound`: parameters that ended at a bound; they have no uncertainty. `note` says so in words, and what
-    to do about a fault.
+    `at_bound`: parameters that ended at a bound, without uncertainty. `note`: that, and what to do about a
+    fault.
     """
 
     name: str
@@ -208,9 +210,8 @@ class Waves:
     """Amplitude of the harmonic of the error that repeats `per_turn` times per period of a coordinate. SI.
 
     `designed`: of the nominal sensor, only its zeros fitted, None where nominal parameters do not decode the
-    readings; `model`: of the diagnosed model; `after`: with
-    the effects that were found, None where there are none. `causes`: effects of the catalogue that make this
-    harmonic. `coordinate`: of a pose of several coordinates, the one that is periodic.
+    readings; `model`: of the diagnosed model; `after`: with the effects found, None without any. `causes`:
+    effects of the catalogue that make it. `coordinate`: the periodic one of a pose of several.
     """
 
     per_turn: int
@@ -274,15 +275,14 @@ class LogRecord:
 class Diagnosis(Shown):
     """The answer of `diagnose`: verdict, where, which effect, how far the gap shrinks. SI units throughout.
 
-    `verdict`: "no gap", "explained", "unexplained", or "noise larger than stated" where what exceeds the
-    stated noise is noise.
-    `ranked`: names that carry evidence, best first. `groups`: names that this log cannot tell apart. `where`:
-    what the gap goes with; `remaining`: what the unexplained rest goes with, only if the verdict is
-    "unexplained". `unexplained`: share and shape of that rest. `model_error`: what the
-    budget of a position takes of it. `size`: the gap per output and sensor, on
-    fitted and on holdout runs. `waves`: the harmonics of the error over each periodic
-    coordinate. `next_step`: the arguments of `hallsym fit LOG` that fit the model with the effects found;
-    empty without any.
+    `verdict`: "no gap", "explained", "unexplained", or "noise larger than stated". `ranked`: names that carry
+    evidence, best first. `groups`: names that this log cannot tell apart. `where`: what the gap goes with;
+    `remaining`: what the unexplained rest goes with, `unexplained`: share and shape of that rest, only if the
+    verdict is "unexplained". `model_error`: what the budget of a position takes of it. `size`: the gap per
+    output and sensor, on fitted and on holdout runs. `waves`: the harmonics of the error over each periodic
+    coordinate. `next_step`: the arguments of `hallsym fit LOG` that fit the model with the effects found.
+    `noise`: that is left, None where the log is too short to tell. `held_out`: what judges: a run, or a piece
+    of a recording of too few.
     """
 
     verdict: str
@@ -313,10 +313,8 @@ class Diagnosis(Shown):
     next_step: tuple[str, ...] = ()
     waves: tuple[Waves, ...] = ()
     noise: ResidualNoise | None = None
-    """The noise that is left, None where the log is too short to tell."""
     significance: Significance | None = None
     held_out: str = "holdout run"
-    """What judges: a run, or a piece of a recording of too few."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the diagnosis as plain JSON data."""

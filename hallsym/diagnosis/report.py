@@ -1,6 +1,10 @@
-"""The Diagnosis, put together from what the stages found. Nothing is decided here."""
+"""The Diagnosis, put together from what the stages found, and what the log cannot tell apart.
+
+Confusable effects are exact refits that leave the same residual; a recording would separate them.
+"""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import casadi as ca
@@ -8,13 +12,11 @@ import numpy as np
 
 from hallsym.codegen import cost_of
 from hallsym.codegen.operations import graph
-from hallsym.diagnosis.confusable import Confusable, smaller_findings
-from hallsym.diagnosis.curve_words import shape
 from hallsym.diagnosis.decoded_errors import decoded_errors, waves
 from hallsym.diagnosis.faults import Fault, wiring_p, wirings
-from hallsym.diagnosis.localisation import Located, located
-from hallsym.diagnosis.noise import LARGER, noise_text, with_noise
+from hallsym.diagnosis.localisation import Located, located, shape, sizes
 from hallsym.diagnosis.record import (
+    LARGER,
     Diagnosis,
     FoundEffect,
     Gap,
@@ -23,25 +25,98 @@ from hallsym.diagnosis.record import (
     ModelLeft,
     NoiseFloor,
     NotExcluded,
+    Separation,
     Shrinkage,
     Sizes,
+    SmallerFinding,
     Unexplained,
 )
 from hallsym.diagnosis.refit import Refitted
 from hallsym.diagnosis.residual_table import both
+from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.scores import by_name
 from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Setup
-from hallsym.diagnosis.shares import sizes
 from hallsym.diagnosis.validation import QUIET, Held, Validation, Verdict, closed
-from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit
+from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit, noise_text
 from hallsym.errors import InputError, counted
-from hallsym.estimation.calibration import Fit
 from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.families import added_effects
-from hallsym.families.faults import FAULTS
+from hallsym.families.faults import WIRING
 from hallsym.inference import Estimate
 from hallsym.log.quality.gains import listed
-from hallsym.model import Model
+from hallsym.model import Model, ways_text
+
+
+@dataclass(frozen=True, eq=False)
+class Confusable:
+    """Groups that this log cannot tell apart, what separates each, and all names that carry evidence."""
+
+    groups: tuple[tuple[str, ...], ...]
+    separate: tuple[Separation, ...]
+    ranked: tuple[str, ...]
+    fits: tuple[Refitted, ...] = ()
+    """Models that the log does not exclude, each with everything else that was found in place."""
+
+    def instead_of(self, name: str) -> list[str]:
+        """Return what the log cannot tell from an effect."""
+        return [other for group in self.groups if name in group for other in group if other != name][:SHOWN]
+
+
+def confusable(
+    setup: Setup, found: Validation, effects: Sequence[FoundEffect], verdict: Verdict
+) -> Confusable:
+    """Return the effects that this log cannot tell apart: exact refits that leave the same residual.
+
+    `ranked`: the effects by share, members of their groups, and, where they explain the gap, other effects
+    that the log does not exclude in their place. An effect that does not lower the gap on the holdout runs
+    has no evidence.
+    """
+    policy, pairs = setup.policy, setup.base.model.family.pairs
+    separate, fits, possible = list[Separation](), list[Refitted](), list[str]()
+    for held in found.effects:
+        one, rest = held.exact, {h.name for h in found.effects} - {held.name}
+        variance = one.fit.variance(found.inflation)  # of slow averages
+        limit = policy.separated**2 * variance
+        rivals = [r for r in one.rivals if r.fit.cost - one.fit.cost < limit]
+        possible += [r.name for r in rivals]
+        # parameters for which the log gives no reason make no rival
+        near = [r for r in rivals if not pairs or r.bic - one.bic < 2 * policy.as_good]
+        own = [(d, r) for r in near if (d := one.fit.distance(r.fit)) < limit][:SHOWN]
+        fits += [r.fit for _, r in own if rest <= set(r.fit.base.model.effects) and r.fit not in fits]
+        if own:
+            members = [one.score.effect, *(r.score.effect for _, r in own)]
+            ways = ways_text(way for e in members for way in e.separate)
+            sigma = float((min(d for d, _ in own) / variance) ** 0.5)
+            separate.append(Separation(tuple(e.name for e in members), ways, sigma))
+    groups = [s.group for s in separate]
+    if effects and effects[0].name in WIRING and len(setup.base.model.pose) == 1:
+        groups.insert(0, WIRING)  # either turns the angle round, and its zero is free
+    names = [e.name for e in effects if e.share > 0] + [name for group in groups for name in group]
+    names += possible if verdict == "explained" else []
+    return Confusable(tuple(groups), tuple(separate), tuple(dict.fromkeys(names)), tuple(fits))
+
+
+def smaller_findings(
+    setup: Setup, selection: Selection, found: Validation, below: Sequence[FoundEffect] = ()
+) -> tuple[SmallerFinding, ...]:
+    """Return the effects that are significant and worth less than the threshold.
+
+    First those that were named but are too small together (`below`), then those that score beside what was
+    selected.
+    """
+    out = [SmallerFinding(e.name, e.shrinkage, e.p_value) for e in below]
+    known = {h.name for h in found.effects}
+    for score in by_name(selection.last):
+        p, shrinkage = score.p_value, 1 - score.ratio
+        # what is worth more was judged, and not selected
+        small = setup.policy.minor * setup.threshold <= shrinkage < setup.threshold
+        if p < setup.policy.certain and small and score.effect.name not in known:
+            out.append(SmallerFinding(score.effect.name, shrinkage, p))
+    return tuple(out)
+
+
+# -- the record --------------------------------------------------------------------------------------------
 
 
 def report(
@@ -63,14 +138,22 @@ def report(
     metric = Metric(found.before.metric, after, found.floor.metric)
     share = closed(metric.before, metric.after, metric.floor)
     loud = noise if noise is not None and noise.larger and verdict != "unexplained" else None
-    where, rest = _located(setup, selection, found, verdict, loud)
+    plain = found.start.base.on_all
+    where, rest = _located(setup, selection, found, verdict, plain, loud)
     left = unexplained(rest, 1 - share) if rest else None
-    gap_after = found.before.gap if quiet else _gap_after(found)
+    gap_after, cured = found.before.gap, found.cured.gap
+    if not quiet:  # faults of samples count by their power
+        power = found.metric / found.cured.metric
+        gap_after = Gap({c: v * power for c, v in cured.rmse.items()}, cured.peak)
+    given = {s.source == "given" for s in setup.fit.noise.sigmas.values()}
+    source = "stated and estimated" if len(given) == 2 else "stated" if given == {True} else "estimated"
+    log = setup.fit.log
+    span = {column: (low, high) for column, (low, high) in log["span"].items()}
     return Diagnosis(
         verdict=verdict,
         sentence=sentence(setup, verdict, named, alike.instead_of, metric, noise),
         held_out=setup.held_out,
-        noise_floor=NoiseFloor(dict(found.floor.outputs), _source(setup.fit)),
+        noise_floor=NoiseFloor(dict(found.floor.outputs), source),
         gap_before=found.before.gap,
         gap_after=gap_after,
         metric=metric,
@@ -79,7 +162,7 @@ def report(
         groups=alike.groups,
         effects=named,
         where=where.statements,
-        size=_size(setup, found, where, loud is not None),
+        size=_size(setup, found, plain),
         remaining=rest.statements if rest else (),
         unexplained=left,
         model_error=model_error(setup, found, gap_after, after, rest, left, alike),
@@ -89,7 +172,7 @@ def report(
         smaller_findings=smaller_findings(setup, selection, found, effects if quiet else ()),
         threshold=setup.threshold,
         model=setup.fit.model.name,
-        log=_log(setup),
+        log=LogRecord(log["path"], log["sha256"], log["rows"], log["runs"], tuple(log["holdout"]), span),
         notes=tuple(dict.fromkeys(setup.fit.notes)),
         seconds=perf_counter() - setup.began,
         versions=dict(setup.fit.versions),
@@ -115,46 +198,31 @@ def _shrinkage(found: Validation, metric: Metric, share: float, quiet: bool) -> 
 
 def unexplained(found: Located, share: float) -> Unexplained:
     """Return what is left, as `located` found it; `share`: part of the gap above the noise floor."""
-    curve = found.curves[0] if found.curves else None
-    return Unexplained(share, shape(curve, found.fitted) if curve and found.fitted else None)
-
-
-def _log(setup: Setup) -> LogRecord:
-    log = setup.fit.log
-    return LogRecord(
-        path=log["path"],
-        sha256=log["sha256"],
-        rows=log["rows"],
-        runs=log["runs"],
-        holdout=tuple(log["holdout"]),
-        span={column: (low, high) for column, (low, high) in log["span"].items()},
-    )
-
-
-def _gap_after(found: Validation) -> Gap:
-    """Return the gap with everything that was found; faults of samples count by their power."""
-    gap, share = found.cured.gap, found.metric / found.cured.metric
-    return Gap({c: v * share for c, v in gap.rmse.items()}, gap.peak)
+    return Unexplained(share, shape(found.curves[0]) if found.curves else None)
 
 
 def _located(
-    setup: Setup, selection: Selection, found: Validation, verdict: Verdict, loud: ResidualNoise | None
+    setup: Setup,
+    selection: Selection,
+    found: Validation,
+    verdict: Verdict,
+    plain: Base,
+    loud: ResidualNoise | None,
 ) -> tuple[Located, Located | None]:
     """Return where the gap lies and, if it is unexplained, where the rest lies.
 
-    Faults of samples count by their power over all of the excess. `loud`: noise that is larger than its
-    floor; the excess is what exceeds that, for noise lies nowhere.
+    Faults of samples count by their power over all of the excess. `plain`: the fit without effects on all
+    samples. `loud`: noise that is larger than its floor; the excess is what exceeds that, for noise lies
+    nowhere.
     """
-    start, runs = found.start.base, setup.base.log.runs
+    gap, runs, floor, start = Located((), ()), setup.base.log.runs, found.floor.metric, found.start.base
     if loud is not None:
-        start = with_noise(start, loud)
-    plain = start.on_all
-    floor = found.floor.metric * (1.0 if loud is None else loud.ratio)
+        larger = np.array([max(loud.by_sensor[c], 1.0) for c in plain.model.channels])
+        plain = replace(plain, covariance=plain.covariance * np.outer(larger, larger))
+        floor *= loud.ratio
     if found.before.metric > floor * (1 + setup.policy.negligible):
-        screened, noisy = selection.screened_at(found.start.base), verdict in QUIET
+        screened, noisy = selection.screened_at(start), verdict in QUIET
         gap = located(plain, runs, screened, found.faults, found.variance, noisy=noisy)
-    else:
-        gap = Located((), (), *both(plain, runs))
     if verdict != "unexplained":
         return gap, None
     if found.base is start:
@@ -162,21 +230,13 @@ def _located(
     return gap, located(found.base, runs, selection.screened_at(found.base))
 
 
-def _size(setup: Setup, found: Validation, where: Located, loud: bool) -> Sizes:
-    """Return how large the gap is over the noise floor, channels as they were logged.
-
-    `loud`: whether `where` holds it against noise that is larger than the floor.
-    """
-    start = setup.as_logged(found.start.base)
-    fitted, held = both(start, setup.base.log.runs) if setup.miswired or loud else (where.fitted, where.held)
+def _size(setup: Setup, found: Validation, plain: Base) -> Sizes:
+    """Return how large the gap of `plain` is over the noise floor, channels as they were logged."""
+    start = setup.as_logged(plain)
+    fitted, held = both(start, setup.base.log.runs)
     errors = {"fitted": decoded_errors(start, setup.runs), "held_out": found.before}
     floors = {"fitted": setup.floor_fitted.outputs, "held_out": setup.floor.outputs}
     return sizes({"fitted": fitted, "held_out": held}, errors, floors)
-
-
-def _source(fit: Fit) -> str:
-    given = {s.source == "given" for s in fit.noise.sigmas.values()}
-    return "stated and estimated" if len(given) == 2 else "stated" if given == {True} else "estimated"
 
 
 # -- sentences, and the next command -----------------------------------------------------------------------
@@ -263,23 +323,17 @@ def model_error(
     counts = curve is not None and curve.line and curve.column.removeprefix("d0_") in placed
     share = lies.statements[0].share if lies is not None and lies.statements and counts else 0.0
     left = float(np.sqrt(max(1 - share, 0.0)))
+    models = found.fit, *alike.fits  # each with its probability by BIC
+    bic = np.array([f.bic(len(f.base.free), found.inflation) for f in models])
+    weight = np.exp(-0.5 * (bic - bic.min()))
     return ModelLeft(
         rest={c: 0.0 if known else v * left for c, v in above.items()},
         shape_counts=counts,
-        candidates=_candidates(found, alike.fits),
-    )
-
-
-def _candidates(found: Validation, fits: tuple[Refitted, ...]) -> tuple[NotExcluded, ...]:
-    """Return the named model and those the log does not exclude, each with its probability by BIC."""
-    if not fits:
-        return ()
-    models = found.fit, *fits
-    bic = np.array([f.bic(len(f.base.free), found.inflation) for f in models])
-    weight = np.exp(-0.5 * (bic - bic.min()))
-    return tuple(
-        NotExcluded(tuple(added_effects(f.base.model)), f.base.values, float(w))
-        for f, w in zip(models, weight / weight.sum(), strict=True)
+        candidates=tuple(
+            NotExcluded(tuple(added_effects(f.base.model)), f.base.values, float(w))
+            for f, w in zip(models, weight / weight.sum(), strict=True)
+            if alike.fits
+        ),
     )
 
 
@@ -296,9 +350,12 @@ def findings(setup: Setup, found: Validation) -> tuple[FoundEffect, ...]:
     fit, known = found.fit, np.maximum(np.diag(found.fit.covariance()), 0.0)
     spread = np.sqrt(known * fit.variance(1.0) * found.inflation)  # of the slow averages of what is left
     out = [_effect(found, e, spread) for e in found.effects]
-    out += [_fault(setup, found, f) for f in found.faults]
+    scale, before = found.fault_scale, found.before.metric
+    share = _share(found, (1 - scale**2) * found.after.metric**2)
+    out += [_repaired(setup, fault, 1 - scale, share) for fault in found.faults]
     if setup.miswired:
-        out.insert(0, _assignment(setup, found))
+        wrong, share = _assignment(setup, found.start.base), closed(before, found.metric, found.floor.metric)
+        out.insert(0, _repaired(setup, wrong, 1 - found.metric / before, share))
     return tuple(sorted(out, key=lambda e: -e.share))
 
 
@@ -347,52 +404,37 @@ def _note(ended: Sequence[str], blind: Sequence[str]) -> str:
     return " ".join(said)
 
 
-def _fault(setup: Setup, found: Validation, fault: Fault) -> FoundEffect:
-    scale = found.fault_scale
+def _repaired(setup: Setup, fault: Fault, shrinkage: float, share: float) -> FoundEffect:
+    """Return a fault of the recording, which no model holds, as an effect that was found."""
+    repair = "the channel assignment is corrected" if fault.name in WIRING else "a repair, not a model"
     return FoundEffect(
         name=fault.name,
         link=fault.record.link,
         variant=fault.text,
         parameters=fault.parameters,
         p_value=min(1.0, fault.p_value * setup.tested),
-        shrinkage=1 - scale,
+        shrinkage=shrinkage,
         interval=None,
-        share=_share(found, (1 - scale**2) * found.after.metric**2),
-        cost="no parameter: a repair, not a model",
-        note=_repair(fault.name),
+        share=share,
+        cost=f"no parameter: {repair}",
+        note=f"{fault.name} {fault.record.refusal}",
     )
+
+
+def _assignment(setup: Setup, base: Base) -> Fault:
+    """Return exchanged or inverted channels; `base`: the fit with the channels put right."""
+    channels, wiring = base.model.channels, setup.miswired or ()
+    swapped = [c for c, (source, _) in zip(channels, wiring, strict=True) if source != c]
+    flipped = [source for source, sign in wiring if sign < 0]
+    text = f"{' and '.join(swapped)} exchanged" if swapped else f"{' and '.join(flipped)} inverted"
+    p = wiring_p(base, setup.log, setup.runs) * wirings(len(channels))
+    return Fault("channel_swap" if swapped else "sign_inversion", text, 1.0, {}, p)
 
 
 def _share(found: Validation, squares: float) -> float:
     """Return the share of the excess above the floor that `squares` are."""
     excess = max(found.before.metric**2 - found.floor.metric**2, 1e-300)
     return float(np.clip(squares / excess, 0.0, 1.0))
-
-
-def _assignment(setup: Setup, found: Validation) -> FoundEffect:
-    """Return exchanged or inverted channels."""
-    model, wiring = setup.base.model, setup.miswired or ()
-    swapped = [c for c, (source, _) in zip(model.channels, wiring, strict=True) if source != c]
-    flipped = [source for source, sign in wiring if sign < 0]
-    name = "channel_swap" if swapped else "sign_inversion"
-    drop = 1 - found.metric / found.before.metric
-    p = wiring_p(found.start.base, setup.log, setup.runs) * setup.tested * wirings(len(model.channels))
-    return FoundEffect(
-        name=name,
-        link="electronics",
-        variant=f"{' and '.join(swapped)} exchanged" if swapped else f"{' and '.join(flipped)} inverted",
-        parameters={},
-        p_value=min(1.0, p),
-        shrinkage=drop,
-        interval=None,
-        share=closed(found.before.metric, found.metric, found.floor.metric),
-        cost="no parameter: the channel assignment is corrected",
-        note=_repair(name),
-    )
-
-
-def _repair(name: str) -> str:
-    return f"{name} {FAULTS[name].refusal}"
 
 
 def operations(model: Model) -> int:
@@ -408,24 +450,18 @@ def firmware_cost(before: Model, after: Model, p: np.ndarray | None = None) -> s
 
     `p`: parameters of `after`, which decide how often a non-linear model is iterated; nominal by default.
     """
-    added = counted(len(after.parameters) - len(before.parameters), "parameter")
-    signals = [c.name for c in after.computed if c.name not in before.state]
-    text = f"{added}; {_work(before, after, p)}"
-    if signals:
-        some = ", ".join(signals[:SHOWN]) + (", ..." if len(signals) > SHOWN else "")
-        text += f" and {counted(len(signals), 'signal')} to compute ({some})"
-    return text
-
-
-def _work(before: Model, after: Model, p: np.ndarray | None) -> str:
     shared = None
     if p is not None:
         shared = before.vector({n: v for n, v in after.named(p).items() if n in before.names})
     try:
         old, new = cost_of(before, shared), cost_of(after, p)
+        work = f"C about {old.instructions} -> {new.instructions} instructions"
+        work += f", parameter table {old.table} -> {new.table} B"
     except InputError:
-        return f"decoding {operations(before)} -> {operations(after)} operations, no C"
-    return (
-        f"C about {old.instructions} -> {new.instructions} instructions, "
-        f"parameter table {old.table} -> {new.table} B"
-    )
+        work = f"decoding {operations(before)} -> {operations(after)} operations, no C"
+    text = f"{counted(len(after.parameters) - len(before.parameters), 'parameter')}; {work}"
+    signals = [c.name for c in after.computed if c.name not in before.state]
+    if signals:
+        some = ", ".join(signals[:SHOWN]) + (", ..." if len(signals) > SHOWN else "")
+        text += f" and {counted(len(signals), 'signal')} to compute ({some})"
+    return text

@@ -4,8 +4,9 @@ At most `ROOM` samples are held, evenly decimated, so that memory does not grow 
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -18,6 +19,167 @@ from hallsym.estimation.residual_noise import STILL
 from hallsym.families.mechanisms import MAINS_HZ
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.model.arrays import on_arrays
+
+ROOM = 60_000
+"""Samples that are held."""
+PARTS = 4
+"""Stretches of a run at least, so that a gain of its own can be told from noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualTable:
+    """Residual of the readings of `base` on some runs and what it may depend on.
+
+    `residual`, `sensed`, `rate`: (K, n) residual, expected reading at the smoothed reference, and its rate.
+    `columns`: (n,) each; of a periodic reference also `phase_<reference>`, the place within its period.
+    `decoding`: (n_pose, K, n) turns a residual into an error of the decoded pose. `fold`, `block`, `part`:
+    (n,) index of the group of runs, of the block for significance, of the stretch of a run.
+    """
+
+    base: Base
+    run: np.ndarray
+    residual: np.ndarray
+    sensed: np.ndarray
+    rate: np.ndarray
+    columns: Mapping[str, np.ndarray]
+    decoding: np.ndarray
+    fold: np.ndarray
+    block: np.ndarray
+    part: np.ndarray
+
+    @cached_property
+    def variance(self) -> np.ndarray:
+        """Variance of one residual of each sensor that the noise makes, (K,)."""
+        return np.diag(self.base.covariance)
+
+    @cached_property
+    def precision(self) -> np.ndarray:
+        """Inverse covariance of one residual, (K, K)."""
+        return np.linalg.inv(self.base.covariance)
+
+    @cached_property
+    def squares(self) -> np.ndarray:
+        """Whitened square of each sample, (n,); K on average where there is noise only."""
+        return self.whitened_squares(self.residual)
+
+    def whitened_squares(self, residual: np.ndarray) -> np.ndarray:
+        """Return the whitened square of each sample of a residual (K, n), (n,)."""
+        return np.asarray(np.einsum("kn,kl,ln->n", residual, self.precision, residual))
+
+    def run_of(self, group: np.ndarray) -> np.ndarray:
+        """Return the run, as it was recorded, in which each of the consecutive groups begins."""
+        return self.run[edges_of(group)[:-1]] * (not self.base.sliced)
+
+    @property
+    def excess(self) -> float:
+        """Sum of the whitened squares above what the noise explains."""
+        return float(self.squares.sum()) - self.residual.size
+
+    def decoded(self, residual: np.ndarray) -> np.ndarray:
+        """Return the errors of the decoded pose that a residual (K, n) makes, (n_pose, n)."""
+        return np.asarray(np.einsum("ikn,kn->in", self.decoding, residual))
+
+    def metric(self, residual: np.ndarray) -> float:
+        """Return the gap metric of a residual (K, n)."""
+        weighed = self.base.pose_weights[:, None] * self.decoded(residual)
+        return float(np.linalg.norm(weighed) / np.sqrt(len(self.run)))
+
+
+def table_of(base: Base, runs: frozenset[int]) -> ResidualTable | None:
+    """Return what `base` leaves on `runs`; None where no sample of them counts."""
+    model, back = base.model, np.linalg.inv(base.whiten)
+    stride = max(1, -(-base.log.rows // ROOM))
+    seen = Counter[int]()
+    out: dict[str, list[np.ndarray]] = {}
+    for piece in pieces(base, runs):
+        at = np.flatnonzero(piece.used)[::stride]
+        data = {c: v[at] for c, v in piece.data.items()}
+        for c in model.references:
+            if c in model.period:
+                data[phase(c)] = data[f"d0_{c}"] % model.period[c]
+            data[f"d0_{c}"] = at_rest(data[f"d0_{c}"], base.sigma.get(c, 0.0))
+        data |= {"residual": back @ piece.residual[:, at], "rate": back @ piece.speed[:, at]}
+        data |= {"run": np.full(len(at), piece.run), "place": seen[piece.run] + at}
+        seen[piece.run] += len(piece.t)
+        for name, values in data.items():
+            out.setdefault(name, []).append(values)
+    if not out or sum(len(v) for v in out["run"]) == 0:
+        return None
+    joined = {c: np.concatenate(v, axis=-1) for c, v in out.items()}
+    residual, rate, run, place = (joined.pop(name) for name in ("residual", "rate", "run", "place"))
+    pose, smooth, state = (
+        [joined[c] for c in names]
+        for names in (model.references, [f"d0_{c}" for c in model.references], model.state)
+    )
+    edges = edges_of(run)
+    zeros = np.repeat([base.zeros_in(k) for k in run[edges[:-1]].tolist()], np.diff(edges), axis=0).T
+    (sensed,) = on_arrays(model.reading)(base.p, zeros, smooth, state)
+    fold, block, part = _blocks(run, place, sum(seen[k] for k in set(run.tolist())), base.policy)
+    return ResidualTable(
+        base, run, residual, sensed, rate, joined, base.to_pose(pose, state), fold, block, part
+    )
+
+
+residual_table = found_once(table_of)
+"""The same, kept for as long as the base lives."""
+
+
+def both(base: Base, runs: Sequence[int]) -> tuple[ResidualTable | None, ResidualTable | None]:
+    """Return the residual on those of `runs` that are fitted and on those that are held out."""
+    held = base.holdout.intersection(runs)
+    return residual_table(base, set(runs) - held), residual_table(base, held)
+
+
+def edges_of(group: np.ndarray) -> np.ndarray:
+    """Return where groups of consecutive samples begin and the last one ends, (groups + 1,)."""
+    return np.array([0, *(np.flatnonzero(np.diff(group)) + 1), len(group)])
+
+
+def slices(group: np.ndarray) -> list[slice]:
+    """Return the consecutive samples of each group."""
+    return [slice(a, b) for a, b in pairwise(edges_of(group).tolist())]
+
+
+def sums(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Return the sums of `values` (..., n) over the consecutive samples of each group."""
+    return np.add.reduceat(values, edges_of(group)[:-1], axis=-1)
+
+
+def means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Return the means of `values` (..., n) over the consecutive samples of each group."""
+    return sums(values, group) / np.diff(edges_of(group))
+
+
+def phase(reference: str) -> str:
+    """Return the column of the place of a reference within its period."""
+    return f"phase_{reference}"
+
+
+def at_rest(x: np.ndarray, sigma: float) -> np.ndarray:
+    """Return where an axis was: its mean where all that moved it is noise, which is part of the residual."""
+    return x if len(x) == 0 or np.std(x) > STILL * sigma else np.full(len(x), x.mean())
+
+
+def _blocks(
+    run: np.ndarray, place: np.ndarray, samples: int, policy: Policy
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Group of runs to leave out, block for significance and stretch of a run of each sample.
+
+    `place`: of each sample within its run; `samples`: of all runs. Blocks are the units of the scores.
+    """
+    _, first, order, counts = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
+    fold = order * min(UNITS, len(first)) // len(first)
+    parts = max(PARTS, -(-2 * policy.fewest_units // len(first)))
+    within = np.arange(len(run)) - first[order]
+    each = np.clip(counts // FEWEST_SAMPLES, 1, parts)[order]
+    part = order * parts + within * each // counts[order]
+    length = stretch(samples, len(first), policy)
+    if length is None:
+        return fold, fold, part
+    return fold, order * (1 + int(place.max()) // length) + place // length, part
+
+
+# -- where it lies in frequency ------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -40,18 +202,17 @@ class FrequencyBand:
         return f"{self.low:g} to {self.high:g} Hz" if self.low else f"less than {self.high:g} Hz"
 
 
-@dataclass(eq=False)
-class Spectrum:
-    """Power of the whitened residual by band and run: `power[band][run]`, `white` for noise."""
+Spectrum = dict[FrequencyBand, dict[int, np.ndarray]]
+"""Power of the whitened residual by band and run, and that of noise: (2,) each."""
 
-    power: dict[FrequencyBand, dict[int, float]] = field(default_factory=dict)
-    white: dict[FrequencyBand, dict[int, float]] = field(default_factory=dict)
 
-    def add(self, piece: Piece) -> None:
-        """Add a stretch of one run."""
+def spectrum(found: Iterable[Piece]) -> Spectrum:
+    """Return the power of stretches of runs by band; those too short to have a spectrum are left out."""
+    out: Spectrum = {}
+    for piece in found:
         n = len(piece.t)
         if n < 2 * FEWEST_SAMPLES:
-            return
+            continue
         r = np.where(piece.used, piece.residual, 0.0)
         f = np.fft.rfftfreq(n, float(np.median(np.diff(piece.t))))
         twice = np.where((f > 0) & ((n % 2 == 1) | (f < f[-1])), 2.0, 1.0)
@@ -62,9 +223,9 @@ class Spectrum:
             if band.mains:  # a line stands out from what is beside it, whatever its colour
                 beside = np.convolve(here, np.ones(2 * int(here.sum()) + 1), "same") > 0
                 floor = np.maximum(white, power[beside & ~here].mean() if (beside & ~here).any() else 0.0)
-            for store, values in ((self.power, power), (self.white, floor)):
-                runs = store.setdefault(band, {})
-                runs[piece.run] = runs.get(piece.run, 0.0) + float(values[here].sum())
+            runs = out.setdefault(band, {})
+            runs[piece.run] = runs.get(piece.run, 0.0) + np.array([power[here].sum(), floor[here].sum()])
+    return out
 
 
 def _bands(f: np.ndarray) -> dict[FrequencyBand, np.ndarray]:
@@ -76,172 +237,3 @@ def _bands(f: np.ndarray) -> dict[FrequencyBand, np.ndarray]:
     for k in np.unique(octave):
         out[FrequencyBand(2**k if k else 0.0, 2 ** (k + 1))] = left & (octave == k)
     return out
-
-
-ROOM = 60_000
-"""Samples that are held."""
-PARTS = 4
-"""Stretches of a run at least, so that a gain of its own can be told from noise."""
-
-
-@dataclass(frozen=True, eq=False)
-class ResidualTable:
-    """Residual of the readings on some runs and what it may depend on.
-
-    `residual`, `sensed`, `rate`: (K, n) residual, expected reading at the smoothed reference, and its rate.
-    `columns`: (n,) each; of a periodic reference also `phase_<reference>`, the place within its period.
-    `precision`: (K, K) inverse covariance of one residual. `fold`, `block`, `part`: (n,) index of the group
-    of runs, of the block for significance, of the stretch of a run. `decoding`: (n_pose, K, n) turns a
-    residual into an error of the decoded pose, which `weights` (n_pose,) weigh in the pose metric. `state`:
-    logged columns that the model reads. `period`: by reference.
-    `words`, `together`: what a person calls columns, and all of the state. `timed`: with a clock. `sliced`:
-    of slices of one recording.
-    """
-
-    channels: tuple[str, ...]
-    pose: tuple[str, ...]
-    references: tuple[str, ...]
-    state: tuple[str, ...]
-    run: np.ndarray
-    residual: np.ndarray
-    sensed: np.ndarray
-    rate: np.ndarray
-    columns: Mapping[str, np.ndarray]
-    precision: np.ndarray
-    fold: np.ndarray
-    block: np.ndarray
-    part: np.ndarray
-    decoding: np.ndarray
-    weights: np.ndarray
-    sigma: Mapping[str, float]
-    policy: Policy
-    spectrum: Spectrum = field(default_factory=Spectrum)
-    timed: bool = True
-    sliced: bool = False
-    period: Mapping[str, float] = field(default_factory=dict)
-    words: Mapping[str, str] = field(default_factory=dict)
-    together: str = ""
-
-    @property
-    def squares(self) -> np.ndarray:
-        """Whitened square of each sample, (n,); K on average where there is noise only."""
-        return np.einsum("kn,kl,ln->n", self.residual, self.precision, self.residual)
-
-    def run_of(self, group: np.ndarray) -> np.ndarray:
-        """Return the run, as it was recorded, in which each of the consecutive groups begins."""
-        first = np.flatnonzero(np.diff(group, prepend=group[0] - 1))
-        return self.run[first] * (not self.sliced)
-
-    @property
-    def excess(self) -> float:
-        """Sum of the whitened squares above what the noise explains."""
-        return float(self.squares.sum()) - self.residual.size
-
-    def decoded(self, residual: np.ndarray) -> np.ndarray:
-        """Return the errors of the decoded pose that a residual (K, n) makes, (n_pose, n)."""
-        return np.asarray(np.einsum("ikn,kn->in", self.decoding, residual))
-
-    def metric(self, residual: np.ndarray) -> float:
-        """Return the gap metric of a residual (K, n)."""
-        return float(np.linalg.norm(self.weights[:, None] * self.decoded(residual)) / np.sqrt(len(self.run)))
-
-
-@found_once
-def residual_table(base: Base, runs: frozenset[int]) -> ResidualTable | None:
-    """Return what `base` leaves on `runs`; None where no sample of them counts."""
-    model = base.model
-    read, back = on_arrays(model.reading), np.linalg.inv(base.whiten)
-    stride = max(1, -(-base.log.rows // ROOM))
-    seen = Counter[int]()
-    out: dict[str, list[np.ndarray]] = {}
-    spectrum = Spectrum()
-    for piece in pieces(base, runs):
-        spectrum.add(piece)
-        at = np.flatnonzero(piece.used)[::stride]
-        place, seen[piece.run] = seen[piece.run] + at, seen[piece.run] + len(piece.t)
-        data = {c: v[at] for c, v in piece.data.items()}
-        for c in model.references:
-            if c in model.period:
-                data[phase(c)] = data[f"d0_{c}"] % model.period[c]
-            data[f"d0_{c}"] = at_rest(data[f"d0_{c}"], base.sigma.get(c, 0.0))
-        rows = {"residual": back @ piece.residual[:, at], "rate": back @ piece.speed[:, at]}
-        for name, values in {**data, **rows, "run": np.full(len(at), piece.run), "place": place}.items():
-            out.setdefault(name, []).append(values)
-    if not out or sum(len(v) for v in out["run"]) == 0:
-        return None
-    joined = {c: np.concatenate(v, axis=-1) for c, v in out.items()}
-    run = joined.pop("run")
-    state = [joined[c] for c in model.state]
-    smooth = [joined[f"d0_{c}"] for c in model.references]
-    (sensed,) = read(base.p, base.zeros_in_runs(run), smooth, state)
-    known = dict.fromkeys(run.tolist())
-    samples = sum(seen[k] for k in known) / len(known)
-    fold, block, part = _blocks(run, joined.pop("place"), samples, base.policy)
-    made = {c.name for c in model.computed}
-    return ResidualTable(
-        channels=model.channels,
-        pose=model.pose,
-        references=model.references,
-        state=tuple(c for c in model.state if c not in made),
-        run=run,
-        residual=joined.pop("residual"),
-        sensed=sensed,
-        rate=joined.pop("rate"),
-        decoding=base.to_pose([joined[c] for c in model.references], state),
-        columns=joined,
-        precision=np.linalg.inv(base.covariance),
-        fold=fold,
-        block=block,
-        part=part,
-        weights=base.pose_weights,
-        sigma=base.sigma,
-        policy=base.policy,
-        spectrum=spectrum,
-        timed=base.timed,
-        sliced=base.sliced,
-        period={c: model.period[c] for c in model.references if c in model.period},
-        words=model.family.words,
-        together=model.family.together,
-    )
-
-
-def both(base: Base, runs: Sequence[int]) -> tuple[ResidualTable | None, ResidualTable | None]:
-    """Return the residual on those of `runs` that are fitted and on those that are held out."""
-    apart = (False, True)
-    fitted, held = (residual_table(base, [r for r in runs if (r in base.holdout) == held]) for held in apart)
-    return fitted, held
-
-
-def slices(group: np.ndarray) -> list[slice]:
-    """Return the consecutive samples of each group."""
-    edges = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(group)]
-    return [slice(a, b) for a, b in pairwise(edges)]
-
-
-def phase(reference: str) -> str:
-    """Return the column of the place of a reference within its period."""
-    return f"phase_{reference}"
-
-
-def at_rest(x: np.ndarray, sigma: float) -> np.ndarray:
-    """Return where an axis was: its mean where all that moved it is noise, which is part of the residual."""
-    return x if len(x) == 0 or np.std(x) > STILL * sigma else np.full(len(x), x.mean())
-
-
-def _blocks(
-    run: np.ndarray, place: np.ndarray, samples: float, policy: Policy
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Group of runs to leave out, block for significance and stretch of a run of each sample.
-
-    `place`: of each sample within its run; `samples`: of a run. Blocks are the units of the scores.
-    """
-    _, first, order, counts = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
-    fold = order * min(UNITS, len(first)) // len(first)
-    parts = max(PARTS, -(-2 * policy.fewest_units // len(first)))
-    within = np.arange(len(run)) - first[order]
-    each = np.clip(counts // FEWEST_SAMPLES, 1, parts)[order]
-    part = order * parts + within * each // counts[order]
-    length = stretch(samples * len(first), len(first), policy)
-    if length is None:
-        return fold, fold, part
-    return fold, order * (1 + int(place.max()) // length) + place // length, part

@@ -14,7 +14,7 @@ from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.regression import FOLDS, NIL
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.sign_flips import Joint, SignFlips, least_p, memory, searched, stretch
-from hallsym.diagnosis.spectrum import LEAST
+from hallsym.diagnosis.survey import LEAST
 from hallsym.errors import InputError
 from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.decoding import columns_of

@@ -16,8 +16,7 @@ from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score, Screen, by_name, candidates
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.sign_flips import memory
-from hallsym.diagnosis.spectrum import spectrum_peak
-from hallsym.diagnosis.survey import Survey, memory_of_recording, survey
+from hallsym.diagnosis.survey import Survey, memory_of_recording, spectrum_peak, survey
 from hallsym.model import Effect, Facts
 
 

@@ -1,22 +1,24 @@
-"""Survey of a residual: its memory, hum of the mains, and what its samples show one by one.
+"""Survey of a residual: its memory and spectrum, hum of the mains, what its samples show one by one.
 
-One pass over the log, block by block. No model holds these findings (an outlier has no equation), or they
-are numbers from which effects are searched (a mains frequency).
+No model holds these findings (an outlier has no equation), or they are numbers from which effects are
+searched (a mains frequency).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_toeplitz
 from scipy.ndimage import median_filter
 
-from hallsym.diagnosis.cordic import TOLERANCE
 from hallsym.diagnosis.p_values import as_often, statistic_at
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residuals import Base, Piece, found_once, pieces
+from hallsym.estimation import noise_left
+from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 
@@ -24,6 +26,14 @@ SEGMENT = 64
 """Samples over which the memory of a residual is added up: half of what a spectrum of it resolves."""
 WINDOW = 9
 """Samples of the running median that takes out what changes smoothly: stale stretches of up to 4 stay."""
+TOLERANCE = 0.25
+"""How near a value must be to one of some levels, in distances of neighbouring ones, to be one of them.
+
+It leaves room for a rounding to counts of half that distance; half of all values would be as near."""
+ORDER = 20
+"""Lags of the autoregression: a resonance, and the beginning of 1/f noise within a run."""
+LEAST = 1e-9
+"""P-value by the spectrum that is not gone below: nobody knows the tails of real noise so far out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,17 +95,21 @@ def _mean(values: np.ndarray) -> float:
     return float(values.mean()) if values.size else 1.0
 
 
+def products_at_lags(rows: np.ndarray, lags: int | None = None) -> np.ndarray:
+    """Return the sums over rows (K, n) of products of values 0, 1, ... `lags` - 1 samples apart; of all n."""
+    n = rows.shape[1]
+    power = (np.abs(np.fft.rfft(rows, 2 * n)) ** 2).sum(axis=0)
+    own = np.asarray(np.fft.irfft(power, 2 * n)[: min(n, lags or n)])
+    return own if lags is None else np.append(own, np.zeros(lags - len(own)))
+
+
 def _memory(rest: Sequence[np.ndarray], policy: Policy) -> tuple[np.ndarray, float]:
     """Return the autocorrelation (SEGMENT,) of blocks (K, n), and the variance of a slow average for it.
 
     The memory ends where white noise may be as correlated (Bartlett), at 95 %.
     """
-    products = np.zeros(SEGMENT)
-    for r in rest:
-        n = r.shape[1]
-        power = np.abs(np.fft.rfft(r - r.mean(axis=1, keepdims=True), 2 * n)) ** 2
-        own = np.fft.irfft(power.sum(axis=0), 2 * n)[: min(n, SEGMENT)]
-        products[: len(own)] += own
+    centred = (r - r.mean(axis=1, keepdims=True) for r in rest)
+    products = sum((products_at_lags(r, SEGMENT) for r in centred), np.zeros(SEGMENT))
     rho = products / max(products[0], 1e-300)
     chance = np.sqrt(statistic_at(policy.false_alarm, 1) / max(sum(r.size for r in rest), 1))
     end = np.argmax(np.append(rho[1:] < chance, True))
@@ -117,13 +131,40 @@ def memory_of_recording(base: Base, runs: frozenset[int]) -> float:
     series, there = np.zeros((len(rest), n)), np.zeros((1, n))
     series[:, place], there[:, place] = rest - rest.mean(axis=1, keepdims=True), 1.0
     lags = np.arange(1, max(2, n // (2 * base.policy.fewest)))
-    sums, pairs = (
-        np.fft.irfft((np.abs(np.fft.rfft(x, 2 * n)) ** 2).sum(axis=0), 2 * n) for x in (series, there)
-    )
-    seen = np.maximum(pairs[lags], 1.0) * len(rest)
-    rho = sums[lags] / seen / max(float(np.mean(rest**2)), 1e-300)
+    sums, pairs = (products_at_lags(x)[lags] for x in (series, there))
+    seen = np.maximum(pairs, 1.0) * len(rest)
+    rho = sums / seen / max(float(np.mean(rest**2)), 1e-300)
     chance = np.sqrt(statistic_at(base.policy.false_alarm / len(lags), 1) / seen)
     return float(np.max(lags[np.abs(rho) > chance], initial=0))
+
+
+def spectrum_peak(base: Base, runs: Iterable[int]) -> float:
+    """Return the largest value of the spectrum of the whitened residual: 1 for white noise as assumed.
+
+    No column collects more of the noise, however slow it is. So the squares that a candidate takes off the
+    residual are held against chi-square times this value as well: signs have no power where one run, or four,
+    carry an effect. The spectrum is that of an autoregression of what the best effect leaves, and at one
+    period a run, which so few lags do not know, what is seen there. What is not in the catalogue stays in it
+    and raises it. At least 1, and infinity where heavy tails make it no measure of what a column collects.
+    """
+    rest = [np.where(piece.used, piece.residual, 0.0) for piece in pieces(base, frozenset(runs))]
+    count = max(sum(x.size for x in rest), 1)
+    products = sum((products_at_lags(x, ORDER + 1) for x in rest), np.zeros(ORDER + 1))
+    rho = products / count  # biased, so that it is positive definite
+    if not rho[0] > 0 or sum(float((x**4).sum()) for x in rest) / count > base.policy.heavy * rho[0] ** 2:
+        return np.inf
+    once = ((np.abs(np.fft.fft(x)[:, 1 % x.shape[1]]) ** 2).sum() / x.shape[1] for x in rest)
+    slow = float(sum(once)) / sum(len(x) for x in rest)
+    phi = solve_toeplitz(rho[:-1] + NIL * rho[0] * (np.arange(ORDER) == 0), rho[1:])
+    turn = np.exp(-1j * np.outer(np.linspace(0, np.pi, 512), np.arange(1, ORDER + 1)))
+    fast = float(rho[0] - phi @ rho[1:]) / float((np.abs(1 - turn @ phi) ** 2).min())
+    return max(1.0, fast, slow)
+
+
+def noise_of_rest(base: Base, runs: Sequence[int]) -> ResidualNoise | None:
+    """Return the noise that `base` leaves on `runs`; None where they are too short to tell."""
+    zeros = {run: base.zeros_in(run) for run in (runs if base.timed else base.log.runs)}
+    return noise_left(base.log, base.model, base.p, zeros, base.covariance, base.sigma, base.keep)
 
 
 def _instants(piece: Piece) -> np.ndarray:

@@ -7,10 +7,10 @@ from typing import Literal
 import numpy as np
 from scipy.special import ndtri
 
+from hallsym.diagnosis.curves import LackOfFit, lack_of_fit
 from hallsym.diagnosis.decoded_errors import DecodedErrors, decoded_errors
 from hallsym.diagnosis.faults import Fault, faults, without_tail
-from hallsym.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
-from hallsym.diagnosis.noise import LARGER
+from hallsym.diagnosis.record import LARGER
 from hallsym.diagnosis.refit import Refitted, refit
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import Exact, Selection

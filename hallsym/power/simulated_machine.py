@@ -1,9 +1,8 @@
 """The simulated machine of the detection power: a fitted model on recorded motion, and its noise.
 
 The recorded reference, smoothed, vertical state, time and temperature are taken as the truth. The noise is
-that of the log as it is: as large and as correlated in time as what the fit leaves
-(`hallsym.diagnosis.noise`), in the readings and in the reference. What is stated of it is what the log
-states, and no more.
+that of the log as it is: as large and as correlated in time as what the fit leaves (`noise_of_rest`), in the
+readings and in the reference. What is stated of it is what the log states, and no more.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -12,12 +11,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from hallsym.diagnosis.noise import noise_of_rest, noise_text
 from hallsym.diagnosis.normal_equations import coefficients, normal_equations
 from hallsym.diagnosis.residual_table import at_rest
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.setup import kept, of_recording, spacing
-from hallsym.diagnosis.survey import SEGMENT
+from hallsym.diagnosis.survey import SEGMENT, noise_of_rest
+from hallsym.diagnosis.words import noise_text
 from hallsym.estimation import autoregressive
 from hallsym.estimation.residual_noise import SETTLE
 from hallsym.families.faults import Recording

@@ -29,7 +29,7 @@ from _noisy_logs import EVERY, KINDS, MACHINES, WRONGLY_STATED, done, log_of
 from scipy.stats import binomtest, kstest
 
 from hallsym.diagnosis import diagnose
-from hallsym.diagnosis.noise import LARGER
+from hallsym.diagnosis.record import LARGER
 
 RUNS = (8, 12, 24, 57)
 PRIME = 7919

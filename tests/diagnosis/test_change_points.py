@@ -5,6 +5,7 @@ size in every run.
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,9 +13,8 @@ from gap_twins import machine
 from scipy.signal import lfilter
 
 from hallsym.diagnosis import POLICY, Diagnosis, diagnose
-from hallsym.diagnosis.change_points import change_points
-from hallsym.diagnosis.facts import instants
-from hallsym.diagnosis.residual_table import ResidualTable, Spectrum
+from hallsym.diagnosis.facts import change_points, instants, steps
+from hallsym.diagnosis.residual_table import ResidualTable
 from hallsym.log import Log
 
 RUNS, SAMPLES = 20, 250
@@ -25,10 +25,8 @@ def table(residual: np.ndarray) -> ResidualTable:
     n = residual.shape[1]
     run = np.arange(n) // SAMPLES
     time, sensed = {"campaign_s": 0.01 * np.arange(n)}, np.sin(0.07 * np.arange(n))[None]
-    return ResidualTable(
-        ("m_m",), ("x_m",), ("x_ref_m",), (), run, residual, sensed, residual, time, np.eye(1), run, run,
-        run, np.eye(1), np.ones(1), {}, POLICY, Spectrum(),
-    )  # fmt: skip
+    base = SimpleNamespace(covariance=np.eye(1), policy=POLICY, timed=True)
+    return ResidualTable(base, run, residual, sensed, residual, time, np.ones((1, 1, n)), run, run, run)
 
 
 def noise(rng: np.random.Generator, memory: float) -> np.ndarray:
@@ -65,6 +63,18 @@ def test_a_step_of_the_sensitivity_alone_is_found_in_a_run_that_moves_about_zero
     found = min(change_points(table(x)), key=lambda s: s.p_value)
     assert (found.run, found.p_value < POLICY.certain) == (5, True)
     assert found.instant_s == pytest.approx(0.01 * when, abs=0.1)
+
+
+def test_a_step_of_a_run_at_rest_is_that_of_its_mean_whatever_other_runs_move_by() -> None:
+    """A constant reading has no sensitivity to step: the squares are those of a two-sample test."""
+    n, k = 8 * SAMPLES, np.arange(20, SAMPLES - 20)
+    run, y = np.arange(n) // SAMPLES, noise(np.random.default_rng(12), 1.0)[0, :n]
+    x = np.where(run == 3, 1e-4, 10.0 ** (run - 9.0) * np.sin(0.07 * np.arange(n)))
+    explained, _, whole = steps(y, x, run, 3 * SAMPLES + k, lasting=False)
+    rest = y[run == 3] - y[run == 3].mean()
+    later = np.cumsum(rest[::-1])[::-1][k]
+    np.testing.assert_allclose(explained, later**2 * SAMPLES / (k * (SAMPLES - k)), rtol=1e-9)
+    np.testing.assert_allclose(whole, rest @ rest)
 
 
 def test_too_few_runs_have_no_steps() -> None:

@@ -10,8 +10,8 @@ from twins import record, with_noise
 
 import hallsym
 from hallsym.diagnosis import POLICY, Base, Diagnosis, diagnose, load_effects
-from hallsym.diagnosis.facts import instants, rails_of, step_gains
-from hallsym.diagnosis.lack_of_fit import lack_of_fit
+from hallsym.diagnosis.curves import lack_of_fit
+from hallsym.diagnosis.facts import instants, rails_of, steps
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.p_values import beyond, statistic_at
 from hallsym.diagnosis.refit import inside_bounds, refit, with_model
@@ -266,7 +266,8 @@ def test_the_instant_of_a_slip_is_found_without_held_out_runs() -> None:
     assert whole[1] > 2 * whole[0]
     for (k, t), (_, moved) in zip(*(instants(r, base.holdout, 1.0) for r in (table, other)), strict=True):
         at = np.searchsorted(table.columns["campaign_s"], [t, moved])
-        one, two = step_gains(table, k, fitted_, at)
+        y, x = table.residual[k] * fitted_, table.sensed[k] * fitted_
+        one, two = steps(y, x, table.run, at, counted=fitted_)[0]
         assert one - two <= noise[k]  # the fitted runs leave open which
 
 

@@ -9,7 +9,7 @@ from test_diagnosis_rotary import HELD, machine, third
 
 from hallsym import bundled_campaign
 from hallsym.diagnosis import POLICY, diagnose, examine, prepare
-from hallsym.diagnosis.coordinates import coordinates
+from hallsym.diagnosis.curves import coordinates
 from hallsym.diagnosis.refit import refit, with_model
 from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.selection import select

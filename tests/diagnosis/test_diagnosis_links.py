@@ -1,7 +1,6 @@
 """The link of the chain that a gap lies in, and how large it is: named where it is put, silent on noise."""
 
 import sys
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,12 +12,11 @@ from twins import record
 from hallsym.diagnosis import Base, diagnose
 from hallsym.diagnosis.decoded_errors import decoded_errors
 from hallsym.diagnosis.facts import facts_of
-from hallsym.diagnosis.localisation import Located, located
+from hallsym.diagnosis.localisation import Located, located, sizes
 from hallsym.diagnosis.refit import refit
-from hallsym.diagnosis.residual_table import both, residual_table
+from hallsym.diagnosis.residual_table import both, table_of
 from hallsym.diagnosis.scores import Screen, candidates
 from hallsym.diagnosis.selection import Screened
-from hallsym.diagnosis.shares import sizes
 from hallsym.diagnosis.survey import survey
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
@@ -73,11 +71,11 @@ def test_the_link_is_the_one_that_the_gap_was_put_in(name: str, link: str) -> No
 @pytest.mark.slow
 def test_a_table_holds_an_even_part_of_a_long_log(monkeypatch: pytest.MonkeyPatch) -> None:
     base, _ = found("odd_nonlinearity")
-    module = sys.modules[residual_table.__module__]
+    module = sys.modules[table_of.__module__]
     assert module.ROOM >= 50_000  # 57 runs of 900 samples, whole
-    whole = residual_table(base, base.log.runs)
+    whole = table_of(base, frozenset(base.log.runs))
     monkeypatch.setattr(module, "ROOM", base.log.rows // 5)
-    part = residual_table(replace(base), base.log.runs)
+    part = table_of(base, frozenset(base.log.runs))
     assert whole is not None
     assert part is not None
     assert whole.residual.shape[1] == base.log.rows

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hallsym.diagnosis import Base
-from hallsym.diagnosis.lack_of_fit import lack_of_fit
+from hallsym.diagnosis.curves import lack_of_fit
 from hallsym.diagnosis.localisation import located
 from hallsym.log import Log
 from hallsym.model import Family, Model, Parameter

@@ -1,8 +1,9 @@
 """Where a gap lies: named where it is put, shares add up, silent on noise of any colour and tails."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,12 +14,10 @@ from twins import SIGMAS, record
 
 import hallsym
 from hallsym.diagnosis import POLICY, Base
-from hallsym.diagnosis.coordinates import Coordinate, hats, knots
-from hallsym.diagnosis.curve_words import shape
-from hallsym.diagnosis.curves import FineMap, Smooth, run_gains
-from hallsym.diagnosis.localisation import Located, located
+from hallsym.diagnosis.curves import Coordinate, FineMap, Smooth, hats, knots, run_gains
+from hallsym.diagnosis.localisation import Located, located, shape
 from hallsym.diagnosis.report import unexplained
-from hallsym.diagnosis.residual_table import ResidualTable, Spectrum
+from hallsym.diagnosis.residual_table import ResidualTable, spectrum
 from hallsym.diagnosis.residuals import Piece
 from hallsym.diagnosis.setup import base_of
 from hallsym.log import Log, Noise, Sigma
@@ -67,9 +66,8 @@ def test_hum_is_said_to_lie_at_the_mains() -> None:
 def test_the_mains_are_what_a_grid_lets_them_drift_by(line: float, near: bool) -> None:
     t = np.arange(0, 60, 2e-3)
     row = np.sin(2 * np.pi * line * t)[None]
-    seen = Spectrum()
-    seen.add(Piece(0, t, row, row, row, np.ones(len(t), bool), {}))
-    power = {band: runs[0] for band, runs in seen.power.items()}
+    found = spectrum([Piece(0, t, row, row, row, np.ones(len(t), bool), {})])
+    power = {band: runs[0][0] for band, runs in found.items()}
     mains = sum(v for band, v in power.items() if band.mains)
     assert mains / sum(power.values()) == pytest.approx(float(near), abs=0.05)
 
@@ -154,15 +152,20 @@ def p_of(statistic: np.ndarray) -> float:
 # -- the pieces ----------------------------------------------------------------------------------------------
 
 
-def made_up(residual: np.ndarray, x: np.ndarray, runs: int = 30) -> ResidualTable:
+def made_up(
+    residual: np.ndarray, x: np.ndarray, runs: int = 30, channels: tuple[str, ...] = ("m_m",)
+) -> ResidualTable:
     """A residual table of one sensor with the coordinate `x` under the name of Z; unit noise."""
     n = residual.shape[1]
     run = np.arange(n) * runs // n
     sensed = np.random.default_rng(9).uniform(-1, 1, (1, n))
+    base = SimpleNamespace(
+        model=SimpleNamespace(channels=channels, references=("x_ref_m",)), covariance=np.eye(1), sigma={},
+        pose_weights=np.ones(1), policy=POLICY, timed=True, sliced=False,
+    )  # fmt: skip
     return ResidualTable(
-        ("m_m",), ("x_m",), ("x_ref_m",), ("z_m",), run, residual, sensed, np.zeros((1, n)),
-        {"z_m": x}, np.eye(1), run, run, np.arange(n) * 4 * runs // n, np.ones((1, 1, n)), np.ones(1), {},
-        POLICY, Spectrum(),
+        base, run, residual, sensed, np.zeros((1, n)), {"z_m": x}, np.ones((1, 1, n)), run, run,
+        np.arange(n) * 4 * runs // n,
     )  # fmt: skip
 
 
@@ -178,10 +181,11 @@ def test_a_smooth_curve_is_found_with_a_band_that_holds_it() -> None:
     assert curve is not None
     assert curve.p_value == LEAST
     assert curve.explained == pytest.approx((truth**2).sum(), rel=0.05)
-    data = shape(curve, r)
+    data = shape(curve)
     band = data.readings["m_m"]
     assert data.value_unit == "m"
-    assert shape(curve, replace(r, channels=("v_sin_v",))).value_unit == "v"
+    of_encoder = made_up(r.residual, x, channels=("v_sin_v",))
+    assert shape(Smooth(of_encoder, Z).curve(r.residual)).value_unit == "v"
     inside = np.abs(np.array(data.grid)) < 0.95
     value, low, high = (np.array(v)[inside] for v in (band.value, band.low, band.high))
     expected = np.cos(2 * np.array(data.grid))[inside]
@@ -221,7 +225,7 @@ def test_the_shape_of_what_is_left_is_plain_data() -> None:
     place = rng.uniform(-1e-4, 1e-4)
     peak = data["curve"]["grid"][int(np.argmax(data["curve"]["readings"]["hall_c_m"]["value"]))]
     assert abs(peak - place) < 5e-5  # the bump is 20 to 50 um wide
-    assert unexplained(Located((), (), None), 0.3).curve is None
+    assert unexplained(Located((), ()), 0.3).curve is None
 
 
 def test_a_gain_of_every_run_is_told_from_noise() -> None:

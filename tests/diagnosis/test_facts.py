@@ -16,7 +16,9 @@ def residual_of(offsets: np.ndarray, rng: np.random.Generator) -> SimpleNamespac
     """A residual of white noise of size 1, with an offset (runs, channels) in each run."""
     run = np.repeat(np.arange(len(offsets)), SAMPLES)
     residual = rng.standard_normal((CHANNELS, len(run))) + offsets[run].T
-    return SimpleNamespace(run=run, residual=residual, precision=np.eye(CHANNELS), policy=POLICY)
+    return SimpleNamespace(
+        run=run, residual=residual, precision=np.eye(CHANNELS), base=SimpleNamespace(policy=POLICY)
+    )
 
 
 def test_a_field_that_is_on_in_some_runs_makes_two_levels():

@@ -22,27 +22,26 @@ from test_survey import encoder
 
 import hallsym
 from hallsym.diagnosis import POLICY, Base, Diagnosis, diagnose, prepare
-from hallsym.diagnosis.confusable import confusable, smaller_findings
+from hallsym.diagnosis.curves import LackOfFit, Shape
 from hallsym.diagnosis.facts import facts_of, switched_runs
 from hallsym.diagnosis.faults import of_samples
-from hallsym.diagnosis.lack_of_fit import LackOfFit, Shape
+from hallsym.diagnosis.localisation import clear
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.refit import refit, with_model
+from hallsym.diagnosis.report import confusable, smaller_findings
 from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.scores import Score
 from hallsym.diagnosis.selection import Exact, Selection, cancels, ordered, refitted, select
 from hallsym.diagnosis.setup import Floor, Setup
-from hallsym.diagnosis.shares import clear
 from hallsym.diagnosis.sign_flips import clusters, memory, stretch
-from hallsym.diagnosis.spectrum import spectrum_peak
-from hallsym.diagnosis.survey import survey
+from hallsym.diagnosis.survey import spectrum_peak, survey
 from hallsym.diagnosis.validation import decide, remains
 from hallsym.families import effect_named
 from hallsym.log import Log
 from hallsym.report.text.diagnosis import shrinks_text
 
-CONFUSABLE, SELECTION = (sys.modules[f"hallsym.diagnosis.{name}"] for name in ("confusable", "selection"))
-"""The modules; the package has functions of these names."""
+SELECTION = sys.modules["hallsym.diagnosis.selection"]
+"""The module whose functions a test replaces."""
 
 LEVEL = 0.05
 FLOOR = Floor({"x_m": 1e-6}, 1e-6)
@@ -183,7 +182,7 @@ def test_a_memory_ends_where_it_is_forgotten_and_several_memories_apart_is_indep
 def test_noise_with_heavy_tails_has_no_spectrum_to_go_by(monkeypatch):
     white = np.random.default_rng(0).standard_normal((60, 2, 500))
     made = [SimpleNamespace(used=np.ones(500, bool), residual=run) for run in white]
-    monkeypatch.setattr(sys.modules["hallsym.diagnosis.spectrum"], "pieces", lambda *_: made)
+    monkeypatch.setattr(sys.modules["hallsym.diagnosis.survey"], "pieces", lambda *_: made)
     base = SimpleNamespace(policy=POLICY)
     assert 1.0 <= spectrum_peak(base, ()) < 1.3  # of 20 lags, and of 120 numbers of one period a run
     base.policy = replace(POLICY, heavy=2.9)
@@ -197,7 +196,7 @@ def test_noise_that_lasts_for_a_run_has_a_spectrum_of_its_own_there(monkeypatch)
     slow = lfilter([np.sqrt(0.2 * (1 - a * a))], [1, -a], rng.standard_normal((60, 2, 6 * n)))[..., -n:]
     noise = rng.standard_normal((60, 2, n)) + slow
     made = [SimpleNamespace(used=np.ones(n, bool), residual=x - x.mean(axis=1)[:, None]) for x in noise]
-    monkeypatch.setattr(sys.modules["hallsym.diagnosis.spectrum"], "pieces", lambda *_: made)
+    monkeypatch.setattr(sys.modules["hallsym.diagnosis.survey"], "pieces", lambda *_: made)
     lag = (np.arange(n) + 0.5) / n
     expected = 1 + 0.2 * n * 2 * np.mean((1 - lag) * np.exp(-lag) * np.cos(2 * np.pi * lag))
     assert spectrum_peak(SimpleNamespace(policy=POLICY), ()) == pytest.approx(expected, rel=0.25)

@@ -5,8 +5,8 @@ import pytest
 
 import hallsym
 from hallsym.diagnosis import POLICY
+from hallsym.diagnosis.curves import lack_of_fit
 from hallsym.diagnosis.faults import faults, of_samples
-from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.setup import base_of, split
 from hallsym.diagnosis.survey import Survey, memory_of_recording, survey
 from hallsym.log import Log, Noise
