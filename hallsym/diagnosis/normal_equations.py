@@ -36,24 +36,6 @@ class Products(NamedTuple):
     border: np.ndarray
     inner: np.ndarray
 
-    @classmethod
-    def nil(cls, *shapes: tuple[int, ...]) -> "Products":
-        """Return products of these shapes that are still nil."""
-        return cls(*map(np.zeros, shapes))
-
-    @classmethod
-    def joined(cls, parts: Sequence["Products"]) -> "Products":
-        """Return stacks one after the other."""
-        return cls(*map(np.concatenate, zip(*parts, strict=True)))
-
-    def at(self, index: Any) -> "Products":
-        """Return some of a stack."""
-        return Products(self.border[index], self.inner[index])
-
-    def summed(self, first: np.ndarray) -> "Products":
-        """Return the sums over stretches of a stack that begin at `first`."""
-        return Products(np.add.reduceat(self.border, first), np.add.reduceat(self.inner, first))
-
     def of(self, span: slice, place: slice) -> np.ndarray:
         """Return the products (..., p, p) of own columns, those of one candidate, and the residual.
 
@@ -83,7 +65,7 @@ def reading_and_slopes(
         slope = ca.jacobian(reading, ca.vertcat(s.zeros, s.parameters[list(free)]))
         channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
         inputs = [s.parameters, s.zeros, s.pose, s.state]
-        rows = ca.vertcat(*slope.nonzeros()) if len(channel) else ca.SX(0, 1)
+        rows = ca.vec(slope.nz[:]) if len(channel) else ca.SX(0, 1)
         run = on_arrays(ca.Function("base", inputs, [ca.densify(reading), ca.densify(rows)]))
         return run, channel, column
 
@@ -224,6 +206,8 @@ class NormalEquations:
     """The runs of `follow`."""
     slopes: Slopes
     """What computes the columns of the candidates."""
+    spoiled: frozenset[str] = frozenset()
+    """Candidates whose slope is not finite somewhere; their columns are 0."""
     offsets: np.ndarray | None = None
     """(units, zeros, c): products with the run's own zeros, in units in which these are orthonormal.
 
@@ -253,40 +237,38 @@ class NormalEquations:
 
 UNITS = 64
 """Runs whose matrices are kept one by one; beyond that neighbouring runs are pooled."""
-ENTRIES = 2_000_000
-"""Derivatives of the readings, and products of them, that are held at once: 16 MB each."""
+ENTRIES = 1_000_000
+"""Derivatives of the readings, and products of them, that are held at once: 8 MB each."""
 
 
 class Units(NamedTuple):
     """Stretches of runs: the `run` of each, samples, sum of their weights, and the products of their columns.
 
-    Shapes (units,); products as a fit weighs them (`white`) and in the output (`out`).
+    Shapes (units,); `Products` as a fit weighs them (`white`, `inner`) and in the output.
     """
 
     run: np.ndarray
     samples: np.ndarray
-    count: np.ndarray
-    white: Products
-    out: Products
+    weight: np.ndarray
+    white: np.ndarray
+    inner: np.ndarray
+    output: np.ndarray
+    output_inner: np.ndarray
 
     @classmethod
     def joined(cls, parts: Sequence["Units"]) -> "Units":
         """Return units one after the other."""
-        run, samples, count = (np.concatenate([part[k] for part in parts]) for k in range(3))
-        white, out = (Products.joined([part[k] for part in parts]) for k in (3, 4))
-        return cls(run, samples, count, white, out)
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
 
     def at(self, index: Any) -> "Units":
         """Return some of them."""
-        run, samples, count = self.run[index], self.samples[index], self.count[index]
-        return Units(run, samples, count, self.white.at(index), self.out.at(index))
+        return Units(*(values[index] for values in self))
 
     def summed(self, first: np.ndarray) -> "Units":
         """Return stretches that begin at `first` as one unit each."""
         if len(first) == len(self.run):
             return self
-        samples, count = (np.add.reduceat(x, first) for x in (self.samples, self.count))
-        return Units(self.run[first], samples, count, self.white.summed(first), self.out.summed(first))
+        return Units(self.run[first], *(np.add.reduceat(values, first) for values in self[1:]))
 
 
 def normal_equations(
@@ -404,11 +386,7 @@ class Accumulator:
         for first, last in batch.groups(max(1, ENTRIES // (len(near) * self.size))):
             lay, at = batch.layout(first, last), slice(first, last)
             white, out = stacked_products(self, lay(near), lay(rows), lay(D))
-            self._gather(Units(run[at], samples[at], count[at].astype(float), white, out))
-
-    def nil(self, blocks: int) -> Products:
-        """Return products of so many blocks, still nil."""
-        return Products.nil((blocks, len(self.near), self.size), (blocks, self.pairs.shape[1]))
+            self._gather(Units(run[at], samples[at], count[at].astype(float), *white, *out))
 
     def own_of(self, made: Products, key: str) -> np.ndarray:
         """Return a view (blocks, k, k) of the products of a candidate's columns with each other."""
@@ -457,28 +435,29 @@ class Accumulator:
         """Eliminate the zeros of whole runs: they follow the likelihood, in the output too."""
         z, first = self.z, np.flatnonzero(np.append(True, u.run[1:] != u.run[:-1]))
         parts = np.diff([*first, len(u.run)])
-        across = np.add.reduceat(u.white.border[:, :z], first)
+        across = np.add.reduceat(u.white[:, :z], first)
         follow = -solve(across[:, :, :z], across[:, :, z:]) if z else across
         self.order += u.run[first].tolist()
         # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
         self.follow.append(follow[:, :, :0] if self.slopes.columns else follow)
         by_unit = np.repeat(follow, parts, axis=0)
-        white, out = (self._eliminated(p, by_unit) for p in (u.white, u.out))
+        white, inner = self._eliminated(u.white, u.inner, by_unit)
+        output, output_inner = self._eliminated(u.output, u.output_inner, by_unit)
         i, j = self.pairs
         own = i == j
         # a run's zeros leave rounding of some columns, such as a step between runs
-        left, whole = (np.add.reduceat(p.inner[:, own], first) for p in (white, u.white))
+        left, whole = (np.add.reduceat(x[:, own], first) for x in (inner, u.inner))
         run, candidate = np.nonzero(left <= NIL * whole)
         nil = np.zeros((len(first), self.size - z), dtype=bool)
         nil[run, i[own][candidate]] = True
         nil = np.repeat(nil, parts, axis=0)
         if len(run):
-            for p in (white, out):
-                p.border[np.broadcast_to(nil[:, None], p.border.shape)] = 0.0
-                p.inner[nil[:, i] | nil[:, j]] = 0.0
+            for border, products in ((white, inner), (output, output_inner)):
+                border[np.broadcast_to(nil[:, None], border.shape)] = 0.0
+                products[nil[:, i] | nil[:, j]] = 0.0
         if self.length:
-            self.offsets.append(self._offsets(u.white.border[:, :z], across, by_unit, nil, parts))
-        self.done.append(u._replace(white=white, out=out))
+            self.offsets.append(self._offsets(u.white[:, :z], across, by_unit, nil, parts))
+        self.done.append(Units(u.run, u.samples, u.weight, white, inner, output, output_inner))
         self.members += [(run,) for run in u.run.tolist()]
         if len(self.members) > 2 * UNITS and not self.length:
             self._pool()
@@ -495,21 +474,22 @@ class Accumulator:
             root[cut] = np.linalg.cholesky(pseudo_inverse(across[cut, :, :z])).swapaxes(1, 2)
         return np.repeat(root, parts, axis=0) @ out
 
-    def _eliminated(self, p: Products, follow: np.ndarray) -> Products:
+    def _eliminated(
+        self, border: np.ndarray, inner: np.ndarray, follow: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return products once the zeros follow the other columns as `follow` (units, zeros, c) says."""
         z, rows = self.z, self.near[self.z :] - self.z
-        half = p.border[:, :z, z:] + 0.5 * p.border[:, :z, :z] @ follow
-        border = p.border[:, z:, z:] + half[..., rows].swapaxes(1, 2) @ follow
-        border += follow[..., rows].swapaxes(1, 2) @ half
+        half = border[:, :z, z:] + 0.5 * border[:, :z, :z] @ follow
+        left = border[:, z:, z:] + half[..., rows].swapaxes(1, 2) @ follow
+        left += follow[..., rows].swapaxes(1, 2) @ half
         i, j = self.pairs
-        inner = (half[..., i] * follow[..., j] + follow[..., i] * half[..., j]).sum(axis=1)
-        return Products(border, p.inner + inner)
+        return left, inner + (half[..., i] * follow[..., j] + follow[..., i] * half[..., j]).sum(axis=1)
 
     def _pool(self) -> None:
         """Pool neighbouring units of the same side, whenever there are too many."""
         u = Units.joined(self.done)
         known = len(u.run) - len(self.done[-1].run)
-        groups = [(k,) for k in range(known)]
+        groups: list[tuple[int, ...]] = [(k,) for k in range(known)]
         for k in range(known, len(u.run)):
             groups.append((k,))
             if len(groups) > 2 * UNITS:
@@ -529,15 +509,16 @@ class Accumulator:
         u = Units.joined(self.done)
         parts = self.z > 0 and len(self.order) < len(u.run) and bool(self.length)
         return NormalEquations(
-            u.white,
-            u.out,
-            u.count,
+            Products(u.white, u.inner),
+            Products(u.output, u.output_inner),
+            u.weight,
             tuple(self.members),
             self.span,
             self.places,
             np.concatenate(self.follow),
             tuple(self.order),
             self.slopes,
+            frozenset(self.slopes.spoiled),
             np.concatenate(self.offsets) if parts else None,
         )
 
@@ -555,7 +536,8 @@ def stacked_products(
     """
     first, blocks, precision = work.z + work.n, near.shape[2], work.precision
     white, decoded = np.tensordot(work.whiten, near, axes=(1, 1)).swapaxes(0, 1), _decoded(D, near)
-    out = work.nil(blocks), work.nil(blocks)
+    shapes = (blocks, len(work.near), work.size), (blocks, work.pairs.shape[1])
+    out = Products(*map(np.zeros, shapes)), Products(*map(np.zeros, shapes))
     for M, columns in zip(out, (white, decoded), strict=True):
         M.border[:, :, work.near] = _gram(columns)
     if not len(rows):

@@ -74,13 +74,8 @@ class Base:
 
     def zeros_of(self, batch: Batch) -> np.ndarray:
         """Return the zero deviations of every sample of a batch, (zeros, samples)."""
-        return self.zeros_in_runs(np.repeat([block.run for block in batch.blocks], np.diff(batch.edges)))
-
-    def zeros_in_runs(self, run: np.ndarray) -> np.ndarray:
-        """Return the zero deviations of samples of these runs (samples,), (zeros, samples)."""
-        known, at = np.unique(run, return_inverse=True)
-        own = np.array([self.zeros_in(k) for k in known.tolist()])
-        return own[at].T
+        own = np.array([self.zeros_in(block.run) for block in batch.blocks])
+        return np.repeat(own, np.diff(batch.edges), axis=0).T
 
     def batches(self, model: Model | None = None) -> Iterator[Batch]:
         """Return the log in batches with all columns that the model, or an extended one, reads."""

@@ -250,7 +250,7 @@ class Screen:
     @property
     def spoiled(self) -> frozenset[str]:
         """Candidates whose readings are not finite."""
-        return frozenset(key for table in self.tables for key in table.t.slopes.spoiled)
+        return frozenset(key for table in self.tables for key in table.t.spoiled)
 
 
 def _by_noise(score: Score, peak: float, tried: float) -> float:
@@ -351,22 +351,21 @@ class Table:
         if self.known[0] != tuple(runs):
             self.known = tuple(runs), Training(self, self.among(runs) & ~left_out)
         assert self.known[1] is not None
-        M = np.tensordot(left_out.astype(float), self.t.of(key, decoded=True), 1)
-        u = self.known[1].solved(key).by
-        none = self.known[1].solved(None).by
-        pick = np.append(np.arange(self.own), M.shape[1] - 1)
-        squares = float(np.einsum("fi,fij,fj->", u, M, u))
-        plain = float(np.einsum("fi,fij,fj->", none, M[:, pick[:, None], pick], none))
-        return float(np.sqrt(squares / max(plain, 1e-300)))
+        return self._ratio(key, self.known[1], left_out)
 
     def in_sample(self, key: str, runs: Sequence[int]) -> float:
         """Return the gap metric with a candidate over that without, on the runs that it is fitted to."""
-        units = self.among(runs)[None].astype(float)
-        training = Training(self, units)
-        (M,) = np.tensordot(units, self.t.of(key, decoded=True), 1)
-        with_it, without = training.solved(key).by[0], training.solved(None).by[0]
-        pick = np.append(np.arange(self.own), len(M) - 1)
-        return float(np.sqrt(with_it @ M @ with_it / max(without @ M[np.ix_(pick, pick)] @ without, 1e-300)))
+        units = self.among(runs)[None]
+        return self._ratio(key, Training(self, units), units)
+
+    def _ratio(self, key: str, training: "Training", judging: np.ndarray) -> float:
+        """Return that ratio on units (F, units) that judge what each stack of `training` gives."""
+        M = np.tensordot(judging.astype(float), self.t.of(key, decoded=True), 1)
+        pick = np.append(np.arange(self.own), M.shape[1] - 1)
+        u, none = training.solved(key).by, training.solved(None).by
+        squares = np.einsum("fi,fij,fj->", u, M, u)
+        plain = np.einsum("fi,fij,fj->", none, M[:, pick[:, None], pick], none)
+        return float(np.sqrt(squares / max(plain, 1e-300)))
 
     def scored(self, runs: Sequence[int]) -> Iterator[tuple[str, "Scored"]]:
         """Score every candidate on some runs."""
@@ -374,7 +373,7 @@ class Table:
         N = float(units @ self.t.count * self.channels)
         training = Training(self, units[None])
         for key, c in self.tried.items():
-            if key not in self.t.slopes.spoiled:
+            if key not in self.t.spoiled:
                 found, size = training.solved(key), len(c.new) + c.variant.shapes
                 criterion = float(bic(found.left[0], N, size, N))
                 gain = max(float(found.plain[0] - found.left[0]), 0.0)

@@ -449,7 +449,7 @@ def kept(base: Base, every: int, most: int) -> Log:
         for column in log.columns:
             values = np.full(n, block.run) if column == "run" else block.data[column]
             parts[column].append(values[keep])
-    columns = {c: np.concatenate(v) for c, v in parts.items()}
+    columns = {c: np.concatenate(parts.pop(c)) for c in log.columns}  # one column at a time is held twice
     return Log.from_arrays(columns, log.noise, log.meta, log.name)
 
 

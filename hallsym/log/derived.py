@@ -69,22 +69,21 @@ class ExtendedLog:
             yield from self._blocks(whole, wanted)
             whole = []
             if inner != slice(None):
-                yield self._block(stretch, inner, wanted)
+                yield Block(int(stretch.run), {c: v[inner] for c, v in self._data(stretch, wanted).items()})
         yield from self._blocks(whole, wanted)
 
     def _blocks(self, runs: Sequence[Stretch], columns: Sequence[str]) -> Iterator[Block]:
         """Yield a block for each of several whole runs."""
-        if not runs:
-            return
-        stretch = runs[0] if len(runs) == 1 else Stretch.of(runs)
-        data = self._block(stretch, slice(None), columns).data
-        for run, (low, high) in zip(runs, pairwise(stretch.edges), strict=True):
-            yield Block(run.run, {c: v[low:high] for c, v in data.items()})
+        if runs:
+            stretch = runs[0] if len(runs) == 1 else Stretch.of(runs)
+            data = self._data(stretch, columns)
+            for run, (low, high) in zip(runs, pairwise(stretch.edges), strict=True):
+                yield Block(int(run.run), {c: v[low:high] for c, v in data.items()})
 
-    def _block(self, stretch: Stretch, inner: slice, columns: Sequence[str]) -> Block:
-        """Return the `inner` samples of a stretch with logged and computed columns."""
+    def _data(self, stretch: Stretch, columns: Sequence[str]) -> dict[str, np.ndarray]:
+        """Return logged and computed columns of a stretch."""
         made = {c: _finite(self.computed[c].rule(stretch)) for c in columns if c in self.computed}
-        return Block(stretch.run, {c: (made.get(c, stretch.data.get(c)))[inner] for c in columns})
+        return {c: made[c] if c in made else stretch.data[c] for c in columns}
 
     def _stretches(self, columns: tuple[str, ...], size: int) -> Iterator[tuple[Stretch, slice]]:
         """Yield blocks with up to HALO samples of context on either side, and where the block itself lies."""
