@@ -19,6 +19,7 @@ from hallsym.cli.common import (
     say,
 )
 from hallsym.diagnosis import Examined, examine, model_on, prepare
+from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.families import default_model
 from hallsym.families.machine_file import read_machine
@@ -64,6 +65,10 @@ def add(sub: Any) -> None:
         "--threshold", type=float, help="relative decrease of the gap that counts (default 0.05)"
     )
     parser.add_argument(
+        "--budget", type=float, metavar="SECONDS",
+        help="end the search after so long with what it knows, which a note says (default: no limit)",
+    )  # fmt: skip
+    parser.add_argument(
         "-o", "--output", action="append", default=[], metavar="FILE",
         help="save the diagnosis: .html for one page to read and print, anything else for JSON (repeat)",
     )  # fmt: skip
@@ -91,6 +96,8 @@ def run(options: Namespace) -> int:
             drop_bad=options.drop_bad,
         )
     if options.power:
+        if options.budget is not None:
+            raise InputError("--budget ends one search; --power makes many: choose one of the two.")
         return _power(options, log, model, holdout, tuple(own.values()))
     setup = prepare(
         log,
@@ -99,6 +106,7 @@ def run(options: Namespace) -> int:
         effects=tuple(own.values()),
         threshold=options.threshold,
         drop_bad=options.drop_bad,
+        budget=options.budget,
         on_progress=progress_of(options),
     )
     seen = examine(setup)
@@ -160,4 +168,5 @@ def _typed(options: Namespace, first: Fit) -> str:
     words += [word for effect in options.effect for word in ("--effect", effect)]
     words += ["--holdout", options.holdout] if options.holdout else []
     words += [] if options.threshold is None else ["--threshold", f"{options.threshold:g}"]
+    words += [] if options.budget is None else ["--budget", f"{options.budget:g}"]
     return shlex.join([*words, *reading_words(options), "-o", "report.html"])

@@ -50,6 +50,7 @@ def diagnose(
     effects: Sequence[Effect] = (),
     threshold: float | None = None,
     drop_bad: bool = False,
+    budget: float | None = None,
     policy: Policy = POLICY,
     on_progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
@@ -57,8 +58,8 @@ def diagnose(
 
     `model`: a name, a Model, or a Fit whose model is taken; the log's own base model by default. `holdout`:
     runs to judge on; the log's own, else every fifth. `effects`: the user's own, beside the catalogue.
-    `threshold`: relative decrease of the gap metric that counts; the log's own, else 5 %. `policy`: all other
-    thresholds.
+    `threshold`: relative decrease of the gap metric that counts; the log's own, else 5 %. `budget`: seconds
+    after which the search ends with what it knows, which a note says. `policy`: all other thresholds.
 
     Raises `InputError` for a log that the model cannot have produced or with too few runs to hold any out.
     """
@@ -66,7 +67,7 @@ def diagnose(
     return examine(
         prepare(
             log, model, holdout=holdout, effects=effects, threshold=threshold, drop_bad=drop_bad,
-            policy=policy, on_progress=on_progress,
+            budget=budget, policy=policy, on_progress=on_progress,
         )
     ).diagnosis  # fmt: skip
 
@@ -75,8 +76,10 @@ def examine(setup: Setup) -> Examined:
     """Diagnose as `diagnose` does and return the fitted models too, which a page draws."""
     selection = select(setup)
     others = without_events(setup, selection.fit.base.on_all)
-    if others is not setup and (again := select(others)).effects:
+    if others is not setup and not setup.over and (again := select(others)).effects:
         setup, selection = others, again
+    if selection.stopped:
+        setup = replace(setup, fit=replace(setup.fit, notes=(*setup.fit.notes, selection.stopped)))
     found = validate(setup, selection)
     noise = noise_of_rest(found.counted, setup.runs)
     verdict = decide(setup, found, noise)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.diagnosis.normal_equations import Accumulator
+from hallsym.diagnosis.normal_equations import Accumulator, Slopes
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation.residual_noise import ROOM
 from hallsym.log import Block
@@ -81,14 +81,15 @@ def shared_noise(
     candidates: Mapping[str, tuple[Model, Sequence[str]]],
     length: int | None,
     colour: np.ndarray = WHITE,
+    slopes: Slopes | None = None,
 ) -> dict[tuple[int, int], np.ndarray]:
     """Return (run, stretch) -> what noise alone makes of the whitened products with the residual, (columns,).
 
     Columns are [parameters | candidates]. `length`: samples of a stretch, None for whole runs.
-    `colour`: autocorrelation of the residual at lags 0, 1, ...
+    `colour`: autocorrelation of the residual at lags 0, 1, ... `slopes`: of the candidates, where known.
     """
     noisy = with_noise(base, colour)
-    work = Accumulator(base, candidates, decoded=False)
+    work = Accumulator(base, candidates, decoded=False, slopes=slopes)
     own, column = work.z + work.n, work.slopes.column
     if noisy is None or not work.slopes.columns:
         return {}
@@ -102,8 +103,9 @@ def shared_noise(
         change = work.precision @ (near[-1] - near2[-1])
         products = np.zeros((work.n + work.slopes.columns, change.shape[1]))
         products[: work.n] = np.einsum("cks,ks->cs", near[work.z : own] - near2[work.z : own], change)
-        for k in range(len(column)):
-            products[work.n + column[k]] += (rows[k] - rows2[k]) * change[k]  # a column has one row a channel
+        for k, at in enumerate(work.slopes.of_channel):
+            # a column has one row a channel
+            products[work.n + column[at]] += (rows[at] - rows2[at]) * change[k]
         keys, first, counts = _stretches(up, seen, length)
         low = np.minimum(-(-np.array(first) // every), products.shape[1] - 1)
         high = np.minimum(-(-(np.array(first) + counts) // every), products.shape[1])

@@ -9,8 +9,8 @@ matrices any set of effects can be fitted, cross-validated and judged without re
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import NamedTuple
+from itertools import chain, pairwise
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -36,14 +36,6 @@ class Products(NamedTuple):
     border: np.ndarray
     inner: np.ndarray
 
-    def plus(self, other: "Products") -> "Products":
-        """Return the sum."""
-        return Products(self.border + other.border, self.inner + other.inner)
-
-    def block(self, k: int) -> "Products":
-        """Return the products of block k."""
-        return Products(self.border[k], self.inner[k])
-
     def of(self, span: slice, place: slice) -> np.ndarray:
         """Return the products (..., p, p) of own columns, those of one candidate, and the residual.
 
@@ -59,65 +51,27 @@ class Products(NamedTuple):
         return out
 
 
-@dataclass(frozen=True, eq=False)
-class NormalEquations:
-    """Products of the columns [parameters | effects | residual], the zeros of each run eliminated.
+def reading_and_slopes(
+    model: Model, free: Sequence[int]
+) -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
+    """Return `run(p, zeros, pose, state) -> reading, slopes (rows, samples)`, channel and column of each row.
 
-    `whitened`, `decoded`: of each unit, weighted by the noise and mapped to the pose. `count`: (units,)
-    samples. `runs`: the runs of each unit. `span`: columns of each candidate, by its key; the base's
-    parameters are under "". `places`: of its products in `Products.inner`.
+    Columns are the zeros, then the parameters `free`; slopes that are nil everywhere have no row.
     """
 
-    whitened: Products
-    decoded: Products
-    count: np.ndarray
-    runs: tuple[tuple[int, ...], ...]
-    span: dict[str, slice]
-    places: dict[str, slice]
-    follow: np.ndarray
-    """(runs, zeros, c): how the zeros of a run follow the other columns; none with candidates."""
-    order: tuple[int, ...]
-    """The runs of `follow`."""
-    spoiled: frozenset[str] = frozenset()
-    """Candidates whose slope is not finite somewhere; their columns are 0."""
-    offsets: np.ndarray | None = None
-    """(units, zeros, c): products with the run's own zeros, in units in which these are orthonormal.
-
-    Over a whole run they add up to 0. None where every unit is a whole run."""
-
-    @property
-    def likelihood(self) -> np.ndarray:
-        """Products (units, p, p) of the model's own columns and the residual, weighted by the noise."""
-        return self.of(None) if self.places else self.whitened.border
-
-    @property
-    def output(self) -> np.ndarray:
-        """The same mapped to the pose."""
-        return self.of(None, decoded=True) if self.places else self.decoded.border
-
-    def of(self, key: str | None, *, decoded: bool = False) -> np.ndarray:
-        """Return products (units, p, p) of the model's columns, those of a candidate, and the residual."""
-        none = slice(0, 0)
-        span, place = (self.span[key], self.places[key]) if key else (none, none)
-        return (self.decoded if decoded else self.whitened).of(span, place)
-
-    def units(self, runs: Iterable[int]) -> np.ndarray:
-        """Return the index of the units whose runs are all among `runs`."""
-        known = set(runs)
-        return np.array([k for k, unit in enumerate(self.runs) if known.issuperset(unit)], dtype=int)
-
-
-def reading_and_derivatives(model: Model) -> Callable[..., list[np.ndarray]]:
-    """Return `(p, zeros, pose, state) -> reading, its derivatives by parameters and by zeros`, on arrays."""
-
-    def made() -> Callable[..., list[np.ndarray]]:
+    def made() -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
         s = model.symbols
         reading = s.full(s.reading)
-        parts = [reading, ca.jacobian(reading, s.parameters), ca.jacobian(reading, s.zeros)]
+        slope = ca.jacobian(reading, ca.vertcat(s.zeros, s.parameters[list(free)]))
+        channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
         inputs = [s.parameters, s.zeros, s.pose, s.state]
-        return on_arrays(ca.Function("base", inputs, [ca.densify(part) for part in parts]))
+        rows = ca.vec(slope.nz[:]) if len(channel) else ca.SX(0, 1)
+        run = on_arrays(ca.Function("base", inputs, [ca.densify(reading), ca.densify(rows)]))
+        return run, channel, column
 
-    return model.remember("reading, derivatives", made)
+    found: tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]
+    found = model.remember(("reading, slopes", *free), made)
+    return found
 
 
 class Slope(NamedTuple):
@@ -150,11 +104,11 @@ def slopes_of(models: Sequence[tuple[Model, Sequence[str]]]) -> list[Slope]:
 
 
 class Slopes:
-    """The rows of all candidates, channel by channel.
+    """The rows of all candidates, channel by channel, from one graph: what they share is computed once.
 
-    `span`: columns of each candidate, `columns` of them in all. For each channel k `column[k]` is the column
-    of each row and `parts[k]` the rows of each candidate. `spoiled`: candidates that were not finite
-    somewhere; their rows are 0 there.
+    `span`: columns of each candidate, `columns` of them in all. `channel`, `column`: (rows,) of each row,
+    rows of one channel together at `of_channel`. `own`: of each candidate, see `OwnRows`. `spoiled`:
+    candidates that were not finite somewhere; their rows are 0 there.
     """
 
     def __init__(
@@ -162,33 +116,38 @@ class Slopes:
     ) -> None:
         self.model, self.p, self.keys = model, p, list(candidates)
         ends = np.cumsum([0, *(len(new) for _, new in candidates.values())]).tolist()
-        self.span = {key: slice(*ends[j : j + 2]) for j, key in enumerate(candidates)}
+        self.span = {key: slice(*pair) for key, pair in zip(candidates, pairwise(ends), strict=True)}
         self.columns = ends[-1]
         self.spoiled: set[str] = set()
         wide = [(wide, *new) for wide, new in candidates.values()]
-        self.run, self.state, channel, column = model.remember(
+        self.run, self.state, self.channel, self.column = model.remember(
             ("slopes", *wide), lambda: _rows_of(model, list(candidates.values()))
         )
-        self.owner = np.searchsorted(ends, column, side="right") - 1
-        self.edges = np.searchsorted(channel, np.arange(len(model.channels) + 1)).tolist()
-        self.column = [column[a:b] for a, b in pairwise(self.edges)]
-        self.parts = [
-            [slice(*np.searchsorted(self.owner[a:b], (j, j + 1)).tolist()) for j in range(len(self.keys))]
-            for a, b in pairwise(self.edges)
-        ]
+        self.owner = np.searchsorted(ends, self.column, side="right") - 1
+        limits = np.searchsorted(self.channel, range(len(model.channels) + 1)).tolist()
+        self.of_channel = [slice(*pair) for pair in pairwise(limits)]
+        self.own = [self._own(c, start) for c, start in enumerate(ends[:-1])]
 
-    def rows(self, batch: Batch, zeros: np.ndarray, weights: np.ndarray | None) -> list[np.ndarray]:
-        """Return the rows of each channel, (rows, samples), times the root of the weights."""
+    def _own(self, c: int, start: int) -> "OwnRows":
+        rows = np.flatnonzero(self.owner == c)
+        rows = rows[np.argsort(self.column[rows], kind="stable")]
+        first = np.flatnonzero(np.diff(self.column[rows], prepend=-1))
+        return OwnRows(rows, self.channel[rows], first, self.column[rows][first] - start)
+
+    def rows(self, batch: Batch, zeros: np.ndarray, weights: np.ndarray | None) -> np.ndarray:
+        """Return all rows (rows, samples), times the root of the weights."""
+        if not len(self.owner):
+            return np.zeros((0, len(batch)))
         pose, state = batch.columns(self.model.references), batch.columns(self.state)
+        values: np.ndarray
         (values,) = self.run(self.p, zeros, pose, state)
-        bad = ~np.isfinite(values).all(axis=1)
-        if bad.any():
-            spoiled = np.unique(self.owner[bad])
-            self.spoiled |= {self.keys[j] for j in spoiled}
+        spoiled = np.unique(self.owner[~np.isfinite(values).all(axis=1)])
+        if len(spoiled):
+            self.spoiled |= {self.keys[k] for k in spoiled}
             values[np.isin(self.owner, spoiled)] = 0.0
         if weights is not None:
             values *= np.sqrt(weights)
-        return [values[a:b] for a, b in pairwise(self.edges)]
+        return values
 
 
 def _rows_of(
@@ -214,26 +173,102 @@ def _rows_of(
     return run, tuple(name for name, _ in state.values()), channel[order], column[order]
 
 
+class OwnRows(NamedTuple):
+    """Which rows (r,) a candidate has, column by column, and the channel of each.
+
+    `first`: where each column that is not nil begins among them, `column`: its place in the candidate.
+    """
+
+    rows: np.ndarray
+    channel: np.ndarray
+    first: np.ndarray
+    column: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Products of the columns [parameters | effects | residual], the zeros of each run eliminated.
+
+    `whitened`, `decoded`: of each unit, weighted by the noise and mapped to the pose. `count`: (units,)
+    samples. `runs`: the runs of each unit. `span`: columns of each candidate, by its key; the base's
+    parameters are under "". `places`: of its products in `Products.inner`.
+    """
+
+    whitened: Products
+    decoded: Products
+    count: np.ndarray
+    runs: tuple[tuple[int, ...], ...]
+    span: dict[str, slice]
+    places: dict[str, slice]
+    follow: np.ndarray
+    """(runs, zeros, c): how the zeros of a run follow the other columns; none with candidates."""
+    order: tuple[int, ...]
+    """The runs of `follow`."""
+    slopes: Slopes
+    """What computes the columns of the candidates."""
+    spoiled: frozenset[str] = frozenset()
+    """Candidates whose slope is not finite somewhere; their columns are 0."""
+    offsets: np.ndarray | None = None
+    """(units, zeros, c): products with the run's own zeros, in units in which these are orthonormal.
+
+    Over a whole run they add up to 0. None where every unit is a whole run."""
+
+    @property
+    def likelihood(self) -> np.ndarray:
+        """Products (units, p, p) of the model's own columns and the residual, weighted by the noise."""
+        return self.of(None) if self.places else self.whitened.border
+
+    @property
+    def output(self) -> np.ndarray:
+        """The same mapped to the pose."""
+        return self.of(None, decoded=True) if self.places else self.decoded.border
+
+    def of(self, key: str | None, *, decoded: bool = False) -> np.ndarray:
+        """Return products (units, p, p) of the model's columns, those of a candidate, and the residual."""
+        none = slice(0, 0)
+        span, place = (self.span[key], self.places[key]) if key else (none, none)
+        return (self.decoded if decoded else self.whitened).of(span, place)
+
+    def units(self, runs: Iterable[int]) -> np.ndarray:
+        """Return the index of the units whose runs are all among `runs`."""
+        known = set(runs)
+        return np.array([k for k, unit in enumerate(self.runs) if known.issuperset(unit)], dtype=int)
+
+
 UNITS = 64
 """Runs whose matrices are kept one by one; beyond that neighbouring runs are pooled."""
-ENTRIES = 500_000
-"""Derivatives of the readings, and products of them, that are held at once: 4 MB each."""
+ENTRIES = 1_000_000
+"""Derivatives of the readings, and products of them, that are held at once: 8 MB each."""
 
 
-class Unit(NamedTuple):
-    """Runs, products for the likelihood and in the output, samples, and products with the zeros."""
+class Units(NamedTuple):
+    """Stretches of runs: the `run` of each, samples, sum of their weights, and the products of their columns.
 
-    runs: tuple[int, ...]
-    white: Products
-    out: Products
-    samples: float
-    offsets: np.ndarray | None = None
+    Shapes (units,); `Products` as a fit weighs them (`white`, `inner`) and in the output.
+    """
 
-    def plus(self, other: "Unit") -> "Unit":
-        """Return both together."""
-        runs = tuple(dict.fromkeys((*self.runs, *other.runs)))
-        white, out = self.white.plus(other.white), self.out.plus(other.out)
-        return Unit(runs, white, out, self.samples + other.samples)
+    run: np.ndarray
+    samples: np.ndarray
+    weight: np.ndarray
+    white: np.ndarray
+    inner: np.ndarray
+    output: np.ndarray
+    output_inner: np.ndarray
+
+    @classmethod
+    def joined(cls, parts: Sequence["Units"]) -> "Units":
+        """Return units one after the other."""
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
+
+    def at(self, index: Any) -> "Units":
+        """Return some of them."""
+        return Units(*(values[index] for values in self))
+
+    def summed(self, first: np.ndarray) -> "Units":
+        """Return stretches that begin at `first` as one unit each."""
+        if len(first) == len(self.run):
+            return self
+        return Units(self.run[first], *(np.add.reduceat(values, first) for values in self[1:]))
 
 
 def normal_equations(
@@ -289,12 +324,13 @@ class Accumulator:
         length: int | None = None,
         *,
         decoded: bool = True,
+        slopes: Slopes | None = None,
     ) -> None:
         self.base, self.length, self.decoded = base, length, decoded
         model = base.model
-        self.read = reading_and_derivatives(model)
+        self.read = reading_and_slopes(model, base.free)
         self.z, self.n = len(base.model.zeros), len(base.free)
-        self.slopes = Slopes(base.model, base.p, candidates or {})
+        self.slopes = slopes or Slopes(base.model, base.p, candidates or {})
         self.models = (base.model, *(model for model, _ in (candidates or {}).values()))
         own = self.z + self.n
         self.size = own + self.slopes.columns + 1
@@ -306,14 +342,16 @@ class Accumulator:
         self.places = {key: slice(*ends[j : j + 2]) for j, key in enumerate(widths)}
         pairs = [np.indices((k, k)).reshape(2, -1) + self.span[c].start for c, k in widths.items()]
         self.pairs = np.concatenate([np.zeros((2, 0), dtype=int), *pairs], axis=1)
-        rows = max(len(self.near) * len(model.channels), sum(map(len, self.slopes.column)))
+        rows = max(len(self.near) * len(model.channels), len(self.slopes.column))
         self.most = max(FEWEST, ENTRIES // rows)
         self.precision = np.linalg.inv(base.covariance)
         self.whiten = np.linalg.cholesky(self.precision).T
         self.run: int | None = None
         self.seen = 0
-        self.open: list[Unit] = []
-        self.done: list[Unit] = []
+        self.open: Units | None = None
+        self.done: list[Units] = []
+        self.members: list[tuple[int, ...]] = []
+        self.offsets: list[np.ndarray] = []
         self.order: list[int] = []
         self.follow: list[np.ndarray] = []
 
@@ -325,7 +363,7 @@ class Accumulator:
         columns = tuple(dict.fromkeys(c for m in self.models for c in columns_of(m)))
         return batches(extended(log, wide, base.sigma, base.values), columns)
 
-    def columns(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, list[np.ndarray]]:
+    def columns(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Return the columns of zeros, parameters and residual, and the rows of the candidates."""
         return self._near(batch, weights), self.slopes.rows(batch, self.base.zeros_of(batch), weights)
 
@@ -338,23 +376,17 @@ class Accumulator:
 
     def add(self, batch: Batch, weights: np.ndarray | None) -> None:
         """Add a batch to the runs that it belongs to."""
+        run = np.array([block.run for block in batch.blocks])
         if self.length:
-            batch = batch.cut(self.length, self.seen if batch.blocks[0].run == self.run else 0)
+            batch = batch.cut(self.length, self.seen if run[0] == self.run else 0)
+            run = np.array([block.run for block in batch.blocks])
+        samples = np.diff(batch.edges)
+        count = samples if weights is None else np.add.reduceat(weights, batch.edges[:-1])
         (near, rows), D = self.columns(batch, weights), self._to_pose(batch)
-        for first, last in batch.groups(max(1, ENTRIES // (len(self.near) * self.size))):
-            lay = batch.layout(first, last)
-            white, out = stacked_products(self, lay(near), [lay(r) for r in rows], lay(D))
-            for k, block in enumerate(batch.blocks[first:last]):
-                part = slice(batch.edges[first + k], batch.edges[first + k + 1])
-                count = float(part.stop - part.start if weights is None else weights[part].sum())
-                unit = Unit((block.run,), white.block(k), out.block(k), count)
-                self._gather(unit, part.stop - part.start)
-
-    def nil(self, blocks: int) -> Products:
-        """Return products of so many blocks, still nil."""
-        return Products(
-            np.zeros((blocks, len(self.near), self.size)), np.zeros((blocks, self.pairs.shape[1]))
-        )
+        for first, last in batch.groups(max(1, ENTRIES // (len(near) * self.size))):
+            lay, at = batch.layout(first, last), slice(first, last)
+            white, out = stacked_products(self, lay(near), lay(rows), lay(D))
+            self._gather(Units(run[at], samples[at], count[at].astype(float), *white, *out))
 
     def own_of(self, made: Products, key: str) -> np.ndarray:
         """Return a view (blocks, k, k) of the products of a candidate's columns with each other."""
@@ -372,134 +404,153 @@ class Accumulator:
     def _near(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
         """Columns of zeros, parameters and residual, (own + 1, K, samples)."""
         base, model = self.base, self.base.model
-        samples, K, own = len(batch), len(model.channels), self.z + self.n
         pose, state = batch.columns(model.references), batch.columns(model.state)
-        A = np.empty((own + 1, K, samples))
-        reading, *slopes = self.read(base.p, self.base.zeros_of(batch), pose, state)
-        A[self.z : own] = slopes[0].reshape(-1, K, samples)[list(base.free)]
-        if self.z:
-            A[: self.z] = slopes[1].reshape(-1, K, samples)
+        run, channel, column = self.read
+        reading, slopes = run(base.p, base.zeros_of(batch), pose, state)
+        A = np.zeros((self.z + self.n + 1, len(model.channels), len(batch)))
+        A[column, channel] = slopes
         A[-1] = np.array(batch.columns(model.channels)) - reading
         if weights is not None:
             A *= np.sqrt(weights)
         return A
 
-    def _gather(self, part: Unit, samples: int) -> None:
-        if part.runs[0] != self.run:
-            self._close()
-            self.run, self.seen = part.runs[0], 0
-            self.order.append(self.run)
-        if self.open and (self.length is None or self.seen % self.length):
-            self.open[-1] = self.open[-1].plus(part)
-        else:
-            self.open.append(part)
-        self.seen += samples
+    def _gather(self, more: Units) -> None:
+        """Add stretches to the units that they belong to, and close the runs that are complete."""
+        u = more if self.open is None else Units.joined([self.open, more])
+        first = np.flatnonzero(np.append(True, u.run[1:] != u.run[:-1]))
+        begins = np.zeros(len(u.run), dtype=bool)
+        begins[first] = True
+        if self.length:
+            before = np.cumsum(u.samples) - u.samples
+            before -= np.repeat(before[first], np.diff([*first, len(u.run)]))
+            begins |= before % self.length == 0
+        u = u.summed(np.flatnonzero(begins))
+        last = int(np.argmax(u.run == u.run[-1]))
+        self.run, self.open = int(u.run[-1]), u.at(slice(last, None))
+        self.seen = int(self.open.samples.sum())
+        if last:
+            self._close(u.at(slice(last)))
 
-    def _close(self) -> None:
-        """Eliminate the zeros of a run: they follow the likelihood, also where the output is measured."""
-        if not self.open:
-            return
-        z = self.z
-        across = np.sum([u.white.border[:z] for u in self.open], axis=0)
-        follow = -solve(across[:, :z], across[:, z:]) if z else np.zeros((0, self.size))
+    def _close(self, u: Units) -> None:
+        """Eliminate the zeros of whole runs: they follow the likelihood, in the output too."""
+        z, first = self.z, np.flatnonzero(np.append(True, u.run[1:] != u.run[:-1]))
+        parts = np.diff([*first, len(u.run)])
+        across = np.add.reduceat(u.white[:, :z], first)
+        follow = -solve(across[:, :, :z], across[:, :, z:]) if z else across
+        self.order += u.run[first].tolist()
         # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
-        self.follow.append(follow[:, :0] if self.slopes.columns else follow)
-        whole = len(self.open) == 1
-        root = np.linalg.cholesky(pseudo_inverse(across[:, :z])).T if z and not whole else np.zeros((z, z))
-        left = [tuple(self._eliminated(p, follow) for p in (u.white, u.out)) for u in self.open]
-        nil = self._clear([u.white for u in self.open], left)
-        for u, (white, out) in zip(self.open, left, strict=True):
-            rest = u.white.border[:z, z:] + u.white.border[:z, :z] @ follow
-            rest[:, nil] = 0.0
-            self.done.append(u._replace(white=white, out=out, offsets=None if whole else root @ rest))
-        self.open = []
-        if len(self.done) > 2 * UNITS and not self.length:
-            self._pool()
-
-    def _eliminated(self, p: Products, follow: np.ndarray) -> Products:
-        """Return products once the zeros follow the other columns as `follow` (zeros, c) says."""
-        z, rows = self.z, self.near[self.z :] - self.z
-        half = p.border[:z, z:] + 0.5 * p.border[:z, :z] @ follow
-        border = p.border[z:, z:] + half[:, rows].T @ follow + follow[:, rows].T @ half
-        i, j = self.pairs
-        inner = (half[:, i] * follow[:, j] + follow[:, i] * half[:, j]).sum(axis=0)
-        return Products(border, p.inner + inner)
-
-    def _clear(self, before: Sequence[Products], left: Sequence[tuple[Products, ...]]) -> np.ndarray:
-        """Set to 0 the columns of which the zeros of a run leave rounding: a step between runs is one.
-
-        `before`, `left`: of each part of the run. Returns the columns.
-        """
+        self.follow.append(follow[:, :, :0] if self.slopes.columns else follow)
+        by_unit = np.repeat(follow, parts, axis=0)
+        white, inner = self._eliminated(u.white, u.inner, by_unit)
+        output, output_inner = self._eliminated(u.output, u.output_inner, by_unit)
         i, j = self.pairs
         own = i == j
-        rest, whole = (np.sum([p.inner[own] for p in of], axis=0) for of in ([p for p, _ in left], before))
-        nil = i[own][rest <= NIL * whole]
-        for p in (p for both in left for p in both if len(nil)):
-            p.border[:, nil] = 0.0
-            p.inner[np.isin(i, nil) | np.isin(j, nil)] = 0.0
-        return np.asarray(nil)
+        # a run's zeros leave rounding of some columns, such as a step between runs
+        left, whole = (np.add.reduceat(x[:, own], first) for x in (inner, u.inner))
+        run, candidate = np.nonzero(left <= NIL * whole)
+        nil = np.zeros((len(first), self.size - z), dtype=bool)
+        nil[run, i[own][candidate]] = True
+        nil = np.repeat(nil, parts, axis=0)
+        if len(run):
+            for border, products in ((white, inner), (output, output_inner)):
+                border[np.broadcast_to(nil[:, None], border.shape)] = 0.0
+                products[nil[:, i] | nil[:, j]] = 0.0
+        if self.length:
+            self.offsets.append(self._offsets(u.white[:, :z], across, by_unit, nil, parts))
+        self.done.append(Units(u.run, u.samples, u.weight, white, inner, output, output_inner))
+        self.members += [(run,) for run in u.run.tolist()]
+        if len(self.members) > 2 * UNITS and not self.length:
+            self._pool()
+
+    def _offsets(
+        self, border: np.ndarray, across: np.ndarray, follow: np.ndarray, nil: np.ndarray, parts: np.ndarray
+    ) -> np.ndarray:
+        """Return `NormalEquations.offsets` of the units of some runs; nil of those that are whole runs."""
+        z = self.z
+        out = border[:, :, z:] + border[:, :, :z] @ follow
+        out[np.broadcast_to(nil[:, None], out.shape)] = 0.0
+        root = np.zeros((len(parts), z, z))
+        if z and (cut := parts > 1).any():
+            root[cut] = np.linalg.cholesky(pseudo_inverse(across[cut, :, :z])).swapaxes(1, 2)
+        return np.repeat(root, parts, axis=0) @ out
+
+    def _eliminated(
+        self, border: np.ndarray, inner: np.ndarray, follow: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return products once the zeros follow the other columns as `follow` (units, zeros, c) says."""
+        z, rows = self.z, self.near[self.z :] - self.z
+        half = border[:, :z, z:] + 0.5 * border[:, :z, :z] @ follow
+        left = border[:, z:, z:] + half[..., rows].swapaxes(1, 2) @ follow
+        left += follow[..., rows].swapaxes(1, 2) @ half
+        i, j = self.pairs
+        return left, inner + (half[..., i] * follow[..., j] + follow[..., i] * half[..., j]).sum(axis=1)
 
     def _pool(self) -> None:
-        """Pool neighbouring units of the same side."""
-        sides: dict[bool, list[Unit]] = {True: [], False: []}
-        for unit in self.done:
-            sides[unit.runs[0] in self.base.holdout].append(unit)
-        self.done = [
-            units[k].plus(units[k + 1]) if k + 1 < len(units) else units[k]
-            for units in sides.values()
-            for k in range(0, len(units), 2)
-        ]
+        """Pool neighbouring units of the same side, whenever there are too many."""
+        u = Units.joined(self.done)
+        known = len(u.run) - len(self.done[-1].run)
+        groups: list[tuple[int, ...]] = [(k,) for k in range(known)]
+        for k in range(known, len(u.run)):
+            groups.append((k,))
+            if len(groups) > 2 * UNITS:
+                judging = [self.members[group[0]][0] in self.base.holdout for group in groups]
+                sides = (
+                    [g for g, held in zip(groups, judging, strict=True) if held is of] for of in (True, False)
+                )
+                groups = [tuple(chain(*side[k : k + 2])) for side in sides for k in range(0, len(side), 2)]
+        first = np.cumsum([0, *map(len, groups[:-1])])
+        self.done = [u.at(np.array([*chain(*groups)])).summed(first)]
+        self.members = [tuple(chain(*(self.members[k] for k in group))) for group in groups]
 
     def result(self) -> NormalEquations:
         """Return what has been gathered."""
-        self._close()
-        parts = any(u.offsets is not None for u in self.done)
-        none = np.zeros((self.z, self.size - self.z))
+        if self.open is not None:
+            self._close(self.open)
+        u = Units.joined(self.done)
+        parts = self.z > 0 and len(self.order) < len(u.run) and bool(self.length)
         return NormalEquations(
-            _stacked([u.white for u in self.done]),
-            _stacked([u.out for u in self.done]),
-            np.array([u.samples for u in self.done]),
-            tuple(u.runs for u in self.done),
+            Products(u.white, u.inner),
+            Products(u.output, u.output_inner),
+            u.weight,
+            tuple(self.members),
             self.span,
             self.places,
-            np.array(self.follow),
+            np.concatenate(self.follow),
             tuple(self.order),
+            self.slopes,
             frozenset(self.slopes.spoiled),
-            np.array([none if u.offsets is None else u.offsets for u in self.done]) if parts else None,
+            np.concatenate(self.offsets) if parts else None,
         )
-
-
-def _stacked(made: Sequence[Products]) -> Products:
-    return Products(np.array([p.border for p in made]), np.array([p.inner for p in made]))
 
 
 # -- products of a batch -------------------------------------------------------------------------------------
 
 
 def stacked_products(
-    work: Accumulator, near: np.ndarray, rows: list[np.ndarray], D: np.ndarray
+    work: Accumulator, near: np.ndarray, rows: np.ndarray, D: np.ndarray
 ) -> tuple[Products, Products]:
     """Return products under the precision of `work`, and mapped to the pose by D; where D is empty no others.
 
     `work`: the `Accumulator`. `near`: (own, K, blocks, samples) of zeros, parameters and residual, `rows`:
-    (rows, blocks, samples) of each channel, `D`: (n_pose, K, blocks, samples).
+    (rows, blocks, samples) of the candidates, `D`: (n_pose, K, blocks, samples).
     """
     first, blocks, precision = work.z + work.n, near.shape[2], work.precision
     white, decoded = np.tensordot(work.whiten, near, axes=(1, 1)).swapaxes(0, 1), _decoded(D, near)
-    out = work.nil(blocks), work.nil(blocks)
+    shapes = (blocks, len(work.near), work.size), (blocks, work.pairs.shape[1])
+    out = Products(*map(np.zeros, shapes)), Products(*map(np.zeros, shapes))
     for M, columns in zip(out, (white, decoded), strict=True):
         M.border[:, :, work.near] = _gram(columns)
-    if not any(map(len, rows)):
+    if not len(rows):
         return out
     metric = np.tensordot(precision, near, axes=(1, 1)).swapaxes(0, 1)
     mapped = np.einsum("ikbs,oibs->okbs", D, decoded)
     for M, columns in zip(out, (metric, mapped), strict=True):
-        for k, block in enumerate(rows):
-            if len(block):
-                across = columns[:, k].transpose(1, 0, 2) @ block.transpose(1, 2, 0)
-                M.border[:, :, first + work.slopes.column[k]] += across
-    for c, key in enumerate(work.slopes.span):
-        _add_own(work, rows, c, precision, D, *(work.own_of(M, key) for M in out))
+        for k, at in enumerate(work.slopes.of_channel):
+            across = columns[:, k].transpose(1, 0, 2) @ rows[at].transpose(1, 2, 0)
+            M.border[:, :, first + work.slopes.column[at]] += across
+    for key, own in zip(work.slopes.span, work.slopes.own, strict=True):
+        if len(own.rows):
+            _add_own(work, rows, own, D, *(work.own_of(M, key) for M in out))
     return out
 
 
@@ -518,26 +569,24 @@ def _gram(columns: np.ndarray) -> np.ndarray:
 
 
 def _add_own(
-    work: Accumulator,
-    rows: list[np.ndarray],
-    c: int,
-    precision: np.ndarray,
-    D: np.ndarray,
-    white: np.ndarray,
-    out: np.ndarray,
+    work: Accumulator, rows: np.ndarray, own: OwnRows, D: np.ndarray, white: np.ndarray, out: np.ndarray
 ) -> None:
-    """Add the products of the rows of candidate c with each other, (blocks, k, k) twice."""
-    parts = [work.slopes.parts[k][c] for k in range(len(rows))]
-    channel = np.repeat(np.arange(len(rows)), [part.stop - part.start for part in parts])
-    if not len(channel):
-        return
-    stack = np.concatenate([block[part] for block, part in zip(rows, parts, strict=True)]).swapaxes(0, 1)
-    column = np.concatenate([work.slopes.column[k][part] for k, part in enumerate(parts)])
-    known, place = np.unique(column, return_inverse=True)
-    at = known - list(work.slopes.span.values())[c].start
-    one = (place == np.arange(len(known))[:, None]).astype(float)  # (columns, rows)
-    gram = (stack @ stack.swapaxes(1, 2)) * precision[channel[:, None], channel]
-    white[:, at[:, None], at] += one @ gram @ one.T
-    for spread in D[:, channel].swapaxes(1, 2):
-        moved = one @ (spread * stack)
-        out[:, at[:, None], at] += moved @ moved.swapaxes(1, 2)
+    """Add the products of the rows of a candidate with each other, (blocks, k, k) twice."""
+    stack, count, K = rows[own.rows].swapaxes(0, 1), len(own.column), len(work.whiten)
+    at = own.column[:, None], own.column
+
+    def by_column(values: np.ndarray, axis: int = 1) -> np.ndarray:
+        """Sum rows of one column."""
+        return values if count == len(own.rows) else np.add.reduceat(values, own.first, axis=axis)
+
+    if len(own.rows) ** 2 <= count * K * (count + K):
+        gram = (stack @ stack.swapaxes(1, 2)) * work.precision[own.channel[:, None], own.channel]
+        white[:, *at] += by_column(by_column(gram), axis=2)
+    else:  # most columns have a row in most channels
+        columns = np.zeros((count, K, *rows.shape[1:]))
+        place = np.repeat(np.arange(count), np.diff([*own.first, len(own.rows)]))
+        columns[place, own.channel] = rows[own.rows]
+        white[:, *at] += _gram(np.tensordot(work.whiten, columns, axes=(1, 1)).swapaxes(0, 1))
+    for spread in D[:, own.channel].swapaxes(1, 2):
+        moved = by_column(spread * stack)
+        out[:, *at] += moved @ moved.swapaxes(1, 2)

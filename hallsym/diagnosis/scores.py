@@ -1,7 +1,7 @@
 """Screening: score tests of the whole catalogue, from one pass over the log."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -126,9 +126,18 @@ class Screen:
     """
 
     def __init__(
-        self, base: Base, tried: dict[str, Candidate], runs: Sequence[int], *, tested: bool = True
+        self,
+        base: Base,
+        tried: dict[str, Candidate],
+        runs: Sequence[int],
+        *,
+        tested: bool = True,
+        over: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Score `tried` on `runs`; `tested`: for p-values (`weigh`), for which few runs are cut."""
+        """Score `tried` on `runs`; `tested`: for p-values (`weigh`), for which few runs are cut.
+
+        There are no further passes once it is `over`.
+        """
         self.base, self.tried, self.runs = base, tried, tuple(runs)
         rows = base.log.rows / len(base.log.runs)
         self.length = stretch(rows * len(runs), len(runs), base.policy) if tested else None
@@ -137,7 +146,10 @@ class Screen:
             ({k: (c.model, c.new) for k, c in part.items()}, part) for part in _parts(tried, len(base.free))
         )
         channels = len(base.model.channels)
-        self.tables = [Table(normal_equations(base, new, self.length), part, channels) for new, part in parts]
+        self.tables: list[Table] = []
+        for new, part in parts:
+            if not self.tables or not over():
+                self.tables.append(Table(normal_equations(base, new, self.length), part, channels))
         places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in tried.values()))}
         self.scores = sorted(
             (
@@ -224,7 +236,7 @@ class Screen:
         """Yield what flips the signs of each candidate, for noise of the references of these variances."""
         new = {key: (c.model, c.new) for key, c in table.tried.items()}
         base = self.base
-        noise = shared_noise(base, new, self.length, colour)
+        noise = shared_noise(base, new, self.length, colour, table.t.slopes)
         if remembers is None:
             remembers = 0.0 if base.sliced else memory(colour, base.policy)
         memories = self.lasting / max(remembers, NIL)
@@ -339,22 +351,21 @@ class Table:
         if self.known[0] != tuple(runs):
             self.known = tuple(runs), Training(self, self.among(runs) & ~left_out)
         assert self.known[1] is not None
-        M = np.tensordot(left_out.astype(float), self.t.of(key, decoded=True), 1)
-        u = self.known[1].solved(key).by
-        none = self.known[1].solved(None).by
-        pick = np.append(np.arange(self.own), M.shape[1] - 1)
-        squares = float(np.einsum("fi,fij,fj->", u, M, u))
-        plain = float(np.einsum("fi,fij,fj->", none, M[:, pick[:, None], pick], none))
-        return float(np.sqrt(squares / max(plain, 1e-300)))
+        return self._ratio(key, self.known[1], left_out)
 
     def in_sample(self, key: str, runs: Sequence[int]) -> float:
         """Return the gap metric with a candidate over that without, on the runs that it is fitted to."""
-        units = self.among(runs)[None].astype(float)
-        training = Training(self, units)
-        (M,) = np.tensordot(units, self.t.of(key, decoded=True), 1)
-        with_it, without = training.solved(key).by[0], training.solved(None).by[0]
-        pick = np.append(np.arange(self.own), len(M) - 1)
-        return float(np.sqrt(with_it @ M @ with_it / max(without @ M[np.ix_(pick, pick)] @ without, 1e-300)))
+        units = self.among(runs)[None]
+        return self._ratio(key, Training(self, units), units)
+
+    def _ratio(self, key: str, training: "Training", judging: np.ndarray) -> float:
+        """Return that ratio on units (F, units) that judge what each stack of `training` gives."""
+        M = np.tensordot(judging.astype(float), self.t.of(key, decoded=True), 1)
+        pick = np.append(np.arange(self.own), M.shape[1] - 1)
+        u, none = training.solved(key).by, training.solved(None).by
+        squares = np.einsum("fi,fij,fj->", u, M, u)
+        plain = np.einsum("fi,fij,fj->", none, M[:, pick[:, None], pick], none)
+        return float(np.sqrt(squares / max(plain, 1e-300)))
 
     def scored(self, runs: Sequence[int]) -> Iterator[tuple[str, "Scored"]]:
         """Score every candidate on some runs."""

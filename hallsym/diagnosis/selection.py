@@ -46,12 +46,14 @@ def refitted(
     runs: Sequence[int],
     worth: Callable[[Score], bool],
     stands: Callable[["Exact"], bool] = lambda _: True,
+    over: Callable[[], bool] = lambda: False,
 ) -> list["Exact"]:
     """Refit the promising effects exactly and return them, best first; none if none is `worth` it.
 
     Promising are those that explain nearly as much as the best one that is worth it, and lower the gap of
     runs that are left out. An effect whose refit does not `stand`, or that no start brings to parameters that
-    its cause can have, is left out.
+    its cause can have, is left out. There are no further refits once the search is `over`; at most
+    `Policy.most_refits` effects are refitted, each from at most `Policy.starts` starts.
     """
     policy = base.policy
     # an effect goes by the best of its variants that are worth it: one with more numbers may be less certain
@@ -59,6 +61,8 @@ def refitted(
     least = policy.half * max((s.gain for s in named if worth(s)), default=np.inf)
     out: list[Exact] = []
     for first in [s for s in named if s.gain >= least and s.ratio < 1][: policy.most_refits]:
+        if over():
+            break
         again = [s for s in scored if s.effect is first.effect and s.gain >= policy.half * first.gain]
         starts = again[: policy.starts] if first.variant.tried > 1 else [first]
         found = [_exact(base, score, runs) for score in starts]
@@ -126,13 +130,18 @@ def _same(a: Exact, b: Exact) -> bool:
 
 
 def plain_pairs_first(
-    exact: list[Exact], catalogue: Sequence[Effect], runs: Sequence[int], facts: Facts
+    exact: list[Exact],
+    catalogue: Sequence[Effect],
+    runs: Sequence[int],
+    facts: Facts,
+    over: Callable[[], bool] = lambda: False,
 ) -> list[Exact]:
     """Put a plain effect first if it and a second explain more than the flexible best one, by BIC.
 
     An effect with many parameters may take small imperfections along and so explain more than the plain cause
     does. Then the plain cause and one of the imperfections together explain as much with no more parameters,
-    and the flexible effect with a second one leaves nearly as much as these two.
+    and the flexible effect with a second one leaves nearly as much as these two. The catalogue is screened at
+    most `Policy.most_refits` times for it, and not once the search is `over`.
     """
     if not exact:
         return exact
@@ -141,6 +150,8 @@ def plain_pairs_first(
     plain = [e for e in smaller if e.score.gain >= half * best.score.gain]
     found: list[tuple[float, Exact, float]] = []
     for e in plain:
+        if over():
+            return exact
         second = _second(e, catalogue, runs, facts)
         if second is None or second.size + e.score.size > best.score.size:
             continue
@@ -261,6 +272,24 @@ class Selection:
     last: list[Score] = field(default_factory=list)
     of_values: float = 0.0
     """Share of the gap that the values of the readings make, as steps do: no effect can take it away."""
+    cut_short: bool = False
+    """Whether the budget ended the search before it was done."""
+
+    def over(self) -> bool:
+        """Return whether the search has used up its budget; asked where there is more to do."""
+        self.cut_short |= self.setup.over
+        return self.cut_short
+
+    @property
+    def stopped(self) -> str:
+        """What was left out for the budget, in a sentence; empty if nothing was."""
+        if not self.cut_short:
+            return ""
+        tested, known = {s.effect.name for each in self.screened for s in each.scores}, self.setup.catalogue
+        return (
+            f"The search stopped after {self.setup.budget:g} s: {len(tested)} of {len(known)} effects were "
+            "tested, and not all that was promising was fitted."
+        )
 
     @property
     def runs(self) -> list[int]:
@@ -280,8 +309,11 @@ class Selection:
         return self.setup.policy
 
     def grow(self) -> None:
-        """Add effects while they lower the gap metric by the threshold."""
+        """Add effects while they lower the gap metric by the threshold, at most `Family.most_effects`."""
         for count in range(len(self.effects), self.setup.base.model.family.most_effects + 1):
+            if self.screened and self.over():
+                self.last = []
+                break
             beside = f" beside {count}" if count else ""
             self.setup.say(f"testing {len(self.setup.catalogue)} effects{beside}")
             worth = partial(self.worth, beside=count)
@@ -313,9 +345,9 @@ class Selection:
     def step(self, at: Refitted, worth: Callable[[Score], bool] = lambda _: True) -> list[Exact]:
         """Screen the catalogue at `at`; return exact refits, best first, if any effect is `worth` it."""
         screen, facts = self.screen(at)
-        exact = refitted(at.base, screen.scores, self.runs, worth, lambda e: self.stands(e, at))
+        exact = refitted(at.base, screen.scores, self.runs, worth, lambda e: self.stands(e, at), self.over)
         if self.setup.base.model.family.pairs:
-            exact = plain_pairs_first(exact, self.setup.catalogue, self.runs, facts)
+            exact = plain_pairs_first(exact, self.setup.catalogue, self.runs, facts, self.over)
         return exact
 
     def screen(self, at: Refitted, remembers: float | None = None) -> tuple[Screen, Facts]:
@@ -325,7 +357,7 @@ class Selection:
         told = faults(at.base, found, self.setup.tested)
         self.of_values = sum(f.power for f in told if f.record.of_values)
         tried, trouble = candidates(at.base, self.setup.catalogue, facts)
-        screen = Screen(at.base, tried, self.runs)
+        screen = Screen(at.base, tried, self.runs, over=self.over)
         colour = self.weighed(screen, found, remembers)
         ranked = screen.scores
         self.screened.append(Screened(at, ranked, screen.significance, screen.top, colour))
@@ -378,6 +410,8 @@ class Selection:
         for k, effect in enumerate(self.effects):
             if k + 1 == len(before) and not replaced:
                 break  # the last was chosen with the others in place
+            if self.over():
+                break
             without = self.without(effect)
             exact = self.step(without)
             if exact:

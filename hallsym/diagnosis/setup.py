@@ -57,7 +57,7 @@ class Setup:
     tangents are taken, channels assigned. Of a long log both hold every m-th sample. `runs` are fitted,
     `holdout` judge. `threshold`: relative decrease of the gap metric that counts. `split`: whether the runs
     are pieces of one recording. `floor`, `floor_fitted`: on the runs that judge and on the fitted ones.
-    `say`: reports progress.
+    `say`: reports progress. `budget`: seconds after which the search ends, None: without limit.
     """
 
     log: Log
@@ -72,6 +72,12 @@ class Setup:
     catalogue: tuple[Effect, ...]
     say: Say
     began: float
+    budget: float | None = None
+
+    @property
+    def over(self) -> bool:
+        """Whether the search has used up its budget."""
+        return self.budget is not None and perf_counter() - self.began >= self.budget
 
     @property
     def policy(self) -> Policy:
@@ -156,6 +162,7 @@ def prepare(
     effects: Sequence[Effect] = (),
     threshold: float | None = None,
     drop_bad: bool = False,
+    budget: float | None = None,
     policy: Policy = POLICY,
     on_progress: Say | None = None,
 ) -> Setup:
@@ -166,6 +173,8 @@ def prepare(
     began, say = perf_counter(), on_progress or (lambda _: None)
     model, timed = _built(log, model), "t_s" in log.columns
     level = _threshold(log, threshold, policy)
+    if budget is not None and not budget >= 0:
+        raise InputError(f"Input budget of diagnose must be 0 s or more; instead received {budget:g}.")
     log, drop_bad = readable(log, model, drop_bad)
     whole = log
     held, pieces = _whole_runs(log, holdout, policy), tuple[int, ...]()
@@ -214,6 +223,7 @@ def prepare(
         catalogue=(*model.family.catalogue, *effects),
         say=say,
         began=began,
+        budget=budget,
     )
 
 
@@ -438,7 +448,7 @@ def kept(base: Base, every: int, most: int) -> Log:
         for column in log.columns:
             values = np.full(n, block.run) if column == "run" else block.data[column]
             parts[column].append(values[keep])
-    columns = {c: np.concatenate(v) for c, v in parts.items()}
+    columns = {c: np.concatenate(parts.pop(c)) for c in log.columns}  # one column at a time is held twice
     return Log.from_arrays(columns, log.noise, log.meta, log.name)
 
 

@@ -4,8 +4,10 @@ No model holds these findings (an outlier has no equation), or they are numbers 
 searched (a mains frequency).
 """
 
-from collections.abc import Callable, Iterable, Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
@@ -199,8 +201,42 @@ FINER = 8
 """Frequencies in what a block resolves: power between two of them is a straight line within 0.6 %."""
 
 
-Amplitudes = Callable[[np.ndarray], np.ndarray]
-"""Frequencies (f,) [Hz] -> Fourier amplitudes of a block about its middle, (K, f)."""
+class Blocks(NamedTuple):
+    """Fourier amplitudes of blocks of one length about their middles, (blocks, K, frequencies).
+
+    `middle`: (blocks,) [s], `length` [s], `f` [Hz].
+    """
+
+    middle: np.ndarray
+    length: float
+    f: np.ndarray
+    amplitudes: np.ndarray
+
+    def around(self, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the last own frequency below each of `f`, and how far it is from there to the next."""
+        low = np.clip(np.searchsorted(self.f, f) - 1, 0, len(self.f) - 2)
+        return low, np.clip((f - self.f[low]) / (self.f[low + 1] - self.f[low]), 0.0, 1.0)
+
+    def power(self, f: np.ndarray) -> np.ndarray:
+        """Return the power (f,) of all blocks at some frequencies."""
+        low, share = self.around(f)
+        at = ((1 - share) * each[:, low] + share * each[:, low + 1] for each in self.amplitudes)
+        return np.asarray(sum((np.abs(each) ** 2).sum(axis=0) for each in at) / self.length)
+
+    def together(self, f: np.ndarray, first: float) -> np.ndarray:
+        """Return the amplitudes (K, f) of all blocks about the instant `first`, at evenly spaced `f`."""
+        shift = self.middle - first
+        step = np.exp(-2j * np.pi * np.outer(shift, f[: math.isqrt(len(f)) + 1] - f[0]))
+        low, share = self.around(f)
+        parts = []
+        for start in range(0, len(f), step.shape[1]):
+            here = slice(start, start + step.shape[1])
+            k, own = np.arange(len(f[here])), low[here] - low[start]
+            turned = np.exp(-2j * np.pi * f[start] * shift)[:, None] * step[:, : len(k)]
+            knots = self.amplitudes[..., low[start] : low[start] + own[-1] + 2]
+            at = np.tensordot(knots, turned, (0, 0))
+            parts.append((1 - share[here]) * at[:, own, k] + share[here] * at[:, own + 1, k])
+        return np.concatenate(parts, axis=1)
 
 
 def hum(times: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> tuple[float, ...]:
@@ -209,31 +245,32 @@ def hum(times: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> tuple[float,
     `times`: (n,) [s] of each block, evenly spaced; `rest`: its residual, (K, n). The power of the blocks
     tells where it is, and their phases where exactly.
     """
-    blocks = [_block(t, r) for t, r in zip(times, rest, strict=True) if len(t) > 2 * FEWEST_SAMPLES]
-    if not blocks:
+    alike: dict[tuple[int, float], list[tuple[np.ndarray, np.ndarray]]] = {}
+    for t, r in zip(times, rest, strict=True):
+        if len(t) > 2 * FEWEST_SAMPLES:
+            alike.setdefault((len(t), float(f"{t[-1] - t[0]:.9g}")), []).append((t, r))
+    if not alike:
         return ()
-    longest, first = max(length for _, length, _ in blocks), blocks[0][0]
-    span = max(blocks[-1][0] - first, longest)
+    blocks = [_blocks(*zip(*each, strict=True)) for each in alike.values()]
+    longest = max(b.length for b in blocks)
+    first, last = min(b.middle[0] for b in blocks), max(b.middle[-1] for b in blocks)
+    span = max(last - first, longest)
     out = []
     for hz in MAINS_HZ:
         f = hz + np.arange(-MAINS_REACH_HZ, MAINS_REACH_HZ, 0.5 / longest)
-        power = sum((np.abs(at(f)) ** 2).sum(axis=0) / length for _, length, at in blocks)
-        f = f[np.argmax(power)] + np.arange(-0.5 / longest, 0.5 / longest, 0.25 / span)
-        together = sum(at(f) * np.exp(-2j * np.pi * f * (middle - first)) for middle, _, at in blocks)
-        out.append(float(f[np.argmax((np.abs(together) ** 2).sum(axis=0))]))
+        f = f[np.argmax(sum(b.power(f) for b in blocks))]
+        f = f + np.arange(-0.5 / longest, 0.5 / longest, 0.25 / span)
+        amplitudes = sum(b.together(f, first) for b in blocks)
+        out.append(float(f[np.argmax((np.abs(amplitudes) ** 2).sum(axis=0))]))
     return tuple(out)
 
 
-def _block(t: np.ndarray, r: np.ndarray) -> tuple[float, float, Amplitudes]:
-    """Return middle and length [s] of a block, and its amplitudes near the mains.
-
-    Differences of neighbouring samples are taken: what changes slowly has no power there.
-    """
-    x, n = np.diff(r), len(t) - 1
-    middle, length = 0.5 * (t[1] + t[-1]), t[-1] - t[0]
+def _blocks(times: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> Blocks:
+    """Differences of neighbouring samples are taken: what changes slowly has no power there."""
+    t, x = np.array(times), np.diff(rest)
+    n, length = x.shape[-1], t[0, -1] - t[0, 0]
     ends = [FINER * length * (hz + np.array([-MAINS_REACH_HZ, MAINS_REACH_HZ])) for hz in MAINS_HZ]
     lines = np.concatenate([np.arange(int(low), int(high) + 2) for low, high in ends])
-    spectrum = np.fft.fft(x, FINER * n)[:, lines % (FINER * n)]  # a log that is too slow shows an alias
-    f = lines / (FINER * length)
-    rows = spectrum * np.exp(2j * np.pi * f * (middle - t[1]))
-    return middle, length, lambda wanted: np.array([np.interp(wanted, f, row) for row in rows])
+    spectrum = np.array([np.fft.fft(each, FINER * n)[:, lines % (FINER * n)] for each in x])  # or an alias
+    middle, f = 0.5 * (t[:, 1] + t[:, -1]), lines / (FINER * length)
+    return Blocks(middle, length, f, spectrum * np.exp(2j * np.pi * np.outer(middle - t[:, 1], f))[:, None])

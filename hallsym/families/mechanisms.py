@@ -311,7 +311,7 @@ def in_runs(runs: Sequence[int]) -> Functions:
     """Return 1 in some runs, 0 in the others."""
 
     def rule(s: Stretch) -> np.ndarray:
-        return np.full(len(s.data["t_s"]), float(s.run in runs))
+        return np.full(len(s.data["t_s"]), np.isin(s.run, runs), dtype=float)
 
     return column(Computed(f"on_in_{'_'.join(map(str, runs))}", (), rule), "in the runs with the field on")
 

@@ -185,8 +185,11 @@ def batches(
 
 
 def is_held(log: Log) -> bool:
-    """Return whether the batches of a log are kept, and what is computed from them may be."""
-    return log.table.in_memory and log.rows <= HELD
+    """Return whether the batches of a log are kept, and what is computed from them may be.
+
+    Those of a view of a log with other numbers, which is read once, are not.
+    """
+    return isinstance(log.source, Log) and log.table.in_memory and log.rows <= HELD
 
 
 def _held(log: Log, columns: Sequence[str]) -> Iterator[Batch]:

@@ -6,6 +6,7 @@ They are computed from blocks that overlap at their edges, so memory does not gr
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -17,11 +18,8 @@ from hallsym.model.derived import HALVES, Computed, Stretch
 
 HALO = 4 * HALVES[-1]
 """Samples of context on either side of a block."""
-ROOM = 20_000_000
-"""Bytes of computed columns that are kept for the next pass over the same log."""
 WINDOWED = 20_000
 """Runs whose smoothing windows are kept for the next pass over the same log."""
-_KEPT: WeakKeyDictionary[Log, dict[tuple, np.ndarray]] = WeakKeyDictionary()
 _HALVES: WeakKeyDictionary[Log, dict[tuple, dict[str, int]]] = WeakKeyDictionary()
 
 
@@ -62,11 +60,30 @@ class ExtendedLog:
             return
         raw = dict.fromkeys(c for c in wanted if c not in self.computed)
         raw |= dict.fromkeys(c for m in made for c in m.needs) | {"t_s": None}
-        kept = _KEPT.setdefault(self.log, {}) if isinstance(self.log, Log) else None
+        whole: list[Stretch] = []
         for stretch, inner in self._stretches(tuple(raw), size):
-            data = {c: stretch.data[c][inner] for c in wanted if c not in self.computed}
-            at = (stretch.run, float(stretch.data["t_s"][inner.start]), inner.stop - inner.start)
-            yield Block(stretch.run, data | {m.name: _column(kept, m, stretch, inner, at) for m in made})
+            if inner == slice(None):  # runs that are shorter than a block share their calls
+                whole.append(stretch)
+                if sum(len(s.data["t_s"]) for s in whole) < size:
+                    continue
+            yield from self._blocks(whole, wanted)
+            whole = []
+            if inner != slice(None):
+                yield Block(int(stretch.run), {c: v[inner] for c, v in self._data(stretch, wanted).items()})
+        yield from self._blocks(whole, wanted)
+
+    def _blocks(self, runs: Sequence[Stretch], columns: Sequence[str]) -> Iterator[Block]:
+        """Yield a block for each of several whole runs."""
+        if runs:
+            stretch = runs[0] if len(runs) == 1 else Stretch.of(runs)
+            data = self._data(stretch, columns)
+            for run, (low, high) in zip(runs, pairwise(stretch.edges), strict=True):
+                yield Block(int(run.run), {c: v[low:high] for c, v in data.items()})
+
+    def _data(self, stretch: Stretch, columns: Sequence[str]) -> dict[str, np.ndarray]:
+        """Return logged and computed columns of a stretch."""
+        made = {c: _finite(self.computed[c].rule(stretch)) for c in columns if c in self.computed}
+        return {c: made[c] if c in made else stretch.data[c] for c in columns}
 
     def _stretches(self, columns: tuple[str, ...], size: int) -> Iterator[tuple[Stretch, slice]]:
         """Yield blocks with up to HALO samples of context on either side, and where the block itself lies."""
@@ -90,25 +107,12 @@ class ExtendedLog:
             yield from held.pieces(size, last=True)
 
 
-def _column(
-    kept: dict[tuple, np.ndarray] | None, made: Computed, stretch: Stretch, inner: slice, at: tuple
-) -> np.ndarray:
-    """Return a computed column of the block `at` run, time and length, kept while there is room."""
-    key = (made.name, made.key, *at)
-    if kept is None or key not in kept:
-        values = _finite(made.rule(stretch))[inner]
-        if kept is None or len(kept) * values.nbytes > ROOM:
-            return values
-        kept[key] = values.copy()
-    return kept[key]
-
-
 class _Held:
     """Samples of one run that wait for their context."""
 
     def __init__(self, run: int, data: dict[str, np.ndarray], origin: float, sigma: Mapping[str, float]):
         self.run, self.data, self.origin, self.sigma = run, data, origin, sigma
-        self.first, self.done = float(data["t_s"][0]), 0
+        self.first, self.done, self.begun = float(data["t_s"][0]), 0, False
         self.halves: dict[str, int] = {}
 
     def add(self, data: dict[str, np.ndarray]) -> None:
@@ -124,7 +128,9 @@ class _Held:
             end = min(total, stop + HALO)
             data = {c: v[:end] for c, v in self.data.items()}
             stretch = Stretch(self.run, data, self.first, self.origin, self.sigma, self.halves)
-            yield stretch, slice(self.done, stop)
+            whole = self.done == 0 and stop == total and last and not self.begun
+            yield stretch, slice(None) if whole else slice(self.done, stop)
+            self.begun = True
             cut = max(0, stop - HALO)
             self.data = {c: v[cut:] for c, v in self.data.items()}
             self.done = stop - cut

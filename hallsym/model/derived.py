@@ -8,7 +8,7 @@ noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, TypeVar
@@ -46,16 +46,33 @@ class Stretch:
     """Consecutive samples of one run with context: `data[column]`, and what holds for the whole run.
 
     `first_s`: time of the first sample of the run and `origin_s` of the log. `sigma`: noise by column.
-    `halves`: smoothing windows chosen at the beginning of the run.
+    `halves`: smoothing windows chosen at the beginning of the run. `parts`: of several whole runs, one after
+    the other, the stretch of each; `run` and `first_s` are then those of every sample, (samples,).
     """
 
-    run: int
+    run: int | np.ndarray
     data: dict[str, np.ndarray]
-    first_s: float
+    first_s: float | np.ndarray
     origin_s: float
     sigma: Mapping[str, float]
     halves: dict[str, int]
+    parts: Sequence[Stretch] = ()
     _known: dict[Hashable, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, parts: Sequence[Stretch]) -> Stretch:
+        """Return several whole runs as one stretch."""
+        first = parts[0]
+        lengths = [len(part.data["t_s"]) for part in parts]
+        run = np.repeat([part.run for part in parts], lengths)
+        first_s = np.repeat([part.first_s for part in parts], lengths)
+        data = {c: np.concatenate([part.data[c] for part in parts]) for c in first.data}
+        return cls(run, data, first_s, first.origin_s, first.sigma, {}, parts)
+
+    @property
+    def edges(self) -> list[int]:
+        """Where its runs begin and the last one ends, (runs + 1,)."""
+        return np.cumsum([0, *(len(part.data["t_s"]) for part in self.parts or (self,))]).tolist()
 
     def once(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return what `make` returns, computed once per stretch under `key`."""
@@ -65,6 +82,10 @@ class Stretch:
 
     def rate(self, column: str, order: int = 1) -> np.ndarray:
         """Return the time derivative of a column (order 0: the column smoothed), unit per second^order."""
+        if self.parts:
+            return self.once(
+                (column, order), lambda: np.concatenate([part.rate(column, order) for part in self.parts])
+            )
         return self.once((column, order), lambda: self._derivative(column, order))
 
     def _derivative(self, column: str, order: int) -> np.ndarray:

@@ -19,9 +19,10 @@ from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.setup import base_of
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
+from hallsym.families.stage.effects.field import hysteresis
 from hallsym.log import Log, Meta, Noise, Sigma, extended
 from hallsym.model import Model, Parameter, Variant
-from hallsym.model.derived import HALVES, rate, widest_half
+from hallsym.model.derived import HALVES, rate, run_time, widest_half
 from hallsym.model.effect import as_effect
 from hallsym.simulation import paper_campaign
 
@@ -172,6 +173,19 @@ def test_rates_do_not_depend_on_how_a_log_is_cut_into_blocks() -> None:
         inner = np.abs(one - cut) / one.std()
         assert np.median(inner) < 1e-9
         assert inner.max() < 0.05
+
+
+def test_columns_of_short_runs_side_by_side_are_those_of_each_run() -> None:
+    log = machine("multisine", seed=1, thin=1)
+    short = {c: log.array(c)[:1200] for c in log.columns} | {"run": np.arange(1200) // 30}
+    model = hysteresis(hallsym.build("stage31").with_columns(rate("x_ref_m"), run_time()), half_width_m=2e-6)
+    many = extended(Log.from_arrays(short, log.noise), model)
+    names = tuple(c.name for c in model.computed)
+    together, alone = (list(many.blocks(names, size)) for size in (1 << 16, 30))
+    assert [b.run for b in together] == [b.run for b in alone] == list(range(40))
+    for one, other in zip(together, alone, strict=True):
+        for name in names:
+            assert one.data[name] == pytest.approx(other.data[name], rel=1e-9, abs=1e-12)
 
 
 def test_tangents_predict_what_a_refit_finds() -> None:

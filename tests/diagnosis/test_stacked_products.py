@@ -21,8 +21,8 @@ def whitened(work: Accumulator, batch: Batch, weights: np.ndarray | None) -> np.
     near = work._near(batch, weights)
     A = np.zeros((work.size, *near.shape[1:]))
     A[work.near] = near
-    for k, own in enumerate(work.slopes.rows(batch, work.base.zeros_of(batch), weights)):
-        A[work.z + work.n + work.slopes.column[k], k] = own
+    rows = work.slopes.rows(batch, work.base.zeros_of(batch), weights)
+    A[work.z + work.n + work.slopes.column, work.slopes.channel] = rows
     return work.whiten @ A
 
 

@@ -1,6 +1,7 @@
 """Effects of an encoder at the mechanics, the clock and the reference: what lies off the axis, and when."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from math import cos, radians, sin
 
 import casadi as ca
@@ -8,7 +9,7 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.families.mechanisms import P, free
-from hallsym.families.play import stop_operator
+from hallsym.families.play import stop_operator, travel
 from hallsym.families.rotary.effects.field import field_harmonics
 from hallsym.families.rotary.effects.parts import (
     LATE,
@@ -177,11 +178,11 @@ def direction(width_rad: float) -> Computed:
     """Return the direction of motion, -1 to 1, which turns over within `2 width_rad` after a reversal."""
 
     def rule(s: Stretch) -> np.ndarray:
-        u = s.rate(REFERENCE, 0)
-        z = stop_operator(u, width_rad)
-        full = np.flatnonzero(np.abs(z) >= 1.0)
-        if len(full):
-            z[: full[0]] = z[full[0]]
+        z = stop_operator(travel(s.rate(REFERENCE, 0), s.edges), width_rad)
+        for first, stop in pairwise(s.edges):
+            full = first + np.flatnonzero(np.abs(z[first:stop]) >= 1.0)
+            if len(full):
+                z[first : full[0]] = z[full[0]]
         return z
 
     return Computed(f"direction_{width_rad:.6g}", (REFERENCE,), rule)

@@ -110,7 +110,7 @@ def _play(what: str, model: Model, k: int, width: float) -> Computed:
         def column(s: Stretch) -> np.ndarray:
             if what == "width":
                 return np.full(len(s.data["t_s"]), at)
-            motion = s.once(("travel", label), lambda: travel(_sensed(model, k, s)))
+            motion = s.once(("travel", label), lambda: travel(_sensed(model, k, s), s.edges))
             both = s.once(("play", label, at), lambda: stop_state(motion, at))
             return both[("state", "slope").index(what)]
 
