@@ -52,10 +52,8 @@ def bound(
     or nothing can be bounded.
     """
     if curve.coordinates != nominal.coordinates:
-        raise InputError(
-            f"The curve gives {', '.join(curve.coordinates)}, the nominal one "
-            f"{', '.join(nominal.coordinates)}."
-        )
+        ours, theirs = (", ".join(each.coordinates) for each in (curve, nominal))
+        raise InputError(f"The curve gives {ours}, the nominal one {theirs}.")
     first, last = curve.inner(np.array(span or (curve.start, curve.stop))).tolist()
     edges = curve.form.edges(64)
     edges = np.r_[first, edges[(edges > first) & (edges < last)], last]
@@ -172,18 +170,14 @@ def _across(
     assert isinstance(form, SplineForm)
     k = form.piece(middle)
     left, right = form.knots[k], form.knots[k + 1]
+    along, found = [], []
     with ctx.workprec(BITS):
         chord = [arb(p) - arb(q) for p, q in form.control[[k, k - 1]][:, curve.lengths].T]
         square = sum(c * c for c in chord)
-        along = [
-            sum((c * p for c, p in zip(chord, at, strict=True)), 0 * at[0]) / square for at in (thin, wide)
-        ]
-        found = [
-            [p - c * share for c, p in zip(chord, at, strict=True)]
-            for at, share in zip((thin, wide), along, strict=True)
-        ]
-    reach = half / (right - left) + float(
-        sizes(along[:1], along[1:])[0, 1:] @ half ** np.arange(1.0, ORDER + 1)
-    )
+        for at in (thin, wide):
+            along.append(sum((c * p for c, p in zip(chord, at, strict=True)), 0 * at[0]) / square)
+            found.append([p - c * along[-1] for c, p in zip(chord, at, strict=True)])
+    bend_of = sizes(along[:1], along[1:])[0, 1:] @ half ** np.arange(1.0, ORDER + 1)
+    reach = half / (right - left) + float(bend_of)
     place = (middle - left) / (right - left) - float(along[0][0])
     return (found[0], found[1]), bool(reach <= place <= 1 - reach)

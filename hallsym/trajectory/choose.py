@@ -119,11 +119,11 @@ METHODS = (
 
 def method_named(name: str) -> Method:
     """Return a method by name; raises `InputError` for an unknown one."""
-    for method in METHODS:
-        if method.name == name:
-            return method
-    known = [method.name for method in METHODS]
-    raise InputError(f"Method {name!r} is not known{nearest(name, known)}; known: {', '.join(known)}.")
+    known = {method.name: method for method in METHODS}
+    if name not in known:
+        names = ", ".join(known)
+        raise InputError(f"Method {name!r} is not known{nearest(name, list(known))}; known: {names}.")
+    return known[name]
 
 
 # -- what a curve is made of -----------------------------------------------------------------------------

@@ -19,20 +19,9 @@ from hallsym.codegen import integer_c
 from hallsym.codegen.decoupler import Array, Bits, Box, Collected, Decoupler, Flag, Lookup, Margin, short
 from hallsym.codegen.integer_c import UNIT, Compiler, Fixed, Program, planned
 from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
+from hallsym.codegen.lowering import correction as corrections
 from hallsym.codegen.lowering import odd_series
-from hallsym.codegen.lowering.correction import (
-    ROUNDED,
-    SIZES,
-    WORST,
-    Grid,
-    Series,
-    check,
-    like,
-    out_of_reach,
-    proved,
-    sampled,
-    shortest_correction,
-)
+from hallsym.codegen.lowering.correction import ROUNDED, SIZES, WORST, Grid, Series
 from hallsym.codegen.lowering.odd_series import ARCTANGENT, HALF_PI, PI, SINE, odd
 from hallsym.codegen.lowering.phase_curve import POINTS, Curve, check_static
 from hallsym.errors import InputError, counted
@@ -71,7 +60,7 @@ def decoupler(
     """
     check_static(model, "the angle")
     curve = Curve(model, np.asarray(p, dtype=float))
-    made = _Assembly(curve, box, shortest_correction(curve, accuracy, correction)).make()
+    made = _Assembly(curve, box, corrections.shortest_correction(curve, accuracy, correction)).make()
     return replace(made, integers=lambda **options: program(made, curve, WEAK, **options))
 
 
@@ -437,20 +426,21 @@ def table_of(curve: Curve, accuracy: float, kind: str) -> Grid | None:
     In units of a power of two of 2^-32 turn. `kind`: "auto", "table", or the form of one that it shall be
     like. None where the angle needs no more than a constant.
     """
-    check(curve, accuracy, kind)
+    corrections.check(curve, accuracy, kind)
     if ":" in kind:
         _, entries, _, wide, *power = kind.split(":")
-        return like(curve, accuracy, kind, _table(curve, int(entries), int(wide), *map(int, power)))
+        made = _table(curve, int(entries), int(wide), *map(int, power))
+        return corrections.like(curve, accuracy, kind, made)
     if np.abs(curve.needed[1]).max() <= ROUNDED:
         return None
     forms = sorted((bits * n, bits, n, room) for n in SIZES for bits, room in ((16, -1), (16, 0), (32, 0)))
     for _, bits, count, room in forms:  # room for twice the correction, where it is as near with it
         found = _table(curve, count, bits, room=-room)
-        if sampled(curve, found) <= accuracy:
-            sure = replace(found, left=proved(curve, found, accuracy))
+        if corrections.sampled(curve, found) <= accuracy:
+            sure = replace(found, left=corrections.proved(curve, found, accuracy))
             if sure.left <= accuracy:
                 return sure
-    raise InputError(out_of_reach(curve, accuracy, "table", [_table(curve, SIZES[-1], 32)]))
+    raise InputError(corrections.out_of_reach(curve, accuracy, "table", [_table(curve, SIZES[-1], 32)]))
 
 
 def _table(curve: Curve, count: int, bits: int, power: int | None = None, room: int = 0) -> Grid:

@@ -221,18 +221,13 @@ def gather(
     passes = {label: own} | ({} if after is None else {after.name: after.read()})
     places = _maps(fit, survey)
     found = {key: _read(blocks, fit, survey, places, chosen) for key, blocks in passes.items()}
-    series = tuple(
-        series_of(
-            f"run {run}{', held out' if run in held_out(fit) else ''}",
-            fit.model.pose,
-            {key: traces[run] for key, (_, traces) in found.items()},
-            timed=survey.timed,
-            turning=fit.model.period,
-        )
-        for run in chosen
-    )
+    series, pose, period = [], fit.model.pose, fit.model.period
+    for run in chosen:
+        traces = {key: made[run] for key, (_, made) in found.items()}
+        title = f"run {run}{', held out' if run in held_out(fit) else ''}"
+        series.append(series_of(title, pose, traces, timed=survey.timed, turning=period))
     maps = [every for every, _ in found.values()]
-    return Gathered(survey, maps[0], series, maps[1] if after else ())
+    return Gathered(survey, maps[0], tuple(series), maps[1] if after else ())
 
 
 def _read(
@@ -251,11 +246,8 @@ def _read(
         if block.run in traces:
             time = block.data["t_s"] if survey.timed else np.zeros(errors.shape[1])
             traces[block.run].add(np.vstack([time, errors]))
-    filled = (
-        replace(m.frame, count=t.count, median=t.median, rms=t.rms)
-        for m, t in zip(places, tallies, strict=True)
-    )
-    return tuple(filled), traces
+    pairs = zip(places, tallies, strict=True)
+    return tuple(replace(m.frame, count=t.count, median=t.median, rms=t.rms) for m, t in pairs), traces
 
 
 def _maps(fit: Fit, survey: Survey) -> list[_Map]:

@@ -123,10 +123,8 @@ def _parameters(d: Diagnosis, fit: Fit | None) -> list[Any]:
 
 
 def _notes(d: Diagnosis) -> list[Item]:
-    smaller = [
-        f"{f.name}: significant, lowers the gap by {percent(f.shrinkage)}, less than the threshold"
-        for f in d.smaller_findings
-    ]
+    said = "significant, lowers the gap by {}, less than the threshold"
+    smaller = [f"{f.name}: {said.format(percent(f.shrinkage))}" for f in d.smaller_findings]
     untested = [f"{name}: not testable, {reason}" for name, reason in d.not_testable.items()]
     return [Item(words) for words in (*smaller, *untested, *d.notes)]
 
@@ -166,11 +164,7 @@ def typeset(text: str) -> str:
 
 def errors_section(d: Diagnosis) -> Section:
     """Return errors on the holdout runs beside the noise floor, as picture and tables."""
-    rows = gaps(d)
-    if changed(d):
-        drawn = {when: (when, gap) for when, gap in rows.items()}
-    else:
-        drawn = {"holdout": ("after", rows["holdout"])}
+    drawn = {when: ("after" if when == "holdout" else when, gap) for when, gap in gaps(d).items()}
     floor = d.noise_floor
     note = "On runs that took part in neither the fit nor the choice of effects. Dashed line: noise floor."
     content: list[Any] = [

@@ -103,7 +103,6 @@ def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
     """Return what the fit leaves and which parameters are not identifiable, worst news first."""
     where, gap = _judged(rows)
     on = {"held out": "on runs that were held out", "fitted": "on the runs that were fitted"}
-    floor = {c: v for c, v in fit.noise_floor.items() if v}
     each = partial(shared.each, turning=fit.model.period)
     ratio = _ratios(fit, gap)
     worst = max(ratio, key=lambda c: ratio[c], default=None)
@@ -113,16 +112,16 @@ def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
     elif ratio[worst] <= NEAR:
         text += ", no more than the noise floor explains."
     else:
+        floor = each({c: v for c, v in fit.noise_floor.items() if v})
         text += (
-            f"; the noise floor is {each(floor)}: {name(worst)} is {ratio[worst]:.2g} times as much, "
-            "so there is more in the machine than in this model, or more noise than stated."
+            f"; the noise floor is {floor}: {name(worst)} is {ratio[worst]:.2g} times as much, so there is "
+            "more in the machine than in this model, or more noise than stated."
         )
     return " ".join(filter(None, (_amiss(fit), _unfinished(fit), text, _identifiable(fit))))
 
 
 def _ratios(fit: Fit, gap: Gap) -> dict[str, float]:
-    floor = {c: v for c, v in fit.noise_floor.items() if v}
-    return {c: gap["rmse"][c] / floor[c] for c in gap["rmse"] if floor.get(c)}
+    return {c: v / fit.noise_floor[c] for c, v in gap["rmse"].items() if fit.noise_floor.get(c)}
 
 
 def _judged(rows: Mapping[str, Gap]) -> tuple[str, Gap]:
@@ -196,10 +195,8 @@ def _errors(rows: Mapping[str, Gap], fit: Fit, same: bool) -> list[Any]:
 def _notes(log: Log, fit: Fit, found: Gathered, same: bool) -> list[str]:
     notes = list(fit.notes)
     if not same:
-        notes.append(
-            "This log is not the one that was fitted: the zero deviations of each run were estimated from "
-            "that run."
-        )
+        other = "This log is not the one that was fitted: the zero deviations of each run were estimated"
+        notes.append(f"{other} from that run.")
     gone = found.survey.n_rejected
     if gone:
         notes.append(f"Maps and series leave {gone} isolated spikes out, as the fit did.")

@@ -114,26 +114,18 @@ def _bounded(fit: Fit) -> str:
 def _goodness(fit: Fit) -> str:
     """Cost per degree of freedom with its expected scatter, and where most is left."""
     cost, fitted = fit.solver["cost_per_degree_of_freedom"], fit.goodness
-    if fitted is None:
-        return f"goodness of fit: cost per degree of freedom {cost:.3f}{_too_small(fit)}"
-    more = ", more than noise" if fitted.significant else ""
-    return (
-        f"goodness of fit: cost per degree of freedom {cost:.3f} (expected 1 +- {fitted.scatter:.2g}, "
-        f"1 sigma){more}; most is left in {fitted.where}: "
-        f"{fitted.worst:.2f} x the noise" + _too_small(fit)
-    )
-
-
-def _too_small(fit: Fit) -> str:
-    """What a cost per degree of freedom well below 1 means."""
-    cost = fit.solver["cost_per_degree_of_freedom"]
+    said = f"goodness of fit: cost per degree of freedom {cost:.3f}"
+    if fitted is not None:
+        more = ", more than noise" if fitted.significant else ""
+        said += f" (expected 1 +- {fitted.scatter:.2g}, 1 sigma){more}; "
+        said += f"most is left in {fitted.where}: {fitted.worst:.2f} x the noise"
     if not 0 < cost < TOO_SMALL:
-        return ""
+        return said
     guessed = any(sigma.source == "estimated" for sigma in fit.noise.sigmas.values())
     what = "was estimated" if guessed else "is stated"
     why = ": motion from sample to sample was counted as noise; state it with --noise" if guessed else ""
     return (
-        f" (the noise {what} {cost**-0.5:.3g} x as large as what is left{why}; uncertainties and noise "
+        f"{said} (the noise {what} {cost**-0.5:.3g} x as large as what is left{why}; uncertainties and noise "
         "floor are too large by that)"
     )
 
@@ -186,8 +178,7 @@ def evaluation_head(found: Evaluation, *, by_run: bool = False) -> list[str]:
         rows |= {f"run {run}": found.table.over([run]) for run in found.table.runs}
     samples = int(found.table.count.sum())
     runs = f" in {counted(len(found.table.runs), 'run')}" if len(found.table.runs) > 1 else ""
-    stated = {s.source for s in found.noise.sigmas.values()}
-    source = "" if stated == {"given"} else "estimated"
+    source = "" if {s.source for s in found.noise.sigmas.values()} == {"given"} else "estimated"
     return [
         found.goodness.verdict,
         "",
