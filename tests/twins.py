@@ -132,7 +132,7 @@ class Chopped:
     table = SimpleNamespace(in_memory=False)
 
     def __init__(self, log: Log, sizes: Sequence[int]) -> None:
-        self.log, self.sizes = log, sizes
+        self.log, self.sizes, self.source = log, sizes, self
 
     def blocks(self, columns: Sequence[str], size: int = 65_536) -> Iterator[Block]:
         turn = 0

@@ -122,7 +122,7 @@ class RunStatistics:
             features=self.features.without_zeros,
             centre=self.centre,
             runs=(0,),
-            triangles=_triangle(rows.reshape(-1, rows.shape[-1]))[None],
+            triangles=_triangle(rows.reshape(1, -1, rows.shape[-1])),
             slopes=(share @ self.slopes)[None],
             counts=np.array([self.counts.sum()]),
             first_state=(share @ self.first_state)[None],
@@ -223,11 +223,12 @@ def _gather(
     """Add a batch to the runs it belongs to."""
     model, n = features.model, features.size
     pose, state = batch.columns(model.references), batch.columns(model.state)
-    rows = np.empty((len(batch), n + len(model.channels)))
-    rows[:, :n] = features.values(pose, state, at)[0].T
-    rows[:, n:] = np.transpose(batch.columns(model.channels))
+    columns = np.concatenate([features.values(pose, state, at)[0], batch.columns(model.channels)])
     if weights is not None:
-        rows *= np.sqrt(weights)[:, None]
+        columns *= np.sqrt(weights)
+    triangles: list[np.ndarray] = []
+    for group in batch.groups(len(batch.blocks)):  # zeros that fill up a block leave its triangle as it is
+        triangles += [*_triangle(np.transpose(batch.layout(*group)(columns), (1, 2, 0)))]
     weight = np.ones(len(batch)) if weights is None else weights
     states = np.array(state) if state else np.zeros((0, len(batch)))
     pick, edges = _sparse(batch)
@@ -238,7 +239,7 @@ def _gather(
         slopes *= features.std[:, None, None]
     for k, (block, part) in enumerate(batch.parts()):
         run = gathered.setdefault(block.run, _Run(states[:, part.start]))
-        run.add(rows[part], weight[part], states[:, part])
+        run.add(triangles[k], weight[part], states[:, part])
         here = pick[edges[k] : edges[k + 1]]
         run.add_slopes(slopes[:, :, edges[k] : edges[k + 1]], weight[here], features)
         if model.typical:
@@ -269,8 +270,8 @@ class _Run:
         self.count = 0.0
         self.state_sum: np.ndarray | float = 0.0
 
-    def add(self, rows: np.ndarray, weight: np.ndarray, states: np.ndarray) -> None:
-        self.triangle = _triangle(rows if self.triangle is None else np.vstack([self.triangle, rows]))
+    def add(self, triangle: np.ndarray, weight: np.ndarray, states: np.ndarray) -> None:
+        self.triangle = triangle if self.triangle is None else _r(np.vstack([self.triangle, triangle]))
         self.count += float(weight.sum())
         self.state_sum = self.state_sum + states @ weight
 
@@ -284,15 +285,14 @@ class _Run:
 
 
 def _triangle(rows: np.ndarray) -> np.ndarray:
-    """R factor of `rows`, padded to a square; tall blocks are reduced piece by piece."""
-    n = rows.shape[1]
+    """R factor of each of several blocks (b, rows, n), padded to squares; tall ones are reduced in pieces."""
+    b, _, n = rows.shape
     piece = max(PIECE // n, 2 * n)
-    while len(rows) > piece:
-        whole = len(rows) // piece
-        pieces = _r(rows[: whole * piece].reshape(whole, piece, n))
-        rows = np.vstack([pieces.reshape(-1, n), rows[whole * piece :]])
-    if len(rows) < n:
-        rows = np.vstack([rows, np.zeros((n - len(rows), n))])
+    while (whole := rows.shape[1] // piece) and rows.shape[1] > piece:
+        pieces = _r(rows[:, : whole * piece].reshape(b * whole, piece, n)).reshape(b, whole * n, n)
+        rows = np.concatenate([pieces, rows[:, whole * piece :]], axis=1)
+    if (few := n - rows.shape[1]) > 0:
+        rows = np.concatenate([rows, np.zeros((b, few, n))], axis=1)
     return _r(rows)
 
 

@@ -40,7 +40,7 @@ SETTLED = 1e-12
 """Relative decrease of the cost below which the peer stops."""
 AXES = {"x_m": 300e-6, "y_m": 500e-6, "rz_rad": 300e-6, "z_m": 1e-4, "rx_rad": 2e-4, "ry_rad": 2e-4}
 PACE = (1.0, 1.55, 1.25, 0.35, 0.45, 0.3)
-LATE_S = 1e-4
+LATE_S = 1e-3
 TURNS = 7
 HALBACH = Path(__file__).parents[2] / "data" / "halbach"
 Row = tuple[float, float, str]
@@ -170,7 +170,7 @@ def diagnosed(log: Log) -> Row:
 
 
 def skewed(runs: int) -> Log:
-    """The paper's machine with references that are late, at 1.2 times the noise floor or so."""
+    """The paper's machine with references that are late, at 1.2 times the noise floor."""
     late = effect_named("time_skew", MODEL)
     made = {"make": lambda model: late.added(model, "time_skew"), "parameters": {"tau_time_skew": LATE_S}}
     return log_of("stage", "white", runs, 5, **made)
