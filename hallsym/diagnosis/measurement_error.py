@@ -99,13 +99,15 @@ def shared_noise(
     for down, up in zip(work.batches(base.log), work.batches(noisy.log), strict=True):
         weights = down.weights(base.keep)
         part = None if weights is None else weights[::every]
-        (near, rows), (near2, rows2) = (work.columns(_thinned(b, every), part) for b in (up, down))
-        change = work.precision @ (near[-1] - near2[-1])
-        products = np.zeros((work.n + work.slopes.columns, change.shape[1]))
-        products[: work.n] = np.einsum("cks,ks->cs", near[work.z : own] - near2[work.z : own], change)
-        for k, at in enumerate(work.slopes.of_channel):
-            # a column has one row a channel
-            products[work.n + column[at]] += (rows[at] - rows2[at]) * change[k]
+        thinned = [_thinned(b, every) for b in (up, down)]
+        products = np.zeros((work.n + work.slopes.columns, len(thinned[0])))
+        for (moved, at), (still, _) in zip(*(b.pieces(work.most) for b in thinned), strict=True):
+            own_part = None if part is None else part[at]
+            (near, rows), (near2, rows2) = (work.columns(piece, own_part) for piece in (moved, still))
+            change = work.precision @ (near[-1] - near2[-1])
+            products[: work.n, at] = np.einsum("cks,ks->cs", near[work.z : own] - near2[work.z : own], change)
+            for k, of in enumerate(work.slopes.of_channel):  # a column has one row a channel
+                products[work.n + column[of], at] += (rows[of] - rows2[of]) * change[k]
         keys, first, counts = _stretches(up, seen, length)
         low = np.minimum(-(-np.array(first) // every), products.shape[1] - 1)
         high = np.minimum(-(-(np.array(first) + counts) // every), products.shape[1])

@@ -161,7 +161,7 @@ def _rows_of(
         [np.zeros(0, dtype=int), *(s.column + start for s, start in zip(each, starts[:-1], strict=True))]
     )
     order = np.lexsort((column, channel))
-    rows = ca.vertcat(*(s.rows for s in each))[order.tolist()] if len(order) else ca.SX(0, 1)
+    rows = ca.cse(ca.vertcat(*(s.rows for s in each))[order.tolist()]) if len(order) else ca.SX(0, 1)
     s = model.symbols
     state = {
         symbol.element_hash(): (name, symbol)
