@@ -46,7 +46,7 @@ def read(kind: str, data: Any, folder: Path) -> None:
         (folder / "calib.json").write_text(json.dumps(data))
         hallsym.load_fit(folder / "calib.json")
     elif kind == "diagnosis":
-        hallsym.Diagnosis.from_dict(data)
+        assert hallsym.Diagnosis.from_dict(data).to_dict() == data
     else:
         hallsym.Meta.from_dict(data)
 

@@ -326,16 +326,16 @@ class Diagnosis(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the diagnosis as plain JSON data."""
-        data: dict[str, Any] = plain(self)
+        data: dict[str, Any] = plain(self)  # of a record that was read it lacks what is at its default
         data["noise_floor"] = {**data["noise_floor"]["outputs"], "source": self.noise_floor.source}
         data["unexplained"] = data["unexplained"] or {}
         for wave in data["waves"]:
-            if not wave["coordinate"]:
-                del wave["coordinate"]
+            if not wave.get("coordinate"):
+                wave.pop("coordinate", None)
         if self.shrinkage.fewest == Policy.fewest:
-            del data["shrinkage"]["fewest"]
+            data["shrinkage"].pop("fewest", None)
         if self.held_out == "holdout run":
-            del data["held_out"]
+            data.pop("held_out", None)
         return data
 
     @classmethod
