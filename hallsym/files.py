@@ -1,17 +1,101 @@
-"""Writing files so that a reader sees the old one or the new one, never half of one."""
+"""Files: read behind one boundary, written whole or not at all, and never an output in the place of an input.
+
+Every reader opens its file in `reading`, and only calls of libraries stand inside: whatever they raise
+becomes one sentence, and what they return is judged outside, so that a mistake of ours is not taken for a
+damaged file. A file that is written appears under its name when it is complete: a reader sees the old one or
+the new one. What one command reads and writes is known by identity (`Task`).
+"""
 
 from __future__ import annotations
 
 import errno
 import json
 import os
+import stat
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
-from hallsym.errors import InputError, quoted, summary
-from hallsym.guard import check_output
+from hallsym.errors import InputError, nearest, quoted, summary
+
+Identity = tuple[int, int]
+"""Device and inode: what two names of one file share, through symbolic and hard links."""
+
+
+class Task:
+    """The files of one command, by identity; the values are the names they were given."""
+
+    def __init__(self) -> None:
+        """Begin without files."""
+        self.inputs: dict[Identity, str] = {}
+        self.outputs: dict[Identity, str] = {}
+
+
+_TASK: ContextVar[Task | None] = ContextVar("hallsym_task", default=None)
+
+
+@contextmanager
+def task() -> Iterator[Task]:
+    """Keep the inputs of what runs inside apart from its outputs; outside of a task nothing is refused."""
+    token = _TASK.set(Task())
+    try:
+        yield _TASK.get() or Task()
+    finally:
+        _TASK.reset(token)
+
+
+def announce(path: str | Path) -> None:
+    """Note a file that will be written, so that reading it is refused before anything is computed."""
+    known, identity = _TASK.get(), _identity(path)
+    if known is not None and identity and not os.path.isdir(path):
+        if identity in known.inputs:
+            raise _refused(path, known.inputs[identity])
+        known.outputs[identity] = str(path)
+
+
+def note_input(path: str | Path) -> None:
+    """Note a file that is read. Raises `InputError` for one that will be written."""
+    known, identity = _TASK.get(), _identity(path)
+    if known is not None and identity:
+        if identity in known.outputs:
+            raise _refused(known.outputs[identity], str(path))
+        known.inputs[identity] = str(path)
+
+
+def check_output(path: str | os.PathLike[str]) -> None:
+    """Refuse to write `path` where it is an input, or a folder that holds one."""
+    known = _TASK.get()
+    if known is None:
+        return
+    identity = _identity(path)
+    if identity in known.inputs:
+        raise _refused(path, known.inputs[identity])
+    if os.path.isdir(path):
+        folder = Path(os.path.realpath(path))
+        for name in known.inputs.values():
+            if folder in Path(os.path.realpath(name)).parents:
+                raise InputError(
+                    f"Output folder {quoted(path)} holds the input {quoted(name)}, which would be lost; "
+                    "give another folder."
+                )
+
+
+def _refused(output: str | os.PathLike[str], source: str) -> InputError:
+    return InputError(
+        f"Output {quoted(output)} is the input {quoted(source)}, which would be lost; give another name."
+    )
+
+
+def _identity(path: str | os.PathLike[str]) -> Identity | None:
+    try:
+        found = os.stat(path)
+    except (OSError, ValueError):
+        return None
+    return (found.st_dev, found.st_ino) if found.st_ino else None
+
 
 _REASONS = {
     errno.ENOSPC: "the disk is full; free some space or choose another folder",
@@ -91,3 +175,121 @@ def reason(error: Exception, *, reading: bool = False) -> str:
         return summary(error)  # a name with a null character, say
     known = _REASONS | _READING if reading else _REASONS
     return known.get(error.errno or 0, " ".join(error.strerror.split()).rstrip("."))
+
+
+NO_JSON = "cannot be read as JSON"
+MOST_NUMBER = 1e50
+"""Magnitude of a number in any file: powers up to the sixth of it are still numbers."""
+MOST_TEXT_BYTES = 256_000_000
+"""Bytes of a file that is read whole as text: a calibration of 10,000 runs has 2e6."""
+
+
+@contextmanager
+def reading(path: str | Path, what: str, fault: str, remedy: str = "copy it again") -> Iterator[None]:
+    """Turn whatever is raised inside into an `InputError`, and keep warnings of libraries quiet.
+
+    `what` names the file in messages ("Calibration"), `fault` is what is wrong with one that cannot be read
+    ("is not valid TOML"), `remedy` what to do. An `InputError` passes through.
+    """
+    name = f"{what} {quoted(path)}"
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except InputError:
+        raise
+    except MemoryError as error:
+        raise InputError(f"{name} needs more memory than there is; make it smaller, or {remedy}.") from error
+    except RecursionError as error:
+        raise InputError(f"{name} {fault} (it is nested too deeply); {remedy}.") from error
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno:
+            raise InputError(
+                f"Cannot read {what.lower()} {quoted(path)}: {reason(error, reading=True)}."
+            ) from error
+        raise InputError(f"{name} {fault} ({summary(error)}); {remedy}.") from error
+
+
+def regular(path: str | Path, what: str, make: str = "") -> Path:
+    """Return the path of a regular file; refuse one that is missing, a folder, a pipe or a device.
+
+    `make`: how such a file is made, for one that is missing. The file becomes an input of the command, which
+    no output may replace.
+    """
+    name = f"{what} {quoted(path)}"
+    try:
+        mode = os.stat(path).st_mode
+    except FileNotFoundError:
+        raise InputError(f"{name} does not exist{_neighbour(Path(path))}{make and f'; {make}'}.") from None
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"Cannot read {what.lower()} {quoted(path)}: {reason(error, reading=True)}."
+        ) from None
+    if stat.S_ISDIR(mode):
+        raise InputError(f"{name} is a folder; give the path of a file.")
+    if not stat.S_ISREG(mode):
+        raise InputError(f"{name} is a pipe or a device; give the path of a file (write the data to one).")
+    note_input(path)
+    return Path(path)
+
+
+def read_text(path: str | Path, what: str, fault: str, remedy: str, make: str = "") -> str:
+    """Return the text of a small UTF-8 file; `make` as in `regular`, the rest as in `reading`."""
+    file = regular(path, what, make)
+    with reading(path, what, fault, remedy):
+        if file.stat().st_size > MOST_TEXT_BYTES:
+            raise InputError(
+                f"{what} {quoted(path)} must have at most {MOST_TEXT_BYTES} bytes of text; it has "
+                f"{file.stat().st_size}, so it is something else: give another file."
+            )
+        return file.read_text(encoding="utf-8-sig")
+
+
+def read_json(path: str | Path, what: str, remedy: str, make: str = "") -> Any:
+    """Return what a JSON file holds; NaN, infinities and numbers beyond `MOST_NUMBER` are refused."""
+    text = read_text(path, what, NO_JSON, remedy, make)
+    with reading(path, what, NO_JSON, remedy):
+        data = json.loads(text, object_pairs_hook=_once, parse_constant=_no_number)
+    place = _too_large(data)
+    if place is not None:
+        raise InputError(
+            f"{what} {quoted(path)} must hold numbers of magnitude {MOST_NUMBER:g} at most; "
+            f"'{place.lstrip('.')}' is larger, so {remedy}."
+        )
+    return data
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the keys of an object; of one that stands there twice, JSON does not say which is meant."""
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"key {next(key for key in keys if keys.count(key) > 1)!r} is given twice")
+    return found
+
+
+def _no_number(text: str) -> Any:
+    raise ValueError(f"{text} is no number")
+
+
+def _too_large(data: Any) -> str | None:
+    """Return the place of a number whose square is none any more; None where there is no such number."""
+    if isinstance(data, dict | list):
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            if isinstance(value, str | bool) or value is None:
+                continue
+            if (place := _too_large(value)) is not None:
+                return f".{key}{place}"
+    elif isinstance(data, int | float) and abs(data) > MOST_NUMBER:
+        return ""
+    return None
+
+
+def _neighbour(path: Path) -> str:
+    """Return the nearest name in the folder of a file that does not exist."""
+    try:
+        if not path.parent.is_dir():
+            return f"; neither does its folder {quoted(path.parent)}"
+        return nearest(path.name, [entry.name for entry in path.parent.iterdir()])
+    except OSError:
+        return ""

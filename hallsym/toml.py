@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest, quoted
-from hallsym.reading import MOST_NUMBER, read_text, reading
+from hallsym.files import MOST_NUMBER, read_text, reading
 from hallsym.units import UNITS, split_unit
 
 

@@ -9,10 +9,9 @@ Needs numpy and casadi, nothing else, and nothing of hallsym.
 """
 
 from solvers.driver import SOLVERS, minimize, screened_starts
-from solvers.gauss_newton import gauss_newton
 from solvers.hybrid import EXPLORERS, hybrid
 from solvers.ipopt import ipopt
-from solvers.newton import newton
+from solvers.newton import gauss_newton, newton
 from solvers.problem import Population, Problem, Result
 
 __all__ = [

@@ -8,9 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hallsym.errors import LONGEST, InputError, one_line, quoted
-from hallsym.files import atomic_write, replacing
-from hallsym.guard import announce, check_output, note_input, task
-from hallsym.reading import read_json, read_text, reading
+from hallsym.files import (
+    announce,
+    atomic_write,
+    check_output,
+    note_input,
+    read_json,
+    read_text,
+    reading,
+    replacing,
+    task,
+)
 from hallsym.records import structured
 
 # -- messages --------------------------------------------------------------------------------------------

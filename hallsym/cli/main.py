@@ -13,8 +13,7 @@ from hallsym.cli import BAD_INPUT, BUG, INTERRUPTED, OK
 from hallsym.cli.parser import parser_of
 from hallsym.cli.progress import ended
 from hallsym.errors import InputError, one_line, quoted, summary
-from hallsym.files import reason
-from hallsym.guard import announce, task
+from hallsym.files import announce, reason, task
 
 DEBUG = "HALLSYM_DEBUG"
 """Environment variable that shows the traceback behind each sentence."""

@@ -15,8 +15,7 @@ from typing import Any
 from hallsym.codegen.naming import PREFIX
 from hallsym.codegen.templates import MARK
 from hallsym.errors import InputError, quoted
-from hallsym.files import reason, replacing
-from hallsym.guard import check_output
+from hallsym.files import check_output, reason, replacing
 
 MANIFEST = "manifest.json"
 """Lists what is generated in a folder, with the SHA-256 of each file."""

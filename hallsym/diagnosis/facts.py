@@ -12,12 +12,10 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from hallsym.diagnosis.p_values import beyond_one, statistic_at
+from hallsym.diagnosis.p_values import FLIPS, beyond_one, statistic_at
 from hallsym.diagnosis.policy import Policy
-from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residual_table import ROOM, ResidualTable, edges_of, means, slices, table_of
-from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.sign_flips import FLIPS
+from hallsym.diagnosis.residuals import NIL, Base
 from hallsym.diagnosis.survey import SEGMENT, Survey
 from hallsym.families.mechanisms import CUT, MAINS_HZ, MAINS_REACH_HZ
 from hallsym.log import Log

@@ -16,9 +16,8 @@ from scipy.special import chdtrc, fdtrc, fdtri, gammainc, stdtr
 from hallsym.diagnosis.p_values import as_often, beyond, statistic_at
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.record import Estimate
-from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residual_table import sums
-from hallsym.diagnosis.residuals import Base, pieces
+from hallsym.diagnosis.residuals import NIL, Base, pieces
 from hallsym.diagnosis.survey import TOLERANCE, WINDOW, Survey
 from hallsym.diagnosis.words import shown
 from hallsym.estimation import pseudo_inverse

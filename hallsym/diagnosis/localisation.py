@@ -2,7 +2,7 @@
 
 Coordinates are taken one after the other, the one that explains most of what is still there first, so that
 shares add up to at most the whole and nothing is said twice. Each share is counted on runs that the curve was
-not fitted on. Everything that is tried is tested with the same random signs of the runs (`sign_flips`), also
+not fitted on. Everything that is tried is tested with the same random signs of the runs (`p_values`), also
 the effects of the catalogue, and each p-value is corrected for all of it by the largest statistic of all.
 Frequencies and single runs are few numbers; they are corrected for their count (Bonferroni). An output or a
 sensor is named when it has more than its part: noise that is larger than it was stated is larger everywhere,
@@ -19,7 +19,7 @@ from hallsym.diagnosis.decoded_errors import DecodedErrors
 from hallsym.diagnosis.facts import change_points
 from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.measurement_error import WHITE, with_noise
-from hallsym.diagnosis.p_values import beyond, beyond_one, statistic_at
+from hallsym.diagnosis.p_values import Joint, beyond, beyond_one, of_means, statistic_at
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.record import Band, CurveShape, Size, Sizes, Statement
 from hallsym.diagnosis.residual_table import (
@@ -36,7 +36,6 @@ from hallsym.diagnosis.residual_table import (
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.scores import Score, by_name
 from hallsym.diagnosis.selection import Screened
-from hallsym.diagnosis.sign_flips import Joint, of_means
 from hallsym.diagnosis.words import percent, plain, shown
 from hallsym.estimation.calibration import coverage_factor
 from hallsym.model import LINKS

@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from hallsym.diagnosis.regression import NIL
-from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.residuals import NIL, Base
 from hallsym.estimation import pseudo_inverse, solve
 from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log

@@ -12,9 +12,9 @@ from itertools import pairwise
 import numpy as np
 
 from hallsym.diagnosis.normal_equations import UNITS
+from hallsym.diagnosis.p_values import stretch
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.residuals import Base, Piece, found_once, pieces
-from hallsym.diagnosis.sign_flips import stretch
 from hallsym.estimation.residual_noise import STILL
 from hallsym.families.mechanisms import MAINS_HZ
 from hallsym.log.quality.scan import FEWEST_SAMPLES

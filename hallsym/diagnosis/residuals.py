@@ -18,6 +18,11 @@ from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.derived import campaign_time, rate, run_time
 
+FOLDS = 11
+"""Groups of runs left out in turn; a prime, so that they do not fall in step with settings that recur."""
+NIL = 1e-9
+"""Relative squares below which a column is rounding: the model absorbs it, or it never moves."""
+
 
 @dataclass(frozen=True, eq=False)
 class Base:

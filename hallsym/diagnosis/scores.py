@@ -10,10 +10,9 @@ from scipy.special import chdtrc
 
 from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations, within_bounds
+from hallsym.diagnosis.p_values import Joint, SignFlips, least_p, memory, searched, stretch
 from hallsym.diagnosis.record import Significance
-from hallsym.diagnosis.regression import FOLDS, NIL
-from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.sign_flips import Joint, SignFlips, least_p, memory, searched, stretch
+from hallsym.diagnosis.residuals import FOLDS, NIL, Base
 from hallsym.diagnosis.survey import LEAST
 from hallsym.errors import InputError
 from hallsym.estimation import pseudo_inverse

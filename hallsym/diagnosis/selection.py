@@ -9,13 +9,13 @@ import numpy as np
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.faults import faults
 from hallsym.diagnosis.normal_equations import slopes_of
+from hallsym.diagnosis.p_values import memory
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.refit import Refitted, refit, with_effects, with_model
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score, Screen, by_name, candidates
 from hallsym.diagnosis.setup import Setup
-from hallsym.diagnosis.sign_flips import memory
 from hallsym.diagnosis.survey import Survey, memory_of_recording, spectrum_peak, survey
 from hallsym.model import Effect, Facts
 

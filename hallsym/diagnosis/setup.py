@@ -10,8 +10,7 @@ import numpy as np
 from hallsym.diagnosis.decoded_errors import FIRST, errors_of
 from hallsym.diagnosis.p_values import statistic_at
 from hallsym.diagnosis.policy import POLICY, Policy
-from hallsym.diagnosis.regression import FOLDS, NIL
-from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.residuals import FOLDS, NIL, Base
 from hallsym.errors import InputError, counted
 from hallsym.estimation import fit, noise_of
 from hallsym.estimation.calibration import Fit

@@ -17,11 +17,11 @@ from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost
 from hallsym.families import added_effects, build, known_effect
+from hallsym.files import read_json
 from hallsym.log import Foreign, Log, Meta, Noise, Sigma
 from hallsym.log.batches import Weigh
 from hallsym.model import Family, Model
 from hallsym.model.effect import read_text
-from hallsym.reading import read_json
 from hallsym.records import plain, schema_of, structured
 from hallsym.shown import Shown
 

@@ -25,7 +25,7 @@ from hallsym.estimation.identifiable import UNDETERMINED, Determination, linear_
 from hallsym.estimation.likelihood import Cost, Point
 from hallsym.model import Model
 from hallsym.model.influence import reading_slopes
-from hallsym.model.quantities import combination, linear
+from hallsym.model.model import combination, linear
 
 TOGETHER = 128
 """Runs that are computed at once: intermediate matrices of more cost memory and no time."""

@@ -23,7 +23,7 @@ from hallsym.estimation.decoding import columns_of
 from hallsym.estimation.goodness_of_fit import KNOWN, MAD, GoodnessOfFit, limit_of, uncertain
 from hallsym.estimation.likelihood import Point
 from hallsym.estimation.outliers import residual_of
-from hallsym.families.play import stop_operators
+from hallsym.families.mechanisms import stop_operators
 from hallsym.log import Log, Noise
 from hallsym.log.batches import Weigh, batches
 from hallsym.log.core import edges_of

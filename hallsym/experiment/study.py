@@ -13,7 +13,7 @@ from hallsym.experiment.ranges import Candidate, Ranges, candidates, corners
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.model.influence import influence
-from hallsym.model.quantities import combination
+from hallsym.model.model import combination
 from hallsym.simulation import Campaign, Run, Signal, simulate
 
 RIDGE = 1e-9

@@ -6,11 +6,11 @@ from typing import Any
 from hallsym.errors import InputError, nearest
 from hallsym.families import halbach, rotary, stage
 from hallsym.families.faults import FAULTS
+from hallsym.files import MOST_NUMBER
 from hallsym.log import Meta
 from hallsym.log.columns import is_moving, listed
 from hallsym.model import Effect, Family, Model
 from hallsym.model.effect import as_effect, read_text
-from hallsym.reading import MOST_NUMBER
 
 FAMILIES: tuple[Family, ...] = (stage.FAMILY, rotary.FAMILY, halbach.FAMILY, halbach.PLANAR)
 """Families whose models and effects have names on the command line; shared code asks `Model.family`."""

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hallsym.errors import InputError, quoted, summary
+from hallsym.files import regular
 from hallsym.model import Effect
 from hallsym.model.effect import as_effect
-from hallsym.reading import regular
 
 
 def load_effects(path: str | Path) -> tuple[Effect, ...]:

@@ -16,7 +16,7 @@ import scipy
 from hallsym.errors import InputError
 from hallsym.estimation import Cost, coverage_factor, least_information, refit, scales
 from hallsym.estimation.factors import unit_scale
-from hallsym.model.quantities import Quantity
+from hallsym.model.model import Quantity
 
 CHECKED = 10
 """Draws that are refitted at a time, to see how far off their one Newton step was."""

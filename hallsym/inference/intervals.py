@@ -13,7 +13,7 @@ from hallsym.estimation.likelihood import Cost
 from hallsym.inference.bootstrap import bootstrap
 from hallsym.inference.evidence import Evidence
 from hallsym.inference.profiles import Profile, normal_enough, profile, skewness
-from hallsym.model.quantities import Quantity, combination, linear, parameter
+from hallsym.model.model import Quantity, combination, linear, parameter
 from hallsym.terminal import Step
 
 CHOICES = ("auto", "all", "none")

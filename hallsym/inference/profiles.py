@@ -21,7 +21,7 @@ from hallsym.estimation.calibration import INTERVAL
 from hallsym.estimation.factors import pseudo_inverse
 from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.optimum import Scaled, scaled_around
-from hallsym.model.quantities import Quantity
+from hallsym.model.model import Quantity
 from hallsym.records import plain
 
 THRESHOLD = float(scipy.special.chdtri(1, 1 - INTERVAL))

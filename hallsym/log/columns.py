@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from hallsym.errors import InputError, nearest, quoted
-from hallsym.reading import MOST_NUMBER
+from hallsym.files import MOST_NUMBER
 from hallsym.toml import Table
 from hallsym.units import UNITS, Array, quantity, require_unit, si_name, split_unit
 

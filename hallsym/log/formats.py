@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest, quoted
+from hallsym.files import reading, regular
 from hallsym.log.arrow import is_table, source_of
 from hallsym.log.columns import (
     RUN,
@@ -36,7 +37,6 @@ from hallsym.log.meta import Meta, Noise, check_misspelt_noise, check_noise_keys
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
 from hallsym.log.text.sniff import stated_delimiter
-from hallsym.reading import reading, regular
 from hallsym.units import Array, split_unit
 
 

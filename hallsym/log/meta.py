@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from hallsym.errors import InputError, nearest, quoted
-from hallsym.reading import read_json
+from hallsym.files import read_json
 from hallsym.records import schema_of, structured
 from hallsym.units import UNITS, quantity, split_unit
 

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, quoted
-from hallsym.files import write_json
-from hallsym.reading import read_json, reading
+from hallsym.files import read_json, reading, write_json
 from hallsym.trajectory.factorisation import BASES, Basis
 
 Array = np.ndarray

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from hallsym.errors import InputError, quoted
-from hallsym.reading import read_text, reading
+from hallsym.files import read_text, reading
 from hallsym.trajectory.factorisation import check_increasing
 from hallsym.trajectory.nominal import COORDINATES
 from hallsym.units import si_name, split_unit

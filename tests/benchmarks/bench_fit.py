@@ -28,7 +28,7 @@ from hallsym.inference import identify
 from hallsym.inference.bootstrap import bootstrap
 from hallsym.inference.profiles import profile, tangent
 from hallsym.log import Log, Noise
-from hallsym.model.quantities import combination, parameter
+from hallsym.model.model import combination, parameter
 from hallsym.simulation import NoiseModel, paper_campaign, simulate, table8_noise
 
 MODEL = build("stage31")

@@ -13,7 +13,7 @@ from hallsym.diagnosis.curves import coordinates
 from hallsym.diagnosis.refit import refit, with_model
 from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.selection import select
-from hallsym.diagnosis.shrinkage import Judged, foreseen, groups_of
+from hallsym.diagnosis.validation import Judged, foreseen, groups_of
 from hallsym.families import effects
 from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.log import Log

@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from hallsym.diagnosis import POLICY, diagnose, prepare
-from hallsym.diagnosis.regression import others
+from hallsym.diagnosis.curves import others
 from hallsym.diagnosis.setup import split
 from hallsym.errors import InputError
 from hallsym.estimation import fit

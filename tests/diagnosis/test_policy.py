@@ -26,6 +26,7 @@ from hallsym.diagnosis.curves import LackOfFit, Shape
 from hallsym.diagnosis.facts import facts_of, switched_runs
 from hallsym.diagnosis.faults import of_samples
 from hallsym.diagnosis.localisation import clear
+from hallsym.diagnosis.p_values import clusters, memory, stretch
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.refit import refit, with_model
 from hallsym.diagnosis.report import confusable, smaller_findings
@@ -33,7 +34,6 @@ from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.scores import Score
 from hallsym.diagnosis.selection import Exact, Selection, cancels, ordered, refitted, select
 from hallsym.diagnosis.setup import Floor, Setup
-from hallsym.diagnosis.sign_flips import clusters, memory, stretch
 from hallsym.diagnosis.survey import spectrum_peak, survey
 from hallsym.diagnosis.validation import decide, remains
 from hallsym.families import effect_named

@@ -18,9 +18,9 @@ import hallsym
 from hallsym.diagnosis import POLICY, diagnose
 from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.normal_equations import normal_equations
+from hallsym.diagnosis.p_values import Joint, SignFlips, clusters, memory, searched, stretch
 from hallsym.diagnosis.scores import candidates
 from hallsym.diagnosis.setup import base_of
-from hallsym.diagnosis.sign_flips import Joint, SignFlips, clusters, memory, searched, stretch
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log

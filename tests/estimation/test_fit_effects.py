@@ -19,8 +19,7 @@ from hallsym.estimation.evaluate import judged
 from hallsym.estimation.factors import summarise_at
 from hallsym.families import adapted, build, effects
 from hallsym.families.faults import FAULTS
-from hallsym.families.mechanisms import nonlinearity, port
-from hallsym.families.play import stop_state, travel
+from hallsym.families.mechanisms import nonlinearity, port, stop_state, travel
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
 from hallsym.model import Parameter

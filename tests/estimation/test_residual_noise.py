@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 import hallsym
 from hallsym.estimation import Residual, autoregressive, noise_at, residual_noise
 from hallsym.estimation.residual_noise import ResidualNoise
-from hallsym.families.play import stop_operators
+from hallsym.families.mechanisms import stop_operators
 from hallsym.log import Noise
 
 CHANNELS = ("a", "b", "c")

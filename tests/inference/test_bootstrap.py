@@ -9,7 +9,7 @@ from twins import SIGMAS, cost_on, record, true_model, with_noise
 from hallsym.errors import InputError
 from hallsym.estimation import Cost, Determination, cost_of, determine, inverse, refit, uncertainty
 from hallsym.inference.bootstrap import Bootstrap, bootstrap
-from hallsym.model.quantities import combination, linear, parameter
+from hallsym.model.model import combination, linear, parameter
 
 MODEL = true_model()
 

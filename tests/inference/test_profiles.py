@@ -12,7 +12,7 @@ from twins import SIGMAS, cost_on, record, true_model, with_noise
 from hallsym.estimation import Cost, Determination, Uncertainty, determine, refit, uncertainty
 from hallsym.inference.profiles import Profile, normal_enough, profile, skewness, tangent
 from hallsym.model import Model
-from hallsym.model.quantities import Quantity, combination, linear, parameter
+from hallsym.model.model import Quantity, combination, linear, parameter
 
 MODEL = true_model()
 THRESHOLD = float(chi2.ppf(0.95, 1))

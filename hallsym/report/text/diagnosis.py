@@ -174,7 +174,7 @@ def shrinks_text(d: Diagnosis) -> str:
     """Return how far the error falls, on the holdout runs and over all runs, so that the two are told apart.
 
     The sizes before and after are of the holdout runs. The shrinkage and its interval are of all runs that
-    judge, each by a fit that left its group out (`hallsym.diagnosis.shrinkage`).
+    judge, each by a fit that left its group out (`hallsym.diagnosis.validation`).
     """
     s, piece, judges = d.shrinkage, piece_of(d), len(d.validation_runs)
     held = d.held_out if judges == 1 else counted(judges, d.held_out)

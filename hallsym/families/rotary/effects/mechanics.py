@@ -8,8 +8,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.families.mechanisms import P, free
-from hallsym.families.play import stop_operator, travel
+from hallsym.families.mechanisms import P, free, stop_operator, travel
 from hallsym.families.rotary.effects.field import field_harmonics
 from hallsym.families.rotary.effects.parts import (
     LATE,

@@ -5,8 +5,7 @@ from collections.abc import Callable, Mapping
 import casadi as ca
 import numpy as np
 
-from hallsym.families.mechanisms import P, add_terms, bends, free
-from hallsym.families.play import stop_state, travel
+from hallsym.families.mechanisms import P, add_terms, bends, free, stop_state, travel
 from hallsym.families.stage.effects.parts import AXES, SENSED, UNIT, across, labels
 from hallsym.model import Model, Parameter, Signals, Way, effect
 from hallsym.model.arguments import one_of, searched
