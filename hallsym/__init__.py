@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from hallsym.diagnosis import diagnose as diagnose
     from hallsym.diagnosis import diagnosis_schema as diagnosis_schema
     from hallsym.errors import InputError as InputError
-    from hallsym.estimation import ErrorTable as ErrorTable
     from hallsym.estimation import Evaluation as Evaluation
     from hallsym.estimation import Fit as Fit
     from hallsym.estimation import calibration_schema as calibration_schema
     from hallsym.estimation import evaluate as evaluate
     from hallsym.estimation import fit as fit
     from hallsym.estimation import load_fit as load_fit
-    from hallsym.estimation import refit as refit
+    from hallsym.estimation.decoding import ErrorTable as ErrorTable
+    from hallsym.estimation.optimum import refit as refit
     from hallsym.experiment import Plan as Plan
     from hallsym.experiment import Ranges as Ranges
     from hallsym.experiment import paper_ranges as paper_ranges

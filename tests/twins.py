@@ -11,7 +11,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from hallsym.estimation import Cost, cost_of, summarise
+from hallsym.estimation.factors import summarise
+from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.families import build, published
 from hallsym.log import Block, Log, Noise, Sigma
 from hallsym.model import Model

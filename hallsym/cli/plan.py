@@ -5,7 +5,8 @@ from typing import Any
 
 from hallsym.cli import OK, common
 from hallsym.errors import InputError
-from hallsym.estimation import fit, load_fit, noise_of
+from hallsym.estimation import fit, load_fit
+from hallsym.estimation.task import noise_of
 from hallsym.experiment import CRITERIA, Ranges, paper_ranges, plan, read_ranges
 from hallsym.families.machine_file import Machine, read_machine
 from hallsym.log import Log

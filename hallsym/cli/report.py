@@ -7,7 +7,9 @@ from typing import Any
 
 from hallsym.cli import OK
 from hallsym.cli.common import command, log_options, open_log, own_effects, own_option, reading_words, say
-from hallsym.estimation import as_read, load_fit, logged_columns
+from hallsym.estimation import load_fit
+from hallsym.estimation.decoding import logged_columns
+from hallsym.estimation.plausible import as_read
 from hallsym.files import atomic_write
 from hallsym.log import check_log
 from hallsym.report.page.fit_page import fit_page

@@ -16,8 +16,8 @@ import casadi as ca
 import numpy as np
 
 from hallsym.diagnosis.residuals import NIL, Base
-from hallsym.estimation import pseudo_inverse, solve
 from hallsym.estimation.decoding import columns_of
+from hallsym.estimation.factors import pseudo_inverse, solve
 from hallsym.log import Log
 from hallsym.log.batches import Batch, batches
 from hallsym.log.derived import extended

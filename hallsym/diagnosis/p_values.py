@@ -24,7 +24,7 @@ from scipy.special import bdtrc, chdtri, log_ndtr, ndtri, stdtr
 from hallsym.diagnosis.normal_equations import NormalEquations
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.residuals import NIL
-from hallsym.estimation import pseudo_inverse
+from hallsym.estimation.factors import pseudo_inverse
 
 
 def statistic_at(p: float, freedom: float) -> float:

@@ -7,7 +7,7 @@ as a rank tolerance, stays beside the code that uses it.
 
 from dataclasses import dataclass
 
-from hallsym.estimation import WORTH_REPORTING
+from hallsym.estimation.goodness_of_fit import WORTH_REPORTING
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations, within_bounds
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.scores import bic
-from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.covariance import AT_BOUND
+from hallsym.estimation.factors import pseudo_inverse
 from hallsym.estimation.optimum import DROP, PASSES
 from hallsym.model import Model, Variant
 from solvers import gauss_newton

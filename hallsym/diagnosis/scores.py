@@ -15,8 +15,8 @@ from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.residuals import FOLDS, NIL, Base
 from hallsym.diagnosis.survey import LEAST
 from hallsym.errors import InputError
-from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.decoding import columns_of
+from hallsym.estimation.factors import pseudo_inverse
 from hallsym.model import Effect, Facts, Model, Variant
 
 Values = float | np.ndarray

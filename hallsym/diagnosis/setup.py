@@ -12,13 +12,14 @@ from hallsym.diagnosis.p_values import statistic_at
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.residuals import FOLDS, NIL, Base
 from hallsym.errors import InputError, counted
-from hallsym.estimation import fit, noise_of
+from hallsym.estimation import fit
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.decoding import knows_rails, logged_columns
 from hallsym.estimation.goodness_of_fit import noise_floor
 from hallsym.estimation.likelihood import Point, cost_near
 from hallsym.estimation.outliers import beside_rails
 from hallsym.estimation.plausible import Wiring, as_read
+from hallsym.estimation.task import noise_of
 from hallsym.families import build, default_model
 from hallsym.families.faults import FAULTS
 from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, require
-from hallsym.estimation import columns_of, cost_near, noise_of
+from hallsym.estimation.decoding import columns_of
+from hallsym.estimation.likelihood import cost_near
+from hallsym.estimation.task import noise_of
 from hallsym.experiment.criteria import CRITERIA
 from hallsym.experiment.ranges import Ranges
 from hallsym.experiment.study import Study, Worst, study

@@ -7,7 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.estimation import Cost, cost_near, least_information, scales, structural_directions
+from hallsym.estimation.identifiable import least_information, scales, structural_directions
+from hallsym.estimation.likelihood import Cost, cost_near
 from hallsym.experiment.criteria import Criterion, choose, criterion, greedy
 from hallsym.experiment.ranges import Candidate, Ranges, candidates, corners
 from hallsym.log import Log

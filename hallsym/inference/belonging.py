@@ -16,10 +16,12 @@ import numpy as np
 from scipy.special import chdtrc, erfc, fdtrc, ndtri, stdtr
 
 from hallsym.errors import require
-from hallsym.estimation import Evaluation, Fit, GoodnessOfFit, fit, noise_at
+from hallsym.estimation import Evaluation, Fit, fit
 from hallsym.estimation.calibration import coverage_factor
 from hallsym.estimation.covariance import BY_RUNS
 from hallsym.estimation.factors import SINGULAR, pseudo_inverse, unit_scale
+from hallsym.estimation.goodness_of_fit import GoodnessOfFit
+from hallsym.estimation.residual_noise import noise_at
 from hallsym.log import Noise, Sigma
 
 FALSE_ALARM = 1 / 500

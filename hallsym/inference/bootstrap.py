@@ -14,8 +14,11 @@ import numpy as np
 import scipy
 
 from hallsym.errors import InputError
-from hallsym.estimation import Cost, coverage_factor, least_information, refit, scales
+from hallsym.estimation.calibration import coverage_factor
 from hallsym.estimation.factors import unit_scale
+from hallsym.estimation.identifiable import least_information, scales
+from hallsym.estimation.likelihood import Cost
+from hallsym.estimation.optimum import refit
 from hallsym.model.model import Quantity
 
 CHECKED = 10

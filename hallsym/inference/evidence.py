@@ -8,19 +8,12 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.estimation import (
-    Cost,
-    Determination,
-    Fit,
-    Uncertainty,
-    as_read,
-    cost_near,
-    fit,
-    uncertainty,
-)
+from hallsym.estimation import Fit, fit
+from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.decoding import columns_of
-from hallsym.estimation.identifiable import determine_at
-from hallsym.estimation.likelihood import Point
+from hallsym.estimation.identifiable import Determination, determine_at
+from hallsym.estimation.likelihood import Cost, Point, cost_near
+from hallsym.estimation.plausible import as_read
 from hallsym.families import same_layout
 from hallsym.log import Log
 from hallsym.log.batches import batches

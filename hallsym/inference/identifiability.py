@@ -10,22 +10,21 @@ import numpy as np
 import scipy
 
 from hallsym.errors import InputError
-from hallsym.estimation import (
-    CombinationEstimate,
-    Cost,
-    Fit,
-    cost_near,
-    coverage_factor,
+from hallsym.estimation import Fit
+from hallsym.estimation.calibration import CombinationEstimate, coverage_factor
+from hallsym.estimation.decoding import logged_columns
+from hallsym.estimation.factors import eliminate
+from hallsym.estimation.goodness_of_fit import noise_floor
+from hallsym.estimation.identifiable import (
+    MOVING,
+    echelon,
     feature_scale,
     least_information,
-    noise_floor,
     scales,
     structural_directions,
     structural_null,
 )
-from hallsym.estimation.decoding import logged_columns
-from hallsym.estimation.factors import eliminate
-from hallsym.estimation.identifiable import MOVING, echelon
+from hallsym.estimation.likelihood import Cost, cost_near
 from hallsym.inference.evidence import Evidence, from_fit, from_plan, visited
 from hallsym.inference.intervals import Interval, Intervals, intervals_of
 from hallsym.log import Log, as_log

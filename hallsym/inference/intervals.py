@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hallsym.errors import require
-from hallsym.estimation import MANY, coverage_factor
+from hallsym.estimation.calibration import MANY, coverage_factor
 from hallsym.estimation.covariance import BY_RUNS
 from hallsym.estimation.factors import inverse
 from hallsym.estimation.likelihood import Cost

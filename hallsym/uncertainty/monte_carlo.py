@@ -14,7 +14,8 @@ import numpy as np
 from scipy.special import chdtri, ndtr
 
 from hallsym.errors import InputError, require
-from hallsym.estimation import Fit, decoder
+from hallsym.estimation import Fit
+from hallsym.estimation.decoding import decoder
 from hallsym.uncertainty.gum import Budget
 from hallsym.uncertainty.inputs import (
     Settings,

@@ -21,8 +21,11 @@ import casadi as ca
 import numpy as np
 from scipy import optimize, sparse
 
-from hallsym.estimation import Cost, Fit, cost_of, determine, fit, refit, summarise
-from hallsym.estimation.optimum import closed_form, linear_fit
+from hallsym.estimation import Fit, fit
+from hallsym.estimation.factors import summarise
+from hallsym.estimation.identifiable import determine
+from hallsym.estimation.likelihood import Cost, cost_of
+from hallsym.estimation.optimum import closed_form, linear_fit, refit
 from hallsym.families import build, published
 from hallsym.inference import identify
 from hallsym.inference.bootstrap import bootstrap

@@ -13,8 +13,11 @@ import numpy as np
 
 import hallsym
 import solvers
-from hallsym.estimation import cost_of, determine, noise_of, summarise
+from hallsym.estimation.factors import summarise
+from hallsym.estimation.identifiable import determine
+from hallsym.estimation.likelihood import cost_of
 from hallsym.estimation.optimum import closed_form, linear_fit
+from hallsym.estimation.task import noise_of
 
 BUDGET, SIZE, KEEP, SAME = 20_100, 100, 3, 1e-6
 

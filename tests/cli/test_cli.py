@@ -352,7 +352,7 @@ def test_help_of_every_command(capsys):
 
 
 def test_ctrl_c_in_the_global_stage_keeps_the_best_so_far(capsys, written, tmp_path, monkeypatch):
-    from hallsym.estimation import Cost
+    from hallsym.estimation.likelihood import Cost
 
     whole, calls = Cost.population, []
 

@@ -23,7 +23,8 @@ from hallsym.diagnosis.p_values import as_often
 from hallsym.diagnosis.scores import candidates
 from hallsym.diagnosis.setup import base_of
 from hallsym.diagnosis.survey import Survey, survey
-from hallsym.estimation import columns_of, rewired
+from hallsym.estimation.decoding import columns_of
+from hallsym.estimation.plausible import rewired
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Batch, Block, Log, batches

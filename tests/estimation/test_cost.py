@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from twins import COLUMNS, HALL, SIGMAS, cost_on, phi, pm, record, true_model, with_noise
 
-from hallsym.estimation import cost_of, summarise
+from hallsym.estimation.factors import summarise
+from hallsym.estimation.likelihood import cost_of
 from hallsym.families import build
 from hallsym.log import Log
 
@@ -172,7 +173,7 @@ def test_noisy_references_do_not_bias_the_gains():
     seeds scatters by a few 1e-4, so a bias of 4 of its standard errors would be seen, and plain least
     squares (columns without variance) is out by more than 10.
     """
-    from hallsym.estimation import refit
+    from hallsym.estimation.optimum import refit
 
     model = true_model()
     sigma = {**SIGMAS, "x_ref_m": 20e-6, "y_ref_m": 20e-6, "rz_ref_rad": 20e-6}

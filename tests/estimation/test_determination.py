@@ -4,8 +4,15 @@ import numpy as np
 import pytest
 from twins import SIGMAS, TRUTH, combinations_of_effects, cost_on, phi, record, true_model, with_noise
 
-from hallsym.estimation import Coefficients, determine, fit, scales, structural_null
-from hallsym.estimation.identifiable import linear_combinations, structural_rank
+from hallsym.estimation import fit
+from hallsym.estimation.identifiable import (
+    determine,
+    linear_combinations,
+    scales,
+    structural_null,
+    structural_rank,
+)
+from hallsym.estimation.likelihood import Coefficients
 from hallsym.families import build
 from hallsym.model import find_features
 from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simulate

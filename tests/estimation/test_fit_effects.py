@@ -14,9 +14,10 @@ import hallsym
 from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose, load_effects, model_on
 from hallsym.errors import InputError
-from hallsym.estimation import cost_near, cost_of, error_tables, exact, zeros_of
+from hallsym.estimation.decoding import error_tables
 from hallsym.estimation.evaluate import judged
-from hallsym.estimation.factors import summarise_at
+from hallsym.estimation.factors import exact, summarise_at
+from hallsym.estimation.likelihood import cost_near, cost_of, zeros_of
 from hallsym.families import adapted, build, effects
 from hallsym.families.faults import FAULTS
 from hallsym.families.mechanisms import nonlinearity, port, stop_state, travel

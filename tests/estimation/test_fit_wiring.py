@@ -7,7 +7,9 @@ import pytest
 from twins import COLUMNS, HALL, SIGMAS, record, same, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation import cost_of, fit, summarise
+from hallsym.estimation import fit
+from hallsym.estimation.factors import summarise
+from hallsym.estimation.likelihood import cost_of
 from hallsym.estimation.plausible import responses_of, wiring_of
 from hallsym.families.stage.models import stage31
 from hallsym.log.quality.gains import judge_gains

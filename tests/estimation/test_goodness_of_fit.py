@@ -10,8 +10,9 @@ from scipy.stats import chi2
 from twins import COLUMNS, HALL, SIGMAS, cost_on, record, true_model, with_noise
 
 from hallsym import bundled_campaign, fit, load_fit, read_log
-from hallsym.estimation import lower_bound, refit
 from hallsym.estimation.goodness_of_fit import goodness_of
+from hallsym.estimation.optimum import refit
+from hallsym.estimation.task import lower_bound
 from hallsym.log import Log, Meta, Noise, Sigma
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -8,7 +8,7 @@ import pytest
 from nist import MODELS, Certified, sets
 
 import solvers
-from hallsym.estimation import inverse
+from hallsym.estimation.factors import inverse
 
 DIGITS = 1e-6
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from hallsym.estimation import inverse, pseudo_inverse, solve
-from hallsym.estimation.factors import eliminate
+from hallsym.estimation.factors import eliminate, inverse, pseudo_inverse, solve
 
 RUNS, OFFSETS, SHARED = 6, 3, 5
 UNITS = 10.0 ** np.array([-6, -6, -6, 0, 3, -7, 5, 0])

@@ -8,8 +8,13 @@ from gap_twins import SIGMA, Motion, machine
 from scipy.signal import lfilter
 
 import hallsym
-from hallsym.estimation import Residual, autoregressive, noise_at, residual_noise
-from hallsym.estimation.residual_noise import ResidualNoise
+from hallsym.estimation.residual_noise import (
+    Residual,
+    ResidualNoise,
+    autoregressive,
+    noise_at,
+    residual_noise,
+)
 from hallsym.families.mechanisms import stop_operators
 from hallsym.log import Noise
 

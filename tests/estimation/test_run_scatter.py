@@ -7,8 +7,10 @@ import pytest
 from scipy.signal import lfilter
 from twins import HALL, SIGMAS, campaign, cost_on, true_model, truth_of, with_noise
 
-from hallsym.estimation import coverage_factor, determine, refit, uncertainty
-from hallsym.estimation.covariance import RunScatter
+from hallsym.estimation.calibration import coverage_factor
+from hallsym.estimation.covariance import RunScatter, uncertainty
+from hallsym.estimation.identifiable import determine
+from hallsym.estimation.optimum import refit
 from hallsym.simulation import NoiseModel, simulate
 
 SETTINGS = {"57 runs": range(57), "12 runs": range(12), "6 runs": range(6)}

@@ -6,8 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from twins import SIGMAS, Chopped, cost_on, record, true_model, with_noise
 
-from hallsym.estimation import cost_of, determine, refit, summarise
-from hallsym.estimation.factors import RunStatistics
+from hallsym.estimation.factors import RunStatistics, summarise
+from hallsym.estimation.identifiable import determine
+from hallsym.estimation.likelihood import cost_of
+from hallsym.estimation.optimum import refit
 from hallsym.log import Log
 
 EXACT_STATE = {**SIGMAS, "z_m": 0.0, "rx_rad": 0.0, "ry_rad": 0.0}

@@ -6,8 +6,9 @@ from twins import SIGMAS, TRUTH, campaign, record, truth_of, with_noise
 
 from hallsym.cli.main import main
 from hallsym.errors import InputError
-from hallsym.estimation import cost_of, fit, load_fit, summarise
-from hallsym.estimation.factors import joined
+from hallsym.estimation import fit, load_fit
+from hallsym.estimation.factors import joined, summarise
+from hallsym.estimation.likelihood import cost_of
 from hallsym.estimation.several import Sharing, joint_cost, own_name
 from hallsym.families import build
 from hallsym.log import Log, Meta, write_log

@@ -4,16 +4,13 @@ import numpy as np
 import pytest
 from twins import COLUMNS, HALL, SIGMAS, TRUTH, cost_on, phi, pm, record, true_model, with_noise
 
-from hallsym.estimation import (
-    Uncertainty,
-    cost_of,
-    coverage_factor,
-    determine,
-    noise_floor,
-    refit,
-    summarise,
-    uncertainty,
-)
+from hallsym.estimation.calibration import coverage_factor
+from hallsym.estimation.covariance import Uncertainty, uncertainty
+from hallsym.estimation.factors import summarise
+from hallsym.estimation.goodness_of_fit import noise_floor
+from hallsym.estimation.identifiable import determine
+from hallsym.estimation.likelihood import cost_of
+from hallsym.estimation.optimum import refit
 
 MODEL = true_model()
 
@@ -83,7 +80,7 @@ def test_noise_floor_is_what_the_true_parameters_leave():
     """Decoded pose minus reference at the truth, 57 x 200 samples: RMSE known to 0.7 %."""
     from twins import campaign
 
-    from hallsym.estimation import error_tables
+    from hallsym.estimation.decoding import error_tables
 
     log = with_noise(record(seed=9, samples=200))
     runs = campaign(200).runs

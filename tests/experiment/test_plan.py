@@ -9,7 +9,10 @@ from hypothesis import strategies as st
 from twins import COLUMNS, SIGMAS, TRUTH, phi, pm, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation import cost_of, determine, refit, scales, summarise
+from hallsym.estimation.factors import summarise
+from hallsym.estimation.identifiable import determine, scales
+from hallsym.estimation.likelihood import cost_of
+from hallsym.estimation.optimum import refit
 from hallsym.experiment import CRITERIA, paper_ranges, plan
 from hallsym.experiment.ranges import candidates
 from hallsym.experiment.study import planned_cost

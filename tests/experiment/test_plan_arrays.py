@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hallsym.estimation import cost_near, fit
+from hallsym.estimation import fit
+from hallsym.estimation.likelihood import cost_near
 from hallsym.experiment import Ranges, plan
 from hallsym.families import build
 from hallsym.log import Log, Noise

@@ -7,7 +7,7 @@ from halbach_plant import BR, magnets, readings, rotation
 
 import hallsym
 from hallsym import InputError, Log, Noise
-from hallsym.estimation import decoding_gain
+from hallsym.estimation.decoding import decoding_gain
 from hallsym.families.halbach import PLANAR, planar
 from hallsym.families.halbach.effects import planar_ends
 from hallsym.families.halbach.effects.ends import strength

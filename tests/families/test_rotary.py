@@ -11,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hallsym
-from hallsym.estimation import cost_of, refit, summarise
 from hallsym.estimation.evaluate import judged
+from hallsym.estimation.factors import summarise
+from hallsym.estimation.likelihood import cost_of
+from hallsym.estimation.optimum import refit
 from hallsym.families.cordic import cordic_angle
 from hallsym.families.published import table
 from hallsym.families.rotary import FAMILY

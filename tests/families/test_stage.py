@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from twins import EPS, TRUTH, combinations_of_effects, inside, phi, phi_size, pm
 
 from hallsym.errors import InputError
-from hallsym.estimation import error_tables
+from hallsym.estimation.decoding import error_tables
 from hallsym.families import build
 from hallsym.families.stage.models import (
     Probe,

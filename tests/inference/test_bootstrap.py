@@ -7,7 +7,11 @@ import pytest
 from twins import SIGMAS, cost_on, record, true_model, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation import Cost, Determination, cost_of, determine, inverse, refit, uncertainty
+from hallsym.estimation.covariance import uncertainty
+from hallsym.estimation.factors import inverse
+from hallsym.estimation.identifiable import Determination, determine
+from hallsym.estimation.likelihood import Cost, cost_of
+from hallsym.estimation.optimum import refit
 from hallsym.inference.bootstrap import Bootstrap, bootstrap
 from hallsym.model.model import combination, linear, parameter
 

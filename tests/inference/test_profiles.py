@@ -9,7 +9,10 @@ import pytest
 from scipy.stats import chi2
 from twins import SIGMAS, cost_on, record, true_model, with_noise
 
-from hallsym.estimation import Cost, Determination, Uncertainty, determine, refit, uncertainty
+from hallsym.estimation.covariance import Uncertainty, uncertainty
+from hallsym.estimation.identifiable import Determination, determine
+from hallsym.estimation.likelihood import Cost
+from hallsym.estimation.optimum import refit
 from hallsym.inference.profiles import Profile, normal_enough, profile, skewness, tangent
 from hallsym.model import Model
 from hallsym.model.model import Quantity, combination, linear, parameter

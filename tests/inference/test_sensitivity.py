@@ -123,7 +123,7 @@ def test_a_fixed_parameter_is_said_to_be_fixed_and_one_at_its_bound_to_be_there(
 
 def test_effect_of_a_parameter_is_what_the_decoder_does(report, fitted):
     """1 % of eta_A through the decoder itself, at the readings of the log, zero deviations held."""
-    from hallsym.estimation import decoder
+    from hallsym.estimation.decoding import decoder
 
     model, log = fitted.model, bundled_campaign()
     decode = decoder(model, np.ones(3))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hallsym
-from hallsym.estimation import as_read
+from hallsym.estimation.plausible import as_read
 from hallsym.report.data.periodic import periodic_error
 from hallsym.report.text.periodic import periodic_text
 

@@ -5,7 +5,7 @@ import pytest
 from twins import COLUMNS, EPS, HALL, SIGMAS, TRUTH, campaign, phi, pm
 
 from hallsym.errors import InputError
-from hallsym.estimation import error_tables
+from hallsym.estimation.decoding import error_tables
 from hallsym.families.stage.models import stage31
 from hallsym.log import Log
 from hallsym.simulation import (

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.estimation import Fit, columns_of
+from hallsym.estimation import Fit
+from hallsym.estimation.decoding import columns_of
 from hallsym.log import Block, Log, extended
 from hallsym.log.batches import SIZE, Weigh
 from hallsym.report.data.survey import (

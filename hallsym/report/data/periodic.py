@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri
 
-from hallsym.estimation import Fit, as_read
+from hallsym.estimation import Fit
+from hallsym.estimation.plausible import as_read
 from hallsym.log import Log
 from hallsym.log.batches import Weigh
 from hallsym.model import Family

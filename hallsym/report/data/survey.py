@@ -8,7 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from hallsym.estimation import ErrorTable, Fit, columns_of, decoder, nominal_variance
+from hallsym.estimation import Fit
+from hallsym.estimation.decoding import ErrorTable, columns_of, decoder, nominal_variance
 from hallsym.log import Block, Log, Weigh, extended
 from hallsym.log.batches import SIZE
 from hallsym.log.phase import designed

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.estimation import ErrorTable, Fit, as_read
+from hallsym.estimation import Fit
+from hallsym.estimation.decoding import ErrorTable
+from hallsym.estimation.plausible import as_read
 from hallsym.log import Log, Weigh
 from hallsym.report.data.survey import MOST_SETTINGS, Group, Survey, held_out, look_over, settings
 from hallsym.report.figures import style

@@ -10,8 +10,8 @@ from dataclasses import asdict
 from typing import Any
 
 from hallsym.diagnosis import Diagnosis, Statement, noise_text
-from hallsym.estimation import Fit, added_effects
-from hallsym.families import plain
+from hallsym.estimation import Fit
+from hallsym.families import added_effects, plain
 from hallsym.report.data.gather import Cells, RunSeries
 from hallsym.report.page import pictures, shared
 from hallsym.report.page.content import (

@@ -11,17 +11,12 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import counted
-from hallsym.estimation import (
-    Fit,
-    added_effects,
-    as_read,
-    column_spikes,
-    cost_near,
-    evaluate,
-    reject_spikes,
-    residuals,
-)
+from hallsym.estimation import Fit, evaluate
 from hallsym.estimation.goodness_of_fit import diagnose_command
+from hallsym.estimation.likelihood import cost_near
+from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals
+from hallsym.estimation.plausible import as_read
+from hallsym.families import added_effects
 from hallsym.log import Log, Weigh
 from hallsym.report.data.gather import Gathered, gather
 from hallsym.report.data.survey import Decoder

@@ -3,7 +3,8 @@
 from typing import Any
 
 from hallsym.errors import counted
-from hallsym.estimation import MANY, Evaluation, Fit
+from hallsym.estimation import Evaluation, Fit
+from hallsym.estimation.calibration import MANY
 from hallsym.log import Log
 from hallsym.model import Parameter
 from hallsym.report.data.fit import parameter_rows
