@@ -17,16 +17,15 @@ import argparse
 import json
 import resource
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from time import process_time
 from typing import Any
 
 import numpy as np
 from _noisy_logs import log_of
-from bench_fit import MODEL, SIGMA, ByHand, in_memory, refits
+from bench_fit import MODEL, SIGMA, ByHand, gauss_newton, in_memory, least, refits
 
 from hallsym import diagnose, fit, read_log, write_log
 from hallsym.families import effect_named, published
@@ -36,8 +35,6 @@ from hallsym.log import Log, Meta, Noise
 from hallsym.model.arrays import on_arrays
 from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simulate, sine
 
-SETTLED = 1e-12
-"""Relative decrease of the cost below which the peer stops."""
 AXES = {"x_m": 300e-6, "y_m": 500e-6, "rz_rad": 300e-6, "z_m": 1e-4, "rx_rad": 2e-4, "ry_rad": 2e-4}
 PACE = (1.0, 1.55, 1.25, 0.35, 0.45, 0.3)
 LATE_S = 1e-3
@@ -45,44 +42,6 @@ TURNS = 7
 HALBACH = Path(__file__).parents[2] / "data" / "halbach"
 Row = tuple[float, float, str]
 """Processor seconds, those of the peer, and what the peer is."""
-
-
-def least(turns: int, action: Callable[[], Any]) -> tuple[float, Any]:
-    """Return the least processor seconds of several turns, and what the last one returned."""
-    seconds = []
-    for _ in range(turns):
-        began = process_time()
-        answer = action()
-        seconds.append(process_time() - began)
-    return min(seconds), answer
-
-
-def by_hand(task: ByHand, free: Sequence[int]) -> float:
-    """Return the cost that Gauss-Newton reaches: parameters of all runs, the offsets of a run eliminated."""
-    x, n, runs = task.start.copy(), len(MODEL.names), int(task.run[-1]) + 1
-    starts, before = np.searchsorted(task.run, np.arange(runs)), np.inf
-    while True:
-        H, g, cost, follow = np.zeros((n, n)), np.zeros(n), 0.0, []
-        for k, s in enumerate(task.sigma):
-            expected, slopes = task.probe(k, x)
-            left, J = (task.readings[k] - expected) / s, slopes / s
-            cost += float(left @ left)
-            own, J = J[:, 7], J[:, :7]
-            square = np.add.reduceat(own * own, starts)
-            across = np.add.reduceat(J * own[:, None], starts)
-            mean = np.add.reduceat(own * left, starts)
-            at = task.where[k]
-            H[np.ix_(at, at)] += J.T @ J - across.T @ (across / square[:, None])
-            g[at] += J.T @ left - across.T @ (mean / square)
-            follow.append((at, across, mean, square))
-        if before - cost <= SETTLED * cost:
-            return cost
-        before, step = cost, np.zeros(n)
-        unit = 1 / np.sqrt(np.diag(H)[free])
-        step[free] = unit * np.linalg.solve(H[np.ix_(free, free)] * np.outer(unit, unit), unit * g[free])
-        x[:n] += step
-        for k, (at, across, mean, square) in enumerate(follow):
-            x[n:].reshape(-1, 3)[:, k] += (mean - across @ step[at]) / square
 
 
 def campaign(samples: int) -> dict[str, np.ndarray]:
@@ -110,8 +69,8 @@ def direct(samples: int, stated: bool) -> Row:
     columns = campaign(samples)
     exact = in_memory(columns, exact=True)
     known = fit(exact, MODEL, solver="direct", loss="none")
-    task, free = ByHand(exact), [k for k, n in enumerate(MODEL.names) if n not in known.held]
-    seconds, cost = least(TURNS, lambda: by_hand(task, free))
+    task = ByHand(exact)
+    seconds, cost = least(TURNS, lambda: gauss_newton(task))
     assert abs(cost / known.solver["cost"] - 1) < 1e-9
 
     def ours() -> Any:
