@@ -13,7 +13,7 @@ from hallsym.diagnosis.p_values import memory
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.refit import Refitted, refit, with_effects, with_model
-from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.residuals import NIL, Base
 from hallsym.diagnosis.scores import Score, Screen, by_name, candidates
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.survey import Survey, memory_of_recording, spectrum_peak, survey
@@ -136,7 +136,7 @@ def plain_pairs_first(
     facts: Facts,
     over: Callable[[], bool] = lambda: False,
 ) -> list[Exact]:
-    """Put a plain effect first if it and a second explain more than the flexible best one, by BIC.
+    """Put a plain effect first if it and a second explain as much as the flexible best one, by BIC.
 
     An effect with many parameters may take small imperfections along and so explain more than the plain cause
     does. Then the plain cause and one of the imperfections together explain as much with no more parameters,
@@ -156,7 +156,7 @@ def plain_pairs_first(
         if second is None or second.size + e.score.size > best.score.size:
             continue
         both = second.bic + e.score.size * float(np.log(max(e.fit.readings, 2.0)))
-        if both < best.bic:
+        if both <= best.bic + NIL * e.fit.readings:  # as much, whatever the rounding
             found.append((both, e, e.fit.cost - second.gain))
     if not found:
         return exact
