@@ -46,11 +46,12 @@ def errors_of(base: Base) -> Callable[[Block], np.ndarray]:
 
 def decoded_errors(base: Base, runs: Iterable[int], keep: Weigh | None = None) -> DecodedErrors:
     """Decode the samples of some runs that `keep` does not leave out, and return their errors."""
-    version = base.p, base.zeros
-    (found,) = error_tables(base.log, base.model, [version], np.diag(base.covariance), keep, sigma=base.sigma)
-    pick = np.isin(found.runs, list(runs))
-    count, peak = int(found.count[pick].sum()), found.peak[pick].max(axis=0, initial=0.0)
-    rms = np.sqrt(found.squares[pick].sum(axis=0) / max(count, 1))
+    (found,) = error_tables(
+        base.log, base.model, [(base.p, base.zeros)], np.diag(base.covariance), keep,
+        sigma=base.sigma, among=frozenset(runs),
+    )  # fmt: skip
+    count, peak = int(found.count.sum()), found.peak.max(axis=0, initial=0.0)
+    rms = np.sqrt(found.squares.sum(axis=0) / max(count, 1))
     return DecodedErrors(found.pose, base.pose_weights, count, rms, peak)
 
 

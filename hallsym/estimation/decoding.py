@@ -1,6 +1,6 @@
 """Decode the pose from readings over a log and tabulate its errors against the reference."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -192,18 +192,20 @@ def error_tables(
     keep: Weigh | None = None,
     on_rows: Callable[[int], None] | None = None,
     sigma: Mapping[str, float] | None = None,
+    among: Collection[int] | None = None,
 ) -> list[ErrorTable]:
     """Return one error table per version `(parameters, zeros by run)`, from one pass over the log.
 
     `reading_variance`: (K,), or (versions, K) where each version weighs readings in its own way.
     `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part. `sigma`: noise by
-    column, for the columns that are computed; those of parameters are taken at the last version's.
+    column, for the columns that are computed; those of parameters are taken at the last version's. `among`:
+    runs that are decoded, all by default.
     """
     runs: list[int] = []
     counts: list[np.ndarray] = []
     sums: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in versions]
     span: dict[str, tuple[float, float]] = {}
-    for batch, decoded in _decoded(log, model, versions, reading_variance, sigma, on_rows):
+    for batch, decoded in _decoded(log, model, versions, reading_variance, sigma, on_rows, among):
         weights, starts = batch.weights(keep), batch.edges[:-1]
         used = np.ones(len(batch), bool) if weights is None else weights > 0
         runs += [block.run for block in batch.blocks]
@@ -239,12 +241,16 @@ def _decoded(
     reading_variance: np.ndarray,
     sigma: Mapping[str, float] | None,
     on_rows: Callable[[int], None] | None = None,
+    among: Collection[int] | None = None,
 ) -> Iterator[tuple[Batch, list[np.ndarray]]]:
     """Yield the log in batches, each with the errors (n_pose, samples) of every version."""
     variances = np.broadcast_to(reading_variance, (len(versions), len(model.channels)))
     errors_of, none = [pose_errors(model, v) for v in variances], np.zeros(len(model.zeros))
     wide = extended(log, model, sigma, model.named(versions[-1][0]))
-    for batch in batches(wide, columns_of(model), on_rows):
+    for whole in batches(wide, columns_of(model), on_rows):
+        batch = whole if among is None else whole.of_runs(among)
+        if not batch.blocks:
+            continue
         errors = []
         for (p, zeros), of in zip(versions, errors_of, strict=True):
             own = np.array([zeros.get(block.run, none) for block in batch.blocks])

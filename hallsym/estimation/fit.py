@@ -1,7 +1,7 @@
 """Fit a model to a log: run statistics, starts, global search, refinement, uncertainty, error tables.
 
 The path is the same for every family: one pass over the log gives run statistics; a closed form and SHTLBO
-give starting points; IPOPT refines them inside the bounds; a second pass tabulates errors.
+give starting points; IPOPT and Newton's method refine them inside the bounds; a second pass tabulates errors.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -1,6 +1,6 @@
 """Consecutive blocks of a log side by side, so that short runs do not cost a call each."""
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import overload
@@ -36,6 +36,16 @@ class Batch:
         """Yield each block with its place in the batch."""
         for k, block in enumerate(self.blocks):
             yield block, slice(self.edges[k], self.edges[k + 1])
+
+    def of_runs(self, runs: Collection[int]) -> "Batch":
+        """Return the blocks of some runs."""
+        some = [(block, at) for block, at in self.parts() if block.run in runs]
+        if len(some) == len(self.blocks):
+            return self
+        index = np.concatenate([np.arange(at.start, at.stop) for _, at in some] or [np.zeros(0, int)])
+        edges = np.cumsum([0, *(at.stop - at.start for _, at in some)]).tolist()
+        data = {c: values[index] for c, values in self.data.items()}
+        return Batch(tuple(block for block, _ in some), data, tuple(edges))
 
     def pieces(self, most: int) -> Iterator[tuple["Batch", slice]]:
         """Yield the batch in parts of at most `most` samples, with their place; blocks may be cut."""

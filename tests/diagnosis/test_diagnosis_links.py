@@ -1,6 +1,7 @@
 """The link of the chain that a gap lies in, and how large it is: named where it is put, silent on noise."""
 
 import sys
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -18,9 +19,11 @@ from hallsym.diagnosis.residual_table import both, table_of
 from hallsym.diagnosis.scores import Screen, candidates
 from hallsym.diagnosis.selection import Screened
 from hallsym.diagnosis.survey import survey
+from hallsym.errors import InputError
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
+from hallsym.log.core import Drop, without
 from hallsym.model import Effect, Model, Parameter
 from hallsym.model.arrays import on_arrays
 from hallsym.model.effect import as_effect
@@ -153,3 +156,19 @@ def test_a_backlash_beside_what_no_catalogue_lists_is_not_the_whole_of_it(name: 
     )
     assert "hysteresis" in {*found.ranked, *(n for g in found.groups for n in g)}
     assert found.verdict == "unexplained" or as_noise
+
+
+def test_errors_of_some_runs_are_those_of_a_log_of_these_runs_alone() -> None:
+    """A run that is not asked for is not decoded: one without a pose is no fault of the others."""
+    base, _ = found("odd_nonlinearity")
+    runs = sorted(base.holdout)
+    wanted = frozenset(runs)
+    short = replace(base, log=without(base.log, Drop(runs=frozenset(base.log.runs) - wanted)))
+    some, alone = decoded_errors(base, runs), decoded_errors(short, runs)
+    assert some.count == alone.count == sum(len(b.data["t_s"]) for b in short.log.blocks())
+    assert some.rms == pytest.approx(alone.rms, rel=1e-12)
+    assert some.peak == pytest.approx(alone.peak, rel=1e-12)
+    lost = replace(base, zeros={**base.zeros, fitted_runs(base)[0]: np.full(len(base.model.zeros), np.nan)})
+    assert decoded_errors(lost, runs).count == some.count
+    with pytest.raises(InputError, match="give no pose"):
+        decoded_errors(lost, base.log.runs)
