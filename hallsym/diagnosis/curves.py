@@ -13,6 +13,7 @@ What a curve, or a gain of every run, predicts on runs (or stretches) that it wa
 fit, whatever the noise floor is said to be.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -281,7 +282,7 @@ class Curve:
         return self.over.predicted(self.beta, self.over.r, self.over.values)
 
 
-class _Over:
+class _Over(ABC):
     """A residual over one coordinate: its `values` and, with more noise in the references, those `there`.
 
     `at`: places at which there is an offset. `scale`: of the expected reading, by which gains are stated.
@@ -299,9 +300,9 @@ class _Over:
         self.there = None if moved is None else coordinate.values(moved)
         self.change = np.zeros(1) if moved is None else moved.residual - r.residual
 
+    @abstractmethod
     def predicted(self, coefficients: np.ndarray, r: ResidualTable, x: np.ndarray) -> np.ndarray:
         """Return what coefficients (K, features) predict where the coordinate has the values `x`."""
-        raise NotImplementedError
 
 
 class Smooth(_Over):

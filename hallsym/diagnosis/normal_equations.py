@@ -1,9 +1,9 @@
 """Normal equations of a model and of candidate effects, run by run.
 
-One pass over the log stacks, sample by sample, the columns [zeros | parameters | effects | residual]: the
+One pass over the log stacks, sample by sample, the columns [offsets | parameters | effects | residual]: the
 derivatives of the reading with respect to each, and the residual of the model. Of each run only the products
 of these columns are kept, twice: weighted by the noise of the readings (what a fit minimises) and mapped to
-the decoded pose (what the gap metric measures). The zeros of a run are eliminated at once. With these
+the decoded pose (what the gap metric measures). The offsets of a run are eliminated at once. With these
 matrices any set of effects can be fitted, cross-validated and judged without reading the log again.
 """
 
@@ -55,7 +55,7 @@ def reading_and_slopes(
 ) -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
     """Return `run(p, zeros, pose, state) -> reading, slopes (rows, samples)`, channel and column of each row.
 
-    Columns are the zeros, then the parameters `free`; slopes that are nil everywhere have no row.
+    Columns are the offsets, then the parameters `free`; slopes that are nil everywhere have no row.
     """
 
     def made() -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
@@ -186,7 +186,7 @@ class OwnRows(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Products of the columns [parameters | effects | residual], the zeros of each run eliminated.
+    """Products of the columns [parameters | effects | residual], the offsets of each run eliminated.
 
     `whitened`, `decoded`: of each unit, weighted by the noise and mapped to the pose. `count`: (units,)
     samples. `runs`: the runs of each unit. `span`: columns of each candidate, by its key; the base's
@@ -200,7 +200,7 @@ class NormalEquations:
     span: dict[str, slice]
     places: dict[str, slice]
     follow: np.ndarray
-    """(runs, zeros, c): how the zeros of a run follow the other columns; none with candidates."""
+    """(runs, offsets, c): how the offsets of a run follow the other columns; none with candidates."""
     order: tuple[int, ...]
     """The runs of `follow`."""
     slopes: Slopes
@@ -208,7 +208,7 @@ class NormalEquations:
     spoiled: frozenset[str] = frozenset()
     """Candidates whose slope is not finite somewhere; their columns are 0."""
     offsets: np.ndarray | None = None
-    """(units, zeros, c): products with the run's own zeros, in units in which these are orthonormal.
+    """(units, offsets, c): products with the run's own offsets, in units in which these are orthonormal.
 
     Over a whole run they add up to 0. None where every unit is a whole run."""
 
@@ -363,7 +363,7 @@ class Accumulator:
         return batches(extended(log, wide, base.sigma, base.values), columns)
 
     def columns(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Return the columns of zeros, parameters and residual, and the rows of the candidates."""
+        """Return the columns of offsets, parameters and residual, and the rows of the candidates."""
         return self._near(batch, weights), self.slopes.rows(batch, self.base.zeros_of(batch), weights)
 
     def weighed(self) -> Iterator[tuple[Batch, np.ndarray | None]]:
@@ -401,7 +401,7 @@ class Accumulator:
         return spread * base.pose_weights[:, None, None]
 
     def _near(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
-        """Columns of zeros, parameters and residual, (own + 1, K, samples)."""
+        """Columns of offsets, parameters and residual, (own + 1, K, samples)."""
         base, model = self.base, self.base.model
         pose, state = batch.columns(model.references), batch.columns(model.state)
         run, channel, column = self.read
@@ -431,7 +431,7 @@ class Accumulator:
             self._close(u.at(slice(last)))
 
     def _close(self, u: Units) -> None:
-        """Eliminate the zeros of whole runs: they follow the likelihood, in the output too."""
+        """Eliminate the offsets of whole runs: they follow the likelihood, in the output too."""
         z, first = self.z, np.flatnonzero(np.append(True, u.run[1:] != u.run[:-1]))
         parts = np.diff([*first, len(u.run)])
         across = np.add.reduceat(u.white[:, :z], first)
@@ -476,7 +476,7 @@ class Accumulator:
     def _eliminated(
         self, border: np.ndarray, inner: np.ndarray, follow: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return products once the zeros follow the other columns as `follow` (units, zeros, c) says."""
+        """Return products once the offsets follow the other columns as `follow` (units, offsets, c) says."""
         z, rows = self.z, self.near[self.z :] - self.z
         half = border[:, :z, z:] + 0.5 * border[:, :z, :z] @ follow
         left = border[:, z:, z:] + half[..., rows].swapaxes(1, 2) @ follow
@@ -530,7 +530,7 @@ def stacked_products(
 ) -> tuple[Products, Products]:
     """Return products under the precision of `work`, and mapped to the pose by D; where D is empty no others.
 
-    `work`: the `Accumulator`. `near`: (own, K, blocks, samples) of zeros, parameters and residual, `rows`:
+    `work`: the `Accumulator`. `near`: (own, K, blocks, samples) of offsets, parameters and residual, `rows`:
     (rows, blocks, samples) of the candidates, `D`: (n_pose, K, blocks, samples).
     """
     first, blocks, precision = work.z + work.n, near.shape[2], work.precision

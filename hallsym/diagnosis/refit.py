@@ -87,7 +87,7 @@ class Refitted:
         return self.tangents.likelihood[self.fitted].sum(axis=0)
 
     def moved(self, share: float) -> Base:
-        """Return the base at `share` of the way to the minimum inside the bounds; the zeros follow."""
+        """Return the base at `share` of the way to the minimum inside the bounds; the offsets follow."""
         base, p = self.base, self.base.p.copy()
         free = list(base.free)
         lower, upper = base.model.bounds
@@ -131,7 +131,7 @@ def with_effects(base: Base, variants: Iterable[Variant], values: Mapping[str, f
 
 
 def refit(base: Base, runs: Sequence[int]) -> Refitted:
-    """Minimise the whitened residual of `runs` from `base`; every run's zeros follow its own samples.
+    """Minimise the whitened residual of `runs` from `base`; every run's offsets follow its own samples.
 
     It ends where a step lowers the cost by less than 1e-5 of it.
     """

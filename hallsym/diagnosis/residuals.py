@@ -74,11 +74,11 @@ class Base:
         return np.linalg.cholesky(np.linalg.inv(self.covariance)).T
 
     def zeros_in(self, run: int) -> np.ndarray:
-        """Return the zero deviations of a run, (zeros,); nil of one that was not fitted."""
+        """Return the zero deviations of a run, (offsets,); nil of one that was not fitted."""
         return self.zeros.get(run, np.zeros(len(self.model.zeros)))
 
     def zeros_of(self, batch: Batch) -> np.ndarray:
-        """Return the zero deviations of every sample of a batch, (zeros, samples)."""
+        """Return the zero deviations of every sample of a batch, (offsets, samples)."""
         own = np.array([self.zeros_in(block.run) for block in batch.blocks])
         return np.repeat(own, np.diff(batch.edges), axis=0).T
 

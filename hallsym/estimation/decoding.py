@@ -142,7 +142,7 @@ def knows_rails(model: Model) -> bool:
 
 
 Version = tuple[np.ndarray, Mapping[int, np.ndarray]]
-"""Parameters (n,), and zeros by run."""
+"""Parameters (n,), and offsets by run."""
 Errors = Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]
 
 

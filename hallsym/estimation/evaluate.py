@@ -1,4 +1,4 @@
-"""A calibration on another log: errors of the decoded pose, whether it describes it, zeros that moved."""
+"""A calibration on another log: errors of the decoded pose, whether it describes it, offsets that moved."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ Shifts = Mapping[str, Mapping[int, float]]
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """Fixed parameters on another log: errors, zeros beside the calibration's, how well they fit it.
+    """Fixed parameters on another log: errors, offsets beside the calibration's, how well they fit it.
 
-    `point`: of its cost. `log`: what was decoded, with the zeros of its references that were asked for.
+    `point`: of its cost. `log`: what was decoded, with the reference zeros that were asked for.
     """
 
     table: ErrorTable
@@ -45,7 +45,7 @@ class Judged:
 def judged(
     log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float], *, own_zero: bool = False
 ) -> Judged:
-    """Return what fixed parameters make of another log; each run's zeros are estimated from that run.
+    """Return what fixed parameters make of another log; each run's offsets are estimated from that run.
 
     `own_zero`: so is the zero of a reference that repeats, which the calibration has one of.
     """
@@ -106,7 +106,7 @@ class Evaluation(Shown):
 
     @property
     def applied(self) -> Fit:
-        """The calibration as it decodes `decoded`: with the zeros and the noise of this log."""
+        """The calibration as it decodes `decoded`: with the offsets and the noise of this log."""
         return replace(
             self.calibration, zeros=self.zeros, noise=self.noise, noise_floor=self.noise_floor, errors=None,
             log={**self.calibration.log, "holdout": []}, wiring=None, keep=None,

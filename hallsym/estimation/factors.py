@@ -4,8 +4,8 @@ The residual of a reading is linear in the features of `hallsym.model.features`,
 [features | readings] holds everything a least-squares cost can ask of a run, for any parameters and any zero
 deviations. QR, not Gram and Cholesky: it keeps the digits (docs/theory.md gives the measured error).
 
-A reading that is no polynomial of the columns, or not linear in the zeros of a run, or that reads columns
-made from the log (rates, memory), is replaced by its tangent at parameters p0 and zeros z0:
+A reading that is no polynomial of the columns, or not linear in the offsets of a run, or that reads columns
+made from the log (rates, memory), is replaced by its tangent at parameters p0 and offsets z0:
 
     reading = [r(p0, z0) - J_z z0] + J_p (p - p0) + J_z z,      J_p = dr/dp, J_z = dr/dz
 
@@ -106,14 +106,14 @@ class RunStatistics:
 
     @cached_property
     def projected(self) -> np.ndarray:
-        """Rows of each triangle, the features that carry zeros projected out: (runs, n, n - n_zero)."""
+        """Rows of each triangle, the features that carry offsets projected out: (runs, n, n - n_zero)."""
         k = self.features.n_zero
         return self.triangles if k == 0 else projected(self.triangles, k)
 
     def merged(self) -> "RunStatistics":
-        """Return one run for all, the features that carry zeros projected out.
+        """Return one run for all, the features that carry offsets projected out.
 
-        For constant vertical state within each run this is exactly the cost with the zeros eliminated; for
+        For constant vertical state within each run this is exactly the cost with the offsets eliminated; for
         moving state it gives up a little information, so it serves starts and global searches, not the fit.
         """
         rows = self.projected
@@ -336,7 +336,7 @@ def exact(model: Model) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """The features of a model's tangents and their slopes as functions of (p, zeros, pose, state).
+    """The features of a model's tangents and their slopes as functions of (p, offsets, pose, state).
 
     `entries`: (channel, parameter) of each entry of J_p that is not always 0; `zero_entries`: those of
     J_z. The features are those of J_z, then of J_p, then the bracket of each channel.

@@ -8,7 +8,7 @@ pose eliminated the likelihood of independent Gaussian noise is
     A_i = R_i [-X_i; 1],   X_i = c(p) + sum_l d_il E_l(p)
 
 with R_i the run's triangle, X_i the coefficients of its features and C_i the run's mean covariance (for which
-F is unbiased, docs/theory.md). F is quadratic in a run's zeros d_i: they are eliminated exactly, and
+F is unbiased, docs/theory.md). F is quadratic in a run's offsets d_i: they are eliminated exactly, and
 gradient and Hessian below are those of the cost that is left.
 """
 
@@ -95,7 +95,7 @@ class Coefficients:
 
 @dataclass(frozen=True, eq=False)
 class Cost:
-    """F(p) with the zeros of every run eliminated.
+    """F(p) with the offsets of every run eliminated.
 
     `reading_variance`: (n_channels,) variance of each channel. `column_variance`: (n_columns,) variance of
     each pose and state column. `weights`: (runs,) weight of each run (1; other values re-weight runs in
@@ -170,7 +170,7 @@ class Cost:
         return replace(self.weighted(self.weights), anchor=point).weighted(self.weights)
 
     def population(self, points: np.ndarray) -> np.ndarray:
-        """Return F of whole populations, (m, n) -> (m,), for a merged summary (no zeros, one run)."""
+        """Return F of whole populations, (m, n) -> (m,), for a merged summary (no offsets, one run)."""
         if self.parts:
             return np.sum([part.population(points[:, chosen]) for part, chosen in self.shares], axis=0)
         (R_f,), (R_m,) = self.triangles
@@ -193,7 +193,7 @@ class Cost:
 class Point:
     """The cost at one parameter vector: `value`, `zeros`, and derivatives on request.
 
-    Shapes: r runs, n parameters, z zeros, K channels. `zeros`: (r, z), optimal for these parameters, as
+    Shapes: r runs, n parameters, z offsets, K channels. `zeros`: (r, z), optimal for these parameters, as
     displacements [m]. `covariance`, `W`: (r, K, K) of a residual, and its inverse. `run_values`: (r,).
 
     Derivatives are computed for `TOGETHER` runs at a time and summed, so that memory does not grow with them.
@@ -257,7 +257,7 @@ class Point:
         return ((part, chosen[part.log]) for part in self._parts)
 
     def derivatives(self) -> tuple[float, np.ndarray, np.ndarray]:
-        """Return F, its gradient (n,) and its exact Hessian (n, n), the zeros eliminated."""
+        """Return F, its gradient (n,) and its exact Hessian (n, n), the offsets eliminated."""
         n = len(self.p)
         gradient, hessian = np.zeros(n), np.zeros((n, n))
         bend: dict[int, np.ndarray] = {}
@@ -284,7 +284,7 @@ class Point:
 
     @property
     def run_hessians(self) -> np.ndarray:
-        """Exact Hessian of each run's own F with its zeros eliminated, shape (r, n, n)."""
+        """Exact Hessian of each run's own F with its offsets eliminated, shape (r, n, n)."""
         out = np.zeros((len(self.run_values), *2 * self.p.shape))
         for k, (part, chosen) in enumerate(self._of_parts()):
             _, hessians = self._kept[k] if self._kept else part.derivatives()
@@ -332,7 +332,7 @@ Derivatives = tuple[np.ndarray, np.ndarray]
 class _Runs:
     """The cost of some runs of one log at one parameter vector: the runs `at` of its `cost`.
 
-    Shapes: r runs, m rows of a triangle, f features, K channels, n parameters, z zeros, v = z + n.
+    Shapes: r runs, m rows of a triangle, f features, K channels, n parameters, z offsets, v = z + n.
     """
 
     def __init__(
@@ -384,7 +384,7 @@ class _Runs:
         return np.concatenate([np.ones((len(self.zeros), 1)), self.zeros], axis=1)
 
     def _slopes(self) -> np.ndarray:
-        """dX / d(zeros, p), shape (r, K, f, v); of m `rows` alone (r, m, v)."""
+        """dX / d(offsets, p), shape (r, K, f, v); of m `rows` alone (r, m, v)."""
         r, z, n = len(self.zeros), len(self.c) - 1, self.dc.shape[2]
         if self.rows is not None:
             few = np.empty((r, len(self.rows.channel), z + n))
@@ -413,7 +413,7 @@ class _Runs:
 
     @cached_property
     def gradients(self) -> np.ndarray:
-        """Gradient of each run's F with its zeros eliminated, (r, n)."""
+        """Gradient of each run's F with its offsets eliminated, (r, n)."""
         along, loads = self.G, self.loads
         if self.rows is None:
             slopes = np.transpose(self.dc, (0, 1, 3, 2)).reshape(len(self.dc), -1, self.dc.shape[2])
@@ -423,7 +423,7 @@ class _Runs:
         return np.einsum("rl,lrn->rn", loads, flat @ slopes)
 
     def derivatives(self) -> Derivatives:
-        """Gradient and Hessian of each run's F with its zeros eliminated, without the curvature of c."""
+        """Gradient and Hessian of each run's F with its offsets eliminated, without the curvature of c."""
         B, z = self._slopes(), len(self.c) - 1
         H = 2.0 * self._quadratic(B, self.W, self._WSW) + self._covariance_terms(B)
         if z:
@@ -517,9 +517,9 @@ def cost_of(summary: RunStatistics, noise: Mapping[str, float]) -> Cost:
 
 
 SETTLED = 1e-9
-"""Change [m] of a run's zeros below which they are settled."""
+"""Change [m] of a run's offsets below which they are settled."""
 MOST = 40
-"""Rounds of settling the zeros of the runs, at most."""
+"""Rounds of settling the offsets of the runs, at most."""
 
 
 Zeros = Mapping[int, np.ndarray]
@@ -528,7 +528,7 @@ Zeros = Mapping[int, np.ndarray]
 def cost_near(
     log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float], weigh: Weigh | None = None
 ) -> Cost:
-    """Return the likelihood of a log near `p`, the zeros of each run settled at `p`; exact at `p`."""
+    """Return the likelihood of a log near `p`, the offsets of each run settled at `p`; exact at `p`."""
     if exact(model):
         return cost_of(summarise(log, model, weigh), noise)
     zeros: Zeros = {}
@@ -541,7 +541,7 @@ def cost_near(
 
 
 def zeros_of(cost: Cost, p: np.ndarray) -> dict[int, np.ndarray]:
-    """Return the zeros of every run at `p`."""
+    """Return the offsets of every run at `p`."""
     return dict(zip(cost.summary.runs, cost.at(p).zeros, strict=True))
 
 

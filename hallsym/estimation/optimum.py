@@ -157,7 +157,7 @@ def search(
 ) -> Search:
     """Minimise `fitted` from the start `first` and, unless `solver` is "direct", from a global search.
 
-    The global search and its local refinements run on `merged`, where the zeros are projected out and the
+    The global search and its local refinements run on `merged`, where the offsets are projected out and the
     whole population is evaluated at once. Newton's method refines the best of them on the exact cost, which
     from a closed form nearly always converges; where it does not, IPOPT does.
     """

@@ -55,7 +55,7 @@ def residual_of(model: Model) -> Callable[[np.ndarray, np.ndarray, Mapping[str, 
 
 
 def residuals(model: Model, p: np.ndarray, zeros: Mapping[int, np.ndarray]) -> Callable[[Block], np.ndarray]:
-    """Return `block -> (n_channels, samples)`: the same of a run with its zeros."""
+    """Return `block -> (n_channels, samples)`: the same of a run with its offsets."""
     residual, none = residual_of(model), np.zeros(len(model.zeros))
     return lambda block: residual(p, zeros.get(block.run, none), block.data)
 

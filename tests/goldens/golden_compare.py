@@ -7,7 +7,7 @@ on one machine give the same bits):
   same optimum; standard uncertainties 1e-7; errors, noise and cost 1e-8; zero deviations 1e-8 or 1e-14.
 - "diagnosis": names, verdict, groups and their order exactly; numbers 1e-3; shares and intervals .01 (shares
   of a single coordinate or link .05, a link of no weight may or may not be tried); p-values half a decade;
-  the standard deviations between two effects 1e-3 of one, since those of equal effects are rounding.
+  the standard deviations between two effects 1e-6 at least: of equal effects they are the root of rounding.
 - "code": as it is. It is made with OpenBLAS held to kernels that every x86-64 runs: by other kernels the
   last bit of a constant in 6 of 21 folders differs.
 """
@@ -47,7 +47,7 @@ def _of_diagnosis(path: str, old: float, holder: Any) -> float:
     if path.startswith("shares["):
         return 0.05
     if path.endswith(".sigma_now"):
-        return 1e-3 * max(1.0, abs(old))
+        return max(1e-6, 1e-3 * abs(old))
     if re.search(r"(share|held_out|shrinkage|shrinkage\.value|interval\[\d+\]|share_closed)$", path):
         return 0.01
     if isinstance(holder, list):
