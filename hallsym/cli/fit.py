@@ -55,7 +55,7 @@ def add(sub: Any) -> None:
     )  # fmt: skip
     group.add_argument(
         "--solver", metavar="SOLVER", default="hybrid",
-        help="hybrid (SHTLBO + closed form + IPOPT), direct (closed form), "
+        help="hybrid (SHTLBO + closed form), direct (closed form), "
         "or the global search: shtlbo, tlbo, gbtlbo, screening",
     )  # fmt: skip
     group.add_argument(

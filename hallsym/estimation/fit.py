@@ -1,7 +1,7 @@
 """Fit a model to a log: run statistics, starts, global search, refinement, uncertainty, error tables.
 
 The path is the same for every family: one pass over the log gives run statistics; a closed form and SHTLBO
-give starting points; IPOPT and Newton's method refine them inside the bounds; a second pass tabulates errors.
+give starting points; Newton's method or IPOPT refines them inside the bounds; a second pass tabulates errors.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -102,7 +102,7 @@ def fit(
     '1.36 um'
 
     `model`: a name or a Model; the log's own `base_model`, else what its columns suggest. `solver`: "hybrid"
-    (SHTLBO and a closed form, refined by IPOPT), "direct" (closed form alone) or a global method for the
+    (SHTLBO and a closed form, refined), "direct" (closed form alone) or a global method for the
     hybrid; Newton's method ends all, or IPOPT where that does not converge.
     `holdout`: runs that take no part in the fit; the log's own by default. Their zero deviations are
     estimated from themselves. `loss`: "auto" takes out isolated spikes if there are any and says so, "reject"

@@ -82,7 +82,7 @@ def check_reference(model: Model, unexplained: np.ndarray, where: str) -> None:
 
 
 SOLVERS = ("hybrid", "direct", *solvers.EXPLORERS)
-"""hybrid is SHTLBO, closed form, IPOPT; direct leaves the global search out; the others replace SHTLBO."""
+"""hybrid is SHTLBO and closed form; direct leaves the global search out; the others replace SHTLBO."""
 BUDGET, SIZE, KEEP = 4040, 40, 3
 """Evaluations and class size of the global search; how many of its points are refined."""
 WARM: dict[str, Any] = {"mu_init": 1e-9, "bound_push": 1e-9, "bound_frac": 1e-9}

@@ -3,8 +3,8 @@
     python tests/benchmarks/bench_solvers.py --seeds 30
 
 Model (31) on the merged run statistics of the bundled campaign, inside the bounds of Tables 3 and 5, printed
-as the Markdown table of docs/solvers.md. A global method gets 20 100 evaluations, a class of 100; IPOPT then
-refines its best three points that are apart. Success: a cost within 1e-6 of the best known one.
+as the Markdown table of docs/solvers.md. A global method gets 20 100 evaluations, a class of 100; its best
+three points that are apart are then refined. Success: a cost within 1e-6 of the best known one.
 """
 
 import argparse
@@ -48,7 +48,7 @@ def problem_on(log: hallsym.Log, model: hallsym.Model) -> tuple[solvers.Problem,
 
 
 def row(method: str, problem: solvers.Problem, seeds: int, best: float) -> list[str]:
-    """One method alone, and followed by IPOPT."""
+    """One method alone, and refined."""
     found = [
         solvers.hybrid(problem, seed=seed, keep=KEEP, budget=BUDGET, global_solver=method, size=SIZE)
         for seed in range(seeds)
@@ -77,7 +77,7 @@ def main() -> None:
         "success alone",
         "median above the optimum",
         "worst",
-        "then IPOPT",
+        "refined",
         "s alone",
         "s in all",
     ]

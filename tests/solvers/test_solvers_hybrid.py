@@ -6,15 +6,15 @@ from solver_problems import GLOBAL, ROSENBROCK, SPHERE, _known
 
 from solvers import EXPLORERS, SOLVERS, Problem, hybrid
 
-# Two valleys: the broad one is shallow (cost 1 at x = -2), the narrow one deep (0 at x = 2).
+# Two valleys: the broad one is shallow (cost 2 at x = -2), the narrow one deep (1 at x = 2).
 TWO = _known(
     "two valleys",
     2,
-    lambda x: x[1] ** 2 + (x[0] - 2) ** 2 * ((x[0] + 2) ** 2 + 1 / 16),
+    lambda x: 1 + x[1] ** 2 + (x[0] - 2) ** 2 * ((x[0] + 2) ** 2 + 1 / 16),
     [-4.0, -4.0],
     [4.0, 4.0],
     [2.0, 0.0],
-    0.0,
+    1.0,
     [0.0, 0.0],
 )
 
