@@ -18,21 +18,11 @@ from hallsym.estimation.calibration import Errors, Fit
 from hallsym.estimation.decoding import columns_of, knows_rails, logged_columns
 from hallsym.estimation.factors import exact, joined
 from hallsym.estimation.identifiable import Determination, determine
-from hallsym.estimation.likelihood import Cost, cost_of
+from hallsym.estimation.likelihood import Cost, Sharing, cost_of, joint_cost, numbered, run_numbers
 from hallsym.estimation.optimum import SOLVERS, Solution, check_reference, closed_form, linear_fit, search
 from hallsym.estimation.plausible import lateness, rewired
 from hallsym.estimation.residual_noise import noise_followed
-from hallsym.estimation.several import (
-    Sharing,
-    check_gains,
-    check_same,
-    joint_cost,
-    labels,
-    numbered,
-    restricted,
-    run_numbers,
-    several_fit,
-)
+from hallsym.estimation.several import check_gains, check_same, labels, restricted, several_fit
 from hallsym.estimation.task import (
     Asked,
     Begun,
@@ -187,16 +177,18 @@ def fit_several(
 ) -> Fit:
     """Return the fit of several logs, or of one `alone`; `models`: of logs and held-out logs, in order."""
     every, model = [*logs, *holdout_logs], models[0]
-    check_same(every, models)
+    if not alone:
+        check_same(every, models)
     if not exact(model):
         raise InputError(
             f"Model {model.name} with {', '.join(model.effects)} has no run statistics, so several "
             "logs cannot be fitted together with it; fit them without the effects, or one at a time."
         )
-    names = labels(every)
+    names = ("",) if alone else labels(every)
     own = _own_parameters(model, per_log, len(logs), bool(holdout_logs))
     opened = _opened(every, model, len(logs), asked)
-    check_gains(every, opened[0].task.model, [one.begun for one in opened])
+    if not alone:
+        check_gains(every, opened[0].task.model, [one.begun for one in opened])
     together = _Together(opened[: len(logs)], Sharing.of(model, own, names[: len(logs)]), asked)
     solution, errors = together.optimum()
     members = [

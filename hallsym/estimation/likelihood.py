@@ -12,7 +12,7 @@ F is unbiased, docs/theory.md). F is quadratic in a run's offsets d_i: they are 
 gradient and Hessian below are those of the cost that is left.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,12 +20,13 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from hallsym.estimation.factors import RunStatistics, eliminate, exact, solve, summarise, summarise_at
+from hallsym.estimation.factors import RunStatistics, eliminate, exact, joined, solve, summarise, summarise_at
 from hallsym.log import Log
 from hallsym.log.batches import Weigh
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.features import Features, Rows
+from hallsym.model.model import Combination, Signals, Step
 
 SPARSE = 4
 """Features per channel, over those that move the channel, from which on only these are multiplied."""
@@ -515,6 +516,127 @@ def cost_of(summary: RunStatistics, noise: Mapping[str, float]) -> Cost:
         np.ones(len(summary.runs)),
     )
 
+
+# -- several logs of one device ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Sharing:
+    """Which parameters several logs share.
+
+    `model`: of one log, n parameters. `joint`: the same model with the parameters of all logs; one that a log
+    has of its own is named `gain[log]`, and its readings are those of the last log. `chosen`: per log the
+    index (n,) of its parameters among those.
+    """
+
+    model: Model
+    own: tuple[str, ...]
+    logs: tuple[str, ...]
+    joint: Model
+    chosen: tuple[np.ndarray, ...]
+
+    @staticmethod
+    def of(model: Model, own: Collection[str], logs: Sequence[str]) -> "Sharing":
+        """Return how `logs` share the parameters of `model`; each has those named `own` for itself."""
+        parameters, chosen = [], [np.zeros(len(model.names), dtype=int) for _ in logs]
+        for k, parameter in enumerate(model.parameters):
+            for g, log in enumerate(logs):
+                if parameter.name in own or g == 0:
+                    name = own_name(parameter.name, log) if parameter.name in own else parameter.name
+                    parameters.append(replace(parameter, name=name))
+                chosen[g][k] = len(parameters) - 1
+        several = replace(
+            model,
+            parameters=tuple(parameters),
+            steps=tuple((link, _with_own(step, own, logs[-1])) for link, step in model.steps),
+            combinations=tuple(c for one in model.combinations for c in _by_log(one, own, logs)),
+            period=dict(model.period)
+            | {own_name(n, log): model.period[n] for n in own if n in model.period for log in logs},
+        )
+        return Sharing(model, tuple(own), tuple(logs), several if own else model, tuple(chosen))
+
+    def of_log(self, log: int, p: np.ndarray) -> np.ndarray:
+        """Return the parameters (n,) of one log out of all."""
+        return p[self.chosen[log]]
+
+
+def own_name(parameter: str, log: str) -> str:
+    """Return what the parameter of one log is called among those of all.
+
+    >>> own_name("eta_A", "night2")
+    'eta_A[night2]'
+    """
+    return f"{parameter}[{log}]"
+
+
+def _with_own(step: Step, own: Collection[str], log: str) -> Step:
+    """Return a step that reads the parameters which one log has of its own."""
+
+    def read(signals: Signals, p: Mapping[str, ca.SX]) -> None:
+        step(signals, {**p, **{name: p[own_name(name, log)] for name in own}})
+
+    return read
+
+
+def _by_log(one: Combination, own: Collection[str], logs: Sequence[str]) -> list[Combination]:
+    """Return a combination once for each log where a log's own parameter is part of it."""
+    if not set(one.parameters) & set(own):
+        return [one]
+    return [_combination_of_log(one, own, log) for log in logs]
+
+
+def _combination_of_log(one: Combination, own: Collection[str], log: str) -> Combination:
+    named = {n: own_name(n, log) if n in own else n for n in one.parameters}
+
+    def value(p: Mapping[str, ca.SX]) -> ca.SX:
+        return one.value({**p, **{name: p[here] for name, here in named.items()}})
+
+    return replace(
+        one, expression=own_name(one.expression, log), parameters=tuple(named.values()), value=value
+    )
+
+
+def joint_cost(sharing: Sharing, costs: Sequence[Cost], numbers: Sequence[dict[int, int]]) -> Cost:
+    """Return the sum of the costs of the logs; `numbers`: of each log, run -> number among all.
+
+    Its variances are means over the samples; each log has its own.
+    """
+    counts = np.array([cost.weights @ cost.summary.counts for cost in costs])
+    share = counts / max(counts.sum(), 1e-300)
+    summary = joined([numbered(cost.summary, known) for cost, known in zip(costs, numbers, strict=True)])
+    features = replace(summary.features, model=sharing.joint)
+    return Cost(
+        replace(summary, features=features),
+        Coefficients(features, summary.centre),
+        share @ [cost.reading_variance for cost in costs],
+        share @ [cost.column_variance for cost in costs],
+        np.concatenate([cost.weights for cost in costs]),
+        parts=tuple(costs),
+        chosen=sharing.chosen,
+    )
+
+
+def numbered(summary: RunStatistics, numbers: dict[int, int]) -> RunStatistics:
+    """Return run statistics whose runs have other numbers."""
+    return replace(summary, runs=tuple(numbers[run] for run in summary.runs))
+
+
+def run_numbers(runs: Sequence[Sequence[int]]) -> tuple[dict[int, int], ...]:
+    """Return for each log run -> number among all logs: its own where no other log has it.
+
+    Else the number of the log, from 1, stands before that of the run.
+
+    >>> run_numbers([[0, 7], [7, 12]])
+    ({0: 100, 7: 107}, {7: 207, 12: 212})
+    """
+    every = [run for own in runs for run in own]
+    if len(set(every)) == len(every):
+        return tuple({run: run for run in own} for own in runs)
+    step = 10 ** len(str(max(map(abs, every))))
+    return tuple({run: step * (g + 1) + run for run in own} for g, own in enumerate(runs))
+
+
+# -- the cost near a point -----------------------------------------------------------------------------------
 
 SETTLED = 1e-9
 """Change [m] of a run's offsets below which they are settled."""

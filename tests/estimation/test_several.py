@@ -8,8 +8,7 @@ from hallsym.cli.main import main
 from hallsym.errors import InputError
 from hallsym.estimation import fit, load_fit
 from hallsym.estimation.factors import joined, summarise
-from hallsym.estimation.likelihood import cost_of
-from hallsym.estimation.several import Sharing, joint_cost, own_name
+from hallsym.estimation.likelihood import Sharing, cost_of, joint_cost, own_name
 from hallsym.families import build
 from hallsym.log import Log, Meta, write_log
 from hallsym.simulation import NoiseModel, simulate
