@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebvander
 from scipy.linalg import solve_toeplitz
 from scipy.linalg.lapack import dtbtrs
 from scipy.special import chdtrc, ndtri, stdtrit
@@ -204,7 +205,7 @@ class _Elimination:
         self.sizes = np.maximum(np.add.reduceat(self.used, self.starts), 1.0)
         X = self._centred(r.columns)
         gram = X @ X.T
-        size, raw = np.diag(gram), np.square(r.columns) @ self.used
+        size, raw = np.diag(gram), np.einsum("ij,ij,j->i", r.columns, r.columns, self.used)
         seen = size > ROUNDING * np.maximum(raw, 1e-300)
         unit = seen / np.sqrt(np.where(seen, size, 1.0))
         values, axes = np.linalg.eigh(gram * np.outer(unit, unit))
@@ -217,7 +218,8 @@ class _Elimination:
 
     def _centred(self, values: np.ndarray) -> np.ndarray:
         """Take the mean of each run, or of all where runs have no offsets, out of rows (m, n)."""
-        means = np.add.reduceat(values * self.used, self.starts, axis=1) / self.sizes
+        counted = values if self.count == len(self.used) else values * self.used
+        means = np.add.reduceat(counted, self.starts, axis=1) / self.sizes
         out = np.repeat(means, self.lengths, axis=1)
         np.subtract(values, out, out=out)
         out *= self.used
@@ -528,9 +530,10 @@ def _read(
 def _columns(model: Model, data: Data, sigma: Mapping[str, float]) -> Iterator[np.ndarray]:
     """Yield functions (n,) that a residual may follow, the most telling ones first."""
     made = {c.name for c in model.computed}
-    data = data | {c: _at_rest(v, data["run"], sigma.get(c, 0.0)) for c, v in data.items() if c in sigma}
+    edges = np.array(edges_of(data["run"]))
+    data = data | {c: _at_rest(v, edges, sigma[c]) for c, v in data.items() if c in sigma}
     moves = [c for c in model.references if _moves(data[c], sigma.get(c, 0.0))]
-    place = {c: _beside(data, c) for c in moves}
+    place = {c: _beside(data[c], edges) for c in moves}
     turns = {c: 2 * np.pi / model.period[c] * place[c] for c in moves if c in model.period}
     lines = {c: _unit(place[c]) for c in moves if c not in turns}
     states = [c for c in dict.fromkeys((*model.state, "temperature_degc")) if c in data and c not in made]
@@ -547,13 +550,13 @@ def _columns(model: Model, data: Data, sigma: Mapping[str, float]) -> Iterator[n
         yield from (f(k * u) for u in turns.values() for f in (np.cos, np.sin))
     time = [c for c in ("t_s",) if c in data and np.ptp(data[c]) > 0]
     for t in (_unit(data[c]) for c in time):
-        yield from (np.cos(k * np.pi * (t + 1) / 2) for k in range(1, TIMES + 1))
+        yield from _cosines(t, TIMES)
         yield from (f * x for f in (t, t * t) for x in q)
     if time:
-        yield from _within_runs(data, lines)
+        yield from _within_runs(data["t_s"], lines, edges)
     yield from (a * b for a, b in combinations(s, 2))
     yield from (a * a for a in s)
-    waves = [np.cos(np.arange(1, CURVE + 1)[:, None] * np.pi * (x + 1) / 2) for x in lines.values()]
+    waves = [_cosines(x, CURVE) for x in lines.values()]
     for k in range(1, CURVE):
         yield from (wave[k] for wave in waves)
     yield from (a * a * x for a in s for x in q)
@@ -563,22 +566,25 @@ def _columns(model: Model, data: Data, sigma: Mapping[str, float]) -> Iterator[n
         yield from (x * y for x in one[:PLACES] for y in other[:PLACES])
 
 
-def _within_runs(data: Data, lines: Data) -> Iterator[np.ndarray]:
+def _cosines(x: np.ndarray, most: int) -> np.ndarray:
+    """Return cos(k pi (x + 1) / 2) for k = 1 .. `most`, (most, n), of places -1 .. 1."""
+    return np.asarray(chebvander(np.cos(np.pi * (x + 1) / 2), most).T[1:])
+
+
+def _within_runs(t: np.ndarray, lines: Data, edges: np.ndarray) -> Iterator[np.ndarray]:
     """Yield the time within a run and its square, and what coordinates remember of their direction."""
-    edges = edges_of(data["run"])
-    t = _unit(data["t_s"], np.array(edges))
+    t = _unit(t, edges)
     yield from (t, t * t)
     scaled = [x / max(float(np.std(x)), 1e-300) for x in lines.values()]
-    for plays in stop_operators(np.array(scaled), edges, MEMORIES) if scaled else ():
+    for plays in stop_operators(np.array(scaled), edges.tolist(), MEMORIES) if scaled else ():
         yield from plays
 
 
-def _beside(data: Data, column: str) -> np.ndarray:
+def _beside(x: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Return where the neighbours of each sample say that a coordinate is, by cubics through four of them.
 
     The noise of a sample's own coordinate is in its residual: places beyond a turning point are noise.
     """
-    x, edges = data[column], np.array(edges_of(data["run"]))
     first, last = (np.repeat(ends, np.diff(edges)) for ends in (edges[:-1], edges[1:] - 1))
 
     def neighbour(steps: int) -> np.ndarray:
@@ -613,13 +619,12 @@ def _slope(x: np.ndarray, t: np.ndarray, run: np.ndarray, reach: int) -> np.ndar
     return out
 
 
-def _at_rest(x: np.ndarray, run: np.ndarray, sigma: float) -> np.ndarray:
+def _at_rest(x: np.ndarray, edges: np.ndarray, sigma: float) -> np.ndarray:
     """Return where an axis was: in a run where all that moved it is noise, its mean."""
-    _, index = np.unique(run, return_inverse=True)
-    count = np.bincount(index)
-    mean = np.bincount(index, x) / count
-    still = np.bincount(index, (x - mean[index]) ** 2) / count <= (STILL * sigma) ** 2
-    return np.where(still[index], mean[index], x)
+    count = np.diff(edges)
+    mean = np.repeat(np.add.reduceat(x, edges[:-1]) / count, count)
+    still = np.add.reduceat((x - mean) ** 2, edges[:-1]) / count <= (STILL * sigma) ** 2
+    return np.where(np.repeat(still, count), mean, x)
 
 
 def _moves(x: np.ndarray, sigma: float) -> bool:
