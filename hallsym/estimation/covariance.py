@@ -366,8 +366,7 @@ def _at_bound(bounds: tuple[np.ndarray, np.ndarray], p: np.ndarray, found: Deter
 
 def _loose(names: tuple[str, ...], std: np.ndarray, found: Determination) -> np.ndarray:
     """Which parameters null directions move by more than their uncertainty, or no recording determines."""
-    slack = np.array([found.slack(unit) for unit in np.eye(len(names))])
-    return np.isin(names, found.structural) | (slack > std)
+    return np.isin(names, found.structural) | (found.slack(np.eye(len(names))) > std)
 
 
 def _combinations(

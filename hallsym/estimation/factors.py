@@ -38,7 +38,7 @@ from hallsym.model.features import Features, Rows, find_features
 
 PIECE = 8000
 """Entries of a piece that is reduced at once: fits the cache, and stays below the size at which BLAS starts
-threads, whose wake-up costs more than the work."""
+threads, whose wake-up costs more than the work. Wide ones are four times as high as wide."""
 SLOPE_SAMPLES = 64
 """Samples per block that estimate how reference noise enters; a weight needs no more."""
 MOST_PLACES = 512
@@ -193,15 +193,16 @@ def summarised(
         centre = at if at.ndim == 1 else centre
         _gather(gathered, features, at, batch, batch.weights(weigh))
     runs = list(gathered.values())
+    counts, states, slopes, looked = ([run.sums[k] for run in runs] for k in range(4))
     return RunStatistics(
         features=features,
         centre=centre,
         runs=tuple(gathered),
         triangles=np.array([r.triangle for r in runs]),
-        slopes=np.array([r.slopes / max(r.slope_count, 1) for r in runs]),
-        counts=np.array([r.count for r in runs]),
+        slopes=np.array(slopes) / np.maximum(looked, 1.0)[:, None],
+        counts=np.array(counts),
         first_state=np.array([r.first_state for r in runs]),
-        mean_state=np.array([r.state_sum / max(r.count, 1e-300) for r in runs]),
+        mean_state=np.array(states) / np.maximum(counts, 1e-300)[:, None],
         places=tuple(_thinned(np.hstack(r.places)) for r in runs) if model.typical else (),
     )
 
@@ -237,13 +238,23 @@ def _gather(
     slopes = slopes.reshape(len(pose) + len(state), n, -1)
     if features.std is not None:
         slopes *= features.std[:, None, None]
-    for k, (block, part) in enumerate(batch.parts()):
-        run = gathered.setdefault(block.run, _Run(states[:, part.start]))
-        run.add(triangles[k], weight[part], states[:, part])
-        here = pick[edges[k] : edges[k + 1]]
-        run.add_slopes(slopes[:, :, edges[k] : edges[k + 1]], weight[here], features)
+    slopes *= np.sqrt(weight[pick])
+    starts = batch.edges[:-1]
+    counts, sums = np.add.reduceat(weight, starts), np.add.reduceat(states * weight, starts, axis=1).T
+    looked = np.add.reduceat(weight[pick], edges[:-1])
+    for k, block in enumerate(batch.blocks):
+        run = gathered.setdefault(block.run, _Run(states[:, starts[k]]))
+        here = slice(edges[k], edges[k + 1])
+        run.add(triangles[k], counts[k], sums[k], _products(slopes[:, :, here], features), looked[k])
         if model.typical:
-            run.places.append(np.vstack([*(v[here] for v in pose), *(v[here] for v in state)]))
+            run.places.append(np.vstack([v[pick[here]] for v in (*pose, *state)]))
+
+
+def _products(slopes: np.ndarray, features: Features) -> np.ndarray:
+    """Return the sums over samples of the products of slopes (columns, n, samples), (pairs,)."""
+    if features.std is not None:  # of all columns together
+        slopes = np.swapaxes(slopes, 0, 1).reshape(1, slopes.shape[1], -1)
+    return np.asarray((slopes @ np.swapaxes(slopes, 1, 2))[tuple(features.slope_pairs)])
 
 
 def _sparse(batch: Batch) -> tuple[np.ndarray, list[int]]:
@@ -264,30 +275,18 @@ class _Run:
     def __init__(self, first_state: np.ndarray) -> None:
         self.first_state = first_state.copy()
         self.triangle: np.ndarray | None = None
-        self.slopes: np.ndarray | float = 0.0
-        self.slope_count = 0.0
+        self.sums: list = [0.0] * 4
         self.places: list[np.ndarray] = []
-        self.count = 0.0
-        self.state_sum: np.ndarray | float = 0.0
 
-    def add(self, triangle: np.ndarray, weight: np.ndarray, states: np.ndarray) -> None:
+    def add(self, triangle: np.ndarray, *sums: Any) -> None:
         self.triangle = triangle if self.triangle is None else _r(np.vstack([self.triangle, triangle]))
-        self.count += float(weight.sum())
-        self.state_sum = self.state_sum + states @ weight
-
-    def add_slopes(self, slopes: np.ndarray, weight: np.ndarray, features: Features) -> None:
-        if features.std is None:
-            products = (slopes * weight) @ np.swapaxes(slopes, 1, 2)
-        else:
-            products = np.tensordot(slopes * weight, slopes, axes=([0, 2], [0, 2]))[None]
-        self.slopes = self.slopes + products[tuple(features.slope_pairs)]
-        self.slope_count += float(weight.sum())
+        self.sums = [known + new for known, new in zip(self.sums, sums, strict=True)]
 
 
 def _triangle(rows: np.ndarray) -> np.ndarray:
     """R factor of each of several blocks (b, rows, n), padded to squares; tall ones are reduced in pieces."""
     b, _, n = rows.shape
-    piece = max(PIECE // n, 2 * n)
+    piece = max(PIECE // n, 4 * n)
     while (whole := rows.shape[1] // piece) and rows.shape[1] > piece:
         pieces = _r(rows[:, : whole * piece].reshape(b * whole, piece, n)).reshape(b, whole * n, n)
         rows = np.concatenate([pieces, rows[:, whole * piece :]], axis=1)

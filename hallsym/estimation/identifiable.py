@@ -43,9 +43,9 @@ class Determination:
     n_structural: int = 0
     """How many of the first columns of `null` no recording can determine."""
 
-    def slack(self, gradient: np.ndarray) -> float:
-        """How far a quantity with this gradient can move along the null directions inside the bounds."""
-        return 0.5 * float(np.linalg.norm((np.asarray(gradient) * self.scale) @ self.null))
+    def slack(self, gradient: np.ndarray) -> np.ndarray:
+        """How far quantities of gradients (..., n) can move along the null directions inside the bounds."""
+        return np.asarray(0.5 * np.linalg.norm((gradient * self.scale) @ self.null, axis=-1))
 
 
 def scales(model: Model) -> np.ndarray:
