@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from solver_problems import GLOBAL, ROSENBROCK, SPHERE, _known
 
-from solvers import EXPLORERS, SOLVERS, Problem, hybrid
+from solvers import EXPLORERS, SOLVERS, Problem, hybrid, newton
 
 # Two valleys: the broad one is shallow (cost 2 at x = -2), the narrow one deep (1 at x = 2).
 TWO = _known(
@@ -42,6 +42,13 @@ def test_share_counts_the_starts_that_reached_the_best():
     assert hybrid(problem, starts=starts[:2], **alone).share == 1.0
     assert hybrid(problem, starts=starts[1:], **alone).share == pytest.approx(1 / 3)
     assert hybrid(problem, starts=starts, same=1e99, **alone).share == 1.0
+
+
+def test_ipopt_begins_anew_where_newtons_method_ends_above_the_best():
+    starts, problem = [[2.5, 1.0], [-2.4, 0.0]], TWO.problem()
+    result = hybrid(problem, seed=0, budget=4, keep=0, starts=starts)
+    assert result.local[0].evaluations == newton(problem, starts[0]).evaluations
+    assert result.local[1].evaluations > newton(problem, starts[1]).evaluations
 
 
 def test_keep_and_apart_choose_the_starts():
