@@ -108,7 +108,7 @@ def _of_units(t: NormalEquations, noise: Mapping[tuple[int, int], np.ndarray]) -
 @lru_cache(maxsize=4)
 def drawn(units: int) -> np.ndarray:
     """Return signs (1 + FLIPS, units), the observed ones first, all 1; the same for all tests of a log."""
-    rng, signs = np.random.default_rng(units), np.ones((1 + FLIPS, units))
+    rng, signs = np.random.default_rng(units), np.ones((1 + FLIPS, units), dtype=np.int8)
     for row in signs[1:]:
         row[:] = 2 * rng.integers(0, 2, units) - 1
     return signs

@@ -58,7 +58,7 @@ BINARY: dict[int, Callable] = {
 }
 
 
-WORK, FEWEST = 12_000_000, 256
+WORK, FEWEST = 12_000_000, 1024
 """Intermediate and final values that are held at once, 96 MB, and samples that are taken together at least.
 
 A graph of many magnets and sensors holds tens of thousands of values of each sample at once."""
@@ -82,9 +82,8 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
         raise NotImplementedError(f"on_arrays needs dense outputs; densify {function.name()} first")
 
     @np.errstate(divide="ignore", over="ignore", invalid="ignore")
-    def evaluated(inputs: Sequence[Sequence], shape: tuple[int, ...], real: type) -> list[np.ndarray]:
+    def evaluate(inputs: Sequence[Sequence], out: Sequence[np.ndarray]) -> None:
         work: list = [None] * function.sz_w()
-        out: list[list] = [[0.0] * n for n in rows]
         for kind, op, a, b, target in zip(*program, strict=True):
             if kind == "binary":
                 work[target] = op(work[a], work[b])
@@ -96,7 +95,6 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
                 work[target] = op
             else:
                 out[b][target] = work[a]
-        return [_stack(entries, shape, real) for entries in out]
 
     most = max(FEWEST, WORK // max(1, function.sz_w() + sum(rows)))
 
@@ -105,14 +103,15 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
         shape = np.broadcast_shapes(*(of for of, _ in kinds))
         # a long double stays one: ranks are decided in extended precision
         real = np.longdouble if any(type_ == np.longdouble for _, type_ in kinds) else float
+        out = [np.zeros((n, *shape), dtype=real) for n in rows]
         if len(shape) != 1 or shape[0] <= most:
-            return evaluated(inputs, shape, real)
-        parts = []
+            evaluate(inputs, out)
+            return out
         for low in range(0, shape[0], most):
-            here = slice(low, min(low + most, shape[0]))
+            here = slice(low, low + most)
             own = [[v if np.size(v) == 1 else v[here] for v in column] for column in inputs]
-            parts.append(evaluated(own, (here.stop - low,), real))
-        return [np.concatenate(own, axis=-1) for own in zip(*parts, strict=True)]
+            evaluate(own, [values[:, here] for values in out])
+        return out
 
     return run
 
@@ -176,13 +175,6 @@ def _kinds(column: Sequence) -> set[tuple[tuple[int, ...], Any]]:
     if isinstance(column, np.ndarray):
         return {(column.shape[1:], column.dtype)}
     return {(getattr(v, "shape", ()), getattr(v, "dtype", None)) for v in column}
-
-
-def _stack(entries: list, shape: tuple[int, ...], real: type) -> np.ndarray:
-    result: np.ndarray = np.empty((len(entries), *shape), dtype=real)
-    for row, entry in enumerate(entries):
-        result[row] = entry
-    return result
 
 
 def median(values: np.ndarray) -> float:
