@@ -236,7 +236,7 @@ class NormalEquations:
 
 UNITS = 64
 """Runs whose matrices are kept one by one; beyond that neighbouring runs are pooled."""
-ENTRIES = 250_000
+ENTRIES = 500_000
 """Derivatives of the readings, and products of them, that are held at once: 4 MB each."""
 
 
@@ -386,11 +386,6 @@ class Accumulator:
             lay, at = batch.layout(first, last), slice(first, last)
             white, out = stacked_products(self, lay(near), lay(rows), lay(D))
             self._gather(Units(run[at], samples[at], count[at].astype(float), *white, *out))
-
-    def own_of(self, made: Products, key: str) -> np.ndarray:
-        """Return a view (blocks, k, k) of the products of a candidate's columns with each other."""
-        k = self.slopes.span[key].stop - self.slopes.span[key].start
-        return made.inner[:, self.places[key]].reshape(-1, k, k)
 
     def _to_pose(self, batch: Batch) -> np.ndarray:
         """What turns readings into the decoded pose, rotation as length: (pose, K, samples), or no row."""
@@ -548,9 +543,10 @@ def stacked_products(
         for k, at in enumerate(work.slopes.of_channel):
             across = columns[:, k].transpose(1, 0, 2) @ rows[at].transpose(1, 2, 0)
             M.border[:, :, first + work.slopes.column[at]] += across
-    for key, own in zip(work.slopes.span, work.slopes.own, strict=True):
+    for (key, span), own in zip(work.slopes.span.items(), work.slopes.own, strict=True):
         if len(own.rows):
-            _add_own(work, rows, own, D, *(work.own_of(M, key) for M in out))
+            square = (blocks, *(span.stop - span.start,) * 2)
+            _add_own(work, rows, own, D, *(M.inner[:, work.places[key]].reshape(square) for M in out))
     return out
 
 

@@ -56,9 +56,15 @@ BINARY: dict[int, Callable] = {
     ca.OP_OR: lambda a, b: np.where((a != 0) | (b != 0), 1.0, 0.0),
     ca.OP_IF_ELSE_ZERO: lambda a, b: np.where(a != 0, b, 0.0),
 }
+OPERATIONS: dict[int, tuple[str, Callable | None]] = {
+    **{code: ("unary", operation) for code, operation in UNARY.items()},
+    **{code: ("binary", operation) for code, operation in BINARY.items()},
+    **{ca.OP_CONST: ("constant", None), ca.OP_INPUT: ("input", None), ca.OP_OUTPUT: ("output", None)},
+}
+"""How each operation of CasADi is carried out: it reads up to two places, and writes the last one."""
 
 
-WORK, FEWEST = 12_000_000, 1024
+WORK, FEWEST = 12_000_000, 384
 """Intermediate and final values that are held at once, 96 MB, and samples that are taken together at least.
 
 A graph of many magnets and sensors holds tens of thousands of values of each sample at once."""
@@ -77,8 +83,7 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
     """
     program = _compile(function, real)
     rows = [function.nnz_out(k) for k in range(function.n_out())]
-    dense = [function.sparsity_out(k).is_dense() for k in range(function.n_out())]
-    if not all(dense):
+    if not all(function.sparsity_out(k).is_dense() for k in range(function.n_out())):
         raise NotImplementedError(f"on_arrays needs dense outputs; densify {function.name()} first")
 
     @np.errstate(divide="ignore", over="ignore", invalid="ignore")
@@ -150,24 +155,21 @@ def _compile(function: ca.Function, real: type) -> tuple[list, ...]:
     A list of each, and the numbers of places are shared: a graph has hundreds of thousands of instructions,
     and the many graphs of a diagnosis are most of its memory.
     """
-    program: list[tuple] = []
-    most = max(function.sz_w(), function.nnz_in(), function.nnz_out())
-    of = list(range(most + 1))
+    kinds, operations, first, second, targets = program = tuple[list, ...]([] for _ in range(5))
+    # no tuple an instruction: so many of them keep the garbage collector busy
+    of = list(range(1 + max(function.sz_w(), function.nnz_in(), function.nnz_out())))
     for k in range(function.n_instructions()):
-        code, i, o = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
-        if code == ca.OP_CONST:
-            program.append(("constant", real(function.instruction_constant(k)), 0, 0, of[o[0]]))
-        elif code == ca.OP_INPUT:
-            program.append(("input", None, i[0], of[i[1]], of[o[0]]))
-        elif code == ca.OP_OUTPUT:
-            program.append(("output", None, of[i[0]], o[0], of[o[1]]))
-        elif code in BINARY:
-            program.append(("binary", BINARY[code], of[i[0]], of[i[1]], of[o[0]]))
-        elif code in UNARY:
-            program.append(("unary", UNARY[code], of[i[0]], 0, of[o[0]]))
-        else:
+        code = function.instruction_id(k)
+        if code not in OPERATIONS:
             raise NotImplementedError(f"operation {code} of {function.name()} has no array form")
-    return tuple(list(values) for values in zip(*program, strict=True))
+        kind, operation = OPERATIONS[code]
+        *read, target = *function.instruction_input(k), *function.instruction_output(k)
+        kinds.append(kind)
+        operations.append(real(function.instruction_constant(k)) if kind == "constant" else operation)
+        first.append(of[read[0]] if read else 0)
+        second.append(of[read[1]] if len(read) > 1 else 0)
+        targets.append(of[target])
+    return program
 
 
 def _kinds(column: Sequence) -> set[tuple[tuple[int, ...], Any]]:
