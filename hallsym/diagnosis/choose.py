@@ -54,7 +54,7 @@ def _shown(setup: Setup, effect: Effect) -> Model:
     tried, trouble = candidates(base, [effect], facts)
     screen = Screen(base, tried, runs)
     screen.weigh(seen.colour, louder=seen.fast)
-    exact = refitted(base, screen.scores, runs, lambda s: s.p_value < setup.policy.certain)
+    exact = refitted(base, screen, runs, lambda s: s.p_value < setup.policy.certain)
     if not exact:
         reason = trouble.get(effect.name, "nothing in what the model leaves looks like it")
         raise InputError(

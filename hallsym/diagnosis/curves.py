@@ -14,7 +14,7 @@ fit, whatever the noise floor is said to be.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import tau
@@ -332,15 +332,15 @@ class Smooth(_Over):
         """Return the features of some samples where the coordinate has the values `x`, (K, features, n)."""
         c = self.coordinate
         if c.ordered:
-            phi = np.array([hats(row, self.at) for row in _by_sensor(x, r)])
+            phi = np.array([hats(row, self.at) for row in np.atleast_2d(x)])
         elif c.memory:
             size = float(np.std(self.r.sensed))
             phi = stop_operators(r.sensed, edges_of(r.run).tolist(), [size * w for w in MEMORIES])
         else:
             old, new = (np.array([of.columns[n] for n in c.of]) for of in (self.r, r))
             middle = old.mean(axis=1, keepdims=True) if c.gain else 0.0
-            rows = (new - middle) / np.maximum(old.std(axis=1, keepdims=True), 1e-300)
-            phi = np.broadcast_to(rows, (len(r.residual), *rows.shape))
+            phi = ((new - middle) / np.maximum(old.std(axis=1, keepdims=True), 1e-300))[None]
+        phi = np.broadcast_to(phi, (len(r.residual), *phi.shape[1:]))
         return np.concatenate([phi, phi * (r.sensed / self.scale)[:, None, :]], axis=1) if c.gain else phi
 
     def predicted(self, coefficients: np.ndarray, r: ResidualTable, x: np.ndarray) -> np.ndarray:
@@ -443,11 +443,11 @@ class FineMap(_Over):
         return np.bincount(place.ravel(), values.ravel(), int(np.prod(shape))).reshape(shape)
 
 
-def over(r: ResidualTable, c: Coordinate, moved: ResidualTable | None = None) -> list[Smooth | FineMap]:
-    """Return what fits a residual over a coordinate: nothing where that does not vary."""
-    if c.values(r) is None:
-        return []
-    return [make(r, c, moved) for make in ((Smooth, FineMap) if c.fine else (Smooth,))]
+def over(r: ResidualTable, c: Coordinate, moved: ResidualTable | None = None) -> Iterator[Smooth | FineMap]:
+    """Yield what fits a residual over a coordinate: nothing where that does not vary."""
+    for make in (Smooth, FineMap) if c.fine else (Smooth,):
+        if c.values(r) is not None:
+            yield make(r, c, moved)
 
 
 def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -547,8 +547,7 @@ def lack_of_fit(base: Base, runs: frozenset[int]) -> LackOfFit:
     _, z, foreseen = run_gains(r, r.residual)
     found = [("gain of its own", foreseen, float((z >= z[0]).mean()))]
     for c in coordinates(r):
-        curves = [each.curve(r.residual) for each in over(r, c)]
-        found += [(c.name, x.foreseen, x.p_value) for x in curves]
+        found += [(c.name, x.foreseen, x.p_value) for each in over(r, c) for x in [each.curve(r.residual)]]
     shapes = [Shape(name, 1 - r.metric(r.residual - x) / whole, p) for name, x, p in found]
     return LackOfFit(tuple(sorted(shapes, key=lambda s: -s.drop)), tones(base, runs))
 

@@ -236,8 +236,8 @@ class NormalEquations:
 
 UNITS = 64
 """Runs whose matrices are kept one by one; beyond that neighbouring runs are pooled."""
-ENTRIES = 1_000_000
-"""Derivatives of the readings, and products of them, that are held at once: 8 MB each."""
+ENTRIES = 500_000
+"""Derivatives of the readings, and products of them, that are held at once: 4 MB each."""
 
 
 class Units(NamedTuple):
@@ -263,11 +263,11 @@ class Units(NamedTuple):
         """Return some of them."""
         return Units(*(values[index] for values in self))
 
-    def summed(self, first: np.ndarray) -> "Units":
-        """Return stretches that begin at `first` as one unit each."""
+    def summed(self, first: np.ndarray, order: Any = slice(None)) -> "Units":
+        """Return stretches that begin at `first` of those taken in `order` as one unit each."""
         if len(first) == len(self.run):
             return self
-        return Units(self.run[first], *(np.add.reduceat(values, first) for values in self[1:]))
+        return Units(self.run[order][first], *(np.add.reduceat(v[order], first) for v in self[1:]))
 
 
 def normal_equations(
@@ -387,11 +387,6 @@ class Accumulator:
             white, out = stacked_products(self, lay(near), lay(rows), lay(D))
             self._gather(Units(run[at], samples[at], count[at].astype(float), *white, *out))
 
-    def own_of(self, made: Products, key: str) -> np.ndarray:
-        """Return a view (blocks, k, k) of the products of a candidate's columns with each other."""
-        k = self.slopes.span[key].stop - self.slopes.span[key].start
-        return made.inner[:, self.places[key]].reshape(-1, k, k)
-
     def _to_pose(self, batch: Batch) -> np.ndarray:
         """What turns readings into the decoded pose, rotation as length: (pose, K, samples), or no row."""
         base, model = self.base, self.base.model
@@ -486,8 +481,9 @@ class Accumulator:
 
     def _pool(self) -> None:
         """Pool neighbouring units of the same side, whenever there are too many."""
-        u = Units.joined(self.done)
-        known = len(u.run) - len(self.done[-1].run)
+        new, u = len(self.done[-1].run), Units.joined(self.done)
+        self.done.clear()
+        known = len(u.run) - new
         groups: list[tuple[int, ...]] = [(k,) for k in range(known)]
         for k in range(known, len(u.run)):
             groups.append((k,))
@@ -498,7 +494,7 @@ class Accumulator:
                 )
                 groups = [tuple(chain(*side[k : k + 2])) for side in sides for k in range(0, len(side), 2)]
         first = np.cumsum([0, *map(len, groups[:-1])])
-        self.done = [u.at(np.array([*chain(*groups)])).summed(first)]
+        self.done.append(u.summed(first, np.array([*chain(*groups)])))
         self.members = [tuple(chain(*(self.members[k] for k in group))) for group in groups]
 
     def result(self) -> NormalEquations:
@@ -547,9 +543,10 @@ def stacked_products(
         for k, at in enumerate(work.slopes.of_channel):
             across = columns[:, k].transpose(1, 0, 2) @ rows[at].transpose(1, 2, 0)
             M.border[:, :, first + work.slopes.column[at]] += across
-    for key, own in zip(work.slopes.span, work.slopes.own, strict=True):
+    for (key, span), own in zip(work.slopes.span.items(), work.slopes.own, strict=True):
         if len(own.rows):
-            _add_own(work, rows, own, D, *(work.own_of(M, key) for M in out))
+            square = (blocks, *(span.stop - span.start,) * 2)
+            _add_own(work, rows, own, D, *(M.inner[:, work.places[key]].reshape(square) for M in out))
     return out
 
 
@@ -582,10 +579,12 @@ def _add_own(
         gram = (stack @ stack.swapaxes(1, 2)) * work.precision[own.channel[:, None], own.channel]
         white[:, *at] += by_column(by_column(gram), axis=2)
     else:  # most columns have a row in most channels
-        columns = np.zeros((count, K, *rows.shape[1:]))
         place = np.repeat(np.arange(count), np.diff([*own.first, len(own.rows)]))
-        columns[place, own.channel] = rows[own.rows]
-        white[:, *at] += _gram(np.tensordot(work.whiten, columns, axes=(1, 1)).swapaxes(0, 1))
+        most = max(1, ENTRIES // (count * K * rows.shape[1]))
+        for part in (rows[own.rows, :, k : k + most] for k in range(0, rows.shape[2], most)):
+            columns = np.zeros((count, K, *part.shape[1:]))
+            columns[place, own.channel] = part
+            white[:, *at] += _gram(np.tensordot(work.whiten, columns, axes=(1, 1)).swapaxes(0, 1))
     for spread in D[:, own.channel].swapaxes(1, 2):
         moved = by_column(spread * stack)
         out[:, *at] += moved @ moved.swapaxes(1, 2)

@@ -108,7 +108,7 @@ def _of_units(t: NormalEquations, noise: Mapping[tuple[int, int], np.ndarray]) -
 @lru_cache(maxsize=4)
 def drawn(units: int) -> np.ndarray:
     """Return signs (1 + FLIPS, units), the observed ones first, all 1; the same for all tests of a log."""
-    rng, signs = np.random.default_rng(units), np.ones((1 + FLIPS, units))
+    rng, signs = np.random.default_rng(units), np.ones((1 + FLIPS, units), dtype=np.int8)
     for row in signs[1:]:
         row[:] = 2 * rng.integers(0, 2, units) - 1
     return signs
@@ -153,11 +153,6 @@ class SignFlips:
             together = run[np.argmax(self.cluster, axis=1)][:, None] == run
             self.zeros_left = together[:, :, None] * left  # (clusters, units, z)
 
-    @property
-    def signs(self) -> np.ndarray:
-        """(1 + FLIPS, units) signs; those of the first row are the observed ones, all 1."""
-        return drawn(len(self.units))
-
     def statistic(self, key: str) -> np.ndarray | None:
         """Return the statistic (1 + FLIPS,) of a candidate, None where the model absorbs all of it.
 
@@ -181,8 +176,9 @@ class SignFlips:
             to_zeros = (self.zeros[:, :, columns] - self.zeros[:, :, :n] @ P) @ V
             of += np.einsum("gzk,guz->gku", np.tensordot(self.cluster, to_zeros, 1), self.zeros_left)
         rest = (self.cluster[:, None] * score.T - of).reshape(-1, len(score))
-        squares = ((self.signs @ score) ** 2).sum(axis=1)
-        beside = ((self.signs @ (rest.T @ rest)) * self.signs).sum(axis=1)
+        signs = drawn(len(self.units))
+        squares = ((signs @ score) ** 2).sum(axis=1)
+        beside = ((signs @ (rest.T @ rest)) * signs).sum(axis=1)
         return standardised(squares / np.maximum(beside, NIL * (score**2).sum()))
 
     def kept(self, key: str) -> float:

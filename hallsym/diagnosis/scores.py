@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
@@ -122,6 +122,7 @@ class Screen:
     with p-values once they are weighed. `length`: samples of the stretches that are the units of p-values,
     None where runs are; `lasting`: of a unit. `significance`: that any of them is there at all. `tables`: the
     products of each pass. `top`: the largest statistic of all with each draw of signs, that of the log first.
+    `refits`: models that were fitted to weigh the scores.
     """
 
     def __init__(
@@ -138,6 +139,7 @@ class Screen:
         There are no further passes once it is `over`.
         """
         self.base, self.tried, self.runs = base, tried, tuple(runs)
+        self.refits: dict[Model, Any] = {}
         rows = base.log.rows / len(base.log.runs)
         self.length = stretch(rows * len(runs), len(runs), base.policy) if tested else None
         self.lasting = self.length or rows

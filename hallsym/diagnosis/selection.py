@@ -1,6 +1,6 @@
 """Selection: a greedy search that screens the catalogue, refits what is promising and keeps the best."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -17,7 +17,7 @@ from hallsym.diagnosis.residuals import NIL, Base
 from hallsym.diagnosis.scores import Score, Screen, by_name, candidates
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.survey import Survey, memory_of_recording, spectrum_peak, survey
-from hallsym.model import Effect, Facts
+from hallsym.model import Effect, Facts, Model
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Exact:
 
 def refitted(
     base: Base,
-    scored: Sequence[Score],
+    screen: Screen,
     runs: Sequence[int],
     worth: Callable[[Score], bool],
     stands: Callable[["Exact"], bool] = lambda _: True,
@@ -53,9 +53,10 @@ def refitted(
     Promising are those that explain nearly as much as the best one that is worth it, and lower the gap of
     runs that are left out. An effect whose refit does not `stand`, or that no start brings to parameters that
     its cause can have, is left out. There are no further refits once the search is `over`; at most
-    `Policy.most_refits` effects are refitted, each from at most `Policy.starts` starts.
+    `Policy.most_refits` effects are refitted, each from at most `Policy.starts` starts. What was fitted to
+    weigh the screen is not fitted again.
     """
-    policy = base.policy
+    policy, scored = base.policy, screen.scores
     # an effect goes by the best of its variants that are worth it: one with more numbers may be less certain
     named = [s for s in by_name(sorted(scored, key=lambda s: not worth(s))) if not s.absorbed]
     least = policy.half * max((s.gain for s in named if worth(s)), default=np.inf)
@@ -65,7 +66,7 @@ def refitted(
             break
         again = [s for s in scored if s.effect is first.effect and s.gain >= policy.half * first.gain]
         starts = again[: policy.starts] if first.variant.tried > 1 else [first]
-        found = [_exact(base, score, runs) for score in starts]
+        found = [_exact(base, score, runs, screen.refits) for score in starts]
         possible = [e for e in found if e.score.effect.possible(e.fit.base.values)]
         best = min(possible, key=lambda e: e.bic, default=None)
         if best is not None and stands(best):
@@ -75,8 +76,8 @@ def refitted(
     return ordered(out, scored, worth)
 
 
-def _exact(base: Base, score: Score, runs: Sequence[int]) -> Exact:
-    fit = refit(with_model(base, score.model), runs)
+def _exact(base: Base, score: Score, runs: Sequence[int], known: Mapping[Model, Refitted]) -> Exact:
+    fit = known.get(score.model) or refit(with_model(base, score.model), runs)
     return Exact(score, fit, fit.bic(score.size))
 
 
@@ -345,7 +346,7 @@ class Selection:
     def step(self, at: Refitted, worth: Callable[[Score], bool] = lambda _: True) -> list[Exact]:
         """Screen the catalogue at `at`; return exact refits, best first, if any effect is `worth` it."""
         screen, facts = self.screen(at)
-        exact = refitted(at.base, screen.scores, self.runs, worth, lambda e: self.stands(e, at), self.over)
+        exact = refitted(at.base, screen, self.runs, worth, lambda e: self.stands(e, at), self.over)
         if self.setup.base.model.family.pairs:
             exact = plain_pairs_first(exact, self.setup.catalogue, self.runs, facts, self.over)
         return exact
@@ -382,7 +383,8 @@ class Selection:
         offsets = len(base.model.zeros) > 0  # without them noise slower than a run is in no spectrum of a run
         loud = louder > (1 + self.policy.negligible) ** 2
         if screen.scores and (offsets or base.joined or loud or not whole):
-            left = refit(with_model(base, screen.scores[0].model), self.runs)
+            model = screen.scores[0].model
+            left = screen.refits[model] = refit(with_model(base, model), self.runs)
             seen = survey(left.base, self.runs)
             louder = seen.fast
             if not whole:

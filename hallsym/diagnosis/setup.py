@@ -1,5 +1,6 @@
 """What a diagnosis starts from: the log, its fit, the runs that fit and those that judge, the catalogue."""
 
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -208,6 +209,8 @@ def prepare(
                 "as these make them. hallsym fit takes all of them."
             )
             result = replace(result, notes=(*result.notes, long))
+    if arrow := sys.modules.get("pyarrow"):  # it keeps the memory that it read a file with
+        arrow.default_memory_pool().release_unused()
     runs = [r for r in base.log.runs if r not in held]
     floor, floor_fitted = floors(base, result.goodness.uncertain if result.goodness else 1.0, held, runs)
     return Setup(

@@ -69,10 +69,9 @@ def survey(base: Base, runs: frozenset[int]) -> Survey:
         rest.append(np.where(piece.used, piece.residual, 0.0))
         readings.append(piece.readings)
         instants.append(_instants(piece))
-    squares = np.hstack(rest) ** 2
-    variance = _mean(squares)
+    variance, fourth = (_mean(np.hstack(rest) ** power) for power in (2, 4))
     colour, inflation = _memory(rest[1:], base.policy)
-    values = tuple(map(np.unique, np.hstack(readings)))
+    values = tuple(np.unique(np.concatenate(own)) for own in zip(*readings, strict=True))
     steps = [_step(v, base.policy) for v in values]
     return Survey(
         duration_s=float(times[-1][-1] - times[0][0]) if times else 0.0,
@@ -80,7 +79,7 @@ def survey(base: Base, runs: frozenset[int]) -> Survey:
         fast=_mean(np.hstack([np.diff(r, 2) for r in rest]) ** 2) / 6,
         colour=colour,
         inflation=inflation,
-        kurtosis=_mean(squares**2) / max(variance, NIL) ** 2,
+        kurtosis=fourth / max(variance, NIL) ** 2,
         values=values,
         adc_step=np.array([q for q, _ in steps]),
         step_p=min(1.0, K * min(p for _, p in steps)),  # the channels are as many attempts
@@ -269,6 +268,9 @@ def _blocks(times: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> Blocks:
     n, length = x.shape[-1], t[0, -1] - t[0, 0]
     ends = [FINER * length * (hz + np.array([-MAINS_REACH_HZ, MAINS_REACH_HZ])) for hz in MAINS_HZ]
     lines = np.concatenate([np.arange(int(low), int(high) + 2) for low, high in ends])
-    spectrum = np.array([np.fft.fft(each, FINER * n)[:, lines % (FINER * n)] for each in x])  # or an alias
     middle, f = 0.5 * (t[:, 1] + t[:, -1]), lines / (FINER * length)
-    return Blocks(middle, length, f, spectrum * np.exp(2j * np.pi * np.outer(middle - t[:, 1], f))[:, None])
+    amplitudes = np.empty((*x.shape[:2], len(f)), dtype=complex)
+    for own, each, after in zip(amplitudes, x, middle - t[:, 1], strict=True):
+        own[:] = np.fft.fft(each, FINER * n)[:, lines % (FINER * n)]  # or an alias
+        own *= np.exp(2j * np.pi * (after * f))
+    return Blocks(middle, length, f, amplitudes)

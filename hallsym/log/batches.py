@@ -159,13 +159,15 @@ class _Held:
 
     def read(self, log: Log, columns: Sequence[str]) -> None:
         """Read further columns, in one pass."""
-        found = list(_read(log, columns))
-        self.runs = [tuple(block.run for block in batch.blocks) for batch in found]
-        self.edges = [batch.edges for batch in found]
+        # what the blocks hold is let go batch by batch
+        found = [
+            (tuple(b.run for b in batch.blocks), batch.edges, batch.data) for batch in _read(log, columns)
+        ]
+        self.runs, self.edges = [runs for runs, _, _ in found], [edges for _, edges, _ in found]
         for name in columns:
-            for batch in found:
-                batch.data[name].flags.writeable = False
-            self.columns[log.identity(name)] = [batch.data[name] for batch in found]
+            self.columns[log.identity(name)] = [data[name] for _, _, data in found]
+            for values in self.columns[log.identity(name)]:
+                values.flags.writeable = False
 
     def batch(self, k: int, keys: dict[str, Hashable]) -> Batch:
         """Return batch k with the asked columns."""

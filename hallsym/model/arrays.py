@@ -56,9 +56,15 @@ BINARY: dict[int, Callable] = {
     ca.OP_OR: lambda a, b: np.where((a != 0) | (b != 0), 1.0, 0.0),
     ca.OP_IF_ELSE_ZERO: lambda a, b: np.where(a != 0, b, 0.0),
 }
+OPERATIONS: dict[int, tuple[str, Callable | None]] = {
+    **{code: ("unary", operation) for code, operation in UNARY.items()},
+    **{code: ("binary", operation) for code, operation in BINARY.items()},
+    **{ca.OP_CONST: ("constant", None), ca.OP_INPUT: ("input", None), ca.OP_OUTPUT: ("output", None)},
+}
+"""How each operation of CasADi is carried out: it reads up to two places, and writes the last one."""
 
 
-WORK, FEWEST = 12_000_000, 256
+WORK, FEWEST = 12_000_000, 384
 """Intermediate and final values that are held at once, 96 MB, and samples that are taken together at least.
 
 A graph of many magnets and sensors holds tens of thousands of values of each sample at once."""
@@ -77,14 +83,12 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
     """
     program = _compile(function, real)
     rows = [function.nnz_out(k) for k in range(function.n_out())]
-    dense = [function.sparsity_out(k).is_dense() for k in range(function.n_out())]
-    if not all(dense):
+    if not all(function.sparsity_out(k).is_dense() for k in range(function.n_out())):
         raise NotImplementedError(f"on_arrays needs dense outputs; densify {function.name()} first")
 
     @np.errstate(divide="ignore", over="ignore", invalid="ignore")
-    def evaluated(inputs: Sequence[Sequence], shape: tuple[int, ...], real: type) -> list[np.ndarray]:
+    def evaluate(inputs: Sequence[Sequence], out: Sequence[np.ndarray]) -> None:
         work: list = [None] * function.sz_w()
-        out: list[list] = [[0.0] * n for n in rows]
         for kind, op, a, b, target in zip(*program, strict=True):
             if kind == "binary":
                 work[target] = op(work[a], work[b])
@@ -96,7 +100,6 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
                 work[target] = op
             else:
                 out[b][target] = work[a]
-        return [_stack(entries, shape, real) for entries in out]
 
     most = max(FEWEST, WORK // max(1, function.sz_w() + sum(rows)))
 
@@ -105,14 +108,15 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
         shape = np.broadcast_shapes(*(of for of, _ in kinds))
         # a long double stays one: ranks are decided in extended precision
         real = np.longdouble if any(type_ == np.longdouble for _, type_ in kinds) else float
+        out = [np.zeros((n, *shape), dtype=real) for n in rows]
         if len(shape) != 1 or shape[0] <= most:
-            return evaluated(inputs, shape, real)
-        parts = []
+            evaluate(inputs, out)
+            return out
         for low in range(0, shape[0], most):
-            here = slice(low, min(low + most, shape[0]))
+            here = slice(low, low + most)
             own = [[v if np.size(v) == 1 else v[here] for v in column] for column in inputs]
-            parts.append(evaluated(own, (here.stop - low,), real))
-        return [np.concatenate(own, axis=-1) for own in zip(*parts, strict=True)]
+            evaluate(own, [values[:, here] for values in out])
+        return out
 
     return run
 
@@ -151,24 +155,21 @@ def _compile(function: ca.Function, real: type) -> tuple[list, ...]:
     A list of each, and the numbers of places are shared: a graph has hundreds of thousands of instructions,
     and the many graphs of a diagnosis are most of its memory.
     """
-    program: list[tuple] = []
-    most = max(function.sz_w(), function.nnz_in(), function.nnz_out())
-    of = list(range(most + 1))
+    kinds, operations, first, second, targets = program = tuple[list, ...]([] for _ in range(5))
+    # no tuple an instruction: so many of them keep the garbage collector busy
+    of = list(range(1 + max(function.sz_w(), function.nnz_in(), function.nnz_out())))
     for k in range(function.n_instructions()):
-        code, i, o = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
-        if code == ca.OP_CONST:
-            program.append(("constant", real(function.instruction_constant(k)), 0, 0, of[o[0]]))
-        elif code == ca.OP_INPUT:
-            program.append(("input", None, i[0], of[i[1]], of[o[0]]))
-        elif code == ca.OP_OUTPUT:
-            program.append(("output", None, of[i[0]], o[0], of[o[1]]))
-        elif code in BINARY:
-            program.append(("binary", BINARY[code], of[i[0]], of[i[1]], of[o[0]]))
-        elif code in UNARY:
-            program.append(("unary", UNARY[code], of[i[0]], 0, of[o[0]]))
-        else:
+        code = function.instruction_id(k)
+        if code not in OPERATIONS:
             raise NotImplementedError(f"operation {code} of {function.name()} has no array form")
-    return tuple(list(values) for values in zip(*program, strict=True))
+        kind, operation = OPERATIONS[code]
+        *read, target = *function.instruction_input(k), *function.instruction_output(k)
+        kinds.append(kind)
+        operations.append(real(function.instruction_constant(k)) if kind == "constant" else operation)
+        first.append(of[read[0]] if read else 0)
+        second.append(of[read[1]] if len(read) > 1 else 0)
+        targets.append(of[target])
+    return program
 
 
 def _kinds(column: Sequence) -> set[tuple[tuple[int, ...], Any]]:
@@ -176,13 +177,6 @@ def _kinds(column: Sequence) -> set[tuple[tuple[int, ...], Any]]:
     if isinstance(column, np.ndarray):
         return {(column.shape[1:], column.dtype)}
     return {(getattr(v, "shape", ()), getattr(v, "dtype", None)) for v in column}
-
-
-def _stack(entries: list, shape: tuple[int, ...], real: type) -> np.ndarray:
-    result: np.ndarray = np.empty((len(entries), *shape), dtype=real)
-    for row, entry in enumerate(entries):
-        result[row] = entry
-    return result
 
 
 def median(values: np.ndarray) -> float:

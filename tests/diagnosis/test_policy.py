@@ -284,13 +284,14 @@ def refits(policy: Policy) -> int:
         e.score.effect.possible, e.score.variant.tried = lambda _: True, 9
     count = list[str]()
 
-    def exact(_: Any, score: Score, __: Any) -> Exact:
+    def exact(_: Any, score: Score, *__: Any) -> Exact:
         count.append(score.effect.name)
         return made[int(score.effect.name)]
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(SELECTION, "_exact", exact)
-        refitted(made[0].fit.base, [e.score for e in made for _ in range(5)], (), lambda _: True)
+        screen = SimpleNamespace(scores=[e.score for e in made for _ in range(5)], refits={})
+        refitted(made[0].fit.base, screen, (), lambda _: True)
     return len(count)
 
 
