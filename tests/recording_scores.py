@@ -1,0 +1,256 @@
+"""Judge what a fit says of a recording whose mistake is known: noticed, named, silent, or wrong.
+
+A correction is compared with the right ones by what it does, not by its letters: a unit is its factor, a step
+of the gain is a factor, runs are nearly the same runs. The harm of a mistake is the error that a calibration
+made from the mistaken log decodes on the healthy one, over the noise floor of the pose.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from time import process_time
+
+import numpy as np
+from recordings import Mistaken, Recording
+
+import hallsym
+from hallsym.cli.fit import exit_code
+from hallsym.errors import InputError
+from hallsym.model import on_arrays
+from hallsym.units import UNITS
+
+HARMED = 3.0
+"""Decoded error over the floor from which on a mistake harms its user."""
+
+# -- corrections -------------------------------------------------------------------------------------------
+
+_RUNS = re.compile(r"\d+(-\d+)?(,\d+(-\d+)?)*")
+
+
+@dataclass(frozen=True)
+class Correction:
+    """A correction, read from its text."""
+
+    name: str
+    columns: frozenset[str]
+    numbers: tuple[float, ...]
+    runs: frozenset[int] = frozenset()
+
+
+def run_numbers(text: str) -> frozenset[int]:
+    """Return the runs of `3,5,7-9`."""
+    ends = [part.split("-") for part in text.split(",")]
+    return frozenset(k for e in ends for k in range(int(e[0]), int(e[-1]) + 1))
+
+
+def correction(text: str) -> Correction:
+    """Read a correction, such as `scale x_ref_m mm in 3,5`; a unit becomes the factor to multiply by."""
+    name, *words = text.split()
+    runs: frozenset[int] = frozenset()
+    if len(words) > 2 and words[-2] == "in" and _RUNS.fullmatch(words[-1]):
+        runs, words = run_numbers(words[-1]), words[:-2]
+    if name == "other_device":
+        return Correction(name, frozenset(), (), run_numbers(words[0]) if words else runs)
+    if name == "copied_run":
+        return Correction(name, frozenset(), (), frozenset(int(w) for w in words))
+    columns = frozenset(words[0].split(","))
+    if name == "exchange":
+        return Correction(name, frozenset(words), (), runs)
+    numbers = tuple(_number(w) for w in words[1:])
+    if name == "gain_step":
+        name, numbers = "scale", (1 / numbers[0],)
+    if name in ("zero_moved", "stuck"):
+        runs, numbers = frozenset([int(numbers[0])]), numbers[1:]
+    return Correction(name, columns, numbers, runs)
+
+
+UNIT = {"in": 0.0254, "inch": 0.0254, "dm": 0.1, "um": 1e-6}
+
+
+def _number(word: str) -> float:
+    if word in UNITS:
+        return UNITS[word].factor
+    return UNIT[word] if word in UNIT else float(word)
+
+
+def _near(
+    name: str, given: Sequence[float], right: Sequence[float], r: Recording, columns: frozenset
+) -> bool:
+    """Whether the numbers of two corrections of one name mean the same."""
+    if len(given) != len(right):
+        return False
+    a, b = np.array(given, float), np.array(right, float)
+    if name in ("scale", "coarse_steps"):
+        return bool(np.all(np.abs(a / b - 1) < (0.01 if name == "scale" else 0.1)))
+    if name == "delay":
+        return bool(np.all(np.abs(a - b) <= 0.5))
+    if name == "zero_moved":
+        return bool(np.all(np.abs(a - b) <= max(3, 0.05 * len(r.true["run"]) / len(r.runs))))
+    if name == "stuck":
+        both, either = min(a[1], b[1]) - max(a[0], b[0]), max(a[1], b[1]) - min(a[0], b[0])
+        return bool(both / either > 0.7)
+    if name == "clipped":
+        span = max(np.ptp(r.true[c]) for c in columns)
+        finite = np.isfinite(b)
+        return bool(np.all(np.abs(a - b)[finite] < 0.03 * span)) if finite.any() else True
+    return bool(np.all(a == b))
+
+
+def same(text: str, right: str, r: Recording) -> bool:
+    """Whether a correction does what a right one does, nearly."""
+    try:
+        a, b = correction(text), correction(right)
+    except (ValueError, KeyError, IndexError):
+        return False
+    if (a.name, a.columns) != (b.name, b.columns) or not _near(a.name, a.numbers, b.numbers, r, a.columns):
+        return False
+    shared = len(a.runs & b.runs) / max(1, len(a.runs | b.runs))
+    return a.runs == b.runs or (a.name not in ("copied_run", "stuck", "zero_moved") and shared >= 0.75)
+
+
+# -- harm --------------------------------------------------------------------------------------------------
+
+
+def decoded_errors(fit, r: Recording, arrays) -> np.ndarray:
+    """Return the systematic error of the decoded pose over its floor, rms by coordinate (pose,).
+
+    `arrays`: the readings and the state that the calibration is given; the pose is known from `r.true`, the
+    noise is that of `r.sigma`. A constant error of each run is taken out where runs have zeros of their own.
+    """
+    model = fit.model
+    read, p = on_arrays(model.reading), fit.values
+    zeros = np.zeros(len(model.zeros))
+    state = [arrays.get(c, np.zeros(len(arrays["run"]))) for c in model.state]
+    truth = np.array([r.true[c] for c in model.references])
+    seen = np.array([arrays[c] for c in model.channels])
+    if fit.wiring is not None:
+        seen = np.array([s * arrays[c] for c, s in fit.wiring])
+    weight = 1 / np.array([r.sigma[c] for c in model.channels])
+    steps = np.array([1e-7 if c.endswith("_m") else 1e-6 for c in model.references])
+    pose = truth.copy()
+    for _ in range(3):
+        (now,) = read(p, zeros, list(pose), state)
+        slopes = np.stack(
+            [(read(p, zeros, list(pose + h[:, None]), state)[0] - now) / h.max() for h in np.diag(steps)], 2
+        )
+        rest = seen - now
+        for k, c in enumerate(model.channels):
+            if c in model.period:
+                rest[k] = np.angle(np.exp(1j * rest[k]))
+        a = (weight[:, None, None] * slopes).transpose(1, 0, 2)
+        whitened = (weight[:, None] * rest).T[:, :, None]
+        pose = pose + (np.linalg.pinv(a) @ whitened)[:, :, 0].T
+    floor = np.sqrt(np.mean(np.linalg.pinv(a.transpose(0, 2, 1) @ a).diagonal(axis1=1, axis2=2), axis=0))
+    error = pose - truth
+    if len(model.zeros):
+        for run in r.runs:
+            rows = r.rows(run)
+            error[:, rows] -= error[:, rows].mean(axis=1, keepdims=True)
+    return np.sqrt(np.mean(error**2, axis=1)) / floor
+
+
+def harm(fit, r: Recording, arrays) -> float:
+    """Return the largest decoded error over its floor, the noise of the readings counted."""
+    with np.errstate(all="ignore"):
+        worst = np.nanmax(decoded_errors(fit, r, arrays))
+    return float(np.hypot(1, worst))
+
+
+# -- one case ----------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Outcome:
+    """What came of a case.
+
+    `ends`: "refusal", or the exit code. `harm`: of the calibration on healthy readings; `own`: on the columns
+    as they were recorded, where a controller that reads the same would use it; None where nothing was fitted.
+    `verdict`: right, rival, wrong, noticed, harmless, silent, or false (of a healthy log), ok.
+    """
+
+    case: str
+    kind: str
+    family: str
+    right: tuple[str, ...]
+    ends: str
+    harm: float | None
+    own: float | None
+    first: str | None
+    claims: list[dict]
+    said: str
+    seconds: float
+    verdict: str = ""
+
+    @property
+    def record(self) -> dict:
+        return asdict(self)
+
+
+def told(r: Recording, **more):
+    """Fit a recording -> (fit or None, how it ends, what is said, seconds)."""
+    began = process_time()
+    try:
+        fit = hallsym.fit(r.log, r.model, effects=r.effects, parameters=r.parameters, solver="direct", **more)
+    except InputError as error:
+        return None, "refusal", str(error), process_time() - began
+    with contextlib.redirect_stderr(io.StringIO()) as out:
+        code = exit_code(fit)
+    amiss = (fit.goodness and fit.goodness.sentence) or ""
+    return fit, str(code), " | ".join(x for x in (out.getvalue(), amiss, *fit.notes) if x), (
+        process_time() - began
+    )  # fmt: skip
+
+
+def claims_of(fit) -> list[dict]:
+    """Return claims as dicts, whatever the type they have."""
+    get = lambda c, k: c.get(k) if isinstance(c, dict) else getattr(c, k, None)  # noqa: E731
+    keys = ("name", "columns", "runs", "text", "correction", "explains", "rivals")
+    return [{k: get(c, k) for k in keys} for c in getattr(fit, "claims", ())]
+
+
+def judged_mistake(m: Mistaken) -> Outcome:
+    """Fit a mistaken log and judge what is said of it."""
+    fit, ends, said, seconds = told(m.recording)
+    claims = claims_of(fit) if fit is not None else []
+    first = next((c["correction"] for c in claims if c["correction"]), None)
+    r = m.recording
+    healthy = {**r.true}
+    recorded = {c: r.arrays[c] if c in m.columns else x for c, x in r.true.items()}
+    hurt = own = None
+    if fit is not None:
+        hurt = harm(fit, r, healthy)
+        own = hurt if m.runs else harm(fit, r, recorded)
+    out = Outcome(m.case, m.kind, r.family, m.right, ends, hurt, own, first, claims, said, seconds)
+    out.verdict = verdict(m, out)
+    return out
+
+
+def verdict(m: Mistaken, out: Outcome) -> str:
+    """right | rival | wrong: a correction is named. noticed: without one. harmless | consistent | silent."""
+    is_right = lambda text: any(same(text, right, m.recording) for right in m.right)  # noqa: E731
+    if m.legal:
+        return "wrong" if out.first and not is_right(out.first) else "legal"
+    if out.first:
+        rivals = next((c["rivals"] or [] for c in out.claims if c["correction"] == out.first), [])
+        return "right" if is_right(out.first) else "rival" if any(map(is_right, rivals)) else "wrong"
+    if not m.right and any(set(c["columns"] or ()) & set(m.columns) for c in out.claims):
+        return "right"
+    if out.ends != "0" or out.claims:
+        return "noticed"
+    if out.harm <= HARMED:
+        return "harmless"
+    return "consistent" if out.own <= HARMED else "silent"
+
+
+def judged_healthy(case: str, kind: str, r: Recording) -> Outcome:
+    """Fit a healthy log; a claim with a correction, or a refusal, is false."""
+    fit, ends, said, seconds = told(r)
+    claims = claims_of(fit) if fit is not None else []
+    first = next((c["correction"] for c in claims if c["correction"]), None)
+    out = Outcome(case, kind, r.family, (), ends, None, None, first, claims, said, seconds)
+    out.verdict = "false" if first or fit is None else "ok" if ends == "0" and not claims else "noted"
+    return out

@@ -1,0 +1,712 @@
+"""Recordings of machines that are known: healthy ones of every family, and the same with one mistake in them.
+
+`machine(family, seed)` draws a machine, its campaign and its noise and records a healthy log.
+`mistaken(kind, family, seed)` makes one mistake of recording in such a log and says which corrections undo
+it, in the words of `--correct`. `healthy(kind, seed)` records a log that holds no mistake although it is
+short, slow, coarse, or of an odd machine. Everything is drawn by the seed; the physics is that of the models.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from zlib import crc32
+
+import numpy as np
+from scipy.signal import lfilter
+
+from hallsym.families import build
+from hallsym.families.halbach.layout import columns
+from hallsym.families.stage.models import Probe, stage31
+from hallsym.log import Log, Meta, Noise
+from hallsym.simulation import Campaign, Run, simulate, sine
+from hallsym.simulation.signals import AtTimes, ramp
+
+Arrays = dict[str, np.ndarray]
+FAMILIES = ("stage30", "stage31", "drawn", "rotary", "homed", "chip", "halbach", "planar")
+"""`drawn`: stage31 with probes where a machine file puts them; `homed`: an encoder whose zero is another one
+in each run; `chip`: an encoder that gives its angle; `planar`: four Halbach arrays over 24 sums."""
+TURN = 2 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A log with what is known of it.
+
+    `arrays`: its columns. `true`: the same without noise and without a mistake. `sigma`: the noise that was
+    added; `stated`: what the log says of it. `effects`, `parameters`, `probes`: what a fit is told.
+    """
+
+    family: str
+    model: str
+    arrays: Arrays
+    true: Arrays
+    sigma: dict[str, float]
+    stated: dict[str, float]
+    effects: tuple[str, ...] = ()
+    parameters: dict[str, dict[str, float]] = field(default_factory=dict)
+    probes: list[dict] | None = None
+
+    @property
+    def log(self) -> Log:
+        """The log as a fit takes it."""
+        noise = Noise.given(self.stated, tuple(self.arrays))
+        return Log.from_arrays(self.arrays, noise, Meta(base_model=self.model, probes=self.probes))
+
+    @property
+    def built(self):
+        """The model that recorded it."""
+        meta = Meta(probes=self.probes, columns=tuple(self.true))
+        return build(self.model, meta=meta, added=self.effects, parameters=self.parameters)
+
+    @property
+    def readings(self) -> list[str]:
+        return [c for c in self.built.channels if c in self.true]
+
+    @property
+    def references(self) -> list[str]:
+        return list(self.built.references)
+
+    @property
+    def state(self) -> list[str]:
+        return [c for c in self.built.state if c in self.true]
+
+    @property
+    def runs(self) -> np.ndarray:
+        return np.unique(self.true["run"])
+
+    def rows(self, run: int) -> slice:
+        """Rows of a run."""
+        at = np.flatnonzero(self.true["run"] == run)
+        return slice(int(at[0]), int(at[-1]) + 1)
+
+
+def drawn_by(*what: object) -> np.random.Generator:
+    """Return a generator that depends on all of these, in every process alike."""
+    return np.random.default_rng([crc32(repr(w).encode()) for w in what])
+
+
+# -- machines ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A machine and what is recorded of it, before noise."""
+
+    model: str
+    values: dict[str, float]
+    campaign: Campaign
+    sigma: dict[str, float]
+    effects: tuple[str, ...] = ()
+    parameters: dict[str, dict[str, float]] = field(default_factory=dict)
+    probes: list[dict] | None = None
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is recorded: runs, samples of each, and the step of the clock [s]."""
+
+    runs: int
+    samples: int
+    step_s: float
+
+
+def size_of(family: str, rng: np.random.Generator) -> Size:
+    """Draw 5 to 60 runs of 50 to 800 samples; fewer of a planar mover, which has 24 channels."""
+    runs = int(np.exp(rng.uniform(np.log(5), np.log(61))))
+    samples = int(np.exp(rng.uniform(np.log(60), np.log(801))))
+    if family == "planar":
+        runs, samples = int(rng.integers(5, 9)), int(rng.integers(60, 121))
+    return Size(runs, min(samples, 20_000 // runs), float(10 ** rng.uniform(-3.3, -1.7)))
+
+
+def machine(family: str, seed: object, size: Size | None = None) -> Recording:
+    """Draw a machine and record a healthy log of it."""
+    rng = drawn_by("machine", family, seed)
+    drawn = size_of(family, rng)
+    plan = PLANS[family](rng, size or drawn)
+    return recorded(family, plan, rng, stated=rng.random() < 0.6, coloured=rng.random() < 0.15)
+
+
+def recorded(
+    family: str, plan: Plan, rng: np.random.Generator, *, stated: bool, coloured: bool = False
+) -> Recording:
+    """Record what is planned, with noise."""
+    empty = Recording(family, plan.model, {}, {}, plan.sigma, plan.sigma if stated else {}, plan.effects,
+                      plan.parameters, plan.probes)  # fmt: skip
+    meta = Meta(probes=plan.probes, columns=tuple(plan.sigma))
+    model = build(plan.model, meta=meta, added=plan.effects, parameters=plan.parameters)
+    true = simulate(model, plan.values, plan.campaign, seed=int(rng.integers(2**31)))
+    memory = float(np.exp(-1 / rng.uniform(1, 4))) if coloured else 0.0
+    arrays = dict(true)
+    for name, level in plan.sigma.items():
+        noise = rng.standard_normal(len(true["run"]))
+        if memory:
+            noise = lfilter([np.sqrt(1 - memory**2)], [1, -memory], noise)
+        arrays[name] = true[name] + level * noise
+    if "angle_rad" in arrays:
+        arrays["angle_rad"] = np.mod(arrays["angle_rad"], TURN)
+    return replace(empty, arrays=arrays, true=true)
+
+
+def _waves(amplitude: float, rng: np.random.Generator, size: Size) -> AtTimes:
+    """One to four cycles in a run, with a phase, no period shorter than 25 samples."""
+    seconds, most = size.samples * size.step_s, max(1.0, min(4.0, size.samples / 25))
+    parts = [sine(amplitude * s, c / seconds, rng.uniform(0, TURN))
+             for s, c in zip((0.6, 0.4), rng.uniform(0.7, most, 2), strict=True)]  # fmt: skip
+    return lambda t: parts[0](t) + parts[1](t)
+
+
+def _one_axis(amplitude: float, rng: np.random.Generator, size: Size) -> AtTimes:
+    seconds = size.samples * size.step_s
+    return sine(amplitude, float(rng.integers(1, 3)) / seconds)
+
+
+def stage_plan(
+    rng: np.random.Generator, size: Size, *, model: str = "stage31", probes: Sequence[Probe] = ()
+) -> Plan:
+    """Draw a stage inside its bounds; gains follow the height of each probe, as on a rigid stage, nearly."""
+    layout = tuple(probes) or None
+    built = stage31(layout) if layout else build("stage31")
+    low, high = built.bounds
+    values = {n: float(rng.uniform(0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b))
+              for n, a, b in zip(built.names, low, high, strict=True)}  # fmt: skip
+    at = np.array([rng.uniform(-0.05, 0.12), rng.uniform(-0.1, 0.1)])
+    for probe in built.layout:
+        label, (x, y) = probe.label, np.array(probe.position)
+        values[f"theta_{label}"] = rng.uniform(-0.03, 0.03)
+        a = -rng.uniform(60, 400)
+        free = {f"a_{label}": a, f"b_{label}": a * (y - at[1]), f"c_{label}": -a * (x - at[0])}
+        for name, value in free.items():
+            i = built.names.index(name)
+            values[name] = float(np.clip(value * rng.uniform(0.95, 1.05), low[i], high[i]))
+    if model == "stage30":
+        values = {n: v for n, v in values.items() if n[:2] not in ("a_", "b_", "c_")}
+    travel = {"x_m": 3e-4, "y_m": 5e-4, "rz_rad": 3e-4}
+    travel = {axis: a * rng.uniform(0.5, 1.5) for axis, a in travel.items()}
+    level = float(10 ** rng.uniform(-7, -6))
+    sigma = dict.fromkeys([p.channel for p in built.layout], level)
+    sigma |= dict.fromkeys(built.references, level * rng.uniform(0.3, 1.5))
+    sigma |= {"z_m": 12e-9, "rx_rad": 80e-9, "ry_rad": 80e-9}
+    grid, slow = rng.random() < 0.4, rng.random() < 0.5
+    runs = []
+    for k in range(max(size.runs, 15) if grid else size.runs):
+        state = {a: float(rng.uniform(-s, s)) for a, s in (("z_m", 3e-4), ("rx_rad", 4e-4), ("ry_rad", 4e-4))}
+        axes = [list(travel)[k % 3]] if grid else list(travel)
+        motion = {axis: (_one_axis if grid else _waves)(travel[axis], rng, size) for axis in axes}
+        if slow and not grid:
+            motion |= {c: _waves(0.3 * abs(v) + 2e-5, rng, size) for c, v in state.items()}
+        runs.append(Run(size.samples * size.step_s, state, motion))
+    entries = [p.entry for p in layout] if layout else None
+    return Plan(model, values, Campaign(size.step_s, tuple(runs)), sigma, probes=entries)
+
+
+def drawn_layout(rng: np.random.Generator) -> tuple[Probe, ...]:
+    """Draw three or four probes that tell x, y and Rz apart: two feel y at both sides, the others feel x."""
+    away = lambda: float(rng.uniform(0.06, 0.3))  # noqa: E731
+    up = (0.0, float(rng.choice([-1.0, 1.0])))
+    across = (float(rng.choice([-1.0, 1.0])), 0.0)
+    made = [
+        Probe("hall_a_m", (away(), away()), up),
+        Probe("hall_b_m", (-away(), away()), up),
+        Probe("hall_c_m", (away(), away()), across),
+    ]
+    if rng.random() < 0.4:
+        made.append(Probe("hall_d_m", (-away(), -away()), across))
+    return tuple(made)
+
+
+def drawn_plan(rng: np.random.Generator, size: Size) -> Plan:
+    """Draw a stage with a layout of its own."""
+    return stage_plan(rng, size, probes=drawn_layout(rng))
+
+
+def turns(rng: np.random.Generator, size: Size) -> tuple[Run, ...]:
+    """Runs of an encoder: turned both ways at several speeds, or swung by more than a turn."""
+    seconds, swung, runs = size.samples * size.step_s, rng.random() < 0.4, []
+    for k in range(size.runs):
+        begin = rng.uniform(0, TURN)
+        turned = rng.uniform(1.2, max(1.5, size.samples / 40)) * TURN
+        move = ramp((-1) ** k * turned / seconds)
+        if swung:
+            move = sine(rng.uniform(1.1, 1.5) * np.pi, rng.uniform(1, 2) / seconds, rng.uniform(0, TURN))
+        runs.append(Run(seconds, {}, {"angle_rad": lambda t, b=begin, m=move: b + m(t)}))
+    return tuple(runs)
+
+
+def rotary_plan(rng: np.random.Generator, size: Size) -> Plan:
+    """Draw an encoder with two voltages."""
+    size_v = rng.uniform(0.5, 2.0)
+    values = {"Ax": size_v, "Ay": size_v * rng.uniform(0.9, 1.1), "beta": rng.uniform(-0.1, 0.1)}
+    values |= {"Vx": size_v * rng.uniform(-0.1, 0.1), "Vy": size_v * rng.uniform(-0.1, 0.1)}
+    values["zero"] = rng.uniform(-3, 3)
+    level = float(10 ** rng.uniform(-3.7, -2.5))
+    sigma = {"v_sin_v": level * size_v, "v_cos_v": level * size_v}
+    sigma["angle_ref_rad"] = float(level * rng.uniform(0.05, 0.5))
+    return Plan("rotary", values, Campaign(size.step_s, turns(rng, size)), sigma)
+
+
+def homed_plan(rng: np.random.Generator, size: Size) -> Plan:
+    """Draw an encoder whose reference has another zero in each run."""
+    plan = rotary_plan(rng, size)
+    runs = tuple(replace(run, zeros=(float(rng.uniform(-3, 3)),)) for run in plan.campaign.runs)
+    return replace(plan, values={**plan.values, "zero": 0.0}, effects=("zero_deviation",),
+                   campaign=replace(plan.campaign, runs=runs))  # fmt: skip
+
+
+def chip_plan(rng: np.random.Generator, size: Size) -> Plan:
+    """Draw an encoder that gives its angle."""
+    plan = rotary_plan(rng, size)
+    size_v, level = plan.values["Ax"], plan.sigma["v_sin_v"]
+    values = {n: v / size_v if n[0] in "AV" else v for n, v in plan.values.items()}
+    sigma = {"angle_rad": level / size_v, "angle_ref_rad": plan.sigma["angle_ref_rad"]}
+    return replace(plan, values=values, sigma=sigma, probes=[{"channel": "angle_rad"}])
+
+
+def halbach_plan(rng: np.random.Generator, size: Size) -> Plan:
+    """Draw one array over three to six sums at a third of the wavelength."""
+    count, wave = int(rng.integers(3, 7)), 0.03
+    layout = columns([(k - (count - 1) / 2) * wave / 3 for k in range(count)], wave)
+    amplitude = rng.uniform(0.2, 1.5)
+    values = {"a1": amplitude, "b1": amplitude * rng.uniform(-0.5, 0.5)}
+    values |= {"a5": -0.03 * amplitude, "b5": 0.01 * amplitude * rng.uniform(-1, 1)}
+    level = amplitude * float(10 ** rng.uniform(-3.7, -2.7))
+    sigma = {f"col_{k}_v": level for k in range(count)} | dict.fromkeys(
+        ("x_ref_m", "z_ref_m"), level / amplitude * 5e-3 * rng.uniform(0.1, 1)
+    )
+    gap, travel, runs = rng.uniform(5e-3, 7e-3), rng.uniform(8e-3, 30e-3), []
+    for _ in range(size.runs):
+        motion = {"x_m": _waves(travel, rng, size), "z_m": _waves(1e-3, rng, size)}
+        setting = {"x_m": float(rng.uniform(-5e-3, 5e-3)), "z_m": float(gap + rng.uniform(-5e-4, 5e-4))}
+        runs.append(Run(size.samples * size.step_s, setting, motion))
+    entries = [part.entry for part in layout]
+    return Plan("halbach", values, Campaign(size.step_s, tuple(runs)), sigma, probes=entries)
+
+
+def planar_plan(rng: np.random.Generator, size: Size) -> Plan:
+    """Draw the mover of four arrays over 24 sums."""
+    model, amplitude = build("halbach_planar"), rng.uniform(0.3, 1.5)
+    values = {"a1": amplitude, "a5": -0.03 * amplitude}
+    values |= {f"{a}0": rng.uniform(-3e-3, 3e-3) for a in "xy"}
+    values |= {f"r{a}0": rng.uniform(-5e-3, 5e-3) for a in "xyz"}
+    level = amplitude * float(10 ** rng.uniform(-3.5, -2.7))
+    sigma = dict.fromkeys(model.channels, level)
+    for c in model.references:
+        sigma[c] = level / amplitude * (5e-3 if c.endswith("_m") else 3e-2) * rng.uniform(0.1, 0.5)
+    travel = {"x_m": 0.012, "y_m": 0.012, "z_m": 8e-4, "rx_rad": 4e-3, "ry_rad": 4e-3, "rz_rad": 4e-3}
+    runs = []
+    for _ in range(size.runs):
+        motion = {c: _waves(a * rng.uniform(0.6, 1), rng, size) for c, a in travel.items()}
+        setting = {"z_m": 6e-3, "x_m": rng.uniform(-3e-3, 3e-3), "y_m": rng.uniform(-3e-3, 3e-3)}
+        runs.append(Run(size.samples * size.step_s, setting, motion))
+    return Plan("halbach_planar", values, Campaign(size.step_s, tuple(runs)), sigma)
+
+
+PLANS: dict[str, Callable[[np.random.Generator, Size], Plan]] = {
+    "stage30": lambda rng, size: stage_plan(rng, size, model="stage30"),
+    "stage31": stage_plan,
+    "drawn": drawn_plan,
+    "rotary": rotary_plan,
+    "homed": homed_plan,
+    "chip": chip_plan,
+    "halbach": halbach_plan,
+    "planar": planar_plan,
+}
+
+# -- mistakes ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Mistaken:
+    """A log with one mistake.
+
+    `right`: the corrections that undo it, each in full; more than one where they are truly the same. None
+    where no correction of the interface does. `columns`, `runs`: where it is, all runs where that is empty.
+    `legal`: another machine would have recorded just that, so nobody can tell and nothing is to be said.
+    """
+
+    case: str
+    kind: str
+    recording: Recording
+    right: tuple[str, ...]
+    columns: tuple[str, ...]
+    runs: tuple[int, ...] = ()
+    legal: bool = False
+
+
+@dataclass(eq=False)
+class Draft:
+    """What a kind of mistake works on: columns that may be changed, and where."""
+
+    r: Recording
+    rng: np.random.Generator
+    runs: tuple[int, ...]
+    arrays: Arrays
+    columns: list[str] = field(default_factory=list)
+    right: list[str] = field(default_factory=list)
+    legal: bool = False
+
+    @property
+    def rows(self) -> list[slice]:
+        """Rows of each run in which the mistake is made."""
+        return [self.r.rows(run) for run in (self.runs or self.r.runs.tolist())]
+
+    @property
+    def where(self) -> str:
+        return f" in {','.join(map(str, self.runs))}" if self.runs else ""
+
+    def one(self, names: Sequence[str]) -> str:
+        return str(self.rng.choice(list(names)))
+
+    def change(self, names: Sequence[str], by: Callable[[np.ndarray], np.ndarray]) -> None:
+        """Change columns in the runs of the mistake, run by run."""
+        for name in names:
+            for rows in self.rows:
+                self.arrays[name][rows] = by(self.arrays[name][rows].copy())
+        self.columns += [n for n in names if n not in self.columns]
+
+    def say(self, text: str) -> None:
+        """Add a correction that undoes the mistake, in the runs in which it is made."""
+        self.right.append(text + self.where)
+
+
+Make = Callable[[Draft], None]
+Role = Callable[[Recording], list[str]]
+READINGS: Role = lambda r: r.readings  # noqa: E731
+REFERENCES: Role = lambda r: r.references  # noqa: E731
+STATE: Role = lambda r: r.state  # noqa: E731
+
+
+def names(columns: Sequence[str]) -> str:
+    return ",".join(columns)
+
+
+def sign(role: Role) -> Make:
+    def make(d: Draft) -> None:
+        c = d.one(role(d.r))
+        d.change([c], np.negative)
+        d.say(f"sign {c}")
+        if d.r.family in ENCODERS:
+            every = [*d.r.readings, *d.r.references]
+            d.right = [f"sign {one}{d.where}" for one in every]
+            if len(d.r.readings) == 2:
+                d.say(f"exchange {' '.join(d.r.readings)}")
+            d.legal = not d.runs
+
+    return make
+
+
+def all_signs(d: Draft) -> None:
+    d.change(d.r.readings, np.negative)
+    d.say(f"sign {names(d.r.readings)}")
+    d.say(f"sign {names(d.r.references)}")
+    d.legal = not d.runs and d.r.family in ("rotary", "homed", "halbach")
+
+
+ENCODERS = ("rotary", "homed", "chip")
+
+
+def scaled(role: Role, factor: float, *, every: bool = False) -> Make:
+    """The numbers are `factor` times what they should be."""
+
+    def make(d: Draft) -> None:
+        columns = role(d.r) if every else [d.one(role(d.r))]
+        d.change(columns, lambda x: x * factor)
+        d.say(f"scale {names(columns)} {1 / factor:.9g}")
+        others = [c for c in d.r.readings if c not in columns]
+        if d.r.family in ("rotary", "homed") and columns[0] in d.r.readings and others and not d.runs:
+            d.say(f"scale {names(others)} {factor:.9g}")
+        amplitude_is_free = d.r.family in ("rotary", "homed", "halbach", "planar")
+        d.legal = amplitude_is_free and columns == d.r.readings and not d.runs
+
+    return make
+
+
+def of_unit(role: Role, *suffixes: str) -> Role:
+    """The columns of a role in these units."""
+    return lambda r: [c for c in role(r) if c.endswith(suffixes)]
+
+
+def lengths(r: Recording) -> list[str]:
+    return [c for c in (*r.readings, *r.references, *r.state) if c.endswith("_m")]
+
+
+def exchanged(role: Role, other: Role | None = None) -> Make:
+    def make(d: Draft) -> None:
+        one = d.one(role(d.r))
+        two = d.one([c for c in (other or role)(d.r) if c != one])
+        a, b = d.arrays[one].copy(), d.arrays[two].copy()
+        for rows in d.rows:
+            d.arrays[one][rows], d.arrays[two][rows] = b[rows], a[rows]
+        d.columns += [one, two]
+        d.say(f"exchange {one} {two}")
+        if d.r.family in ENCODERS:
+            d.right += [f"sign {c}{d.where}" for c in (*d.r.readings, *d.r.references)]
+            d.legal = not d.runs
+
+    return make
+
+
+def shifted(x: np.ndarray, samples: int) -> np.ndarray:
+    """Values that come `samples` late, early if negative; at the ends the nearest is repeated."""
+    return x[np.clip(np.arange(len(x)) - samples, 0, len(x) - 1)]
+
+
+def late(role: Role, samples: int, *, every: bool = False) -> Make:
+    def make(d: Draft) -> None:
+        columns = role(d.r) if every else [d.one(role(d.r))]
+        n = samples * int(d.rng.choice([-1, 1]))
+        d.change(columns, lambda x: shifted(x, n))
+        d.say(f"delay {names(columns)} {n}")
+        everything = [*d.r.readings, *d.r.references, *d.r.state]
+        rest = [c for c in everything if c not in columns]
+        d.say(f"delay {names(rest)} {-n}")
+        if every:
+            d.say(f"delay {names([c for c in rest if c not in d.r.state])} {-n}")
+
+    return make
+
+
+def _spread(d: Draft, column: str) -> float:
+    """Standard deviation of a column's motion, as runs have it in the median."""
+    return float(np.median([np.std(d.r.true[column][d.r.rows(run)]) for run in d.r.runs]))
+
+
+def _moving(d: Draft, columns: Sequence[str]) -> list[str]:
+    """The columns that move in the runs of the mistake; those of a grid rest in most."""
+    alive = [c for c in columns if all(np.ptp(d.r.true[c][rows]) > 20 * d.r.sigma[c] for rows in d.rows)]
+    return alive or list(columns)
+
+
+def zero_moved(role: Role) -> Make:
+    def make(d: Draft) -> None:
+        c = d.one(role(d.r))
+        step = d.rng.choice([-1, 1]) * max(0.03 * _spread(d, c), 12 * d.r.sigma[c]) * d.rng.uniform(1, 4)
+        for run, rows in zip(d.runs, d.rows, strict=True):
+            n = rows.stop - rows.start
+            at = int(d.rng.uniform(0.25, 0.75) * n)
+            d.arrays[c][rows.start + at : rows.stop] += step
+            d.right.append(f"zero_moved {c} {run} {at}")
+        d.columns.append(c)
+
+    return make
+
+
+def clipped(role: Role, share: float) -> Make:
+    def make(d: Draft) -> None:
+        c = d.one(_moving(d, role(d.r)))
+        seen = np.concatenate([d.arrays[c][rows] for rows in d.rows])
+        both = d.rng.random() < 0.5
+        low = float(np.quantile(seen, share / 2)) if both else -np.inf
+        high = float(np.quantile(seen, 1 - (share / 2 if both else share)))
+        d.change([c], lambda x: np.clip(x, low, high))
+        d.say(f"clipped {c} {low:.9g} {high:.9g}")
+
+    return make
+
+
+def mean_of(x: np.ndarray, samples: int) -> np.ndarray:
+    """Centred means, fewer samples at the ends."""
+    ones = np.ones(samples)
+    return np.convolve(x, ones, "same") / np.convolve(np.ones(len(x)), ones, "same")
+
+
+def averaged(role: Role, samples: int, *, every: bool = False) -> Make:
+    def make(d: Draft) -> None:
+        columns = role(d.r) if every else [d.one(_moving(d, role(d.r)))]
+        d.change(columns, lambda x: mean_of(x, samples))
+        d.say(f"averaged {names(columns)} {samples}")
+
+    return make
+
+
+def coarse(role: Role, bits: int, *, every: bool = False) -> Make:
+    """So many bits for the travel of each column, at most for a turn."""
+
+    def make(d: Draft) -> None:
+        for c in role(d.r) if every else [d.one(_moving(d, role(d.r)))]:
+            span = float(np.ptp(d.r.true[c]))
+            step = (min(span, TURN) if d.r.family in ENCODERS else span) / 2**bits
+            d.change([c], lambda x, h=step: np.round(x / h) * h)
+            d.say(f"coarse_steps {c} {step:.9g}")
+
+    return make
+
+
+def stuck(role: Role, *, every: bool = False) -> Make:
+    def make(d: Draft) -> None:
+        columns = role(d.r) if every else [d.one(_moving(d, role(d.r)))]
+        for run, rows in zip(d.runs, d.rows, strict=True):
+            n = rows.stop - rows.start
+            length = max(4, int(d.rng.uniform(0.08, 0.4) * n))
+            start = int(d.rng.integers(0, n - length))
+            for c in columns:
+                d.arrays[c][rows.start + start : rows.start + start + length] = d.arrays[c][
+                    rows.start + start
+                ]
+            d.right.append(f"stuck {names(columns)} {run} {start} {start + length}")
+        d.columns += columns
+
+    return make
+
+
+def copied(d: Draft) -> None:
+    """A run holds what another one holds, on a clock of its own."""
+    source = int(d.rng.choice([r for r in d.r.runs if r not in d.runs]))
+    for run in d.runs:
+        for c in (*d.r.readings, *d.r.references, *d.r.state):
+            d.arrays[c][d.r.rows(run)] = d.arrays[c][d.r.rows(source)]
+        d.right += [f"copied_run {run} {source}", f"copied_run {source} {run}"]
+
+
+def other_device(d: Draft) -> None:
+    """The readings of some runs are those of another device, with gains of its own."""
+    low, spread = {"stage30": (0.03, 0.12), "stage31": (0.03, 0.12), "drawn": (0.03, 0.12)}.get(
+        d.r.family, (0.02, 0.15)
+    )
+    gains = 1 + d.rng.choice([-1, 1], len(d.r.readings)) * d.rng.uniform(low, spread, len(d.r.readings))
+    if d.r.family == "chip":  # another ellipse
+        e, a = d.rng.uniform(0.02, 0.1), d.rng.uniform(0, TURN)
+        d.change(d.r.readings, lambda x: np.mod(x + e * np.sin(x + a), TURN))
+    else:
+        for c, gain in zip(d.r.readings, gains, strict=True):
+            d.change([c], lambda x, g=gain: x * g)
+    d.say("other_device")
+    d.right = [f"other_device {','.join(map(str, d.runs))}"]
+    rest = [r for r in d.r.runs.tolist() if r not in d.runs]
+    if len(d.runs) >= len(rest):
+        d.right.append(f"other_device {','.join(map(str, rest))}")
+
+
+def gain_step(role: Role, by: float) -> Make:
+    def make(d: Draft) -> None:
+        c = d.one(_moving(d, role(d.r)))
+        factor = 1 + by * float(d.rng.choice([-1, 1]))
+        d.change([c], lambda x: x * factor)
+        d.say(f"gain_step {c} {factor:.9g}")
+        rest = [r for r in d.r.runs.tolist() if r not in d.runs]
+        d.right.append(f"gain_step {c} {1 / factor:.9g} in {','.join(map(str, rest))}")
+
+    return make
+
+
+def zeroed(d: Draft) -> None:
+    """A gap has lost its zero: each run is written as deviations from its mean."""
+    d.change(["z_ref_m"], lambda x: x - x.mean())
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of mistake: how it is made, `scope` (in which runs), and in which families it can be made."""
+
+    name: str
+    make: Make
+    scope: str
+    role: Role
+    least: int = 1
+    """Columns of the role that it needs."""
+    only: tuple[str, ...] = FAMILIES
+
+
+def _kinds() -> tuple[Kind, ...]:
+    out: list[Kind] = []
+
+    def add(name: str, make: Make, role: Role, scopes: str = "log run few", **about) -> None:
+        out.extend(Kind(f"{name}, {scope}", make, scope, role, **about) for scope in scopes.split())
+
+    linear = tuple(f for f in FAMILIES if f != "chip")
+    stages = ("stage30", "stage31", "drawn")
+    for role, what, own, steady in (
+        (READINGS, "reading", linear, linear),
+        (REFERENCES, "reference", FAMILIES, tuple(f for f in FAMILIES if f not in ENCODERS)),
+    ):
+        add(f"sign of a {what}", sign(role), role)
+        for factor in (1e3, 1e-3, 10.0, 0.1):
+            add(f"{what} x {factor:g}", scaled(role, factor), role, "log run" if factor > 1 else "log")
+        add(f"{what} in inches", scaled(of_unit(role, "_m"), 1 / 0.0254), of_unit(role, "_m"), "log")
+        add(f"{what} in counts", scaled(role, 1 / 0.37e-4), role, "log")
+        add(f"two {what}s exchanged", exchanged(role), role, "log run", least=2)
+        for n in (1, 2, 5, 20):
+            add(f"{what} {n} samples off", late(role, n), role, "log run" if n > 1 else "log")
+            add(f"all {what}s {n} samples off", late(role, n, every=True), role, "log run", least=2)
+        add(f"zero of a {what} moved", zero_moved(role), role, "run few")
+        for share in (0.01, 0.05, 0.2):
+            scopes = "log run" if share > 0.02 else "log"
+            add(f"{what} clipped in {share:.0%}", clipped(role, share), role, scopes, only=own)
+        for n in (3, 5, 9):
+            add(f"{what} averaged over {n}", averaged(role, n), role, "log", only=linear)
+            add(f"all {what}s averaged over {n}", averaged(role, n, every=True), role, "log run", least=2)
+        for bits in (3, 5, 8):
+            add(f"{what} of {bits} bits", coarse(role, bits), role, "log run" if bits < 8 else "log")
+        add(f"all {what}s of 5 bits", coarse(role, 5, every=True), role, "log", least=2)
+        add(f"{what} stuck", stuck(role), role, "run few")
+        add(f"all {what}s stuck", stuck(role, every=True), role, "run", least=2)
+        for by in (0.05, 0.2):
+            add(f"{what} gain {by:+.0%}", gain_step(role, by), role, "run tail", only=steady)
+    add("all readings inverted", all_signs, READINGS, "log run", least=2)
+    angles, degree = of_unit(REFERENCES, "_rad"), np.pi / 180
+    add("reference in degrees", scaled(angles, 1 / degree), angles, "log run")
+    add("reference taken for degrees", scaled(angles, degree), angles, "log")
+    for factor in (1e3, 1e-3, 10.0, 0.1):
+        add(f"all readings x {factor:g}", scaled(READINGS, factor, every=True), READINGS, "log", least=2)
+    add("all lengths x 1000", scaled(lengths, 1e3, every=True), lengths, "log", only=(*stages, "halbach"))
+    add("all readings x 10", scaled(READINGS, 10.0, every=True), READINGS, "run", least=2)
+    add("copied run", copied, READINGS, "run")
+    add("another device", other_device, READINGS, "run few half")
+    heights = ("stage31", "drawn")
+    add("sign of a state", sign(STATE), STATE, "log run", only=heights)
+    for factor in (1e3, 10.0, 180 / np.pi):
+        add(f"state x {factor:.3g}", scaled(STATE, factor), STATE, "log run", only=heights)
+    add("two states exchanged", exchanged(STATE), STATE, "log run", only=heights)
+    add("gap zeroed", zeroed, of_unit(REFERENCES, "z_ref_m"), "log", only=("halbach", "planar"))
+    return tuple(out)
+
+
+KINDS = {kind.name: kind for kind in _kinds()}
+
+
+def cases(seed: int, repeat: int = 1) -> list[tuple[str, str, str]]:
+    """Return every kind with every family that it can be made in, and seeds: (kind, family, seed)."""
+    found = []
+    for kind in KINDS.values():
+        for family in kind.only:
+            if len(kind.role(_sample(family))) >= kind.least:
+                found += [(kind.name, family, f"{seed}.{k}") for k in range(repeat)]
+    return found
+
+
+@cache
+def _sample(family: str) -> Recording:
+    """A recording from which the columns of a family are known."""
+    return machine(family, "sample", size=Size(5, 60, 1e-2))
+
+
+MACHINES = {"planar": 3}
+"""How many machines a seed has in a family; more where a fit is quick."""
+
+
+@cache
+def twin(family: str, seed: str, number: int) -> Recording:
+    """The healthy recording that a mistake is made in."""
+    return machine(family, (seed, number))
+
+
+def mistaken(kind: str, family: str, seed: str) -> Mistaken:
+    """Make one mistake in the recording of a machine; all is drawn by kind, family and seed."""
+    rng, known = drawn_by(kind, family, seed), KINDS[kind]
+    r = twin(family, seed, int(rng.integers(MACHINES.get(family, 24))))
+    every = r.runs.tolist()
+    count = {"log": 0, "run": 1, "few": int(rng.integers(2, max(3, len(every) // 4 + 1)))}.get(
+        known.scope, len(every) // 2
+    )
+    runs = sorted(rng.choice(every, count, replace=False).tolist())
+    if known.scope in ("tail", "half"):
+        runs = every[int(rng.integers(len(every) // 2, len(every) - 1)) :] if known.scope == "tail" else \
+            every[: len(every) // 2]  # fmt: skip
+    draft = Draft(r, rng, tuple(runs), {c: x.copy() for c, x in r.arrays.items()})
+    known.make(draft)
+    return Mistaken(
+        f"{kind}/{family}/{seed}", kind, replace(r, arrays=draft.arrays), tuple(draft.right),
+        tuple(draft.columns), draft.runs, draft.legal,
+    )  # fmt: skip
