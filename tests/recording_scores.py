@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from time import process_time
 
 import numpy as np
-from recordings import Mistaken, Recording
+from recordings import HEALTHY, Mistaken, Recording, healthy, mistaken
 
 import hallsym
 from hallsym.cli.fit import exit_code
@@ -25,6 +25,9 @@ from hallsym.units import UNITS
 
 HARMED = 3.0
 """Decoded error over the floor from which on a mistake harms its user."""
+
+ENOUGH = 3000
+"""Samples from which the rms of an error is known."""
 
 # -- corrections -------------------------------------------------------------------------------------------
 
@@ -121,11 +124,13 @@ def decoded_errors(fit, r: Recording, arrays) -> np.ndarray:
     `arrays`: the readings and the state that the calibration is given; the pose is known from `r.true`, the
     noise is that of `r.sigma`. A constant error of each run is taken out where runs have zeros of their own.
     """
+    thin = slice(None, None, max(1, len(r.true["run"]) // ENOUGH))
+    arrays, true = ({c: x[thin] for c, x in given.items()} for given in (arrays, r.true))
     model = fit.model
     read, p = on_arrays(model.reading), fit.values
     zeros = np.zeros(len(model.zeros))
     state = [arrays.get(c, np.zeros(len(arrays["run"]))) for c in model.state]
-    truth = np.array([r.true[c] for c in model.references])
+    truth = np.array([true[c] for c in model.references])
     seen = np.array([arrays[c] for c in model.channels])
     if fit.wiring is not None:
         seen = np.array([s * arrays[c] for c, s in fit.wiring])
@@ -147,8 +152,8 @@ def decoded_errors(fit, r: Recording, arrays) -> np.ndarray:
     floor = np.sqrt(np.mean(np.linalg.pinv(a.transpose(0, 2, 1) @ a).diagonal(axis1=1, axis2=2), axis=0))
     error = pose - truth
     if len(model.zeros):
-        for run in r.runs:
-            rows = r.rows(run)
+        for run in np.unique(true["run"]):
+            rows = true["run"] == run
             error[:, rows] -= error[:, rows].mean(axis=1, keepdims=True)
     return np.sqrt(np.mean(error**2, axis=1)) / floor
 
@@ -210,6 +215,13 @@ def claims_of(fit) -> list[dict]:
     get = lambda c, k: c.get(k) if isinstance(c, dict) else getattr(c, k, None)  # noqa: E731
     keys = ("name", "columns", "runs", "text", "correction", "explains", "rivals")
     return [{k: get(c, k) for k in keys} for c in getattr(fit, "claims", ())]
+
+
+def judged(kind: str, family: str, seed: str) -> Outcome:
+    """Make a case, mistaken or healthy, fit it, and judge what is said of it."""
+    if kind in HEALTHY:
+        return judged_healthy(f"{kind}/{family}/{seed}", kind, healthy(kind, family, seed))
+    return judged_mistake(mistaken(kind, family, seed))
 
 
 def judged_mistake(m: Mistaken) -> Outcome:

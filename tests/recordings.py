@@ -118,7 +118,7 @@ def size_of(family: str, rng: np.random.Generator) -> Size:
     samples = int(np.exp(rng.uniform(np.log(60), np.log(801))))
     if family == "planar":
         runs, samples = int(rng.integers(5, 9)), int(rng.integers(60, 121))
-    return Size(runs, min(samples, 20_000 // runs), float(10 ** rng.uniform(-3.3, -1.7)))
+    return Size(runs, min(samples, 12_000 // runs), float(10 ** rng.uniform(-3.3, -1.7)))
 
 
 def machine(family: str, seed: object, size: Size | None = None) -> Recording:
@@ -710,3 +710,294 @@ def mistaken(kind: str, family: str, seed: str) -> Mistaken:
         f"{kind}/{family}/{seed}", kind, replace(r, arrays=draft.arrays), tuple(draft.right),
         tuple(draft.columns), draft.runs, draft.legal,
     )  # fmt: skip
+
+
+# -- healthy logs ------------------------------------------------------------------------------------------
+
+Planned = Callable[[Plan, np.random.Generator], Plan]
+After = Callable[[Recording, np.random.Generator], Recording]
+STAGES, TURNING, ARRAYS = ("stage30", "stage31", "drawn"), ENCODERS, ("halbach", "planar")
+
+
+def _same(plan: Plan, rng: np.random.Generator) -> Plan:
+    return plan
+
+
+def _as_it_is(r: Recording, rng: np.random.Generator) -> Recording:
+    return r
+
+
+@dataclass(frozen=True)
+class Healthy:
+    """A kind of healthy log: how much is recorded, what is changed in the plan, and in the log."""
+
+    families: tuple[str, ...] = FAMILIES
+    size: Callable[[np.random.Generator], Size] | None = None
+    plan: Planned = _same
+    after: After = _as_it_is
+    coloured: bool = False
+
+
+def healthy(kind: str, family: str, seed: str) -> Recording:
+    """Record a log without a mistake."""
+    rng, known = drawn_by("healthy", kind, family, seed), HEALTHY[kind]
+    size = known.size(rng) if known.size else size_of(family, rng)
+    if family == "planar":
+        size = replace(size, runs=min(size.runs, 8), samples=min(size.samples, 120))
+    plan = known.plan(PLANS[family](rng, size), rng)
+    r = recorded(family, plan, rng, stated=rng.random() < 0.6, coloured=known.coloured)
+    return known.after(r, rng)
+
+
+def healthy_cases(seed: int, repeat: int = 1) -> list[tuple[str, str, str]]:
+    """Return every kind of healthy log with every family that it is made of: (kind, family, seed)."""
+    return [(name, family, f"{seed}.{k}") for name, kind in HEALTHY.items() for family in kind.families
+            for k in range(repeat)]  # fmt: skip
+
+
+def moving(change: Callable[[AtTimes, float, np.random.Generator], AtTimes]) -> Planned:
+    """Change the motion of each axis in each run; `change(motion, seconds, rng)`."""
+
+    def made(plan: Plan, rng: np.random.Generator) -> Plan:
+        runs = []
+        for run in plan.campaign.runs:
+            motion = {axis: change(at, run.duration_s, rng) for axis, at in run.motion.items()}
+            runs.append(replace(run, motion=motion))
+        return replace(plan, campaign=replace(plan.campaign, runs=tuple(runs)))
+
+    return made
+
+
+def dwelling(at: AtTimes, seconds: float, rng: np.random.Generator) -> AtTimes:
+    """Rest at a dozen places, one after the other."""
+    dwell = seconds / int(rng.integers(8, 30))
+    return lambda t: at(dwell * np.floor(t / dwell))
+
+
+def late_start(at: AtTimes, seconds: float, rng: np.random.Generator) -> AtTimes:
+    """Rest at the beginning and at the end of a run."""
+    begin, end = seconds * rng.uniform(0, 0.3), seconds * rng.uniform(0.7, 1)
+    return lambda t: at(np.clip(t, begin, end))
+
+
+def there_and_back(at: AtTimes, seconds: float, rng: np.random.Generator) -> AtTimes:
+    """Run through a motion and back again."""
+    return lambda t: at(seconds * (1 - np.abs(2 * t / seconds - 1)))
+
+
+def unequal(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Runs of different lengths."""
+    runs = tuple(
+        replace(run, duration_s=run.duration_s * rng.uniform(0.4, 1.6)) for run in plan.campaign.runs
+    )
+    return replace(plan, campaign=replace(plan.campaign, runs=runs))
+
+
+def repeated(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Record each motion two or three times, with other zeros and other noise."""
+    runs = tuple(run for run in plan.campaign.runs for _ in range(int(rng.integers(2, 4))))[:60]
+    return replace(plan, campaign=replace(plan.campaign, runs=runs))
+
+
+def values_of(change: Callable[[str, float, np.random.Generator], float]) -> Planned:
+    """Change values of parameters, by name."""
+
+    def made(plan: Plan, rng: np.random.Generator) -> Plan:
+        return replace(plan, values={name: change(name, v, rng) for name, v in plan.values.items()})
+
+    return made
+
+
+def without(*first: str) -> Planned:
+    """Set parameters to 0 whose names begin so."""
+    return values_of(lambda name, v, rng: 0.0 if name.startswith(first) else v)
+
+
+def stated_gains(gain: float) -> Planned:
+    """Gains about `gain`, whose bounds a machine file states."""
+
+    def made(plan: Plan, rng: np.random.Generator) -> Plan:
+        gains = [name for name in plan.values if name.startswith("eta_")]
+        bounds = {"nominal": gain, "lower": gain - 0.15, "upper": gain + 0.15}
+        values = {**plan.values, **{name: gain * rng.uniform(0.95, 1.05) for name in gains}}
+        return replace(plan, values=values, parameters={name: dict(bounds) for name in gains})
+
+    return made
+
+
+def near(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Probes at 50 mm, as a machine file says."""
+    at = lambda: float(rng.uniform(0.04, 0.06))  # noqa: E731
+    probes = (Probe("hall_a_m", (at(), at()), (0.0, 1.0)), Probe("hall_b_m", (-at(), at()), (0.0, 1.0)),
+              Probe("hall_c_m", (at(), at()), (1.0, 0.0)))  # fmt: skip
+    return stage_plan(rng, Size(len(plan.campaign.runs), 200, plan.campaign.step_s), probes=probes)
+
+
+def ellipse(plan: Plan, rng: np.random.Generator) -> Plan:
+    """An ellipse of 1.3 : 1."""
+    factor = float(rng.choice([1 / 1.3, 1.3]))
+    return replace(plan, values={**plan.values, "Ay": factor * plan.values["Ax"]})
+
+
+def turned_round(r: Recording, rng: np.random.Generator) -> Recording:
+    """A machine that counts the other way, a plate mounted on its other side, or plates exchanged."""
+    arrays = dict(r.arrays)
+    if rng.random() < 0.5 or r.family == "chip":
+        arrays["angle_ref_rad"] = -arrays["angle_ref_rad"]
+    elif rng.random() < 0.5:
+        arrays["v_sin_v"], arrays["v_cos_v"] = arrays["v_cos_v"], arrays["v_sin_v"]
+    else:
+        arrays["v_cos_v"] = -arrays["v_cos_v"]
+    return replace(r, arrays=arrays)
+
+
+def jittered(r: Recording, rng: np.random.Generator) -> Recording:
+    """Samples at times that scatter about the clock, as they are written."""
+    step = np.median(np.diff(r.arrays["t_s"]))
+    scatter = rng.uniform(0.02, 0.3) * step * rng.uniform(-1, 1, len(r.arrays["t_s"]))
+    return replace(r, arrays={**r.arrays, "t_s": r.arrays["t_s"] + scatter})
+
+
+def kept(r: Recording, rows: np.ndarray) -> Recording:
+    """The rows of a log in a mask."""
+    return replace(r, arrays={c: x[rows] for c, x in r.arrays.items()},
+                   true={c: x[rows] for c, x in r.true.items()})  # fmt: skip
+
+
+def missing(r: Recording, rng: np.random.Generator) -> Recording:
+    """Some samples are missing."""
+    return kept(r, rng.random(len(r.true["run"])) > rng.uniform(0.001, 0.02))
+
+
+def converted(r: Recording, rng: np.random.Generator) -> Recording:
+    """Readings of a converter of 12 bits, whose steps are no larger than twice the noise."""
+    arrays, stated = dict(r.arrays), dict(r.stated)
+    for c in r.readings:
+        span = TURN if r.family == "chip" else 1.5 * np.ptp(r.true[c])
+        step = min(span / 2**12, 2 * r.sigma[c])
+        arrays[c] = step * np.round(arrays[c] / step)
+        if c in stated:
+            stated[c] = float(np.hypot(stated[c], step / np.sqrt(12)))
+    return replace(r, arrays=arrays, stated=stated)
+
+
+def commanded(r: Recording, rng: np.random.Generator) -> Recording:
+    """References without noise, written to nanometres or microradians: those that a controller commanded."""
+    arrays = {c: x if c not in r.references else np.round(r.true[c], 9) for c, x in r.arrays.items()}
+    stated = {c: s for c, s in r.stated.items() if c not in r.references}
+    return replace(r, arrays=arrays, stated=stated)
+
+
+def partly_stated(r: Recording, rng: np.random.Generator) -> Recording:
+    """The noise of some columns is stated."""
+    return replace(r, stated={c: s for c, s in r.sigma.items() if rng.random() < 0.5})
+
+
+def heavy(r: Recording, rng: np.random.Generator) -> Recording:
+    """Noise of Student's t with 5 degrees of freedom, and few spikes."""
+    arrays = dict(r.arrays)
+    for c in (*r.readings, *r.references):
+        n = len(r.true[c])
+        noise = rng.standard_t(5, n) * np.sqrt(3 / 5) + 20 * (rng.random(n) < 5e-4)
+        arrays[c] = r.true[c] + r.sigma[c] * noise
+    return replace(r, arrays=arrays)
+
+
+def disturbed(change: Callable[[np.ndarray, np.ndarray, np.random.Generator], np.ndarray]) -> After:
+    """Change what each reading sees: `change(values of a run, share of the log, rng)`, before noise."""
+
+    def made(r: Recording, rng: np.random.Generator) -> Recording:
+        arrays, share = dict(r.arrays), np.linspace(0, 1, len(r.true["run"]))
+        for c in r.readings:
+            own = np.random.default_rng(int(rng.integers(2**31)))
+            state = own.bit_generator.state
+            out = arrays[c].copy()
+            for run in r.runs:
+                own.bit_generator.state = state
+                rows = r.true["run"] == run
+                x = r.true[c][rows]
+                out[rows] += change(x, share[rows], own) - x
+            arrays[c] = out
+        return replace(r, arrays=arrays)
+
+    return made
+
+
+def _play(x: np.ndarray, share: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Hysteresis: the reading follows a play of 1 % of the span, by a tenth."""
+    width, out, p = 0.01 * np.ptp(x) + 1e-12, np.empty_like(x), x[0]
+    for k, value in enumerate(x):
+        p = min(max(p, value - width), value + width)
+        out[k] = p
+    return x + rng.uniform(0.05, 0.2) * (out - x)
+
+
+def _lag(x: np.ndarray, share: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A lag of a part of a sample."""
+    a = rng.uniform(0.1, 0.5)
+    return x - a * np.gradient(x) if len(x) > 2 else x
+
+
+def _warm(x: np.ndarray, share: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The gain drifts by up to 2 % in the log, smoothly."""
+    return x * (1 + rng.uniform(0.003, 0.02) * (1 - np.exp(-3 * share)))
+
+
+def _cubic(x: np.ndarray, share: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A field that bends by up to 1 %."""
+    size = np.abs(x).max() + 1e-12
+    return x + rng.uniform(-0.01, 0.01) * x * (x / size) ** 2
+
+
+def _hum(x: np.ndarray, share: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Mains hum, aliased as the clock has it."""
+    w = rng.uniform(0.3, 2.8)
+    return x + rng.uniform(0.001, 0.01) * np.std(x) * np.sin(w * np.arange(len(x)) + rng.uniform(0, TURN))
+
+
+def harmonics(r: Recording, rng: np.random.Generator) -> Recording:
+    """The field of an encoder has harmonics of up to 1 %, and its magnet is eccentric."""
+    arrays, angle = dict(r.arrays), r.true["angle_ref_rad"]
+    for c in r.readings:
+        a, phase = rng.uniform(0.002, 0.01, 2), rng.uniform(0, TURN, 2)
+        size = 1.0 if r.family == "chip" else np.ptp(r.true[c]) / 2
+        arrays[c] = arrays[c] + size * (
+            a[0] * np.sin(2 * angle + phase[0]) + a[1] * np.sin(3 * angle + phase[1])
+        )
+        if r.family == "chip":
+            arrays[c] = np.mod(arrays[c], TURN)
+    return replace(r, arrays=arrays)
+
+
+HEALTHY: dict[str, Healthy] = {
+    "as drawn": Healthy(),
+    "coloured noise": Healthy(coloured=True),
+    "short runs": Healthy(size=lambda g: Size(int(g.integers(20, 61)), int(g.integers(15, 40)), 5e-3)),
+    "slow clock": Healthy(size=lambda g: Size(int(g.integers(5, 20)), 100, float(g.uniform(0.1, 5)))),
+    "one run": Healthy(("stage30", *TURNING, *ARRAYS), size=lambda g: Size(1, 600, 2e-3)),
+    "500 short slow runs": Healthy((*STAGES, *TURNING, "halbach"), size=lambda g: Size(500, 50, 0.5)),
+    "dwells": Healthy(plan=moving(dwelling)),
+    "rest before and after": Healthy(plan=moving(late_start)),
+    "there and back": Healthy(plan=moving(there_and_back)),
+    "unequal runs": Healthy(plan=unequal),
+    "repeated runs": Healthy(plan=repeated),
+    "jitter": Healthy(after=jittered),
+    "missing samples": Healthy(after=missing),
+    "12 bits": Healthy(after=converted),
+    "commanded reference": Healthy(after=commanded),
+    "noise partly stated": Healthy(after=partly_stated),
+    "heavy tails and spikes": Healthy(after=heavy),
+    "gain follows height alone": Healthy(("stage31", "drawn"), plan=without("b_", "c_")),
+    "gain follows nothing": Healthy(("stage31", "drawn"), plan=without("a_", "b_", "c_")),
+    "probes at 50 mm": Healthy(("stage31",), plan=near),
+    "gains of 0.8": Healthy(STAGES, plan=stated_gains(0.8)),
+    "gains of 1.2": Healthy(STAGES, plan=stated_gains(1.2)),
+    "ellipse of 1.3": Healthy(TURNING, plan=ellipse),
+    "turned round": Healthy(TURNING, after=turned_round),
+    "hysteresis": Healthy((*STAGES, "rotary", "homed", *ARRAYS), after=disturbed(_play)),
+    "lag below a sample": Healthy((*STAGES, "rotary", "homed", *ARRAYS), after=disturbed(_lag)),
+    "temperature drift": Healthy((*STAGES, "rotary", "homed", *ARRAYS), after=disturbed(_warm)),
+    "bent field": Healthy((*STAGES, "rotary", "homed", *ARRAYS), after=disturbed(_cubic)),
+    "hum": Healthy((*STAGES, "rotary", "homed", *ARRAYS), after=disturbed(_hum)),
+    "harmonics": Healthy(TURNING, after=harmonics),
+}
