@@ -10,12 +10,14 @@ from __future__ import annotations
 import contextlib
 import io
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from inspect import signature
 from time import process_time
 
 import numpy as np
-from recordings import HEALTHY, Mistaken, Recording, healthy, mistaken
+from recordings import HEALTHY, Mistaken, Recording, Size, healthy, mistaken
 
 import hallsym
 from hallsym.cli.fit import exit_code
@@ -99,7 +101,7 @@ def _near(
     if name == "clipped":
         span = max(np.ptp(r.true[c]) for c in columns)
         finite = np.isfinite(b)
-        return bool(np.all(np.abs(a - b)[finite] < 0.03 * span)) if finite.any() else True
+        return bool(np.all(np.abs(a[finite] - b[finite]) < 0.03 * span))
     return bool(np.all(a == b))
 
 
@@ -174,7 +176,8 @@ class Outcome:
 
     `ends`: "refusal", or the exit code. `harm`: of the calibration on healthy readings; `own`: on the columns
     as they were recorded, where a controller that reads the same would use it; None where nothing was fitted.
-    `verdict`: right, rival, wrong, noticed, harmless, silent, or false (of a healthy log), ok.
+    `verdict`: right, rival, wrong, noticed, harmless, silent, or false (of a healthy log), ok. `obeyed`: harm
+    of the calibration that a fit gives when the first correction is applied.
     """
 
     case: str
@@ -189,10 +192,14 @@ class Outcome:
     said: str
     seconds: float
     verdict: str = ""
+    obeyed: float | None = None
 
     @property
     def record(self) -> dict:
         return asdict(self)
+
+
+OBEYS = "corrections" in signature(hallsym.fit).parameters
 
 
 def told(r: Recording, **more):
@@ -217,11 +224,11 @@ def claims_of(fit) -> list[dict]:
     return [{k: get(c, k) for k in keys} for c in getattr(fit, "claims", ())]
 
 
-def judged(kind: str, family: str, seed: str) -> Outcome:
+def judged(kind: str, family: str, seed: str, size: Size | None = None) -> Outcome:
     """Make a case, mistaken or healthy, fit it, and judge what is said of it."""
     if kind in HEALTHY:
         return judged_healthy(f"{kind}/{family}/{seed}", kind, healthy(kind, family, seed))
-    return judged_mistake(mistaken(kind, family, seed))
+    return judged_mistake(mistaken(kind, family, seed, size))
 
 
 def judged_mistake(m: Mistaken) -> Outcome:
@@ -238,6 +245,9 @@ def judged_mistake(m: Mistaken) -> Outcome:
         own = hurt if m.runs else harm(fit, r, recorded)
     out = Outcome(m.case, m.kind, r.family, m.right, ends, hurt, own, first, claims, said, seconds)
     out.verdict = verdict(m, out)
+    if first and OBEYS:
+        again, *_ = told(r, corrections=[first])
+        out.obeyed = None if again is None else harm(again, r, healthy)
     return out
 
 
@@ -266,3 +276,52 @@ def judged_healthy(case: str, kind: str, r: Recording) -> Outcome:
     out = Outcome(case, kind, r.family, (), ends, None, None, first, claims, said, seconds)
     out.verdict = "false" if first or fit is None else "ok" if ends == "0" and not claims else "noted"
     return out
+
+
+# -- rates -------------------------------------------------------------------------------------------------
+
+FELT = ("right", "rival", "wrong", "noticed", "silent", "consistent")
+"""Verdicts of mistakes that are neither harmless nor what another machine records."""
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Shares of the mistakes that are felt, and of the healthy logs; `wrong` is a number of cases."""
+
+    mistakes: int
+    felt: int
+    right: float
+    noticed: float
+    silent: float
+    consistent: float
+    wrong: int
+    healthy: int
+    false: float
+
+    def __str__(self) -> str:
+        of_mistakes = (
+            f"{self.mistakes} mistakes, {self.felt} of them felt: right remedy {self.right:.1%}, noticed "
+            f"{self.noticed:.1%}, silent and wrong {self.silent:.1%} (and {self.consistent:.1%} consistent), "
+            f"wrong remedies {self.wrong}"
+        )
+        of_healthy = f"{self.healthy} healthy logs: false claims {self.false:.1%}"
+        return "; ".join(([of_mistakes] if self.mistakes else []) + ([of_healthy] if self.healthy else []))
+
+
+def rates(rows: Sequence[Outcome]) -> Rates:
+    """Count verdicts. A right remedy among rivals that the log cannot tell apart is a right one."""
+    count = Counter(row.verdict for row in rows)
+    healthy = count["ok"] + count["noted"] + count["false"]
+    felt = sum(count[v] for v in FELT)
+    share = lambda *verdicts: sum(count[v] for v in verdicts) / max(1, felt)  # noqa: E731
+    return Rates(
+        mistakes=len(rows) - healthy,
+        felt=felt,
+        right=share("right", "rival"),
+        noticed=1 - share("silent", "consistent"),
+        silent=share("silent"),
+        consistent=share("consistent"),
+        wrong=count["wrong"],
+        healthy=healthy,
+        false=count["false"] / max(1, healthy),
+    )

@@ -27,6 +27,7 @@ Arrays = dict[str, np.ndarray]
 FAMILIES = ("stage30", "stage31", "drawn", "rotary", "homed", "chip", "halbach", "planar")
 """`drawn`: stage31 with probes where a machine file puts them; `homed`: an encoder whose zero is another one
 in each run; `chip`: an encoder that gives its angle; `planar`: four Halbach arrays over 24 sums."""
+STAGES, ENCODERS, ARRAYS = FAMILIES[:3], FAMILIES[3:6], FAMILIES[6:]
 TURN = 2 * np.pi
 
 
@@ -387,24 +388,37 @@ def sign(role: Role) -> Make:
         c = d.one(role(d.r))
         d.change([c], np.negative)
         d.say(f"sign {c}")
-        if d.r.family in ENCODERS:
-            every = [*d.r.readings, *d.r.references]
-            d.right = [f"sign {one}{d.where}" for one in every]
-            if len(d.r.readings) == 2:
-                d.say(f"exchange {' '.join(d.r.readings)}")
-            d.legal = not d.runs
+        d.legal = d.r.family in ENCODERS and not d.runs
+        if c in _moving_alone(d):
+            d.say(f"sign {names(d.r.readings)}")
+        if (
+            d.r.family == "halbach" and c == "x_ref_m" and len(d.r.readings) == 3
+        ):  # columns from the other end
+            d.say(f"exchange {d.r.readings[0]} {d.r.readings[2]}")
 
     return make
 
 
 def all_signs(d: Draft) -> None:
+    """The same as half a wavelength, or half a turn, of the reference."""
     d.change(d.r.readings, np.negative)
     d.say(f"sign {names(d.r.readings)}")
-    d.say(f"sign {names(d.r.references)}")
-    d.legal = not d.runs and d.r.family in ("rotary", "homed", "halbach")
+    if d.r.family in STAGES:
+        d.say(f"sign {names(d.r.references)}")
+    for c in _moving_alone(d):
+        d.say(f"sign {c}")
+    waves = {"rotary": "angle_ref_rad", "halbach": "x_ref_m"}
+    if d.r.family in waves:
+        d.right += [f"zero_moved {waves[d.r.family]} {run} 0" for run in d.runs]
+    d.legal = d.r.family == "homed" or (not d.runs and d.r.family in ("rotary", "halbach", "planar"))
 
 
-ENCODERS = ("rotary", "homed", "chip")
+def _moving_alone(d: Draft) -> list[str]:
+    """The one reference that moves in the runs of the mistake, [] if more do: of it and of all readings
+    together, what changes one undoes the change of the other."""
+    still = [c for c in d.r.references if all(np.ptp(d.r.true[c][rows]) == 0 for rows in d.rows)]
+    moving = [c for c in d.r.references if c not in still]
+    return moving if d.runs and still and len(moving) == 1 else []
 
 
 def scaled(role: Role, factor: float, *, every: bool = False) -> Make:
@@ -414,6 +428,11 @@ def scaled(role: Role, factor: float, *, every: bool = False) -> Make:
         columns = role(d.r) if every else [d.one(role(d.r))]
         d.change(columns, lambda x: x * factor)
         d.say(f"scale {names(columns)} {1 / factor:.9g}")
+        if columns == d.r.readings:
+            for c in _moving_alone(d):
+                d.say(f"scale {c} {factor:.9g}")
+        elif columns == _moving_alone(d):
+            d.say(f"scale {names(d.r.readings)} {factor:.9g}")
         others = [c for c in d.r.readings if c not in columns]
         if d.r.family in ("rotary", "homed") and columns[0] in d.r.readings and others and not d.runs:
             d.say(f"scale {names(others)} {factor:.9g}")
@@ -432,18 +451,21 @@ def lengths(r: Recording) -> list[str]:
     return [c for c in (*r.readings, *r.references, *r.state) if c.endswith("_m")]
 
 
-def exchanged(role: Role, other: Role | None = None) -> Make:
+def exchanged(role: Role) -> Make:
     def make(d: Draft) -> None:
-        one = d.one(role(d.r))
-        two = d.one([c for c in (other or role)(d.r) if c != one])
+        one, two = sorted(d.rng.choice(role(d.r), 2, replace=False).tolist())
         a, b = d.arrays[one].copy(), d.arrays[two].copy()
         for rows in d.rows:
             d.arrays[one][rows], d.arrays[two][rows] = b[rows], a[rows]
         d.columns += [one, two]
         d.say(f"exchange {one} {two}")
-        if d.r.family in ENCODERS:
-            d.right += [f"sign {c}{d.where}" for c in (*d.r.readings, *d.r.references)]
-            d.legal = not d.runs
+        d.legal = d.r.family in ENCODERS and not d.runs
+        if (
+            d.r.family == "halbach"
+            and [one, two] == [f"col_{k}_v" for k in (0, 2)]
+            and len(d.r.readings) == 3
+        ):
+            d.say("sign x_ref_m")
 
     return make
 
@@ -464,6 +486,13 @@ def late(role: Role, samples: int, *, every: bool = False) -> Make:
         d.say(f"delay {names(rest)} {-n}")
         if every:
             d.say(f"delay {names([c for c in rest if c not in d.r.state])} {-n}")
+        alone = _moving_alone(d)
+        if columns == alone:
+            d.say(f"delay {names(d.r.readings)} {-n}")
+        elif alone and columns == d.r.references:
+            d.say(f"delay {alone[0]} {n}")
+        elif alone and columns == d.r.readings:
+            d.say(f"delay {alone[0]} {-n}")
 
     return make
 
@@ -487,7 +516,8 @@ def zero_moved(role: Role) -> Make:
             n = rows.stop - rows.start
             at = int(d.rng.uniform(0.25, 0.75) * n)
             d.arrays[c][rows.start + at : rows.stop] += step
-            d.right.append(f"zero_moved {c} {run} {at}")
+            either = (*d.r.readings, *d.r.references) if d.r.family == "chip" else (c,)
+            d.right += [f"zero_moved {one} {run} {at}" for one in either]
         d.columns.append(c)
 
     return make
@@ -562,9 +592,7 @@ def copied(d: Draft) -> None:
 
 def other_device(d: Draft) -> None:
     """The readings of some runs are those of another device, with gains of its own."""
-    low, spread = {"stage30": (0.03, 0.12), "stage31": (0.03, 0.12), "drawn": (0.03, 0.12)}.get(
-        d.r.family, (0.02, 0.15)
-    )
+    low, spread = (0.03, 0.12) if d.r.family in STAGES else (0.02, 0.15)
     gains = 1 + d.rng.choice([-1, 1], len(d.r.readings)) * d.rng.uniform(low, spread, len(d.r.readings))
     if d.r.family == "chip":  # another ellipse
         e, a = d.rng.uniform(0.02, 0.1), d.rng.uniform(0, TURN)
@@ -585,6 +613,8 @@ def gain_step(role: Role, by: float) -> Make:
         factor = 1 + by * float(d.rng.choice([-1, 1]))
         d.change([c], lambda x: x * factor)
         d.say(f"gain_step {c} {factor:.9g}")
+        if [c] == _moving_alone(d):
+            d.say(f"gain_step {names(d.r.readings)} {1 / factor:.9g}")
         rest = [r for r in d.r.runs.tolist() if r not in d.runs]
         d.right.append(f"gain_step {c} {1 / factor:.9g} in {','.join(map(str, rest))}")
 
@@ -616,7 +646,6 @@ def _kinds() -> tuple[Kind, ...]:
         out.extend(Kind(f"{name}, {scope}", make, scope, role, **about) for scope in scopes.split())
 
     linear = tuple(f for f in FAMILIES if f != "chip")
-    stages = ("stage30", "stage31", "drawn")
     for role, what, own, steady in (
         (READINGS, "reading", linear, linear),
         (REFERENCES, "reference", FAMILIES, tuple(f for f in FAMILIES if f not in ENCODERS)),
@@ -650,7 +679,7 @@ def _kinds() -> tuple[Kind, ...]:
     add("reference taken for degrees", scaled(angles, degree), angles, "log")
     for factor in (1e3, 1e-3, 10.0, 0.1):
         add(f"all readings x {factor:g}", scaled(READINGS, factor, every=True), READINGS, "log", least=2)
-    add("all lengths x 1000", scaled(lengths, 1e3, every=True), lengths, "log", only=(*stages, "halbach"))
+    add("all lengths x 1000", scaled(lengths, 1e3, every=True), lengths, "log", only=(*STAGES, "halbach"))
     add("all readings x 10", scaled(READINGS, 10.0, every=True), READINGS, "run", least=2)
     add("copied run", copied, READINGS, "run")
     add("another device", other_device, READINGS, "run few half")
@@ -687,15 +716,18 @@ MACHINES = {"planar": 3}
 
 
 @cache
-def twin(family: str, seed: str, number: int) -> Recording:
+def twin(family: str, seed: str, number: int, size: Size | None = None) -> Recording:
     """The healthy recording that a mistake is made in."""
-    return machine(family, (seed, number))
+    return machine(family, (seed, number), size)
 
 
-def mistaken(kind: str, family: str, seed: str) -> Mistaken:
-    """Make one mistake in the recording of a machine; all is drawn by kind, family and seed."""
+def mistaken(kind: str, family: str, seed: str, size: Size | None = None) -> Mistaken:
+    """Make one mistake in the recording of a machine; all is drawn by kind, family and seed.
+
+    `size`: how much is recorded, drawn too by default.
+    """
     rng, known = drawn_by(kind, family, seed), KINDS[kind]
-    r = twin(family, seed, int(rng.integers(MACHINES.get(family, 24))))
+    r = twin(family, seed, int(rng.integers(MACHINES.get(family, 24))), size)
     every = r.runs.tolist()
     count = {"log": 0, "run": 1, "few": int(rng.integers(2, max(3, len(every) // 4 + 1)))}.get(
         known.scope, len(every) // 2
@@ -716,7 +748,6 @@ def mistaken(kind: str, family: str, seed: str) -> Mistaken:
 
 Planned = Callable[[Plan, np.random.Generator], Plan]
 After = Callable[[Recording, np.random.Generator], Recording]
-STAGES, TURNING, ARRAYS = ("stage30", "stage31", "drawn"), ENCODERS, ("halbach", "planar")
 
 
 def _same(plan: Plan, rng: np.random.Generator) -> Plan:
@@ -974,8 +1005,8 @@ HEALTHY: dict[str, Healthy] = {
     "coloured noise": Healthy(coloured=True),
     "short runs": Healthy(size=lambda g: Size(int(g.integers(20, 61)), int(g.integers(15, 40)), 5e-3)),
     "slow clock": Healthy(size=lambda g: Size(int(g.integers(5, 20)), 100, float(g.uniform(0.1, 5)))),
-    "one run": Healthy(("stage30", *TURNING, *ARRAYS), size=lambda g: Size(1, 600, 2e-3)),
-    "500 short slow runs": Healthy((*STAGES, *TURNING, "halbach"), size=lambda g: Size(500, 50, 0.5)),
+    "one run": Healthy(("stage30", *ENCODERS, *ARRAYS), size=lambda g: Size(1, 600, 2e-3)),
+    "500 short slow runs": Healthy((*STAGES, *ENCODERS, "halbach"), size=lambda g: Size(500, 50, 0.5)),
     "dwells": Healthy(plan=moving(dwelling)),
     "rest before and after": Healthy(plan=moving(late_start)),
     "there and back": Healthy(plan=moving(there_and_back)),
@@ -992,12 +1023,12 @@ HEALTHY: dict[str, Healthy] = {
     "probes at 50 mm": Healthy(("stage31",), plan=near),
     "gains of 0.8": Healthy(STAGES, plan=stated_gains(0.8)),
     "gains of 1.2": Healthy(STAGES, plan=stated_gains(1.2)),
-    "ellipse of 1.3": Healthy(TURNING, plan=ellipse),
-    "turned round": Healthy(TURNING, after=turned_round),
+    "ellipse of 1.3": Healthy(ENCODERS, plan=ellipse),
+    "turned round": Healthy(ENCODERS, after=turned_round),
     "hysteresis": Healthy((*STAGES, "rotary", "homed", *ARRAYS), after=disturbed(_play)),
     "lag below a sample": Healthy((*STAGES, "rotary", "homed", *ARRAYS), after=disturbed(_lag)),
     "temperature drift": Healthy((*STAGES, "rotary", "homed", *ARRAYS), after=disturbed(_warm)),
     "bent field": Healthy((*STAGES, "rotary", "homed", *ARRAYS), after=disturbed(_cubic)),
     "hum": Healthy((*STAGES, "rotary", "homed", *ARRAYS), after=disturbed(_hum)),
-    "harmonics": Healthy(TURNING, after=harmonics),
+    "harmonics": Healthy(ENCODERS, after=harmonics),
 }

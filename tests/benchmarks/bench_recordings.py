@@ -26,12 +26,11 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import recordings
-from recording_scores import Outcome, judged
+from recording_scores import FELT, Outcome, judged, rates
 
-MISTAKEN = ("right", "rival", "wrong", "noticed", "silent", "consistent", "harmless", "legal")
+MISTAKEN = (*FELT, "harmless", "legal")
 WITHOUT = ("ok", "noted", "false")
 LISTED = ("silent", "consistent", "wrong", "false")
-FELT = MISTAKEN[:6]
 
 
 def table(rows: Iterable[Outcome], by: str, verdicts: tuple[str, ...]) -> None:
@@ -42,20 +41,6 @@ def table(rows: Iterable[Outcome], by: str, verdicts: tuple[str, ...]) -> None:
     print(f"\n{by:38}" + "".join(f"{v[:8]:>10}" for v in verdicts))
     for name, count in groups.items():
         print(f"{name:38}" + "".join(f"{count[v] or '':>10}" for v in verdicts))
-
-
-def rates(rows: list[Outcome]) -> str:
-    """Return the rates in one line."""
-    count = Counter(row.verdict for row in rows)
-    if set(count) <= set(WITHOUT):
-        return f"{len(rows)} healthy logs: {count['false']} false, {count['noted']} noted"
-    felt = sum(count[v] for v in FELT)
-    share = lambda *names: sum(count[n] for n in names) / max(1, felt)  # noqa: E731
-    return (
-        f"{len(rows)} mistakes, {felt} of them felt: right {share('right'):.1%}, right or rival "
-        f"{share('right', 'rival'):.1%}, noticed {1 - share('silent', 'consistent'):.1%}, silent and wrong "
-        f"{share('silent'):.1%} (and {share('consistent'):.1%} consistent), wrong remedies {count['wrong']}"
-    )
 
 
 def listing(rows: list[Outcome]) -> None:
