@@ -129,34 +129,39 @@ def decoded_errors(fit, r: Recording, arrays) -> np.ndarray:
     thin = slice(None, None, max(1, len(r.true["run"]) // ENOUGH))
     arrays, true = ({c: x[thin] for c, x in given.items()} for given in (arrays, r.true))
     model = fit.model
-    read, p = on_arrays(model.reading), fit.values
-    zeros = np.zeros(len(model.zeros))
+    zeros, program = np.zeros(len(model.zeros)), on_arrays(model.reading)
     state = [arrays.get(c, np.zeros(len(arrays["run"]))) for c in model.state]
+    wired = fit.wiring or [(c, 1) for c in model.channels]
+    seen = np.array([sign * arrays[c] for c, sign in wired])
+    weight = 1 / np.array([r.sigma[c] for c in model.channels])[:, None]
+    turns = [k for k, c in enumerate(model.channels) if c in model.period]
+
+    def read(pose: np.ndarray) -> np.ndarray:
+        return weight * program(fit.values, zeros, list(pose), state)[0]
+
+    def rest(pose: np.ndarray) -> np.ndarray:
+        left = weight * seen - read(pose)
+        left[turns] = weight[turns] * np.angle(np.exp(1j * left[turns] / weight[turns]))
+        return left
+
     truth = np.array([true[c] for c in model.references])
-    seen = np.array([arrays[c] for c in model.channels])
-    if fit.wiring is not None:
-        seen = np.array([s * arrays[c] for c, s in fit.wiring])
-    weight = 1 / np.array([r.sigma[c] for c in model.channels])
-    steps = np.array([1e-7 if c.endswith("_m") else 1e-6 for c in model.references])
+    runs = [true["run"] == run for run in np.unique(true["run"])] if model.zeros else []
     pose = truth.copy()
-    for _ in range(3):
-        (now,) = read(p, zeros, list(pose), state)
-        slopes = np.stack(
-            [(read(p, zeros, list(pose + h[:, None]), state)[0] - now) / h.max() for h in np.diag(steps)], 2
-        )
-        rest = seen - now
-        for k, c in enumerate(model.channels):
-            if c in model.period:
-                rest[k] = np.angle(np.exp(1j * rest[k]))
-        a = (weight[:, None, None] * slopes).transpose(1, 0, 2)
-        whitened = (weight[:, None] * rest).T[:, :, None]
-        pose = pose + (np.linalg.pinv(a) @ whitened)[:, :, 0].T
+    if runs and model.pose[0] in model.period:  # each run begins where its own zero is
+        tried = np.linspace(0, model.period[model.pose[0]], 24, endpoint=False)
+        cost = np.array([np.sum(rest(truth + at) ** 2, axis=0) for at in tried])
+        for rows in runs:
+            pose[:, rows] += tried[np.argmin(cost[:, rows].sum(axis=1))]
+    steps = [1e-7 if c.endswith("_m") else 1e-6 for c in model.references]
+    for _ in range(4):
+        now = read(pose)
+        slopes = [(read(pose + h[:, None]) - now) / h.max() for h in np.diag(steps)]
+        a = np.array(slopes).transpose(2, 1, 0)
+        pose = pose + (np.linalg.pinv(a) @ rest(pose).T[:, :, None])[:, :, 0].T
     floor = np.sqrt(np.mean(np.linalg.pinv(a.transpose(0, 2, 1) @ a).diagonal(axis1=1, axis2=2), axis=0))
     error = pose - truth
-    if len(model.zeros):
-        for run in np.unique(true["run"]):
-            rows = true["run"] == run
-            error[:, rows] -= error[:, rows].mean(axis=1, keepdims=True)
+    for rows in runs:
+        error[:, rows] -= error[:, rows].mean(axis=1, keepdims=True)
     return np.sqrt(np.mean(error**2, axis=1)) / floor
 
 

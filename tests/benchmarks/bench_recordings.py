@@ -2,7 +2,8 @@
 
     python tests/benchmarks/bench_recordings.py --seed 1
     python tests/benchmarks/bench_recordings.py --seed 1 --families rotary chip --kinds "sign of a reading"
-    python tests/benchmarks/bench_recordings.py --seed 1 --part 1/4 --json part1.json
+    python tests/benchmarks/bench_recordings.py --seed 1 --part 1/4 --json part1.jsonl
+    python tests/benchmarks/bench_recordings.py --tables part1.jsonl part2.jsonl
     python tests/benchmarks/bench_recordings.py --only "sign of a reading, run/rotary/1.0"
     python tests/benchmarks/bench_recordings.py --healthy
 
@@ -73,7 +74,12 @@ def main() -> None:
     parser.add_argument("--part", default="1/1", help="k/m: the k-th of m parts of the cases")
     parser.add_argument("--only", nargs="+", metavar="CASE", help="KIND/FAMILY/SEED, as a listing names it")
     parser.add_argument("--json", metavar="OUT", help="file for the outcomes, one a line")
+    parser.add_argument("--tables", nargs="+", metavar="FILE", help="of outcomes that were written before")
     options = parser.parse_args()
+    if options.tables:
+        lines = [line for file in options.tables for line in Path(file).read_text("utf-8").splitlines()]
+        report([Outcome(**json.loads(line)) for line in lines])
+        return
     rows = []
     for case in chosen(options):
         try:
@@ -87,6 +93,11 @@ def main() -> None:
                 file.write(json.dumps(row.record, default=str) + "\n")
         if options.only:
             print(json.dumps(row.record, indent=1, default=str))
+    report(rows)
+
+
+def report(rows: list[Outcome]) -> None:
+    """Print tables by kind and by family, each case that came to no good end, and the rates."""
     verdicts = WITHOUT if all(row.verdict in WITHOUT for row in rows) else MISTAKEN
     table(rows, "kind", verdicts)
     table(rows, "family", verdicts)
