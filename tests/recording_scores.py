@@ -12,12 +12,12 @@ import io
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from inspect import signature
 from time import process_time
 
 import numpy as np
-from recordings import HEALTHY, Mistaken, Recording, Size, healthy, mistaken
+from recordings import HEALTHY, Mistaken, Recording, Size, healthy, kept, mean_of, mistaken, shifted
 
 import hallsym
 from hallsym.cli.fit import exit_code
@@ -117,6 +117,45 @@ def same(text: str, right: str, r: Recording) -> bool:
     return a.runs == b.runs or (a.name not in ("copied_run", "stuck", "zero_moved") and shared >= 0.75)
 
 
+def undone(r: Recording, text: str) -> Recording:
+    """Return a log as a correction makes it, done here in numpy: what hallsym makes of it is not asked.
+
+    Samples that cannot be put right are left out: those at a limit, at the ends of a delayed run, on the
+    shorter side of a moved zero.
+    """
+    it, arrays, stated = correction(text), {c: x.copy() for c, x in r.arrays.items()}, dict(r.stated)
+    keep, numbers = np.ones(len(r.true["run"]), bool), it.numbers
+    every = [*r.readings, *r.references, *r.state]
+    if it.name in ("copied_run", "other_device"):
+        left = it.runs if it.name == "other_device" else [int(text.split()[1])]
+        return kept(r, ~np.isin(r.arrays["run"], list(left)))
+    for run in it.runs or r.runs.tolist():
+        rows = r.rows(run)
+        at = np.arange(rows.stop - rows.start)
+        if it.name == "exchange":
+            one, two = it.columns
+            arrays[one][rows], arrays[two][rows] = r.arrays[two][rows], r.arrays[one][rows]
+        elif it.name == "averaged":
+            for c in set(every) - it.columns:
+                arrays[c][rows] = mean_of(arrays[c][rows], int(numbers[0]))
+        elif it.name == "stuck":
+            keep[rows] &= (at < numbers[0]) | (at >= numbers[1])
+        elif it.name == "zero_moved":
+            keep[rows] &= (at < numbers[0]) == (numbers[0] > len(at) / 2)
+        for c in it.columns:
+            if it.name in ("sign", "scale"):
+                arrays[c][rows] *= -1 if it.name == "sign" else numbers[0]
+            elif it.name == "delay":
+                arrays[c][rows] = shifted(arrays[c][rows], -int(numbers[0]))
+                keep[rows] &= (at >= -numbers[0]) & (at < len(at) - numbers[0])
+            elif it.name == "clipped":
+                keep[rows] &= (arrays[c][rows] > numbers[0]) & (arrays[c][rows] < numbers[1])
+    if it.name == "coarse_steps":
+        step = numbers[0] / np.sqrt(12)
+        stated |= {c: float(np.hypot(stated[c], step)) for c in it.columns if c in stated}
+    return kept(replace(r, arrays=arrays, stated=stated), keep)
+
+
 # -- harm --------------------------------------------------------------------------------------------------
 
 
@@ -166,9 +205,12 @@ def decoded_errors(fit, r: Recording, arrays) -> np.ndarray:
 
 
 def harm(fit, r: Recording, arrays) -> float:
-    """Return the largest decoded error over its floor, the noise of the readings counted."""
-    with np.errstate(all="ignore"):
-        worst = np.nanmax(decoded_errors(fit, r, arrays))
+    """Return the largest decoded error over its floor, the noise of the readings counted; inf if none is."""
+    try:
+        with np.errstate(all="ignore"):
+            worst = np.nanmax(decoded_errors(fit, r, arrays))
+    except np.linalg.LinAlgError:
+        return np.inf
     return float(np.hypot(1, worst))
 
 
@@ -181,8 +223,8 @@ class Outcome:
 
     `ends`: "refusal", or the exit code. `harm`: of the calibration on healthy readings; `own`: on the columns
     as they were recorded, where a controller that reads the same would use it; None where nothing was fitted.
-    `verdict`: right, rival, wrong, noticed, harmless, silent, or false (of a healthy log), ok. `obeyed`: harm
-    of the calibration that a fit gives when the first correction is applied.
+    `verdict`: see `verdict`; of a healthy log false, noted or ok. `obeyed`: harm of the calibration that a fit
+    gives when the first correction is applied.
     """
 
     case: str
@@ -256,14 +298,32 @@ def judged_mistake(m: Mistaken) -> Outcome:
     return out
 
 
+def heals(r: Recording, text: str) -> bool:
+    """Whether a correction that was not foreseen makes a log that is described and calibrates without harm.
+
+    One that leaves whole runs out would, of any mistake in them; it does not count.
+    """
+    if text.startswith(("other_device", "copied_run")):
+        return False
+    try:
+        fit, ends, *_ = told(undone(r, text))
+    except (ValueError, KeyError, IndexError):
+        return False
+    return fit is not None and ends == "0" and harm(fit, r, r.true) <= HARMED
+
+
 def verdict(m: Mistaken, out: Outcome) -> str:
-    """right | rival | wrong: a correction is named. noticed: without one. harmless | consistent | silent."""
+    """right | rival | equal | wrong: a correction is named; noticed: none; harmless | consistent | silent."""
     is_right = lambda text: any(same(text, right, m.recording) for right in m.right)  # noqa: E731
     if m.legal:
         return "wrong" if out.first and not is_right(out.first) else "legal"
     if out.first:
         rivals = next((c["rivals"] or [] for c in out.claims if c["correction"] == out.first), [])
-        return "right" if is_right(out.first) else "rival" if any(map(is_right, rivals)) else "wrong"
+        if is_right(out.first):
+            return "right"
+        return (
+            "rival" if any(map(is_right, rivals)) else "equal" if heals(m.recording, out.first) else "wrong"
+        )
     if not m.right and any(set(c["columns"] or ()) & set(m.columns) for c in out.claims):
         return "right"
     if out.ends != "0" or out.claims:
@@ -285,7 +345,7 @@ def judged_healthy(case: str, kind: str, r: Recording) -> Outcome:
 
 # -- rates -------------------------------------------------------------------------------------------------
 
-FELT = ("right", "rival", "wrong", "noticed", "silent", "consistent")
+FELT = ("right", "rival", "equal", "wrong", "noticed", "silent", "consistent")
 """Verdicts of mistakes that are neither harmless nor what another machine records."""
 
 
@@ -322,7 +382,7 @@ def rates(rows: Sequence[Outcome]) -> Rates:
     return Rates(
         mistakes=len(rows) - healthy,
         felt=felt,
-        right=share("right", "rival"),
+        right=share("right", "rival", "equal"),
         noticed=1 - share("silent", "consistent"),
         silent=share("silent"),
         consistent=share("consistent"),

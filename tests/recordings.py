@@ -17,7 +17,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from hallsym.families import build
-from hallsym.families.halbach.layout import columns
+from hallsym.families.halbach import planar
+from hallsym.families.halbach.layout import Layout, Sensor, columns
 from hallsym.families.stage.models import Probe, stage31
 from hallsym.log import Log, Meta, Noise
 from hallsym.simulation import Campaign, Run, simulate, sine
@@ -26,7 +27,7 @@ from hallsym.simulation.signals import AtTimes, ramp
 Arrays = dict[str, np.ndarray]
 FAMILIES = ("stage30", "stage31", "drawn", "rotary", "homed", "chip", "halbach", "planar")
 """`drawn`: stage31 with probes where a machine file puts them; `homed`: an encoder whose zero is another one
-in each run; `chip`: an encoder that gives its angle; `planar`: four Halbach arrays over 24 sums."""
+in each run; `chip`: an encoder that gives its angle; `planar`: four Halbach arrays over 12 sums."""
 STAGES, ENCODERS, ARRAYS = FAMILIES[:3], FAMILIES[3:6], FAMILIES[6:]
 TURN = 2 * np.pi
 
@@ -83,6 +84,12 @@ class Recording:
         return slice(int(at[0]), int(at[-1]) + 1)
 
 
+def kept(r: Recording, rows: np.ndarray) -> Recording:
+    """Return the rows of a log in a mask."""
+    return replace(r, arrays={c: x[rows] for c, x in r.arrays.items()},
+                   true={c: x[rows] for c, x in r.true.items()})  # fmt: skip
+
+
 def drawn_by(*what: object) -> np.random.Generator:
     """Return a generator that depends on all of these, in every process alike."""
     return np.random.default_rng([crc32(repr(w).encode()) for w in what])
@@ -114,7 +121,7 @@ class Size:
 
 
 def size_of(family: str, rng: np.random.Generator) -> Size:
-    """Draw 5 to 60 runs of 50 to 800 samples; fewer of a planar mover, which has 24 channels."""
+    """Draw 5 to 60 runs of 50 to 800 samples; fewer of a planar mover, which has 12 channels."""
     runs = int(np.exp(rng.uniform(np.log(5), np.log(61))))
     samples = int(np.exp(rng.uniform(np.log(60), np.log(801))))
     if family == "planar":
@@ -286,8 +293,9 @@ def halbach_plan(rng: np.random.Generator, size: Size) -> Plan:
 
 
 def planar_plan(rng: np.random.Generator, size: Size) -> Plan:
-    """Draw the mover of four arrays over 24 sums."""
-    model, amplitude = build("halbach_planar"), rng.uniform(0.3, 1.5)
+    """Draw the mover of four arrays, each over three sums of three sensors."""
+    layout, amplitude = three_sums(), rng.uniform(0.3, 1.5)
+    model = planar.halbach_planar(layout)
     values = {"a1": amplitude, "a5": -0.03 * amplitude}
     values |= {f"{a}0": rng.uniform(-3e-3, 3e-3) for a in "xy"}
     values |= {f"r{a}0": rng.uniform(-5e-3, 5e-3) for a in "xyz"}
@@ -301,7 +309,14 @@ def planar_plan(rng: np.random.Generator, size: Size) -> Plan:
         motion = {c: _waves(a * rng.uniform(0.6, 1), rng, size) for c, a in travel.items()}
         setting = {"z_m": 6e-3, "x_m": rng.uniform(-3e-3, 3e-3), "y_m": rng.uniform(-3e-3, 3e-3)}
         runs.append(Run(size.samples * size.step_s, setting, motion))
-    return Plan("halbach_planar", values, Campaign(size.step_s, tuple(runs)), sigma)
+    entries = [part.entry for part in layout]
+    return Plan("halbach_planar", values, Campaign(size.step_s, tuple(runs)), sigma, probes=entries)
+
+
+def three_sums() -> Layout:
+    """Return the thesis's mover with the middle three of the six sums under each array: a fit is quick."""
+    kept = [s for s in planar.pinwheel() if not isinstance(s, Sensor) or s.channel[-3] in "123"]
+    return tuple(kept)
 
 
 PLANS: dict[str, Callable[[np.random.Generator, Size], Plan]] = {
@@ -434,7 +449,13 @@ def scaled(role: Role, factor: float, *, every: bool = False) -> Make:
         elif columns == _moving_alone(d):
             d.say(f"scale {names(d.r.readings)} {factor:.9g}")
         others = [c for c in d.r.readings if c not in columns]
-        if d.r.family in ("rotary", "homed") and columns[0] in d.r.readings and others and not d.runs:
+        if (
+            d.r.family in ("rotary", "homed")
+            and columns[0] in d.r.readings
+            and others
+            and not d.runs
+            and 0.01 < factor < 100
+        ):
             d.say(f"scale {names(others)} {factor:.9g}")
         amplitude_is_free = d.r.family in ("rotary", "homed", "halbach", "planar")
         d.legal = amplitude_is_free and columns == d.r.readings and not d.runs
@@ -484,7 +505,8 @@ def late(role: Role, samples: int, *, every: bool = False) -> Make:
         everything = [*d.r.readings, *d.r.references, *d.r.state]
         rest = [c for c in everything if c not in columns]
         d.say(f"delay {names(rest)} {-n}")
-        if every:
+        steady = all(np.ptp(d.r.true[c][rows]) == 0 for c in d.r.state for rows in d.rows)
+        if every and d.r.state and steady:
             d.say(f"delay {names([c for c in rest if c not in d.r.state])} {-n}")
         alone = _moving_alone(d)
         if columns == alone:
@@ -615,8 +637,6 @@ def gain_step(role: Role, by: float) -> Make:
         d.say(f"gain_step {c} {factor:.9g}")
         if [c] == _moving_alone(d):
             d.say(f"gain_step {names(d.r.readings)} {1 / factor:.9g}")
-        rest = [r for r in d.r.runs.tolist() if r not in d.runs]
-        d.right.append(f"gain_step {c} {1 / factor:.9g} in {','.join(map(str, rest))}")
 
     return make
 
@@ -887,12 +907,6 @@ def jittered(r: Recording, rng: np.random.Generator) -> Recording:
     step = np.median(np.diff(r.arrays["t_s"]))
     scatter = rng.uniform(0.02, 0.3) * step * rng.uniform(-1, 1, len(r.arrays["t_s"]))
     return replace(r, arrays={**r.arrays, "t_s": r.arrays["t_s"] + scatter})
-
-
-def kept(r: Recording, rows: np.ndarray) -> Recording:
-    """The rows of a log in a mask."""
-    return replace(r, arrays={c: x[rows] for c, x in r.arrays.items()},
-                   true={c: x[rows] for c, x in r.true.items()})  # fmt: skip
 
 
 def missing(r: Recording, rng: np.random.Generator) -> Recording:

@@ -8,18 +8,20 @@
     python tests/benchmarks/bench_recordings.py --healthy
 
 `right`: the first correction that is named undoes the mistake; `rival`: it is said to be one of several that
-the log cannot tell apart; `wrong`: another one is named first; `noticed`: refused, or exit code 3 or a claim
-without a correction; `silent`: exit 0 and no claim although the calibration decodes a healthy log with more
-than three times the noise; `consiste`: the same, but right where a controller reads the same columns with the
-same mistake; `harmless`: nothing is said and nobody is hurt; `legal`: another machine records just that.
-Rates are over mistakes that are neither harmless nor legal. Of a healthy log: `ok`; `noted`: exit code 3 or a
-claim without a correction; `false`: a claim with a correction, or a refusal.
+the log cannot tell apart; `equal`: another is named that makes a log which is described and does no harm;
+`wrong`: any other is named first; `noticed`: refused, or exit code 3 or a claim without a correction;
+`silent`: exit 0 and no claim although the calibration decodes a healthy log with more than three times the
+noise; `consiste`: the same, but right where a controller reads the same columns with the same mistake;
+`harmless`: nothing is said and nobody is hurt; `legal`: another machine records just that. Rates are over
+mistakes that are neither harmless nor legal. Of a healthy log: `ok`; `noted`: exit code 3 or a claim without
+a correction; `false`: a claim with a correction, or a refusal.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import signal
 import sys
 from collections import Counter
 from collections.abc import Iterable
@@ -53,6 +55,10 @@ def listing(rows: list[Outcome]) -> None:
             print(f"{kind}: --only {row.case!r};{numbers}{right} said: {row.first or row.said[:150]}")
 
 
+def too_slow(*_: object) -> None:
+    raise TimeoutError("it took longer than --seconds")
+
+
 def chosen(options: argparse.Namespace) -> list[tuple[str, str, str]]:
     """Return the cases that the options choose."""
     if options.only:
@@ -74,14 +80,17 @@ def main() -> None:
     parser.add_argument("--part", default="1/1", help="k/m: the k-th of m parts of the cases")
     parser.add_argument("--only", nargs="+", metavar="CASE", help="KIND/FAMILY/SEED, as a listing names it")
     parser.add_argument("--json", metavar="OUT", help="file for the outcomes, one a line")
+    parser.add_argument("--seconds", type=float, default=0, help="processor time a case may take")
     parser.add_argument("--tables", nargs="+", metavar="FILE", help="of outcomes that were written before")
     options = parser.parse_args()
     if options.tables:
         lines = [line for file in options.tables for line in Path(file).read_text("utf-8").splitlines()]
         report([Outcome(**json.loads(line)) for line in lines])
         return
+    signal.signal(signal.SIGPROF, too_slow)
     rows = []
     for case in chosen(options):
+        signal.setitimer(signal.ITIMER_PROF, options.seconds)
         try:
             row = judged(*case)
         except Exception as error:  # a bug of hallsym is an outcome, the others are wanted all the same
