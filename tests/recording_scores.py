@@ -223,8 +223,8 @@ class Outcome:
 
     `ends`: "refusal", or the exit code. `harm`: of the calibration on healthy readings; `own`: on the columns
     as they were recorded, where a controller that reads the same would use it; None where nothing was fitted.
-    `verdict`: see `verdict`; of a healthy log false, noted or ok. `obeyed`: harm of the calibration that a fit
-    gives when the first correction is applied.
+    `verdict`: as the function of that name says; of a healthy log false, noted or ok. `obeyed`: harm of the
+    calibration that a fit gives when the first correction is applied.
     """
 
     case: str

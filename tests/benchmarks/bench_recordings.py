@@ -1,11 +1,12 @@
 """How often a mistake of recording is noticed, named with its remedy, or believed; and false alarms.
 
-    python tests/benchmarks/bench_recordings.py --seed 1
-    python tests/benchmarks/bench_recordings.py --seed 1 --families rotary chip --kinds "sign of a reading"
+    python tests/benchmarks/bench_recordings.py                              a tenth of all cases
+    python tests/benchmarks/bench_recordings.py --seed 1 --part 1/1          all
+    python tests/benchmarks/bench_recordings.py --seed 1 --part 1/1 --families rotary --kinds "sign of"
     python tests/benchmarks/bench_recordings.py --seed 1 --part 1/4 --json part1.jsonl
     python tests/benchmarks/bench_recordings.py --tables part1.jsonl part2.jsonl
     python tests/benchmarks/bench_recordings.py --only "sign of a reading, run/rotary/1.0"
-    python tests/benchmarks/bench_recordings.py --healthy
+    python tests/benchmarks/bench_recordings.py --healthy --part 1/1
 
 `right`: the first correction that is named undoes the mistake; `rival`: it is said to be one of several that
 the log cannot tell apart; `equal`: another is named that makes a log which is described and does no harm;
@@ -77,7 +78,7 @@ def main() -> None:
     parser.add_argument("--healthy", action="store_true", help="logs without a mistake")
     parser.add_argument("--kinds", nargs="+", default=[""], help="parts of the names of kinds")
     parser.add_argument("--families", nargs="+", choices=recordings.FAMILIES, default=recordings.FAMILIES)
-    parser.add_argument("--part", default="1/1", help="k/m: the k-th of m parts of the cases")
+    parser.add_argument("--part", default="1/10", help="k/m: the k-th of m parts of the cases (1/10)")
     parser.add_argument("--only", nargs="+", metavar="CASE", help="KIND/FAMILY/SEED, as a listing names it")
     parser.add_argument("--json", metavar="OUT", help="file for the outcomes, one a line")
     parser.add_argument("--seconds", type=float, default=0, help="processor time a case may take")
