@@ -121,11 +121,11 @@ class Size:
 
 
 def size_of(family: str, rng: np.random.Generator) -> Size:
-    """Draw 5 to 60 runs of 50 to 800 samples; fewer of a planar mover, which has 12 channels."""
+    """Draw 5 to 60 runs of 50 to 800 samples; fewer of a planar mover, whose fits are slow."""
     runs = int(np.exp(rng.uniform(np.log(5), np.log(61))))
     samples = int(np.exp(rng.uniform(np.log(60), np.log(801))))
     if family == "planar":
-        runs, samples = int(rng.integers(5, 9)), int(rng.integers(60, 121))
+        runs, samples = int(rng.integers(5, 7)), int(rng.integers(40, 61))
     return Size(runs, min(samples, 12_000 // runs), float(10 ** rng.uniform(-3.3, -1.7)))
 
 
@@ -794,7 +794,7 @@ def healthy(kind: str, family: str, seed: str) -> Recording:
     rng, known = drawn_by("healthy", kind, family, seed), HEALTHY[kind]
     size = known.size(rng) if known.size else size_of(family, rng)
     if family == "planar":
-        size = replace(size, runs=min(size.runs, 8), samples=min(size.samples, 120))
+        size = replace(size, runs=min(size.runs, 6), samples=min(size.samples, 60))
     plan = known.plan(PLANS[family](rng, size), rng)
     r = recorded(family, plan, rng, stated=rng.random() < 0.6, coloured=known.coloured)
     return known.after(r, rng)
@@ -834,6 +834,29 @@ def late_start(at: AtTimes, seconds: float, rng: np.random.Generator) -> AtTimes
 def there_and_back(at: AtTimes, seconds: float, rng: np.random.Generator) -> AtTimes:
     """Run through a motion and back again."""
     return lambda t: at(seconds * (1 - np.abs(2 * t / seconds - 1)))
+
+
+def between_stops(at: AtTimes, seconds: float, rng: np.random.Generator) -> AtTimes:
+    """Rest where the travel ends: the motion is cut off, not what is recorded of it."""
+    seen = at(np.linspace(0, seconds, 200))
+    low, high = np.quantile(seen, [rng.uniform(0, 0.2), rng.uniform(0.8, 1)])
+    return lambda t: np.clip(at(t), low, high)
+
+
+def stepping(at: AtTimes, seconds: float, rng: np.random.Generator) -> AtTimes:
+    """Move in steps of a motor, 20 to 200 over the travel."""
+    step = np.ptp(at(np.linspace(0, seconds, 200))) / rng.uniform(20, 200) + 1e-15
+    return lambda t: step * np.round(at(t) / step)
+
+
+def one_at_rest(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Nothing moves in one run."""
+    runs = list(plan.campaign.runs)
+    k = int(rng.integers(len(runs)))
+    still = {axis: float(at(np.zeros(1))[0]) for axis, at in runs[k].motion.items()}
+    at_rest = {axis: runs[k].setting.get(axis, 0.0) + value for axis, value in still.items()}
+    runs[k] = replace(runs[k], motion={}, setting={**runs[k].setting, **at_rest})
+    return replace(plan, campaign=replace(plan.campaign, runs=tuple(runs)))
 
 
 def unequal(plan: Plan, rng: np.random.Generator) -> Plan:
@@ -938,6 +961,14 @@ def partly_stated(r: Recording, rng: np.random.Generator) -> Recording:
     return replace(r, stated={c: s for c, s in r.sigma.items() if rng.random() < 0.5})
 
 
+def noisy_run(r: Recording, rng: np.random.Generator) -> Recording:
+    """One run is twice as noisy."""
+    rows, arrays = r.rows(int(rng.choice(r.runs))), {c: x.copy() for c, x in r.arrays.items()}
+    for c in r.readings:
+        arrays[c][rows] += 1.7 * r.sigma[c] * rng.standard_normal(rows.stop - rows.start)
+    return replace(r, arrays=arrays)
+
+
 def heavy(r: Recording, rng: np.random.Generator) -> Recording:
     """Noise of Student's t with 5 degrees of freedom, and few spikes."""
     arrays = dict(r.arrays)
@@ -1024,6 +1055,11 @@ HEALTHY: dict[str, Healthy] = {
     "dwells": Healthy(plan=moving(dwelling)),
     "rest before and after": Healthy(plan=moving(late_start)),
     "there and back": Healthy(plan=moving(there_and_back)),
+    "end stops": Healthy(plan=moving(between_stops)),
+    "end stops, commanded": Healthy(plan=moving(between_stops), after=commanded),
+    "stepper, commanded": Healthy(plan=moving(stepping), after=commanded),
+    "a run at rest": Healthy(plan=one_at_rest),
+    "a noisy run": Healthy(after=noisy_run),
     "unequal runs": Healthy(plan=unequal),
     "repeated runs": Healthy(plan=repeated),
     "jitter": Healthy(after=jittered),
