@@ -578,6 +578,176 @@ def board_alone(path: Path, data: Columns) -> Written:
     return Written(made.words[:1], made.known)
 
 
+# -- more dialects -----------------------------------------------------------------------------------------
+
+
+def unit_words(path: Path, data: Columns) -> Written:
+    """Units as words."""
+    words = {"um": "micrometers", "urad": "microradians", "ms": "milliseconds"}
+    columns, known = theirs(data, "{name} ({unit})", units=UNIT)
+    spelt = {n.replace("µm", words["um"]).replace("µrad", words["urad"]).replace("(ms)", "(milliseconds)"): x
+             for n, x in columns.items()}  # fmt: skip
+    return Written([table(path / "words.csv", spelt)], known)
+
+
+def unnamed_index(path: Path, data: Columns) -> Written:
+    """A data frame written with its index, whose name is empty."""
+    columns, known = theirs(data)
+    whole = {"": np.arange(len(data["run"])), **columns}
+    return Written([table(path / "frame.csv", whole)], known)
+
+
+def pandas_doubles(path: Path, data: Columns) -> Written:
+    """Three columns of one name, numbered by pandas: Hall, Hall.1, Hall.2."""
+    names = {**NAMES, "hall_a_m": "Hall [um]", "hall_b_m": "Hall [um].1", "hall_c_m": "Hall [um].2"}
+    columns, known = theirs(data, "{name}", names)
+    columns = {n if "Hall" in n or n == "Run" else f"{n} [{known[c].unit}]": x
+               for (n, x), c in zip(columns.items(), known, strict=True)}  # fmt: skip
+    known |= {
+        f"hall_{k}_m": Known(n, "um")
+        for k, n in zip("abc", ("Hall", "Hall [um].1", "Hall [um].2"), strict=True)
+    }
+    return Written([table(path / "merged.csv", columns)], known)
+
+
+def status_column(path: Path, data: Columns) -> Written:
+    """A column of words beside the numbers, and lost samples marked by words."""
+    columns, known = theirs(data)
+    cells = {n: [f"{v:.10g}" for v in x] for n, x in columns.items()}
+    for n in cells:
+        if n.startswith("Hall"):
+            cells[n][37] = "n/a"
+    cells["Status"] = ["OK"] * len(data["run"])
+    return Written([table(path / "status.csv", cells, number=str)], known)
+
+
+def thousands(path: Path, data: Columns) -> Written:
+    """German numbers with points between thousands, in nanometres."""
+    units = {c: {"um": "nm", "urad": "nrad"}.get(u, u) for c, u in UNIT.items()}
+    columns, known = theirs(data, units=units)
+    swap = str.maketrans(".,", ",.")
+    number = lambda x: f"{x:,.3f}".translate(swap)  # noqa: E731
+    columns["Run"] = data["run"].astype(float)
+    return Written([table(path / "tausend.csv", columns, ";", number=number)], known)
+
+
+def german_dates(path: Path, data: Columns) -> Written:
+    """Dates as Germans write them."""
+    start = np.datetime64("2026-03-02T08:00:00", "us")
+    moments = start + np.round(data["t_s"] * 1e6).astype("timedelta64[us]")
+    stamps = [f"{m.day:02d}.{m.month:02d}.{m.year} {m.strftime('%H:%M:%S,%f')}" for m in moments.tolist()]
+    columns, known = theirs({c: x for c, x in data.items() if c != "t_s"})
+    cells = {"Datum": stamps} | {n: [f"{v:.9g}".replace(".", ",") for v in x] for n, x in columns.items()}
+    return Written([table(path / "datum.csv", cells, ";", number=str)], {**known, "t_s": Known("Datum")})
+
+
+def long_preamble(path: Path, data: Columns) -> Written:
+    """Forty lines of settings before the table, some with commas and numbers."""
+    columns, known = theirs(data)
+    lines = [f"Channel {k}, gain, {1.5 + k}, coupling, DC" for k in range(12)]
+    lines += ["Instrument: DAQ-3, serial 4711", "Samples: 960, Rate: 200 Hz", "", "[Data]"]
+    return Written([table(path / "daq3.csv", columns, above="\n".join(lines) + "\n")], known)
+
+
+def tektronix(path: Path, data: Columns) -> Written:
+    """Settings of an oscilloscope beside the samples, in columns of their own."""
+    part = runs_of(data)[0]
+    known = {"t_s": Known("TIME", "s"), "v_sin_v": Known("CH1", "v"), "v_cos_v": Known("CH2", "v"),
+             "angle_ref_rad": Known("CH3", "rad")}  # fmt: skip
+    lines = ["Model,MSO44", "Firmware,1.20", "Sample Interval,5e-3", "Record Length,120", "", "Labels,,,",
+             "TIME,CH1,CH2,CH3"]  # fmt: skip
+    lines += [",".join(f"{x:.10g}" for x in row) for row in zip(*(part[c] for c in known), strict=True)]
+    (path / "tek.csv").write_text("\n".join(lines) + "\n")
+    return Written([str(path / "tek.csv")], known, {c: part[c] for c in known})
+
+
+def microsteps(path: Path, data: Columns) -> Written:
+    """A chip of 14 bits and a stepper that counts 51200 microsteps a turn."""
+    known = {"run": Known("run"), "t_s": Known("us", "us"), "angle_rad": Known("as5047", "count", 16384),
+             "angle_ref_rad": Known("microsteps", "rad", 2 * np.pi / 51200)}  # fmt: skip
+    columns = {
+        "run": data["run"], "us": np.round(1e6 * data["t_s"]),
+        "as5047": np.floor(data["angle_rad"] / (2 * np.pi) * 16384) % 16384,
+        "microsteps": np.round(data["angle_ref_rad"] / (2 * np.pi) * 51200),
+    }  # fmt: skip
+    return Written([table(path / "stepper.csv", columns)], known)
+
+
+def columns_of_json(path: Path, data: Columns) -> Written:
+    """One JSON object, a list for each column."""
+    columns, known = theirs(data, "{name}_{unit}", {c: NAMES[c].replace(" ", "_") for c in NAMES})
+    lists = {n.replace("µ", "u"): x.tolist() for n, x in columns.items()}
+    (path / "log.json").write_text(json.dumps(lists))
+    return Written([str(path / "log.json"), "--format", "json"], known)
+
+
+def folder_of_hdf5(path: Path, data: Columns) -> Written:
+    """One HDF5 file a run, units as attributes."""
+    import h5py
+
+    (path / "runs").mkdir()
+    for run, part in enumerate(runs_of(data)):
+        columns, known = theirs(part, "{name}")
+        with h5py.File(path / "runs" / f"run_{run}.h5", "w") as file:
+            for (name, x), about in zip(columns.items(), known.values(), strict=True):
+                file[name] = x
+                file[name].attrs["units"] = about.unit
+    return Written([str(path / "runs")], known)
+
+
+def folder_of_mat(path: Path, data: Columns) -> Written:
+    """One MATLAB file a run."""
+    from scipy.io import savemat
+
+    (path / "runs").mkdir()
+    for run, part in enumerate(runs_of(data)):
+        columns, known = theirs(part, "{name}_{unit}", {c: NAMES[c].replace(" ", "_") for c in NAMES})
+        savemat(path / "runs" / f"run{run}.mat", {n.replace("µ", "u"): x for n, x in columns.items()})
+    return Written([str(path / "runs")], known)
+
+
+def matlab_73(path: Path, data: Columns) -> Written:
+    """MATLAB 7.3, which is HDF5: vectors are rows, a matrix stands on its side."""
+    import h5py
+
+    with h5py.File(path / "v73.mat", "w", userblock_size=512) as file:
+        for c, x in data.items():
+            if not c.startswith("hall"):
+                file[f"{stem(c)}_{UNIT[c]}" if c in UNIT else c] = within(x, UNIT.get(c, ""))[None, :]
+        file["hall_um"] = np.stack([1e6 * data[f"hall_{k}_m"] for k in "abc"])
+        for name in file:
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
+    with open(path / "v73.mat", "r+b") as raw:
+        raw.write(head)
+    known = {c: Known(stem(c), UNIT.get(c, "")) for c in data}
+    known |= {f"hall_{k}_m": Known(f"hall_um_{i}", "um") for i, k in enumerate("abc")}
+    return Written([str(path / "v73.mat")], known)
+
+
+def structured_array(path: Path, data: Columns) -> Written:
+    """One structured array, saved by numpy."""
+    columns, known = theirs(data, "{name}_{unit}", {c: NAMES[c].replace(" ", "_") for c in NAMES})
+    record = np.rec.fromarrays(list(columns.values()), names=[n.replace("µ", "u") for n in columns])
+    np.savez(path / "record.npz", log=record)
+    return Written([str(path / "record.npz")], known)
+
+
+def open_document(path: Path, data: Columns) -> Written:
+    """Two tables on one sheet, side by side: settings, then the log."""
+    import xlsxwriter
+
+    columns, known = theirs(data)
+    book = xlsxwriter.Workbook(str(path / "mixed.xlsx"))
+    page = book.add_worksheet("Sheet1")
+    page.write_column(0, 0, ["Setting", "gain", "rate"])
+    page.write_column(0, 1, ["Value", 1.5, 200])
+    for k, (name, x) in enumerate(columns.items(), 3):
+        page.write_column(0, k, [name, *x.tolist()])
+    book.close()
+    return Written([str(path / "mixed.xlsx")], known)
+
+
 # -- what no program can know --------------------------------------------------------------------------------
 
 
@@ -636,12 +806,27 @@ FILES: dict[str, LabFile] = {
     "voltages in counts": LabFile(counts_of_both, "rotary", within=2.0),
     "wrapped degrees": LabFile(wrapped_degrees, "chip"),
     "millivolts": LabFile(millivolts, "halbach"),
+    "units as words": LabFile(unit_words),
+    "unnamed index": LabFile(unnamed_index),
+    "columns numbered by pandas": LabFile(pandas_doubles),
+    "points between thousands": LabFile(thousands),
+    "German dates": LabFile(german_dates),
+    "a long preamble": LabFile(long_preamble),
+    "labels above names": LabFile(tektronix, "rotary"),
+    "counts and microsteps": LabFile(microsteps, "chip", within=3.0),
+    "JSON of lists": LabFile(columns_of_json),
+    "folder of HDF5": LabFile(folder_of_hdf5),
+    "folder of MATLAB": LabFile(folder_of_mat),
+    "MATLAB 7.3": LabFile(matlab_73),
+    "structured array": LabFile(structured_array),
+    "a sheet with two tables": LabFile(open_document),
+    "a column of words, lost samples": LabFile(status_column, says=("--drop-bad",)),
     "two columns of one name": LabFile(same_names, says=("twice", "different names")),
     "no names": LabFile(no_names, says=("column names", "names")),
     "a board of unknown layout": LabFile(board_alone, "halbach", says=("layout", "places")),
     "no reference": LabFile(no_reference, says=("reference", "x_ref")),
 }
-"""The last four have no answer: a true sentence is right."""
+"""The last five have no answer without a decision: a true sentence is right."""
 
 
 # -- a person who obeys --------------------------------------------------------------------------------------
@@ -698,7 +883,9 @@ def completed(path: Path, known: Mapping[str, Known]) -> tuple[int, int]:
         if column not in have and not any(stem(w) == stem(column) for w in re.findall(r"\w+", as_they_are)):
             ours = "run" if column == "run" else f"{stem(column)}_{about.unit or column.rpartition('_')[2]}"
             entry = json.dumps(about.name, ensure_ascii=False)
-            if about.scale is not None:
+            if about.unit == "count":
+                lines.insert(0, f"counts_per_turn = {about.scale}")
+            elif about.scale is not None:
                 entry = f"{{ name = {entry}, scale = {about.scale!r}, offset = {about.offset!r} }}"
             lines.append(f"{ours} = {entry}")
             added += 1
@@ -713,9 +900,12 @@ def stem(column: str) -> str:
 
 def fits(about: Known, own: str, ours: str, entry: str) -> bool:
     """Whether a line names the owner's column in the owner's unit. `t` is what a rate makes of time."""
-    name, theirs = set(words_in(about.name)), set(words_in(entry.partition("#")[0].partition(", scale")[0]))
-    theirs.discard("name")
-    named = name <= theirs or (theirs <= name and theirs) or theirs == {"t"}
+    quoted = re.search(r'"(.*?)"', entry)
+    name, theirs = set(words_in(about.name)), set(words_in(quoted[1] if quoted else ""))
+    more = {
+        word for word in theirs - name if len(word) == 1 or word.isdigit()
+    }  # another one's letter or number
+    named = (name <= theirs and not more) or (theirs <= name and theirs) or theirs == {"t"}
     right = about.unit or own.rpartition("_")[2]
     return bool(named) and (own == "run" or ours.rpartition("_")[2] == right or theirs == {"t"})
 
@@ -799,6 +989,9 @@ def told(lab: LabFile, truth: Columns, out: str) -> str:
         wanted = hallsym.fit(log, found["model"], solver="direct")
     except (ValueError, hallsym.InputError) as error:
         return f"{error}"[:200]
+    runs, rows = len(np.unique(truth.get("run", [0]))), len(next(iter(truth.values())))
+    if found["log"]["runs"] != runs or found["log"]["rows"] < 0.95 * rows:
+        return f"{found['log']['rows']} samples in {found['log']['runs']} runs, of {rows} in {runs}"
     off = []
     for name, value, std in zip(wanted.model.names, wanted.values, wanted.std, strict=True):
         entry = found["parameters"].get(name)
