@@ -56,20 +56,16 @@ def correction(text: str) -> Correction:
     """Read a correction, such as `scale x_ref_m mm in 3,5`; a unit becomes the factor to multiply by."""
     name, *words = text.split()
     runs: frozenset[int] = frozenset()
-    if len(words) > 2 and words[-2] == "in" and _RUNS.fullmatch(words[-1]):
+    if len(words) > 1 and words[-2] == "in" and _RUNS.fullmatch(words[-1]):
         runs, words = run_numbers(words[-1]), words[:-2]
-    if name == "other_device":
-        return Correction(name, frozenset(), (), run_numbers(words[0]) if words else runs)
-    if name == "copied_run":
-        return Correction(name, frozenset(), (), frozenset(int(w) for w in words))
-    columns = frozenset(words[0].split(","))
     if name == "exchange":
         return Correction(name, frozenset(words), (), runs)
-    numbers = tuple(_number(w) for w in words[1:])
+    columns = frozenset(words[0].split(",")) if words else frozenset()
+    numbers = tuple(_number(w) for w in words[1:] if w != "from")
     if name == "gain_step":
         name, numbers = "scale", (1 / numbers[0],)
-    if name in ("zero_moved", "stuck"):
-        runs, numbers = frozenset([int(numbers[0])]), numbers[1:]
+    if name == "zero_moved" and len(numbers) == 1:
+        numbers = (*numbers, 0.0)
     return Correction(name, columns, numbers, runs)
 
 
@@ -94,7 +90,8 @@ def _near(
     if name == "delay":
         return bool(np.all(np.abs(a - b) <= 0.5))
     if name == "zero_moved":
-        return bool(np.all(np.abs(a - b) <= max(3, 0.05 * len(r.true["run"]) / len(r.runs))))
+        early = max(3, 0.05 * len(r.true["run"]) / len(r.runs))
+        return bool(abs(a[0] / b[0] - 1) < 0.2 and abs(a[1] - b[1]) <= early)
     if name == "stuck":
         both, either = min(a[1], b[1]) - max(a[0], b[0]), max(a[1], b[1]) - min(a[0], b[0])
         return bool(both / either > 0.7)
@@ -120,15 +117,13 @@ def same(text: str, right: str, r: Recording) -> bool:
 def undone(r: Recording, text: str) -> Recording:
     """Return a log as a correction makes it, done here in numpy: what hallsym makes of it is not asked.
 
-    Samples that cannot be put right are left out: those at a limit, at the ends of a delayed run, on the
-    shorter side of a moved zero.
+    Samples that cannot be put right are left out: those at a limit and at the ends of a delayed run.
     """
     it, arrays, stated = correction(text), {c: x.copy() for c, x in r.arrays.items()}, dict(r.stated)
     keep, numbers = np.ones(len(r.true["run"]), bool), it.numbers
     every = [*r.readings, *r.references, *r.state]
     if it.name in ("copied_run", "other_device"):
-        left = it.runs if it.name == "other_device" else [int(text.split()[1])]
-        return kept(r, ~np.isin(r.arrays["run"], list(left)))
+        return kept(r, ~np.isin(r.arrays["run"], list(it.runs)))
     for run in it.runs or r.runs.tolist():
         rows = r.rows(run)
         at = np.arange(rows.stop - rows.start)
@@ -140,11 +135,11 @@ def undone(r: Recording, text: str) -> Recording:
                 arrays[c][rows] = mean_of(arrays[c][rows], int(numbers[0]))
         elif it.name == "stuck":
             keep[rows] &= (at < numbers[0]) | (at >= numbers[1])
-        elif it.name == "zero_moved":
-            keep[rows] &= (at < numbers[0]) == (numbers[0] > len(at) / 2)
         for c in it.columns:
             if it.name in ("sign", "scale"):
                 arrays[c][rows] *= -1 if it.name == "sign" else numbers[0]
+            elif it.name == "zero_moved":
+                arrays[c][rows] -= numbers[0] * (at >= numbers[1])
             elif it.name == "delay":
                 arrays[c][rows] = shifted(arrays[c][rows], -int(numbers[0]))
                 keep[rows] &= (at >= -numbers[0]) & (at < len(at) - numbers[0])

@@ -422,9 +422,11 @@ def all_signs(d: Draft) -> None:
         d.say(f"sign {names(d.r.references)}")
     for c in _moving_alone(d):
         d.say(f"sign {c}")
-    waves = {"rotary": "angle_ref_rad", "halbach": "x_ref_m"}
-    if d.r.family in waves:
-        d.right += [f"zero_moved {waves[d.r.family]} {run} 0" for run in d.runs]
+    half = {"rotary": ("angle_ref_rad", np.pi), "halbach": ("x_ref_m", 0.015)}
+    if d.r.family in half and d.runs:
+        column, step = half[d.r.family]
+        d.say(f"zero_moved {column} {step:.9g}")
+        d.say(f"zero_moved {column} {-step:.9g}")
     d.legal = d.r.family == "homed" or (not d.runs and d.r.family in ("rotary", "halbach", "planar"))
 
 
@@ -534,12 +536,13 @@ def zero_moved(role: Role) -> Make:
     def make(d: Draft) -> None:
         c = d.one(role(d.r))
         step = d.rng.choice([-1, 1]) * max(0.03 * _spread(d, c), 12 * d.r.sigma[c]) * d.rng.uniform(1, 4)
+        either = {c: step}
+        if d.r.family == "chip":
+            either = {one: step if one == c else -step for one in (*d.r.readings, *d.r.references)}
         for run, rows in zip(d.runs, d.rows, strict=True):
-            n = rows.stop - rows.start
-            at = int(d.rng.uniform(0.25, 0.75) * n)
+            at = int(d.rng.uniform(0.25, 0.75) * (rows.stop - rows.start))
             d.arrays[c][rows.start + at : rows.stop] += step
-            either = (*d.r.readings, *d.r.references) if d.r.family == "chip" else (c,)
-            d.right += [f"zero_moved {one} {run} {at}" for one in either]
+            d.right += [f"zero_moved {one} {by:.9g} from {at} in {run}" for one, by in either.items()]
         d.columns.append(c)
 
     return make
@@ -597,7 +600,7 @@ def stuck(role: Role, *, every: bool = False) -> Make:
                 d.arrays[c][rows.start + start : rows.start + start + length] = d.arrays[c][
                     rows.start + start
                 ]
-            d.right.append(f"stuck {names(columns)} {run} {start} {start + length}")
+            d.right.append(f"stuck {names(columns)} {start} {start + length} in {run}")
         d.columns += columns
 
     return make
@@ -609,7 +612,7 @@ def copied(d: Draft) -> None:
     for run in d.runs:
         for c in (*d.r.readings, *d.r.references, *d.r.state):
             d.arrays[c][d.r.rows(run)] = d.arrays[c][d.r.rows(source)]
-        d.right += [f"copied_run {run} {source}", f"copied_run {source} {run}"]
+        d.right += [f"copied_run in {run}", f"copied_run in {source}"]
 
 
 def other_device(d: Draft) -> None:
@@ -623,10 +626,9 @@ def other_device(d: Draft) -> None:
         for c, gain in zip(d.r.readings, gains, strict=True):
             d.change([c], lambda x, g=gain: x * g)
     d.say("other_device")
-    d.right = [f"other_device {','.join(map(str, d.runs))}"]
     rest = [r for r in d.r.runs.tolist() if r not in d.runs]
     if len(d.runs) >= len(rest):
-        d.right.append(f"other_device {','.join(map(str, rest))}")
+        d.right.append(f"other_device in {','.join(map(str, rest))}")
 
 
 def gain_step(role: Role, by: float) -> Make:
@@ -754,7 +756,7 @@ def mistaken(kind: str, family: str, seed: str, size: Size | None = None) -> Mis
     )
     runs = sorted(rng.choice(every, count, replace=False).tolist())
     if known.scope in ("tail", "half"):
-        runs = every[int(rng.integers(len(every) // 2, len(every) - 1)) :] if known.scope == "tail" else \
+        runs = every[int(rng.integers(len(every) // 2 + 1, len(every))) :] if known.scope == "tail" else \
             every[: len(every) // 2]  # fmt: skip
     draft = Draft(r, rng, tuple(runs), {c: x.copy() for c, x in r.arrays.items()})
     known.make(draft)
