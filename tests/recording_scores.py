@@ -28,6 +28,8 @@ from hallsym.units import UNITS
 HARMED = 3.0
 """Decoded error over the floor from which on a mistake harms its user."""
 
+MOSTLY = 0.75
+"""Share of the runs that two corrections have in common, of all that either has, where they mean the same."""
 ENOUGH = 3000
 """Samples from which the rms of an error is known."""
 
@@ -103,7 +105,7 @@ def _near(
 
 
 def same(text: str, right: str, r: Recording) -> bool:
-    """Whether a correction does what a right one does, nearly."""
+    """Whether a correction does what a right one does, nearly; of some runs, it may be of a part of them."""
     try:
         a, b = correction(text), correction(right)
     except (ValueError, KeyError, IndexError):
@@ -111,7 +113,7 @@ def same(text: str, right: str, r: Recording) -> bool:
     if (a.name, a.columns) != (b.name, b.columns) or not _near(a.name, a.numbers, b.numbers, r, a.columns):
         return False
     shared = len(a.runs & b.runs) / max(1, len(a.runs | b.runs))
-    return a.runs == b.runs or (a.name not in ("copied_run", "stuck", "zero_moved") and shared >= 0.75)
+    return a.runs == b.runs or (len(a.runs) > 0 and a.runs < b.runs) or shared >= MOSTLY
 
 
 def undone(r: Recording, text: str) -> Recording:
