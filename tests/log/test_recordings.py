@@ -1,0 +1,64 @@
+"""Rates over a sample of recordings with a mistake and of healthy ones, held at what is reached.
+
+`tests/benchmarks/bench_recordings.py` runs all of them and lists each that came to no good end.
+"""
+
+from __future__ import annotations
+
+import pytest
+from recording_scores import correction, judged, rates, same
+from recordings import FAMILIES, KINDS, Size, cases, healthy_cases, mistaken
+
+SEED = 4
+SMALL = Size(16, 100, 4e-3)
+"""Enough to tell mistakes, and quick to fit."""
+QUICK = tuple(family for family in FAMILIES if family != "planar")
+"""A fit of the planar mover takes a second or more."""
+EVERY = 19
+"""One of so many cases is taken: a search for the cause takes a second or more of each."""
+
+
+def test_there_are_many_kinds_and_each_family_has_some() -> None:
+    drawn = cases(SEED)
+    assert len(KINDS) >= 60
+    assert len(drawn) >= 200
+    assert len(healthy_cases(SEED, 2)) >= 300
+    assert {family for _, family, _ in drawn} == set(FAMILIES)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_same_seed_makes_the_same_mistake_and_its_corrections_can_be_read(family: str) -> None:
+    for kind, own, seed in [case for case in cases(SEED) if case[1] == family][::9]:
+        one, two = mistaken(kind, own, seed), mistaken(kind, own, seed)
+        assert one.right == two.right
+        changed = [c for c, x in one.recording.arrays.items() if (x != two.recording.arrays[c]).any()]
+        assert changed == []
+        for text in one.right:
+            assert correction(text).name
+            assert same(text, text, one.recording)
+
+
+def test_corrections_are_compared_by_what_they_do() -> None:
+    r = mistaken("sign of a reading, run", "stage31", "0").recording
+    assert same("scale rx_rad deg", "scale rx_rad 0.0174533", r)
+    assert same("scale x_ref_m in in 3", "scale x_ref_m 0.0254 in 3", r)
+    assert same("gain_step hall_a_m 1.05 in 2", "scale hall_a_m 0.952381 in 2", r)
+    assert not same("scale rx_rad mrad", "scale rx_rad deg", r)
+    assert not same("sign hall_a_m", "sign hall_a_m in 2", r)
+    assert not same("delay hall_a_m 2", "delay hall_a_m -2", r)
+
+
+@pytest.mark.slow
+def test_rates_of_mistakes() -> None:
+    drawn = [case for case in cases(SEED) if case[1] in QUICK][::EVERY]
+    found = rates([judged(*case, SMALL) for case in drawn])
+    assert found.noticed >= 0.9, found
+    assert found.silent <= 0.08, found
+    assert found.wrong == 0, found
+
+
+@pytest.mark.slow
+def test_no_claim_of_a_mistake_in_healthy_logs() -> None:
+    drawn = [case for case in healthy_cases(SEED) if case[1] in QUICK][::4]
+    found = rates([judged(*case) for case in drawn])
+    assert found.false == 0, found
