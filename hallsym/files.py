@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import stat
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -158,9 +159,35 @@ def atomic_write(path: str | Path, content: bytes | str | Callable[[Path], None]
                 stream.write(data)
 
 
+def json_text(record: Any, indent: int | None = 1, **how: Any) -> str:
+    """Return a record as JSON (RFC 8259), in ASCII. `how`: further options of `json.dumps`.
+
+    Raises `InputError` that names the first number that is not finite, of which JSON has none.
+    """
+    try:
+        return json.dumps(record, indent=indent, allow_nan=False, **how).replace("\x7f", "\\u007f")
+    except ValueError:
+        place, number = next(_not_finite(record, ()), ((), None))
+        if number is None:
+            raise
+    raise InputError(
+        f"Number '{'.'.join(place)}' of the result must be finite; it is {number}: a value of the inputs is "
+        "far from what the model expects; look at units and values with 'hallsym info'."
+    )
+
+
+def _not_finite(data: Any, place: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
+    """Yield the place and the value of every number that is not finite."""
+    if isinstance(data, Mapping | list | tuple):
+        for key, value in data.items() if isinstance(data, Mapping) else enumerate(data):
+            yield from _not_finite(value, (*place, str(key)))
+    elif isinstance(data, float) and not math.isfinite(data):
+        yield place, data
+
+
 def write_json(path: str | Path, record: Any) -> None:
-    """Write a record as JSON through a temporary file; it holds no number that is not finite."""
-    atomic_write(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
+    """Write a record as JSON through a temporary file; errors as in `json_text`."""
+    atomic_write(path, json_text(record) + "\n")
 
 
 _READING = {

@@ -1,7 +1,6 @@
 """What the commands share: options, opening logs, progress, and how results are said."""
 
 import argparse
-import json
 import math
 import shlex
 import sys
@@ -20,12 +19,13 @@ from hallsym.families import build, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
 from hallsym.families.user import load_effects
+from hallsym.files import json_text
 from hallsym.log import MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
 from hallsym.model import Effect, Model
+from hallsym.output import fitted, printable
 from hallsym.records import named
 from hallsym.report.figures.campaign import fit_figure
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
-from hallsym.terminal import fitted
 from hallsym.toml import column_of
 
 if TYPE_CHECKING:
@@ -260,7 +260,7 @@ def run_numbers(text: str) -> list[int]:
 
 def warn(sentence: str) -> None:
     """Print a sentence on stderr that goes with an exit code."""
-    print(f"hallsym: {sentence}", file=sys.stderr)
+    print(f"hallsym: {printable(sentence)}", file=sys.stderr)
 
 
 def progress_of(options: Namespace) -> Callable[[str], None]:
@@ -280,11 +280,11 @@ def say(
     """Print the JSON record; or the text, then the notes, the names of the files that were written, and the
     words of the command that comes next."""
     if options.json:
-        print(json.dumps(record, indent=1, allow_nan=False))
+        print(json_text(record))
         return
     progress.ended()
-    lines = [f"note: {note}" for note in notes] + [f"wrote {path}" for path in wrote]
-    lines += [f"next: {shlex.join(then)}"] if then else []
+    lines = [printable(f"note: {note}") for note in notes] + [printable(f"wrote {path}") for path in wrote]
+    lines += [printable(f"next: {shlex.join(then)}")] if then else []
     print(fitted("\n".join([text(), *lines])))
 
 

@@ -17,14 +17,14 @@ from typing import IO, Any
 from hallsym.errors import InputError, counted, one_line
 from hallsym.families import build, effect_named
 from hallsym.families.machine_file import Machine, read_machine
-from hallsym.files import reason
+from hallsym.files import json_text, reason
 from hallsym.fleets.result import Fleet
 from hallsym.fleets.row import FAILED, Settings, row_of
 from hallsym.fleets.sources import Device, devices_of
 from hallsym.fleets.workers import Failed, completed
 from hallsym.log import Meta
 from hallsym.model import Model
-from hallsym.terminal import said_time
+from hallsym.output import said_time
 
 
 def fleet(
@@ -142,7 +142,7 @@ class Journal:
             except OSError as error:
                 raise InputError(f"Cannot write {self.path}: {reason(error)}.") from error
             self._stream.write("\n")  # ends a line that was cut short
-        self._stream.write(json.dumps({"stamp": self._stamp(device), "row": dict(row)}) + "\n")
+        self._stream.write(json_text({"stamp": self._stamp(device), "row": dict(row)}, None) + "\n")
         self._stream.flush()
 
     def __enter__(self) -> "Journal":

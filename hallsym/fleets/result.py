@@ -16,6 +16,7 @@ from hallsym.files import replacing
 from hallsym.fleets.row import GOOD, STD, VALUE, VERDICTS
 from hallsym.fleets.spread import Spread, spread_of
 from hallsym.model import Model
+from hallsym.output import printable
 from hallsym.shown import Shown
 
 FORMAT = "hallsym fleet 1"
@@ -150,8 +151,11 @@ class Fleet(Shown):
         import pyarrow as arrow
         from pyarrow import csv, parquet
 
+        table = self.table()
+        if suffix == ".csv":
+            table = {k: [printable(v) if isinstance(v, str) else v for v in c] for k, c in table.items()}
         with replacing(path) as temporary:
-            (csv.write_csv if suffix == ".csv" else parquet.write_table)(arrow.table(self.table()), temporary)
+            (csv.write_csv if suffix == ".csv" else parquet.write_table)(arrow.table(table), temporary)
 
     def table(self) -> dict[str, list[Any]]:
         """Return the table by columns: device first, each parameter as its value and 1 sigma, in SI."""

@@ -9,7 +9,7 @@ from types import TracebackType
 
 import numpy as np
 
-from hallsym.errors import InputError, quoted
+from hallsym.errors import InputError, quoted, require
 from hallsym.files import reason, replacing
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log
@@ -63,6 +63,10 @@ class LogWriter:
                 f"Columns written to {self.path} must be equally long; they have {sorted(lengths)} values."
             )
         if self._names is None:
+            wrong = next((name for name in chunk if not name.isprintable()), "")
+            require(
+                not wrong, f"A column written to {quoted(self.path)}", "named in printable characters", wrong
+            )
             self._names = tuple(chunk)
         if set(chunk) != set(self._names):
             raise InputError(
