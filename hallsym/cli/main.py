@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool]
     `interrupted`: whether Ctrl-C was pressed; a library may turn it into another exception.
     """
     if sys.stderr is None:  # closed by the caller, and `print` would write to stdout instead
-        sys.stderr = open(os.devnull, "w", encoding="utf-8")
+        sys.stderr = os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8")
     if sys.stdout is None:
         return _said(f"Cannot write to standard output: it is closed; send it to {os.devnull}.", BAD_INPUT)
     try:

@@ -13,6 +13,7 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest, quoted
 from hallsym.files import reading, regular
+from hallsym.log.apart import Apart
 from hallsym.log.arrow import is_table, source_of
 from hallsym.log.columns import (
     RUN,
@@ -57,11 +58,11 @@ class Format:
 FORMATS = (
     Format("parquet", (".parquet", ".pq"), ParquetSource, "Parquet"),
     Format("csv", (".csv", ".txt", ".tsv"), CsvSource, "CSV", ("delimiter", "decimal")),
-    Format("hdf5", (".h5", ".hdf5"), Hdf5Source, "HDF5"),
-    Format("mat", (".mat",), open_mat, "MATLAB"),
+    Format("hdf5", (".h5", ".hdf5"), partial(Apart, Hdf5Source), "HDF5"),
+    Format("mat", (".mat",), partial(Apart, open_mat), "MATLAB"),
     Format("xlsx", (".xlsx", ".xlsm", ".xls", ".ods"), open_workbook, "workbook", ("sheet", "decimal")),
     Format("tdms", (".tdms",), open_tdms, "TDMS", ("clock",)),
-    Format("mdf", (".mf4", ".mdf"), open_mdf, "MDF", ("clock",)),
+    Format("mdf", (".mf4", ".mdf"), partial(Apart, open_mdf), "MDF", ("clock",)),
     Format("mcap", (".mcap",), open_mcap, "MCAP", ("clock",)),
 )
 
