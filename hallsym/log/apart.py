@@ -7,10 +7,9 @@ its columns through a pipe; the operating system limits its memory and its time.
 from __future__ import annotations
 
 import atexit
-import importlib
-import json
 import math
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -20,9 +19,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import IO, Any
-
-import numpy as np
+from typing import Any
 
 from hallsym.errors import InputError
 from hallsym.log.table import Source
@@ -46,31 +43,30 @@ class Apart(Source):
 
     def __init__(self, reader: Callable[..., Source], path: Path, **options: str | None) -> None:
         """Open the file."""
-        self._file = [reader.__module__, reader.__qualname__, str(path.absolute()), options]
+        self._file = reader, path.absolute(), tuple(options.items())
         with _decoder() as decoder:
-            for name, value in decoder.ask("about", self._file)[0].items():
-                setattr(self, name, value)
+            vars(self).update(decoder.ask("about", self._file))
 
     def count(self) -> int:
         """Return the number of rows."""
         with _decoder() as decoder:
-            return int(decoder.ask("count", self._file)[0])
+            return int(decoder.ask("count", self._file))
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most about `size` rows."""
         with _decoder() as decoder:
-            more, piece = decoder.ask("chunks", self._file, list(names), size)
+            piece = decoder.ask("chunks", self._file, names, size)
             try:
-                while more:
+                while piece is not None:
                     yield piece
-                    more, piece = decoder.ask("next")
+                    piece = decoder.ask("next", self._file)
             finally:
-                if more and decoder.ready:  # the file is closed where nobody reads on
-                    decoder.ask("stop", self._file)
+                if piece is not None and decoder.ready:
+                    decoder.ask("about", self._file)  # closes what nobody reads on
 
 
 class Decoder:
-    """A process that decodes files, one answer for each question."""
+    """A process that decodes files, one answer for each question; `ready`: whether all are answered."""
 
     def __init__(self) -> None:
         """Start the process: a third of a second, as it loads libraries."""
@@ -81,37 +77,30 @@ class Decoder:
         )  # fmt: skip
         self.ready = True
 
-    def ask(self, *question: Any) -> tuple[Any, dict[str, Array]]:
-        """Return the answer to a question and the columns that go with it.
+    def ask(self, *question: Any) -> Any:
+        """Return the answer to a question.
 
         Raises what the reader raised; `ValueError` where the decoder died of the file.
         """
         assert self._process.stdin
         assert self._process.stdout
         self.ready = False
-        with suppress(BrokenPipeError):
-            self._process.stdin.write(json.dumps(question).encode() + b"\n")
-            self._process.stdin.flush()
-        line = self._process.stdout.readline()
-        whole = line.endswith(b"\n")
-        answer = json.loads(line) if whole else {}
-        columns = {name: np.empty(rows, kind) for name, kind, rows in answer.get("columns", ())}
-        for values in columns.values():
-            whole = whole and self._process.stdout.readinto(values.view(np.uint8)) == values.nbytes
-        if not whole:
-            raise ValueError(_ended(self._process.wait()))
+        try:
+            with suppress(BrokenPipeError):
+                pickle.dump(question, self._process.stdin)
+                self._process.stdin.flush()
+            answer = pickle.load(self._process.stdout)
+        except (EOFError, pickle.UnpicklingError) as error:
+            raise ValueError(_ended(self._process.wait())) from error
         self.ready = True
-        if "raised" in answer:
-            raise _RAISED.get(answer["raised"], ValueError)(*answer["with"])
-        return answer["said"], columns
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
 
     def end(self) -> None:
         """End the process, whatever it does."""
         self._process.kill()
         self._process.communicate()
-
-
-_RAISED = {kind.__name__: kind for kind in (InputError, MemoryError, OSError)}
 
 
 def _ended(code: int) -> str:
@@ -155,38 +144,26 @@ def serve() -> None:
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     pieces: Iterator[Mapping[str, Array]] = iter(())
-    file: list[Any] = []
-    for line in sys.stdin.buffer:
-        what, *rest = json.loads(line)
-        piece: Mapping[str, Array] | None = {}
-        try:
-            file, pieces = (file, pieces) if what == "next" else (rest[0], iter(()))
-            size, changed = os.path.getsize(file[2]), os.stat(file[2]).st_mtime_ns
-            _limit(size)
-            source = _opened(json.dumps(file), size, changed)
-            said: Any = True
-            if what == "about":
-                said = {name: getattr(source, name) for name in ABOUT}
-            elif what == "count":
-                said = source.count()
-            else:
-                pieces = source.chunks(*rest[1:]) if what == "chunks" else pieces
-                piece = next(pieces, None)
-                said = piece is not None
-        except Exception as error:
-            named = next((name for name, kind in _RAISED.items() if isinstance(error, kind)), "")
-            stated = [error.errno, error.strerror] if isinstance(error, OSError) and error.errno else []
-            _answer(answers, {"raised": named, "with": stated or [str(error) or type(error).__name__]}, {})
-            continue
-        _answer(answers, {"said": said}, piece or {})
-
-
-def _answer(stream: IO[bytes], answer: Mapping[str, Any], columns: Mapping[str, Array]) -> None:
-    shapes = [(name, values.dtype.str, len(values)) for name, values in columns.items()]
-    stream.write(json.dumps({**answer, "columns": shapes}).encode() + b"\n")
-    for values in columns.values():
-        stream.write(np.ascontiguousarray(values).view(np.uint8))
-    stream.flush()
+    with suppress(EOFError):
+        while True:
+            what, file, *rest = pickle.load(sys.stdin.buffer)
+            answer: Any
+            try:
+                state = os.stat(file[1])
+                _limit(state.st_size)
+                source = _opened(file, state.st_size, state.st_mtime_ns)
+                if what in ("chunks", "next"):
+                    pieces = source.chunks(*rest) if rest else pieces
+                    answer = next(pieces, None)
+                else:
+                    pieces = iter(())
+                    answer = source.count() if what == "count" else {n: getattr(source, n) for n in ABOUT}
+            except (InputError, MemoryError, OSError) as error:
+                answer = error
+            except Exception as error:  # of a class that only the library may know
+                answer = ValueError(str(error) or type(error).__name__)
+            pickle.dump(answer, answers, 5)
+            answers.flush()
 
 
 def _limit(size: int) -> None:
@@ -202,7 +179,7 @@ def _limit(size: int) -> None:
 
 
 @lru_cache(1)
-def _opened(file: str, *state: int) -> Source:
-    """Open the file of a question; `state` is another one when it was written again."""
-    module, function, path, options = json.loads(file)
-    return getattr(importlib.import_module(module), function)(Path(path), **options)  # type: ignore[no-any-return]
+def _opened(file: tuple[Any, Path, tuple[tuple[str, str], ...]], *state: int) -> Source:
+    """Open a file; `state` is another one when it was written again."""
+    reader, path, options = file
+    return reader(path, **dict(options))  # type: ignore[no-any-return]

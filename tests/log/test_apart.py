@@ -36,6 +36,11 @@ def hungry(path: Path) -> Arrays:
     return Arrays({"a_m": np.ones(4 << 30)})
 
 
+def roomy(path: Path) -> Arrays:
+    np.zeros(2 << 30, np.uint8)
+    return vectors(path)
+
+
 def talking(path: Path) -> Arrays:
     os.write(1, b"a library says something\n")
     raise ValueError("no magic number\n at 0")
@@ -73,6 +78,14 @@ def test_a_file_that_kills_its_decoder_is_one_sentence(path: Path, reader, why: 
     assert Guarded(path, partial(Apart, vectors), "").names == ("a_m", "b", "c")
 
 
+@posix
+def test_a_large_file_may_take_more_memory(path: Path) -> None:
+    with pytest.raises(MemoryError):
+        Apart(roomy, path)
+    os.truncate(path, 256 << 20)
+    assert Apart(roomy, path).rows == 3
+
+
 def test_one_decoder_serves_file_after_file_and_keeps_none_open(path: Path) -> None:
     apart.end_decoders()
     for k in range(3):
@@ -81,4 +94,4 @@ def test_one_decoder_serves_file_after_file_and_keeps_none_open(path: Path) -> N
         assert next(source.chunks(["b"], 2))["b"].tolist() == [0, 1, 2]
     (decoder,) = apart._IDLE
     assert decoder.ready
-    assert decoder.ask("next") == (False, {})  # what nobody reads on is ended
+    assert decoder.ask("next", source._file) is None  # what nobody reads on is ended
