@@ -167,21 +167,22 @@ def json_text(record: Any, indent: int | None = 1, **how: Any) -> str:
     try:
         return json.dumps(record, indent=indent, allow_nan=False, **how).replace("\x7f", "\\u007f")
     except ValueError:
-        place, number = next(_not_finite(record, ()), ((), None))
-        if number is None:
+        wrong = next(((place, x) for place, x in _numbers(record) if not math.isfinite(x)), None)
+        if wrong is None:
             raise
     raise InputError(
-        f"Number '{'.'.join(place)}' of the result must be finite; it is {number}: a value of the inputs is "
-        "far from what the model expects; look at units and values with 'hallsym info'."
+        f"Number '{wrong[0]}' of the result must be finite; it is {wrong[1]}: a value of the inputs is far "
+        "from what the model expects; look at units and values with 'hallsym info'."
     )
 
 
-def _not_finite(data: Any, place: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Yield the place and the value of every number that is not finite."""
+def _numbers(data: Any, place: str = "") -> Iterator[tuple[str, float]]:
+    """Yield every number of nested data with its place, such as `errors.x_m.1`."""
     if isinstance(data, Mapping | list | tuple):
         for key, value in data.items() if isinstance(data, Mapping) else enumerate(data):
-            yield from _not_finite(value, (*place, str(key)))
-    elif isinstance(data, float) and not math.isfinite(data):
+            if not isinstance(value, str | bool) and value is not None:
+                yield from _numbers(value, f"{place}.{key}" if place else str(key))
+    elif isinstance(data, int | float):
         yield place, data
 
 
@@ -277,11 +278,11 @@ def read_json(path: str | Path, what: str, remedy: str, make: str = "") -> Any:
     text = read_text(path, what, NO_JSON, remedy, make)
     with reading(path, what, NO_JSON, remedy):
         data = json.loads(text, object_pairs_hook=_once, parse_constant=_no_number)
-    place = _too_large(data)
+        place = next((place for place, x in _numbers(data) if abs(x) > MOST_NUMBER), None)
     if place is not None:
         raise InputError(
-            f"{what} {quoted(path)} must hold numbers of magnitude {MOST_NUMBER:g} at most; "
-            f"'{place.lstrip('.')}' is larger, so {remedy}."
+            f"{what} {quoted(path)} must hold numbers of magnitude {MOST_NUMBER:g} at most; '{place}' is "
+            f"larger, so {remedy}."
         )
     return data
 
@@ -297,19 +298,6 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _no_number(text: str) -> Any:
     raise ValueError(f"{text} is no number")
-
-
-def _too_large(data: Any) -> str | None:
-    """Return the place of a number whose square is none any more; None where there is no such number."""
-    if isinstance(data, dict | list):
-        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
-            if isinstance(value, str | bool) or value is None:
-                continue
-            if (place := _too_large(value)) is not None:
-                return f".{key}{place}"
-    elif isinstance(data, int | float) and abs(data) > MOST_NUMBER:
-        return ""
-    return None
 
 
 def _neighbour(path: Path) -> str:

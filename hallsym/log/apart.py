@@ -32,10 +32,15 @@ EXPANSION = 8
 SECONDS = 60
 """Of the processor for one answer: 65,536 rows, or what the file holds."""
 ABOUT = ("names", "rows", "small", "left_out", "aliases", "units", "notes", "recognised", "unstated")
-"""What a decoder says of a source."""
+"""What is known of a source before its columns are read."""
 _START = "import sys; sys.path[:] = sys.argv[1:]; from hallsym.log.apart import serve; serve()"
 
 _IDLE: list[Decoder] = []
+
+
+def about(source: Source) -> dict[str, Any]:
+    """Return what is known of a source before its columns are read."""
+    return {name: getattr(source, name) for name in ABOUT if hasattr(source, name)}
 
 
 class Apart(Source):
@@ -157,7 +162,7 @@ def serve() -> None:
                     answer = next(pieces, None)
                 else:
                     pieces = iter(())
-                    answer = source.count() if what == "count" else {n: getattr(source, n) for n in ABOUT}
+                    answer = source.count() if what == "count" else about(source)
             except (InputError, MemoryError, OSError) as error:
                 answer = error
             except Exception as error:  # of a class that only the library may know
@@ -182,4 +187,4 @@ def _limit(size: int) -> None:
 def _opened(file: tuple[Any, Path, tuple[tuple[str, str], ...]], *state: int) -> Source:
     """Open a file; `state` is another one when it was written again."""
     reader, path, options = file
-    return reader(path, **dict(options))  # type: ignore[no-any-return]
+    return reader(path, **dict(options))

@@ -13,7 +13,7 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest, quoted
 from hallsym.files import reading, regular
-from hallsym.log.apart import Apart
+from hallsym.log.apart import Apart, about
 from hallsym.log.arrow import is_table, source_of
 from hallsym.log.columns import (
     RUN,
@@ -103,10 +103,7 @@ class Guarded(Source):
         self.path, self.fault = path, fault
         with self._reading():
             self.inner = open(path)
-            self.names, self.small = tuple(self.inner.names), self.inner.small
-        self.left_out, self.aliases = dict(self.inner.left_out), dict(self.inner.aliases)
-        self.notes, self.units = self.inner.notes, dict(self.inner.units)
-        self.recognised, self.unstated = self.inner.recognised, self.inner.unstated
+            vars(self).update(about(self.inner))
         if len(set(self.names)) < len(self.names):
             name = next(name for k, name in enumerate(self.names) if name in self.names[:k])
             raise InputError(f"Columns of {quoted(self.path)} must have different names; '{name}' is twice.")
