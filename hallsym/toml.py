@@ -65,7 +65,7 @@ class Table:
 
     def numbers(self, key: str, check: Callable[..., float] | None = None) -> list[float]:
         """Return a list of at least one number, each checked by `number` or `positive`."""
-        value = self.raw.get(key)
+        value: Any = self.raw.get(key)
         require(isinstance(value, list) and value, f"'{key}' of {self.where}", "a list of numbers", value)
         return [(check or number)(entry, key, self.where) for entry in value]
 
