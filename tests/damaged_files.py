@@ -257,7 +257,10 @@ def targets() -> tuple[Target, ...]:
         Target("calibration, info", "calib.json", ("info", "{FILE}", "--json"), m.JSON),
         Target("calibration, as text", "calib.json", ("info", "{FILE}"), m.JSON),
         Target("calibration, page", "calib.json", ("report", "{FILE}", "log.csv", "-o", "out.csv"), m.JSON),
-        Target("calibration, C", "calib.json", ("codegen", "{FILE}", "-o", "c", UNDETERMINED, "--json"), m.JSON),
+        Target(
+            "calibration, C", "calib.json",
+            ("codegen", "{FILE}", "-o", "c", UNDETERMINED, "--json"), m.JSON,
+        ),
         Target("calibration, recording", "calib.json", ("sensitivity", "{FILE}", "log.parquet"), m.JSON),
         Target("calibration, budget", "calib.json", ("budget", "{FILE}", "--json"), m.JSON),
         Target("meta.json", "folder/meta.json", ("fit", "folder", *fit), m.JSON),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from hallsym.cli import COMMANDS, progress
 from hallsym.cli.parser import HelpText
 from hallsym.cli.progress import Meter
-from hallsym.errors import InputError
+from hallsym.errors import InputError, require
 from hallsym.estimation import Fit, load_fit
 from hallsym.families import build, model_for
 from hallsym.families.machine_file import Machine
@@ -188,30 +188,28 @@ def reading_of(options: Namespace) -> dict[str, Any]:
 def assignment(text: str) -> tuple[str, float]:
     """Read one `--noise COLUMN=SIGMA`."""
     name, _, value = text.partition("=")
+    sigma = _floats(value)
+    good = name and len(sigma) == 1 and 0 < sigma[0] < math.inf
+    require(good, "--noise", "COLUMN=SIGMA with a positive number in SI, such as hall_m=5e-7", text)
+    return name, sigma[0]
+
+
+def _floats(text: str) -> list[float]:
+    """Return the numbers of `-300:300`; none where one of them is none."""
     try:
-        sigma = float(value)
+        return [float(number) for number in text.split(":")]
     except ValueError:
-        sigma = -1.0
-    if not name or not 0 < sigma < float("inf"):
-        raise InputError(
-            f"--noise must be COLUMN=SIGMA with a positive number in SI, such as hall_m=5e-7; got {text!r}."
-        )
-    return name, sigma
+        return []
 
 
 def column_numbers(text: str, columns: Sequence[str], option: str, example: str) -> tuple[str, list[float]]:
     """Read `x_um=100` or `x_um=-300:300` of an option: the column and its finite values in SI."""
     key, _, value = text.partition("=")
     column, factor = column_of(key, columns, option)
-    try:
-        found = [float(number) * factor for number in value.split(":")]
-    except ValueError:
-        found = []
-    if len(found) != 1 + example.count(":") or not all(map(math.isfinite, found)):
-        raise InputError(
-            f"{option} must be numbers with the unit in the name, such as {key}={example.partition('=')[2]}; "
-            f"got {text!r}."
-        )
+    found = [number * factor for number in _floats(value)]
+    good = len(found) == 1 + example.count(":") and all(map(math.isfinite, found))
+    wanted = f"numbers with the unit in the name, such as {key}={example.partition('=')[2]}"
+    require(good, option, wanted, text)
     return column, found
 
 
@@ -228,10 +226,7 @@ def column_ranges(
     for text in given:
         example = f"{text.partition('=')[0]}=-300:300"
         column, (low, high) = column_numbers(text, columns, option, example)
-        if not low < high:
-            raise InputError(
-                f"{option} must go from the lesser to the greater value; instead received {text!r}."
-            )
+        require(low < high, option, "from the lesser to the greater value", text)
         ranges[column] = low, high
     return ranges
 

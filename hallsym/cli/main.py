@@ -51,12 +51,10 @@ def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool]
         _silence(sys.stdout)
         what = f"read or write {quoted(error.filename)}" if error.filename else "write to standard output"
         return _said(f"Cannot {what}: {reason(error)}.", BAD_INPUT, error)
-    except KeyboardInterrupt:
-        return _said("interrupted; nothing was written.", INTERRUPTED)
     except MemoryError as error:
         return _said("There is not enough memory; use fewer samples or a larger machine.", BAD_INPUT, error)
-    except Exception as error:
-        if interrupted():
+    except (KeyboardInterrupt, Exception) as error:
+        if interrupted() or isinstance(error, KeyboardInterrupt):
             return _said("interrupted; nothing was written.", INTERRUPTED)
         if type(error).__name__ == "LinAlgError":  # by name, because a command without numbers has no numpy
             return _said(

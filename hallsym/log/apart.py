@@ -136,7 +136,7 @@ def end_decoders() -> None:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=lambda: _IDLE.clear())
+    os.register_at_fork(after_in_child=_IDLE.clear)
 
 
 # -- the other process -----------------------------------------------------------------------------------

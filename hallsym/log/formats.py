@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -101,9 +100,8 @@ class Guarded(Source):
     def __init__(self, path: Path, open: Callable[[Path], Source], fault: str) -> None:
         """Open the file: its names, rows and what is left out are known then."""
         self.path, self.fault = path, fault
-        with self._reading():
-            self.inner = open(path)
-            vars(self).update(about(self.inner))
+        self.inner: Source = self._asked(open, path)
+        vars(self).update(about(self.inner))
         if len(set(self.names)) < len(self.names):
             name = next(name for k, name in enumerate(self.names) if name in self.names[:k])
             raise InputError(f"Columns of {quoted(self.path)} must have different names; '{name}' is twice.")
@@ -114,41 +112,33 @@ class Guarded(Source):
 
     def count(self) -> int:
         """Return the number of rows."""
-        with self._reading():
-            rows = self.inner.count()
-        return self._possible(rows)
+        return self._possible(self._asked(self.inner.count))
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns, each of shape (rows,)."""
         self._possible(getattr(self.inner, "rows", 0))
-        with self._reading():
-            columns = self.inner.read(names)
-        return self._judged(names, columns)
+        return self._judged(names, self._asked(self.inner.read, names))
 
     def head(self, count: int, most: int) -> list[list[str]]:
         """Return the first rows as text."""
-        with self._reading():
-            return self.inner.head(count, most)
+        return self._asked(self.inner.head, count, most)
 
     def labels(self, name: str) -> list[str]:
         """Return a column of names, as text."""
         self._possible(getattr(self.inner, "rows", 0))
-        with self._reading():
-            return self.inner.labels(name)
+        return self._asked(self.inner.labels, name)
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most about `size` rows."""
         self._possible(getattr(self.inner, "rows", 0))
         pieces = self.inner.chunks(names, size)
-        while True:
-            with self._reading():
-                piece = next(pieces, None)
-            if piece is None:
-                return
+        while (piece := self._asked(next, pieces, None)) is not None:
             yield self._judged(names, piece)
 
-    def _reading(self) -> AbstractContextManager[None]:
-        return reading(self.path, "Log", self.fault, "copy it again")
+    def _asked(self, question: Callable[..., Any], *words: Any) -> Any:
+        """Return what a library answers; whatever it raises becomes one sentence."""
+        with reading(self.path, "Log", self.fault):
+            return question(*words)
 
     def _possible(self, rows: int) -> int:
         if not 0 <= rows <= MOST_ROWS:
