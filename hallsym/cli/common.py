@@ -314,8 +314,7 @@ def campaign_of(options: Namespace) -> Campaign:
     """Return the campaign of a file, else the paper's, else the example of the model's family."""
     for name in ("step", "duration"):
         value = getattr(options, name)
-        if value is not None and not 0 < value < float("inf"):
-            raise InputError(f"--{name} must be a positive number of seconds; instead received {value:g}.")
+        require(value is None or 0 < value < math.inf, f"--{name}", "a positive number of seconds", value)
     own = build(options.model).family.example if options.model and options.campaign is None else None
     if own:
         if options.step or options.duration:

@@ -6,7 +6,7 @@ from typing import Any
 
 from hallsym.cli import OK
 from hallsym.cli.common import FILE_OPTIONS, built, command, file_options, model_options, progress_of, say
-from hallsym.errors import InputError
+from hallsym.errors import InputError, require
 from hallsym.estimation import load_fit
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
@@ -121,10 +121,8 @@ def _fields(text: str | None) -> list[float]:
     """Read `0mT,475mT` in T."""
     found = [with_unit(part.lower()) for part in text.split(",")] if text else []
     values = [value for value in found if value is not None and (value[1] == "t" or value == (0.0, ""))]
-    if len(values) != len(found):
-        raise InputError(
-            f"--field must list fields with their unit, such as 0mT,475mT; instead received {text!r}."
-        )
+    wanted = "fields with their unit, such as 0mT,475mT"
+    require(len(values) == len(found), "--field", wanted, text)
     return [value for value, _ in values]
 
 

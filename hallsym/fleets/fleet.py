@@ -14,7 +14,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import IO, Any
 
-from hallsym.errors import InputError, counted, one_line
+from hallsym.errors import InputError, counted, one_line, require
 from hallsym.families import build, effect_named
 from hallsym.families.machine_file import Machine, read_machine
 from hallsym.files import json_text, reason
@@ -57,8 +57,7 @@ def fleet(
     answer.
     """
     began, say = perf_counter(), on_progress or (lambda _: None)
-    if workers is not None and workers < 1:
-        raise InputError(f"'workers' must be 1 or more; instead received {workers}.")
+    require(workers is None or workers >= 1, "'workers'", "1 or more", workers)
     devices = devices_of(sources)
     known = machine if isinstance(machine, Machine) else read_machine(machine)
     settings = Settings(model, tuple(effects), known, dict(reading or {}), drop_bad, diagnose)

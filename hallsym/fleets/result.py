@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from hallsym.errors import InputError, counted, quoted
+from hallsym.errors import InputError, counted, quoted, require
 from hallsym.files import replacing
 from hallsym.fleets.row import GOOD, STD, VALUE, VERDICTS
 from hallsym.fleets.spread import Spread, spread_of
@@ -146,8 +146,7 @@ class Fleet(Shown):
     def save(self, path: str | Path) -> None:
         """Write the table: Parquet or CSV, by the suffix."""
         suffix = Path(path).suffix.lower()
-        if suffix not in (".parquet", ".csv"):
-            raise InputError(f"A fleet is saved as .parquet or .csv; instead received {quoted(path)}.")
+        require(suffix in (".parquet", ".csv"), "Output of a fleet", ".parquet or .csv", str(path))
         import pyarrow as arrow
         from pyarrow import csv, parquet
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest, quoted
+from hallsym.errors import InputError, quoted, require
 from hallsym.files import reading, regular
 from hallsym.log.apart import Apart, about
 from hallsym.log.arrow import is_table, source_of
@@ -77,11 +77,8 @@ def format_of(path: Path, name: str | None = None) -> Format:
     for entry in FORMATS:
         if entry.name == name or (name is None and suffix in entry.suffixes):
             return entry
-    if name is not None:
-        known = [entry.name for entry in FORMATS]
-        raise InputError(
-            f"Format must be one of {', '.join(known)}; instead received '{name}'{nearest(name, known)}."
-        )
+    known = [entry.name for entry in FORMATS]
+    require(name is None, "Format", f"one of {', '.join(known)}", name, known)
     suffixes = ", ".join(suffix for entry in FORMATS for suffix in entry.suffixes)
     raise InputError(
         f"File {path} must end with one of {suffixes}, or its format must be stated; it ends '{path.suffix}'."
@@ -292,8 +289,8 @@ def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> S
             raise InputError(
                 f"Option {name} must be left out for {quoted(file)}: a {entry.name} file has none."
             )
-    if options.get("decimal", ".") not in (".", ","):
-        raise InputError(f"Decimal sign must be '.' or ','; instead received {options['decimal']!r}.")
+    sign = options.get("decimal", ".")
+    require(sign in (".", ","), "Decimal sign", "'.' or ','", sign)
     if "delimiter" in options:
         options["delimiter"] = stated_delimiter(options["delimiter"])
     fault = f"must be a complete {entry.kind} file; it is cut short or damaged"
@@ -330,10 +327,7 @@ def _noise(meta: Meta, stated: ColumnFile, given: Mapping[str, float], table: Ta
     check_noise_keys(given, table.columns, "the noise given")
     check_noise_keys(stated.noise, table.columns, "the column file")
     for key, value in given.items():
-        if not value > 0:
-            raise InputError(
-                f"Noise '{key}' must be a positive number (1 sigma); instead received {value!r}."
-            )
+        require(value > 0, f"Noise '{key}'", "a positive number (1 sigma)", value)
     best = Noise.given(given, table.columns)
     for values in (stated.noise, meta.noise_1sigma):
         best = best.merged(Noise.given(values, table.columns))

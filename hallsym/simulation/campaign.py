@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, require
 from hallsym.families import axes
 from hallsym.files import atomic_write
 from hallsym.output import toml_text
@@ -124,8 +124,7 @@ def _run(entry: Table, folder: Path, held: Mapping[str, float], *, single: bool 
     """A run with axes `held` at a setting; a `single` one, [[run]], holds axes and has places of its own."""
     setting, motion = dict(held), {}
     name = entry.raw.get("name", "")
-    if not isinstance(name, str):
-        raise InputError(f"'name' of {entry.where} must be a text; instead received {name!r}.")
+    require(isinstance(name, str), f"'name' of {entry.where}", "a text", name)
     for axis in (axis for axis in axes() if axis in entry):
         if single and not isinstance(entry.raw[axis], Mapping):
             setting[axis] = entry.number(axis)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, nearest, require
 from hallsym.units import with_unit
 
 Array = np.ndarray
@@ -91,11 +91,8 @@ def nominal(text: str, span: tuple[str, str, str], values: Mapping[str, float] |
     if name in numbers or name in FUNCTIONS or name in COORDINATES or not name.isidentifier():
         raise InputError(f"The parameter of the curve cannot be called {name!r}; call it t.")
     ends = [_number(end, numbers) for end in span[1:]]
-    if not (np.isfinite(ends).all() and ends[0] < ends[1]):
-        raise InputError(
-            f"The range of {name} must go from the lesser to the greater number; instead received "
-            f"{span[1]}:{span[2]}."
-        )
+    good = np.isfinite(ends).all() and ends[0] < ends[1]
+    require(good, f"The range of {name}", "from the lesser to the greater number", f"{span[1]}:{span[2]}")
     known, used, statements = {*numbers, name}, set[str](), dict[str, ast.expr]()
     for statement in filter(None, (part.strip() for part in text.replace("\n", ";").split(";"))):
         left, sign, right = statement.partition("=")
