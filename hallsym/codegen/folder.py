@@ -14,7 +14,7 @@ from typing import Any
 
 from hallsym.codegen.naming import PREFIX
 from hallsym.codegen.templates import MARK
-from hallsym.errors import InputError, quoted
+from hallsym.errors import InputError, quoted, require
 from hallsym.files import check_output, json_text, reason, replacing
 
 MANIFEST = "manifest.json"
@@ -32,8 +32,7 @@ def write_folder(folder: Path, files: Files, *, force: bool = False, name: str =
     Raises `InputError`, before anything is written, where the folder holds other files, or files of ours
     without `force`, or files of ours that were edited.
     """
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"Output {quoted(folder)} must be a folder; it is a file.")
+    require(folder.is_dir() or not folder.exists(), f"Output {quoted(folder)}", "a folder", "a file")
     if not folder.is_dir() or not any(folder.iterdir()):
         check_output(folder)
         _replace(folder, files, name)

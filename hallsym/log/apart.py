@@ -152,14 +152,13 @@ def serve() -> None:
     with suppress(EOFError):
         while True:
             what, file, *rest = pickle.load(sys.stdin.buffer)
-            answer: Any
             try:
                 state = os.stat(file[1])
                 _limit(state.st_size)
                 source = _opened(file, state.st_size, state.st_mtime_ns)
                 if what in ("chunks", "next"):
                     pieces = source.chunks(*rest) if rest else pieces
-                    answer = next(pieces, None)
+                    answer: Any = next(pieces, None)
                 else:
                     pieces = iter(())
                     answer = source.count() if what == "count" else about(source)

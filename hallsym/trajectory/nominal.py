@@ -119,8 +119,8 @@ def read_value(text: str) -> tuple[str, float]:
     """Return name and SI value of `r=1mm` or `n=2*pi`."""
     name, sign, value = text.partition("=")
     name = name.strip()
-    if not sign or not name.isidentifier() or not value.strip():
-        raise InputError(f"--value must be NAME=NUMBER with a unit or none, such as r=1mm; got {text!r}.")
+    good = sign and name.isidentifier() and value.strip()
+    require(good, "--value", "NAME=NUMBER with a unit or none, such as r=1mm", text)
     if name in CONSTANTS or name in FUNCTIONS or name in COORDINATES:
         raise InputError(f"A value cannot be called {name!r}: the name is taken.")
     return name, _number(value, CONSTANTS)
@@ -130,8 +130,8 @@ def read_span(text: str) -> tuple[str, str, str]:
     """Return the parts of `t=0:2*pi`."""
     name, sign, ends = text.partition("=")
     first, colon, last = ends.partition(":")
-    if not (sign and colon and name.strip() and first.strip() and last.strip()):
-        raise InputError(f"--range must be PARAMETER=FIRST:LAST, such as t=0:2*pi; got {text!r}.")
+    good = sign and colon and name.strip() and first.strip() and last.strip()
+    require(good, "--range", "PARAMETER=FIRST:LAST, such as t=0:2*pi", text)
     return name.strip(), first.strip(), last.strip()
 
 
