@@ -26,6 +26,7 @@ from functools import cache
 from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
+from unittest.mock import patch
 
 import mutations
 import numpy as np
@@ -259,7 +260,19 @@ def targets() -> tuple[Target, ...]:
         Target("calibration, page", "calib.json", ("report", "{FILE}", "log.csv", "-o", "out.csv"), m.JSON),
         Target(
             "calibration, C", "calib.json",
-            ("codegen", "{FILE}", "-o", "c", UNDETERMINED, "--json"), m.JSON,
+            ("codegen", "{FILE}", "-o", "other", UNDETERMINED, "--json"), m.JSON,
+        ),
+        Target(
+            "C, generated again", "c/manifest.json",
+            ("codegen", "calib.json", "-o", "c", "--force", UNDETERMINED, "--json"), m.JSON,
+        ),
+        Target(
+            "C, numbers alone", "c/params/decoupler_params.json",
+            ("codegen", "calib.json", "-o", "c", "--params-only", UNDETERMINED, "--json"), m.JSON,
+        ),
+        Target(
+            "fleet, continued", "fleet.csv.journal",
+            ("fleet", "log.csv", "-o", "fleet.csv", "--workers", "1", "--json"), m.TEXT,
         ),
         Target("calibration, recording", "calib.json", ("sensitivity", "{FILE}", "log.parquet"), m.JSON),
         Target("calibration, budget", "calib.json", ("budget", "{FILE}", "--json"), m.JSON),
@@ -355,6 +368,10 @@ def make_files(folder: Path) -> None:
             folder / "curve.json",
         ]
         assert main([str(a) for a in arguments]) == 0, arguments
+        fleet = ["fleet", "log.csv", "-o", "fleet.csv", "--workers", "1"]
+        with patch.object(Path, "unlink"):  # a journal stays where a fleet was stopped
+            assert main(fleet) in (0, 3)
+        assert main(["codegen", "calib.json", "-o", "c", UNDETERMINED]) in (0, 3)
     (folder / "diagnosis.json").write_text(json.dumps(DIAGNOSIS, indent=1), encoding="utf-8")
 
 

@@ -101,9 +101,8 @@ def _take_buffers() -> None:
         import numpy as np
         from scipy.linalg.lapack import dgetrf
 
-        one = np.eye(1)
-        np.linalg.solve(one, one)
-        dgetrf(one)
+        np.linalg.solve(np.eye(1), np.eye(1))
+        dgetrf(np.eye(1))
 
 
 def _check(options: Namespace) -> None:

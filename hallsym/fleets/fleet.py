@@ -104,6 +104,10 @@ def journal_of(output: str | Path) -> Path:
     return Path(f"{output}.journal")
 
 
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode(errors="replace")).hexdigest()[:16]
+
+
 class Journal:
     """Rows by stamp as they are done; each is on the disk before the next device is reported."""
 
@@ -114,18 +118,17 @@ class Journal:
         self._rows: dict[str, dict[str, Any]] = {}
         if path is not None and path.exists():
             for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-                try:
-                    entry = json.loads(line)
+                digest, _, text = line.partition(" ")
+                if digest == _digest(text):  # else a killed process cut it short, or it is damaged
+                    entry = json.loads(text)
                     self._rows[entry["stamp"]] = entry["row"]
-                except (ValueError, KeyError, TypeError):  # of a line that a killed process cut short
-                    continue
 
     def _stamp(self, device: Device) -> str:
         """Return what changes with the settings, and when the log of a device is recorded again."""
         path = Path(device.log)
         files = sorted(path.iterdir()) if path.is_dir() else [path]
         told = [(p.name, p.stat().st_size, p.stat().st_mtime_ns) for p in files if p.is_file()]
-        return hashlib.sha256(repr((self._settings, str(path), told)).encode()).hexdigest()[:16]
+        return _digest(repr((self._settings, str(path), told)))
 
     def done(self, device: Device) -> dict[str, Any] | None:
         """Return the row of a device whose log has not changed since; None for one that is to be fitted."""
@@ -141,7 +144,8 @@ class Journal:
             except OSError as error:
                 raise InputError(f"Cannot write {self.path}: {reason(error)}.") from error
             self._stream.write("\n")  # ends a line that was cut short
-        self._stream.write(json_text({"stamp": self._stamp(device), "row": dict(row)}, None) + "\n")
+        text = json_text({"stamp": self._stamp(device), "row": dict(row)}, None)
+        self._stream.write(f"{_digest(text)} {text}\n")
         self._stream.flush()
 
     def __enter__(self) -> "Journal":

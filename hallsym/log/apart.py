@@ -31,8 +31,6 @@ EXPANSION = 8
 """How many times larger than its file what it holds may be: deflate reaches that on smooth readings."""
 SECONDS = 60
 """Of the processor for one answer: 65,536 rows, or what the file holds."""
-ABOUT = ("names", "rows", "small", "left_out", "aliases", "units", "notes", "recognised", "unstated")
-"""What is known of a source before its columns are read."""
 _START = "import sys; sys.path[:] = sys.argv[1:]; from hallsym.log.apart import serve; serve()"
 
 _IDLE: list[Decoder] = []
@@ -40,7 +38,8 @@ _IDLE: list[Decoder] = []
 
 def about(source: Source) -> dict[str, Any]:
     """Return what is known of a source before its columns are read."""
-    return {name: getattr(source, name) for name in ABOUT if hasattr(source, name)}
+    known = ("names", "rows", "small", "left_out", "aliases", "units", "notes", "recognised", "unstated")
+    return {name: getattr(source, name) for name in known if hasattr(source, name)}
 
 
 class Apart(Source):
@@ -185,5 +184,4 @@ def _limit(size: int) -> None:
 @lru_cache(1)
 def _opened(file: tuple[Any, Path, tuple[tuple[str, str], ...]], *state: int) -> Source:
     """Open a file; `state` is another one when it was written again."""
-    reader, path, options = file
-    return reader(path, **dict(options))
+    return file[0](file[1], **dict(file[2]))

@@ -43,10 +43,9 @@ class NoiseModel:
         for name in ("correlation_s", "outlier_size", "adc_step_m"):
             value = getattr(self, name)
             require(0 <= value < np.inf, f"Noise '{name}'", "a number >= 0", value)
-        steps, share = self.cordic_steps, self.outlier_share
         wanted = f"a whole number from 0 to {MOST_STEPS}"
-        require(steps in range(MOST_STEPS + 1), "Noise 'cordic_steps'", wanted, steps)
-        require(0 <= share <= 1, "Noise 'outlier_share'", "0 to 1", share)
+        require(self.cordic_steps in range(MOST_STEPS + 1), "Noise 'cordic_steps'", wanted, self.cordic_steps)
+        require(0 <= self.outlier_share <= 1, "Noise 'outlier_share'", "0 to 1", self.outlier_share)
         if self.degrees_of_freedom is not None and not self.degrees_of_freedom > 2:
             raise InputError("Student's t noise needs more than 2 degrees of freedom for a variance.")
 

@@ -184,7 +184,7 @@ class Curve:
         slack = 4e-16 * max(abs(self.start), abs(self.stop))
         outside = t[~((t >= self.start - slack) & (t <= self.stop + slack))]
         wanted = f"within {self.start:.9g} .. {self.stop:.9g}"
-        require(not len(outside), "Parameters of the curve", wanted, [*outside[:1].tolist()])
+        require(not len(outside), "Parameters of the curve", wanted, outside[:1].tolist())
         a, b = self.form.domain
         rate = (b - a) / (self.stop - self.start)
         return self.form.evaluate(self.inner(t), derivative) * rate**derivative
