@@ -101,8 +101,8 @@ def _identity(path: str | os.PathLike[str]) -> Identity | None:
 _REASONS = {
     errno.ENOSPC: "the disk is full; free some space or choose another folder",
     errno.EDQUOT: "the disk quota is used up; free some space or choose another folder",
-    errno.EACCES: "permission is denied; choose a folder you may write to",
-    errno.EPERM: "permission is denied; choose a folder you may write to",
+    errno.EACCES: "permission is denied; ask for the right to it, or choose another folder",
+    errno.EPERM: "permission is denied; ask for the right to it, or choose another folder",
     errno.EROFS: "the file system is read-only; choose another folder",
     errno.ENOENT: "its folder does not exist; create the folder first",
     errno.ENOTDIR: "its folder is a file; choose another folder",
@@ -191,18 +191,11 @@ def write_json(path: str | Path, record: Any) -> None:
     atomic_write(path, json_text(record) + "\n")
 
 
-_READING = {
-    errno.EACCES: "permission is denied; ask for the right to read it",
-    errno.EPERM: "permission is denied; ask for the right to read it",
-}
-
-
-def reason(error: Exception, *, reading: bool = False) -> str:
+def reason(error: Exception) -> str:
     """Return in a few words why the system refused to write (or read) a file, on one line."""
     if not isinstance(error, OSError) or not error.strerror:
         return summary(error)  # a name with a null character, say
-    known = _REASONS | _READING if reading else _REASONS
-    return known.get(error.errno or 0, " ".join(error.strerror.split()).rstrip("."))
+    return _REASONS.get(error.errno or 0, " ".join(error.strerror.split()).rstrip("."))
 
 
 NO_JSON = "cannot be read as JSON"
@@ -232,9 +225,7 @@ def reading(path: str | Path, what: str, fault: str, remedy: str = "copy it agai
         raise InputError(f"{name} {fault} (it is nested too deeply); {remedy}.") from error
     except Exception as error:
         if isinstance(error, OSError) and error.errno:
-            raise InputError(
-                f"Cannot read {what.lower()} {quoted(path)}: {reason(error, reading=True)}."
-            ) from error
+            raise InputError(f"Cannot read {what.lower()} {quoted(path)}: {reason(error)}.") from error
         raise InputError(f"{name} {fault} ({summary(error)}); {remedy}.") from error
 
 
@@ -250,9 +241,7 @@ def regular(path: str | Path, what: str, make: str = "") -> Path:
     except FileNotFoundError:
         raise InputError(f"{name} does not exist{_neighbour(Path(path))}{make and f'; {make}'}.") from None
     except (OSError, ValueError) as error:
-        raise InputError(
-            f"Cannot read {what.lower()} {quoted(path)}: {reason(error, reading=True)}."
-        ) from None
+        raise InputError(f"Cannot read {what.lower()} {quoted(path)}: {reason(error)}.") from None
     if stat.S_ISDIR(mode):
         raise InputError(f"{name} is a folder; give the path of a file.")
     if not stat.S_ISREG(mode):

@@ -20,7 +20,7 @@ DEBUG = "HALLSYM_DEBUG"
 """Environment variable that shows the traceback behind each sentence."""
 OUTPUTS = ("output", "plots")
 """Options of all commands that name what is written."""
-LEAST_MEMORY = 512 << 20
+LEAST_MEMORY = 640 << 20
 """Bytes of address space that the libraries of a fit take at least, with one thread."""
 THREAD_MEMORY = 136 << 20
 """Bytes of address space of each further thread of OpenBLAS: 64 MB heap, 8 MB stack, 32 MB in each of two."""

@@ -94,17 +94,26 @@ class Decoder:
                 pickle.dump(question, self._process.stdin)
                 self._process.stdin.flush()
             answer = pickle.load(self._process.stdout)
-        except (EOFError, pickle.UnpicklingError) as error:
-            raise ValueError(_ended(self._process.wait())) from error
-        self.ready = True
+            self.ready = True
+        except (EOFError, pickle.UnpicklingError):
+            answer = ValueError(_ended(self._process.wait()))
         if isinstance(answer, Exception):
-            raise answer
+            raise MemoryError if _scarce() and not isinstance(answer, InputError) else answer
         return answer
 
     def end(self) -> None:
         """End the process, whatever it does."""
         self._process.kill()
         self._process.communicate()
+
+
+def _scarce() -> bool:
+    """Return whether a decoder may map less than it needs: then libraries fail in every way."""
+    with suppress(ImportError):
+        import resource
+
+        return 0 <= resource.getrlimit(resource.RLIMIT_AS)[1] < MEMORY
+    return False
 
 
 def _ended(code: int) -> str:
