@@ -62,7 +62,7 @@ FORMATS = (
     Format("xlsx", (".xlsx", ".xlsm", ".xls", ".ods"), open_workbook, "workbook", ("sheet", "decimal")),
     Format("tdms", (".tdms",), open_tdms, "TDMS", ("clock",)),
     Format("mdf", (".mf4", ".mdf"), partial(Apart, open_mdf), "MDF", ("clock",)),
-    Format("mcap", (".mcap",), open_mcap, "MCAP", ("clock",)),
+    Format("mcap", (".mcap",), partial(Apart, open_mcap), "MCAP", ("clock",)),
 )
 
 
