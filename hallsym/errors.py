@@ -3,6 +3,8 @@
 import re
 from collections.abc import Sequence
 
+from hallsym.output import printable
+
 LONGEST = 300
 """Characters of a message: what a terminal shows in three or four lines."""
 _LONGEST_WORD = 120
@@ -12,7 +14,7 @@ _LONGEST_WORD = 120
 class InputError(ValueError):
     """Bad input: its message is one sentence with what, where, what was expected and what to do.
 
-    The message is one line of at most `LONGEST` characters; characters that are not printable are escaped.
+    The message is one line of at most `LONGEST` characters, as `printable` shows them.
     The command line prints it and exits with status 2; a script catches it as `ValueError`.
     """
 
@@ -37,7 +39,7 @@ def one_line(text: str) -> str:
     >>> one_line("Log a\nb.csv does not exist.")
     'Log a\\nb.csv does not exist.'
     """
-    text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text[: 20 * LONGEST])
+    text = printable(text[: 20 * LONGEST])
     if len(text) <= LONGEST:
         return text
     text = re.sub(rf"\S{{{_LONGEST_WORD + 1},}}", lambda m: _shortened(m[0], _LONGEST_WORD, "..."), text)
@@ -58,7 +60,7 @@ def quoted(name: object) -> str:
     >>> quoted("log.csv"), quoted("my log.csv")
     ('log.csv', "'my log.csv'")
     """
-    text = str(name)
+    text = printable(name)
     return text if re.fullmatch(r"[\w./\\:~+=@%-]+", text) else f"'{text}'"
 
 

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import stat
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -100,8 +101,8 @@ def _identity(path: str | os.PathLike[str]) -> Identity | None:
 _REASONS = {
     errno.ENOSPC: "the disk is full; free some space or choose another folder",
     errno.EDQUOT: "the disk quota is used up; free some space or choose another folder",
-    errno.EACCES: "permission is denied; choose a folder you may write to",
-    errno.EPERM: "permission is denied; choose a folder you may write to",
+    errno.EACCES: "permission is denied; ask for the right to it, or choose another folder",
+    errno.EPERM: "permission is denied; ask for the right to it, or choose another folder",
     errno.EROFS: "the file system is read-only; choose another folder",
     errno.ENOENT: "its folder does not exist; create the folder first",
     errno.ENOTDIR: "its folder is a file; choose another folder",
@@ -158,23 +159,43 @@ def atomic_write(path: str | Path, content: bytes | str | Callable[[Path], None]
                 stream.write(data)
 
 
+def json_text(record: Any, indent: int | None = 1, **how: Any) -> str:
+    """Return a record as JSON (RFC 8259), in ASCII. `how`: further options of `json.dumps`.
+
+    Raises `InputError` that names the first number that is not finite, of which JSON has none.
+    """
+    try:
+        return json.dumps(record, indent=indent, allow_nan=False, **how).replace("\x7f", "\\u007f")
+    except ValueError:
+        wrong = next(((place, x) for place, x in _numbers(record) if not math.isfinite(x)), None)
+        if wrong is None:
+            raise
+    raise InputError(
+        f"Number '{wrong[0]}' of the result must be finite; it is {wrong[1]}: a value of the inputs is far "
+        "from what the model expects; look at units and values with 'hallsym info'."
+    )
+
+
+def _numbers(data: Any, place: str = "") -> Iterator[tuple[str, float]]:
+    """Yield every number of nested data with its place, such as `errors.x_m.1`."""
+    if isinstance(data, Mapping | list | tuple):
+        for key, value in data.items() if isinstance(data, Mapping) else enumerate(data):
+            if not isinstance(value, str | bool) and value is not None:
+                yield from _numbers(value, f"{place}.{key}" if place else str(key))
+    elif isinstance(data, int | float):
+        yield place, data
+
+
 def write_json(path: str | Path, record: Any) -> None:
-    """Write a record as JSON through a temporary file; it holds no number that is not finite."""
-    atomic_write(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
+    """Write a record as JSON through a temporary file; errors as in `json_text`."""
+    atomic_write(path, json_text(record) + "\n")
 
 
-_READING = {
-    errno.EACCES: "permission is denied; ask for the right to read it",
-    errno.EPERM: "permission is denied; ask for the right to read it",
-}
-
-
-def reason(error: Exception, *, reading: bool = False) -> str:
+def reason(error: Exception) -> str:
     """Return in a few words why the system refused to write (or read) a file, on one line."""
     if not isinstance(error, OSError) or not error.strerror:
         return summary(error)  # a name with a null character, say
-    known = _REASONS | _READING if reading else _REASONS
-    return known.get(error.errno or 0, " ".join(error.strerror.split()).rstrip("."))
+    return _REASONS.get(error.errno or 0, " ".join(error.strerror.split()).rstrip("."))
 
 
 NO_JSON = "cannot be read as JSON"
@@ -204,9 +225,7 @@ def reading(path: str | Path, what: str, fault: str, remedy: str = "copy it agai
         raise InputError(f"{name} {fault} (it is nested too deeply); {remedy}.") from error
     except Exception as error:
         if isinstance(error, OSError) and error.errno:
-            raise InputError(
-                f"Cannot read {what.lower()} {quoted(path)}: {reason(error, reading=True)}."
-            ) from error
+            raise InputError(f"Cannot read {what.lower()} {quoted(path)}: {reason(error)}.") from error
         raise InputError(f"{name} {fault} ({summary(error)}); {remedy}.") from error
 
 
@@ -222,9 +241,7 @@ def regular(path: str | Path, what: str, make: str = "") -> Path:
     except FileNotFoundError:
         raise InputError(f"{name} does not exist{_neighbour(Path(path))}{make and f'; {make}'}.") from None
     except (OSError, ValueError) as error:
-        raise InputError(
-            f"Cannot read {what.lower()} {quoted(path)}: {reason(error, reading=True)}."
-        ) from None
+        raise InputError(f"Cannot read {what.lower()} {quoted(path)}: {reason(error)}.") from None
     if stat.S_ISDIR(mode):
         raise InputError(f"{name} is a folder; give the path of a file.")
     if not stat.S_ISREG(mode):
@@ -250,11 +267,11 @@ def read_json(path: str | Path, what: str, remedy: str, make: str = "") -> Any:
     text = read_text(path, what, NO_JSON, remedy, make)
     with reading(path, what, NO_JSON, remedy):
         data = json.loads(text, object_pairs_hook=_once, parse_constant=_no_number)
-    place = _too_large(data)
+        place = next((place for place, x in _numbers(data) if abs(x) > MOST_NUMBER), None)
     if place is not None:
         raise InputError(
-            f"{what} {quoted(path)} must hold numbers of magnitude {MOST_NUMBER:g} at most; "
-            f"'{place.lstrip('.')}' is larger, so {remedy}."
+            f"{what} {quoted(path)} must hold numbers of magnitude {MOST_NUMBER:g} at most; '{place}' is "
+            f"larger, so {remedy}."
         )
     return data
 
@@ -270,19 +287,6 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _no_number(text: str) -> Any:
     raise ValueError(f"{text} is no number")
-
-
-def _too_large(data: Any) -> str | None:
-    """Return the place of a number whose square is none any more; None where there is no such number."""
-    if isinstance(data, dict | list):
-        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
-            if isinstance(value, str | bool) or value is None:
-                continue
-            if (place := _too_large(value)) is not None:
-                return f".{key}{place}"
-    elif isinstance(data, int | float) and abs(data) > MOST_NUMBER:
-        return ""
-    return None
 
 
 def _neighbour(path: Path) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest, quoted
+from hallsym.errors import InputError, nearest, quoted, require
 from hallsym.files import MOST_NUMBER, read_text, reading
 from hallsym.units import UNITS, split_unit
 
@@ -65,48 +65,34 @@ class Table:
 
     def numbers(self, key: str, check: Callable[..., float] | None = None) -> list[float]:
         """Return a list of at least one number, each checked by `number` or `positive`."""
-        value = self.raw.get(key)
-        if not isinstance(value, list) or not value:
-            raise InputError(
-                f"'{key}' of {self.where} must be a list of numbers; instead received {value!r}."
-            )
+        value: Any = self.raw.get(key)
+        require(isinstance(value, list) and value, f"'{key}' of {self.where}", "a list of numbers", value)
         return [(check or number)(entry, key, self.where) for entry in value]
 
     def pair(self, key: str) -> tuple[float, float]:
         """Return `[lowest, highest]`, not inverted."""
         found = self.numbers(key)
-        if len(found) != 2:
-            raise InputError(
-                f"'{key}' of {self.where} must be [lowest, highest]; instead received {self.raw[key]!r}."
-            )
-        if found[0] > found[1]:
-            raise InputError(
-                f"'{key}' of {self.where} is inverted: {self.raw[key]!r} must run from lowest to highest."
-            )
+        good = len(found) == 2 and found[0] <= found[1]
+        require(good, f"'{key}' of {self.where}", "[lowest, highest]", self.raw[key])
         return found[0], found[1]
 
     def text(self, key: str, default: str | None = None) -> str:
         """Return text that is not empty."""
         value = self.raw.get(key, default)
-        if not isinstance(value, str) or not value.strip():
-            raise InputError(f"'{key}' of {self.where} must be text; instead received {value!r}.")
-        return value.strip()
+        text = value.strip() if isinstance(value, str) else ""
+        require(text, f"'{key}' of {self.where}", "text", value)
+        return text
 
     def choice(self, key: str, known: Sequence[str], default: str | None = None) -> str:
         """Return one of the `known` words."""
         value = self.raw.get(key, default)
-        if value not in known:
-            raise InputError(
-                f"'{key}' of {self.where} must be one of {', '.join(known)}; instead received {value!r}"
-                f"{nearest(str(value), list(known))}."
-            )
+        require(value in known, f"'{key}' of {self.where}", f"one of {', '.join(known)}", value, known)
         return str(value)
 
     def table(self, key: str, keys: Sequence[str] | None = None, where: str = "") -> Table:
         """Return the `[key]` table, empty where there is none."""
         raw, path = self.raw.get(key, {}), f"{self._path}{key}"
-        if not isinstance(raw, Mapping):
-            raise InputError(f"In {self._file}, {key} must be a table [{path}]; instead received {raw!r}.")
+        require(isinstance(raw, Mapping), f"In {self._file}, {key}", f"a table [{path}]", raw)
         found = Table(raw, where or f"[{path}] of {self._file}", keys)
         found._file, found._path = self._file, f"{path}."
         return found
@@ -114,8 +100,8 @@ class Table:
     def tables(self, key: str, keys: Sequence[str] | None = None) -> list[Table]:
         """Return the `[[key]]` tables, none where there are none."""
         raw = self.raw.get(key, [])
-        if not isinstance(raw, list) or not all(isinstance(entry, Mapping) for entry in raw):
-            raise InputError(f"In {self.where}, {key} must be [[{key}]] tables; instead received {raw!r}.")
+        good = isinstance(raw, list) and all(isinstance(entry, Mapping) for entry in raw)
+        require(good, f"In {self.where}, {key}", f"[[{key}]] tables", raw)
         return [Table(entry, f"a [[{key}]] of {self.where}", keys) for entry in raw]
 
     def columns(self, known: Sequence[str], but: Sequence[str] = ()) -> Iterator[tuple[str, str, float]]:
@@ -135,27 +121,23 @@ class Table:
 
 def number(value: Any, key: str, where: str, least: float = -np.inf) -> float:
     """Return a finite number, at least `least`."""
-    if not (_is_number(value) and abs(value) <= MOST_NUMBER):
-        raise InputError(f"'{key}' of {where} must be a finite number; instead received {value!r}.")
-    if value < least:
-        raise InputError(f"'{key}' of {where} must be a number >= {least:g}; instead received {value!r}.")
+    require(_is_number(value) and abs(value) <= MOST_NUMBER, f"'{key}' of {where}", "a finite number", value)
+    require(value >= least, f"'{key}' of {where}", f"a number >= {least:g}", value)
     return float(value)
 
 
 def positive(value: Any, key: str, where: str) -> float:
     """Return a finite number above 0."""
-    if not (_is_number(value) and 0 < value <= MOST_NUMBER):
-        raise InputError(f"'{key}' of {where} must be a positive number; instead received {value!r}.")
+    good = _is_number(value) and 0 < value <= MOST_NUMBER
+    require(good, f"'{key}' of {where}", "a positive number", value)
     return float(value)
 
 
 def whole(value: Any, key: str, where: str, least: int = 1) -> int:
     """Return a whole number, at least `least`."""
     known = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not (known and least <= value <= MOST_WHOLE):
-        raise InputError(
-            f"'{key}' of {where} must be a whole number, {least} or more; instead received {value!r}."
-        )
+    good = known and least <= value <= MOST_WHOLE
+    require(good, f"'{key}' of {where}", f"a whole number, {least} or more", value)
     return int(value)
 
 

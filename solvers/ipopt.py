@@ -9,6 +9,7 @@ taken for solved before it began.
 
 from __future__ import annotations
 
+import mmap
 from collections.abc import Callable, Sequence
 from time import perf_counter
 from typing import Any
@@ -23,6 +24,8 @@ from solvers.problem import INTERRUPTED, FloatArray, Problem, Result, Status
 QUIET = {"print_time": False, "show_eval_warnings": False, "error_on_fail": False}
 STRICT = {"print_level": 0, "sb": "yes", "bound_relax_factor": 0.0}  # never a step outside the bounds
 ROUNDS = 4
+ROOM = 320 << 20
+"""Bytes of address space for IPOPT and the buffer of CasADi's OpenBLAS, which asks for it without end."""
 CURVED = "the cost curves down there"
 SATISFIED = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")
 CTRL_C = ("NonIpopt_Exception_Thrown", "User_Requested_Stop")  # what CasADi >= 3.8 makes of it
@@ -163,6 +166,10 @@ class Ipopt:
         self.recent = Recent(problem, self.unit)
         self.callbacks = Callbacks(self.recent)
         options = QUIET | self.callbacks.options | {"ipopt": inner}
+        try:
+            mmap.mmap(-1, ROOM).close()
+        except OSError as error:
+            raise MemoryError from error
         self.solver = casadi.nlpsol("refine", "ipopt", self.callbacks.nlp, options)
 
     def solve(self, x0: ArrayLike) -> Result:

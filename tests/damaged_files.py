@@ -1,30 +1,41 @@
-"""Every reader, fed with damaged files: what is said, how long it takes, which numbers come out."""
+"""Every reader, fed with damaged files: what is said, how long it takes, which numbers come out.
+
+`python tests/damaged_files.py 10000` damages so many, each kind of file in turn, and prints what came of it.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import gzip
 import io
 import json
 import math
 import os
 import random
 import re
+import resource
 import signal
+import sys
+import tempfile
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
+from unittest.mock import patch
 
 import mutations
 import numpy as np
+from log import bench_files
 
 import hallsym
 from hallsym.cli.main import main
 from hallsym.errors import LONGEST
+from hallsym.log.apart import end_decoders
 
 SECONDS = 10.0
 """Of the processor, what no file may take."""
@@ -32,6 +43,7 @@ PATIENCE = 60.0
 """Seconds after which the watchdog ends a command that waits."""
 REFUSED, SAME, SAID, OTHER, SILENT = "refused", "same numbers", "said", "another valid file", "SILENT"
 KINDS = (REFUSED, SAME, SAID, OTHER)
+UNDETERMINED = "--allow-undetermined"
 VOLATILE = ("seconds", "log", "sha256", "file", "calibration", "versions", "written")
 
 
@@ -232,9 +244,37 @@ def targets() -> tuple[Target, ...]:
         Target("HDF5 log", "log.h5", ("info", "{FILE}", *log), m.BYTES, False, _hdf5),
         Target("HDF5 run groups", "runs.h5", ("info", "{FILE}", *log), m.BYTES),
         Target("MATLAB log", "log.mat", ("info", "{FILE}", *log), m.BYTES, True, _mat),
+        Target("MATLAB 7.3 log", "log73.mat", ("info", "{FILE}", *log), m.BYTES),
+        Target("MDF log", "log.mf4", ("info", "{FILE}", *log), m.BYTES),
+        Target("MDF log, compressed", "packed.mf4", ("info", "{FILE}", *log), m.BYTES),
+        Target("MDF 3 log", "old.mdf", ("info", "{FILE}", *log), m.BYTES),
+        Target("TDMS log", "log.tdms", ("info", "{FILE}", *log), m.BYTES),
+        Target("MCAP log", "log.mcap", ("info", "{FILE}", *log), m.BYTES),
+        Target("compressed log", "packed.csv.gz", ("info", "{FILE}", *log), m.BYTES, True),
+        Target("CSV log, as text", "log.csv", ("info", "{FILE}"), m.TEXT),
+        Target("column file, suggested", "log.csv", ("info", "{FILE}", "--suggest", "out.csv"), m.TEXT),
         Target("sensors, sort", "sensors.csv", ("sort", "{FILE}", "--field", "0mT,475mT", "--json"), m.TEXT),
         Target("calibration", "calib.json", ("evaluate", "{FILE}", "log.parquet", "--json"), m.JSON),
         Target("calibration, info", "calib.json", ("info", "{FILE}", "--json"), m.JSON),
+        Target("calibration, as text", "calib.json", ("info", "{FILE}"), m.JSON),
+        Target("calibration, page", "calib.json", ("report", "{FILE}", "log.csv", "-o", "out.csv"), m.JSON),
+        Target(
+            "calibration, C", "calib.json",
+            ("codegen", "{FILE}", "-o", "other", UNDETERMINED, "--json"), m.JSON,
+        ),
+        Target(
+            "C, generated again", "c/manifest.json",
+            ("codegen", "calib.json", "-o", "c", "--force", UNDETERMINED, "--json"), m.JSON,
+        ),
+        Target(
+            "C, numbers alone", "c/params/decoupler_params.json",
+            ("codegen", "calib.json", "-o", "c", "--params-only", UNDETERMINED, "--json"), m.JSON,
+        ),
+        Target(
+            "fleet, continued", "fleet.csv.journal",
+            ("fleet", "log.csv", "-o", "fleet.csv", "--workers", "1", "--json"), m.TEXT,
+        ),
+        Target("calibration, recording", "calib.json", ("sensitivity", "{FILE}", "log.parquet"), m.JSON),
         Target("calibration, budget", "calib.json", ("budget", "{FILE}", "--json"), m.JSON),
         Target("meta.json", "folder/meta.json", ("fit", "folder", *fit), m.JSON),
         Target("machine file", "machine.toml", ("fit", "log.parquet", "--machine", "{FILE}", *fit), m.TOML),
@@ -254,6 +294,11 @@ def targets() -> tuple[Target, ...]:
             ("tolerances", "campaign.toml", "--ranges", "{FILE}", "--samples", "16", "--json"), m.TOML,
         ),
         Target("curve", "curve.json", ("info", "{FILE}", "--json"), m.JSON),
+        Target("curve, as text", "curve.json", ("info", "{FILE}"), m.JSON),
+        Target(
+            "curve, followed", "curve.json",
+            ("simulate", "campaign.toml", "-o", "out.csv", "--seed", "1"), m.JSON,
+        ),
         Target("points", "points.csv", ("trajectory", "{FILE}", "--method", "cubic", "--json"), m.TEXT),
         Target(
             "diagnosis", "diagnosis.json",
@@ -274,6 +319,16 @@ def make_files(folder: Path) -> None:
     with h5py.File(folder / "log.h5", "w") as file:
         for name, values in columns.items():
             file.create_dataset(name, data=values, chunks=True, fletcher32=True)
+    with h5py.File(folder / "log73.mat", "w", userblock_size=512) as file:
+        for name, values in columns.items():
+            file[name] = values[None, :]
+    group = {"Hall": (0.0, 50.0, {name: values for name, values in columns.items() if name != "t_s"})}
+    bench_files.write_tdms(folder / "log.tdms", group)
+    bench_files.write_mcap(folder / "log.mcap", group)
+    bench_files.write_mdf(folder / "log.mf4", group)
+    bench_files.write_mdf(folder / "packed.mf4", group, compression=1)
+    bench_files.write_mdf(folder / "old.mdf", group, "3.30")
+    (folder / "packed.csv.gz").write_bytes(gzip.compress((folder / "log.csv").read_bytes()))
     with h5py.File(folder / "runs.h5", "w") as file:
         for run in np.unique(columns["run"]):
             for name, values in columns.items():
@@ -313,6 +368,10 @@ def make_files(folder: Path) -> None:
             folder / "curve.json",
         ]
         assert main([str(a) for a in arguments]) == 0, arguments
+        fleet = ["fleet", "log.csv", "-o", "fleet.csv", "--workers", "1"]
+        with patch.object(Path, "unlink"):  # a journal stays where a fleet was stopped
+            assert main(fleet) in (0, 3)
+        assert main(["codegen", "calib.json", "-o", "c", UNDETERMINED]) in (0, 3)
     (folder / "diagnosis.json").write_text(json.dumps(DIAGNOSIS, indent=1), encoding="utf-8")
 
 
@@ -383,7 +442,7 @@ class Workshop:
         self, target: Target, name: str, data: bytes, code: int, out: str, err: str, seconds: float
     ) -> Outcome:
         sentence = err.strip()
-        fault = complaint(code, err, seconds)
+        fault = complaint(code, out, err, seconds)
         if code == 2 or fault:
             return Outcome(target.name, name, REFUSED, seconds, sentence, fault)
         found = self._read(target, out)
@@ -391,7 +450,8 @@ class Workshop:
             return Outcome(target.name, name, SAME, seconds, sentence)
         if code != self.codes[target.name] or _notes(found) != _notes(self.said[target.name]):
             return Outcome(target.name, name, SAID, seconds, sentence)
-        torn = target.file.endswith(".csv") and not data.endswith((b"\n", b"\r"))
+        read = target.file.endswith(".csv") and "--json" in target.arguments
+        torn = read and not data.endswith((b"\n", b"\r"))
         if (target.checked or torn) and not name.startswith("columns"):
             return Outcome(target.name, name, SILENT, seconds, sentence, "other numbers in silence")
         return Outcome(target.name, name, OTHER, seconds, sentence)
@@ -399,7 +459,7 @@ class Workshop:
     def _read(self, target: Target, out: str) -> Any:
         if "--json" in target.arguments:
             return json.loads(out)
-        return Path("out.csv").read_text(encoding="utf-8")
+        return Path("out.csv").read_text(encoding="utf-8") if "out.csv" in target.arguments else out
 
 
 def called(arguments: list[str]) -> tuple[int, str, str, float]:
@@ -426,7 +486,7 @@ def called(arguments: list[str]) -> tuple[int, str, str, float]:
     return code, out.getvalue(), err.getvalue(), time.process_time() - began
 
 
-def complaint(code: int, err: str, seconds: float) -> str:
+def complaint(code: int, out: str, err: str, seconds: float) -> str:
     """Return what is wrong with how a command ended, empty where nothing is."""
     if code == -1 or seconds > SECONDS:
         return f"took {seconds:.1f} s"
@@ -437,7 +497,7 @@ def complaint(code: int, err: str, seconds: float) -> str:
         return "a traceback or a warning"
     if code == 2 and (len(lines) != 1 or len(lines[0]) > LONGEST + len("hallsym: ") or not lines[0]):
         return f"{len(lines)} lines of up to {max(map(len, lines))} characters"
-    if any(not (c.isprintable() or c == "\n") for c in err):
+    if any(not (c.isprintable() or c == "\n") for c in out + err):
         return "control characters"
     return ""
 
@@ -468,3 +528,60 @@ def inside(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.chdir(before)
+
+
+MOST_MEMORY = 2 << 20
+"""Kilobytes that neither a command nor a process that decodes for it may take."""
+
+
+def run(number: int, first: int) -> int:
+    """Damage `number` files, with seeds from `first` on, and print what came of each; 1 where any is a fault.
+
+    The cases run in a process of their own, after whose death the next one goes on.
+    """
+    counts: Counter[str] = Counter()
+    faults: list[str] = []
+    with tempfile.TemporaryDirectory() as folder:
+        workshop, next_one = Workshop(Path(folder)), 0
+        while next_one < number:
+            read, write = os.pipe()
+            child = os.fork()
+            if child == 0:
+                _cases(workshop, range(next_one, number), first, write)
+            os.close(write)
+            for line in os.fdopen(read):
+                next_one, kind, fault = json.loads(line)
+                next_one += 1
+                counts[kind] += 1
+                faults += [fault] if fault else []
+                if fault or next_one % 500 == 0:
+                    print(next_one, fault, flush=True)
+            if code := os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]):
+                faults.append(f"case {next_one} died: {code}")
+                print(faults[-1], flush=True)
+                next_one += 1
+    print(dict(counts), f"{len(faults)} faults in {number} files")
+    return 1 if faults else 0
+
+
+def _cases(workshop: Workshop, cases: range, first: int, pipe: int) -> NoReturn:
+    """Judge cases, write each outcome to a pipe as it is known, and end this process."""
+    with os.fdopen(pipe, "w") as stream:
+        for k in cases:
+            found = workshop.case(targets()[k % len(targets())], first + k // len(targets()))
+            fault = found.fault and repr(found)
+            if k == cases[-1]:
+                end_decoders()  # only then is their memory counted
+                taken = [resource.getrusage(who).ru_maxrss for who in WHO]
+                print(f"at most {taken} kB, here and in processes that decode")
+                fault = fault or ("" if max(taken) < MOST_MEMORY else f"{taken} kB")
+            stream.write(json.dumps([k, found.kind, fault]) + "\n")
+            stream.flush()
+    sys.stdout.flush()
+    os._exit(0)
+
+
+WHO = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
+
+if __name__ == "__main__":
+    sys.exit(run(int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0))

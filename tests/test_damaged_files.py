@@ -28,4 +28,4 @@ def test_a_damaged_file_is_refused_or_says_what_it_is(workshop: Workshop, seed: 
 def test_hundreds_of_damaged_files_of_each_reader(workshop: Workshop, name: str) -> None:
     found = [workshop.case(READERS[name], seed) for seed in range(100)]
     assert [outcome for outcome in found if outcome.fault] == []
-    assert sum(outcome.kind == "refused" for outcome in found) > 50
+    assert sum(outcome.kind in ("refused", "same numbers") for outcome in found) > 40

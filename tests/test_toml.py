@@ -34,7 +34,7 @@ def test_what_is_there_is_read_and_what_is_not_has_its_default():
         (lambda t: t.whole("n", least=4), "must be a whole number, 4 or more"),
         (lambda t: t.numbers("half"), "must be a list of numbers"),
         (lambda t: t.pair("list"), None),
-        (lambda t: t.pair("inverted"), "is inverted"),
+        (lambda t: t.pair("inverted"), "must be .lowest, highest"),
         (lambda t: t.text("n"), "must be text"),
         (lambda t: t.choice("kind", ("sine", "ramp")), "did you mean 'sine'"),
         (lambda t: t.table("n"), r"n must be a table \[n\]"),

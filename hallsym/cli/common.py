@@ -1,7 +1,6 @@
 """What the commands share: options, opening logs, progress, and how results are said."""
 
 import argparse
-import json
 import math
 import shlex
 import sys
@@ -14,18 +13,19 @@ from typing import TYPE_CHECKING, Any
 from hallsym.cli import COMMANDS, progress
 from hallsym.cli.parser import HelpText
 from hallsym.cli.progress import Meter
-from hallsym.errors import InputError
+from hallsym.errors import InputError, require
 from hallsym.estimation import Fit, load_fit
 from hallsym.families import build, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
 from hallsym.families.user import load_effects
+from hallsym.files import json_text
 from hallsym.log import MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
 from hallsym.model import Effect, Model
+from hallsym.output import fitted, printable
 from hallsym.records import named
 from hallsym.report.figures.campaign import fit_figure
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
-from hallsym.terminal import fitted
 from hallsym.toml import column_of
 
 if TYPE_CHECKING:
@@ -188,30 +188,28 @@ def reading_of(options: Namespace) -> dict[str, Any]:
 def assignment(text: str) -> tuple[str, float]:
     """Read one `--noise COLUMN=SIGMA`."""
     name, _, value = text.partition("=")
+    sigma = _floats(value)
+    good = name and len(sigma) == 1 and 0 < sigma[0] < math.inf
+    require(good, "--noise", "COLUMN=SIGMA with a positive number in SI, such as hall_m=5e-7", text)
+    return name, sigma[0]
+
+
+def _floats(text: str) -> list[float]:
+    """Return the numbers of `-300:300`; none where one of them is none."""
     try:
-        sigma = float(value)
+        return [float(number) for number in text.split(":")]
     except ValueError:
-        sigma = -1.0
-    if not name or not 0 < sigma < float("inf"):
-        raise InputError(
-            f"--noise must be COLUMN=SIGMA with a positive number in SI, such as hall_m=5e-7; got {text!r}."
-        )
-    return name, sigma
+        return []
 
 
 def column_numbers(text: str, columns: Sequence[str], option: str, example: str) -> tuple[str, list[float]]:
     """Read `x_um=100` or `x_um=-300:300` of an option: the column and its finite values in SI."""
     key, _, value = text.partition("=")
     column, factor = column_of(key, columns, option)
-    try:
-        found = [float(number) * factor for number in value.split(":")]
-    except ValueError:
-        found = []
-    if len(found) != 1 + example.count(":") or not all(map(math.isfinite, found)):
-        raise InputError(
-            f"{option} must be numbers with the unit in the name, such as {key}={example.partition('=')[2]}; "
-            f"got {text!r}."
-        )
+    found = [number * factor for number in _floats(value)]
+    good = len(found) == 1 + example.count(":") and all(map(math.isfinite, found))
+    wanted = f"numbers with the unit in the name, such as {key}={example.partition('=')[2]}"
+    require(good, option, wanted, text)
     return column, found
 
 
@@ -228,10 +226,7 @@ def column_ranges(
     for text in given:
         example = f"{text.partition('=')[0]}=-300:300"
         column, (low, high) = column_numbers(text, columns, option, example)
-        if not low < high:
-            raise InputError(
-                f"{option} must go from the lesser to the greater value; instead received {text!r}."
-            )
+        require(low < high, option, "from the lesser to the greater value", text)
         ranges[column] = low, high
     return ranges
 
@@ -260,7 +255,7 @@ def run_numbers(text: str) -> list[int]:
 
 def warn(sentence: str) -> None:
     """Print a sentence on stderr that goes with an exit code."""
-    print(f"hallsym: {sentence}", file=sys.stderr)
+    print(f"hallsym: {printable(sentence)}", file=sys.stderr)
 
 
 def progress_of(options: Namespace) -> Callable[[str], None]:
@@ -280,11 +275,11 @@ def say(
     """Print the JSON record; or the text, then the notes, the names of the files that were written, and the
     words of the command that comes next."""
     if options.json:
-        print(json.dumps(record, indent=1, allow_nan=False))
+        print(json_text(record))
         return
     progress.ended()
-    lines = [f"note: {note}" for note in notes] + [f"wrote {path}" for path in wrote]
-    lines += [f"next: {shlex.join(then)}"] if then else []
+    lines = [printable(f"note: {note}") for note in notes] + [printable(f"wrote {path}") for path in wrote]
+    lines += [printable(f"next: {shlex.join(then)}")] if then else []
     print(fitted("\n".join([text(), *lines])))
 
 
@@ -319,8 +314,7 @@ def campaign_of(options: Namespace) -> Campaign:
     """Return the campaign of a file, else the paper's, else the example of the model's family."""
     for name in ("step", "duration"):
         value = getattr(options, name)
-        if value is not None and not 0 < value < float("inf"):
-            raise InputError(f"--{name} must be a positive number of seconds; instead received {value:g}.")
+        require(value is None or 0 < value < math.inf, f"--{name}", "a positive number of seconds", value)
     own = build(options.model).family.example if options.model and options.campaign is None else None
     if own:
         if options.step or options.duration:

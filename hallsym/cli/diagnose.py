@@ -1,6 +1,5 @@
 """`hallsym diagnose`: where the gap lies, which effect makes it, how far it shrinks."""
 
-import json
 import shlex
 from argparse import Namespace
 from typing import Any
@@ -23,7 +22,7 @@ from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.families import default_model
 from hallsym.families.machine_file import read_machine
-from hallsym.files import atomic_write
+from hallsym.files import atomic_write, write_json
 from hallsym.log import Log
 from hallsym.model import Effect, Model
 from hallsym.power import REPEATS, detection_power
@@ -115,7 +114,7 @@ def run(options: Namespace) -> int:
         if path.lower().endswith((".html", ".htm")):
             atomic_write(path, _page(options, seen))
         else:
-            _save(path, found.to_dict())
+            write_json(path, found.to_dict())
     words = reading_words(options, known)
     say(options, found.to_dict(), lambda: diagnosis_text(found, words), wrote=options.output)
     return OK
@@ -137,13 +136,9 @@ def _power(
         on_progress=progress_of(options),
     )
     for path in options.output:
-        _save(path, found.to_dict())
+        write_json(path, found.to_dict())
     say(options, found.to_dict(), lambda: power_text(found), wrote=options.output)
     return OK if found.complete else INTERRUPTED
-
-
-def _save(path: str, record: dict[str, Any]) -> None:
-    atomic_write(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
 
 
 def _page(options: Namespace, seen: Examined) -> str:

@@ -18,12 +18,12 @@ from hallsym.files import atomic_write
 from hallsym.log import Log, Meta, check_log, estimate_noise, open_source, spans
 from hallsym.log.columns import is_moving
 from hallsym.log.table import Source
+from hallsym.output import PROSE, fitted
+from hallsym.output import columns as columns_of_line
 from hallsym.report.tables import grid
 from hallsym.report.text.fit import fit_text
 from hallsym.report.text.info import effect_record, effect_text, is_explained, model_record, model_text
 from hallsym.simulation import read_campaign
-from hallsym.terminal import PROSE
-from hallsym.terminal import columns as columns_of_line
 from hallsym.trajectory import is_curve, read_curve
 from hallsym.units import readable
 
@@ -95,7 +95,7 @@ def run(options: Namespace) -> int:
             log = open_log(options, path=options.file)
         except InputError:
             if not options.json:
-                print(_head_text(source))
+                print(fitted(_head_text(source)))
             raise
         record, text = _about_log(log, options)
         if source.recognised:

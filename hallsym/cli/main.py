@@ -1,5 +1,6 @@
 """The command line: `hallsym fit LOG --model stage31 -o calib.json`, and what belongs to it."""
 
+import mmap
 import os
 import sys
 from argparse import Namespace
@@ -19,6 +20,10 @@ DEBUG = "HALLSYM_DEBUG"
 """Environment variable that shows the traceback behind each sentence."""
 OUTPUTS = ("output", "plots")
 """Options of all commands that name what is written."""
+LEAST_MEMORY = 640 << 20
+"""Bytes of address space that the libraries of a fit take at least, with one thread."""
+THREAD_MEMORY = 136 << 20
+"""Bytes of address space of each further thread of OpenBLAS: 64 MB heap, 8 MB stack, 32 MB in each of two."""
 
 
 def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool] = lambda: False) -> int:
@@ -26,6 +31,10 @@ def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool]
 
     `interrupted`: whether Ctrl-C was pressed; a library may turn it into another exception.
     """
+    if sys.stderr is None:  # closed by the caller, and `print` would write to stdout instead
+        sys.stderr = os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8")
+    if sys.stdout is None:
+        return _said(f"Cannot write to standard output: it is closed; send it to {os.devnull}.", BAD_INPUT)
     try:
         with task():
             try:
@@ -42,12 +51,10 @@ def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool]
         _silence(sys.stdout)
         what = f"read or write {quoted(error.filename)}" if error.filename else "write to standard output"
         return _said(f"Cannot {what}: {reason(error)}.", BAD_INPUT, error)
-    except KeyboardInterrupt:
-        return _said("interrupted; nothing was written.", INTERRUPTED)
     except MemoryError as error:
         return _said("There is not enough memory; use fewer samples or a larger machine.", BAD_INPUT, error)
-    except Exception as error:
-        if interrupted():
+    except (KeyboardInterrupt, Exception) as error:
+        if interrupted() or isinstance(error, KeyboardInterrupt):
             return _said("interrupted; nothing was written.", INTERRUPTED)
         if type(error).__name__ == "LinAlgError":  # by name, because a command without numbers has no numpy
             return _said(
@@ -62,6 +69,8 @@ def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool]
 def _run(arguments: Sequence[str] | None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     called = [word for word in words if not word.startswith("-")][:1]
+    if called:
+        _check_memory()
     parser = parser_of(called)
     options = parser.parse_args(arguments)
     if options.version:
@@ -72,7 +81,28 @@ def _run(arguments: Sequence[str] | None) -> int:
         return OK
     options.typed = ["hallsym", *words]
     _check(options)
+    _take_buffers()
     return options.run(options)
+
+
+def _check_memory() -> None:
+    """Raise `MemoryError` where the libraries do not fit: OpenBLAS would ask without end, deaf to Ctrl-C."""
+    stated = os.environ.get("OPENBLAS_NUM_THREADS", "")
+    threads = int(stated) if stated.isdecimal() else os.cpu_count() or 1
+    try:
+        mmap.mmap(-1, LEAST_MEMORY + (threads - 1) * THREAD_MEMORY).close()
+    except OSError as error:
+        raise MemoryError from error
+
+
+def _take_buffers() -> None:
+    """Let each OpenBLAS that is loaded take its buffer while there is memory; it keeps the buffer."""
+    if "scipy.linalg" in sys.modules:
+        import numpy as np
+        from scipy.linalg.lapack import dgetrf
+
+        np.linalg.solve(np.eye(1), np.eye(1))
+        dgetrf(np.eye(1))
 
 
 def _check(options: Namespace) -> None:

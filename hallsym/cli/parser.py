@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from hallsym.cli import BAD_INPUT, COMMANDS, GROUPS
 from hallsym.errors import nearest, one_line, quoted
-from hallsym.terminal import prose_width
+from hallsym.output import prose_width
 
 DESCRIPTION = "From a log of Hall readings beside a reference to a calibrated position sensor."
 EPILOG = """\

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from time import monotonic
 from typing import TextIO
 
-from hallsym.terminal import Step, columns, said_time
+from hallsym.output import Step, columns, printable, said_time
 
 EVERY_S = 5.0
 """Seconds between lines where there is no terminal: some hundreds of them in an hour."""
@@ -41,7 +41,7 @@ class Meter:
     def draw(self) -> None:
         """Show the line as it is now."""
         self._shown = self._now()
-        line = f"{self._text}, {self._time(self._shown - self._began)}"
+        line = f"{printable(self._text)}, {self._time(self._shown - self._began)}"
         if self._redrawn:
             most = (columns() or len(line) + 1) - 1
             line = line if len(line) <= most else f"{line[: most - 3]}..."

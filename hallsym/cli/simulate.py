@@ -7,8 +7,8 @@ from hallsym.cli import OK
 from hallsym.cli.common import campaign_of, command, levels, model_options, progress_of, say, seed, truth_of
 from hallsym.families.machine_file import read_machine
 from hallsym.log import LogWriter
+from hallsym.output import Step
 from hallsym.simulation import NoiseModel, simulate_blocks
-from hallsym.terminal import Step
 
 
 def add(sub: Any) -> None:

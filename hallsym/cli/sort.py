@@ -6,7 +6,7 @@ from typing import Any
 
 from hallsym.cli import OK
 from hallsym.cli.common import FILE_OPTIONS, built, command, file_options, model_options, progress_of, say
-from hallsym.errors import InputError
+from hallsym.errors import InputError, require
 from hallsym.estimation import load_fit
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
@@ -106,10 +106,8 @@ def _check(options: Namespace) -> None:
     own = [name for name in ("machine", "effect") if getattr(options, name)]
     if options.values and own:
         raise InputError(f"--values holds a calibrated model with all that it has; leave --{own[0]} out.")
-    if options.output and Path(options.output).suffix not in (".csv", ".json"):
-        raise InputError(
-            f"--output must end with .csv (a row a sensor) or .json (everything); it is {options.output}."
-        )
+    kind = Path(options.output).suffix if options.output else ".csv"
+    require(kind in (".csv", ".json"), "--output", "a .csv (a row a sensor) or .json (everything)", kind)
 
 
 def _column(text: str) -> tuple[str, str]:
@@ -121,10 +119,7 @@ def _fields(text: str | None) -> list[float]:
     """Read `0mT,475mT` in T."""
     found = [with_unit(part.lower()) for part in text.split(",")] if text else []
     values = [value for value in found if value is not None and (value[1] == "t" or value == (0.0, ""))]
-    if len(values) != len(found):
-        raise InputError(
-            f"--field must list fields with their unit, such as 0mT,475mT; instead received {text!r}."
-        )
+    require(len(values) == len(found), "--field", "fields with their unit, such as 0mT,475mT", text)
     return [value for value, _ in values]
 
 

@@ -4,7 +4,6 @@ A `Backend` says what numbers are in C, how steps are printed and run, and what 
 same for every arithmetic is here; `float_backend` and `integer_backend` are the two.
 """
 
-import json
 import struct
 import textwrap
 import zlib
@@ -19,8 +18,10 @@ import numpy as np
 
 from hallsym.codegen.bounds import Bounds
 from hallsym.codegen.decoupler import Decoupler, flag_bit, short, unit
-from hallsym.codegen.naming import PREFIX, commented
+from hallsym.codegen.naming import PREFIX
 from hallsym.codegen.templates import MARK, filled, lines_of, tree
+from hallsym.files import json_text
+from hallsym.output import commented
 
 VERSION = 2
 """Of the generated interface and of the head of the table."""
@@ -313,7 +314,7 @@ class Backend(ABC):
             "format": "hallsym decoupler parameters 1", "generator": MARK, **self.record, "version": VERSION,
             "layout": f"0x{self.layout:08x}", "crc32": f"0x{self.crc:08x}", "type": self.type, **self._json(),
         }  # fmt: skip
-        return json.dumps(record, indent=1) + "\n"
+        return json_text(record) + "\n"
 
     def _values(self) -> list[str]:
         """The table as an initializer in C."""

@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from hallsym.codegen.decoupler import Box, short
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, require
 from hallsym.estimation.calibration import Fit
 from hallsym.log.columns import limit_of
 
@@ -33,11 +33,7 @@ def box_of(
         elif reference in span:
             ends[column] = _rounded(column, *_recorded(reference, *span[reference]), alike.get(column))
     for column, (low, high) in (given or {}).items():
-        if column not in columns:
-            raise InputError(
-                f"A range belongs to one of {', '.join(columns)}; instead received {column!r}"
-                f"{nearest(column, list(columns))}."
-            )
+        require(column in columns, "A range", f"that of one of {', '.join(columns)}", column, columns)
         if not (np.isfinite([low, high]).all() and low < high):
             raise InputError(f"The range of {column} must go from the lesser to the greater value, finite.")
         limit = limit_of(column)

@@ -16,9 +16,10 @@ from hallsym.codegen.bounds import LEAST_GAIN, Bounds, pose_bounds, spreads, ste
 from hallsym.codegen.cost import firmware_cost
 from hallsym.codegen.decoupler import Array, Decoupler, Entry, Step, short, steps_on_arrays, unit
 from hallsym.codegen.float_c import Real, shared_steps, statements
-from hallsym.codegen.naming import commented, identifier
+from hallsym.codegen.naming import identifier
 from hallsym.codegen.templates import lines_of
 from hallsym.model.arrays import on_arrays
+from hallsym.output import commented
 
 M4 = "-mcpu=cortex-m4 -mthumb"
 """Compiler options of a Cortex-M4F."""

@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen.decoupler import Bits, Lookup, Step, Whole
-from hallsym.codegen.naming import commented
 from hallsym.codegen.operations import BRANCHES, TESTS, Operation, graph
 from hallsym.errors import InputError
+from hallsym.output import commented
 
 
 @dataclass(frozen=True)

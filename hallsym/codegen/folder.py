@@ -14,8 +14,8 @@ from typing import Any
 
 from hallsym.codegen.naming import PREFIX
 from hallsym.codegen.templates import MARK
-from hallsym.errors import InputError, quoted
-from hallsym.files import check_output, reason, replacing
+from hallsym.errors import InputError, quoted, require
+from hallsym.files import check_output, json_text, reason, replacing
 
 MANIFEST = "manifest.json"
 """Lists what is generated in a folder, with the SHA-256 of each file."""
@@ -32,8 +32,7 @@ def write_folder(folder: Path, files: Files, *, force: bool = False, name: str =
     Raises `InputError`, before anything is written, where the folder holds other files, or files of ours
     without `force`, or files of ours that were edited.
     """
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"Output {quoted(folder)} must be a folder; it is a file.")
+    require(folder.is_dir() or not folder.exists(), f"Output {quoted(folder)}", "a folder", "a file")
     if not folder.is_dir() or not any(folder.iterdir()):
         check_output(folder)
         _replace(folder, files, name)
@@ -166,7 +165,7 @@ def _replace(folder: Path, files: Files, name: str, listed: Mapping[str, str] | 
     digests = {**(listed or {}), **{path: sha256(data).hexdigest() for path, data in content.items()}}
     about = f"{MARK}; what is not listed here, or has another SHA-256, is never replaced or removed."
     record = {"about": about, "name": name, "files": dict(sorted(digests.items()))}
-    content[MANIFEST] = f"{json.dumps(record, indent=1)}\n".encode()
+    content[MANIFEST] = f"{json_text(record)}\n".encode()
     with ExitStack() as stack:
         for place, data in content.items():
             path = folder / place

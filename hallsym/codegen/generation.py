@@ -22,7 +22,7 @@ from hallsym.codegen.integer_backend import IntegerBackend
 from hallsym.codegen.integer_c import float_instead, integer_program
 from hallsym.codegen.lowering import check_columns, lower, lowering_of, options_of
 from hallsym.codegen.naming import PREFIX, check_distinct, check_prefix, mapping, renamed_files
-from hallsym.errors import InputError, quoted
+from hallsym.errors import InputError, quoted, require
 from hallsym.estimation.calibration import Fit
 
 ARITHMETICS = ("float", "q31")
@@ -119,10 +119,7 @@ def generate(
     if arithmetic is None:
         kind = str(before.get("type"))
         arithmetic, double = "q31" if kind == "q31" else "float", double or kind == "double"
-    if arithmetic not in ARITHMETICS:
-        raise InputError(
-            f"The arithmetic is one of {', '.join(ARITHMETICS)}; instead received {arithmetic!r}."
-        )
+    require(arithmetic in ARITHMETICS, "The arithmetic", f"one of {', '.join(ARITHMETICS)}", arithmetic)
     check_prefix(name)
     check(fit, allow_undetermined)
     named = mapping((*fit.model.channels, *fit.model.state, *fit.model.pose))

@@ -15,8 +15,9 @@ from hallsym.codegen.backend import COUNT, VERSION, Backend, Port, Stored, ends
 from hallsym.codegen.bounds import LEAST_GAIN, Bounds
 from hallsym.codegen.decoupler import flag_bit, short, unit
 from hallsym.codegen.integer_c import LARGEST, MASK, UNIT, Program, Reciprocal, helpers
-from hallsym.codegen.naming import commented, identifier
+from hallsym.codegen.naming import identifier
 from hallsym.codegen.templates import lines_of
+from hallsym.output import commented
 
 KNOWN = 1 << 29
 """Largest known pose, in units of its last bit, that a zero may be taken at."""

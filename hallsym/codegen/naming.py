@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable, Mapping
 
 from hallsym.errors import InputError, quoted
+from hallsym.output import commented
 
 PREFIX = "decoupler"
 """Prefix of symbols, files, include guards and the CMake target, unless another is given."""
@@ -78,12 +79,6 @@ def check_distinct(columns: Iterable[tuple[str, str]], outputs: Iterable[str], o
                 f"Column {quoted(column)} would be called {commented(name)[:80]} in C, as {other} is; rename "
                 "it in the log (--column) and fit again."
             )
-
-
-def commented(text: str) -> str:
-    """Return a text that stays within its comment: one line, no control character, no end of a comment."""
-    plain = "".join(c if c.isprintable() and c != "\\" else " " for c in text)
-    return plain.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
 
 
 def check_prefix(prefix: str) -> str:

@@ -417,7 +417,9 @@ def load_fit(
     lacking = [c for c in logged_columns(model) if c not in record.noise and c != "t_s"]
     if lacking:
         raise InputError(f"The noise of {lacking[0]} is missing in {where}; fit the log again.")
-    for rows in filter(None, record.errors.values()):
+    _same(model.pose, record.noise_floor or model.pose, f"noise floor of {where}")
+    tables = (record.errors, *(one.errors for one in record.logs))
+    for rows in filter(None, (rows for table in tables for rows in table.values())):
         for what in ("rmse", "peak"):
             _same(model.pose, rows.get(what, ()), f"errors ({what}) of {where}")
     for channel, sign in record.wiring or ():

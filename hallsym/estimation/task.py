@@ -36,7 +36,7 @@ from hallsym.log.batches import Weigh
 from hallsym.log.core import Drop, without
 from hallsym.log.phase import continuous, designed, home_notes
 from hallsym.model import Inspection, Model
-from hallsym.terminal import Step
+from hallsym.output import Step
 
 
 def model_of(

@@ -6,7 +6,7 @@ from math import pi
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import require
 
 CHIP_STEPS = range(4, 15)
 """Steps that chips take: the error of 4 is 7 deg, that of 14 less than a count of 14 bits."""
@@ -24,8 +24,7 @@ def cordic_angle(y: np.ndarray, x: np.ndarray, steps: int) -> np.ndarray:
     >>> float(np.round(cordic_angle(np.array(1.0), np.array(1.0), 1), 6))
     0.785398
     """
-    if steps < 1:
-        raise InputError(f"Input steps of cordic_angle must be 1 or more; instead received {steps}.")
+    require(steps >= 1, "Input steps of cordic_angle", "1 or more", steps)
     x, y = np.array(x, dtype=float), np.array(y, dtype=float)
     angle = np.where(x < 0, np.where(y >= 0, np.pi, -np.pi), 0.0)
     flip = np.where(x < 0, -1.0, 1.0)

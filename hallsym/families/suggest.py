@@ -5,7 +5,6 @@ A suggestion is written for a person to confirm; nothing of it is applied.
 
 from __future__ import annotations
 
-import json
 import re
 import string
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,6 +19,7 @@ from hallsym.log import Meta
 from hallsym.log.columns import likely_units, limit_of
 from hallsym.log.table import Source
 from hallsym.model import Model
+from hallsym.output import printable, toml_text
 from hallsym.units import UNITS, Array, quantity, si_name, split_unit
 
 REF, READING, RUN, TIME, ANGLE = "ref", "reading", "run", "t", "angle"
@@ -126,7 +126,7 @@ class Guess:
     @property
     def line(self) -> str:
         """The line of a column file; a comment where the unit is not known."""
-        name = json.dumps(self.theirs, ensure_ascii=False)
+        name = toml_text(self.theirs)
         more = ", sign = -1" if self.sign < 0 else ""
         more += f", counts_per_turn = {self.counts_per_turn}" if self.counts_per_turn else ""
         entry = f"{self.ours} = {{ name = {name}{more} }}" if more else f"{self.ours} = {name}"
@@ -146,12 +146,12 @@ class Suggestion:
         """Return the column file, each line with what speaks for it."""
         mapped = [g for g in self.guesses if g.ours != g.theirs]
         width = max((len(g.line) for g in mapped), default=0)
-        lines = [f"{g.line.ljust(width)}  # {g.why}" for g in mapped]
+        lines = [f"{g.line.ljust(width)}  # {printable(g.why)}" for g in mapped]
         own = [g.theirs for g in self.guesses if g.ours == g.theirs]
-        lines += [f"# read as they are: {', '.join(own)}"] if own else []
+        lines += [f"# read as they are: {printable(', '.join(own))}"] if own else []
         others = [f"# not used: {', '.join(map(repr, self.rest))}"] if self.rest else []
         head = [
-            f"# Suggested for {log}, as {self.model} needs it. Check every line: nothing of it is used",
+            f"# Suggested for {printable(log)}, as {self.model} needs it. Check every line: nothing is used",
             "# until you give the file with --column-file. A line that begins with # lacks its UNIT (um).",
         ]
         return "\n".join([*head, "", "[columns]", *lines, *others, ""])

@@ -14,17 +14,17 @@ from pathlib import Path
 from time import perf_counter
 from typing import IO, Any
 
-from hallsym.errors import InputError, counted, one_line
+from hallsym.errors import InputError, counted, one_line, require
 from hallsym.families import build, effect_named
 from hallsym.families.machine_file import Machine, read_machine
-from hallsym.files import reason
+from hallsym.files import json_text, reason
 from hallsym.fleets.result import Fleet
 from hallsym.fleets.row import FAILED, Settings, row_of
 from hallsym.fleets.sources import Device, devices_of
 from hallsym.fleets.workers import Failed, completed
 from hallsym.log import Meta
 from hallsym.model import Model
-from hallsym.terminal import said_time
+from hallsym.output import said_time
 
 
 def fleet(
@@ -57,8 +57,7 @@ def fleet(
     answer.
     """
     began, say = perf_counter(), on_progress or (lambda _: None)
-    if workers is not None and workers < 1:
-        raise InputError(f"'workers' must be 1 or more; instead received {workers}.")
+    require(workers is None or workers >= 1, "'workers'", "1 or more", workers)
     devices = devices_of(sources)
     known = machine if isinstance(machine, Machine) else read_machine(machine)
     settings = Settings(model, tuple(effects), known, dict(reading or {}), drop_bad, diagnose)
@@ -105,6 +104,10 @@ def journal_of(output: str | Path) -> Path:
     return Path(f"{output}.journal")
 
 
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode(errors="replace")).hexdigest()[:16]
+
+
 class Journal:
     """Rows by stamp as they are done; each is on the disk before the next device is reported."""
 
@@ -115,18 +118,17 @@ class Journal:
         self._rows: dict[str, dict[str, Any]] = {}
         if path is not None and path.exists():
             for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-                try:
-                    entry = json.loads(line)
+                digest, _, text = line.partition(" ")
+                if digest == _digest(text):  # else a killed process cut it short, or it is damaged
+                    entry = json.loads(text)
                     self._rows[entry["stamp"]] = entry["row"]
-                except (ValueError, KeyError, TypeError):  # of a line that a killed process cut short
-                    continue
 
     def _stamp(self, device: Device) -> str:
         """Return what changes with the settings, and when the log of a device is recorded again."""
         path = Path(device.log)
         files = sorted(path.iterdir()) if path.is_dir() else [path]
         told = [(p.name, p.stat().st_size, p.stat().st_mtime_ns) for p in files if p.is_file()]
-        return hashlib.sha256(repr((self._settings, str(path), told)).encode()).hexdigest()[:16]
+        return _digest(repr((self._settings, str(path), told)))
 
     def done(self, device: Device) -> dict[str, Any] | None:
         """Return the row of a device whose log has not changed since; None for one that is to be fitted."""
@@ -142,7 +144,8 @@ class Journal:
             except OSError as error:
                 raise InputError(f"Cannot write {self.path}: {reason(error)}.") from error
             self._stream.write("\n")  # ends a line that was cut short
-        self._stream.write(json.dumps({"stamp": self._stamp(device), "row": dict(row)}) + "\n")
+        text = json_text({"stamp": self._stamp(device), "row": dict(row)}, None)
+        self._stream.write(f"{_digest(text)} {text}\n")
         self._stream.flush()
 
     def __enter__(self) -> "Journal":

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from hallsym.errors import InputError, counted, quoted
+from hallsym.errors import InputError, counted, quoted, require
 from hallsym.files import replacing
 from hallsym.fleets.row import GOOD, STD, VALUE, VERDICTS
 from hallsym.fleets.spread import Spread, spread_of
 from hallsym.model import Model
+from hallsym.output import printable
 from hallsym.shown import Shown
 
 FORMAT = "hallsym fleet 1"
@@ -145,13 +146,15 @@ class Fleet(Shown):
     def save(self, path: str | Path) -> None:
         """Write the table: Parquet or CSV, by the suffix."""
         suffix = Path(path).suffix.lower()
-        if suffix not in (".parquet", ".csv"):
-            raise InputError(f"A fleet is saved as .parquet or .csv; instead received {quoted(path)}.")
+        require(suffix in (".parquet", ".csv"), "Output of a fleet", ".parquet or .csv", str(path))
         import pyarrow as arrow
         from pyarrow import csv, parquet
 
+        table = self.table()
+        if suffix == ".csv":
+            table = {k: [printable(v) if isinstance(v, str) else v for v in c] for k, c in table.items()}
         with replacing(path) as temporary:
-            (csv.write_csv if suffix == ".csv" else parquet.write_table)(arrow.table(self.table()), temporary)
+            (csv.write_csv if suffix == ".csv" else parquet.write_table)(arrow.table(table), temporary)
 
     def table(self) -> dict[str, list[Any]]:
         """Return the table by columns: device first, each parameter as its value and 1 sigma, in SI."""

@@ -14,7 +14,7 @@ from hallsym.inference.bootstrap import bootstrap
 from hallsym.inference.evidence import Evidence
 from hallsym.inference.profiles import Profile, normal_enough, profile, skewness
 from hallsym.model.model import Quantity, combination, linear, parameter
-from hallsym.terminal import Step
+from hallsym.output import Step
 
 CHOICES = ("auto", "all", "none")
 REPLICATES = 1000

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
-from hallsym.errors import InputError, nearest, quoted
+from hallsym.errors import InputError, nearest, quoted, require
 from hallsym.files import MOST_NUMBER
 from hallsym.toml import Table
 from hallsym.units import UNITS, Array, quantity, require_unit, si_name, split_unit
@@ -100,11 +100,8 @@ def read_column_file(path: str | Path) -> ColumnFile:
 
 def counts_in_turn(value: Any, where: str) -> float:
     """Return the counts of a turn, 2 or more; raise `InputError` for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 2 <= value <= MOST_NUMBER:
-        raise InputError(
-            f"{where} must give counts_per_turn as a number of 2 or more, such as 16384 for 14 bits; "
-            f"instead received {value!r}."
-        )
+    good = isinstance(value, int | float) and not isinstance(value, bool) and 2 <= value <= MOST_NUMBER
+    require(good, f"counts_per_turn of {where}", "a number of 2 or more, such as 16384 for 14 bits", value)
     return float(value)
 
 

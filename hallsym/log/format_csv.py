@@ -13,6 +13,7 @@ from hallsym.log.arrow import Seconds, array_of, name_the_time, said_of_times
 from hallsym.log.table import Source, label, load
 from hallsym.log.text.cells import COMMA, MISSING, Convention, as_float
 from hallsym.log.text.sniff import END, Dialect, Encoded, end_of, sniffed, whole_lines
+from hallsym.output import csv_text
 from hallsym.units import Array
 
 IN_MEMORY_BYTES = 250_000_000
@@ -147,7 +148,7 @@ class CsvWriter:
     def write(self, columns: Mapping[str, Array]) -> None:
         """Append rows."""
         if not self._started:
-            self._stream.write(self._delimiter.join(columns) + "\n")
+            self._stream.write(csv_text([tuple(columns)], self._delimiter))
             self._started = True
         csv, arrow = load("pyarrow.csv"), load("pyarrow")
         options = csv.WriteOptions(include_header=False, delimiter=self._delimiter)

@@ -6,7 +6,6 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -48,10 +47,8 @@ class Hdf5Source(Source):
                     chunk = {name: _slice(dataset, lo, hi) for name, dataset in sets.items()}
                     yield {name: chunk[name] if name in chunk else np.full(hi - lo, run) for name in names}
 
-    @contextmanager
-    def _opened(self) -> Iterator[Any]:
-        with load("h5py").File(self.path, "r") as file:
-            yield file
+    def _opened(self) -> Any:
+        return load("h5py").File(self.path, "r")
 
 
 def _vectors(file: Any) -> tuple[Lengths, dict[str, str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -29,29 +29,8 @@ def open_mdf(path: Path, clock: str | None = None) -> GroupedSource:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    library = load("asammdf")
-    with open(path, "rb") as stream:
-        try:
-            file = library.MDF(stream)
-        except Exception as error:
-            _settle(error)
-            raise
-        with closing(file):
-            yield file
-
-
-def _settle(error: Exception) -> None:
-    """Close the readers that an exception left half made; else they fail aloud when they are collected."""
-    trace = error.__traceback__
-    while trace is not None:
-        reader: Any = trace.tb_frame.f_locals.get("self")
-        if hasattr(reader, "_closed"):
-            for name in ("header", "identification"):
-                if not hasattr(reader, name):
-                    setattr(reader, name, None)
-            with suppress(Exception):
-                reader.close()
-        trace = trace.tb_next
+    with open(path, "rb") as stream, closing(load("asammdf").MDF(stream)) as file:
+        yield file
 
 
 def _title(group: Any, index: int) -> str:

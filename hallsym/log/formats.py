@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest, quoted
+from hallsym.errors import InputError, quoted, require
 from hallsym.files import reading, regular
+from hallsym.log.apart import Apart, about
 from hallsym.log.arrow import is_table, source_of
 from hallsym.log.columns import (
     RUN,
@@ -57,12 +57,12 @@ class Format:
 FORMATS = (
     Format("parquet", (".parquet", ".pq"), ParquetSource, "Parquet"),
     Format("csv", (".csv", ".txt", ".tsv"), CsvSource, "CSV", ("delimiter", "decimal")),
-    Format("hdf5", (".h5", ".hdf5"), Hdf5Source, "HDF5"),
-    Format("mat", (".mat",), open_mat, "MATLAB"),
+    Format("hdf5", (".h5", ".hdf5"), partial(Apart, Hdf5Source), "HDF5"),
+    Format("mat", (".mat",), partial(Apart, open_mat), "MATLAB"),
     Format("xlsx", (".xlsx", ".xlsm", ".xls", ".ods"), open_workbook, "workbook", ("sheet", "decimal")),
     Format("tdms", (".tdms",), open_tdms, "TDMS", ("clock",)),
-    Format("mdf", (".mf4", ".mdf"), open_mdf, "MDF", ("clock",)),
-    Format("mcap", (".mcap",), open_mcap, "MCAP", ("clock",)),
+    Format("mdf", (".mf4", ".mdf"), partial(Apart, open_mdf), "MDF", ("clock",)),
+    Format("mcap", (".mcap",), partial(Apart, open_mcap), "MCAP", ("clock",)),
 )
 
 
@@ -77,11 +77,8 @@ def format_of(path: Path, name: str | None = None) -> Format:
     for entry in FORMATS:
         if entry.name == name or (name is None and suffix in entry.suffixes):
             return entry
-    if name is not None:
-        known = [entry.name for entry in FORMATS]
-        raise InputError(
-            f"Format must be one of {', '.join(known)}; instead received '{name}'{nearest(name, known)}."
-        )
+    known = [entry.name for entry in FORMATS]
+    require(name is None, "Format", f"one of {', '.join(known)}", name, known)
     suffixes = ", ".join(suffix for entry in FORMATS for suffix in entry.suffixes)
     raise InputError(
         f"File {path} must end with one of {suffixes}, or its format must be stated; it ends '{path.suffix}'."
@@ -100,12 +97,8 @@ class Guarded(Source):
     def __init__(self, path: Path, open: Callable[[Path], Source], fault: str) -> None:
         """Open the file: its names, rows and what is left out are known then."""
         self.path, self.fault = path, fault
-        with self._reading():
-            self.inner = open(path)
-            self.names, self.small = tuple(self.inner.names), self.inner.small
-        self.left_out, self.aliases = dict(self.inner.left_out), dict(self.inner.aliases)
-        self.notes, self.units = self.inner.notes, dict(self.inner.units)
-        self.recognised, self.unstated = self.inner.recognised, self.inner.unstated
+        self.inner: Source = self._asked(open, path)
+        vars(self).update(about(self.inner))
         if len(set(self.names)) < len(self.names):
             name = next(name for k, name in enumerate(self.names) if name in self.names[:k])
             raise InputError(f"Columns of {quoted(self.path)} must have different names; '{name}' is twice.")
@@ -116,41 +109,33 @@ class Guarded(Source):
 
     def count(self) -> int:
         """Return the number of rows."""
-        with self._reading():
-            rows = self.inner.count()
-        return self._possible(rows)
+        return self._possible(self._asked(self.inner.count))
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns, each of shape (rows,)."""
         self._possible(getattr(self.inner, "rows", 0))
-        with self._reading():
-            columns = self.inner.read(names)
-        return self._judged(names, columns)
+        return self._judged(names, self._asked(self.inner.read, names))
 
     def head(self, count: int, most: int) -> list[list[str]]:
         """Return the first rows as text."""
-        with self._reading():
-            return self.inner.head(count, most)
+        return self._asked(self.inner.head, count, most)
 
     def labels(self, name: str) -> list[str]:
         """Return a column of names, as text."""
         self._possible(getattr(self.inner, "rows", 0))
-        with self._reading():
-            return self.inner.labels(name)
+        return self._asked(self.inner.labels, name)
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most about `size` rows."""
         self._possible(getattr(self.inner, "rows", 0))
         pieces = self.inner.chunks(names, size)
-        while True:
-            with self._reading():
-                piece = next(pieces, None)
-            if piece is None:
-                return
+        while (piece := self._asked(next, pieces, None)) is not None:
             yield self._judged(names, piece)
 
-    def _reading(self) -> AbstractContextManager[None]:
-        return reading(self.path, "Log", self.fault, "copy it again")
+    def _asked(self, question: Callable[..., Any], *words: Any) -> Any:
+        """Return what a library answers; whatever it raises becomes one sentence."""
+        with reading(self.path, "Log", self.fault):
+            return question(*words)
 
     def _possible(self, rows: int) -> int:
         if not 0 <= rows <= MOST_ROWS:
@@ -304,8 +289,8 @@ def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> S
             raise InputError(
                 f"Option {name} must be left out for {quoted(file)}: a {entry.name} file has none."
             )
-    if options.get("decimal", ".") not in (".", ","):
-        raise InputError(f"Decimal sign must be '.' or ','; instead received {options['decimal']!r}.")
+    sign = options.get("decimal", ".")
+    require(sign in (".", ","), "Decimal sign", "'.' or ','", sign)
     if "delimiter" in options:
         options["delimiter"] = stated_delimiter(options["delimiter"])
     fault = f"must be a complete {entry.kind} file; it is cut short or damaged"
@@ -342,10 +327,7 @@ def _noise(meta: Meta, stated: ColumnFile, given: Mapping[str, float], table: Ta
     check_noise_keys(given, table.columns, "the noise given")
     check_noise_keys(stated.noise, table.columns, "the column file")
     for key, value in given.items():
-        if not value > 0:
-            raise InputError(
-                f"Noise '{key}' must be a positive number (1 sigma); instead received {value!r}."
-            )
+        require(value > 0, f"Noise '{key}'", "a positive number (1 sigma)", value)
     best = Noise.given(given, table.columns)
     for values in (stated.noise, meta.noise_1sigma):
         best = best.merged(Noise.given(values, table.columns))

@@ -9,7 +9,7 @@ from types import TracebackType
 
 import numpy as np
 
-from hallsym.errors import InputError, quoted
+from hallsym.errors import InputError, quoted, require
 from hallsym.files import reason, replacing
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log
@@ -58,11 +58,12 @@ class LogWriter:
         """Add samples: arrays of equal length; a name in another unit (`hall_a_um`) is converted to SI."""
         chunk = {si_name(name): _values(name, values) for name, values in columns.items()}
         lengths = {len(values) for values in chunk.values()}
-        if len(lengths) != 1:
-            raise InputError(
-                f"Columns written to {self.path} must be equally long; they have {sorted(lengths)} values."
-            )
+        require(len(lengths) == 1, f"Columns written to {self.path}", "equally long", sorted(lengths))
         if self._names is None:
+            wrong = next((name for name in chunk if not name.isprintable()), "")
+            require(
+                not wrong, f"A column written to {quoted(self.path)}", "named in printable characters", wrong
+            )
             self._names = tuple(chunk)
         if set(chunk) != set(self._names):
             raise InputError(
@@ -132,8 +133,7 @@ def write_log(log: Log | Mapping[str, Array], path: str | Path) -> None:
 
 def _values(name: str, values: Array) -> Array:
     array = np.asarray(values)
-    if array.ndim != 1:
-        raise InputError(f"Column {name} must be a vector; it has shape {array.shape}.")
+    require(array.ndim == 1, f"Column {name}", "a vector", f"shape {array.shape}")
     if name == RUN:
         if not np.array_equal(array, array.astype(np.int64)):
             raise InputError("Column run must hold whole numbers.")

@@ -19,7 +19,7 @@ from math import prod
 from types import NoneType
 from typing import Any, get_args
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, nearest, require
 from hallsym.model.arguments import REQUIRED, Facts, Number, Try
 from hallsym.model.model import LINKS, Model
 
@@ -214,9 +214,7 @@ def effect(
     Name, meaning and numbers are those of the function, of the first line of its docstring and of its
     signature if they are not stated. `separate`: one way to record it so that it shows by itself, or several.
     """
-    if link not in (*LINKS, "user"):
-        raise InputError(f"Link of an effect must be one of {', '.join(LINKS)}; instead received {link!r}.")
-
+    require(link in (*LINKS, "user"), "Link of an effect", f"one of {', '.join(LINKS)}", link)
     each = (separate,) if isinstance(separate, str | Way) else separate
     if each:
         about["separate"] = tuple(Way(way) if isinstance(way, str) else way for way in each)

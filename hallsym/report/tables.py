@@ -7,7 +7,7 @@ from textwrap import fill, wrap
 
 import numpy as np
 
-from hallsym.terminal import columns
+from hallsym.output import columns, printable
 from hallsym.units import parameter_unit, readable
 
 LEAST_WORDS = 20
@@ -21,7 +21,8 @@ def grid(rows: Sequence[Sequence[str]], *, left: int = 1, rule_after: int = 1, w
     `words`: the last column is prose, outside the rule. A table that is wider than the terminal has folded
     headers, then folded words or words below it, then its columns in blocks, one below the other.
     """
-    table, limit = _Table(rows, left, rule_after, words), columns()
+    shown = [[printable(cell) for cell in row] for row in rows]
+    table, limit = _Table(shown, left, rule_after, words), columns()
     fits = limit is None or _width(table.natural) <= limit
     return "\n".join(table.drawn(table.natural) if fits else table.lines(limit or 0))
 

@@ -15,6 +15,7 @@ from hallsym.experiment import Plan
 from hallsym.fleets import Fleet
 from hallsym.inference import Identifiability
 from hallsym.log import Log, as_log
+from hallsym.output import fitted
 from hallsym.report.figures.campaign import evaluation_figure, fit_figure, gap
 from hallsym.report.figures.fleet import distributions
 from hallsym.report.figures.plan import coverage
@@ -29,7 +30,6 @@ from hallsym.report.text.fit import evaluation_head, evaluation_text, fit_head, 
 from hallsym.report.text.fleet import fleet_text
 from hallsym.report.text.identifiability import report_text
 from hallsym.report.text.plan import plan_text
-from hallsym.terminal import fitted
 from hallsym.uncertainty import Budget
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def brief(result: Any) -> str:
     """Return the first lines of what the command of a result prints."""
     view = _view(result)
     lines = view.head(result) if view.head else view.summary(result).split("\n")[:FIRST]
-    return "\n".join([*lines, "all: print(result.summary())"])
+    return fitted("\n".join([*lines, "all: print(result.summary())"]))
 
 
 def table(result: Any) -> Table:

@@ -4,7 +4,6 @@ A campaign is a TOML file (docs/campaign.md), or the paper's (`hallsym.simulatio
 function of time that knows how a campaign file describes it, so a campaign that was made here can be written.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, require
 from hallsym.families import axes
 from hallsym.files import atomic_write
+from hallsym.output import toml_text
 from hallsym.simulation.signals import SIGNALS, AtTimes, Signal
 from hallsym.toml import Table, number, positive
 from hallsym.trajectory import Curve, read_curve
@@ -124,8 +124,7 @@ def _run(entry: Table, folder: Path, held: Mapping[str, float], *, single: bool 
     """A run with axes `held` at a setting; a `single` one, [[run]], holds axes and has places of its own."""
     setting, motion = dict(held), {}
     name = entry.raw.get("name", "")
-    if not isinstance(name, str):
-        raise InputError(f"'name' of {entry.where} must be a text; instead received {name!r}.")
+    require(isinstance(name, str), f"'name' of {entry.where}", "a text", name)
     for axis in (axis for axis in axes() if axis in entry):
         if single and not isinstance(entry.raw[axis], Mapping):
             setting[axis] = entry.number(axis)
@@ -210,7 +209,7 @@ def write_campaign(campaign: Campaign, path: str | Path, comment: str = "") -> N
 
 
 def _run_lines(run: Run, k: int) -> list[str]:
-    lines = [f"name = {_text(run.name)}"] if run.name else []
+    lines = [f"name = {toml_text(run.name)}"] if run.name else []
     lines.append(f"duration_s = {float(run.duration_s)!r}")
     if run.zeros:
         lines.append(f"zero_deviations_m = {_plain(run.zeros)}")
@@ -231,7 +230,7 @@ def _signal_text(signal: AtTimes, about: float | None, where: str) -> str:
         )
     place = {} if about is None else {"about": about}
     entries = ", ".join(f"{k} = {_plain(v)}" for k, v in (place | dict(signal.values)).items())
-    return f"{{ kind = {_text(signal.kind)}, {entries} }}"
+    return f"{{ kind = {toml_text(signal.kind)}, {entries} }}"
 
 
 def _plain(value: float | Sequence[float]) -> str:
@@ -241,9 +240,4 @@ def _plain(value: float | Sequence[float]) -> str:
 
 
 def _key(name: str) -> str:
-    return name if name.replace("_", "").isalnum() and name.isascii() else _text(name)
-
-
-def _text(text: str) -> str:
-    """A TOML basic string: JSON's, which leaves DEL as it is."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return name if name.replace("_", "").isalnum() and name.isascii() else toml_text(name)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, require
 from hallsym.families.cordic import MOST_STEPS, cordic_angle
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
@@ -39,22 +39,13 @@ class NoiseModel:
     def __post_init__(self) -> None:
         """Refuse levels that no noise can have."""
         for name, value in self.sigma.items():
-            if not 0 <= value < np.inf:
-                raise InputError(f"Noise of {name} must be a number >= 0; instead received {value!r}.")
+            require(0 <= value < np.inf, f"Noise of {name}", "a number >= 0", value)
         for name in ("correlation_s", "outlier_size", "adc_step_m"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise InputError(
-                    f"Noise '{name}' must be a number >= 0; instead received {getattr(self, name)!r}."
-                )
-        if self.cordic_steps not in range(MOST_STEPS + 1):
-            raise InputError(
-                f"Noise 'cordic_steps' must be a whole number from 0 to {MOST_STEPS}; instead received "
-                f"{self.cordic_steps!r}."
-            )
-        if not 0 <= self.outlier_share <= 1:
-            raise InputError(
-                f"Noise 'outlier_share' must be 0 to 1; instead received {self.outlier_share!r}."
-            )
+            value = getattr(self, name)
+            require(0 <= value < np.inf, f"Noise '{name}'", "a number >= 0", value)
+        wanted = f"a whole number from 0 to {MOST_STEPS}"
+        require(self.cordic_steps in range(MOST_STEPS + 1), "Noise 'cordic_steps'", wanted, self.cordic_steps)
+        require(0 <= self.outlier_share <= 1, "Noise 'outlier_share'", "0 to 1", self.outlier_share)
         if self.degrees_of_freedom is not None and not self.degrees_of_freedom > 2:
             raise InputError("Student's t noise needs more than 2 degrees of freedom for a variance.")
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import require
 
 AtTimes = Callable[[np.ndarray], np.ndarray]
 
@@ -45,8 +45,7 @@ def sine(amplitude: float, frequency_hz: float, phase_rad: float = 0.0) -> Signa
 def multi_sine(amplitude: float, frequencies_hz: list[float]) -> Signal:
     """Return a sum of equal sines with Schroeder phases, its peak at most `amplitude`."""
     n = len(frequencies_hz)
-    if n == 0:
-        raise InputError("'frequencies_hz' of a multi-sine must hold at least one frequency; it is empty.")
+    require(n, "'frequencies_hz' of a multi-sine", "a list of one frequency or more", frequencies_hz)
     phases = [-pi * k * (k + 1) / n for k in range(n)]
     start = sum(np.sin(phase) for phase in phases)
 
@@ -70,8 +69,7 @@ def triangle(amplitude: float, frequency_hz: float) -> Signal:
 
 def steps(levels: list[float], dwell_s: float) -> Signal:
     """Return `levels` in turn, each held for `dwell_s`, from the beginning again after the last."""
-    if not levels:
-        raise InputError("'levels' of steps must hold at least one level; it is empty.")
+    require(levels, "'levels' of steps", "a list of one level or more", levels)
     held = np.asarray(levels, dtype=float)
     values = {"levels": held.tolist(), "dwell_s": dwell_s}
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import stdtr
 from scipy.stats import norm
 
-from hallsym.errors import InputError
+from hallsym.errors import require
 from hallsym.units import Array
 
 LOT = 30
@@ -54,10 +54,7 @@ def change_probability(change: int, width: float, drift: float, std: float) -> f
     >>> [round(799 * change_probability(k, 0.5, -0.049, 0.157), 1) for k in (-2, -1, 0, 1)]
     [0.1, 143.8, 589.3, 65.7]
     """
-    if not (width > 0 and std > 0):
-        raise InputError(
-            f"Width of a bin and standard deviation must be above 0; instead received {width:g}, {std:g}."
-        )
+    require(width > 0 and std > 0, "Width of a bin and standard deviation", "above 0", (width, std))
     z = (width * np.array([change + 1, change, change - 1]) - drift) / std
     integral = std * (z * norm.cdf(z) + norm.pdf(z))
     return float(max((integral[0] - 2 * integral[1] + integral[2]) / width, 0.0))

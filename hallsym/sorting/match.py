@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, require
 from hallsym.model import Model
 from hallsym.records import named
 from hallsym.simulation import Campaign
@@ -245,21 +245,16 @@ def _inventory(inventory: Sorting | Mapping[str, float]) -> tuple[tuple[str, ...
         return inventory.sensors, inventory.relative, inventory.std / inventory.nominal, inventory.width
     gains = np.array([float(gain) for gain in inventory.values()])
     for name, value in zip(inventory, gains.tolist(), strict=True):
-        if not 0 < value < np.inf:
-            raise InputError(
-                f"The gain of sensor {name} must be a positive number; instead received {value!r}."
-            )
+        require(0 < value < np.inf, f"The gain of sensor {name}", "a positive number", value)
     relative = gains / np.median(gains) if len(gains) else gains
     return tuple(inventory), relative, np.zeros(len(gains)), WIDTH
 
 
 def _count(sets: int | None, sensors: int, size: int, model: Model, members: int) -> int:
-    if members < 1:
-        raise InputError(f"A channel must be the sum of 1 or more sensors; instead received {members}.")
+    require(members >= 1, "A channel", "the sum of 1 or more sensors", members)
     most = sensors // size
     each = f"{len(model.channels)} channels" + (f" of {members} sensors" if members > 1 else "")
-    if sets is not None and sets < 1:
-        raise InputError(f"The number of sets must be 1 or more; instead received {sets}.")
+    require(sets is None or sets >= 1, "The number of sets", "1 or more", sets)
     if most < 1 or (sets or 0) > most:
         raise InputError(
             f"{sets or 1} set{'s' if (sets or 1) > 1 else ''} for {model.name} ({each}) need"

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, nearest, require
 from hallsym.log import Log, read_log
 from hallsym.log.columns import listed
 from hallsym.log.table import label
@@ -76,10 +76,8 @@ def read_readings(
 def readings_from(table: Any, fields: Sequence[float] = (), name: str = "The table") -> Readings:
     """Return the readings of a dict of arrays or a data frame with the columns of `read_readings`."""
     columns = {str(c): np.asarray(table[c]) for c in (table if isinstance(table, Mapping) else table.columns)}
-    if SENSOR not in columns:
-        raise InputError(
-            f"{name} must have a column 'sensor' with the name of each sensor; it has {', '.join(columns)}."
-        )
+    wanted = "one with a column 'sensor', the name of each sensor"
+    require(SENSOR in columns, name, wanted, list(columns))
     labels = [label(v) for v in columns.pop(SENSOR).tolist()]
     return _arranged(Log.from_arrays(columns, name=name), labels, fields)
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import median_filter
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, require
 from hallsym.sorting.bins import bins_of, change_probability, wrong_probability
 from hallsym.sorting.readings import Readings, read_readings, readings_from
 from hallsym.units import Array
@@ -167,14 +167,9 @@ def sort_sensors(
 
     Raises `InputError` where all fields are equal or nothing tells the repeatability.
     """
-    if not 0 < width < 1:
-        raise InputError(
-            "The width of a bin must be above 0 and below 100 % of the gain; instead received"
-            f" {100 * width:g} %."
-        )
+    require(0 < width < 1, "The width of a bin", "a share of the gain above 0 and below 1", width)
     for value, what in ((nominal, "The nominal gain"), (repeatability, "The repeatability")):
-        if value is not None and not 0 < value < np.inf:
-            raise InputError(f"{what} must be a positive number; instead received {value!r}.")
+        require(value is None or 0 < value < np.inf, what, "a positive number", value)
     if isinstance(readings, str | Path):
         readings = read_readings(readings, fields=fields)
     elif not isinstance(readings, Readings):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest
-from hallsym.terminal import Step
+from hallsym.output import Step
 from hallsym.trajectory.bounds import bound, is_polyline
 from hallsym.trajectory.curve import Curve, FgForm, Form, SplineForm
 from hallsym.trajectory.factorisation import BASES, BERNSTEIN, Basis, factorise, orthogonalise

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, quoted
+from hallsym.errors import InputError, quoted, require
 from hallsym.files import read_json, reading, write_json
 from hallsym.trajectory.factorisation import BASES, Basis
 
@@ -183,11 +183,8 @@ class Curve:
         t = np.atleast_1d(np.asarray(t, float))
         slack = 4e-16 * max(abs(self.start), abs(self.stop))
         outside = t[~((t >= self.start - slack) & (t <= self.stop + slack))]
-        if len(outside):
-            raise InputError(
-                f"Parameters of the curve must be within {self.start:.9g} .. {self.stop:.9g}; got "
-                f"{outside[0]:.9g}."
-            )
+        wanted = f"within {self.start:.9g} .. {self.stop:.9g}"
+        require(not len(outside), "Parameters of the curve", wanted, outside[:1].tolist())
         a, b = self.form.domain
         rate = (b - a) / (self.stop - self.start)
         return self.form.evaluate(self.inner(t), derivative) * rate**derivative

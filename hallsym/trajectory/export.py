@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, require
 from hallsym.files import atomic_write
 from hallsym.trajectory.bounds import bend, is_polyline
 from hallsym.trajectory.curve import Curve
@@ -38,8 +38,7 @@ def at_times(curve: Curve, t_s: Array, duration_s: float) -> Mapping[str, Array]
     It runs from start to stop in `duration_s`, at constant speed of the parameter. Before and after it stands
     still. This is what a campaign follows.
     """
-    if not 0 < duration_s < np.inf:
-        raise InputError(f"The duration of a curve must be a positive number of seconds; got {duration_s!r}.")
+    require(0 < duration_s < np.inf, "The duration of a curve", "a positive number of seconds", duration_s)
     share = np.clip(np.asarray(t_s, float) / duration_s, 0.0, 1.0)
     points = curve(np.clip(curve.start + share * (curve.stop - curve.start), curve.start, curve.stop))
     return dict(zip(curve.coordinates, points.T, strict=True))
@@ -64,8 +63,7 @@ def chord_points(curve: Curve, chord_m: float) -> Array:
     A chord over a step h of the parameter is at most h^2/8 times the largest second derivative away, bounded
     in each part; corners of splines are points. The least number of equal steps is taken in each part.
     """
-    if not 0 < chord_m < np.inf:
-        raise InputError(f"The chord error must be a positive length; got {chord_m!r} m.")
+    require(0 < chord_m < np.inf, "The chord error", "a positive length in m", chord_m)
     if is_polyline(curve):
         return curve.outer(curve.form.edges(1))
     edges = curve.form.edges(64)

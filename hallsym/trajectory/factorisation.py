@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, require
 
 Array = np.ndarray
 D = math.pi / 2
@@ -80,8 +80,8 @@ def check_increasing(t: Array, name: str) -> None:
 def check_parameters(basis: Basis, t: Array) -> Array:
     """Return parameters (points,) that increase within the interval of the basis; refuses others."""
     t = np.asarray(t, float)
-    if t.ndim != 1 or not len(t) or not np.isfinite(t).all():
-        raise InputError(f"Parameters of a curve must be a list of finite numbers; got shape {t.shape}.")
+    good = t.ndim == 1 and len(t) and np.isfinite(t).all()
+    require(good, "Parameters of a curve", "a list of finite numbers", f"shape {t.shape}")
     check_increasing(t, "the points")
     if t[0] < basis.start or t[-1] > basis.stop:
         outside = t[0] if t[0] < basis.start else t[-1]

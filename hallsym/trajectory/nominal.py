@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, nearest, require
 from hallsym.units import with_unit
 
 Array = np.ndarray
@@ -91,11 +91,8 @@ def nominal(text: str, span: tuple[str, str, str], values: Mapping[str, float] |
     if name in numbers or name in FUNCTIONS or name in COORDINATES or not name.isidentifier():
         raise InputError(f"The parameter of the curve cannot be called {name!r}; call it t.")
     ends = [_number(end, numbers) for end in span[1:]]
-    if not (np.isfinite(ends).all() and ends[0] < ends[1]):
-        raise InputError(
-            f"The range of {name} must go from the lesser to the greater number; instead received "
-            f"{span[1]}:{span[2]}."
-        )
+    good = np.isfinite(ends).all() and ends[0] < ends[1]
+    require(good, f"The range of {name}", "from the lesser to the greater number", f"{span[1]}:{span[2]}")
     known, used, statements = {*numbers, name}, set[str](), dict[str, ast.expr]()
     for statement in filter(None, (part.strip() for part in text.replace("\n", ";").split(";"))):
         left, sign, right = statement.partition("=")
@@ -122,8 +119,8 @@ def read_value(text: str) -> tuple[str, float]:
     """Return name and SI value of `r=1mm` or `n=2*pi`."""
     name, sign, value = text.partition("=")
     name = name.strip()
-    if not sign or not name.isidentifier() or not value.strip():
-        raise InputError(f"--value must be NAME=NUMBER with a unit or none, such as r=1mm; got {text!r}.")
+    good = sign and name.isidentifier() and value.strip()
+    require(good, "--value", "NAME=NUMBER with a unit or none, such as r=1mm", text)
     if name in CONSTANTS or name in FUNCTIONS or name in COORDINATES:
         raise InputError(f"A value cannot be called {name!r}: the name is taken.")
     return name, _number(value, CONSTANTS)
@@ -133,8 +130,8 @@ def read_span(text: str) -> tuple[str, str, str]:
     """Return the parts of `t=0:2*pi`."""
     name, sign, ends = text.partition("=")
     first, colon, last = ends.partition(":")
-    if not (sign and colon and name.strip() and first.strip() and last.strip()):
-        raise InputError(f"--range must be PARAMETER=FIRST:LAST, such as t=0:2*pi; got {text!r}.")
+    good = sign and colon and name.strip() and first.strip() and last.strip()
+    require(good, "--range", "PARAMETER=FIRST:LAST, such as t=0:2*pi", text)
     return name.strip(), first.strip(), last.strip()
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hallsym.errors import InputError, quoted
+from hallsym.errors import InputError, quoted, require
 from hallsym.files import read_text, reading
 from hallsym.trajectory.factorisation import check_increasing
 from hallsym.trajectory.nominal import COORDINATES
@@ -47,10 +47,8 @@ def points_of(
     Raises `InputError` for shapes that do not fit, numbers that are none, repeated or unordered parameters.
     """
     points = np.asarray(points, float)
-    if points.ndim != 2 or points.shape[1] != len(coordinates) or len(points) < 2:
-        raise InputError(
-            f"The {name} must be at least 2 rows of {', '.join(coordinates)}; got shape {points.shape}."
-        )
+    good = points.ndim == 2 and points.shape[1] == len(coordinates) and len(points) >= 2
+    require(good, f"The {name}", f"at least 2 rows of {', '.join(coordinates)}", f"shape {points.shape}")
     if not np.isfinite(points).all():
         row = int(np.argwhere(~np.isfinite(points))[0, 0])
         raise InputError(f"Point {row + 1} of {name} is not a finite number.")

@@ -391,9 +391,9 @@ def _correlation(file: Table, names: Sequence[str]) -> np.ndarray | None:
     entries = file.tables("correlation", ("between", "coefficient"))
     matrix = np.eye(len(names))
     for entry in entries:
-        pair = entry.raw.get("between")
-        if not (isinstance(pair, list) and len(pair) == 2 and pair[0] != pair[1]):
-            raise InputError(f"'between' of {entry.where} must name two sources; instead received {pair!r}.")
+        pair: Any = entry.raw.get("between")
+        good = isinstance(pair, list) and len(pair) == 2 and pair[0] != pair[1]
+        require(good, f"'between' of {entry.where}", "a list of two sources", pair)
         for name in pair:
             if name not in names:
                 raise InputError(

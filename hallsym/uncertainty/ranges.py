@@ -166,8 +166,7 @@ def read_value(model: Model, text: str, where: str) -> tuple[str, float]:
         value = float(said)
     except ValueError:
         value = np.nan
-    if not np.isfinite(value):
-        raise InputError(f"{where} must be NAME=VALUE with a number, such as {key}=0.01; got {text!r}.")
+    require(np.isfinite(value), where, f"NAME=VALUE with a number, such as {key}=0.01", text)
     return parameter.name, value * factor
 
 

@@ -102,7 +102,7 @@ BAD = {
     "unknown key": (RANGES.replace("levels", "levls"), "did you mean 'levels'"),
     "no range": (RANGES[: RANGES.index("[range]")], "'range' is missing"),
     "axis without unit": (RANGES.replace("rx_urad", "rx"), "'rx' of .* must end with a unit of 'rx'"),
-    "inverted": (RANGES.replace("z_um = [-250, 250]", "z_um = [250, -250]"), "inverted"),
+    "inverted": (RANGES.replace("z_um = [-250, 250]", "z_um = [250, -250]"), "must be .lowest, highest"),
     "twice": (RANGES + "z_m = [0, 1e-4]\n", "twice"),
     "one level": (RANGES.replace("levels = 2", "levels = 1"), "levels"),
     "unknown trajectory": (RANGES.replace('"combined"', '"combine"'), "did you mean 'combined'"),

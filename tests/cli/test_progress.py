@@ -13,7 +13,7 @@ import pytest
 
 from hallsym.cli import INTERRUPTED
 from hallsym.cli.progress import EVERY_S, Meter
-from hallsym.terminal import Step, said_time
+from hallsym.output import Step, said_time
 
 ROOT = Path(__file__).parents[2]
 

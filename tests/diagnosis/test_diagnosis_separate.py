@@ -12,8 +12,8 @@ from hallsym.diagnosis.record import Gap, LogRecord, Metric, NoiseFloor, Shrinka
 from hallsym.diagnosis.report import firmware_cost, operations
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
+from hallsym.output import PROSE
 from hallsym.report.text.diagnosis import diagnosis_text
-from hallsym.terminal import PROSE
 
 STAGE = effects(STAGE_FAMILY)
 

@@ -224,8 +224,8 @@ def test_counts_become_angles(tmp_path):
     ("per_turn", "says"),
     [
         (None, "is an angle in counts; say how many make a turn with --counts-per-turn"),
-        (0, "counts_per_turn as a number of 2 or more"),
-        (float("nan"), "counts_per_turn as a number of 2 or more"),
+        (0, "must be a number of 2 or more"),
+        (float("nan"), "must be a number of 2 or more"),
     ],
 )
 def test_counts_that_cannot_be(tmp_path, per_turn, says):

@@ -200,7 +200,7 @@ def test_a_fleet_that_was_killed_goes_on_without_loss(tmp_path):
     process.wait()
     with open(journal, "a") as stream:
         stream.write('{"stamp": "cut sh')
-    done = [json.loads(line) for line in journal.read_text().splitlines()[:-1] if line]
+    done = [json.loads(line.partition(" ")[2]) for line in journal.read_text().splitlines()[:-1] if line]
     assert 3 < len(done) < 10
     said: list[str] = []
     found = hallsym.fleet(folder, "rotary", output=table, workers=1, on_progress=said.append)

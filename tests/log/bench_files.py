@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+
+from hallsym.log import apart
 
 Columns = Mapping[str, np.ndarray]
 Rates = Mapping[str, tuple[float, float, Columns]]
@@ -82,6 +87,22 @@ def write_mcap(path: Path, groups: Rates) -> None:
         for when, topic, schema, fields in sorted(messages, key=lambda m: m[:2]):
             writer.write_message(topic, schema, fields, log_time=when, publish_time=when)
         writer.finish()
+
+
+@contextmanager
+def hidden(libraries: Collection[str], folder: Path) -> Iterator[None]:
+    """Let libraries be missing, here and in the processes that decode files."""
+    apart.end_decoders()
+    with pytest.MonkeyPatch.context() as patch:
+        for name in libraries:
+            (folder / f"{name}.py").write_text("raise ImportError(__name__)\n", encoding="utf-8")
+            for loaded in [m for m in sys.modules if m.partition(".")[0] == name]:
+                patch.delitem(sys.modules, loaded)
+        patch.syspath_prepend(folder)
+        try:
+            yield
+        finally:
+            apart.end_decoders()
 
 
 WRITERS = {".tdms": write_tdms, ".mf4": write_mdf, ".mcap": write_mcap}

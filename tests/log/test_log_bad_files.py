@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import builtins
 import gzip
-import importlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from bench_files import hidden
 from log_samples import one_sentence, save, stage_arrays
 
 from hallsym.errors import InputError
@@ -155,20 +155,13 @@ def test_bad_meta(tmp_path: Path, text: str, says: str) -> None:
 
 
 @pytest.mark.parametrize(("suffix", "extra"), [(".h5", "hdf5")])
-def test_missing_extra_says_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, extra: str
-) -> None:
+def test_missing_extra_says_what_to_install(tmp_path: Path, suffix: str, extra: str) -> None:
     path = tmp_path / f"log{suffix}"
     save(stage_arrays(), path)
-    real = importlib.import_module
-
-    def without_extras(name: str, *rest: Any) -> Any:
-        if name.partition(".")[0] in ("h5py", "python_calamine"):
-            raise ImportError(name)
-        return real(name, *rest)
-
-    monkeypatch.setattr(importlib, "import_module", without_extras)
-    with pytest.raises(InputError, match=rf"pip install 'hallsym\[{extra}\]'") as caught:
+    with (
+        hidden(["h5py"], tmp_path),
+        pytest.raises(InputError, match=rf"pip install 'hallsym\[{extra}\]'") as caught,
+    ):
         read_log(path)
     assert one_sentence(str(caught.value))
 

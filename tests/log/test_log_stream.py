@@ -17,17 +17,17 @@ from hallsym.log import (
     clean_log,
     estimate_noise,
     format_csv,
-    format_hdf5,
     format_parquet,
     read_log,
     spans,
     write_log,
 )
+from hallsym.log.apart import Apart
 
 
 def nothing_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(format_parquet, "IN_MEMORY_ROWS", 100)
-    monkeypatch.setattr(format_hdf5, "IN_MEMORY_ROWS", 100)
+    monkeypatch.setattr(Apart, "small", property(lambda source: False, lambda source, small: None), False)
     monkeypatch.setattr(format_csv, "IN_MEMORY_BYTES", 100)
 
 

@@ -62,7 +62,7 @@ def test_an_error_in_the_block_goes_through_and_leaves_nothing(tmp_path: Path) -
     ("pieces", "says"),
     [
         ([], "Nothing was written"),
-        ([{"x_ref_m": np.zeros(2), "y_ref_m": np.zeros(3)}], r"equally long; they have \[2, 3\]"),
+        ([{"x_ref_m": np.zeros(2), "y_ref_m": np.zeros(3)}], r"equally long; instead received \[2, 3\]"),
         ([{"x_ref_m": np.zeros(2)}, {"y_ref_m": np.zeros(2)}], "must have the columns x_ref_m"),
         ([{"HallA": np.zeros(2)}], "must end with the unit"),
         ([{"x_ref_m": np.zeros((2, 2))}], "must be a vector"),

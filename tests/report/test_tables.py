@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hallsym import bundled_campaign, evaluate, fit
+from hallsym.output import NARROWEST, columns, fitted, prose_width
 from hallsym.report.tables import grid
-from hallsym.terminal import NARROWEST, columns, fitted, prose_width
 
 ROWS = [
     ["parameter", "value", "unit", "standard uncertainty", "what it is"],

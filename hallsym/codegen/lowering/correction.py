@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from hallsym.codegen.lowering.phase_curve import POINTS, Curve
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, require
 from hallsym.log.phase import wrapped
 
 ENOUGH = 3e-8
@@ -196,15 +196,9 @@ def shortest_correction(curve: Curve, accuracy: float | None = None, kind: str =
 
 def check(curve: Curve, aim: float, kind: str) -> None:
     """Refuse what no correction is made for."""
-    if kind not in KINDS and not FORM.fullmatch(kind):
-        raise InputError(
-            f"A correction is one of {', '.join(KINDS)}; instead received {kind!r}"
-            f"{nearest(kind, list(KINDS))}."
-        )
-    if not (np.isfinite(aim) and aim > 0):
-        raise InputError(
-            f"The accuracy of a correction must be a positive angle; instead received {aim:g} rad."
-        )
+    known = kind in KINDS or FORM.fullmatch(kind)
+    require(known, "A correction", f"one of {', '.join(KINDS)}", kind, KINDS)
+    require(0 < aim < np.inf, "The accuracy of a correction", "a positive angle in rad", aim)
     if np.abs(curve.needed[1]).max() >= 1.0:
         raise InputError(
             f"The distortion of this calibration of {curve.model.name} is more than 1 rad; no correction "

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from typing import Any, ClassVar
-from unicodedata import category
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from hallsym.files import json_text
+from hallsym.output import printable
 from hallsym.report.page.charts import Chart
 
 # -- templates: what escapes in them, and the policy that forbids every request --------------------------
@@ -34,8 +35,8 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    dumped = {"allow_nan": False, "ensure_ascii": False, "separators": (",", ":")}
-    found.policies["json.dumps_kwargs"] = dumped
+    found.policies["json.dumps_function"] = json_text
+    found.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "indent": None}
     script = part("page.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     found.globals |= {
@@ -54,12 +55,11 @@ def part(name: str) -> str:
 
 
 def _shown(value: Any) -> Any:
-    """Return a value as a template shows it: nothing for None; what a file name may not show as �."""
+    """Return a value as a template shows it: nothing for None, text as `printable`."""
     if value is None:
         return ""
-    if isinstance(value, str) and not isinstance(value, Markup) and not value.isprintable():
-        return "".join(c if c.isprintable() or c in "\n\t" or category(c) == "Zs" else "�" for c in value)
-    return value
+    plain = isinstance(value, str) and not isinstance(value, Markup)
+    return printable(value, keep="\n\t") if plain else value
 
 
 # -- what a page holds -----------------------------------------------------------------------------------

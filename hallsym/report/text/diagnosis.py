@@ -7,9 +7,9 @@ from textwrap import fill
 
 from hallsym.diagnosis import QUIET, Diagnosis, Estimate, FoundEffect, Significance, Statement, noise_text
 from hallsym.errors import counted
+from hallsym.output import prose_width
 from hallsym.report.tables import concise, error_rows, grid
 from hallsym.report.words import NOT_DECODED
-from hallsym.terminal import prose_width
 from hallsym.units import parameter_unit, readable
 
 MOST = 10

@@ -1,7 +1,5 @@
 """What a person reads of sorted sensors and of the sets chosen for arrays, and their tables as files."""
 
-import csv
-import io
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,6 +7,7 @@ import numpy as np
 
 from hallsym.errors import counted
 from hallsym.files import atomic_write, write_json
+from hallsym.output import csv_text
 from hallsym.report.tables import cells, grid, heads
 from hallsym.sorting import Matching, Sorting
 from hallsym.units import fitting
@@ -128,15 +127,13 @@ def save_table(path: str, found: Sorting, matching: Matching | None = None) -> N
     if matching:
         for j, row in enumerate(matching.matched.sets.tolist()):
             place |= {i: (j + 1, where) for i, where in zip(row, matching.places, strict=True)}
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     head = ("sensor", "gain", "gain_std", "offset", "bin", "wrong_bin_probability")
-    writer.writerow([*head, *(("set", "place") if matching else ())])
+    rows = [[*head, *(("set", "place") if matching else ())]]
     columns = found.sensors, found.gain, found.std, found.offset, found.bin, found.wrong
     for i, (sensor, gain, std, offset, k, wrong) in enumerate(zip(*columns, strict=True)):
         cells = [sensor, f"{gain:.9g}", f"{std:.3g}", f"{offset:.9g}", k, f"{wrong:.4f}"]
-        writer.writerow([*cells, *(place.get(i, ("", "")) if matching else ())])
-    atomic_write(path, text.getvalue())
+        rows.append([*cells, *(place.get(i, ("", "")) if matching else ())])
+    atomic_write(path, csv_text(rows))
 
 
 def _change(bins: int) -> str:

@@ -1,10 +1,62 @@
-"""How wide a terminal is, text that fits it, and steps of long work that say how much of it is done."""
+"""Text that leaves hallsym: no control character reaches a terminal, a page, a CSV cell or a comment in C.
+
+Names come from files that others made. Each is escaped once, by `printable`, where it is shown; and text that
+is shown fits the terminal.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
 import re
+from collections.abc import Iterable, Sequence
 from shutil import get_terminal_size
 from textwrap import fill
+from unicodedata import category
+
+_CREDENTIALS = re.compile(r"\b([a-z][a-z0-9+.-]+:/{1,2})[^/\s]*@", re.IGNORECASE)
+"""User and password of a URL (RFC 3986, section 3.2.1), also where a path made one slash of its two."""
+
+
+def printable(text: object, keep: str = "") -> str:
+    r"""Return `text` with control, format and bidirectional characters escaped as in Python.
+
+    Characters of `keep` and spaces of any width stay. The user and the password of a URL are left out.
+
+    >>> printable("a\nb\x1b[2J"), printable("https://me:secret@host/log.csv")
+    ('a\\nb\\x1b[2J', 'https://***@host/log.csv')
+    """
+    shown = str(text)
+    if not shown.isprintable():
+        shown = "".join(
+            c if c.isprintable() or c in keep or category(c) == "Zs" else repr(c)[1:-1] for c in shown
+        )
+    return _CREDENTIALS.sub(r"\1***@", shown) if "@" in shown else shown
+
+
+def commented(text: str) -> str:
+    """Return a text that stays within its comment in C: one line, no backslash, no end of a comment."""
+    shown = printable(text).replace("\\", " ")
+    return shown.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
+
+
+def csv_text(rows: Iterable[Sequence[object]], delimiter: str = ",") -> str:
+    """Return rows as CSV (RFC 4180), with one line for each row whatever its cells hold."""
+    text = io.StringIO()
+    csv.writer(text, delimiter=delimiter, lineterminator="\n").writerows(map(printable, row) for row in rows)
+    return text.getvalue()
+
+
+def toml_text(text: str) -> str:
+    r"""Return a basic string of TOML, which reads back as `text`, with only printable characters.
+
+    >>> toml_text("a\nb")
+    '"a\\u000ab"'
+    """
+    escaped = (f"\\u{ord(c):04x}" if ord(c) < 0x10000 else f"\\U{ord(c):08x}" for c in text)
+    shown = (c if c.isprintable() and c not in '"\\' else e for c, e in zip(text, escaped, strict=True))
+    return f'"{"".join(shown)}"'
+
 
 PROSE = 110
 """Characters of a line of prose at most, and where no terminal says how many there are."""
@@ -28,11 +80,11 @@ def prose_width() -> int:
 
 
 def fitted(text: str) -> str:
-    """Return text whose lines fit the terminal: long ones are folded, and nothing is left out.
+    """Return printable text whose lines fit the terminal: long ones are folded, and nothing is left out.
 
     A command to copy that ends a line is folded with backslashes, so that it can be pasted as it stands.
     """
-    width = columns()
+    text, width = printable(text, keep="\n"), columns()
     if width is None:
         return text
     return "\n".join(line if len(line) <= width else _folded(line, width) for line in text.split("\n"))
