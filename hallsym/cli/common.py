@@ -16,7 +16,7 @@ from hallsym.cli.parser import HelpText
 from hallsym.cli.progress import Meter
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, load_fit
-from hallsym.families import build, model_for
+from hallsym.families import build, default_model, family_called, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
 from hallsym.families.user import load_effects
@@ -84,9 +84,14 @@ def log_options(parser: ArgumentParser) -> None:
         "--column-file", metavar="TOML", help='the same as a file: [columns] hall_a_um = "HallA"'
     )
     group.add_argument(
+        "--join", action="append", default=[], metavar="FILE",
+        help="another file of the same log (repeat): more runs where it has the same columns, else columns "
+        "that are read at the times of the slower file",
+    )  # fmt: skip
+    group.add_argument(
         "--clock", metavar="GROUP:HOW",
-        help="of a file (TDMS, MDF, MCAP) whose groups have several: whose samples become the rows, and how "
-        "others are read there: Hall:linear or Hall:nearest",
+        help="of several files, or of groups of one (TDMS, MDF, MCAP, HDF5), with clocks of their own: whose "
+        "samples become the rows, and how others are read there: Hall:linear or Hall:nearest",
     )  # fmt: skip
     group.add_argument(
         "--counts-per-turn", type=float, metavar="N",
@@ -114,7 +119,7 @@ def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
     )  # fmt: skip
     group.add_argument(
         "--format", metavar="FORMAT",
-        help="parquet, csv, mat, hdf5, xlsx, tdms, mdf or mcap, when the suffix is another",
+        help="parquet, csv, mat, hdf5, npz, feather, json, xlsx, tdms, mdf, mcap; by the suffix if not given",
     )  # fmt: skip
     group.add_argument(
         "--delimiter", help="of a text file: ';', tab, blank; recognised where it is not given"
@@ -163,8 +168,22 @@ def open_log(
     """
     reading = reading_of(options) | {"drop_bad": options.drop_bad}
     reading |= {} if known is None else {"remembered": known.columns, "read_with": known.read_with}
-    log = read_log(options.log if path is None else path, **reading)
-    return log if machine is None else replace(log, meta=machine.applied(log.meta))
+    path = options.log if path is None else path
+    log = read_log([path, *options.join] if options.join else path, **reading)
+    if machine is None:
+        return log
+    meta = machine.applied(log.meta)
+    stated = meta.probes is not None or meta.nominal or machine.parameters
+    notes = [] if stated or known else layout_notes(options.model, meta)
+    return replace(log, meta=meta, notes=(*log.notes, *notes))
+
+
+def layout_notes(model: str | None, meta: Meta) -> list[str]:
+    """Return the note on the layout that is assumed where nobody states one."""
+    family = family_called(model or default_model(meta))
+    if family is None or not family.assumed:
+        return []
+    return [f"The layout is assumed: {family.assumed}. State that of your machine with --machine FILE."]
 
 
 def refuse_twice(paths: Sequence[str]) -> None:
@@ -300,7 +319,7 @@ def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:
     `known`: a calibration that the next step does not read, but whose mapping of columns it needs.
     """
     mapped = known.columns if known else {}
-    columns = [f"{ours}={c.name}" for ours, c in mapped.items() if not options.column and c.scale == 1.0]
+    columns = [f"{ours}={c.option}" for ours, c in mapped.items() if not options.column]
     words = [word for column in (*options.column, *columns) for word in ("--column", column)]
     counts = next((c.counts_per_turn for c in mapped.values() if c.counts_per_turn), None)
     if counts and options.counts_per_turn is None:
@@ -312,6 +331,7 @@ def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:
         value = getattr(options, option, None)
         if value is not None:
             words += [f"--{option.replace('_', '-')}", f"{value:g}" if isinstance(value, float) else value]
+    words += [word for path in options.join for word in ("--join", path)]
     return [*words, *(["--drop-bad"] if options.drop_bad else [])]
 
 

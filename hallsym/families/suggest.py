@@ -17,7 +17,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.families import FAMILIES, build
 from hallsym.log import Meta
-from hallsym.log.columns import likely_units, limit_of
+from hallsym.log.columns import RUN_WORDS, limit_of
 from hallsym.log.table import Source
 from hallsym.model import Model
 from hallsym.units import UNITS, Array, quantity, si_name, split_unit
@@ -26,7 +26,7 @@ REF, READING, RUN, TIME, ANGLE = "ref", "reading", "run", "t", "angle"
 _SAME: dict[str, tuple[str, ...]] = {
     REF: ("ref", "reference", "ifm", "interferometer", "interf", "laser", "true", "cnc", "truth", "referenz"),
     READING: ("hall", "sensor", "probe", "hs", "ch", "channel", "adc", "sonde"),
-    RUN: ("run", "pass", "scan", "sweep", "trial", "segment", "lauf", "fahrt", "messung", "measurement"),
+    RUN: RUN_WORDS,
     TIME: ("t", "time", "timestamp", "zeit", "clock", "elapsed", "temps"),
     ANGLE: ("angle", "theta", "phi", "winkel", "rotation", "rot"),
     "sin": ("sin", "sine", "sinus"),
@@ -95,66 +95,105 @@ def numbers_of(names: tuple[str, ...]) -> tuple[int, ...]:
 
 ROWS = 50_000
 """Samples that are looked at."""
-STATED, BY_SIZE = "its unit is stated", "UNIT ONLY BY ITS SIZE"
+STATED, BY_SIZE = "its unit is stated", "CHECK THE UNIT: assumed from its size"
 MOVES = 0.9
 """Correlation from which a column moves as another one does: the other axes and the noise make the rest."""
 NEAR = 3.0
 """Ratio of sizes up to which a unit fits: gains and nominal values are not exact."""
 OTHERS = ("temperature", "current", "speed")
+CLOCKS_HZ = (1.0, 2e4)
+"""Rates that loggers of positions record at: a time whose ticks could be ms or s is asked about."""
+WRAPPED = 0.95
+"""Share of a turn from which on a column up to a turn is one that begins again."""
+COUNTED = 256
+"""Whole numbers over at least this range, those of eight bits, may be counts of a converter."""
 
 
 @dataclass(frozen=True)
 class Guess:
-    """Our stem for a column of the file, its unit ("" where nothing tells it), and what speaks for it."""
+    """Our stem for a column of the file, the units it may have, and what speaks for it.
+
+    `units`: one where it is known or can be assumed, several where somebody must choose, none where nothing
+    tells. `raw`: what the values are where they need a scale, such as counts. `scale`: one that serves, where
+    only ratios count.
+    """
 
     stem: str
     theirs: str
-    unit: str
+    units: tuple[str, ...]
     why: str
     sign: int = 1
     counts_per_turn: int | None = None
+    raw: str = ""
+    scale: float | None = None
 
     @property
-    def ours(self) -> str:
-        """Our name, with the unit."""
-        return self.stem if self.stem == RUN else f"{self.stem}_{self.unit or 'UNIT'}"
-
-    def in_unit(self, unit: str, said: str, turn: int | None = None) -> Guess:
-        """Return the guess with a unit, what is said for it, and counts per turn."""
-        return replace(self, unit=unit, why=f"{self.why}; {said}", counts_per_turn=turn)
+    def unit(self) -> str:
+        """The unit; "" where it is open."""
+        return self.units[0] if len(self.units) == 1 and not self.raw else ""
 
     @property
-    def line(self) -> str:
-        """The line of a column file; a comment where the unit is not known."""
+    def open(self) -> bool:
+        """Whether somebody must choose."""
+        return not self.unit and self.stem != RUN
+
+    def in_units(self, *units: str, said: str, turn: int | None = None, raw: str = "") -> Guess:
+        """Return the guess with units, what is said for them, and counts per turn."""
+        return replace(self, units=units, why=f"{self.why}; {said}", counts_per_turn=turn, raw=raw)
+
+    @property
+    def lines(self) -> list[str]:
+        """The lines of a column file; comments where somebody must choose."""
         name = json.dumps(self.theirs, ensure_ascii=False)
         more = ", sign = -1" if self.sign < 0 else ""
         more += f", counts_per_turn = {self.counts_per_turn}" if self.counts_per_turn else ""
-        entry = f"{self.ours} = {{ name = {name}{more} }}" if more else f"{self.ours} = {name}"
-        lacking = not self.unit and self.stem != RUN
-        return f"# {entry}" if lacking else entry
+        more += (
+            ", scale = 1.0, offset = 0.0" if self.raw else f", scale = {self.scale!r}" if self.scale else ""
+        )
+        entry = f"{{ name = {name}{more} }}" if more else name
+        names = [RUN] if self.stem == RUN else [f"{self.stem}_{u}" for u in self.units or ("UNIT",)]
+        return [f"{'# ' if self.open else ''}{ours} = {entry}" for ours in names]
+
+    @property
+    def as_it_is(self) -> bool:
+        """Whether the file's own name says it all."""
+        return self.theirs == (RUN if self.stem == RUN else f"{self.stem}_{self.unit}") and self.sign > 0
 
 
 @dataclass(frozen=True)
 class Suggestion:
     """Guesses for a file and the model they are for; `rest`: columns that nothing is known of."""
 
-    model: str
+    model: Model
     guesses: tuple[Guess, ...]
     rest: tuple[str, ...]
 
+    @property
+    def open(self) -> tuple[str, ...]:
+        """Our names of columns of the model whose unit or scale somebody must choose."""
+        return tuple(g.stem for g in self.guesses if g.open and g.stem not in OTHERS)
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """Columns of the model that no column of the file is like."""
+        known = {g.stem for g in self.guesses}
+        return tuple(
+            c for c in (*self.model.channels, *self.model.references) if split_unit(c)[0] not in known
+        )
+
     def to_toml(self, log: str) -> str:
         """Return the column file, each line with what speaks for it."""
-        mapped = [g for g in self.guesses if g.ours != g.theirs]
-        width = max((len(g.line) for g in mapped), default=0)
-        lines = [f"{g.line.ljust(width)}  # {g.why}" for g in mapped]
-        own = [g.theirs for g in self.guesses if g.ours == g.theirs]
+        rows = [(line, g.why) for g in self.guesses if not g.as_it_is for line in g.lines]
+        width = max((len(line) for line, _ in rows), default=0)
+        lines = [f"{line.ljust(width)}  # {why}" for line, why in rows]
+        own = [g.theirs for g in self.guesses if g.as_it_is]
         lines += [f"# read as they are: {', '.join(own)}"] if own else []
-        others = [f"# not used: {', '.join(map(repr, self.rest))}"] if self.rest else []
+        lines += [f"# not used: {', '.join(map(repr, self.rest))}"] if self.rest else []
         head = [
-            f"# Suggested for {log}, as {self.model} needs it. Check every line: nothing of it is used",
-            "# until you give the file with --column-file. A line that begins with # lacks its UNIT (um).",
+            f"# For {log}, as {self.model.name} needs it. Check every line.",
+            "# Of lines that begin with #, remove the # of the right one: nothing in the file tells which.",
         ]
-        return "\n".join([*head, "", "[columns]", *lines, *others, ""])
+        return "\n".join([*head, "", "[columns]", *lines, ""])
 
 
 def suggest(source: Source, model: str | None = None, meta: Meta | None = None) -> Suggestion:
@@ -172,7 +211,7 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
     order = {stem: k for k, stem in enumerate((RUN, TIME, *_stems(chosen), *OTHERS))}
     known = {g.theirs for g in guesses}
     return Suggestion(
-        chosen.name,
+        chosen,
         tuple(sorted(guesses, key=lambda g: order[g.stem])),
         tuple(name for name in source.names if name not in known),
     )
@@ -272,16 +311,28 @@ def _by_name(source: Source, data: Mapping[str, Array], model: Model) -> list[Gu
         for name in data
         if own[name] in ("", stem)  # a name of ours is not another one of ours
         and (stem not in (RUN, TIME) or _behaves(stem, data[name]))
-        and _unit_fits(source, name, stem, model)
     ]
-    pairs = [(likeness(stem, name, numbers), stem, name) for stem, name in fitting]
-    # an index is no time
-    pairs += [(BARE / 2, s, n) for s, n in fitting if s == RUN or (s == TIME and not _whole(data[n]))]
+    silent = {name for name in data if not words_of(name, unit=True)}
+    pairs = []
+    for stem, name in fitting:
+        like, fits = likeness(stem, name, numbers), _unit_fits(source, name, stem, model)
+        if fits or (like > BARE and stem in _stems(model)):  # in V or counts it lacks a scale
+            pairs.append((like if fits else like / 2, stem, name))
+        if name in silent and fits and _stated(source, name) and stem not in (RUN, TIME):
+            pairs.append((BARE / 2, stem, name))
+        if fits and (stem == RUN or (stem == TIME and not _whole(data[name]))):  # an index is no time
+            pairs.append((BARE / 2, stem, name))
     found = []
     for score, stem, name in _likeliest(p for p in pairs if p[0] > 0):
-        by_data = "its data: whole numbers that stay" if stem == RUN else "its data"
-        guess = Guess(stem, name, "", "its name" if score >= BARE else by_data)
-        found.append(_with_unit(source, data[name], guess))
+        by_data = (
+            "its data: whole numbers that stay"
+            if stem == RUN
+            else "its unit"
+            if name in silent
+            else "its data"
+        )
+        guess = Guess(stem, name, (), "its name" if score >= BARE or stem not in (RUN, TIME) else by_data)
+        found.append(_with_unit(source, data[name], guess, model))
     return found
 
 
@@ -320,48 +371,84 @@ def _own(name: str) -> str:
 
 def _unit_fits(source: Source, name: str, stem: str, model: Model) -> bool:
     """Say whether the unit of a column, where it is stated, is one that the model takes, or counts of it."""
-    stated = _stated(source, name)
-    taken = {
-        split_unit(c)[0]: c.rpartition("_")[2] for c in (*model.channels, *model.state, *model.references)
-    }
-    kinds = (taken[stem],) if stem in taken else quantity(stem)
+    stated, kinds = _stated(source, name), _kinds(stem, model)
     return not stated or stem == RUN or UNITS[stated].si in (*kinds, *("count",) * ("rad" in kinds))
 
 
-def _with_unit(source: Source, values: Array, guess: Guess, expected: Array | None = None) -> Guess:
-    """Add the unit that the file states, else the one in which the values are as large as they should be.
+def _kinds(stem: str, model: Model) -> tuple[str, ...]:
+    """Return the SI units that the model takes a column in."""
+    columns = (*model.channels, *model.state, *model.references)
+    return tuple(c.rpartition("_")[2] for c in columns if split_unit(c)[0] == stem) or quantity(stem)
 
-    That is what is `expected` of them, or what is likely. An angle that goes round: whole numbers are counts,
-    up to 7 radians, up to 400 degrees.
+
+def _with_unit(
+    source: Source, values: Array, guess: Guess, model: Model, expected: Array | None = None
+) -> Guess:
+    """Add the unit that the file states, else those in which the values are as large as they can be.
+
+    `expected`: what the values should be in SI, which decides.
     """
     if guess.stem == RUN:
         return guess
-    stated, kinds = _stated(source, guess.theirs), quantity(guess.stem)
-    if stated and UNITS[stated].si == "count" and "rad" in kinds:
-        return guess.in_unit("count", f"{STATED}, THE TURN ONLY BY ITS SIZE", _turn(values))
-    if stated:
-        return guess.in_unit(stated, STATED)
+    stated, kinds = _stated(source, guess.theirs), _kinds(guess.stem, model)
+    whole = _whole(values) and np.ptp(values) >= COUNTED
+    going_round = "rad" in kinds and limit_of(f"{guess.stem}_rad") is None
+    if going_round and (stated == "count" or (whole and not stated)):
+        said = STATED if stated else "whole numbers"
+        return guess.in_units(
+            "count", said=f"{said}; CHECK THE TURN: assumed from its size", turn=_turn(values)
+        )
+    if stated and UNITS[stated].si in kinds:
+        return guess.in_units(stated, said=STATED)
+    units = [UNITS[u] for u in _possible(guess.stem, kinds, values)]
+    if whole and not stated and kinds[:1] == ("v",):
+        full = _turn(values)
+        return replace(
+            guess, units=("v",), scale=1 / full, why=f"{guess.why}; counts, 1 V is taken for {full}"
+        )
+    if stated or whole:
+        unit = {"m": "um", "rad": "urad"}.get(kinds[0], kinds[0]) if kinds else "UNIT"
+        raw = stated or "counts"
+        said = (
+            f"in {raw}: state {unit} per {raw}" if stated else f"counts? state {unit} each; else drop scale"
+        )
+        return guess.in_units(
+            unit, *(u.name for u in units if u.name != unit and not stated), said=said, raw=raw
+        )
     if expected is not None:
         apart = {u.name: abs(np.log(u.factor * np.std(values) / np.std(expected)))
                  for u in UNITS.values() if u.si in kinds[:1]}  # fmt: skip
         best = min(apart, key=lambda u: apart[u], default="")
-        return guess.in_unit(best, BY_SIZE) if best and apart[best] < np.log(NEAR) else guess
-    span = float(np.nanmax(values) - np.nanmin(values))
-    for si in kinds:
-        limit = limit_of(f"{guess.stem}_{si}")
-        if limit and span > 0:
-            units = [si] if span <= limit.likely else likely_units(limit, span)
-            if units:
-                return guess.in_unit(units[0], BY_SIZE)
-    if "rad" not in kinds:
-        return guess
-    if _whole(values) and span > 400:
-        return guess.in_unit("count", "COUNTS ONLY BY SIZE", _turn(values))
-    return guess.in_unit("rad" if span < 7 else "deg", BY_SIZE) if span < 400 else guess
+        return guess.in_units(best, said=BY_SIZE) if best and apart[best] < np.log(NEAR) else guess
+    said = BY_SIZE if len(units) == 1 else "its unit is not stated"
+    return guess.in_units(*(u.name for u in units), said=said)
+
+
+def _possible(stem: str, kinds: Sequence[str], values: Array) -> list[str]:
+    """Return the units in which values are as large as they can be, down to one that makes them usual."""
+    known = values[np.isfinite(values)]
+    span = float(np.ptp(known))
+    if stem == TIME:
+        tick = float(np.median(np.diff(known)))
+        fits = {u: tick * UNITS[u].factor for u in ("s", "ms", "us", "ns") if tick > 0}
+        return [u for u, s in fits.items() if 1 / CLOCKS_HZ[1] <= s <= 1 / CLOCKS_HZ[0]]
+    limit = next((limit for si in kinds if (limit := limit_of(f"{stem}_{si}"))), None)
+    if limit is None:
+        turns = {u.name: 1 / u.factor for u in UNITS.values() if "rad" in kinds and u.name in ("deg", "rad")}
+        wrapped = [u for u, rad in turns.items() if WRAPPED <= span / (2 * np.pi * rad) <= 1.001]
+        return wrapped or list(turns)
+    found = []
+    for unit in dict.fromkeys((limit.si, *limit.instead)):
+        size, level = span * UNITS[unit].factor, np.abs(known * UNITS[unit].factor + UNITS[unit].offset).max()
+        if size <= limit.span and level <= limit.level:
+            found.append(unit)
+            if 0 < size <= limit.likely:
+                break
+    return found
 
 
 def _turn(values: Array) -> int:
-    return 1 << int(np.nanmax(values)).bit_length()
+    return 1 << int(np.nanmax(values) - np.nanmin(values)).bit_length()
 
 
 # -- by motion -------------------------------------------------------------------------------------------
@@ -389,8 +476,8 @@ def _by_motion(
     found = []
     for _, stem, name in _likeliest((abs(r), *pair) for pair, r in likely.items() if abs(r) >= MOVES):
         r = likely[stem, name]
-        guess = Guess(stem, name, "", f"moves as {stem} should (r = {r:.3f})", 1 if r > 0 else -1)
-        found.append(_with_unit(source, data[name], guess, expected[stem]))
+        guess = Guess(stem, name, (), f"moves as {stem} should (r = {r:.3f})", 1 if r > 0 else -1)
+        found.append(_with_unit(source, data[name], guess, model, expected[stem]))
     return found
 
 

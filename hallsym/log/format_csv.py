@@ -20,6 +20,8 @@ COMPRESSED = 8
 """What text of numbers becomes larger by when it is decompressed, at most."""
 BLOCK = 1 << 19
 """Bytes that pyarrow reads at once: it holds some ten of them."""
+BEGINNING = 100
+"""Rows among which the first moment of a column of times is."""
 _TORN = "The last line of {} does not end with a newline: if the file was cut short, its last value is wrong."
 
 
@@ -67,6 +69,15 @@ class CsvSource(Source):
         columns = super().read(names)
         self._rows = len(next(iter(columns.values()), ())) if names else self._rows
         return columns
+
+    def epoch(self, name: str) -> float | None:
+        """Return the moment of the first cell of a column of times."""
+        at = self.names.index(name)
+        if at not in self.times:
+            return None
+        seconds = Seconds(self.times[at], f"Column '{name}' of {self.where}")
+        seconds(load("pyarrow").array([row[at] for row in self.head(BEGINNING, at + 1) if len(row) > at]))
+        return seconds.epoch
 
     def head(self, count: int, most: int) -> list[list[str]]:
         """Return the first rows as the file writes them."""

@@ -1,4 +1,4 @@
-"""Parquet logs, through pyarrow."""
+"""Parquet, Feather and lines of JSON, through pyarrow."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import (
+    TICK_S,
     Moments,
     array_of,
     first_tick,
@@ -16,8 +17,9 @@ from hallsym.log.arrow import (
     is_time,
     name_the_time,
     said_of_times,
+    source_of,
 )
-from hallsym.log.table import IN_MEMORY_ROWS, Source, label, load
+from hallsym.log.table import IN_MEMORY_ROWS, Arrays, Source, label, load
 from hallsym.units import Array
 
 _BUFFER = 1 << 20
@@ -37,6 +39,10 @@ class ParquetSource(Source):
             schema = file.schema_arrow
             own = list(schema.names)
             self.rows = int(file.metadata.num_rows)
+            kinds = zip(own, schema.types, strict=True)
+            self.moments = {
+                name: TICK_S[kind.unit] for name, kind in kinds if str(kind).startswith("timestamp")
+            }
             times = [k for k, kind in enumerate(schema.types) if is_time(kind)]
             for k in times:
                 self._begin(file, own[k])
@@ -52,6 +58,11 @@ class ParquetSource(Source):
             if (first := first_tick(batch.column(name))) is not None:
                 self.origins[name] = first
                 return
+
+    def epoch(self, name: str) -> float | None:
+        """Return the moment of the first value of a column of times."""
+        own = self._own[name]
+        return self.origins[own] * self.moments[own] if own in self.origins and own in self.moments else None
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns."""
@@ -94,6 +105,23 @@ class ParquetSource(Source):
             else:
                 raise InputError(f"Column '{own}' of {self.path} must hold numbers; it holds {kind}.")
         return found
+
+
+def open_feather(path: Path) -> Arrays:
+    """Open a file or a stream of Arrow (Feather)."""
+    arrow = load("pyarrow")
+    stream = arrow.memory_map(str(path))
+    try:
+        table = load("pyarrow.feather").read_table(stream)
+    except arrow.ArrowInvalid:
+        stream.seek(0)
+        table = load("pyarrow.ipc").open_stream(stream).read_all()
+    return source_of(table, quoted(path))
+
+
+def open_json(path: Path) -> Arrays:
+    """Open a file with one JSON object a line, each with the same keys."""
+    return source_of(load("pyarrow.json").read_json(path), quoted(path))
 
 
 class ParquetWriter:

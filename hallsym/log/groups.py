@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 
 import numpy as np
@@ -29,8 +29,9 @@ class Group(ABC):
 
     `name`: as the file has it; `rows`: samples; `channels`: names of the channels of numbers; `units`: what
     the file states of them; `first`, `last`: time of the first and the last sample in seconds, None without a
-    time base; `since`: from what time counts, which two clocks must have in common; `clock`: the channel that
-    is the time base, "" where the format gives it.
+    time base; `since`: from what time counts, which two clocks must have in common; `epoch`: the moment of
+    its zero in seconds, where it is known; `clock`: the channel that is the time base, "" where the format gives
+    it; `timed`: whether time is one of its columns.
     """
 
     name: str
@@ -41,10 +42,20 @@ class Group(ABC):
     last: float | None = None
     since: str = ""
     clock: str = ""
+    epoch: float | None = None
+    timed: bool = True
 
     @abstractmethod
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of exactly `size` rows, the last one of what is left; also of `TIME`."""
+
+    def begin(self) -> None:  # noqa: B027
+        """Find the times of the first and the last sample, where they have to be read."""
+
+    def seconds(self, name: str) -> float:
+        """Return the seconds of a channel's unit, 0 where it has another unit."""
+        unit = UNITS[self.units[name]] if name in self.units else split_unit(name)[1]
+        return unit.factor if unit and unit.si == "s" else 0.0
 
     @property
     def rate(self) -> float:
@@ -57,6 +68,62 @@ class Group(ABC):
         """Return the group in words: `Hall (4 channels at 10 kHz)`."""
         rate = f" at {hertz(self.rate)}" if self.rate else ""
         return f"{self.name} ({counted(len(self.channels), 'channel')}{rate})"
+
+
+class Columns(Group):
+    """Columns of equal length of a source; the one of time, where there is one, is the clock.
+
+    `own`: the source's name of each channel (all of its columns by default). `times`: seconds of the unit of
+    columns that somebody mapped as the time.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        source: Source,
+        own: Mapping[str, str] | None = None,
+        times: Mapping[str, float] | None = None,
+    ) -> None:
+        self.name, self.source, self.shift = name, source, 0.0
+        self.own = dict(own) if own else {name: name for name in source.names}
+        self.channels = tuple(self.own)
+        self.units = {c: source.units[o] for c, o in self.own.items() if o in source.units}
+        self.factors = {c: factor for c in self.channels if (factor := self.seconds(c))}
+        mapped = {c: factor for c, factor in (times or {}).items() if c in self.own}
+        usual = [c for c in self.factors if split_unit(c)[0] == OWN_TIME] or list(self.factors)
+        self.factors |= mapped
+        self.clock = next(iter(mapped), usual[0] if len(usual) == 1 else "")
+
+    @cached_property
+    def rows(self) -> int:  # type: ignore[override]
+        """Samples; a file of text is counted when that is asked first."""
+        return self.source.count()
+
+    def begin(self) -> None:
+        """Read the clock once."""
+        if not self.clock:
+            return
+        self.epoch = self.source.epoch(self.own[self.clock])
+        self.since = "zero" if self.epoch is None else "a moment"
+        ends = [(p[TIME][0], p[TIME][-1]) for p in self.chunks([TIME], CHUNK_ROWS) if len(p[TIME])]
+        self.first, self.last = (float(ends[0][0]), float(ends[-1][1])) if ends else (None, None)
+
+    def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
+        """Yield consecutive chunks of exactly `size` rows, the last one of what is left; also of `TIME`."""
+        own = {name: self.own[self.clock if name == TIME else name] for name in names}
+        wanted = list(dict.fromkeys(own.values()))
+        factor = self.factors.get(self.clock, 1.0)
+        for piece in exact(self.source.chunks(wanted, size), size, wanted):
+            yield {n: piece[o] * factor + self.shift if n == TIME else piece[o] for n, o in own.items()}
+
+
+def from_one_moment(groups: Sequence[Columns]) -> None:
+    """Let the clocks that state a moment count from the earliest one."""
+    known = [g for g in groups if g.since == "a moment" and g.epoch is not None and g.first is not None]
+    earliest = min((g.epoch for g in known if g.epoch is not None), default=0.0)
+    for g in known:
+        g.shift = (g.epoch or 0.0) - earliest
+        g.first, g.last = (g.first or 0.0) + g.shift, (g.last or 0.0) + g.shift
 
 
 @dataclass(frozen=True)
@@ -86,10 +153,10 @@ class Place:
     channel: str
 
 
-def places(groups: Sequence[Group]) -> tuple[dict[str, Place], dict[str, str]]:
+def places(groups: Sequence[Group], by: str = "/") -> tuple[dict[str, Place], dict[str, str]]:
     """Name channels by themselves where that is unique, else `group/channel`; times that a format gives too.
 
-    Returns (name -> place, long name -> name).
+    `by`: between group and channel. Returns (name -> place, long name -> name).
     """
     ends = Counter(channel for g in groups for channel in g.channels)
     places: dict[str, Place] = {}
@@ -97,13 +164,12 @@ def places(groups: Sequence[Group]) -> tuple[dict[str, Place], dict[str, str]]:
     clocked: set[tuple[float | None, float | None, int]] = set()
     for g in groups:
         clock = (g.first, g.last, g.rows)
-        if g.first is not None and not g.clock and clock not in clocked:
-            long = f"{g.name}/{OWN_TIME}"
-            name = long if OWN_TIME in ends or clocked else OWN_TIME
+        if g.timed and g.first is not None and not g.clock and clock not in clocked:
+            name = f"{g.name}{by}{OWN_TIME}" if OWN_TIME in ends or clocked else OWN_TIME
             places[name] = Place(g, TIME)
             clocked.add(clock)
         for channel in g.channels:
-            long = f"{g.name}/{channel}"
+            long = f"{g.name}{by}{channel}" if g.name else channel
             name = channel if ends[channel] == 1 else long
             places[name] = Place(g, channel)
             if name != long:
@@ -111,14 +177,17 @@ def places(groups: Sequence[Group]) -> tuple[dict[str, Place], dict[str, str]]:
     return places, aliases
 
 
-def runs(groups: Sequence[Group]) -> list[Group]:
-    """Return the groups in the order of their numbers, if they are runs; else none."""
-    same = len({g.channels for g in groups}) == 1 and len(groups) > 1
-    numbered = same and all(re.search(r"\d$", g.name) for g in groups)
-    numbers = [number_of(g.name) for g in groups] if numbered else []
-    if not numbers or len(set(numbers)) < len(numbers) or len({tuple(g.units.items()) for g in groups}) > 1:
-        return []
-    return sorted(groups, key=lambda g: number_of(g.name))
+def runs(groups: Sequence[Group], named: bool = True) -> dict[int, Group]:
+    """Return groups of the same channels in the order of their numbers, if they are runs; else none.
+
+    `named`: only groups whose names end in different numbers are runs; others are counted from 0.
+    """
+    same = len({(*sorted(g.channels), *sorted(g.units.items())) for g in groups}) == 1 and len(groups) > 1
+    numbers = [number_of(g.name) if re.search(r"\d$", g.name) else -1 for g in groups]
+    if -1 in numbers or len(set(numbers)) < len(numbers):
+        numbers = [] if named else list(range(len(groups)))
+    found = dict(zip(numbers, groups, strict=True)) if same and numbers else {}
+    return {k: found[k] for k in sorted(found)}
 
 
 def number_of(name: str) -> int:
@@ -183,35 +252,58 @@ SHOWN_GROUPS = 4
 
 
 class GroupedSource(Source):
-    """One table of the groups of a file."""
+    """One table of groups: those of a file, or whole files."""
 
     def __init__(
-        self, where: str, kind: str, groups: Sequence[Group], left_out: Mapping[str, str], clock: str | None
+        self,
+        where: str,
+        kind: str,
+        groups: Sequence[Group],
+        left_out: Mapping[str, str],
+        clock: str | None,
+        *,
+        by: str = "/",
+        files: bool = False,
     ) -> None:
-        """Arrange groups of a `kind` ("TDMS") of the file that messages call `where`."""
+        """Arrange groups of a `kind` ("TDMS") of what messages call `where`.
+
+        `by`: as in `places`. `files`: each group is a file; those of the same columns are runs whatever they
+        are called, others are read at the samples of the slowest where no `clock` is stated.
+        """
         self.where = where
-        self.left_out: dict[str, str] = {**left_out} | {
-            g.name: "it holds one sample" for g in groups if g.rows == 1
-        }
-        filled = [g for g in groups if g.channels and g.rows > 1]
+        most = max((g.rows for g in groups), default=0)
+        filled = [g for g in groups if g.channels and g.rows > min(most - 1, 1)]
         if not filled:
-            raise InputError(
-                f"Log {where} has no channel of numbers with two samples or more; record it again."
-            )
+            raise InputError(f"Log {where} has no channel of numbers with samples; record it again.")
+        self.left_out: dict[str, str] = {**left_out} | {
+            g.name or channel: "it holds one sample"
+            for g in groups
+            if g not in filled
+            for channel in g.channels
+        }
         stated = None if clock is None else Clock.read(clock)
-        self.runs = [] if stated else runs(filled)
-        self.sets = [filled[:1]] if self.runs else on_one_clock(filled)
+        self.runs = {} if stated else runs(filled, named=not files)
+        if not self.runs:
+            for g in filled:
+                g.begin()
+            from_one_moment([g for g in filled if isinstance(g, Columns)])
+        self.sets = [[next(iter(self.runs.values()))]] if self.runs else on_one_clock(filled)
+        if files and not stated and len(self.sets) > 1 and all(m[0].first is not None for m in self.sets):
+            stated = Clock(min((m[0] for m in self.sets), key=lambda g: g.rate).name, METHODS[0])
         self.stated, self.master = stated, self._master(stated)
         kept = [self.master, *(g for members in self.sets for g in members if g is not self.master)]
-        self.places, self.aliases = places(kept)
+        if stated:
+            self._leave_other_clocks()
+        self.places, self.aliases = places(kept, by)
         own = {n: "s" if p.channel == TIME else p.group.units.get(p.channel) for n, p in self.places.items()}
         self.units = {name: unit for name, unit in own.items() if unit}
-        self._leave_other_clocks()
-        self.names = (*((RUN,) if self.runs else ()), *self.places)
-        self.rows = sum(g.rows for g in self.runs) or self.master.rows
+        numbered = self.runs and RUN not in self.places
+        self.names = (*((RUN,) if numbered else ()), *self.places)
+        self.rows = sum(g.rows for g in self.runs.values()) or self.master.rows
         self.small = self.rows <= IN_MEMORY_ROWS
         self.recognised = self._said(kind, filled)
-        self.notes = (f"{where} is read as {self.recognised}.",) if len(self.sets) > 1 else ()
+        told = len(self.sets) > 1 or (files and len(filled) > 1)
+        self.notes = (f"{where} is read as {self.recognised}.",) if told else ()
         self.unstated = "" if stated or len(self.sets) == 1 else self._ask()
 
     def count(self) -> int:
@@ -240,12 +332,12 @@ class GroupedSource(Source):
         timed = [members for members in self.sets if members[0].first is not None]
         usual = max(timed or self.sets, key=lambda members: sum(len(g.channels) for g in members))
         master = named[stated.group] if stated else usual[0]
-        kept = []
+        kept: list[list[Group]] = []
         for members in self.sets:
             if members[0].first is not None or master in members:
                 kept.append(members)
                 continue
-            why = f"it has no time base and {members[0].rows} samples where {master.name} has {master.rows}"
+            why = f"it has no time base and {members[0].rows} values where the others have {master.rows}"
             self.left_out.update({channel: why for g in members for channel in g.channels})
         self.sets = kept
         if stated and master.first is None:
@@ -255,14 +347,14 @@ class GroupedSource(Source):
         return master
 
     def _leave_other_clocks(self) -> None:
-        """Leave out the time of groups that are read on another's clock."""
-        if not self.stated:
-            return
-        mine = self._mine()
-        for name, place in list(self.places.items()):
-            if place.group not in mine and place.channel in (TIME, place.group.clock):
-                del self.places[name]
-                self.left_out[name] = f"it is the time of {place.group.name}"
+        """Leave out the time, and the run, of groups that are read on another's clock."""
+        for g in self._others():
+            dropped = {g.clock: "time", RUN: "run"}
+            self.left_out |= {
+                f"{g.name}/{c}": f"it is the {dropped[c]} of {g.name}" for c in dropped if c in g.channels
+            }
+            g.channels = tuple(c for c in g.channels if c not in dropped)
+            g.timed = False
 
     def _own(self) -> str:
         return next(name for name, place in self.places.items() if place.group is self.master)
@@ -271,7 +363,10 @@ class GroupedSource(Source):
         named = ", ".join(g.said() for g in groups[:SHOWN_GROUPS])
         more = f" and {len(groups) - SHOWN_GROUPS} more" if len(groups) > SHOWN_GROUPS else ""
         if self.runs:
-            return f"{kind}: {len(self.runs)} groups that are runs, {self.runs[0].said()}{more and ', ...'}"
+            counted_from_0 = any(number_of(g.name) != k for k, g in self.runs.items())
+            named = ", ".join(f"run {k} is {g.name}" for k, g in list(self.runs.items())[:SHOWN_GROUPS])
+            first = named if counted_from_0 else self.sets[0][0].said()
+            return f"{kind}: {len(self.runs)} runs, {first}{more and ', ...'}"
         text = f"{kind}: {named}{more}"
         if len(self.sets) == 1:
             return text
@@ -279,7 +374,10 @@ class GroupedSource(Source):
             return f"{text} on {len(self.sets)} clocks"
         how = "the nearest sample" if self.stated.method == "nearest" else "linear between samples"
         whole = "" if self.stated.method == "nearest" else " (whole numbers: the nearest)"
-        return f"{text}, at the samples of {self.master.name}, other groups {how}{whole}"
+        begin, end = self._shared()
+        cut = (begin, end) != (self.master.first, self.master.last)
+        left = f", from {begin:.6g} to {end:.6g} s, where all were recorded" if cut else ""
+        return f"{text}, at the samples of {self.master.name}, other groups {how}{whole}{left}"
 
     def _ask(self) -> str:
         clocks = [members[0] for members in self.sets]
@@ -304,22 +402,15 @@ class GroupedSource(Source):
             }
 
     def _chunks_of_runs(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
-        for group in self.runs:
-            channels = {name: self.places[name].channel for name in names if name != RUN}
+        channels = {name: self.places[name].channel for name in names if name in self.places}
+        for run, group in self.runs.items():
             asked = list(channels.values()) or [group.channels[0]]
             for piece in group.chunks(asked, size):
                 rows = len(next(iter(piece.values())))
-                run = number_of(group.name)
-                yield {name: piece[channels[name]] if name != RUN else np.full(rows, run) for name in names}
+                yield {n: piece[channels[n]] if n in channels else np.full(rows, run) for n in names}
 
     def _resampled(self, names: Sequence[str], size: int, method: str) -> Iterator[Mapping[str, Array]]:
         mine, others = self._mine(), self._others()
-        for g in others:
-            if g.since != self.master.since:
-                raise InputError(
-                    f"Groups {self.master.name} and {g.name} of {self.where} count time from different starts"
-                    f" ({self.master.since} and {g.since}); they cannot be put on one clock."
-                )
         wanted = dict(_by_group(self.places, names))
         followers = [
             Follower(
@@ -331,8 +422,7 @@ class GroupedSource(Source):
             for g in others
         ]
         own = dict.fromkeys([*(name for name in names if self.places[name].group in mine), self._own()])
-        ends = [_ends(g, self.master) for g in others]
-        begin, end = max(first for first, _ in ends), min(last for _, last in ends)
+        begin, end = self._shared()
         times = self.master.chunks([TIME], size)
         pieces = self._joined(list(own), size)
         rows = ((time[TIME], piece) for time, piece in zip(times, pieces, strict=True))
@@ -345,6 +435,23 @@ class GroupedSource(Source):
         mine = self._mine()
         return [g for members in self.sets if members is not mine for g in members]
 
+    def _shared(self) -> tuple[float, float]:
+        """Return the times between which all groups were recorded."""
+        ends = [(g.first or 0.0, g.last or 0.0) for g in (self.master, *self._others())]
+        begin, end = max(first for first, _ in ends), min(last for _, last in ends)
+        for g, (first, last) in zip(self._others(), ends[1:], strict=True):
+            if g.since != self.master.since:
+                raise InputError(
+                    f"Groups {self.master.name} and {g.name} of {self.where} count time from different starts"
+                    f" ({self.master.since} and {g.since}); they cannot be put on one clock."
+                )
+            if begin >= end:
+                raise InputError(
+                    f"{self.master.name} ({ends[0][0]:.6g} to {ends[0][1]:.6g} s) and {g.name} ({first:.6g}"
+                    f" to {last:.6g} s) of {self.where} must overlap in time; count both from one start."
+                )
+        return begin, end
+
     def _turn(self, name: str) -> float:
         """Return a full turn in the unit of an angle, 0 for a column of another unit."""
         unit = UNITS[self.units[name]] if name in self.units else split_unit(name)[1]
@@ -354,16 +461,6 @@ class GroupedSource(Source):
 def _timed(group: Group, channels: Sequence[str], size: int) -> Iterator[tuple[Array, Mapping[str, Array]]]:
     for piece in group.chunks([TIME, *(c for c in channels if c != TIME)], size):
         yield piece[TIME], piece
-
-
-def _ends(group: Group, master: Group) -> tuple[float, float]:
-    """Return the times from which and up to which a group has values, where the ends differ by its period.
-
-    Beyond that it was not recorded, and the rows stay, without a value.
-    """
-    first, last, period = group.first or 0.0, group.last or 0.0, 1 / (group.rate or np.inf)
-    begin, end = master.first or 0.0, master.last or 0.0
-    return (first if first <= begin + period else begin), (last if last >= end - period else end)
 
 
 def _by_group(places: Mapping[str, Place], names: Sequence[str]) -> list[tuple[Group, list[tuple[str, str]]]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.log.columns import RUN, Binding, Foreign, has_meaning, listed
-from hallsym.units import Array
+from hallsym.units import Array, split_unit
 
 IN_MEMORY_ROWS = 2_000_000
 CHUNK_ROWS = 65_536
@@ -45,6 +46,10 @@ class Source(ABC):
     def count(self) -> int:
         """Return the number of rows."""
         return self.rows
+
+    def epoch(self, name: str) -> float | None:
+        """Return the moment of zero of a column of times, in seconds from a fixed day; None if unknown."""
+        return None
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns, each of shape (rows,)."""
@@ -108,10 +113,14 @@ class Table:
     """SI columns over a source. Small sources are kept in memory, one read per newly asked set of columns."""
 
     def __init__(self, source: Source, bindings: Mapping[str, Binding], where: str) -> None:
-        """Bind SI names to a source that messages call `where`."""
+        """Bind SI names to a source that messages call `where`.
+
+        `open`, set later: names of which somebody has yet to choose one in a column file.
+        """
         self.source, self.bindings, self.where = source, dict(bindings), where
         self.columns = tuple(self.bindings) if RUN in self.bindings else (RUN, *self.bindings)
         self._held: Piece = {}
+        self.open: tuple[str, ...] = ()
 
     @property
     def in_memory(self) -> bool:
@@ -143,6 +152,11 @@ class Table:
                 raise InputError(
                     f"Column {name} of {self.where} cannot be used: {self.source.left_out[name]}."
                 )
+            if choices := [c for c in self.open if split_unit(c)[0] == split_unit(name)[0]]:
+                raise InputError(
+                    f"The unit of {split_unit(name)[0]} of {self.where} must be chosen: remove the # before"
+                    f" {' or '.join(choices)} in the column file."
+                )
             sure = has_meaning(name)  # then no other column of a kind is meant for it
             others = [c for c in self.columns if not (sure and has_meaning(c))]
             raise InputError(
@@ -159,7 +173,9 @@ class Table:
     def mapping(self) -> dict[str, Foreign]:
         """The columns that somebody mapped: our name, with the unit where it was stated, and the file's."""
         return {
-            b.asked: Foreign(b.source, b.scale, b.counts_per_turn) for b in self.bindings.values() if b.asked
+            b.asked: replace(b.foreign, counts_per_turn=b.counts_per_turn)
+            for b in self.bindings.values()
+            if b.foreign
         }
 
     @property
@@ -200,6 +216,26 @@ class View:
         if name == "table":  # asked for while a copy is made, before it has one
             raise AttributeError(name)
         return getattr(self.table, name)
+
+
+class Resting(View):
+    """A table with further columns of one value each."""
+
+    def __init__(self, table: TableLike, values: Mapping[str, float]) -> None:
+        super().__init__(table)
+        self.values = dict(values)
+        self.columns = (*table.columns, *values)
+
+    def require(self, columns: Sequence[str]) -> None:
+        """Refuse columns that neither the log nor the further ones have."""
+        self.table.require([name for name in columns if name not in self.values])
+
+    def pieces(self, columns: Sequence[str], size: int) -> Iterator[Piece]:
+        """Yield consecutive pieces, as `Table.pieces` does."""
+        own = [name for name in columns if name not in self.values] or [RUN]
+        for piece in self.table.pieces(own, size):
+            rows = len(piece[own[0]])
+            yield {n: np.full(rows, self.values[n]) if n in self.values else piece[n] for n in columns}
 
 
 TableLike = Table | View

@@ -42,7 +42,7 @@ def found(suggestion: Suggestion) -> dict[str, tuple[str, str, int]]:
 
 def test_names_and_units(columns: dict[str, np.ndarray]) -> None:
     made = guessed(columns)
-    assert made.model == "stage31"
+    assert made.model.name == "stage31"
     assert made.rest == ()
     for ours, (name, _) in LAB.items():
         stem = "run" if ours == "run" else ours.rpartition("_")[0]
@@ -72,7 +72,7 @@ def test_an_angle_in_counts() -> None:
     made = suggest(
         open_source({"time [s]": t, "Angle [counts]": raw, "Angle ref [deg]": np.degrees(angle)})[2]
     )
-    assert made.model.startswith("rotary")
+    assert made.model.name.startswith("rotary")
     assert found(made)["angle"] == ("Angle", "count", 1)
     assert found(made)["angle_ref"] == ("Angle ref", "deg", 1)
     (angle_guess,) = [g for g in made.guesses if g.stem == "angle"]

@@ -17,8 +17,8 @@ from hallsym.log import (
     clean_log,
     estimate_noise,
     format_csv,
-    format_hdf5,
     format_parquet,
+    groups,
     read_log,
     spans,
     write_log,
@@ -27,7 +27,7 @@ from hallsym.log import (
 
 def nothing_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(format_parquet, "IN_MEMORY_ROWS", 100)
-    monkeypatch.setattr(format_hdf5, "IN_MEMORY_ROWS", 100)
+    monkeypatch.setattr(groups, "IN_MEMORY_ROWS", 100)
     monkeypatch.setattr(format_csv, "IN_MEMORY_BYTES", 100)
 
 

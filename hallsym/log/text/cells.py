@@ -113,12 +113,14 @@ LONGEST_UNIT = 12
 """Characters of a unit that is not known."""
 _BRACKETS = re.compile(r"(.*?)[\s_]*[\[({<]\s*([^\])}>]*?)\s*[\])}>]")
 _BEHIND = (
-    re.compile(r"(.*\S)\s*/\s*(\S+?(?:/\S+)?)"),
+    re.compile(r"([^/]*[^/\s])\s*/\s*(\S+?(?:/\S+)?)"),
     re.compile(r"(.*\S)\s+in\s+(\S+)"),
     re.compile(r"(.*\S),\s*(\S+)"),
 )
 
 
+_PROGRAMS = {"X_Value": ("t", "s")}
+"""Names that a program gives whatever is recorded: LabVIEW's of the time in its measurement files."""
 _PLAIN = re.compile(r"(.*\S)\s+(\S+)")
 _SURE = {
     "um", "nm", "mm", "urad", "mrad", "nrad", "deg", "mdeg", "arcsec", "ms", "us", "mv", "uv", "mt", "ut",
@@ -151,6 +153,8 @@ def split_header(text: str) -> tuple[str, str | None]:
     >>> split_header("x_ref [µm]"), split_header("Hall A / mV"), split_header("hall_a_m")
     (('x_ref', 'um'), ('Hall A', 'mv'), ('hall_a_m', None))
     """
+    if text in _PROGRAMS:
+        return _PROGRAMS[text]
     match = _BRACKETS.fullmatch(text)
     if match and match[1]:
         unit = unit_of(match[2])

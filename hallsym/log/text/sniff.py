@@ -106,6 +106,8 @@ LOOKED_AT = 200
 """Cells of a row that are looked at to tell data from words."""
 STEADY = 5
 """Rows of numbers in a row that show where a table begins, above which there may be words."""
+COMMENT = "comment"
+"""Last name of LabVIEW's measurement files, under which rows without a comment have no cell."""
 _QUOTED = re.compile(r'"[^"\n]*"')
 
 
@@ -179,6 +181,8 @@ def table_under(lines: Sequence[Line], delimiter: str) -> Table:
     top = _top(rows, numeric, width, start)
     if top >= 0 and delimiter == BLANKS and len(rows[top]) > width:
         rows[top] = _glued(rows[top], width)
+    if top >= 0 and len(rows[top]) == width + 1 and rows[top][-1].lower() == COMMENT:
+        del rows[top][-1]
     data = top + 1 if top >= 0 else start
     body = [k for k in range(data, len(rows)) if len(rows[k]) == width]
     cells = sum(min(width, LOOKED_AT) for _ in body)
@@ -353,6 +357,10 @@ def _units(table: Table, lines: list[Line]) -> tuple[int, int, list[str]]:
     row = table.rows[first]
     if len(row) == len(table.rows[table.top]) and is_unit_row(row):
         return first + 1, lines[first].number, row
+    for k in range(table.top - 1, -1, -1):  # a row of a header: its name, then units
+        units = [cell for cell in table.rows[k][1:] if cell]
+        if 2 * len(units) >= table.width > 1 and all(map(unit_of, units)):
+            return first, lines[k].number, ["", *table.rows[k][1:]]
     return first, 0, []
 
 
@@ -362,7 +370,12 @@ def _stems(names: list[str], units: list[str], where: str) -> dict[str, tuple[st
     name, times = Counter(texts).most_common(1)[0]
     if times > 1:
         raise InputError(f"Column names of {where} must differ; '{name}' stands there twice.")
+    paths = [text.rpartition("/") for text in texts]
+    groups = Counter(before for before, _, _ in paths if before)
     parts = [split_header(text) for text in texts]
+    for k, (before, _, last) in enumerate(paths):
+        if groups[before] > 1:  # what several columns have before a slash is a group of channels
+            parts[k] = (f"{before}/{split_header(last)[0]}", split_header(last)[1])
     stems = Counter(stem for stem, _ in parts)
     found: dict[str, tuple[str, str | None]] = {}
     for k, (text, (stem, unit)) in enumerate(zip(texts, parts, strict=True)):
@@ -412,7 +425,8 @@ def _padded(lines: list[Line], delimiter: str) -> bool:
 def _times(names: tuple[str, ...], body: list[list[str]]) -> dict[str, TimeForm]:
     """Return the columns of times as text, and how they are written."""
     found = {}
-    for k, name in enumerate(names):
+    width = min(map(len, body), default=0)
+    for k, name in enumerate(names[:width]):
         cells = [cell for row in body if not is_missing(cell := row[k].strip(' "'))]
         if cells and ":" in cells[0] and (form := time_form(cells)):
             found[name] = form
