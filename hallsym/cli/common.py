@@ -21,6 +21,8 @@ from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
 from hallsym.families.user import load_effects
 from hallsym.log import MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
+from hallsym.log.formats import files_of, open_source
+from hallsym.log.groups import GroupedSource
 from hallsym.model import Effect, Model
 from hallsym.records import named
 from hallsym.report.figures.campaign import fit_figure
@@ -184,6 +186,21 @@ def layout_notes(model: str | None, meta: Meta) -> list[str]:
     if family is None or not family.assumed:
         return []
     return [f"The layout is assumed: {family.assumed}. State that of your machine with --machine FILE."]
+
+
+def runs_in_files(options: Namespace, paths: Sequence[str]) -> list[str]:
+    """Return files as the words that name them as one log, where each is a run; else none.
+
+    A folder that holds nothing else is named in place of its files.
+    """
+    if len(paths) < 2 or any(Path(path).is_dir() for path in paths):
+        return []
+    source = open_source(list(paths), **{name: getattr(options, name) for name in FILE_OPTIONS}).source
+    if not (isinstance(source, GroupedSource) and source.numbered):
+        return []
+    folder = Path(paths[0]).parent
+    whole = set(files_of(folder)) == {Path(path) for path in paths}
+    return [str(folder)] if whole else list(paths)
 
 
 def refuse_twice(paths: Sequence[str]) -> None:

@@ -8,7 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import FILE_OPTIONS, command, log_options, open_log, reading_words, say
+from hallsym.cli.common import (
+    FILE_OPTIONS,
+    command,
+    layout_notes,
+    log_options,
+    open_log,
+    reading_words,
+    runs_in_files,
+    say,
+)
 from hallsym.cli.trajectory import about_curve
 from hallsym.errors import InputError, counted
 from hallsym.estimation import LOSSES, SOLVERS
@@ -61,7 +70,7 @@ def add(sub: Any) -> None:
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
-    options.file, *others = options.files or [None]
+    options.file, *others = runs_in_files(options, options.files) or options.files or [None]
     options.join = [*others, *options.join]
     if options.file is None:
         record: dict[str, Any] = {
@@ -164,22 +173,13 @@ def _write(options: Namespace) -> int:
     command = ["hallsym", "fit", options.file, *chosen, *reading_words(options)]
     check = f"Check {options.write}"
     if found.open:
-        check += (
-            f": in it the unit of {', '.join(found.open)} is open; remove the # of the right line of each"
-        )
-    notes = (
-        [f"no column is like {', '.join(found.lacking)}; name theirs in {options.write}."]
-        if found.lacking
-        else []
-    )
-    say(
-        options,
-        record,
-        lambda: f"{_head_text(source)}\n\n{text}\n{check}.",
-        notes=notes,
-        wrote=[options.write],
-        then=command,
-    )
+        open = ", ".join(found.open)
+        check += f": in it the unit of {open} is open; remove the # of the right line of each"
+    notes = [] if described else layout_notes(found.model.name, Meta())
+    if found.lacking:
+        notes.append(f"no column is like {', '.join(found.lacking)}; name theirs in {options.write}.")
+    said = f"{_head_text(source)}\n\n{text}\n{check}."
+    say(options, record, lambda: said, notes=notes, wrote=[options.write], then=command)
     return OK
 
 

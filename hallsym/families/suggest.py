@@ -17,7 +17,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.families import FAMILIES, build
 from hallsym.log import Meta
-from hallsym.log.columns import RUN_WORDS, limit_of
+from hallsym.log.columns import RUN_WORDS, TIME_WORDS, limit_of
 from hallsym.log.table import Source
 from hallsym.model import Model
 from hallsym.units import UNITS, Array, quantity, si_name, split_unit
@@ -27,7 +27,7 @@ _SAME: dict[str, tuple[str, ...]] = {
     REF: ("ref", "reference", "ifm", "interferometer", "interf", "laser", "true", "cnc", "truth", "referenz"),
     READING: ("hall", "sensor", "probe", "hs", "ch", "channel", "adc", "sonde"),
     RUN: RUN_WORDS,
-    TIME: ("t", "time", "timestamp", "zeit", "clock", "elapsed", "temps"),
+    TIME: TIME_WORDS,
     ANGLE: ("angle", "theta", "phi", "winkel", "rotation", "rot"),
     "sin": ("sin", "sine", "sinus"),
     "cos": ("cos", "cosine", "cosinus", "kosinus"),

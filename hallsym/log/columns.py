@@ -21,7 +21,8 @@ from hallsym.units import UNITS, Array, quantity, require_unit, si_name, split_u
 
 RUN = "run"
 RUN_WORDS = ("run", "pass", "scan", "sweep", "trial", "segment", "lauf", "fahrt", "messung", "measurement")
-"""What people call runs."""
+TIME_WORDS = ("t", "time", "timestamp", "zeit", "clock", "elapsed", "temps")
+"""What people call runs, and the time."""
 _OPEN = re.compile(r"^# (\w+) = ", re.MULTILINE)
 
 

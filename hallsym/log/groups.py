@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from hallsym.errors import InputError, counted, nearest, quoted
-from hallsym.log.columns import RUN
+from hallsym.log.columns import RUN, TIME_WORDS
 from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, Source
 from hallsym.units import UNITS, Array, split_unit
 
@@ -30,8 +30,8 @@ class Group(ABC):
     `name`: as the file has it; `rows`: samples; `channels`: names of the channels of numbers; `units`: what
     the file states of them; `first`, `last`: time of the first and the last sample in seconds, None without a
     time base; `since`: from what time counts, which two clocks must have in common; `epoch`: the moment of
-    its zero in seconds, where it is known; `clock`: the channel that is the time base, "" where the format gives
-    it; `timed`: whether time is one of its columns.
+    its zero in seconds, where it is known; `clock`: the channel that is the time base, "" where the format
+    gives it; `timed`: whether time is one of its columns.
     """
 
     name: str
@@ -91,6 +91,7 @@ class Columns(Group):
         self.factors = {c: factor for c in self.channels if (factor := self.seconds(c))}
         mapped = {c: factor for c, factor in (times or {}).items() if c in self.own}
         usual = [c for c in self.factors if split_unit(c)[0] == OWN_TIME] or list(self.factors)
+        usual = usual or [c for c in self.channels if c.lower() in TIME_WORDS and c not in self.units]
         self.factors |= mapped
         self.clock = next(iter(mapped), usual[0] if len(usual) == 1 else "")
 
@@ -104,7 +105,8 @@ class Columns(Group):
         if not self.clock:
             return
         self.epoch = self.source.epoch(self.own[self.clock])
-        self.since = "zero" if self.epoch is None else "a moment"
+        self.since = "zero" if self.clock in self.factors else "zero, in a unit that is not stated"
+        self.since = self.since if self.epoch is None else "a moment"
         ends = [(p[TIME][0], p[TIME][-1]) for p in self.chunks([TIME], CHUNK_ROWS) if len(p[TIME])]
         self.first, self.last = (float(ends[0][0]), float(ends[-1][1])) if ends else (None, None)
 
@@ -297,8 +299,8 @@ class GroupedSource(Source):
         self.places, self.aliases = places(kept, by)
         own = {n: "s" if p.channel == TIME else p.group.units.get(p.channel) for n, p in self.places.items()}
         self.units = {name: unit for name, unit in own.items() if unit}
-        numbered = self.runs and RUN not in self.places
-        self.names = (*((RUN,) if numbered else ()), *self.places)
+        self.numbered = bool(self.runs) and RUN not in self.places
+        self.names = (*((RUN,) if self.numbered else ()), *self.places)
         self.rows = sum(g.rows for g in self.runs.values()) or self.master.rows
         self.small = self.rows <= IN_MEMORY_ROWS
         self.recognised = self._said(kind, filled)
