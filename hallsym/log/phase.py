@@ -104,8 +104,8 @@ def continuous(log: Log, model: Model) -> Log:
 def followed(model: Model) -> tuple[str, ...]:
     """Return the logged columns of the state that some reading follows."""
     made = {c.name for c in model.computed}
-    seen = np.array(ca.DM(model.reading.jac_sparsity(0, 3), 1).full()).any(axis=0) if model.state else []
-    return tuple(c for c, does in zip(model.state, seen, strict=True) if does and c not in made)
+    follows = ca.DM(model.reading.jac_sparsity(0, 3), 1).full()
+    return tuple(c for k, c in enumerate(model.state) if follows[:, k].any() and c not in made)
 
 
 def at_rest(log: Log, model: Model) -> Log:

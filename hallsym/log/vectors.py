@@ -106,7 +106,7 @@ def side_by_side(source: Source, where: str) -> Source:
     for run, columns in runs.items():
         if lacking := sorted(stems - set(columns)):
             raise InputError(f"Run {run} of {where} must have a column for {lacking[0]} as the others have.")
-    left_out, shared = dict(source.left_out), {}
+    left_out, shared = dict(source.left_out), dict[str, Array]()
     for name in source.names:
         if not _OF_RUN.search(name):
             try:

@@ -40,7 +40,7 @@ class Dialect:
     `delimiter`: " " stands for any number of blanks and tabs. `names`: one by cell, `units` those that the
     header states, by name. `header`: line of the names; `units_line`: of the units, 0 without one.
     `first`: line the table begins at. `footer`: lines after the table. `quoted`: whether quotes stand around
-    cells, "inside" where delimiters may stand in them. `padded`: whether blanks stand beside delimiters.
+    cells.
     """
 
     encoding: str
@@ -54,8 +54,7 @@ class Dialect:
     aliases: dict[str, str] = field(default_factory=dict)
     units_line: int = 0
     comments: tuple[str, ...] = ("#",)
-    quoted: str = ""
-    padded: bool = False
+    quoted: bool = False
     footer: int = 0
     footer_text: str = ""
     times: dict[str, TimeForm] = field(default_factory=dict)
@@ -260,15 +259,15 @@ def sniffed(file: Encoded, where: str, delimiter: str | None = None, decimal: st
     below = lines[min(first, len(lines)) :]
     rows = (split(line.text, table.delimiter) for line in below)
     body = [row for row in rows if len(row) == table.width]
-    quotes = _quotes(below, table.delimiter)
-    numbers = _numbers(body, "" if quotes == "inside" else table.delimiter, decimal, where)
+    quotes = _quoted(below)
+    numbers = _numbers(body, "" if quotes else table.delimiter, decimal, where)
     found = Dialect(
         file.encoding, file.compressed, table.delimiter, tuple(stems), header,
         lines[first].number if first < len(lines) else lines[-1].number + 1, numbers,
         {stem: unit for stem, (_, unit) in stems.items() if unit},
         {text: stem for stem, (text, _) in stems.items() if text != stem},
         units_line, marks, above=sum(line.number < header for line in lines),
-        quoted=quotes, padded=_padded(below, table.delimiter), times=_times(tuple(stems), body),
+        quoted=quotes, times=_times(tuple(stems), body),
     )  # fmt: skip
     return _with_footer(found, end_of(file), body)
 
@@ -405,21 +404,10 @@ def _numbers(body: list[list[str]], delimiter: str, decimal: str | None, where: 
     return Convention(found[0].decimal, other) if stated else found[0]
 
 
-def _quotes(lines: list[Line], delimiter: str) -> str:
-    """Return whether cells are quoted: "" for none, "inside" where a delimiter stands between quotes."""
-    texts = [line.text for line in lines if '"' in line.text]
-    if 2 * len(texts) <= len(lines) or any(text.count('"') % 2 for text in texts):
-        return ""
-    inside = any(delimiter in part for text in texts for part in re.findall(r'"([^"]*)"', text))
-    return "inside" if inside else "around"
-
-
-def _padded(lines: list[Line], delimiter: str) -> bool:
-    """Return whether blanks stand beside delimiters, or at an end of a line."""
-    mark = re.escape(delimiter)
-    blank = " " if delimiter == "\t" else r"[ \t]"
-    blanks = re.compile(rf"{blank}{mark}|{mark}{blank}|^{blank}|{blank}$")
-    return delimiter != BLANKS and any(blanks.search(line.text) for line in lines)
+def _quoted(lines: list[Line]) -> bool:
+    """Return whether quotes stand around cells: always two in a line."""
+    counts = [line.text.count('"') for line in lines]
+    return any(counts) and not any(count % 2 for count in counts)
 
 
 def _times(names: tuple[str, ...], body: list[list[str]]) -> dict[str, TimeForm]:
