@@ -266,8 +266,9 @@ _BLANK = b"\n", b" ", b"\t"
 
 def cells_of(lines: Sequence[str], dialect: Dialect) -> Iterator[list[str]]:
     """Yield the cells of clean lines, without blanks around them."""
-    quoting = csv.QUOTE_MINIMAL if dialect.quoted else csv.QUOTE_NONE
-    for row in csv.reader(lines, delimiter=delimiter_of(dialect), quoting=quoting):
+    delimiter = delimiter_of(dialect)
+    rows = csv.reader(lines, delimiter=delimiter) if dialect.quoted else (x.split(delimiter) for x in lines)
+    for row in rows:
         yield [cell.strip() for cell in row]
 
 

@@ -35,13 +35,13 @@ from hallsym.log.format_mdf import open_mdf
 from hallsym.log.format_parquet import ParquetSource, open_feather, open_json
 from hallsym.log.format_tdms import open_tdms
 from hallsym.log.format_xlsx import open_workbook
-from hallsym.log.groups import Columns, GroupedSource
+from hallsym.log.groups import OWN_TIME, Columns, GroupedSource
 from hallsym.log.meta import Meta, Noise, check_misspelt_noise, check_noise_keys
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
 from hallsym.log.text.sniff import stated_delimiter
 from hallsym.log.vectors import side_by_side
-from hallsym.units import Array, split_unit, to_si
+from hallsym.units import Array, require_unit, split_unit
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ def as_log(
 def read_log(
     path: Any,
     *,
-    columns: Mapping[str, str] | None = None,
+    columns: Mapping[str, str | Foreign] | None = None,
     column_file: str | Path | None = None,
     format: str | None = None,
     delimiter: str | None = None,
@@ -236,11 +236,11 @@ def read_log(
     """
     given = {"format": format, "delimiter": delimiter, "decimal": decimal, "sheet": sheet, "clock": clock}
     stated = read_column_file(column_file) if column_file else ColumnFile()
-    mapped = {**stated.columns, **(columns or {})}
+    mapped: dict[str, str | Foreign] = {**stated.columns, **(columns or {})}
     times = {
-        e if isinstance(e, str) else e.name: to_si(ours, 1.0)
-        for ours, e in mapped.items()
-        if ours[:2] == "t_"
+        entry if isinstance(entry, str) else entry.name: require_unit(ours).factor
+        for ours, entry in mapped.items()
+        if split_unit(ours)[0] == OWN_TIME and split_unit(ours)[1]
     }
     (file, folder, source, where), said = _answered(path, {**given, "times": times}, read_with or {})
     meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
