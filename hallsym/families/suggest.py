@@ -103,8 +103,13 @@ NEAR = 3.0
 OTHERS = ("temperature", "current", "speed")
 CLOCKS_HZ = (1.0, 2e4)
 """Rates that loggers of positions record at: a time whose ticks could be ms or s is asked about."""
+MOTIONS = {"m": ("m", "mm", "um", "nm"), "rad": ("rad", "deg", "mrad", "urad", "nrad")}
+"""Units in which motion is recorded, by SI unit."""
+LEAST_MOTION = 1e-8
+"""Motion that sensors and references resolve: 10 nm, 10 nrad. A unit in which a column moves less is none."""
 WRAPPED = 0.95
 """Share of a turn from which on a column up to a turn is one that begins again."""
+COUNTS = "counts"
 COUNTED = 256
 """Whole numbers over at least this range, those of eight bits, may be counts of a converter."""
 
@@ -147,12 +152,13 @@ class Guess:
         name = json.dumps(self.theirs, ensure_ascii=False)
         more = ", sign = -1" if self.sign < 0 else ""
         more += f", counts_per_turn = {self.counts_per_turn}" if self.counts_per_turn else ""
-        more += (
-            ", scale = 1.0, offset = 0.0" if self.raw else f", scale = {self.scale!r}" if self.scale else ""
-        )
-        entry = f"{{ name = {name}{more} }}" if more else name
+        more += f", scale = {self.scale!r}" if self.scale else ""
         names = [RUN] if self.stem == RUN else [f"{self.stem}_{u}" for u in self.units or ("UNIT",)]
-        return [f"{'# ' if self.open else ''}{ours} = {entry}" for ours in names]
+        entries = [f"{ours} = {{ name = {name}{more} }}" if more else f"{ours} = {name}" for ours in names]
+        if self.raw:
+            scaled = f"{names[0]} = {{ name = {name}{more}, scale = 1.0, offset = 0.0 }}"
+            entries = [*(entries if self.raw == COUNTS else ()), scaled]
+        return [f"{'# ' if self.open else ''}{entry}" for entry in entries]
 
     @property
     def as_it_is(self) -> bool:
@@ -207,13 +213,22 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
         raise InputError("No column of the file holds numbers; nothing can be suggested.")
     chosen = _model(source, model, meta or Meta())
     named = _by_name(source, data, chosen)
-    guesses = [*named, *_by_motion(source, data, chosen, named)]
+    known = {g.stem: _si(data[g.theirs], g) for g in named if g.unit and g.stem != RUN}
+    told = any(split_unit(c)[0] in known for c in chosen.references)
+    expected = _readings(chosen, known) if told else {}
+    named = [
+        _with_unit(source, data[g.theirs], replace(g, why="its name"), chosen, expected[g.stem])
+        if g.stem in expected and g.open and not g.raw and np.ptp(expected[g.stem]) > 0
+        else g
+        for g in named
+    ]
+    guesses = [*named, *_by_motion(source, data, chosen, named, expected)]
     order = {stem: k for k, stem in enumerate((RUN, TIME, *_stems(chosen), *OTHERS))}
-    known = {g.theirs for g in guesses}
+    used = {g.theirs for g in guesses}
     return Suggestion(
         chosen,
         tuple(sorted(guesses, key=lambda g: order[g.stem])),
-        tuple(name for name in source.names if name not in known),
+        tuple(name for name in source.names if name not in used),
     )
 
 
@@ -309,7 +324,7 @@ def _by_name(source: Source, data: Mapping[str, Array], model: Model) -> list[Gu
         (stem, name)
         for stem in stems
         for name in data
-        if own[name] in ("", stem)  # a name of ours is not another one of ours
+        if own[name] in ("", stem, stem.removesuffix("_ref"))  # a name of ours is not another one of ours
         and (stem not in (RUN, TIME) or _behaves(stem, data[name]))
     ]
     silent = {name for name in data if not words_of(name, unit=True)}
@@ -391,7 +406,7 @@ def _with_unit(
     if guess.stem == RUN:
         return guess
     stated, kinds = _stated(source, guess.theirs), _kinds(guess.stem, model)
-    whole = _whole(values) and np.ptp(values) >= COUNTED
+    whole = guess.stem in _stems(model) and _whole(values) and np.ptp(values) >= COUNTED
     going_round = "rad" in kinds and limit_of(f"{guess.stem}_rad") is None
     if going_round and (stated == "count" or (whole and not stated)):
         said = STATED if stated else "whole numbers"
@@ -407,25 +422,25 @@ def _with_unit(
             guess, units=("v",), scale=1 / full, why=f"{guess.why}; counts, 1 V is taken for {full}"
         )
     if stated or whole:
-        unit = {"m": "um", "rad": "urad"}.get(kinds[0], kinds[0]) if kinds else "UNIT"
-        raw = stated or "counts"
-        said = (
-            f"in {raw}: state {unit} per {raw}" if stated else f"counts? state {unit} each; else drop scale"
-        )
-        return guess.in_units(
-            unit, *(u.name for u in units if u.name != unit and not stated), said=said, raw=raw
-        )
+        unit = {"m": "um", "rad": "urad"}.get(kinds[0], kinds[0])
+        others = [] if stated else [u.name for u in units if u.name != unit]
+        said = f"state {unit} per {stated}" if stated else f"whole numbers: counts, of so many {unit} each?"
+        return guess.in_units(unit, *others, said=said, raw=stated or COUNTS)
     if expected is not None:
         apart = {u.name: abs(np.log(u.factor * np.std(values) / np.std(expected)))
                  for u in UNITS.values() if u.si in kinds[:1]}  # fmt: skip
         best = min(apart, key=lambda u: apart[u], default="")
-        return guess.in_units(best, said=BY_SIZE) if best and apart[best] < np.log(NEAR) else guess
+        if best and apart[best] < np.log(NEAR):
+            return guess.in_units(best, said=BY_SIZE)
     said = BY_SIZE if len(units) == 1 else "its unit is not stated"
     return guess.in_units(*(u.name for u in units), said=said)
 
 
 def _possible(stem: str, kinds: Sequence[str], values: Array) -> list[str]:
-    """Return the units in which values are as large as they can be, down to one that makes them usual."""
+    """Return the units in which values are as large as they can be, large to small.
+
+    Of what is no motion, only down to the first that makes them usual.
+    """
     known = values[np.isfinite(values)]
     span = float(np.ptp(known))
     if stem == TIME:
@@ -438,11 +453,11 @@ def _possible(stem: str, kinds: Sequence[str], values: Array) -> list[str]:
         wrapped = [u for u, rad in turns.items() if WRAPPED <= span / (2 * np.pi * rad) <= 1.001]
         return wrapped or list(turns)
     found = []
-    for unit in dict.fromkeys((limit.si, *limit.instead)):
+    for unit in MOTIONS.get(limit.si, (limit.si, *limit.instead)):
         size, level = span * UNITS[unit].factor, np.abs(known * UNITS[unit].factor + UNITS[unit].offset).max()
-        if size <= limit.span and level <= limit.level:
+        if size <= limit.span and level <= limit.level and (size >= LEAST_MOTION or span == 0):
             found.append(unit)
-            if 0 < size <= limit.likely:
+            if 0 < size <= limit.likely and limit.si not in MOTIONS:
                 break
     return found
 
@@ -455,19 +470,20 @@ def _turn(values: Array) -> int:
 
 
 def _by_motion(
-    source: Source, data: Mapping[str, Array], model: Model, named: Sequence[Guess]
+    source: Source,
+    data: Mapping[str, Array],
+    model: Model,
+    named: Sequence[Guess],
+    expected: Mapping[str, Array],
 ) -> list[Guess]:
-    """Return guesses for readings that move as the references say they should."""
-    known = {g.stem: _si(data[g.theirs], g) for g in named if g.unit and g.stem != RUN}
+    """Return guesses for readings that move as they are `expected` to, where the references are known."""
     taken, stems = {g.theirs for g in named}, {g.stem for g in named}
     free = [n for n in data if n not in taken and not _own(n) and np.ptp(data[n]) > 0]
     lacking = [c for c in model.channels if split_unit(c)[0] not in stems and c not in model.period]
-    if not lacking or not any(split_unit(c)[0] in known for c in model.references):
-        return []
-    expected = _readings(model, known)
     likely = {
         (stem, name): float(np.corrcoef(expected[stem], data[name])[0, 1])
         for stem in (split_unit(c)[0] for c in lacking)
+        if stem in expected
         for name in free
         if _unit_fits(source, name, stem, model)
         and np.isfinite(data[name]).all()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import glob
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -311,12 +312,13 @@ def _answered(
 def files_of(path: str | Path) -> list[Path]:
     """Return the file, the log of a folder, or the runs that a folder or a pattern (`runs/*.csv`) holds.
 
-    Runs are in natural order: `run_2` comes before `run_10`. Raises `InputError` where there is none.
+    Runs may lie in folders of their own; they are in natural order: `run_2` comes before `run_10`. Raises
+    `InputError` where there is none.
     """
     path, suffixes = Path(path), [suffix for entry in FORMATS for suffix in entry.suffixes]
     if path.is_dir():
         logs = [path / f"log{suffix}" for suffix in suffixes if (path / f"log{suffix}").is_file()]
-        found = logs[:1] or [p for p in path.iterdir() if p.is_file() and p.suffix.lower() in suffixes]
+        found = logs[:1] or _alike(path.iterdir(), suffixes) or _alike(path.glob("*/*"), suffixes)
     elif glob.has_magic(str(path)) and not path.exists():
         found = [Path(name) for name in glob.glob(str(path)) if Path(name).is_file()]
     else:
@@ -327,6 +329,13 @@ def files_of(path: str | Path) -> list[Path]:
             " runs; it holds none."
         )
     return [regular(file, "Log") for file in sorted(found, key=_natural)]
+
+
+def _alike(paths: Iterable[Path], suffixes: Sequence[str]) -> list[Path]:
+    """Return the files of the suffix that most of them have: notes may lie beside runs."""
+    files = [path for path in paths if path.is_file() and path.suffix.lower() in suffixes]
+    counts = Counter(path.suffix for path in files)
+    return [path for path in files if counts[path.suffix] == max(counts.values())]
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
@@ -382,9 +391,9 @@ def open_source(
         source = _open(files[0], format, {"clock": clock, **stated})
         return Opened(files[0], folder, source, quoted(files[0]))
     where = quoted(paths[0]) if len(paths) == 1 else " and ".join(quoted(one) for one in paths[:3])
-    names = [file.stem for file in files]
+    same = len({file.stem for file in files}) < len(files)
     groups = [
-        Columns(file.stem if names.count(file.stem) == 1 else file.name, source, times=times)
+        Columns(f"{file.parent.name}/{file.name}" if same else file.stem, source, times=times)
         for file, source in ((file, _open(file, format, stated)) for file in files)
     ]
     odd = next((g for g in groups if set(g.channels) != set(groups[0].channels)), None)

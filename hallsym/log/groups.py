@@ -294,8 +294,7 @@ class GroupedSource(Source):
             stated = Clock(min((m[0] for m in self.sets), key=lambda g: g.rate).name, METHODS[0])
         self.stated, self.master = stated, self._master(stated)
         kept = [self.master, *(g for members in self.sets for g in members if g is not self.master)]
-        if stated:
-            self._leave_other_clocks()
+        self._leave_others(bool(stated))
         self.places, self.aliases = places(kept, by)
         own = {n: "s" if p.channel == TIME else p.group.units.get(p.channel) for n, p in self.places.items()}
         self.units = {name: unit for name, unit in own.items() if unit}
@@ -348,15 +347,16 @@ class GroupedSource(Source):
             )
         return master
 
-    def _leave_other_clocks(self) -> None:
-        """Leave out the time, and the run, of groups that are read on another's clock."""
-        for g in self._others():
-            dropped = {g.clock: "time", RUN: "run"}
-            self.left_out |= {
-                f"{g.name}/{c}": f"it is the {dropped[c]} of {g.name}" for c in dropped if c in g.channels
-            }
+    def _leave_others(self, clocks: bool) -> None:
+        """Leave out runs of other groups where the master has them; with `clocks`, times of other clocks."""
+        mine = self._mine()
+        for g in (g for members in self.sets for g in members if g is not self.master):
+            dropped = {RUN: "run"} if RUN in self.master.channels else {}
+            if clocks and g not in mine:
+                dropped[g.clock], g.timed = "time", False
+            for name in [c for c in g.channels if c in dropped]:
+                self.left_out[f"{g.name}/{name}"] = f"it is the {dropped[name]} of {g.name}"
             g.channels = tuple(c for c in g.channels if c not in dropped)
-            g.timed = False
 
     def _own(self) -> str:
         return next(name for name, place in self.places.items() if place.group is self.master)

@@ -155,7 +155,7 @@ class Table:
             if choices := [c for c in self.open if split_unit(c)[0] == split_unit(name)[0]]:
                 raise InputError(
                     f"The unit of {split_unit(name)[0]} of {self.where} must be chosen: remove the # before"
-                    f" {' or '.join(choices)} in the column file."
+                    f" {' or '.join(dict.fromkeys(choices))} in the column file."
                 )
             sure = has_meaning(name)  # then no other column of a kind is meant for it
             others = [c for c in self.columns if not (sure and has_meaning(c))]

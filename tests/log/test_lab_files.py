@@ -424,11 +424,9 @@ def completed(path: Path, lab: Lab) -> None:
         match = re.match(r"# (\w+?)_([a-z]+) = (.*)", line)
         if match and match[2] in UNITS and match[2] == lab.units.get(UNITS[match[2]].si):
             stem, entry = match[1], match[3]
-            if stem in lab.counts:
-                entry = entry.replace(
-                    "scale = 1.0, offset = 0.0", "scale = {}, offset = {}".format(*lab.counts[stem])
-                )
-            line = f"{stem}_{match[2]} = {entry}"
+            if ("scale = 1.0" in entry) == (stem in lab.counts):
+                numbers = "scale = {}, offset = {}".format(*lab.counts.get(stem, ("", "")))
+                line = f"{stem}_{match[2]} = {entry.replace('scale = 1.0, offset = 0.0', numbers)}"
         lines.append(line)
     path.write_text("\n".join(lines), encoding="utf-8")
 

@@ -27,6 +27,7 @@ from hallsym.log.text.cells import (
     split_header,
     unit_of,
 )
+from hallsym.units import split_unit
 
 SAID = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}
 TYPED = {"\t": "tab", " ": "blank"}
@@ -366,9 +367,13 @@ def _units(table: Table, lines: list[Line]) -> tuple[int, int, list[str]]:
 def _stems(names: list[str], units: list[str], where: str) -> dict[str, tuple[str, str | None]]:
     """Return the header's own text and the unit of each column, by its name without the unit."""
     texts = [text or f"(column {k + 1})" for k, text in enumerate(names)]
-    name, times = Counter(texts).most_common(1)[0]
-    if times > 1:
-        raise InputError(f"Column names of {where} must differ; '{name}' stands there twice.")
+    times, seen = Counter(texts), Counter[str]()
+    for k, name in enumerate(texts):
+        seen[name] += 1
+        texts[k] = f"{name} {seen[name]}" if times[name] > 1 else name
+    twice = next((name for name in times if times[name] > 1 and (name == "run" or split_unit(name)[1])), None)
+    if twice or len(set(texts)) < len(texts):
+        raise InputError(f"Column names of {where} must differ; '{twice}' stands there twice: rename one.")
     paths = [text.rpartition("/") for text in texts]
     groups = Counter(before for before, _, _ in paths if before)
     parts = [split_header(text) for text in texts]
