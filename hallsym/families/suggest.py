@@ -223,6 +223,7 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
         for g in named
     ]
     guesses = [*named, *_by_motion(source, data, chosen, named, expected)]
+    guesses += _left(source, data, chosen, guesses)
     order = {stem: k for k, stem in enumerate((RUN, TIME, *_stems(chosen), *OTHERS))}
     used = {g.theirs for g in guesses}
     return Suggestion(
@@ -495,6 +496,19 @@ def _by_motion(
         guess = Guess(stem, name, (), f"moves as {stem} should (r = {r:.3f})", 1 if r > 0 else -1)
         found.append(_with_unit(source, data[name], guess, model, expected[stem]))
     return found
+
+
+def _left(source: Source, data: Mapping[str, Array], model: Model, known: Sequence[Guess]) -> list[Guess]:
+    """Return the guess for the one column that the model lacks, where one column of the file can be it."""
+    stems, used = {g.stem for g in known}, {g.theirs for g in known}
+    lacking = [stem for stem in _stems(model) if stem not in stems]
+    free = [n for n in data if n not in used and np.ptp(data[n]) > 0 and not _behaves(RUN, data[n])]
+    if len(lacking) != 1:
+        return []
+    fitting = [n for n in free if not _own(n) and _unit_fits(source, n, lacking[0], model)]
+    found = [n for n in fitting if _stated(source, n)] or fitting
+    guess = Guess(lacking[0], found[0], (), "THE ONLY ONE LEFT") if len(found) == 1 else None
+    return [_with_unit(source, data[guess.theirs], guess, model)] if guess else []
 
 
 def _si(values: Array, guess: Guess) -> Array:

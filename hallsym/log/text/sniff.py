@@ -322,7 +322,8 @@ def _table(
             if len(names) == chosen.width and not any(map(is_number, names)):
                 return chosen, names, number
         raise InputError(
-            f"Line {lines[0].number} of {where} must hold column names such as hall_a_m; it holds numbers."
+            f"Line {lines[0].number} of {where} must hold column names such as hall_a_m; it holds numbers:"
+            " write a line of names above them."
         )
     names, number = chosen.rows[chosen.top], lines[chosen.top].number
     other = next((d for d in DELIMITERS[:-1] if d != delimiter and d in lines[chosen.top].text), None)
