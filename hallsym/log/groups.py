@@ -15,7 +15,7 @@ import numpy as np
 
 from hallsym.errors import InputError, counted, nearest, quoted
 from hallsym.log.columns import RUN, TIME_WORDS
-from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, Source
+from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, Source, joined
 from hallsym.units import UNITS, Array, split_unit
 
 TIME = "\0time"
@@ -239,14 +239,14 @@ def exact(
         count += len(piece[names[0]])
         if count < size:
             continue
-        whole = {name: np.concatenate([p[name] for p in held]) for name in names}
+        whole = joined(held, names)
         edges = range(0, count + 1, size)
         for lo, hi in pairwise(edges):
             yield {name: whole[name][lo:hi] for name in names}
         held = [{name: whole[name][edges[-1] :] for name in names}]
         count -= edges[-1]
     if count:
-        yield {name: np.concatenate([p[name] for p in held]) for name in names}
+        yield joined(held, names)
 
 
 SHOWN_GROUPS = 4
@@ -285,7 +285,7 @@ class GroupedSource(Source):
         }
         stated = None if clock is None else Clock.read(clock)
         self.runs = {} if stated else runs(filled, named=not files)
-        if not self.runs:
+        if not self.runs and len(filled) > 1:
             for g in filled:
                 g.begin()
             from_one_moment([g for g in filled if isinstance(g, Columns)])

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +21,9 @@ MOST_COLUMNS = 100
 """Columns that a matrix is taken for at most: a wider one is a picture or a map."""
 
 
+Opened = Callable[[], AbstractContextManager[Any]]
+
+
 @dataclass(frozen=True)
 class Vector:
     """A column of numbers: its length, what reads samples from one on to before another, and its unit."""
@@ -29,17 +34,18 @@ class Vector:
 
 
 class Vectors(Source):
-    """Vectors of one length."""
+    """Vectors of one length, which are read while `opened`."""
 
-    def __init__(self, vectors: Mapping[str, Vector]) -> None:
-        self.vectors, self.names = dict(vectors), tuple(vectors)
+    def __init__(self, vectors: Mapping[str, Vector], opened: Opened = nullcontext) -> None:
+        self.vectors, self.names, self.opened = dict(vectors), tuple(vectors), opened
         self.rows = next(iter(vectors.values())).rows
         self.units = {name: vector.unit for name, vector in vectors.items() if vector.unit}
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most `size` rows."""
-        for lo in range(0, self.rows, size):
-            yield {name: self.vectors[name].read(lo, min(lo + size, self.rows)) for name in names}
+        with self.opened():
+            for lo in range(0, self.rows, size):
+                yield {name: self.vectors[name].read(lo, min(lo + size, self.rows)) for name in names}
 
 
 def columns_of(
@@ -136,6 +142,7 @@ def arranged(
     left_out: Mapping[str, str],
     by: str,
     clock: str | None,
+    opened: Opened = nullcontext,
 ) -> Source:
     """Return the table of vectors by path; `by` stands between the parts of a path."""
     groups: dict[tuple[str, int], dict[str, Vector]] = {}
@@ -152,5 +159,5 @@ def arranged(
                     f"Columns of group '{run}' of {where} must be equally long; they have"
                     f" {' and '.join(map(str, sizes))} values: the recording of this run broke off."
                 )
-    found = [Columns(group, Vectors(members)) for (group, _), members in groups.items()]
+    found = [Columns(group, Vectors(members, opened)) for (group, _), members in groups.items()]
     return GroupedSource(where, kind, found, left_out, clock, by=by)
