@@ -155,3 +155,53 @@ def test_hash_is_that_of_the_file(tmp_path: Path) -> None:
     assert read_log(tmp_path).sha256 == hashlib.sha256((tmp_path / "log.csv").read_bytes()).hexdigest()
     first, second = (Log.from_arrays(stage_arrays(seed=seed)).sha256 for seed in (0, 1))
     assert first == Log.from_arrays(stage_arrays()).sha256 != second
+
+
+def test_a_matrix_is_columns_and_a_picture_is_none(tmp_path: Path) -> None:
+    halls, wide = np.arange(300.0).reshape(100, 3), np.zeros((101, 102))
+    np.savez(tmp_path / "a.npz", hall_um=halls, x_ref_m=np.arange(100.0), map=wide, ok=np.ones(100, bool))
+    source = read_log(tmp_path / "a.npz").table.source
+    assert source.names == ("hall_0", "hall_1", "hall_2", "x_ref_m")
+    assert dict(source.left_out) == {
+        "map": "it is an array of 101 x 102", "ok": "it holds booleans, not numbers"
+    }  # fmt: skip
+    log = read_log(tmp_path / "a.npz", columns={"hall_c": "hall_2"})
+    assert np.allclose(log.array("hall_c_m"), halls[:, 2] * 1e-6, rtol=1e-15, atol=0)
+
+
+def test_compound_datasets_are_columns(tmp_path: Path) -> None:
+    rows = np.zeros(50, [("t_s", float), ("x_ref_um", float)])
+    rows["t_s"], rows["x_ref_um"] = np.arange(50) * 0.1, np.arange(50)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["log/table"] = rows
+    log = read_log(tmp_path / "a.h5")
+    assert np.allclose(log.array("x_ref_m"), rows["x_ref_um"] * 1e-6, rtol=1e-15, atol=0)
+
+
+def test_files_are_runs_in_natural_order_and_notes_are_none(tmp_path: Path) -> None:
+    for day, first in (("monday", 0.0), ("tuesday", 1.0)):
+        write_log({"x_ref_m": first + np.arange(3.0)}, tmp_path / f"{day}.csv")
+    (tmp_path / "notes.txt").write_text("fine")
+    log = read_log(tmp_path)
+    assert log.runs == (0, 1)
+    assert "run 0 is monday, run 1 is tuesday" in " ".join(log.notes)
+    for k in (10, 2):
+        (tmp_path / f"scan_{k}.csv").write_text("x_ref_um\n1\n2\n")
+    assert read_log(str(tmp_path / "scan_*.csv")).runs == (2, 10)
+    with pytest.raises(InputError, match="same columns to be runs; scan_2 and monday differ in x_ref"):
+        read_log(tmp_path)
+
+
+def test_two_files_are_joined_by_time_and_nothing_is_extrapolated(tmp_path: Path) -> None:
+    fast, slow = np.arange(500) * 0.01, np.arange(-5, 40) * 0.1
+    write_log({"t_s": fast, "hall_a_m": np.sin(fast)}, tmp_path / "hall.csv")
+    write_log({"t_ms": slow * 1e3, "x_ref_m": slow}, tmp_path / "laser.parquet")
+    log = read_log([tmp_path / "hall.csv", tmp_path / "laser.parquet"])
+    assert (log.array("t_s")[0], log.rows) == (pytest.approx(0.0, abs=1e-9), 40)
+    assert np.allclose(log.array("hall_a_m"), np.interp(log.array("t_s"), fast, np.sin(fast)), atol=1e-12)
+    assert any("at the samples of laser" in note and "from 0 to 3.9 s" in note for note in log.notes)
+    other = read_log([tmp_path / "hall.csv", tmp_path / "laser.parquet"], clock="hall:nearest")
+    assert other.rows == 391
+    write_log({"t_s": slow + 100, "x_ref_m": slow}, tmp_path / "laser.csv")
+    with pytest.raises(InputError, match="must overlap in time"):
+        read_log([tmp_path / "hall.csv", tmp_path / "laser.csv"])
