@@ -3,6 +3,7 @@
 import argparse
 import json
 import math
+import re
 import shlex
 import sys
 from argparse import ArgumentParser, Namespace
@@ -176,16 +177,23 @@ def open_log(
         return log
     meta = machine.applied(log.meta)
     stated = meta.probes is not None or meta.nominal or machine.parameters
-    notes = [] if stated or known else layout_notes(options.model, meta)
+    words = shlex.join([str(path), *reading_words(options)])
+    notes = [] if stated or known else layout_notes(options.model, meta, words)
     return replace(log, meta=meta, notes=(*log.notes, *notes))
 
 
-def layout_notes(model: str | None, meta: Meta) -> list[str]:
-    """Return the note on the layout that is assumed where nobody states one."""
-    family = family_called(model or default_model(meta))
-    if family is None or not family.assumed:
+def layout_notes(name: str | None, meta: Meta, log: str = "LOG") -> list[str]:
+    """Return the note on the layout that is assumed where nobody states one; `log` as in `default_model`."""
+    name = name or default_model(meta, log)
+    family = family_called(name)
+    if family is None or not family.assumed or any(table in meta.raw for table in family.tables):
         return []
-    return [f"The layout is assumed: {family.assumed}. State that of your machine with --machine FILE."]
+    places = build(name, meta=meta).channels
+    extra = [c for c in meta.columns if re.fullmatch(family.readings, c) and c not in places]
+    beside = f"; {', '.join(extra)} of the log have no place in it and are not used" if extra else ""
+    return [
+        f"The layout is assumed: {family.assumed}{beside}. State that of your machine with --machine FILE."
+    ]
 
 
 def runs_in_files(options: Namespace, paths: Sequence[str]) -> list[str]:

@@ -35,7 +35,7 @@ from hallsym.simulation import read_campaign
 from hallsym.terminal import PROSE
 from hallsym.terminal import columns as columns_of_line
 from hallsym.trajectory import is_curve, read_curve
-from hallsym.units import readable
+from hallsym.units import readable, si_name
 
 COLUMN_FILE = "columns.toml"
 
@@ -169,13 +169,14 @@ def _write(options: Namespace) -> int:
         "rest": list(found.rest),
     }
     options.column_file = options.write
-    chosen = ["--model", options.model] if options.model else []
+    chosen = ["--model", found.model.name] if options.model or not found.known_by_columns else []
     command = ["hallsym", "fit", options.file, *chosen, *reading_words(options)]
     check = f"Check {options.write}"
     if found.open:
         open = ", ".join(found.open)
         check += f": in it the unit of {open} is open; remove the # of the right line of each"
-    notes = [] if described else layout_notes(found.model.name, Meta())
+    columns = tuple(si_name(g.ours) for g in found.guesses) + found.rest
+    notes = [] if described else layout_notes(found.model.name, Meta(columns=columns))
     if found.lacking:
         notes.append(f"no column is like {', '.join(found.lacking)}; name theirs in {options.write}.")
     said = f"{_head_text(source)}\n\n{text}\n{check}."

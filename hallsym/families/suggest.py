@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.families import FAMILIES, build
+from hallsym.families import FAMILIES, build, default_model, family_called
 from hallsym.log import Meta
 from hallsym.log.columns import RUN_WORDS, TIME_WORDS, limit_of
 from hallsym.log.table import Source
@@ -81,7 +81,9 @@ def likeness(ours: str, theirs: str, numbers: tuple[int, ...] = ()) -> float:
     digits = [w for w in found if w.isdigit()]
     if READING in wanted and letters and digits and numbers:
         place = sorted(numbers).index(int(digits[0])) if int(digits[0]) in numbers else -1
-        if string.ascii_lowercase[place] == letters[0] and wanted - set(letters) <= found - set(digits):
+        named = any(len(w) == 1 and w.isalpha() for w in found)
+        fits = string.ascii_lowercase[place] == letters[0] and wanted - set(letters) <= found - set(digits)
+        if fits and not named:
             return NUMBERED
     told = ({REF}, {ANGLE})  # by the other columns, by the unit
     return BARE if found and any(word <= wanted and wanted - word == found for word in told) else 0.0
@@ -161,6 +163,11 @@ class Guess:
         return [f"{'# ' if self.open else ''}{entry}" for entry in entries]
 
     @property
+    def ours(self) -> str:
+        """Our name, with the first of the units."""
+        return f"{self.stem}_{self.units[0]}" if self.units else self.stem
+
+    @property
     def as_it_is(self) -> bool:
         """Whether the file's own name says it all."""
         return self.theirs == (RUN if self.stem == RUN else f"{self.stem}_{self.unit}") and self.sign > 0
@@ -186,6 +193,15 @@ class Suggestion:
         return tuple(
             c for c in (*self.model.channels, *self.model.references) if split_unit(c)[0] not in known
         )
+
+    @property
+    def known_by_columns(self) -> bool:
+        """Whether the columns alone lead to a model of this family."""
+        columns = tuple(si_name(g.ours) for g in self.guesses)
+        try:
+            return family_called(default_model(Meta(columns=columns))) is self.model.family
+        except InputError:
+            return False
 
     def to_toml(self, log: str) -> str:
         """Return the column file, each line with what speaks for it."""
@@ -349,6 +365,9 @@ def _by_name(source: Source, data: Mapping[str, Array], model: Model) -> list[Gu
         )
         guess = Guess(stem, name, (), "its name" if score >= BARE or stem not in (RUN, TIME) else by_data)
         found.append(_with_unit(source, data[name], guess, model))
+    words = [name for name in source.names if name not in data and likeness(RUN, name) >= BARE]
+    if words and all(guess.stem != RUN for guess in found):
+        found.append(Guess(RUN, words[0], (), "its name; runs are numbered in their order"))
     return found
 
 

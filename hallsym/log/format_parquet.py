@@ -20,7 +20,7 @@ from hallsym.log.arrow import (
     source_of,
 )
 from hallsym.log.table import IN_MEMORY_ROWS, Arrays, Source, label, load
-from hallsym.units import Array
+from hallsym.units import UNITS, Array
 
 _BUFFER = 1 << 20
 _THREADS = 131_072
@@ -120,8 +120,25 @@ def open_feather(path: Path) -> Arrays:
 
 
 def open_json(path: Path) -> Arrays:
-    """Open a file with one JSON object a line, each with the same keys."""
-    return source_of(load("pyarrow.json").read_json(path), quoted(path))
+    """Open a file with one JSON object a line, each with the same keys; of objects in it each is a column.
+
+    A unit behind the name of an object is that of its columns: {"hall_um": {"a": 1.5}} is `hall_a_um`.
+    """
+    arrow, table = load("pyarrow"), load("pyarrow.json").read_json(path)
+    names = list(table.column_names)
+    while any(arrow.types.is_struct(kind) for kind in table.schema.types):
+        names = [name for k, column in enumerate(names) for name in _within(column, table.schema.types[k])]
+        table = table.flatten()
+    return source_of(table.rename_columns(names), quoted(path))
+
+
+def _within(name: str, kind: Any) -> list[str]:
+    """Return the names of the columns that an object holds; of a column, its own."""
+    if not load("pyarrow").types.is_struct(kind):
+        return [name]
+    stem, _, last = name.rpartition("_")
+    unit = f"_{last}" if stem and last in UNITS else ""
+    return [f"{stem if unit else name}_{field.name}{unit}" for field in kind]
 
 
 class ParquetWriter:

@@ -256,10 +256,12 @@ def read_log(
     table.open = stated.open
     if not any(name != RUN for name in table.columns):
         table.require(sorted({split_unit(ours)[0] for ours in stated.open}))
+        words = where.replace(" and ", " ")
+        words += "".join(f" --{name} {quoted(text)}" for name, text in source.read_with.items())
+        words = words.replace("'", '"')  # the command stands between the others
         raise InputError(
-            f"{where} has no column whose name ends with a unit, such as hall_a_m; it has"
-            f" {listed(source.names, 8)}; map them with --column hall_a_um=ITS_NAME, or have 'hallsym info"
-            " FILE --write' write a column file."
+            f"{where} has no column whose name ends with a unit; it has {listed(source.names, 5)}; map them"
+            f" with --column hall_a_um=ITS_NAME, or by 'hallsym info {words} --write'."
         )
     known = _noise(meta, stated, noise or {}, table)
     meta = replace(meta, columns=table.columns)

@@ -19,6 +19,9 @@ IN_MEMORY_ROWS = 2_000_000
 CHUNK_ROWS = 65_536
 
 Piece = dict[str, Array]
+RESTARTED = 0.01
+"""Part of the time that has passed within which a clock that starts again is back at its first value; that of
+a sample that is late or doubled is not."""
 
 
 class Source(ABC):
@@ -123,6 +126,11 @@ class Table:
         self.open: tuple[str, ...] = ()
 
     @property
+    def numbered(self) -> bool:
+        """Whether runs are those of a column, or all is one, for lack of a clock."""
+        return RUN in self.bindings or "t_s" not in self.bindings
+
+    @property
     def in_memory(self) -> bool:
         """Whether whole columns are kept; otherwise every pass streams the file again."""
         return self.source.small
@@ -137,11 +145,9 @@ class Table:
         if self.in_memory:
             yield self._hold(columns)
             return
-        sources = [self.bindings[name].source for name in columns if name in self.bindings] or [
-            self.source.names[0]
-        ]
+        restarts, sources = Restarts(), self._sources(columns) or [self.source.names[0]]
         for raw in self.source.chunks(sources, size):
-            yield self._convert(columns, raw)
+            yield self._convert(columns, raw, restarts)
 
     def require(self, columns: Sequence[str]) -> None:
         """Refuse columns that the log does not have, and say which name is near."""
@@ -190,19 +196,55 @@ class Table:
     def _hold(self, columns: Sequence[str]) -> Piece:
         new = [name for name in columns if name not in self._held]
         if new:
-            sources = [self.bindings[name].source for name in new if name in self.bindings]
-            converted = self._convert(new, self.source.read(sources) if sources else {})
+            converted = self._convert(new, self._read(self._sources(new)), Restarts())
             for values in converted.values():
                 values.flags.writeable = False
             self._held.update(converted)
         return {name: self._held[name] for name in columns}
 
-    def _convert(self, columns: Sequence[str], raw: Mapping[str, Array]) -> Piece:
+    def _sources(self, columns: Sequence[str]) -> list[str]:
+        """Return the file's names of what columns are computed from."""
+        asked = [*columns, *(["t_s"] if RUN in columns and not self.numbered else [])]
+        return list(dict.fromkeys(self.bindings[name].source for name in asked if name in self.bindings))
+
+    def _read(self, sources: Sequence[str]) -> Mapping[str, Array]:
+        """Return whole columns of the file; runs with names are numbered in their order."""
+        try:
+            return self.source.read(sources) if sources else {}
+        except InputError:
+            name = self.bindings[RUN].source if RUN in self.bindings else ""
+            labels = self.source.labels(name) if name in sources else [""]
+            if any(text[:1].isdigit() or not text for text in labels):
+                raise
+            known: dict[str, int] = {}
+            runs = np.array([known.setdefault(text, len(known)) for text in labels])
+            return {**self._read([source for source in sources if source != name]), name: runs}
+
+    def _convert(self, columns: Sequence[str], raw: Mapping[str, Array], restarts: Restarts) -> Piece:
         rows = len(next(iter(raw.values()))) if raw else self.count()
-        bound = self.bindings
-        return {
-            c: bound[c].si(raw[bound[c].source]) if c in bound else np.zeros(rows, np.int64) for c in columns
-        }
+        found = {c: self.bindings[c].si(raw[self.bindings[c].source]) for c in columns if c in self.bindings}
+        if RUN in columns and RUN not in found:
+            clock = None if self.numbered else self.bindings["t_s"]
+            found[RUN] = restarts(clock.si(raw[clock.source])) if clock else np.zeros(rows, np.int64)
+        return {c: found[c] for c in columns}
+
+
+class Restarts:
+    """Numbers runs along chunks of a clock: one begins where time is back at its beginning."""
+
+    def __init__(self) -> None:
+        self._first, self._last, self._run = np.nan, np.nan, 0
+
+    def __call__(self, t: Array) -> Array:
+        """Return the runs, numbered from 0, of times (rows,) in s."""
+        if not len(t):
+            return np.zeros(0, np.int64)
+        self._first = t[0] if np.isnan(self._first) else self._first
+        before = np.r_[self._last, t[:-1]]
+        back = (t < before) & (t - self._first <= RESTARTED * (before - self._first))
+        runs = self._run + np.cumsum(back)
+        self._last, self._run = t[-1], int(runs[-1])
+        return np.asarray(runs)
 
 
 class View:

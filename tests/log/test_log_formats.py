@@ -70,7 +70,7 @@ def test_csv_with_byte_order_mark_crlf_and_text_column(tmp_path: Path) -> None:
     log = read_log(path)
     assert log.columns == ("run", "t_s", "x_ref_m")
     assert log.array("x_ref_m").tolist() == [1.0, 2.0]
-    assert log.notes == ("No column 'run': all samples are taken as one run, number 0.",)
+    assert log.notes == ("No column 'run': a run begins where t_s starts again, the first is number 0.",)
     assert log.runs == (0,)
 
 

@@ -116,6 +116,7 @@ _BEHIND = (
     re.compile(r"([^/]*[^/\s])\s*/\s*(\S+?(?:/\S+)?)"),
     re.compile(r"(.*\S)\s+in\s+(\S+)"),
     re.compile(r"(.*\S),\s*(\S+)"),
+    re.compile(r"(.*\S)_([µμ°]\S*)"),
 )
 
 

@@ -272,8 +272,12 @@ def _sample(file: Encoded, where: str) -> tuple[list[Line], tuple[str, ...]]:
     Refuses what is no text.
     """
     lines: list[Line] = []
-    marks, length, filled = {"#"}, 0, 0
+    marks, length, filled, opened = {"#"}, 0, 0, ""
     for number, text in enumerate(file.lines(where), start=1):
+        text = f"{opened} {text}" if opened else text
+        opened = text if text.count('"') % 2 and number <= FEW else ""
+        if opened:
+            continue  # a name with a line break within its quotes
         if "\0" in text and number <= FEW:
             raise InputError(
                 f"Line {number} of {where} must hold column names; it is no text, so the file is damaged or "
@@ -343,11 +347,8 @@ def _stems(names: list[str], units: list[str], where: str) -> dict[str, tuple[st
     """Return the header's own text and the unit of each column, by its name without the unit."""
     texts = [text or f"(column {k + 1})" for k, text in enumerate(names)]
     times, seen = Counter(texts), Counter[str]()
-    for k, name in enumerate(texts):
-        seen[name] += 1
-        texts[k] = f"{name} {seen[name]}" if times[name] > 1 else name
     twice = next((name for name in times if times[name] > 1 and (name == "run" or split_unit(name)[1])), None)
-    if twice or len(set(texts)) < len(texts):
+    if twice:
         raise InputError(f"Column names of {where} must differ; '{twice}' stands there twice: rename one.")
     paths = [text.rpartition("/") for text in texts]
     groups = Counter(before for before, _, _ in paths if before)
@@ -355,6 +356,10 @@ def _stems(names: list[str], units: list[str], where: str) -> dict[str, tuple[st
     for k, (before, _, last) in enumerate(paths):
         if groups[before] > 1:  # what several columns have before a slash is a group of channels
             parts[k] = (f"{before}/{split_header(last)[0]}", split_header(last)[1])
+        seen[texts[k]] += 1
+        if times[texts[k]] > 1:  # columns of one name are numbered
+            number = seen[texts[k]]
+            parts[k], texts[k] = (f"{parts[k][0]} {number}", parts[k][1]), f"{texts[k]} {number}"
     stems = Counter(stem for stem, _ in parts)
     found: dict[str, tuple[str, str | None]] = {}
     for k, (text, (stem, unit)) in enumerate(zip(texts, parts, strict=True)):
