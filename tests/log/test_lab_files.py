@@ -306,6 +306,57 @@ def with_meta(path: Path, data: Columns) -> list[str]:
     return [str(path / "rig")]
 
 
+def blocks(path: Path, data: Columns) -> list[str]:
+    """Runs behind each other, each with a clock from 0, between empty lines; a micro sign in the names."""
+    parts = []
+    for part in by_run(data).values():
+        part = part | {"t_s": part["t_s"] - part["t_s"][0]}
+        named = {n.replace("_u", "_µ"): v for n, v in theirs(part, form="{name}_{unit}").items()}
+        parts.append(Path(text(path / "lab.dat", named, " ")[0]).read_text(encoding="utf-8"))
+    head, _, first = parts[0].partition("\n")
+    rest = [part.partition("\n")[2] for part in parts[1:]]
+    (path / "lab.dat").write_text("\n\n".join([f"# {head}\n{first}", *rest]), encoding="utf-8")
+    return [str(path / "lab.dat")]
+
+
+def names_of_runs(path: Path, data: Columns) -> list[str]:
+    columns = theirs(data, form="{name} [{unit}]")
+    return text(path / "lab.csv", columns | {"Pass": np.array([f"R{int(run):02d}" for run in data["run"]])})
+
+
+def line_breaks(path: Path, data: Columns) -> list[str]:
+    made = text(path / "lab.csv", theirs(data))
+    head, _, body = Path(made[0]).read_text().partition("\n")
+    units = [unit_of(c, UNIT)[0] for c in data]
+    names = [f'"{n}\n[{u}]"' if u and n != "Pass" else n for n, u in zip(head.split(","), units, strict=True)]
+    Path(made[0]).write_text(f"{','.join(names)}\n{body}")
+    return made
+
+
+def objects(path: Path, data: Columns) -> list[str]:
+    """Lines of JSON with an object in each object."""
+    columns = theirs(data, names={c: c.rpartition("_")[0] for c in data}, form="{name}_{unit}")
+    lines = []
+    for k in range(len(data["run"])):
+        line: dict[str, Any] = {"run": int(data["run"][k]), "hall_um": {}}
+        for name, values in columns.items():
+            if name.startswith("hall"):
+                line["hall_um"][name[5]] = values[k]
+            elif name and name != "run":
+                line[name] = values[k]
+        lines.append(json.dumps(line))
+    (path / "lab.jsonl").write_text("\n".join(lines) + "\n")
+    return [str(path / "lab.jsonl")]
+
+
+def four_columns(path: Path, data: Columns) -> list[str]:
+    """A board of four column sums, of which the assumed layout has three."""
+    phase = 2 * np.pi * (data["x_ref_m"][:, None] / 0.03 + np.arange(4) / 3.7)
+    sums = {f"col_{k}_v": 0.3 * np.cos(phase[:, k]) for k in range(4)}
+    return text(path / "lab.csv", {"run": data["run"], "t_s": data["t_s"], **sums,
+                                   "x_ref_m": data["x_ref_m"], "z_ref_m": 0.003 + data["z_m"]})  # fmt: skip
+
+
 def no_names(path: Path, data: Columns) -> list[str]:
     made = text(path / "lab.csv", theirs(data))
     Path(made[0]).write_text(Path(made[0]).read_text().partition("\n")[2])
@@ -380,6 +431,11 @@ LABS = {
     "another suffix": Lab(another_suffix),
     "no height, no tilts": Lab(without_height),
     "noise of a channel that is not there": Lab(with_meta, says="noise of channel_v, which the log"),
+    "blocks with clocks of their own": Lab(blocks),
+    "names of runs": Lab(names_of_runs),
+    "line breaks in names": Lab(line_breaks),
+    "objects in lines of JSON": Lab(objects),
+    "a board of another layout": Lab(four_columns, says="col_3_v of the log have no place in it"),
     "no names": Lab(no_names, says="must hold column names"),
     "a folder with another table": Lab(odd_folder, says="must have the same columns to be runs; summary"),
     "averaged counts beside a step index": Lab(averaged_counts, recorded="table", within=0.5),
