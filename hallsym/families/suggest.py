@@ -299,14 +299,21 @@ def _model(source: Source, name: str | None, meta: Meta) -> Model:
             total += BARE * len(told[:1])
         return total / len(_stems(model))
 
-    own = tuple(si_name(n) for n in source.names if _own(n))
+    own = [si_name(n) for n in source.names if _own(n)]
+    for column in (n for n in source.names if not _own(n) and _stated(source, n)):
+        like = "_".join([*re.findall(r"\w+", column.lower()), UNITS[_stated(source, column)].si])
+        own += [like] if any(re.fullmatch(family.readings, like) for family in FAMILIES) else []
+
+    def best(models: list[Model]) -> Model:
+        return max(models, key=lambda model: (fits(model), len(model.channels)))
+
     if stated := name or meta.base_model:
-        return max(_forms(stated, own, meta), key=fits)
+        return best(_forms(stated, tuple(own), meta))
     found: list[Model] = []
     for family in FAMILIES:
         with suppress(InputError):  # of a family whose code fails, which nobody has asked for
-            found += _forms(family.default, own, meta)
-    return max(found, key=fits)
+            found += _forms(family.default, tuple(own), meta)
+    return best(found)
 
 
 def _forms(name: str, own: tuple[str, ...], meta: Meta) -> list[Model]:

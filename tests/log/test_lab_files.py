@@ -350,11 +350,12 @@ def objects(path: Path, data: Columns) -> list[str]:
 
 
 def four_columns(path: Path, data: Columns) -> list[str]:
-    """A board of four column sums, of which the assumed layout has three."""
-    phase = 2 * np.pi * (data["x_ref_m"][:, None] / 0.03 + np.arange(4) / 3.7)
+    """A board of four column sums, which stand elsewhere than where they are assumed."""
+    x = 60 * data["x_ref_m"]
+    phase = 2 * np.pi * (x[:, None] / 0.03 + np.arange(4) / 3.7)
     sums = {f"col_{k}_v": 0.3 * np.cos(phase[:, k]) for k in range(4)}
-    return text(path / "lab.csv", {"run": data["run"], "t_s": data["t_s"], **sums,
-                                   "x_ref_m": data["x_ref_m"], "z_ref_m": 0.003 + data["z_m"]})  # fmt: skip
+    known = {"run": data["run"], "t_s": data["t_s"], "x_ref_m": x, "z_ref_m": 0.003 + data["z_m"]}
+    return text(path / "lab.csv", known | sums)
 
 
 def no_names(path: Path, data: Columns) -> list[str]:
@@ -435,7 +436,7 @@ LABS = {
     "names of runs": Lab(names_of_runs),
     "line breaks in names": Lab(line_breaks),
     "objects in lines of JSON": Lab(objects),
-    "a board of another layout": Lab(four_columns, says="col_3_v of the log have no place in it"),
+    "a board of another layout": Lab(four_columns, says="layout is assumed: columns a third of"),
     "no names": Lab(no_names, says="must hold column names"),
     "a folder with another table": Lab(odd_folder, says="must have the same columns to be runs; summary"),
     "averaged counts beside a step index": Lab(averaged_counts, recorded="table", within=0.5),

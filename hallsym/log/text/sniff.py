@@ -483,7 +483,7 @@ class Encoded:
                 while piece := stream.read(size):
                     yield piece
                 return
-            reader = io.TextIOWrapper(stream, self.encoding, newline="")  # type: ignore[type-var]
+            reader = io.TextIOWrapper(stream, self.encoding, newline="")
             while text := reader.read(size):
                 yield text.encode("utf-8", "replace")
 
