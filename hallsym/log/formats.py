@@ -36,13 +36,13 @@ from hallsym.log.format_mdf import open_mdf
 from hallsym.log.format_parquet import ParquetSource, open_feather, open_json
 from hallsym.log.format_tdms import open_tdms
 from hallsym.log.format_xlsx import open_workbook
-from hallsym.log.groups import OWN_TIME, Columns, GroupedSource
+from hallsym.log.groups import Columns, GroupedSource
 from hallsym.log.meta import Meta, Noise, check_misspelt_noise, check_noise_keys
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
 from hallsym.log.text.sniff import stated_delimiter
 from hallsym.log.vectors import side_by_side
-from hallsym.units import Array, require_unit, split_unit
+from hallsym.units import Array, split_unit
 
 
 @dataclass(frozen=True)
@@ -238,12 +238,8 @@ def read_log(
     given = {"format": format, "delimiter": delimiter, "decimal": decimal, "sheet": sheet, "clock": clock}
     stated = read_column_file(column_file) if column_file else ColumnFile()
     mapped: dict[str, str | Foreign] = {**stated.columns, **(columns or {})}
-    times = {
-        entry if isinstance(entry, str) else entry.name: require_unit(ours).factor
-        for ours, entry in mapped.items()
-        if split_unit(ours)[0] == OWN_TIME and split_unit(ours)[1]
-    }
-    (file, folder, source, where), said = _answered(path, {**given, "times": times}, read_with or {})
+    named = {e if isinstance(e, str) else e.name: ours for ours, e in mapped.items()}
+    (file, folder, source, where), said = _answered(path, {**given, "mapped": named}, read_with or {})
     meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
     wanted = _resolve(mapped, source)
     again = still_missing(_resolve(remembered or {}, source), source.names, wanted, source.units, where)
@@ -372,12 +368,12 @@ def open_source(
     *,
     format: str | None = None,
     clock: str | None = None,
-    times: Mapping[str, float] | None = None,
+    mapped: Mapping[str, str] | None = None,
     **stated: str | None,
 ) -> Opened:
     """Return what `read_log` reads, its columns under their own names; other arguments are as there.
 
-    `times`: seconds of the unit of columns that somebody mapped as the time.
+    `mapped`: our names, with their units, of columns that somebody mapped.
     """
     if is_table(path):
         return Opened(None, None, source_of(path, "The table"), "The table")
@@ -395,7 +391,7 @@ def open_source(
     where = quoted(paths[0]) if len(paths) == 1 else " and ".join(quoted(one) for one in paths[:3])
     same = len({file.stem for file in files}) < len(files)
     groups = [
-        Columns(f"{file.parent.name}/{file.name}" if same else file.stem, source, times=times)
+        Columns(f"{file.parent.name}/{file.name}" if same else file.stem, source, mapped)
         for file, source in ((file, _open(file, format, stated)) for file in files)
     ]
     odd = next((g for g in groups if set(g.channels) != set(groups[0].channels)), None)

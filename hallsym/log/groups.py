@@ -73,27 +73,17 @@ class Group(ABC):
 class Columns(Group):
     """Columns of equal length of a source; the one of time, where there is one, is the clock.
 
-    `own`: the source's name of each channel (all of its columns by default). `times`: seconds of the unit of
-    columns that somebody mapped as the time.
+    `mapped`: our names, with their units, of columns that somebody mapped.
     """
 
-    def __init__(
-        self,
-        name: str,
-        source: Source,
-        own: Mapping[str, str] | None = None,
-        times: Mapping[str, float] | None = None,
-    ) -> None:
-        self.name, self.source, self.shift = name, source, 0.0
-        self.own = dict(own) if own else {name: name for name in source.names}
-        self.channels = tuple(self.own)
-        self.units = {c: source.units[o] for c, o in self.own.items() if o in source.units}
-        self.factors = {c: factor for c in self.channels if (factor := self.seconds(c))}
-        mapped = {c: factor for c, factor in (times or {}).items() if c in self.own}
-        usual = [c for c in self.factors if split_unit(c)[0] == OWN_TIME] or list(self.factors)
-        usual = usual or [c for c in self.channels if c.lower() in TIME_WORDS and c not in self.units]
-        self.factors |= mapped
-        self.clock = next(iter(mapped), usual[0] if len(usual) == 1 else "")
+    def __init__(self, name: str, source: Source, mapped: Mapping[str, str] | None = None) -> None:
+        self.name, self.source, self.shift, self.channels = name, source, 0.0, tuple(source.names)
+        ours = {c: mapped[c] for c in self.channels if mapped and c in mapped}
+        self.units = {**source.units, **{c: u.name for c, n in ours.items() if (u := split_unit(n)[1])}}
+        named = [c for c in self.channels if split_unit(ours.get(c, c))[0] == OWN_TIME]
+        timed = named or [c for c in self.channels if self.seconds(c)]
+        timed = timed or [c for c in self.channels if c.lower() in TIME_WORDS and c not in self.units]
+        self.clock = timed[0] if len(timed) == 1 else ""
 
     @cached_property
     def rows(self) -> int:  # type: ignore[override]
@@ -104,19 +94,18 @@ class Columns(Group):
         """Read the clock once."""
         if not self.clock:
             return
-        self.epoch = self.source.epoch(self.own[self.clock])
-        self.since = "zero" if self.clock in self.factors else "zero, in a unit that is not stated"
+        self.epoch = self.source.epoch(self.clock)
+        self.since = "zero" if self.seconds(self.clock) else "zero, in a unit that is not stated"
         self.since = self.since if self.epoch is None else "a moment"
         ends = [(p[TIME][0], p[TIME][-1]) for p in self.chunks([TIME], CHUNK_ROWS) if len(p[TIME])]
         self.first, self.last = (float(ends[0][0]), float(ends[-1][1])) if ends else (None, None)
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of exactly `size` rows, the last one of what is left; also of `TIME`."""
-        own = {name: self.own[self.clock if name == TIME else name] for name in names}
-        wanted = list(dict.fromkeys(own.values()))
-        factor = self.factors.get(self.clock, 1.0)
+        wanted = list(dict.fromkeys(self.clock if name == TIME else name for name in names))
+        factor = self.seconds(self.clock) or 1.0
         for piece in exact(self.source.chunks(wanted, size), size, wanted):
-            yield {n: piece[o] * factor + self.shift if n == TIME else piece[o] for n, o in own.items()}
+            yield {n: piece[self.clock] * factor + self.shift if n == TIME else piece[n] for n in names}
 
 
 def from_one_moment(groups: Sequence[Columns]) -> None:
@@ -419,7 +408,7 @@ class GroupedSource(Source):
                 g.name,
                 g.rate,
                 partial(_timed, g),
-                [Wanted(name, channel, self._turn(name)) for name, channel in wanted.get(g, ())],
+                [self._wanted(name, channel) for name, channel in wanted.get(g, ())],
             )
             for g in others
         ]
@@ -454,10 +443,10 @@ class GroupedSource(Source):
                 )
         return begin, end
 
-    def _turn(self, name: str) -> float:
-        """Return a full turn in the unit of an angle, 0 for a column of another unit."""
+    def _wanted(self, name: str, channel: str) -> Wanted:
         unit = UNITS[self.units[name]] if name in self.units else split_unit(name)[1]
-        return 2 * math.pi / unit.factor if unit and unit.si == "rad" else 0.0
+        turn = 2 * math.pi / unit.factor if unit and unit.si == "rad" else 0.0
+        return Wanted(name, channel, turn, name == RUN or bool(unit and unit.si == "count"))
 
 
 def _timed(group: Group, channels: Sequence[str], size: int) -> Iterator[tuple[Array, Mapping[str, Array]]]:
@@ -487,11 +476,15 @@ Stream = Callable[[Sequence[str], int], Iterator[tuple[Array, Piece]]]
 
 @dataclass(frozen=True)
 class Wanted:
-    """A column and the channel that it is; `turn`: a full turn in the unit of an angle, 0 for others."""
+    """A column and the channel that it is; `turn`: a full turn in the unit of an angle, 0 for others.
+
+    `whole`: its numbers are counts or runs, between which there is nothing.
+    """
 
     column: str
     channel: str
     turn: float = 0.0
+    whole: bool = False
 
 
 class Follower:
@@ -532,7 +525,7 @@ class Follower:
         out = {}
         for w in self.wanted:
             values = self._held[w.channel]
-            if method == "nearest" or values.dtype.kind != "f" or w.column == RUN:
+            if method == "nearest" or values.dtype.kind != "f" or w.whole:
                 found = values[np.where(share > 0.5, after, before)].astype(np.float64)
             else:
                 found = _between(values[before], values[after], share, w.turn)

@@ -205,3 +205,22 @@ def test_two_files_are_joined_by_time_and_nothing_is_extrapolated(tmp_path: Path
     write_log({"t_s": slow + 100, "x_ref_m": slow}, tmp_path / "laser.csv")
     with pytest.raises(InputError, match="must overlap in time"):
         read_log([tmp_path / "hall.csv", tmp_path / "laser.csv"])
+
+
+def test_joined_counts_and_angles_are_not_read_between_two_turns(tmp_path: Path) -> None:
+    """Numbers of a text file are all alike; that they are counts, or an angle, is what somebody states."""
+    t, other = np.arange(200) * 0.01, np.arange(60) * 0.033
+    turn = 3.3 * t
+    table = {"t_s": t, "raw": np.floor(turn % 1 * 4096), "enc": turn % 1 * 360}
+    rows = [
+        "t_s,raw,enc",
+        *(",".join(map(repr, row)) for row in zip(*(v.tolist() for v in table.values()), strict=True)),
+    ]
+    (tmp_path / "chip.csv").write_text("\n".join([*rows, ""]))
+    write_log({"t_s": other, "x_ref_m": other}, tmp_path / "ref.csv")
+    columns = {"angle_count": "raw", "angle_ref_deg": "enc"}
+    log = read_log([tmp_path / "ref.csv", tmp_path / "chip.csv"], columns=columns, counts_per_turn=4096)
+    truth, found = 2 * np.pi * 3.3 * log.array("t_s"), (log.array("angle_rad"), log.array("angle_ref_rad"))
+    off = [np.abs(np.angle(np.exp(1j * (values - truth)))).max() for values in found]
+    assert off[0] < 2 * np.pi * (3.3 * 0.005 + 1 / 4096)
+    assert off[1] < 1e-9
