@@ -346,9 +346,6 @@ def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:
     mapped = known.columns if known else {}
     columns = [f"{ours}={c.option}" for ours, c in mapped.items() if not options.column]
     words = [word for column in (*options.column, *columns) for word in ("--column", column)]
-    counts = next((c.counts_per_turn for c in mapped.values() if c.counts_per_turn), None)
-    if counts and options.counts_per_turn is None:
-        words += ["--counts-per-turn", f"{counts:g}"]
     for name, text in (known.read_with if known else {}).items():
         words += [f"--{name}", text] if getattr(options, name, None) is None else []
     words += [word for noise in options.noise for word in ("--noise", noise)]
@@ -356,7 +353,12 @@ def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:
         value = getattr(options, option, None)
         if value is not None:
             words += [f"--{option.replace('_', '-')}", f"{value:g}" if isinstance(value, float) else value]
-    words += [word for path in options.join for word in ("--join", path)]
+    return [*words, *samples_words(options)]
+
+
+def samples_words(options: Namespace) -> list[str]:
+    """Words of a command on the same log that no calibration remembers: further files, samples left out."""
+    words = [word for path in options.join for word in ("--join", path)]
     return [*words, *(["--drop-bad"] if options.drop_bad else [])]
 
 

@@ -150,8 +150,9 @@ def _next(options: Namespace, result: Fit) -> list[str]:
     if not options.output:
         return [*options.typed, "-o", "calib.json"]
     if result.undetermined_by_log:
-        return ["hallsym", "sensitivity", options.output, options.logs[0]]
-    return ["hallsym", "report", options.output, options.logs[0], "-o", "report.html"]
+        return ["hallsym", "sensitivity", options.output, options.logs[0], *common.samples_words(options)]
+    words = ["hallsym", "report", options.output, options.logs[0], *common.samples_words(options)]
+    return [*words, "-o", "report.html"]
 
 
 def exit_code(result: Fit, *, said: bool = True) -> int:

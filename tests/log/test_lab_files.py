@@ -62,7 +62,7 @@ def theirs(
     out = {}
     for column, values in data.items():
         unit, factor = ("", 1.0) if column == "run" else unit_of(column, units)
-        name = names.get(column, column.rpartition("_")[0])
+        name = names.get(column, column.rpartition("_")[0] or column)
         out[form.format(name=name, unit=unit) if unit else name] = values * factor if unit else values
     return out
 
