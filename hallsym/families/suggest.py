@@ -212,7 +212,7 @@ class Suggestion:
         lines += [f"# read as they are: {', '.join(own)}"] if own else []
         lines += [f"# not used: {', '.join(map(repr, self.rest))}"] if self.rest else []
         head = [
-            f"# For {log}, as {self.model.name} needs it. Check every line.",
+            f"# For {' '.join(log.split())}, as {self.model.name} needs it. Check every line.",
             "# Of lines that begin with #, remove the # of the right one: nothing in the file tells which.",
         ]
         return "\n".join([*head, "", "[columns]", *lines, ""])

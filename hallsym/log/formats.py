@@ -331,7 +331,8 @@ def files_of(path: str | Path) -> list[Path]:
 
 def _alike(paths: Iterable[Path], suffixes: Sequence[str]) -> list[Path]:
     """Return the files of the suffix that most of them have: notes may lie beside runs."""
-    files = [path for path in paths if path.is_file() and path.suffix.lower() in suffixes]
+    known = (path for path in paths if path.suffix.lower() in suffixes and path.name[0] != ".")
+    files = [path for path in known if path.is_file()]
     counts = Counter(path.suffix for path in files)
     return [path for path in files if counts[path.suffix] == max(counts.values())]
 

@@ -98,15 +98,16 @@ _OF_RUN = re.compile(rf"(?:^|[_ ./-])(?:{'|'.join(RUN_WORDS)})[_ .#-]?(\d+)(?=$|
 def side_by_side(source: Source, where: str) -> Source:
     """Return the runs of a table with columns for each run (`hall_a_run0`, `hall_a_run1`) one after another.
 
-    Any other table is returned as it is. Columns without a run belong to all of them; the empty cells that
-    end the columns of a shorter run are left out.
+    Any other table, and one of which most columns are of no run, is returned as it is. Columns without a run
+    belong to all of them; the empty cells that end the columns of a shorter run are left out.
     """
     runs: dict[int, dict[str, str]] = {}
     for name in source.names:
         if match := _OF_RUN.search(name):
             stem = name[: match.start()] + name[match.end() :]
             runs.setdefault(int(match[1]), {})[stem.lstrip("_ ./-")] = name
-    if len(runs) < 2 or "" in next(iter(runs.values())):
+    of_runs = sum(map(len, runs.values()))
+    if len(runs) < 2 or "" in next(iter(runs.values())) or 2 * of_runs <= len(source.names):
         return source
     stems = {stem for columns in runs.values() for stem in columns}
     for run, columns in runs.items():

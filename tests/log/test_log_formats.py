@@ -224,3 +224,43 @@ def test_joined_counts_and_angles_are_not_read_between_two_turns(tmp_path: Path)
     off = [np.abs(np.angle(np.exp(1j * (values - truth)))).max() for values in found]
     assert off[0] < 2 * np.pi * (3.3 * 0.005 + 1 / 4096)
     assert off[1] < 1e-9
+
+
+def test_few_columns_of_runs_are_no_runs_side_by_side(tmp_path: Path) -> None:
+    table = {"t_s": np.arange(5.0), "x_ref_m": np.arange(5.0), "y_ref_m": np.zeros(5)}
+    write_log(table | {"x_run1_m": np.zeros(5), "x_run2_m": np.zeros(5)}, tmp_path / "log.csv")
+    assert "x_ref_m" in read_log(tmp_path).columns
+    (tmp_path / "wide.csv").write_text("t_s,x_ref_run1_um,x_ref_run2_um\n0,1,4\n1,2,5\n2,3,\n")
+    log = read_log(tmp_path / "wide.csv")
+    assert log.runs == (1, 2)
+    assert log.array("x_ref_m") == pytest.approx([1e-6, 2e-6, 3e-6, 4e-6, 5e-6])
+    (tmp_path / "odd.csv").write_text("x_ref_run1_um,x_ref_run2_um,z_run1_um\n0,1,3\n1,2,\n")
+    with pytest.raises(InputError, match=r"Run 2 of .* must have a column for z_um"):
+        read_log(tmp_path / "odd.csv")
+
+
+def test_a_run_begins_where_the_clock_starts_again(tmp_path: Path) -> None:
+    t = np.r_[np.arange(50), np.arange(40), 0.2 + np.arange(30)] * 0.1 + 7.0
+    for size in (100, 7):
+        log = read_log({"t_s": t, "x_ref_m": t})
+        assert log.runs == (0, 1, 2)
+        assert next(len(b.data["t_s"]) for b in log.blocks(size=size) if b.run == 2) == min(size, 30)
+    late = np.arange(50) * 0.1
+    late[20] = late[10]
+    assert read_log({"t_s": late, "x_ref_m": late}).runs == (0,)
+    assert read_log({"x_ref_m": t}).runs == (0,)
+
+
+def test_runs_with_names_are_numbered_in_their_order(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("run,x_ref_um\nup,1\nup,2\ndown,3\n")
+    assert read_log(tmp_path / "log.csv").array("run").tolist() == [0, 0, 1]
+    (tmp_path / "bad.csv").write_text("run,x_ref_um\n1,1\n1x,2\n2,3\n")
+    with pytest.raises(InputError, match="Line 3, column 'run'"):
+        read_log(tmp_path / "bad.csv").runs  # noqa: B018
+
+
+def test_noise_of_a_channel_that_is_not_there_is_said(tmp_path: Path) -> None:
+    write_log(stage_arrays(), tmp_path / "log.csv")
+    (tmp_path / "meta.json").write_text('{"noise_1sigma": {"hall_m": 5e-7, "channel_v": 1e-3}}')
+    said = "meta.json states the noise of channel_v, which the log does not have."
+    assert said in read_log(tmp_path).notes

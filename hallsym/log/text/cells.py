@@ -67,7 +67,8 @@ def conventions_of(cells: Iterable[str], decimal: str | None = None) -> tuple[li
     numbers = [c for c in dict.fromkeys(cells) if is_number(c)]
     if decimal != "," and all(_PATTERNS[POINT].fullmatch(n) for n in numbers):
         return [POINT], ""
-    allowed = [c for c in CONVENTIONS if decimal in (None, c.decimal)]
+    signs = set().union(*numbers)
+    allowed = [c for c in CONVENTIONS if decimal in (None, c.decimal) and set(c.grouping) <= signs]
     counts = {c: sum(bool(_PATTERNS[c].fullmatch(n)) for n in numbers) for c in allowed}
     most = max(counts.values(), default=0)
     best = [c for c in allowed if counts[c] == most]
