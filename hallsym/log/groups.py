@@ -6,9 +6,9 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -31,7 +31,7 @@ class Group(ABC):
     the file states of them; `first`, `last`: time of the first and the last sample in seconds, None without a
     time base; `since`: from what time counts, which two clocks must have in common; `epoch`: the moment of
     its zero in seconds, where it is known; `clock`: the channel that is the time base, "" where the format
-    gives it; `timed`: whether time is one of its columns.
+    gives it; `timed`: whether time is one of its columns; `by_run`: whether it starts again in each run.
     """
 
     name: str
@@ -44,6 +44,7 @@ class Group(ABC):
     clock: str = ""
     epoch: float | None = None
     timed: bool = True
+    by_run: bool = False
 
     @abstractmethod
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
@@ -70,6 +71,10 @@ class Group(ABC):
         return f"{self.name} ({counted(len(self.channels), 'channel')}{rate})"
 
 
+RUN_APART = 1e6
+"""Seconds that runs are put apart where a clock starts again in each: longer than any run lasts."""
+
+
 class Columns(Group):
     """Columns of equal length of a source; the one of time, where there is one, is the clock.
 
@@ -77,7 +82,8 @@ class Columns(Group):
     """
 
     def __init__(self, name: str, source: Source, mapped: Mapping[str, str] | None = None) -> None:
-        self.name, self.source, self.shift, self.channels = name, source, 0.0, tuple(source.names)
+        self.name, self.source, self.channels = name, source, tuple(source.names)
+        self.shift, self.restarts, self.by_run = 0.0, False, False
         ours = {c: mapped[c] for c in self.channels if mapped and c in mapped}
         self.units = {**source.units, **{c: u.name for c, n in ours.items() if (u := split_unit(n)[1])}}
         named = [c for c in self.channels if split_unit(ours.get(c, c))[0] == OWN_TIME]
@@ -97,19 +103,36 @@ class Columns(Group):
         self.epoch = self.source.epoch(self.clock)
         self.since = "zero" if self.seconds(self.clock) else "zero, in a unit that is not stated"
         self.since = self.since if self.epoch is None else "a moment"
-        ends = [(p[TIME][0], p[TIME][-1]) for p in self.chunks([TIME], CHUNK_ROWS) if len(p[TIME])]
-        self.first, self.last = (float(ends[0][0]), float(ends[-1][1])) if ends else (None, None)
+        last = -np.inf
+        for piece in self.chunks([TIME], CHUNK_ROWS):
+            time = piece[TIME]
+            self.restarts |= bool((np.diff(time, prepend=last) < 0).any())
+            self.first = float(time[0]) if last == -np.inf else self.first
+            self.last = last = float(time[-1])
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of exactly `size` rows, the last one of what is left; also of `TIME`."""
-        wanted = list(dict.fromkeys(self.clock if name == TIME else name for name in names))
-        factor = self.seconds(self.clock) or 1.0
+        clock = [self.clock, *([RUN] if self.by_run else [])] if TIME in names else []
+        wanted = list(dict.fromkeys([*(name for name in names if name != TIME), *clock]))
         for piece in exact(self.source.chunks(wanted, size), size, wanted):
-            yield {n: piece[self.clock] * factor + self.shift if n == TIME else piece[n] for n in names}
+            yield {name: self._time(piece) if name == TIME else piece[name] for name in names}
+
+    def _time(self, piece: Mapping[str, Array]) -> Array:
+        time = piece[self.clock] * (self.seconds(self.clock) or 1.0) + self.shift
+        return np.asarray(time + RUN_APART * piece[RUN] if self.by_run else time)
 
 
-def from_one_moment(groups: Sequence[Columns]) -> None:
-    """Let the clocks that state a moment count from the earliest one."""
+def on_one_scale(groups: Sequence[Columns]) -> None:
+    """Let clocks that state a moment count from the earliest one, and those that start again run by run."""
+    if any(g.restarts for g in groups) and all(RUN in g.channels for g in groups):
+        for g in groups:
+            g.by_run, g.restarts = True, False
+            g.begin()
+            if g.restarts:
+                raise InputError(
+                    f"Time of {g.name} must rise in each run, and the numbers of its runs from run to run, to"
+                    " be joined with another file: sort it by run and time."
+                )
     known = [g for g in groups if g.since == "a moment" and g.epoch is not None and g.first is not None]
     earliest = min((g.epoch for g in known if g.epoch is not None), default=0.0)
     for g in known:
@@ -277,7 +300,7 @@ class GroupedSource(Source):
         if not self.runs and len(filled) > 1:
             for g in filled:
                 g.begin()
-            from_one_moment([g for g in filled if isinstance(g, Columns)])
+            on_one_scale([g for g in filled if isinstance(g, Columns)])
         self.sets = [[next(iter(self.runs.values()))]] if self.runs else on_one_clock(filled)
         if files and not stated and len(self.sets) > 1 and all(m[0].first is not None for m in self.sets):
             stated = Clock(min((m[0] for m in self.sets), key=lambda g: g.rate).name, METHODS[0])
@@ -337,11 +360,11 @@ class GroupedSource(Source):
         return master
 
     def _leave_others(self, clocks: bool) -> None:
-        """Leave out runs of other groups where the master has them; with `clocks`, times of other clocks."""
+        """Leave out runs and times of other groups that the master has; with `clocks`, of other clocks."""
         mine = self._mine()
         for g in (g for members in self.sets for g in members if g is not self.master):
             dropped = {RUN: "run"} if RUN in self.master.channels else {}
-            if clocks and g not in mine:
+            if clocks if g not in mine else self.master.clock:
                 dropped[g.clock], g.timed = "time", False
             for name in [c for c in g.channels if c in dropped]:
                 self.left_out[f"{g.name}/{name}"] = f"it is the {dropped[name]} of {g.name}"
@@ -368,6 +391,7 @@ class GroupedSource(Source):
         begin, end = self._shared()
         cut = (begin, end) != (self.master.first, self.master.last)
         left = f", from {begin:.6g} to {end:.6g} s, where all were recorded" if cut else ""
+        left = ", run by run" if self.master.by_run else left
         return f"{text}, at the samples of {self.master.name}, other groups {how}{whole}{left}"
 
     def _ask(self) -> str:
@@ -401,23 +425,22 @@ class GroupedSource(Source):
                 yield {n: piece[channels[n]] if n in channels else np.full(rows, run) for n in names}
 
     def _resampled(self, names: Sequence[str], size: int, method: str) -> Iterator[Mapping[str, Array]]:
-        mine, others = self._mine(), self._others()
-        wanted = dict(_by_group(self.places, names))
-        followers = [
-            Follower(
-                g.name,
-                g.rate,
-                partial(_timed, g),
-                [self._wanted(name, channel) for name, channel in wanted.get(g, ())],
-            )
-            for g in others
-        ]
-        own = dict.fromkeys([*(name for name in names if self.places[name].group in mine), self._own()])
-        begin, end = self._shared()
-        times = self.master.chunks([TIME], size)
-        pieces = self._joined(list(own), size)
-        rows = ((time[TIME], piece) for time, piece in zip(times, pieces, strict=True))
-        yield from resampled(rows, followers, method, (begin, end), names, size, self.where)
+        """Yield columns at the samples of the master, those between which all groups were recorded."""
+        wanted, (begin, end) = dict(_by_group(self.places, names)), self._shared()
+        turns = {name: self._turn(name) for name in names}
+        followers = [Follower(g, wanted[g], turns, size, self.where) for g in self._others() if g in wanted]
+        read = {name for follower in followers for name, _ in follower.wanted}
+        own = [name for name in names if name not in read] or [self._own()]
+        last = np.empty(0)
+        for piece, times in zip(self._joined(own, size), self.master.chunks([TIME], size), strict=True):
+            time = times[TIME]
+            check_rising(np.concatenate([last, time]), self.master.name, self.where)
+            last, inside = time[-1:], (time >= begin) & (time <= end)
+            if inside.any():
+                found = {name: values[inside] for name, values in piece.items()}
+                for follower in followers:
+                    found |= follower.read(time[inside], method)
+                yield {name: found[name] for name in names}
 
     def _mine(self) -> list[Group]:
         return next(members for members in self.sets if self.master in members)
@@ -443,15 +466,12 @@ class GroupedSource(Source):
                 )
         return begin, end
 
-    def _wanted(self, name: str, channel: str) -> Wanted:
+    def _turn(self, name: str) -> float | None:
+        """Return a full turn in the unit of an angle, 0 for another column; None for counts and runs."""
         unit = UNITS[self.units[name]] if name in self.units else split_unit(name)[1]
-        turn = 2 * math.pi / unit.factor if unit and unit.si == "rad" else 0.0
-        return Wanted(name, channel, turn, name == RUN or bool(unit and unit.si == "count"))
-
-
-def _timed(group: Group, channels: Sequence[str], size: int) -> Iterator[tuple[Array, Mapping[str, Array]]]:
-    for piece in group.chunks([TIME, *(c for c in channels if c != TIME)], size):
-        yield piece[TIME], piece
+        if name == RUN or (unit and unit.si == "count"):
+            return None
+        return 2 * math.pi / unit.factor if unit and unit.si == "rad" else 0.0
 
 
 def _by_group(places: Mapping[str, Place], names: Sequence[str]) -> list[tuple[Group, list[tuple[str, str]]]]:
@@ -470,41 +490,39 @@ AT_ONCE = 4096
 FOR_PERIOD = 1000
 """Samples from which the period of a group is taken; a pause between them is not in the median."""
 
-Piece = Mapping[str, Array]
-Stream = Callable[[Sequence[str], int], Iterator[tuple[Array, Piece]]]
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """A column and the channel that it is; `turn`: a full turn in the unit of an angle, 0 for others.
-
-    `whole`: its numbers are counts or runs, between which there is nothing.
-    """
-
-    column: str
-    channel: str
-    turn: float = 0.0
-    whole: bool = False
-
 
 class Follower:
     """One group read along the clock of another; it holds the samples about the rows asked for, no more."""
 
-    def __init__(self, name: str, rate: float, stream: Stream, wanted: Sequence[Wanted]) -> None:
-        """Read channels of a group with `rate` samples a second."""
-        self.name, self.rate, self.stream, self.wanted = name, rate, stream, list(wanted)
-        self.channels = list(dict.fromkeys(w.channel for w in wanted))
+    def __init__(
+        self,
+        group: Group,
+        wanted: Sequence[tuple[str, str]],
+        turns: Mapping[str, float | None],
+        size: int,
+        where: str,
+    ) -> None:
+        """Begin a pass for columns and their channels, with chunks of about `size` samples.
 
-    def start(self, size: int, where: str) -> None:
-        """Begin a pass with chunks of about `size` samples; messages call the file `where`."""
-        self._where = where
-        self._pieces = self.stream(self.channels, max(size, AT_ONCE))
+        `turns`: by column a full turn of an angle, 0 for others; None for whole numbers, between which there
+        is nothing. Messages call the file `where`.
+        """
+        self.group, self.wanted, self.turns, self.where = group, list(wanted), turns, where
+        self.channels = list(dict.fromkeys(channel for _, channel in wanted))
+        self.size = max(size, AT_ONCE)
+        self._pieces = group.chunks([TIME, *self.channels], self.size)
         self._time = np.empty(0)
         self._held: dict[str, Array] = {}
         self._longest = np.inf
         self._ended = not self._more()
         if len(self._time) > 1:
             self._longest = LONGEST_GAP * float(np.median(np.diff(self._time[:FOR_PERIOD])))
+
+    def read(self, time: Array, method: str) -> dict[str, Array]:
+        """Return the columns at rising times, in steps that hold about as many samples as a chunk."""
+        need = math.ceil((time[-1] - time[0]) * self.group.rate / self.size)
+        parts = [part for part in np.array_split(time, max(1, min(len(time), need))) if len(part)]
+        return joined([self.at(part, method) for part in parts], [column for column, _ in self.wanted])
 
     def at(self, time: Array, method: str) -> dict[str, Array]:
         """Return the columns at rising times, each of shape (times,); NaN where the group has no value."""
@@ -515,7 +533,7 @@ class Follower:
         self._time = self._time[keep:]
         self._held = {name: values[keep:] for name, values in self._held.items()}
         if len(self._time) < 2:
-            return {w.column: np.full(len(time), np.nan) for w in self.wanted}
+            return {column: np.full(len(time), np.nan) for column, _ in self.wanted}
         after = np.searchsorted(self._time, time, "left").clip(1, len(self._time) - 1)
         before = after - 1
         left, right = self._time[before], self._time[after]
@@ -523,28 +541,24 @@ class Follower:
         known = inside | (time == left) | (time == right)
         share = np.divide(time - left, right - left, out=np.zeros(len(time)), where=right > left)
         out = {}
-        for w in self.wanted:
-            values = self._held[w.channel]
-            if method == "nearest" or values.dtype.kind != "f" or w.whole:
+        for column, channel in self.wanted:
+            values, turn = self._held[channel], self.turns[column]
+            if method == "nearest" or values.dtype.kind != "f" or turn is None:
                 found = values[np.where(share > 0.5, after, before)].astype(np.float64)
             else:
-                found = _between(values[before], values[after], share, w.turn)
-            out[w.column] = np.where(known, found, np.nan)
+                found = _between(values[before], values[after], share, turn)
+            out[column] = np.where(known, found, np.nan)
         return out
 
     def _more(self) -> bool:
         """Read the next chunk; whether there was one."""
-        found = next(self._pieces, None)
-        if found is None:
+        piece = next(self._pieces, None)
+        if piece is None:
             return False
-        time, piece = found
-        joined = np.concatenate([self._time, time])
-        check_rising(joined[max(0, len(self._time) - 1) :], self.name, self._where)
-        self._time = joined
-        self._held = {
-            c: np.concatenate([self._held[c], piece[c]]) if c in self._held else piece[c]
-            for c in self.channels
-        }
+        time = np.concatenate([self._time, piece[TIME]])
+        check_rising(time[max(0, len(self._time) - 1) :], self.group.name, self.where)
+        self._time = time
+        self._held = {c: np.concatenate([self._held.get(c, piece[c][:0]), piece[c]]) for c in self.channels}
         return True
 
 
@@ -569,44 +583,3 @@ def check_rising(time: Array, name: str, where: str) -> None:
             f"Time of group {name} of {where} must rise; after {time[at]:.9g} s comes {time[at + 1]:.9g} s,"
             " so it cannot be put on one clock with others: split the log there."
         )
-
-
-def resampled(
-    rows: Iterator[tuple[Array, Piece]],
-    followers: Sequence[Follower],
-    method: str,
-    ends: tuple[float, float],
-    names: Sequence[str],
-    size: int,
-    where: str,
-) -> Iterator[Piece]:
-    """Yield the columns `names` at the rows of a clock; those outside `ends` are left out.
-
-    A fast follower of a slow clock is read in few rows at a time, so that it never holds more than about
-    `size` samples.
-    """
-    asked = [f for f in followers if f.wanted]
-    for follower in asked:
-        follower.start(size, where)
-    last = np.empty(0)
-    for time, own in rows:
-        check_rising(np.concatenate([last, time]), "the clock", where)
-        last = time[-1:]
-        inside = (time >= ends[0]) & (time <= ends[1])
-        if not inside.any():
-            continue
-        when = time[inside]
-        found = _read(asked, when, method, size)
-        kept = {name: values[inside] for name, values in own.items()}
-        yield {name: found[name] if name in found else kept[name] for name in names}
-
-
-def _read(followers: Sequence[Follower], time: Array, method: str, size: int) -> dict[str, Array]:
-    """Return all columns of the followers at `time`, in steps that hold about `size` of their samples."""
-    out: dict[str, Array] = {}
-    for follower in followers:
-        need = (time[-1] - time[0]) * follower.rate / max(size, AT_ONCE)
-        parts = [p for p in np.array_split(time, max(1, min(len(time), int(np.ceil(need))))) if len(p)]
-        found = [follower.at(part, method) for part in parts]
-        out |= {name: np.concatenate([piece[name] for piece in found]) for name in found[0]}
-    return out

@@ -264,3 +264,39 @@ def test_noise_of_a_channel_that_is_not_there_is_said(tmp_path: Path) -> None:
     (tmp_path / "meta.json").write_text('{"noise_1sigma": {"hall_m": 5e-7, "channel_v": 1e-3}}')
     said = "meta.json states the noise of channel_v, which the log does not have."
     assert said in read_log(tmp_path).notes
+
+
+def test_files_on_one_clock_have_one_time(tmp_path: Path) -> None:
+    t = np.arange(30) * 0.1
+    write_log({"run": np.zeros(30), "t_s": t, "hall_a_m": t}, tmp_path / "a.csv")
+    write_log({"run": np.zeros(30), "t_s": t, "x_ref_m": 2 * t}, tmp_path / "b.csv")
+    log = read_log([tmp_path / "a.csv", tmp_path / "b.csv"])
+    assert set(log.columns) == {"run", "t_s", "hall_a_m", "x_ref_m"}
+    assert np.array_equal(log.array("x_ref_m"), 2 * log.array("t_s"))
+
+
+@pytest.mark.parametrize("runs", [(1, 2, 5), (3, 1, 2)])
+def test_files_whose_clocks_start_again_are_joined_run_by_run(tmp_path: Path, runs: tuple[int, ...]) -> None:
+    """Each logger counts from the trigger of each run; nothing is read between two runs."""
+    slow, fast = np.arange(20) * 0.1, np.arange(201) * 0.01
+    reference = {
+        "run": np.repeat(runs, 20), "t_s": np.tile(slow, 3),
+        "x_ref_m": np.concatenate([r + slow for r in runs]),
+    }  # fmt: skip
+    halls = {
+        "run": np.repeat(runs, 201), "t_s": np.tile(fast, 3),
+        "hall_a_m": np.concatenate([r + np.sin(fast) for r in runs]),
+    }  # fmt: skip
+    write_log(reference, tmp_path / "ref.csv")
+    write_log(halls, tmp_path / "hall.csv")
+    files = [tmp_path / "ref.csv", tmp_path / "hall.csv"]
+    if runs != tuple(sorted(runs)):
+        with pytest.raises(InputError, match="Time of ref must rise in each run, and the numbers"):
+            read_log(files)
+        return
+    log = read_log(files)
+    assert (log.runs, log.rows) == (runs, 60)
+    for run in runs:
+        part = log.run(run)
+        assert np.allclose(part["t_s"], slow, rtol=0, atol=1e-12)
+        assert np.allclose(part["hall_a_m"], run + np.sin(slow), rtol=0, atol=1e-7)
