@@ -379,8 +379,8 @@ class GroupedSource(Source):
         if self.runs:
             counted_from_0 = any(number_of(g.name) != k for k, g in self.runs.items())
             named = ", ".join(f"run {k} is {g.name}" for k, g in list(self.runs.items())[:SHOWN_GROUPS])
-            first = named if counted_from_0 else self.sets[0][0].said()
-            return f"{kind}: {len(self.runs)} runs, {first}{more and ', ...'}"
+            each = f"{named}{more}" if counted_from_0 else f"each as {self.sets[0][0].said()}"
+            return f"{kind}: {len(self.runs)} runs, {each}"
         text = f"{kind}: {named}{more}"
         if len(self.sets) == 1:
             return text
