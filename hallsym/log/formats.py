@@ -142,6 +142,11 @@ class Guarded(Source):
         with self._reading():
             return self.inner.head(count, most)
 
+    def epoch(self, name: str) -> float | None:
+        """Return the moment of zero of a column of times."""
+        with self._reading():
+            return self.inner.epoch(name)
+
     def labels(self, name: str) -> list[str]:
         """Return a column of names, as text."""
         self._possible(getattr(self.inner, "rows", 0))

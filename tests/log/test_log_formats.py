@@ -266,6 +266,26 @@ def test_noise_of_a_channel_that_is_not_there_is_said(tmp_path: Path) -> None:
     assert said in read_log(tmp_path).notes
 
 
+@pytest.mark.parametrize("kind", ["text", "typed"])
+def test_moments_of_two_files_are_compared(tmp_path: Path, kind: str) -> None:
+    """Each file's times begin with its own first sample; as moments they are 1.5 s apart."""
+    start = np.datetime64("2026-01-05T08:00:00", "us")
+    for name, begin, step in (("hall_a_m", 0.0, 0.01), ("x_ref_m", 1.5, 0.1)):
+        t = begin + np.arange(round(4 / step)) * step
+        stamps = start + np.round(t * 1e6).astype("timedelta64[us]")
+        if kind == "text":
+            rows = [f"{str(s).replace('T', ' ')},{float(v)!r}" for s, v in zip(stamps, t, strict=True)]
+            (tmp_path / f"{name}.csv").write_text("\n".join([f"stamp,{name}", *rows, ""]))
+        else:
+            import pyarrow as pa
+            from pyarrow import parquet
+
+            parquet.write_table(pa.table({"stamp": stamps, name: t}), tmp_path / f"{name}.parquet")
+    log = read_log(sorted(path for path in tmp_path.iterdir() if path.is_file()))
+    assert log.rows == 25
+    assert np.allclose(log.array("hall_a_m"), log.array("x_ref_m"), rtol=0, atol=1e-9)
+
+
 def test_files_on_one_clock_have_one_time(tmp_path: Path) -> None:
     t = np.arange(30) * 0.1
     write_log({"run": np.zeros(30), "t_s": t, "hall_a_m": t}, tmp_path / "a.csv")
