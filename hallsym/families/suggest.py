@@ -227,7 +227,7 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
     data = _numbers(source)
     if not data:
         raise InputError("No column of the file holds numbers; nothing can be suggested.")
-    chosen = _model(source, model, meta or Meta())
+    chosen = _model(source, data, model, meta or Meta())
     named = _by_name(source, data, chosen)
     known = {g.stem: _si(data[g.theirs], g) for g in named if g.unit and g.stem != RUN}
     told = any(split_unit(c)[0] in known for c in chosen.references)
@@ -281,39 +281,26 @@ def _measured(model: Model) -> tuple[str, ...]:
     return tuple(c for c in model.state if c not in computed)
 
 
-def _model(source: Source, name: str | None, meta: Meta) -> Model:
+def _model(source: Source, data: Mapping[str, Array], name: str | None, meta: Meta) -> Model:
     """Return the model whose columns the names of a file fit best, in the form in which it is read there."""
-    numbers = numbers_of(source.names)
 
-    def fits(model: Model) -> float:
-        stems, names = _stems(model), list(source.names)
-        pairs = [(likeness(s, n, numbers), s, n) for s in sorted(stems) for n in sorted(names)]
-        total, like = 0.0, _likeliest(p for p in pairs if p[0] > 0)
-        for score, stem, theirs in like:  # each column is one of ours
-            stems.remove(stem)
-            names.remove(theirs)
-            total += score
-        for stem in stems:  # no name is like it, a unit may be
-            told = [n for n in names if _stated(source, n) and _unit_fits(source, n, stem, model)]
-            names = [n for n in names if n not in told[:1]]
-            total += BARE * len(told[:1])
-        return total / len(_stems(model))
+    def fits(model: Model) -> tuple[float, int]:
+        stems = _stems(model)
+        found = sum(score for score, stem, _ in _matched(source, data, model) if stem in stems)
+        return found / len(stems), len(stems)
 
     own = [si_name(n) for n in source.names if _own(n)]
     for column in (n for n in source.names if not _own(n) and _stated(source, n)):
         like = "_".join([*re.findall(r"\w+", column.lower()), UNITS[_stated(source, column)].si])
         own += [like] if any(re.fullmatch(family.readings, like) for family in FAMILIES) else []
 
-    def best(models: list[Model]) -> Model:
-        return max(models, key=lambda model: (fits(model), len(model.channels)))
-
     if stated := name or meta.base_model:
-        return best(_forms(stated, tuple(own), meta))
+        return max(_forms(stated, tuple(own), meta), key=fits)
     found: list[Model] = []
     for family in FAMILIES:
         with suppress(InputError):  # of a family whose code fails, which nobody has asked for
             found += _forms(family.default, tuple(own), meta)
-    return best(found)
+    return max(found, key=fits)
 
 
 def _forms(name: str, own: tuple[str, ...], meta: Meta) -> list[Model]:
@@ -340,37 +327,32 @@ def _likeliest(pairs: Iterable[tuple[float, str, str]]) -> list[tuple[float, str
     return found
 
 
-def _by_name(source: Source, data: Mapping[str, Array], model: Model) -> list[Guess]:
-    numbers = numbers_of(source.names)
-    stems = [RUN, TIME, *_stems(model), *OTHERS]
-    own = {name: _own(name) for name in data}
-    fitting = [
-        (stem, name)
-        for stem in stems
-        for name in data
-        if own[name] in ("", stem, stem.removesuffix("_ref"))  # a name of ours is not another one of ours
-        and (stem not in (RUN, TIME) or _behaves(stem, data[name]))
-    ]
-    silent = {name for name in data if not words_of(name, unit=True)}
+def _matched(source: Source, data: Mapping[str, Array], model: Model) -> list[tuple[float, str, str]]:
+    """Return how well our stems and the file's names go together (score, stem, name), each once."""
+    numbers, own, stems = numbers_of(source.names), {name: _own(name) for name in data}, _stems(model)
     pairs = []
-    for stem, name in fitting:
-        like, fits = likeness(stem, name, numbers), _unit_fits(source, name, stem, model)
-        if fits or (like > BARE and stem in _stems(model)):  # in V or counts it lacks a scale
-            pairs.append((like if fits else like / 2, stem, name))
-        if name in silent and fits and _stated(source, name) and stem not in (RUN, TIME):
-            pairs.append((BARE / 2, stem, name))
-        if fits and (stem == RUN or (stem == TIME and not _whole(data[name]))):  # an index is no time
-            pairs.append((BARE / 2, stem, name))
+    for stem in (RUN, TIME, *stems, *OTHERS):
+        for name, values in data.items():
+            if own[name] not in ("", stem, stem.removesuffix("_ref")):
+                continue  # a name of ours is not another one of ours
+            if stem in (RUN, TIME) and not _behaves(stem, values):
+                continue
+            like, fits = likeness(stem, name, numbers), _unit_fits(source, name, stem, model)
+            if fits or (like > BARE and stem in stems):  # in V or counts it lacks a scale
+                pairs.append((like if fits else like / 2, stem, name))
+            by_unit = not words_of(name, unit=True) and _stated(source, name) and stem not in (RUN, TIME)
+            by_data = stem == RUN or (stem == TIME and not _whole(values))  # an index is no time
+            if fits and (by_unit or by_data):
+                pairs.append((BARE / 2, stem, name))
+    return _likeliest(pair for pair in pairs if pair[0] > 0)
+
+
+def _by_name(source: Source, data: Mapping[str, Array], model: Model) -> list[Guess]:
     found = []
-    for score, stem, name in _likeliest(p for p in pairs if p[0] > 0):
-        by_data = (
-            "its data: whole numbers that stay"
-            if stem == RUN
-            else "its unit"
-            if name in silent
-            else "its data"
-        )
-        guess = Guess(stem, name, (), "its name" if score >= BARE or stem not in (RUN, TIME) else by_data)
+    for score, stem, name in _matched(source, data, model):
+        named = score >= BARE or (words_of(name, unit=True) and stem not in (RUN, TIME))
+        why = "its name" if named else "its data" if stem in (RUN, TIME) else "its unit"
+        guess = Guess(stem, name, (), why)
         found.append(_with_unit(source, data[name], guess, model))
     words = [name for name in source.names if name not in data and likeness(RUN, name) >= BARE]
     if words and all(guess.stem != RUN for guess in found):
