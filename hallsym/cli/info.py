@@ -169,7 +169,7 @@ def _write(options: Namespace) -> int:
         "rest": list(found.rest),
     }
     options.column_file = options.write
-    chosen = ["--model", found.model.name] if options.model or not found.known_by_columns else []
+    chosen = ["--model", found.model.name] if options.model or (found.told and not found.by_columns) else []
     command = ["hallsym", "fit", options.file, *chosen, *reading_words(options)]
     check = f"Check {options.write}"
     if found.open:
@@ -177,7 +177,10 @@ def _write(options: Namespace) -> int:
         check += f": in it the unit of {open} is open; remove the # of the right line of each"
     columns = tuple(si_name(g.ours) for g in found.guesses) + found.rest
     notes = [] if described else layout_notes(found.model.name, Meta(columns=columns))
-    if found.lacking:
+    if not found.told:
+        unknown = "nothing in the file tells what sensor it is of: say it with --model, such as rotary,"
+        notes = [f"{unknown} or name the columns in {options.write}."]
+    elif found.lacking:
         notes.append(f"no column is like {', '.join(found.lacking)}; name theirs in {options.write}.")
     said = f"{_head_text(source)}\n\n{text}\n{check}."
     say(options, record, lambda: said, notes=notes, wrote=[options.write], then=command)

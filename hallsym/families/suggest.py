@@ -187,6 +187,11 @@ class Suggestion:
         return tuple(g.stem for g in self.guesses if g.open and g.stem not in OTHERS)
 
     @property
+    def told(self) -> bool:
+        """Whether anything in the file is like a column of the model."""
+        return any(g.stem in _stems(self.model) for g in self.guesses)
+
+    @property
     def lacking(self) -> tuple[str, ...]:
         """Columns of the model that no column of the file is like."""
         known = {g.stem for g in self.guesses}
@@ -195,7 +200,7 @@ class Suggestion:
         )
 
     @property
-    def known_by_columns(self) -> bool:
+    def by_columns(self) -> bool:
         """Whether the columns alone lead to a model of this family."""
         columns = tuple(si_name(g.ours) for g in self.guesses)
         try:
@@ -286,8 +291,8 @@ def _model(source: Source, data: Mapping[str, Array], name: str | None, meta: Me
 
     def fits(model: Model) -> tuple[float, int]:
         stems = _stems(model)
-        found = sum(score for score, stem, _ in _matched(source, data, model) if stem in stems)
-        return found / len(stems), len(stems)
+        scores = [score for score, stem, _ in _matched(source, data, model) if stem in stems]
+        return sum(scores) / len(stems), len(scores)
 
     own = [si_name(n) for n in source.names if _own(n)]
     for column in (n for n in source.names if not _own(n) and _stated(source, n)):
@@ -341,6 +346,7 @@ def _matched(source: Source, data: Mapping[str, Array], model: Model) -> list[tu
             if fits or (like > BARE and stem in stems):  # in V or counts it lacks a scale
                 pairs.append((like if fits else like / 2, stem, name))
             by_unit = not words_of(name, unit=True) and _stated(source, name) and stem not in (RUN, TIME)
+            by_unit = by_unit or (stem == TIME and _stated(source, name) == name.lower())
             by_data = stem == RUN or (stem == TIME and not _whole(values))  # an index is no time
             if fits and (by_unit or by_data):
                 pairs.append((BARE / 2, stem, name))
@@ -383,6 +389,8 @@ def _stated(source: Source, name: str) -> str:
     if _own(name):
         unit = split_unit(name)[1]
         return unit.name if unit else ""
+    if name.lower() in ("s", "ms", "us", "ns"):
+        return name.lower()
     last = name.rpartition("_")[2].lower()
     return last if "_" in name and last in UNITS and (len(last) > 1 or last in "sm") else ""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -120,11 +121,20 @@ def open_feather(path: Path) -> Arrays:
 
 
 def open_json(path: Path) -> Arrays:
-    """Open a file with one JSON object a line, each with the same keys; of objects in it each is a column.
+    """Open lines of JSON objects with the same keys, a list of them, or one object of lists.
 
-    A unit behind the name of an object is that of its columns: {"hall_um": {"a": 1.5}} is `hall_a_um`.
+    Of an object in an object each entry is a column. A unit behind the name of an object is that of its
+    columns: {"hall_um": {"a": 1.5}} is `hall_a_um`.
     """
-    arrow, table = load("pyarrow"), load("pyarrow.json").read_json(path)
+    arrow = load("pyarrow")
+    try:
+        whole = json.loads(path.read_bytes())
+    except json.JSONDecodeError:  # several objects
+        table = load("pyarrow.json").read_json(path)
+    else:
+        lists = {k: v for k, v in whole.items() if isinstance(v, list)} if isinstance(whole, dict) else {}
+        rows = whole if isinstance(whole, list) else [whole]
+        table = arrow.table(lists) if lists else arrow.Table.from_pylist(rows)
     names = list(table.column_names)
     while any(arrow.types.is_struct(kind) for kind in table.schema.types):
         names = [name for k, column in enumerate(names) for name in _within(column, table.schema.types[k])]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.columns import RUN_WORDS
+from hallsym.log.columns import RUN_WORDS, TIME_WORDS
 from hallsym.log.groups import Columns, GroupedSource
 from hallsym.log.table import Arrays, Source
 from hallsym.log.text.cells import split_header, unit_of
@@ -92,14 +92,17 @@ def unit_in(attributes: Mapping[str, object]) -> str | None:
     return None
 
 
-_OF_RUN = re.compile(rf"(?:^|[_ ./-])(?:{'|'.join(RUN_WORDS)})[_ .#-]?(\d+)(?=$|[_ ./-])", re.IGNORECASE)
+_OF_RUN = re.compile(
+    rf"(?:^|[_ ./-])(?:(?:{'|'.join(RUN_WORDS)})[_ .#-]?|#)(\d+)(?=$|[_ ./-])", re.IGNORECASE
+)
 
 
 def side_by_side(source: Source, where: str) -> Source:
     """Return the runs of a table with columns for each run (`hall_a_run0`, `hall_a_run1`) one after another.
 
-    Any other table, and one of which most columns are of no run, is returned as it is. Columns without a run
-    belong to all of them; the empty cells that end the columns of a shorter run are left out.
+    Numbers without the word (`Hall A #1`) are those of runs where each has a time. Any other table, and one
+    of which most columns are of no run, is returned as it is. Columns without a run belong to all of them;
+    the empty cells that end the columns of a shorter run are left out.
     """
     runs: dict[int, dict[str, str]] = {}
     for name in source.names:
@@ -110,6 +113,9 @@ def side_by_side(source: Source, where: str) -> Source:
     if len(runs) < 2 or "" in next(iter(runs.values())) or 2 * of_runs <= len(source.names):
         return source
     stems = {stem for columns in runs.values() for stem in columns}
+    worded = not any("#" in found[0] for name in source.names if (found := _OF_RUN.search(name)))
+    if not worded and not any(split_header(stem)[0].lower() in TIME_WORDS for stem in stems):
+        return source
     for run, columns in runs.items():
         if lacking := sorted(stems - set(columns)):
             raise InputError(f"Run {run} of {where} must have a column for {lacking[0]} as the others have.")

@@ -98,6 +98,8 @@ STEADY = 5
 """Rows of numbers in a row that show where a table begins, above which there may be words."""
 COMMENT = "comment"
 """Last name of LabVIEW's measurement files, under which rows without a comment have no cell."""
+_AGAIN = re.compile(r"(.+)\.\d+")
+"""A name that pandas has numbered, since another column has it too."""
 _QUOTED = re.compile(r'"[^"\n]*"')
 
 
@@ -346,20 +348,22 @@ def _units(table: Table, lines: list[Line]) -> tuple[int, int, list[str]]:
 def _stems(names: list[str], units: list[str], where: str) -> dict[str, tuple[str, str | None]]:
     """Return the header's own text and the unit of each column, by its name without the unit."""
     texts = [text or f"(column {k + 1})" for k, text in enumerate(names)]
-    times, seen = Counter(texts), Counter[str]()
+    bare = [m[1] if (m := _AGAIN.fullmatch(text)) and m[1] in texts else text for text in texts]
+    times, same, seen = Counter(bare), Counter(texts), Counter[str]()
     twice = next((name for name in times if times[name] > 1 and (name == "run" or split_unit(name)[1])), None)
     if twice:
         raise InputError(f"Column names of {where} must differ; '{twice}' stands there twice: rename one.")
-    paths = [text.rpartition("/") for text in texts]
+    paths = [text.rpartition("/") for text in bare]
     groups = Counter(before for before, _, _ in paths if before)
-    parts = [split_header(text) for text in texts]
+    parts = [split_header(text) for text in bare]
     for k, (before, _, last) in enumerate(paths):
         if groups[before] > 1:  # what several columns have before a slash is a group of channels
             parts[k] = (f"{before}/{split_header(last)[0]}", split_header(last)[1])
-        seen[texts[k]] += 1
-        if times[texts[k]] > 1:  # columns of one name are numbered
-            number = seen[texts[k]]
-            parts[k], texts[k] = (f"{parts[k][0]} {number}", parts[k][1]), f"{texts[k]} {number}"
+        seen[bare[k]] += 1
+        if times[bare[k]] > 1:  # columns of one name are numbered
+            numbered = f"{bare[k]} {seen[bare[k]]}"
+            parts[k] = (f"{parts[k][0]} {seen[bare[k]]}", parts[k][1])
+            texts[k] = texts[k] if same[texts[k]] == 1 else numbered
     stems = Counter(stem for stem, _ in parts)
     found: dict[str, tuple[str, str | None]] = {}
     for k, (text, (stem, unit)) in enumerate(zip(texts, parts, strict=True)):
