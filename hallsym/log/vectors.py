@@ -113,8 +113,9 @@ def side_by_side(source: Source, where: str) -> Source:
     if len(runs) < 2 or "" in next(iter(runs.values())) or 2 * of_runs <= len(source.names):
         return source
     stems = {stem for columns in runs.values() for stem in columns}
-    worded = not any("#" in found[0] for name in source.names if (found := _OF_RUN.search(name)))
-    if not worded and not any(split_header(stem)[0].lower() in TIME_WORDS for stem in stems):
+    marks = [m[0].strip("_ ./-") for name in source.names if (m := _OF_RUN.search(name))]
+    timed = any(split_header(stem)[0].lower() in TIME_WORDS for stem in stems)
+    if not timed and any(mark[0] == "#" for mark in marks):
         return source
     for run, columns in runs.items():
         if lacking := sorted(stems - set(columns)):

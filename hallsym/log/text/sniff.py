@@ -464,7 +464,7 @@ class Encoded:
     @staticmethod
     def of(source: Path | Callable[[], IO[bytes]]) -> Encoded:
         """Recognise compression and coding by the beginning of the file."""
-        open_raw = partial(open, source, "rb") if isinstance(source, Path) else source
+        open_raw = partial(_open, source) if isinstance(source, Path) else source
         with open_raw() as stream:
             compressed = stream.read(2) == _GZIP
         found = Encoded(open_raw, compressed, "")
@@ -536,6 +536,10 @@ def end_of(file: Encoded, size: int = END) -> str:
         length = stream.seek(0, os.SEEK_END)
         stream.seek(max(0, length - size))
         return stream.read().decode("latin-1" if file.encoding == "latin-1" else "utf-8", "replace")
+
+
+def _open(path: Path) -> IO[bytes]:
+    return open(path, "rb")
 
 
 def _encoding(head: bytes) -> str:
