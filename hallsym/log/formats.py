@@ -386,7 +386,7 @@ def open_source(
     paths = path if isinstance(path, list | tuple) else [path]
     if not paths or not all(isinstance(one, str | Path) for one in paths):
         raise InputError(
-            "A log must be a path or several, a dict of arrays, a data frame or a Log; instead received a "
+            "A log must be a path, a dict of arrays, a data frame, a Log or a list of paths; instead received a "
             f"{type(path).__name__}."
         )
     files = [file for one in paths for file in files_of(one)]
