@@ -386,8 +386,8 @@ def open_source(
     paths = path if isinstance(path, list | tuple) else [path]
     if not paths or not all(isinstance(one, str | Path) for one in paths):
         raise InputError(
-            "A log must be a path, a dict of arrays, a data frame, a Log or a list of paths; instead received a "
-            f"{type(path).__name__}."
+            "A log must be a path, a dict of arrays, a data frame, a Log or a list of paths; instead received"
+            f" a {type(path).__name__}."
         )
     files = [file for one in paths for file in files_of(one)]
     folder = Path(paths[0]) if Path(paths[0]).is_dir() else None
