@@ -344,7 +344,7 @@ def test_a_broken_family_harms_no_other(family, beside_a_broken_one):
     assert families.model_for(model.pose) in (f.default for f in FAMILIES)
     assert set(model.pose) <= set(families.axes())
     found = suggest.suggest(open_source({c: log.array(c) for c in log.columns})[2])
-    assert found.model == model.name
+    assert found.model.name == model.name
 
 
 def test_a_log_is_fitted_and_diagnosed_beside_a_broken_family(beside_a_broken_one):

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import re
 import shlex
 import sys
 from argparse import ArgumentParser, Namespace
@@ -15,12 +16,14 @@ from hallsym.cli.parser import HelpText
 from hallsym.cli.progress import Meter
 from hallsym.errors import InputError, require
 from hallsym.estimation import Fit, load_fit
-from hallsym.families import build, model_for
+from hallsym.families import build, default_model, family_called, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
 from hallsym.families.user import load_effects
 from hallsym.files import json_text
 from hallsym.log import MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
+from hallsym.log.formats import files_of, open_source
+from hallsym.log.groups import GroupedSource
 from hallsym.model import Effect, Model
 from hallsym.output import fitted, printable
 from hallsym.records import named
@@ -84,9 +87,14 @@ def log_options(parser: ArgumentParser) -> None:
         "--column-file", metavar="TOML", help='the same as a file: [columns] hall_a_um = "HallA"'
     )
     group.add_argument(
+        "--join", action="append", default=[], metavar="FILE",
+        help="another file of the same log (repeat): more runs where it has the same columns, else columns "
+        "that are read at the times of the slower file",
+    )  # fmt: skip
+    group.add_argument(
         "--clock", metavar="GROUP:HOW",
-        help="of a file (TDMS, MDF, MCAP) whose groups have several: whose samples become the rows, and how "
-        "others are read there: Hall:linear or Hall:nearest",
+        help="of several files, or of groups of one (TDMS, MDF, MCAP, HDF5), with clocks of their own: whose "
+        "samples become the rows, and how others are read there: Hall:linear or Hall:nearest",
     )  # fmt: skip
     group.add_argument(
         "--counts-per-turn", type=float, metavar="N",
@@ -114,7 +122,7 @@ def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
     )  # fmt: skip
     group.add_argument(
         "--format", metavar="FORMAT",
-        help="parquet, csv, mat, hdf5, xlsx, tdms, mdf or mcap, when the suffix is another",
+        help="parquet, csv, mat, hdf5, npz, feather, json, xlsx, tdms, mdf, mcap; by the suffix if not given",
     )  # fmt: skip
     group.add_argument(
         "--delimiter", help="of a text file: ';', tab, blank; recognised where it is not given"
@@ -163,8 +171,44 @@ def open_log(
     """
     reading = reading_of(options) | {"drop_bad": options.drop_bad}
     reading |= {} if known is None else {"remembered": known.columns, "read_with": known.read_with}
-    log = read_log(options.log if path is None else path, **reading)
-    return log if machine is None else replace(log, meta=machine.applied(log.meta))
+    path = options.log if path is None else path
+    log = read_log([path, *options.join] if options.join else path, **reading)
+    if machine is None:
+        return log
+    meta = machine.applied(log.meta)
+    stated = meta.probes is not None or meta.nominal or machine.parameters
+    words = shlex.join([str(path), *reading_words(options)])
+    notes = [] if stated or known else layout_notes(options.model, meta, words)
+    return replace(log, meta=meta, notes=(*log.notes, *notes))
+
+
+def layout_notes(name: str | None, meta: Meta, log: str = "LOG") -> list[str]:
+    """Return the note on the layout that is assumed where nobody states one; `log` as in `default_model`."""
+    name = name or default_model(meta, log)
+    family = family_called(name)
+    if family is None or not family.assumed or any(table in meta.raw for table in family.tables):
+        return []
+    places = build(name, meta=meta).channels
+    extra = [c for c in meta.columns if re.fullmatch(family.readings, c) and c not in places]
+    beside = f"; {', '.join(extra)} of the log have no place in it and are not used" if extra else ""
+    return [
+        f"The layout is assumed: {family.assumed}{beside}. State that of your machine with --machine FILE."
+    ]
+
+
+def runs_in_files(options: Namespace, paths: Sequence[str]) -> list[str]:
+    """Return files as the words that name them as one log, where each is a run; else none.
+
+    A folder that holds nothing else is named in place of its files.
+    """
+    if len(paths) < 2 or any(Path(path).is_dir() for path in paths):
+        return []
+    source = open_source(list(paths), **{name: getattr(options, name) for name in FILE_OPTIONS}).source
+    if not (isinstance(source, GroupedSource) and source.numbered):
+        return []
+    folder = Path(paths[0]).parent
+    whole = set(files_of(folder)) == {Path(path) for path in paths}
+    return [str(folder)] if whole else list(paths)
 
 
 def refuse_twice(paths: Sequence[str]) -> None:
@@ -295,11 +339,8 @@ def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:
     `known`: a calibration that the next step does not read, but whose mapping of columns it needs.
     """
     mapped = known.columns if known else {}
-    columns = [f"{ours}={c.name}" for ours, c in mapped.items() if not options.column and c.scale == 1.0]
+    columns = [f"{ours}={c.option}" for ours, c in mapped.items() if not options.column]
     words = [word for column in (*options.column, *columns) for word in ("--column", column)]
-    counts = next((c.counts_per_turn for c in mapped.values() if c.counts_per_turn), None)
-    if counts and options.counts_per_turn is None:
-        words += ["--counts-per-turn", f"{counts:g}"]
     for name, text in (known.read_with if known else {}).items():
         words += [f"--{name}", text] if getattr(options, name, None) is None else []
     words += [word for noise in options.noise for word in ("--noise", noise)]
@@ -307,6 +348,12 @@ def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:
         value = getattr(options, option, None)
         if value is not None:
             words += [f"--{option.replace('_', '-')}", f"{value:g}" if isinstance(value, float) else value]
+    return [*words, *samples_words(options)]
+
+
+def samples_words(options: Namespace) -> list[str]:
+    """Words of a command on the same log that no calibration remembers: further files, samples left out."""
+    words = [word for path in options.join for word in ("--join", path)]
     return [*words, *(["--drop-bad"] if options.drop_bad else [])]
 
 

@@ -73,7 +73,11 @@ def add(sub: Any) -> None:
 def run(options: Namespace) -> int:
     """Carry the command out."""
     machine = read_machine(options.machine)
-    several = len(options.logs) > 1 or bool(options.holdout_log or options.per_log)
+    common.refuse_twice(options.logs)
+    apart = options.per_log or options.holdout_log
+    if not apart and (files := common.runs_in_files(options, options.logs)):
+        options.logs, options.join = files[:1], [*files[1:], *options.join]
+    several = len(options.logs) > 1 or bool(apart)
     logs, judged = _opened(options, options.logs, machine), _opened(options, options.holdout_log, machine)
     shared: dict[str, Any] = {
         "own": common.own_effects(options),
@@ -146,8 +150,9 @@ def _next(options: Namespace, result: Fit) -> list[str]:
     if not options.output:
         return [*options.typed, "-o", "calib.json"]
     if result.undetermined_by_log:
-        return ["hallsym", "sensitivity", options.output, options.logs[0]]
-    return ["hallsym", "report", options.output, options.logs[0], "-o", "report.html"]
+        return ["hallsym", "sensitivity", options.output, options.logs[0], *common.samples_words(options)]
+    words = ["hallsym", "report", options.output, options.logs[0], *common.samples_words(options)]
+    return [*words, "-o", "report.html"]
 
 
 def exit_code(result: Fit, *, said: bool = True) -> int:

@@ -1,14 +1,23 @@
 """`hallsym info`: what a file holds, or what hallsym knows."""
 
 import shlex
-from argparse import Namespace
+from argparse import SUPPRESS, Namespace
 from collections.abc import Mapping
 from itertools import accumulate, zip_longest
 from pathlib import Path
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import FILE_OPTIONS, command, log_options, open_log, say
+from hallsym.cli.common import (
+    FILE_OPTIONS,
+    command,
+    layout_notes,
+    log_options,
+    open_log,
+    reading_words,
+    runs_in_files,
+    say,
+)
 from hallsym.cli.trajectory import about_curve
 from hallsym.errors import InputError, counted
 from hallsym.estimation import LOSSES, SOLVERS
@@ -17,6 +26,7 @@ from hallsym.families import build, effects, family_called, models
 from hallsym.files import atomic_write
 from hallsym.log import Log, Meta, check_log, estimate_noise, open_source, spans
 from hallsym.log.columns import is_moving
+from hallsym.log.formats import Opened
 from hallsym.log.table import Source
 from hallsym.output import PROSE, fitted
 from hallsym.output import columns as columns_of_line
@@ -25,9 +35,8 @@ from hallsym.report.text.fit import fit_text
 from hallsym.report.text.info import effect_record, effect_text, is_explained, model_record, model_text
 from hallsym.simulation import read_campaign
 from hallsym.trajectory import is_curve, read_curve
-from hallsym.units import readable
+from hallsym.units import readable, si_name
 
-HINT = "'hallsym info {} --suggest' writes a column file to check"
 COLUMN_FILE = "columns.toml"
 
 
@@ -40,25 +49,29 @@ def add(sub: Any) -> None:
         "can take. An effect by name: what it means, its numbers, the parameters it adds, what recording\n"
         "separates it from others. Without an argument: the models, effects and solvers there are.\n\n"
         "examples:\n  hallsym info campaign.parquet\n  hallsym info stage31\n  hallsym info hysteresis\n"
-        "  hallsym info lab.csv --suggest",
+        "  hallsym info lab.csv --write columns.toml\n  hallsym info 'runs/*.csv' --write columns.toml",
     )  # fmt: skip
     parser.add_argument(
-        "file", metavar="FILE_OR_NAME", nargs="?",
-        help="log, calibration or curve (.json), campaign (.toml), or the name of a model or an effect",
+        "files", metavar="FILE_OR_NAME", nargs="*",
+        help="log, calibration or curve (.json), campaign (.toml), or the name of a model or an effect; "
+        "several files are one log: runs where they have the same columns, else joined by their times",
     )  # fmt: skip
     parser.add_argument(
-        "--suggest", nargs="?", const=COLUMN_FILE, metavar="TOML",
+        "--write", nargs="?", const=COLUMN_FILE, metavar="TOML",
         help="of a log whose columns have other names: write a column file with the best guess for each, "
         f"to be checked (default {COLUMN_FILE})",
     )  # fmt: skip
+    parser.add_argument("--suggest", dest="write", nargs="?", const=COLUMN_FILE, help=SUPPRESS)
     parser.add_argument(
-        "--model", metavar="MODEL", help="what --suggest is for, such as stage31 (default: by the names)"
+        "--model", metavar="MODEL", help="what --write is for, such as stage31 (default: by the names)"
     )
     log_options(parser)
 
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
+    options.file, *others = runs_in_files(options, options.files) or options.files or [None]
+    options.join = [*others, *options.join]
     if options.file is None:
         record: dict[str, Any] = {
             "models": {name: (make.__doc__ or "").strip().split("\n")[0] for name, make in models().items()},
@@ -67,6 +80,8 @@ def run(options: Namespace) -> int:
             "losses": list(LOSSES),
         }
         say(options, record, lambda: _listing(record))
+    elif others or options.write:
+        return _write(options) if options.write else _log(options)
     elif family_called(options.file) and not Path(options.file).exists():
         record = model_record(build(options.file))
         say(options, record, lambda: model_text(record))
@@ -87,31 +102,35 @@ def run(options: Namespace) -> int:
             "noise": dict(campaign.noise or {}),
         }  # fmt: skip
         say(options, record, lambda: "\n".join(f"{k}: {v}" for k, v in record.items()))
-    elif options.suggest:
-        return _suggest(options)
     else:
-        source = _opened(options)[2]
-        try:
-            log = open_log(options, path=options.file)
-        except InputError:
-            if not options.json:
-                print(fitted(_head_text(source)))
-            raise
-        record, text = _about_log(log, options)
-        if source.recognised:
-            record["recognised"] = source.recognised
-        if not any(map(is_moving, log.columns)):
-            text += f"\nnote: no column has one of hallsym's names; {HINT.format(shlex.quote(options.file))}."
-        text = f"{_head_text(source)}\n\n{text}"
-        say(options, record, lambda: text)
+        return _log(options)
+    return OK
+
+
+def _log(options: Namespace) -> int:
+    source = _opened(options).source
+    try:
+        log = open_log(options, path=options.file)
+    except InputError:
+        if not options.json:
+            print(_head_text(source))
+        raise
+    record, text = _about_log(log, options)
+    if source.recognised:
+        record["recognised"] = source.recognised
+    if not any(map(is_moving, log.columns)):
+        typed = shlex.join([*options.typed, "--write"])
+        text += f"\nnote: no column has one of hallsym's names; '{typed}' writes a column file to check."
+    say(options, record, lambda: f"{_head_text(source)}\n\n{text}")
     return OK
 
 
 SHOWN_ROWS, SHOWN_COLUMNS = 3, 40
 
 
-def _opened(options: Namespace) -> tuple[Path | None, Path | None, Source]:
-    return open_source(options.file, **{name: getattr(options, name) for name in FILE_OPTIONS})
+def _opened(options: Namespace) -> Opened:
+    paths = [options.file, *options.join] if options.join else options.file
+    return open_source(paths, **{name: getattr(options, name) for name in FILE_OPTIONS})
 
 
 def _head_text(source: Source) -> str:
@@ -129,25 +148,42 @@ def _head_text(source: Source) -> str:
     more = len(source.names) - fit
     lines = [f"read as {source.recognised}", ""] if source.recognised else []
     lines += [grid(table, left=0)] if table else []
-    return "\n".join([*lines, *([f"and {counted(more, 'column')} more"] if more > 0 else [])])
+    lines += [f"and {counted(more, 'column')} more"] if more > 0 else []
+    return "\n".join([*lines, *(f"left out: {name} ({why})" for name, why in source.left_out.items())])
 
 
-def _suggest(options: Namespace) -> int:
+def _write(options: Namespace) -> int:
     from hallsym.families.suggest import suggest
 
-    _, folder, source = _opened(options)
+    _, folder, source, where = _opened(options)
+    if source.unstated:
+        raise InputError(source.unstated)
     described = folder is not None and (folder / "meta.json").exists()
     found = suggest(source, options.model, Meta.read(folder / "meta.json") if folder and described else None)
-    text = found.to_toml(options.file)
-    atomic_write(options.suggest, text)
+    text = found.to_toml(where)
+    atomic_write(options.write, text)
     record = {
-        "model": found.model,
-        "columns": {g.stem: {**vars(g), "line": g.line} for g in found.guesses},
+        "model": found.model.name,
+        "columns": {g.stem: {**vars(g), "lines": g.lines} for g in found.guesses},
+        "open": list(found.open),
         "rest": list(found.rest),
     }
-    typed = shlex.join(["hallsym", "fit", options.file, "--column-file", options.suggest])
-    said = f"{_head_text(source)}\n\n{text}\nCheck {options.suggest}, then: {typed}"
-    say(options, record, lambda: said, wrote=[options.suggest])
+    options.column_file = options.write
+    chosen = ["--model", found.model.name] if options.model or (found.told and not found.by_columns) else []
+    command = ["hallsym", "fit", options.file, *chosen, *reading_words(options)]
+    check = f"Check {options.write}"
+    if found.open:
+        open = ", ".join(found.open)
+        check += f": in it the unit of {open} is open; remove the # of the right line of each"
+    columns = tuple(si_name(g.ours) for g in found.guesses) + found.rest
+    notes = [] if described else layout_notes(found.model.name, Meta(columns=columns))
+    if not found.told:
+        unknown = "nothing in the file tells what sensor it is of: say it with --model, such as rotary,"
+        notes = [f"{unknown} or name the columns in {options.write}."]
+    elif found.lacking:
+        notes.append(f"no column is like {', '.join(found.lacking)}; name theirs in {options.write}.")
+    said = f"{_head_text(source)}\n\n{text}\n{check}."
+    say(options, record, lambda: said, notes=notes, wrote=[options.write], then=command)
     return OK
 
 

@@ -12,6 +12,7 @@ from hallsym.estimation.decoding import logged_columns
 from hallsym.estimation.plausible import as_read
 from hallsym.files import atomic_write
 from hallsym.log import check_log
+from hallsym.log.phase import at_rest
 from hallsym.report.page.fit_page import fit_page
 
 
@@ -34,7 +35,7 @@ def add(sub: Any) -> None:
 def run(options: Namespace) -> int:
     """Carry the command out."""
     known = load_fit(options.calibration, own_effects(options))
-    log = open_log(options, known=known)
+    log = at_rest(open_log(options, known=known), known.model)
     if not options.drop_bad:
         columns, wired = logged_columns(known.model), as_read(log, known.model, known.wiring)
         log = replace(log, notes=tuple(check_log(wired, columns)))

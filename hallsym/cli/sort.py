@@ -10,7 +10,7 @@ from hallsym.errors import InputError, require
 from hallsym.estimation import load_fit
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
-from hallsym.log import parse_column_option
+from hallsym.log import Foreign, parse_column_option
 from hallsym.records import named
 from hallsym.report.text.sorting import matching_text, save_table, sorting_text
 from hallsym.sorting import WIDTH, Matching, Sorting, match_sensors, read_readings, sort_sensors
@@ -110,7 +110,7 @@ def _check(options: Namespace) -> None:
     require(kind in (".csv", ".json"), "--output", "a .csv (a row a sensor) or .json (everything)", kind)
 
 
-def _column(text: str) -> tuple[str, str]:
+def _column(text: str) -> tuple[str, str | Foreign]:
     ours, _, theirs = (part.strip() for part in text.partition("="))
     return (ours, theirs) if ours == SENSOR and theirs else parse_column_option(text)
 

@@ -26,7 +26,7 @@ from hallsym.families.faults import FAULTS
 from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ
 from hallsym.log import Log, clean_log, usable
 from hallsym.log.batches import HELD, remembered
-from hallsym.log.phase import continuous
+from hallsym.log.phase import at_rest, continuous
 from hallsym.log.quality.scan import FEWEST_SAMPLES
 from hallsym.model import Effect, Model
 
@@ -176,7 +176,7 @@ def prepare(
     level = _threshold(log, threshold, policy)
     if budget is not None and not budget >= 0:
         raise InputError(f"Input budget of diagnose must be 0 s or more; instead received {budget:g}.")
-    log, drop_bad = readable(log, model, drop_bad)
+    log, drop_bad = readable(at_rest(log, model), model, drop_bad)
     whole = log
     held, pieces = _whole_runs(log, holdout, policy), tuple[int, ...]()
     known = None if timed else _known(log, model)

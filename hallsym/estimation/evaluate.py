@@ -20,7 +20,7 @@ from hallsym.estimation.residual_noise import noise_followed, with_noise
 from hallsym.estimation.task import Asked, Task, noise_of
 from hallsym.families import plain
 from hallsym.log import Log, Noise, as_log, clean_log, usable
-from hallsym.log.phase import LISTED, rehomed
+from hallsym.log.phase import LISTED, at_rest, rehomed
 from hallsym.model import Model
 from hallsym.shown import Shown
 from hallsym.units import readable
@@ -140,7 +140,7 @@ def evaluate(
     known = calibration if isinstance(calibration, Fit) else load_fit(calibration)
     model = known.model
     given, rails = as_log(log, known.columns, known.read_with), not knows_rails(model)
-    given, notes = usable(given, logged_columns(model), drop_bad=drop_bad, rails=rails)
+    given, notes = usable(at_rest(given, model), logged_columns(model), drop_bad=drop_bad, rails=rails)
     wired = rewired(given, model.channels, known.wiring)
     if model.inspect and model.inspect(model, wired, fitted=False).wiring is not None:
         raise InputError(

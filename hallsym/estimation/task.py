@@ -34,7 +34,7 @@ from hallsym.families import adapted, added_effects, build, default_model
 from hallsym.log import Log, Noise, estimate_noise, usable
 from hallsym.log.batches import Weigh
 from hallsym.log.core import Drop, without
-from hallsym.log.phase import continuous, designed, home_notes
+from hallsym.log.phase import at_rest, continuous, designed, home_notes
 from hallsym.model import Inspection, Model
 from hallsym.output import Step
 
@@ -58,7 +58,9 @@ def prepared(log: Log, model: Model, *, drop_bad: bool) -> tuple[Log, tuple[str,
 
     `drop_bad`: leave out bad samples. Raises `InputError` for logs that cannot be fitted.
     """
-    log, notes = usable(log, logged_columns(model), drop_bad=drop_bad, rails=not knows_rails(model))
+    log, notes = usable(
+        at_rest(log, model), logged_columns(model), drop_bad=drop_bad, rails=not knows_rails(model)
+    )
     mounted = model.inspect(model, log) if model.inspect else Inspection()
     notes = [*notes, *mounted.notes]
     return as_read(log, model, mounted.wiring), tuple(notes), mounted

@@ -9,6 +9,7 @@ from hallsym.families.faults import FAULTS
 from hallsym.files import MOST_NUMBER
 from hallsym.log import Meta
 from hallsym.log.columns import is_moving, listed
+from hallsym.log.phase import followed
 from hallsym.model import Effect, Family, Model
 from hallsym.model.effect import as_effect, read_text
 
@@ -60,21 +61,27 @@ def build(
     return adapted(model, added, parameters or {}, own)
 
 
-def default_model(meta: Meta) -> str:
+def default_model(meta: Meta, log: str = "LOG") -> str:
     """Return the model where none is named: the log's own, else that of the family whose columns it has.
 
-    Raises `InputError` where the columns are of no family.
+    `log`: the words that name it in a command. Raises `InputError` where the columns are of no family.
     """
     if meta.base_model:
         return meta.base_model
     if meta.columns and not any(map(is_moving, meta.columns)):
+        log = log.replace("'", '"')  # the command stands between the others
         kinds = " nor ".join(f"{f.about.partition(';')[0].rstrip(')')})" for f in FAMILIES)
         raise InputError(
             f"The log's columns ({listed(meta.columns, 3)}) are neither {kinds}; map columns with "
-            "--column-file ('hallsym info LOG --suggest' writes it), or name the model with --model."
+            f"--column-file ('hallsym info {log} --write' writes it), or name the model with --model."
         )
     fitting = (f for test in (Family.reads, Family.refers) for f in FAMILIES if test(f, meta.columns))
-    return next(fitting, FAMILIES[0]).model_of(meta.columns)
+    family = next(fitting, FAMILIES[0])
+    usual = family.model_of(meta.columns)
+    names = [make.__name__ for make in family.models]
+    simpler = names[: names.index(usual) + 1][::-1]
+    fed = (name for name in simpler if set(followed(build(name, meta=meta))) <= set(meta.columns))
+    return next(fed, usual)
 
 
 def axes() -> tuple[str, ...]:

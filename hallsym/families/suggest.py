@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.families import FAMILIES, build
+from hallsym.families import FAMILIES, build, default_model, family_called
 from hallsym.log import Meta
-from hallsym.log.columns import likely_units, limit_of
+from hallsym.log.columns import RUN_WORDS, TIME_WORDS, limit_of
 from hallsym.log.table import Source
 from hallsym.model import Model
 from hallsym.output import printable, toml_text
@@ -26,8 +26,8 @@ REF, READING, RUN, TIME, ANGLE = "ref", "reading", "run", "t", "angle"
 _SAME: dict[str, tuple[str, ...]] = {
     REF: ("ref", "reference", "ifm", "interferometer", "interf", "laser", "true", "cnc", "truth", "referenz"),
     READING: ("hall", "sensor", "probe", "hs", "ch", "channel", "adc", "sonde"),
-    RUN: ("run", "pass", "scan", "sweep", "trial", "segment", "lauf", "fahrt", "messung", "measurement"),
-    TIME: ("t", "time", "timestamp", "zeit", "clock", "elapsed", "temps"),
+    RUN: RUN_WORDS,
+    TIME: TIME_WORDS,
     ANGLE: ("angle", "theta", "phi", "winkel", "rotation", "rot"),
     "sin": ("sin", "sine", "sinus"),
     "cos": ("cos", "cosine", "cosinus", "kosinus"),
@@ -81,7 +81,9 @@ def likeness(ours: str, theirs: str, numbers: tuple[int, ...] = ()) -> float:
     digits = [w for w in found if w.isdigit()]
     if READING in wanted and letters and digits and numbers:
         place = sorted(numbers).index(int(digits[0])) if int(digits[0]) in numbers else -1
-        if string.ascii_lowercase[place] == letters[0] and wanted - set(letters) <= found - set(digits):
+        named = any(len(w) == 1 and w.isalpha() for w in found)
+        fits = string.ascii_lowercase[place] == letters[0] and wanted - set(letters) <= found - set(digits)
+        if fits and not named:
             return NUMBERED
     told = ({REF}, {ANGLE})  # by the other columns, by the unit
     return BARE if found and any(word <= wanted and wanted - word == found for word in told) else 0.0
@@ -95,66 +97,130 @@ def numbers_of(names: tuple[str, ...]) -> tuple[int, ...]:
 
 ROWS = 50_000
 """Samples that are looked at."""
-STATED, BY_SIZE = "its unit is stated", "UNIT ONLY BY ITS SIZE"
+STATED, BY_SIZE = "its unit is stated", "CHECK THE UNIT: assumed from its size"
 MOVES = 0.9
 """Correlation from which a column moves as another one does: the other axes and the noise make the rest."""
 NEAR = 3.0
 """Ratio of sizes up to which a unit fits: gains and nominal values are not exact."""
 OTHERS = ("temperature", "current", "speed")
+CLOCKS_HZ = (1.0, 2e4)
+"""Rates that loggers of positions record at: a time whose ticks could be ms or s is asked about."""
+MOTIONS = {"m": ("m", "mm", "um", "nm"), "rad": ("rad", "deg", "mrad", "urad", "nrad")}
+"""Units in which motion is recorded, by SI unit."""
+LEAST_MOTION = 1e-8
+"""Motion that sensors and references resolve: 10 nm, 10 nrad. A unit in which a column moves less is none."""
+WRAPPED = 0.95
+"""Share of a turn from which on a column up to a turn is one that begins again."""
+COUNTS = "counts"
+COUNTED = 256
+"""Whole numbers over at least this range, those of eight bits, may be counts of a converter."""
 
 
 @dataclass(frozen=True)
 class Guess:
-    """Our stem for a column of the file, its unit ("" where nothing tells it), and what speaks for it."""
+    """Our stem for a column of the file, the units it may have, and what speaks for it.
+
+    `units`: one where it is known or can be assumed, several where somebody must choose, none where nothing
+    tells. `raw`: what the values are where they need a scale, such as counts. `scale`: one that serves, where
+    only ratios count.
+    """
 
     stem: str
     theirs: str
-    unit: str
+    units: tuple[str, ...]
     why: str
     sign: int = 1
     counts_per_turn: int | None = None
+    raw: str = ""
+    scale: float | None = None
+
+    @property
+    def unit(self) -> str:
+        """The unit; "" where it is open."""
+        return self.units[0] if len(self.units) == 1 and not self.raw else ""
+
+    @property
+    def open(self) -> bool:
+        """Whether somebody must choose."""
+        return not self.unit and self.stem != RUN
+
+    def in_units(self, *units: str, said: str, turn: int | None = None, raw: str = "") -> Guess:
+        """Return the guess with units, what is said for them, and counts per turn."""
+        return replace(self, units=units, why=f"{self.why}; {said}", counts_per_turn=turn, raw=raw)
+
+    @property
+    def lines(self) -> list[str]:
+        """The lines of a column file; comments where somebody must choose."""
+        name = json.dumps(self.theirs, ensure_ascii=False)
+        more = ", sign = -1" if self.sign < 0 else ""
+        more += f", counts_per_turn = {self.counts_per_turn}" if self.counts_per_turn else ""
+        more += f", scale = {self.scale!r}" if self.scale else ""
+        names = [RUN] if self.stem == RUN else [f"{self.stem}_{u}" for u in self.units or ("UNIT",)]
+        entries = [f"{ours} = {{ name = {name}{more} }}" if more else f"{ours} = {name}" for ours in names]
+        if self.raw:
+            scaled = f"{names[0]} = {{ name = {name}{more}, scale = 1.0, offset = 0.0 }}"
+            entries = [*(entries if self.raw == COUNTS else ()), scaled]
+        return [f"{'# ' if self.open else ''}{entry}" for entry in entries]
 
     @property
     def ours(self) -> str:
-        """Our name, with the unit."""
-        return self.stem if self.stem == RUN else f"{self.stem}_{self.unit or 'UNIT'}"
-
-    def in_unit(self, unit: str, said: str, turn: int | None = None) -> Guess:
-        """Return the guess with a unit, what is said for it, and counts per turn."""
-        return replace(self, unit=unit, why=f"{self.why}; {said}", counts_per_turn=turn)
+        """Our name, with the first of the units."""
+        return f"{self.stem}_{self.units[0]}" if self.units else self.stem
 
     @property
-    def line(self) -> str:
-        """The line of a column file; a comment where the unit is not known."""
-        name = toml_text(self.theirs)
-        more = ", sign = -1" if self.sign < 0 else ""
-        more += f", counts_per_turn = {self.counts_per_turn}" if self.counts_per_turn else ""
-        entry = f"{self.ours} = {{ name = {name}{more} }}" if more else f"{self.ours} = {name}"
-        lacking = not self.unit and self.stem != RUN
-        return f"# {entry}" if lacking else entry
+    def as_it_is(self) -> bool:
+        """Whether the file's own name says it all."""
+        return self.theirs == (RUN if self.stem == RUN else f"{self.stem}_{self.unit}") and self.sign > 0
 
 
 @dataclass(frozen=True)
 class Suggestion:
     """Guesses for a file and the model they are for; `rest`: columns that nothing is known of."""
 
-    model: str
+    model: Model
     guesses: tuple[Guess, ...]
     rest: tuple[str, ...]
 
+    @property
+    def open(self) -> tuple[str, ...]:
+        """Our names of columns of the model whose unit or scale somebody must choose."""
+        return tuple(g.stem for g in self.guesses if g.open and g.stem not in OTHERS)
+
+    @property
+    def told(self) -> bool:
+        """Whether anything in the file is like a column of the model."""
+        return any(g.stem in _stems(self.model) for g in self.guesses)
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """Columns of the model that no column of the file is like."""
+        known = {g.stem for g in self.guesses}
+        return tuple(
+            c for c in (*self.model.channels, *self.model.references) if split_unit(c)[0] not in known
+        )
+
+    @property
+    def by_columns(self) -> bool:
+        """Whether the columns alone lead to a model of this family."""
+        columns = tuple(si_name(g.ours) for g in self.guesses)
+        try:
+            return family_called(default_model(Meta(columns=columns))) is self.model.family
+        except InputError:
+            return False
+
     def to_toml(self, log: str) -> str:
         """Return the column file, each line with what speaks for it."""
-        mapped = [g for g in self.guesses if g.ours != g.theirs]
-        width = max((len(g.line) for g in mapped), default=0)
-        lines = [f"{g.line.ljust(width)}  # {printable(g.why)}" for g in mapped]
-        own = [g.theirs for g in self.guesses if g.ours == g.theirs]
-        lines += [f"# read as they are: {printable(', '.join(own))}"] if own else []
-        others = [f"# not used: {', '.join(map(repr, self.rest))}"] if self.rest else []
+        rows = [(line, g.why) for g in self.guesses if not g.as_it_is for line in g.lines]
+        width = max((len(line) for line, _ in rows), default=0)
+        lines = [f"{line.ljust(width)}  # {why}" for line, why in rows]
+        own = [g.theirs for g in self.guesses if g.as_it_is]
+        lines += [f"# read as they are: {', '.join(own)}"] if own else []
+        lines += [f"# not used: {', '.join(map(repr, self.rest))}"] if self.rest else []
         head = [
-            f"# Suggested for {printable(log)}, as {self.model} needs it. Check every line: nothing is used",
-            "# until you give the file with --column-file. A line that begins with # lacks its UNIT (um).",
+            f"# For {' '.join(log.split())}, as {self.model.name} needs it. Check every line.",
+            "# Of lines that begin with #, remove the # of the right one: nothing in the file tells which.",
         ]
-        return "\n".join([*head, "", "[columns]", *lines, *others, ""])
+        return "\n".join([*head, "", "[columns]", *lines, ""])
 
 
 def suggest(source: Source, model: str | None = None, meta: Meta | None = None) -> Suggestion:
@@ -166,15 +232,25 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
     data = _numbers(source)
     if not data:
         raise InputError("No column of the file holds numbers; nothing can be suggested.")
-    chosen = _model(source, model, meta or Meta())
+    chosen = _model(source, data, model, meta or Meta())
     named = _by_name(source, data, chosen)
-    guesses = [*named, *_by_motion(source, data, chosen, named)]
+    known = {g.stem: _si(data[g.theirs], g) for g in named if g.unit and g.stem != RUN}
+    told = any(split_unit(c)[0] in known for c in chosen.references)
+    expected = _readings(chosen, known) if told else {}
+    named = [
+        _with_unit(source, data[g.theirs], replace(g, why="its name"), chosen, expected[g.stem])
+        if g.stem in expected and g.open and not g.raw and np.ptp(expected[g.stem]) > 0
+        else g
+        for g in named
+    ]
+    guesses = [*named, *_by_motion(source, data, chosen, named, expected)]
+    guesses += _left(source, data, chosen, guesses)
     order = {stem: k for k, stem in enumerate((RUN, TIME, *_stems(chosen), *OTHERS))}
-    known = {g.theirs for g in guesses}
+    used = {g.theirs for g in guesses}
     return Suggestion(
-        chosen.name,
+        chosen,
         tuple(sorted(guesses, key=lambda g: order[g.stem])),
-        tuple(name for name in source.names if name not in known),
+        tuple(name for name in source.names if name not in used),
     )
 
 
@@ -210,31 +286,25 @@ def _measured(model: Model) -> tuple[str, ...]:
     return tuple(c for c in model.state if c not in computed)
 
 
-def _model(source: Source, name: str | None, meta: Meta) -> Model:
+def _model(source: Source, data: Mapping[str, Array], name: str | None, meta: Meta) -> Model:
     """Return the model whose columns the names of a file fit best, in the form in which it is read there."""
-    numbers = numbers_of(source.names)
 
-    def fits(model: Model) -> float:
-        stems, names = _stems(model), list(source.names)
-        pairs = [(likeness(s, n, numbers), s, n) for s in sorted(stems) for n in sorted(names)]
-        total, like = 0.0, _likeliest(p for p in pairs if p[0] > 0)
-        for score, stem, theirs in like:  # each column is one of ours
-            stems.remove(stem)
-            names.remove(theirs)
-            total += score
-        for stem in stems:  # no name is like it, a unit may be
-            told = [n for n in names if _stated(source, n) and _unit_fits(source, n, stem, model)]
-            names = [n for n in names if n not in told[:1]]
-            total += BARE * len(told[:1])
-        return total / len(_stems(model))
+    def fits(model: Model) -> tuple[float, int]:
+        stems = _stems(model)
+        scores = [score for score, stem, _ in _matched(source, data, model) if stem in stems]
+        return sum(scores) / len(stems), len(scores)
 
-    own = tuple(si_name(n) for n in source.names if _own(n))
+    own = [si_name(n) for n in source.names if _own(n)]
+    for column in (n for n in source.names if not _own(n) and _stated(source, n)):
+        like = "_".join([*re.findall(r"\w+", column.lower()), UNITS[_stated(source, column)].si])
+        own += [like] if any(re.fullmatch(family.readings, like) for family in FAMILIES) else []
+
     if stated := name or meta.base_model:
-        return max(_forms(stated, own, meta), key=fits)
+        return max(_forms(stated, tuple(own), meta), key=fits)
     found: list[Model] = []
     for family in FAMILIES:
         with suppress(InputError):  # of a family whose code fails, which nobody has asked for
-            found += _forms(family.default, own, meta)
+            found += _forms(family.default, tuple(own), meta)
     return max(found, key=fits)
 
 
@@ -262,26 +332,37 @@ def _likeliest(pairs: Iterable[tuple[float, str, str]]) -> list[tuple[float, str
     return found
 
 
+def _matched(source: Source, data: Mapping[str, Array], model: Model) -> list[tuple[float, str, str]]:
+    """Return how well our stems and the file's names go together (score, stem, name), each once."""
+    numbers, own, stems = numbers_of(source.names), {name: _own(name) for name in data}, _stems(model)
+    pairs = []
+    for stem in (RUN, TIME, *stems, *OTHERS):
+        for name, values in data.items():
+            if own[name] not in ("", stem, stem.removesuffix("_ref")):
+                continue  # a name of ours is not another one of ours
+            if stem in (RUN, TIME) and not _behaves(stem, values):
+                continue
+            like, fits = likeness(stem, name, numbers), _unit_fits(source, name, stem, model)
+            if fits or (like > BARE and stem in stems):  # in V or counts it lacks a scale
+                pairs.append((like if fits else like / 2, stem, name))
+            by_unit = not words_of(name, unit=True) and _stated(source, name) and stem not in (RUN, TIME)
+            by_unit = by_unit or (stem == TIME and _stated(source, name) == name.lower())
+            by_data = stem == RUN or (stem == TIME and not _whole(values))  # an index is no time
+            if fits and (by_unit or by_data):
+                pairs.append((BARE / 2, stem, name))
+    return _likeliest(pair for pair in pairs if pair[0] > 0)
+
+
 def _by_name(source: Source, data: Mapping[str, Array], model: Model) -> list[Guess]:
-    numbers = numbers_of(source.names)
-    stems = [RUN, TIME, *_stems(model), *OTHERS]
-    own = {name: _own(name) for name in data}
-    fitting = [
-        (stem, name)
-        for stem in stems
-        for name in data
-        if own[name] in ("", stem)  # a name of ours is not another one of ours
-        and (stem not in (RUN, TIME) or _behaves(stem, data[name]))
-        and _unit_fits(source, name, stem, model)
-    ]
-    pairs = [(likeness(stem, name, numbers), stem, name) for stem, name in fitting]
-    # an index is no time
-    pairs += [(BARE / 2, s, n) for s, n in fitting if s == RUN or (s == TIME and not _whole(data[n]))]
     found = []
-    for score, stem, name in _likeliest(p for p in pairs if p[0] > 0):
-        by_data = "its data: whole numbers that stay" if stem == RUN else "its data"
-        guess = Guess(stem, name, "", "its name" if score >= BARE else by_data)
-        found.append(_with_unit(source, data[name], guess))
+    for score, stem, name in _matched(source, data, model):
+        named = score >= BARE or (words_of(name, unit=True) and stem not in (RUN, TIME))
+        why = "its name" if named else "its data" if stem in (RUN, TIME) else "its unit"
+        guess = Guess(stem, name, (), why)
+        found.append(_with_unit(source, data[name], guess, model))
+    words = [name for name in source.names if name not in data and likeness(RUN, name) >= BARE]
+    if words and all(guess.stem != RUN for guess in found):
+        found.append(Guess(RUN, words[0], (), "its name; runs are numbered in their order"))
     return found
 
 
@@ -308,6 +389,8 @@ def _stated(source: Source, name: str) -> str:
     if _own(name):
         unit = split_unit(name)[1]
         return unit.name if unit else ""
+    if name.lower() in ("s", "ms", "us", "ns"):
+        return name.lower()
     last = name.rpartition("_")[2].lower()
     return last if "_" in name and last in UNITS and (len(last) > 1 or last in "sm") else ""
 
@@ -320,67 +403,104 @@ def _own(name: str) -> str:
 
 def _unit_fits(source: Source, name: str, stem: str, model: Model) -> bool:
     """Say whether the unit of a column, where it is stated, is one that the model takes, or counts of it."""
-    stated = _stated(source, name)
-    taken = {
-        split_unit(c)[0]: c.rpartition("_")[2] for c in (*model.channels, *model.state, *model.references)
-    }
-    kinds = (taken[stem],) if stem in taken else quantity(stem)
+    stated, kinds = _stated(source, name), _kinds(stem, model)
     return not stated or stem == RUN or UNITS[stated].si in (*kinds, *("count",) * ("rad" in kinds))
 
 
-def _with_unit(source: Source, values: Array, guess: Guess, expected: Array | None = None) -> Guess:
-    """Add the unit that the file states, else the one in which the values are as large as they should be.
+def _kinds(stem: str, model: Model) -> tuple[str, ...]:
+    """Return the SI units that the model takes a column in."""
+    columns = (*model.channels, *model.state, *model.references)
+    return tuple(c.rpartition("_")[2] for c in columns if split_unit(c)[0] == stem) or quantity(stem)
 
-    That is what is `expected` of them, or what is likely. An angle that goes round: whole numbers are counts,
-    up to 7 radians, up to 400 degrees.
+
+def _with_unit(
+    source: Source, values: Array, guess: Guess, model: Model, expected: Array | None = None
+) -> Guess:
+    """Add the unit that the file states, else those in which the values are as large as they can be.
+
+    `expected`: what the values should be in SI, which decides.
     """
     if guess.stem == RUN:
         return guess
-    stated, kinds = _stated(source, guess.theirs), quantity(guess.stem)
-    if stated and UNITS[stated].si == "count" and "rad" in kinds:
-        return guess.in_unit("count", f"{STATED}, THE TURN ONLY BY ITS SIZE", _turn(values))
-    if stated:
-        return guess.in_unit(stated, STATED)
+    stated, kinds = _stated(source, guess.theirs), _kinds(guess.stem, model)
+    whole = guess.stem in _stems(model) and _whole(values) and np.ptp(values) >= COUNTED
+    going_round = "rad" in kinds and limit_of(f"{guess.stem}_rad") is None
+    if going_round and (stated == "count" or (whole and not stated)):
+        said = STATED if stated else "whole numbers"
+        return guess.in_units(
+            "count", said=f"{said}; CHECK THE TURN: assumed from its size", turn=_turn(values)
+        )
+    if stated and UNITS[stated].si in kinds:
+        return guess.in_units(stated, said=STATED)
+    units = [UNITS[u] for u in _possible(guess.stem, kinds, values)]
+    if whole and not stated and kinds[:1] == ("v",):
+        full = _turn(values)
+        return replace(
+            guess, units=("v",), scale=1 / full, why=f"{guess.why}; counts, 1 V is taken for {full}"
+        )
+    if stated or whole:
+        unit = {"m": "um", "rad": "urad"}.get(kinds[0], kinds[0])
+        others = [] if stated else [u.name for u in units if u.name != unit]
+        said = f"state {unit} per {stated}" if stated else f"whole numbers: counts, of so many {unit} each?"
+        return guess.in_units(unit, *others, said=said, raw=stated or COUNTS)
     if expected is not None:
         apart = {u.name: abs(np.log(u.factor * np.std(values) / np.std(expected)))
                  for u in UNITS.values() if u.si in kinds[:1]}  # fmt: skip
         best = min(apart, key=lambda u: apart[u], default="")
-        return guess.in_unit(best, BY_SIZE) if best and apart[best] < np.log(NEAR) else guess
-    span = float(np.nanmax(values) - np.nanmin(values))
-    for si in kinds:
-        limit = limit_of(f"{guess.stem}_{si}")
-        if limit and span > 0:
-            units = [si] if span <= limit.likely else likely_units(limit, span)
-            if units:
-                return guess.in_unit(units[0], BY_SIZE)
-    if "rad" not in kinds:
-        return guess
-    if _whole(values) and span > 400:
-        return guess.in_unit("count", "COUNTS ONLY BY SIZE", _turn(values))
-    return guess.in_unit("rad" if span < 7 else "deg", BY_SIZE) if span < 400 else guess
+        if best and apart[best] < np.log(NEAR):
+            return guess.in_units(best, said=BY_SIZE)
+    said = BY_SIZE if len(units) == 1 else "its unit is not stated"
+    return guess.in_units(*(u.name for u in units), said=said)
+
+
+def _possible(stem: str, kinds: Sequence[str], values: Array) -> list[str]:
+    """Return the units in which values are as large as they can be, large to small.
+
+    Of what is no motion, only down to the first that makes them usual.
+    """
+    known = values[np.isfinite(values)]
+    span = float(np.ptp(known))
+    if stem == TIME:
+        tick = float(np.median(np.diff(known)))
+        fits = {u: tick * UNITS[u].factor for u in ("s", "ms", "us", "ns") if tick > 0}
+        return [u for u, s in fits.items() if 1 / CLOCKS_HZ[1] <= s <= 1 / CLOCKS_HZ[0]]
+    limit = next((limit for si in kinds if (limit := limit_of(f"{stem}_{si}"))), None)
+    if limit is None:
+        turns = {u.name: 1 / u.factor for u in UNITS.values() if "rad" in kinds and u.name in ("deg", "rad")}
+        wrapped = [u for u, rad in turns.items() if WRAPPED <= span / (2 * np.pi * rad) <= 1.001]
+        return wrapped or list(turns)
+    found = []
+    for unit in MOTIONS.get(limit.si, (limit.si, *limit.instead)):
+        size, level = span * UNITS[unit].factor, np.abs(known * UNITS[unit].factor + UNITS[unit].offset).max()
+        if size <= limit.span and level <= limit.level and (size >= LEAST_MOTION or span == 0):
+            found.append(unit)
+            if 0 < size <= limit.likely and limit.si not in MOTIONS:
+                break
+    return found
 
 
 def _turn(values: Array) -> int:
-    return 1 << int(np.nanmax(values)).bit_length()
+    return 1 << int(np.nanmax(values) - np.nanmin(values)).bit_length()
 
 
 # -- by motion -------------------------------------------------------------------------------------------
 
 
 def _by_motion(
-    source: Source, data: Mapping[str, Array], model: Model, named: Sequence[Guess]
+    source: Source,
+    data: Mapping[str, Array],
+    model: Model,
+    named: Sequence[Guess],
+    expected: Mapping[str, Array],
 ) -> list[Guess]:
-    """Return guesses for readings that move as the references say they should."""
-    known = {g.stem: _si(data[g.theirs], g) for g in named if g.unit and g.stem != RUN}
+    """Return guesses for readings that move as they are `expected` to, where the references are known."""
     taken, stems = {g.theirs for g in named}, {g.stem for g in named}
     free = [n for n in data if n not in taken and not _own(n) and np.ptp(data[n]) > 0]
     lacking = [c for c in model.channels if split_unit(c)[0] not in stems and c not in model.period]
-    if not lacking or not any(split_unit(c)[0] in known for c in model.references):
-        return []
-    expected = _readings(model, known)
     likely = {
         (stem, name): float(np.corrcoef(expected[stem], data[name])[0, 1])
         for stem in (split_unit(c)[0] for c in lacking)
+        if stem in expected
         for name in free
         if _unit_fits(source, name, stem, model)
         and np.isfinite(data[name]).all()
@@ -389,9 +509,22 @@ def _by_motion(
     found = []
     for _, stem, name in _likeliest((abs(r), *pair) for pair, r in likely.items() if abs(r) >= MOVES):
         r = likely[stem, name]
-        guess = Guess(stem, name, "", f"moves as {stem} should (r = {r:.3f})", 1 if r > 0 else -1)
-        found.append(_with_unit(source, data[name], guess, expected[stem]))
+        guess = Guess(stem, name, (), f"moves as {stem} should (r = {r:.3f})", 1 if r > 0 else -1)
+        found.append(_with_unit(source, data[name], guess, model, expected[stem]))
     return found
+
+
+def _left(source: Source, data: Mapping[str, Array], model: Model, known: Sequence[Guess]) -> list[Guess]:
+    """Return the guess for the one column that the model lacks, where one column of the file can be it."""
+    stems, used = {g.stem for g in known}, {g.theirs for g in known}
+    lacking = [stem for stem in _stems(model) if stem not in stems]
+    free = [n for n in data if n not in used and np.ptp(data[n]) > 0 and not _behaves(RUN, data[n])]
+    if len(lacking) != 1:
+        return []
+    fitting = [n for n in free if not _own(n) and _unit_fits(source, n, lacking[0], model)]
+    found = [n for n in fitting if _stated(source, n)] or fitting
+    guess = Guess(lacking[0], found[0], (), "THE ONLY ONE LEFT") if len(found) == 1 else None
+    return [_with_unit(source, data[guess.theirs], guess, model)] if guess else []
 
 
 def _si(values: Array, guess: Guess) -> Array:

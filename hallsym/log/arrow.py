@@ -18,7 +18,7 @@ from hallsym.units import Array
 TIME = "t"
 """What a log calls its time."""
 DAY_S = 86_400.0
-_TICK_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TICK_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 def is_time(kind: Any) -> bool:
@@ -75,7 +75,7 @@ class Moments:
     def __init__(self, kind: Any, origin: int | None) -> None:
         """Begin; `kind`: an Arrow type, `origin`: `first_tick` of the column."""
         types = load("pyarrow").types
-        self.tick_s = _TICK_S[kind.unit]
+        self.tick_s = TICK_S[kind.unit]
         self.origin = origin or 0
         self._onward = Onward() if types.is_time(kind) else None
 
@@ -170,6 +170,11 @@ class Seconds:
         values = np.asarray(compute.fill_null(times, 0), dtype=np.int64)
         seconds = self._from_first(values, missing)
         return seconds if self.form.date else self._onward(seconds)
+
+    @property
+    def epoch(self) -> float | None:
+        """The first moment in seconds from 1970, of a time of day from midnight; None before it was read."""
+        return None if self._first is None else self._first * 1e-9
 
     def _from_first(self, values: np.ndarray, missing: np.ndarray) -> np.ndarray:
         known = np.flatnonzero(~missing)

@@ -8,40 +8,56 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 
 from hallsym.errors import InputError, nearest, quoted, require
 from hallsym.files import MOST_NUMBER
+from hallsym.records import structured
 from hallsym.toml import Table
 from hallsym.units import UNITS, Array, quantity, require_unit, si_name, split_unit
 
 RUN = "run"
+RUN_WORDS = ("run", "pass", "scan", "sweep", "trial", "segment", "lauf", "fahrt", "messung", "measurement")
+TIME_WORDS = ("t", "time", "timestamp", "zeit", "clock", "elapsed", "temps")
+"""What people call runs, and the time."""
+_OPEN = re.compile(r"^# (\w+) = ", re.MULTILINE)
+
+
+Turn = Annotated[float, msgspec.Meta(ge=2, le=MOST_NUMBER)]
+"""Counts that make a turn."""
 
 
 @dataclass(frozen=True)
 class Foreign:
-    """A column under another program's name; `scale` (and sign) is applied before the unit's factor.
+    """A column under another program's name; its values are `scale * file + offset`, in the unit we name.
 
     `counts_per_turn`: of an angle in counts.
     """
 
     name: str
     scale: float = 1.0
-    counts_per_turn: Annotated[float, msgspec.Meta(ge=2, le=1e100)] | None = None
+    offset: float = 0.0
+    counts_per_turn: Turn | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record, as a column file has it."""
-        return {k: v for k, v in vars(self).items() if v is not None and (k, v) != ("scale", 1.0)}
+        return {k: v for k, v in vars(self).items() if v != Foreign.__dataclass_fields__[k].default}
+
+    @property
+    def option(self) -> str:
+        """What stands behind the equals sign of `--column`."""
+        numbers = {k: v for k, v in self.to_dict().items() if k != "name"}
+        return self.name + "".join(f",{k}={v!r}" for k, v in numbers.items())
 
 
 @dataclass(frozen=True)
 class Binding:
     """SI column `name` is `factor * file[source] + offset`; `counts_per_turn`: of an angle in counts.
 
-    `asked`: our name with its unit, as somebody mapped it, "" for the file's own; `scale`: stated beside it.
+    `asked`: our name with its unit, as somebody mapped it, "" for the file's own; `foreign`: what was mapped.
     """
 
     name: str
@@ -50,7 +66,7 @@ class Binding:
     offset: float = 0.0
     counts_per_turn: float | None = None
     asked: str = ""
-    scale: float = 1.0
+    foreign: Foreign | None = None
 
     def si(self, raw: Array) -> Array:
         """Return SI values (float64; the run column as integers) of raw values of shape (rows,)."""
@@ -64,37 +80,54 @@ class Binding:
 
 @dataclass(frozen=True)
 class ColumnFile:
-    """What a column file says: foreign columns by our name, and noise (1 sigma) in the stated units."""
+    """What a column file says: foreign columns by our name, and noise (1 sigma) in the stated units.
+
+    `open`: names that stand in it as comments, for somebody to choose a unit.
+    """
 
     columns: dict[str, Foreign] = field(default_factory=dict)
     noise: dict[str, float] = field(default_factory=dict)
     counts_per_turn: float | None = None
+    open: tuple[str, ...] = ()
 
 
-def parse_column_option(text: str) -> tuple[str, str]:
-    """Split the option `hall_a_um=HallA` into our name, with the foreign unit, and the foreign name."""
-    ours, equals, foreign = text.partition("=")
-    if not (equals and ours.strip() and foreign.strip()):
+_NUMBERS = re.compile(r"((?:,\s*(?:scale|offset|counts_per_turn)=[^,]*)+)$")
+
+
+def parse_column_option(text: str) -> tuple[str, Foreign]:
+    """Split `hall_a_um=HallA,scale=0.5,offset=-3` into our name and the foreign column; numbers may lack."""
+    ours, equals, theirs = (part.strip() for part in text.partition("="))
+    numbers = _NUMBERS.search(theirs)
+    name = theirs[: numbers.start()].strip() if numbers else theirs
+    if not (equals and ours and name):
         raise InputError(
             f"Option --column must be OUR_NAME=ITS_NAME, such as hall_a_um=HallA; it is '{text}'."
         )
-    ours = ours.strip()
-    _check_ours(ours)
-    return ours, foreign.strip()
+    entry: dict[str, Any] = {"name": name}
+    for part in numbers[1].split(",")[1:] if numbers else ():
+        key, _, value = part.strip().partition("=")
+        try:
+            entry[key] = float(value)
+        except ValueError:
+            said = f"Option --column {ours} must give {key} as a number; instead received {value!r}."
+            raise InputError(said) from None
+    return ours, _foreign(ours, entry, "option --column")
 
 
 def read_column_file(path: str | Path) -> ColumnFile:
     """Read a TOML column file: `[columns]` maps `hall_a_um = "HallA"`, `[noise]` gives `hall_m = 5e-7`.
 
-    A sign or scale is stated as `hall_b_m = {name = "HallB", sign = -1}` (or `scale = 0.5`).
+    A sign, scale or offset is stated as `hall_b_m = {name = "ADC1", sign = -1}` (or `scale`, `offset`).
     """
     file = Table.read(path, "Column file", ("columns", "noise", "counts_per_turn"))
     columns, noise = file.table("columns"), file.table("noise")
     counts = file.raw.get("counts_per_turn")
+    where = f"column file {quoted(path)}"
     return ColumnFile(
-        {ours: _foreign(ours, entry, path) for ours, entry in columns.raw.items()},
+        {ours: _foreign(ours, entry, where) for ours, entry in columns.raw.items()},
         {key: noise.positive(key) for key in noise.raw},
         None if counts is None else counts_in_turn(counts, f"Column file {quoted(path)}"),
+        tuple(_OPEN.findall(Path(path).read_text(encoding="utf-8"))),
     )
 
 
@@ -136,7 +169,7 @@ def bind(
                 f"Column '{foreign.name}' is read in {require_unit(ours).name} as stated; its header says"
                 f" {unit}."
             )
-        binding = replace(_binding(ours, foreign, where, counts_per_turn), asked=asked, scale=foreign.scale)
+        binding = replace(_binding(ours, foreign, where, counts_per_turn), asked=asked, foreign=foreign)
         _add(bindings, binding, where)
     taken = {b.source for b in bindings.values()}
     for column in found:
@@ -145,7 +178,7 @@ def bind(
             continue
         own = _binding(name, Foreign(column), where, counts_per_turn)
         if own.counts_per_turn:
-            own = replace(own, asked=name)
+            own = replace(own, asked=name, foreign=Foreign(column))
         if own.name in bindings and bindings[own.name].source in _names(wanted):
             continue  # the mapping, which somebody wrote, wins over the file's own name
         _add(bindings, own, where)
@@ -223,8 +256,10 @@ def _binding(ours: str, foreign: Foreign, where: str, counts_per_turn: float | N
                 f"Column '{foreign.name}' of {where} is an angle in counts; say how many make a turn with "
                 "--counts-per-turn 16384 (14 bits), or as counts_per_turn in the column file or meta.json."
             )
-        return Binding(f"{stem}_rad", foreign.name, 2 * math.pi / counts * foreign.scale, 0.0, counts)
-    return Binding(si_name(ours), foreign.name, unit.factor * foreign.scale, unit.offset)
+        per = 2 * math.pi / counts
+        return Binding(f"{stem}_rad", foreign.name, per * foreign.scale, per * foreign.offset, counts)
+    offset = unit.factor * foreign.offset + unit.offset
+    return Binding(si_name(ours), foreign.name, unit.factor * foreign.scale, offset)
 
 
 def _add(bindings: dict[str, Binding], new: Binding, where: str) -> None:
@@ -236,28 +271,29 @@ def _add(bindings: dict[str, Binding], new: Binding, where: str) -> None:
     bindings[new.name] = new
 
 
-def _foreign(ours: str, entry: Any, path: str | Path) -> Foreign:
-    _check_ours(ours)
-    if isinstance(entry, str):
-        return Foreign(entry)
-    known = isinstance(entry, dict) and set(entry) <= {"name", "sign", "scale", "counts_per_turn"}
-    if not (known and isinstance(entry.get("name"), str)):
-        raise InputError(
-            f'Column file {path}: {ours} must be "Name" or {{name = "Name", sign = -1, scale = 1.0}}.'
-        )
-    sign, scale = entry.get("sign", 1), entry.get("scale", 1.0)
-    plain = isinstance(scale, int | float) and not isinstance(scale, bool)
-    if sign not in (1, -1) or isinstance(sign, bool) or not (plain and 0 < abs(scale) <= MOST_NUMBER):
-        raise InputError(f"Column file {path}: {ours} needs sign 1 or -1 and a finite scale other than zero.")
-    counts = entry.get("counts_per_turn")
-    counts = None if counts is None else counts_in_turn(counts, f"Column file {path}: {ours}")
-    return Foreign(entry["name"], sign * float(scale), counts)
+class _Entry(msgspec.Struct, forbid_unknown_fields=True):
+    """A column of a column file."""
+
+    name: str
+    sign: Literal[1, -1] = 1
+    scale: float = 1.0
+    offset: float = 0.0
+    counts_per_turn: Turn | None = None
 
 
-def _check_ours(ours: str) -> None:
-    """Refuse a name without a unit, unless it is one of ours: then the file may state the unit."""
-    if ours != RUN and not (quantity(ours) and split_unit(ours)[1] is None):
+_FORM = 'write it as "Name" or {name = "Name", sign = -1, scale = 1.0, offset = 0.0}'
+
+
+def _foreign(ours: str, entry: Any, where: str) -> Foreign:
+    if ours != RUN and not (quantity(ours) and split_unit(ours)[1] is None):  # the file may state the unit
         require_unit(ours)
+    entry = {"name": entry} if isinstance(entry, str) else entry
+    found = structured(entry, _Entry, f"entry {ours} of {where}", _FORM)
+    if not (0 < abs(found.scale) <= MOST_NUMBER and abs(found.offset) <= MOST_NUMBER):
+        raise InputError(
+            f"Entry {ours} of {where} must have a finite scale other than zero, and a finite offset; {_FORM}."
+        )
+    return Foreign(found.name, found.sign * found.scale, found.offset, found.counts_per_turn)
 
 
 def _whole(raw: Array, source: str) -> Array:
@@ -290,6 +326,11 @@ class Limit:
     instead: tuple[str, ...]
     likely: float
     level: float = math.inf
+
+    @property
+    def si(self) -> str:
+        """The SI unit of the columns."""
+        return UNITS[self.instead[0]].si
 
 
 LIMITS = (

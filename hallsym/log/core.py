@@ -185,7 +185,7 @@ class RunOrder:
 def run_notes(bindings: Mapping[str, Binding]) -> tuple[str, ...]:
     """Return what has to be said about runs; a table without time is none."""
     whole = RUN in bindings or "t_s" not in bindings
-    return () if whole else ("No column 'run': all samples are taken as one run, number 0.",)
+    return () if whole else ("No column 'run': a run begins where t_s starts again, the first is number 0.",)
 
 
 def _float(values: Array) -> Array:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import IO, Any
 
 from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import Seconds, array_of, name_the_time, said_of_times
 from hallsym.log.table import Source, label, load
-from hallsym.log.text.cells import COMMA, MISSING, Convention, as_float
+from hallsym.log.text.cells import MISSING, Convention, as_float
 from hallsym.log.text.sniff import END, Dialect, Encoded, end_of, sniffed, whole_lines
 from hallsym.output import csv_text
 from hallsym.units import Array
@@ -21,6 +23,8 @@ COMPRESSED = 8
 """What text of numbers becomes larger by when it is decompressed, at most."""
 BLOCK = 1 << 19
 """Bytes that pyarrow reads at once: it holds some ten of them."""
+BEGINNING = 100
+"""Rows among which the first moment of a column of times is."""
 _TORN = "The last line of {} does not end with a newline: if the file was cut short, its last value is wrong."
 
 
@@ -69,25 +73,26 @@ class CsvSource(Source):
         self._rows = len(next(iter(columns.values()), ())) if names else self._rows
         return columns
 
+    def epoch(self, name: str) -> float | None:
+        """Return the moment of the first cell of a column of times."""
+        at = self.names.index(name)
+        if at not in self.times:
+            return None
+        seconds = Seconds(self.times[at], f"Column '{name}' of {self.where}")
+        seconds(load("pyarrow").array([row[at] for row in self.head(BEGINNING, at + 1) if len(row) > at]))
+        return seconds.epoch
+
     def head(self, count: int, most: int) -> list[list[str]]:
         """Return the first rows as the file writes them."""
-        piece = next(self._pieces(), b"").decode("utf-8", "replace")
-        delimiter = Cleaner(self.dialect).delimiter
-        rows = [line.split(delimiter)[:most] for line in piece.split("\n")[:count] if line]
-        return [[cell.strip().replace(INSIDE, delimiter) for cell in row] for row in rows]
+        return [row[:most] for row in islice(self._cells(), count)]
 
     def labels(self, name: str) -> list[str]:
         """Return the cells of one column as text, without quotes; numbers as `label` has them."""
-        at, delimiter = self.names.index(name), Cleaner(self.dialect).delimiter
-        found = []
-        for piece in self._pieces():
-            for line in piece.decode("utf-8", "replace").rstrip("\n").split("\n"):
-                row = line.split(delimiter)
-                cell = (
-                    row[at].strip().strip("\"'").strip().replace(INSIDE, delimiter) if len(row) > at else ""
-                )
-                number = as_float(cell, self.dialect.numbers) if "." in cell or "," in cell else None
-                found.append("" if cell in MISSING else label(number) if number is not None else cell)
+        at, found = self.names.index(name), []
+        for row in self._cells():
+            cell = row[at].strip("\"'").strip() if len(row) > at else ""
+            number = as_float(cell, self.dialect.numbers) if "." in cell or "," in cell else None
+            found.append("" if cell in MISSING else label(number) if number is not None else cell)
         return found
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
@@ -102,32 +107,43 @@ class CsvSource(Source):
             raise first_fault(self, indices, error) from error
 
     def _pieces(self) -> Iterator[bytes]:
-        return clean_pieces(self.file, self.dialect, self.where, BLOCK)
+        """Yield the clean lines of the table in pieces that end with a newline."""
+        clean = cleaning(self.dialect)
+        for piece in _table(self.file, self.dialect, self.where, BLOCK):
+            if cleaned := clean(piece):
+                yield cleaned + b"\n"
+
+    def _cells(self) -> Iterator[list[str]]:
+        """Yield the rows of the table as text."""
+        for piece in self._pieces():
+            yield from cells_of(piece.decode("utf-8", "replace").split("\n")[:-1], self.dialect)
 
     def _arrow(self, indices: Sequence[int]) -> Iterator[list[Array]]:
-        csv, arrow = load("pyarrow.csv"), load("pyarrow")
+        reader, arrow = load("pyarrow.csv"), load("pyarrow")
         labels = [str(k) for k in range(len(self.names))]
         options = {
-            "read_options": csv.ReadOptions(column_names=labels, block_size=max(BLOCK, 100 * len(labels))),
-            "parse_options": csv.ParseOptions(delimiter=Cleaner(self.dialect).delimiter, quote_char=False),
-            "convert_options": csv.ConvertOptions(
+            "read_options": reader.ReadOptions(column_names=labels, block_size=max(BLOCK, 100 * len(labels))),
+            "parse_options": reader.ParseOptions(
+                delimiter=delimiter_of(self.dialect), quote_char='"' if self.dialect.quoted else False
+            ),
+            "convert_options": reader.ConvertOptions(
                 column_types=dict.fromkeys(labels, arrow.float64())
                 | {str(k): arrow.string() for k in self.times},
                 strings_can_be_null=True,
                 include_columns=[str(k) for k in indices],
-                null_values=list(MISSING),
-                decimal_point=decimal_of(self.dialect),
+                null_values=[f"{before}{m}{after}" for m in MISSING for before in BESIDE for after in BESIDE],
+                decimal_point=self.dialect.numbers.decimal,
             ),
         }
-        stream = TableStream(self.file, self.dialect, self.where, BLOCK)
+        stream = Stream(self._pieces())
         seconds = {
             k: Seconds(self.times[k], f"Column '{self.dialect.names[k]}' of {self.where}")
             for k in indices
             if k in self.times
         }
         try:
-            with csv.open_csv(stream, **options) as reader:
-                for batch in reader:
+            with reader.open_csv(stream, **options) as batches:
+                for batch in batches:
                     columns = zip(indices, batch.columns, strict=True)
                     yield [seconds[k](c) if k in seconds else array_of(c) for k, c in columns]
         except arrow.ArrowInvalid as error:
@@ -150,10 +166,10 @@ class CsvWriter:
         if not self._started:
             self._stream.write(csv_text([tuple(columns)], self._delimiter))
             self._started = True
-        csv, arrow = load("pyarrow.csv"), load("pyarrow")
-        options = csv.WriteOptions(include_header=False, delimiter=self._delimiter)
+        reader, arrow = load("pyarrow.csv"), load("pyarrow")
+        options = reader.WriteOptions(include_header=False, delimiter=self._delimiter)
         self._stream.flush()
-        csv.write_csv(arrow.table(dict(columns)), self._stream.buffer, options)
+        reader.write_csv(arrow.table(dict(columns)), self._stream.buffer, options)
 
     def close(self) -> None:
         """Flush and close."""
@@ -162,14 +178,14 @@ class CsvWriter:
 
 def first_fault(source: CsvSource, indices: Sequence[int], error: Exception) -> InputError:
     """Return the error that says where the first bad line or cell of a CSV file is."""
-    dialect, clean = source.dialect, Cleaner(source.dialect)
+    dialect, clean = source.dialect, cleaning(source.dialect)
     for number, line in enumerate(source.file.lines(source.where), start=1):
         text = clean(line.encode()).decode() if number >= dialect.first else ""
         if not text:
             continue
-        cells = text.split(clean.delimiter)
+        cells = next(cells_of([text], dialect))
         if len(cells) != len(dialect.names):
-            decimal = clean.delimiter == "," and len(cells) == 2 * len(dialect.names)
+            decimal = dialect.delimiter == "," and len(cells) == 2 * len(dialect.names)
             why = "the file may be cut short or two lines may have run together"
             why = "commas may be decimal signs too: export it with another delimiter" if decimal else why
             return InputError(
@@ -177,9 +193,8 @@ def first_fault(source: CsvSource, indices: Sequence[int], error: Exception) -> 
                 f" it has {len(cells)}, so {why}."
             )
         for index in (k for k in indices if k not in source.times):
-            cell = cells[index].strip()
-            if as_float(cell, Convention(decimal_of(dialect))) is None:
-                return _bad_cell(source, number, dialect.names[index], cell)
+            if as_float(cells[index], Convention(dialect.numbers.decimal)) is None:
+                return _bad_cell(source, number, dialect.names[index], cells[index])
     return InputError(f"{source.where} cannot be read as CSV ({' '.join(str(error).split())[:120]}).")
 
 
@@ -198,44 +213,12 @@ def _bad_cell(source: CsvSource, number: int, name: str, cell: str) -> InputErro
     )
 
 
-INSIDE = "\x1f"
-"""Stands for a delimiter within quotes."""
-_EMPTY = re.compile(rb"^[ \t]*(?:\n|\Z)", re.MULTILINE)
-_BLANK = b"\n", b" ", b"\t"
+class Stream(io.RawIOBase):
+    """Pieces of bytes as a binary stream."""
 
-
-class Cleaner:
-    """Takes out of lines what is no cell: comments, empty lines, quotes, blanks, separators of thousands."""
-
-    def __init__(self, dialect: Dialect) -> None:
-        self.steps: list[Callable[[bytes], bytes]] = [_without_empty, _without_comments(dialect)]
-        if dialect.quoted == "inside":
-            self.steps.append(_unquoting(dialect))
-        elif dialect.quoted:
-            self.steps.append(lambda lines: lines.replace(b'"', b""))
-        if dialect.delimiter == " ":
-            self.steps.append(lambda lines: re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", lines))
-            self.steps.append(lambda lines: re.sub(rb"[ \t]+", b"\t", lines))
-        elif dialect.padded:
-            self.steps.append(_unpadding(dialect.delimiter))
-        if dialect.numbers.grouping:
-            self.steps.append(_ungrouping(dialect.numbers.grouping))
-        self.delimiter = "\t" if dialect.delimiter == " " else dialect.delimiter
-
-    def __call__(self, lines: bytes) -> bytes:
-        r"""Return whole lines, separated by \n, as they are read; empty where nothing is left."""
-        for step in self.steps:
-            lines = step(lines)
-        return lines
-
-
-class TableStream(io.RawIOBase):
-    """The lines of the table, clean, as a binary stream."""
-
-    def __init__(self, file: Encoded, dialect: Dialect, where: str, size: int) -> None:
-        """Start at the first sample; pieces have about `size` bytes."""
-        self._pieces = clean_pieces(file, dialect, where, size)
-        self._rest = memoryview(b"")
+    def __init__(self, pieces: Iterator[bytes]) -> None:
+        """Start before the first piece."""
+        self._pieces, self._rest = pieces, memoryview(b"")
 
     def readable(self) -> bool:
         """Say that it can be read."""
@@ -251,96 +234,72 @@ class TableStream(io.RawIOBase):
         return count
 
 
-def clean_pieces(file: Encoded, dialect: Dialect, where: str, size: int) -> Iterator[bytes]:
-    """Yield the clean lines of the table in pieces that end with a newline."""
-    clean = Cleaner(dialect)
-    for piece in _table(file, dialect, where, size):
-        if cleaned := clean(piece):
-            yield cleaned + b"\n"
-
-
 def _table(file: Encoded, dialect: Dialect, where: str, size: int) -> Iterator[bytes]:
     """Yield the lines from the first sample to the last one."""
-    above = dialect.first - 1
-    waiting: list[bytes] = []  # what may hold lines after the table
+    above, held = dialect.first - 1, b""
     for piece in whole_lines(file.pieces(size), where):
         if above:
             count = piece.count(b"\n") + 1
             if count <= above:
                 above -= count
                 continue
-            piece = piece.split(b"\n", above)[above]
-            above = 0
-        waiting.append(piece)
-        while waiting and (not dialect.footer or sum(map(len, waiting[1:])) > END):
-            yield waiting.pop(0)
-    last = b"\n".join(waiting)
-    if dialect.footer and waiting:
-        last = last.rstrip(b"\n")
-        for _ in range(dialect.footer):
-            last = last.rpartition(b"\n")[0]
-    if last:
-        yield last
+            piece, above = piece.split(b"\n", above)[above], 0
+        if not dialect.footer:
+            yield piece
+            continue
+        held = held + b"\n" + piece if held else piece
+        cut = held.rfind(b"\n", 0, max(0, len(held) - END))  # the lines after the table come behind it
+        if cut > 0:
+            yield held[:cut]
+            held = held[cut + 1 :]
+    if held:
+        yield held.rstrip(b"\n").rsplit(b"\n", dialect.footer)[0]
 
 
-# -- steps -----------------------------------------------------------------------------------------------
+# -- lines -----------------------------------------------------------------------------------------------
 
 
-def _without_empty(lines: bytes) -> bytes:
-    """Take out lines of nothing but blanks, if anything begins as one: that is found ten times as fast."""
-    if not lines.startswith(_BLANK) and not any(b"\n" + first in lines for first in _BLANK):
-        return lines.removesuffix(b"\n")
-    return _EMPTY.sub(b"", lines).removesuffix(b"\n")
+BESIDE = ("", " ")
+"""What may stand beside a cell without a value."""
+_EMPTY = re.compile(rb"^[ \t]*(?:\n|\Z)", re.MULTILINE)
+_BLANK = b"\n", b" ", b"\t"
 
 
-def _without_comments(dialect: Dialect) -> Callable[[bytes], bytes]:
+def cells_of(lines: Sequence[str], dialect: Dialect) -> Iterator[list[str]]:
+    """Yield the cells of clean lines, without blanks around them."""
+    delimiter = delimiter_of(dialect)
+    rows = csv.reader(lines, delimiter=delimiter) if dialect.quoted else (x.split(delimiter) for x in lines)
+    for row in rows:
+        yield [cell.strip() for cell in row]
+
+
+def delimiter_of(dialect: Dialect) -> str:
+    """Return what separates the cells of clean lines."""
+    return "\t" if dialect.delimiter == " " else dialect.delimiter
+
+
+def cleaning(dialect: Dialect) -> Callable[[bytes], bytes]:
+    r"""Return what takes comments, empty lines, blanks and separators of thousands out of lines.
+
+    Lines are separated by \n, and do not end with one; what it returns is empty where nothing is left.
+    """
     marks = [mark.encode() for mark in dialect.comments]
-    pattern = re.compile(
+    comment = re.compile(
         rb'^[ \t"]*(?:' + b"|".join(map(re.escape, marks)) + rb")[^\n]*(?:\n|\Z)", re.MULTILINE
     )
+    grouping = dialect.numbers.grouping
+    group = re.compile(rb"(?<=\d)" + re.escape(grouping.encode()) + rb"(?=\d{3}(?!\d))")
 
-    def without(lines: bytes) -> bytes:
-        held = any(mark in lines for mark in marks)
-        return pattern.sub(b"", lines).removesuffix(b"\n") if held else lines
+    def clean(lines: bytes) -> bytes:
+        if lines.startswith(_BLANK) or any(b"\n" + first in lines for first in _BLANK):
+            lines = _EMPTY.sub(b"", lines)  # looking for one first is ten times as fast
+        if any(mark in lines for mark in marks):
+            lines = comment.sub(b"", lines)
+        lines = lines.removesuffix(b"\n")
+        if dialect.delimiter == " ":
+            lines = re.sub(rb"[ \t]+", b"\t", re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", lines.replace(b'"', b"")))
+        if grouping and grouping == dialect.delimiter:  # then numbers with it stand between quotes
+            return re.sub(rb'"[^"\n]*"', lambda cell: group.sub(b"", cell[0]), lines)
+        return group.sub(b"", lines) if grouping else lines
 
-    return without
-
-
-def _unquoting(dialect: Dialect) -> Callable[[bytes], bytes]:
-    """Take quotes away; a decimal comma between them becomes a point, another delimiter a mark."""
-    quotes = re.compile(rb'"([^"\n]*)"')
-    comma = dialect.delimiter == "," and dialect.numbers.decimal == ","
-    delimiter = dialect.delimiter.encode()
-
-    def bare(match: re.Match[bytes]) -> bytes:
-        cell = match[1]
-        if comma and as_float(cell.decode("utf-8", "replace").strip(), dialect.numbers) is not None:
-            grouping = dialect.numbers.grouping.encode()
-            return (cell.replace(grouping, b"") if grouping else cell).replace(b",", b".")
-        if dialect.numbers.grouping != dialect.delimiter:
-            return cell.replace(delimiter, INSIDE.encode())
-        return cell if as_float(cell.decode(), dialect.numbers) is None else cell.replace(delimiter, b"")
-
-    return lambda lines: quotes.sub(bare, lines)
-
-
-def _unpadding(delimiter: str) -> Callable[[bytes], bytes]:
-    mark = delimiter.encode()
-    blank = rb" *" if delimiter == "\t" else rb"[ \t]*"
-    pattern = re.compile(blank + re.escape(mark) + blank)
-    ends = re.compile(rb"(?m)^ +| +$")
-    return lambda lines: ends.sub(b"", pattern.sub(lambda _: mark, lines))
-
-
-def _ungrouping(grouping: str) -> Callable[[bytes], bytes]:
-    """Take separators of thousands out of numbers, and out of nothing else."""
-    mark = re.escape(grouping.encode())
-    pattern = re.compile(rb"(?<=\d)" + mark + rb"(?=\d{3}(?!\d))")
-    return lambda lines: pattern.sub(b"", lines)
-
-
-def decimal_of(dialect: Dialect) -> str:
-    """Return the decimal sign that clean lines have."""
-    if dialect.delimiter == "," and dialect.numbers.decimal == ",":
-        return "."
-    return COMMA.decimal if dialect.numbers.decimal == "," else "."
+    return clean

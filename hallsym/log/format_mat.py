@@ -1,39 +1,60 @@
-"""MATLAB `.mat` logs: v5 through scipy, v7.3 through h5py. Vectors at the top or in (nested) structs."""
+"""Arrays of MATLAB (v5 through scipy, v7.3 through h5py) and NumPy: at the top or in (nested) structs."""
 
 from __future__ import annotations
 
 import os
 import struct
 import zlib
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hallsym.log.format_hdf5 import Hdf5Source, name_vectors
-from hallsym.log.table import Arrays
+from hallsym.errors import quoted
+from hallsym.log.format_hdf5 import open_hdf5
+from hallsym.log.table import Source
+from hallsym.log.vectors import Vector, arranged, columns_of
 from hallsym.units import Array
 
 
-def open_mat(path: Path) -> Arrays | Hdf5Source:
-    """Open a MATLAB file of either kind."""
+def open_mat(path: Path, clock: str | None = None) -> Source:
+    """Open a MATLAB file of either kind; `clock`: as `GroupedSource` reads it."""
     from scipy.io import loadmat, whosmat
 
     if _is_v73(path):
-        return Hdf5Source(path)
+        return open_hdf5(path, clock, "MATLAB", ".")
     _check_compressed(path)
     logical = {name for name, _, kind in whosmat(path) if kind == "logical"}
     content = loadmat(path, simplify_cells=True)
-    vectors = dict(_flatten({key: value for key, value in content.items() if not key.startswith("__")}, ""))
-    names, left_out, aliases = name_vectors({key: len(values) for key, values in vectors.items()}, ".")
-    source = Arrays({name: vectors[key] for name, key in names.items()})
-    source.left_out, source.aliases = left_out, aliases
-    for name, values in list(source.columns.items()):
-        if values.dtype.kind == "b" or name in logical:
-            source.left_out[name] = "it holds booleans, not numbers"
-            del source.columns[name]
-    source.names = tuple(source.columns)
-    return source
+    arrays = {k: np.asarray(v) for k, v in _flatten({k: v for k, v in content.items() if k[:2] != "__"}, "")}
+    return in_memory(path, "MATLAB", arrays, clock, logical)
+
+
+def open_npz(path: Path, clock: str | None = None) -> Source:
+    """Open arrays that numpy saved (.npz); `clock`: as `GroupedSource` reads it."""
+    with np.load(path, allow_pickle=False) as content:
+        return in_memory(path, "NumPy", {name: content[name] for name in content.files}, clock)
+
+
+def in_memory(
+    path: Path, kind: str, arrays: Mapping[str, Array], clock: str | None, logical: Collection[str] = ()
+) -> Source:
+    """Return the table of arrays by name, `logical` of which hold booleans."""
+    vectors: dict[str, Vector] = {}
+    left_out: dict[str, str] = {}
+    for name, array in arrays.items():
+        for field in array.dtype.names or ("",):
+            part = array[field] if field else array
+            found, why = columns_of(
+                f"{name}.{field}" if field else name,
+                part.shape,
+                "b" if name in logical else part.dtype.kind,
+                part.__getitem__,
+            )
+            vectors |= found
+            left_out |= {name.rpartition(".")[2]: why} if why else {}
+    return arranged(quoted(path), kind, vectors, left_out, ".", clock)
 
 
 def _is_v73(path: Path) -> bool:
@@ -69,12 +90,13 @@ def _check_compressed(path: Path) -> None:
                 raise zlib.error("a compressed variable is cut short")
 
 
-def _flatten(value: Any, path: str) -> list[tuple[str, Array]]:
+def _flatten(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+    """Yield what nested structs hold by path; the structs of an array are numbered from 1, as in MATLAB."""
+    if isinstance(value, list | np.ndarray) and len(value) and isinstance(value[0], dict):
+        value = {f"{path}{k}": item for k, item in enumerate(value, start=1)}
+        path = path.rpartition(".")[0]
     if isinstance(value, dict):
-        return [
-            pair for key, item in value.items() for pair in _flatten(item, f"{path}.{key}" if path else key)
-        ]
-    array = np.asarray(value)
-    if array.dtype.kind in "fiub" and array.ndim <= 1:
-        return [(path, np.atleast_1d(array))]
-    return []
+        for key, item in value.items():
+            yield from _flatten(item, f"{path}.{key}" if path else key)
+    else:
+        yield path, value

@@ -1,7 +1,8 @@
-"""Parquet logs, through pyarrow."""
+"""Parquet, Feather and lines of JSON, through pyarrow."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import (
+    TICK_S,
     Moments,
     array_of,
     first_tick,
@@ -16,9 +18,10 @@ from hallsym.log.arrow import (
     is_time,
     name_the_time,
     said_of_times,
+    source_of,
 )
-from hallsym.log.table import IN_MEMORY_ROWS, Source, label, load
-from hallsym.units import Array
+from hallsym.log.table import IN_MEMORY_ROWS, Arrays, Source, label, load
+from hallsym.units import UNITS, Array
 
 _BUFFER = 1 << 20
 _THREADS = 131_072
@@ -37,6 +40,10 @@ class ParquetSource(Source):
             schema = file.schema_arrow
             own = list(schema.names)
             self.rows = int(file.metadata.num_rows)
+            kinds = zip(own, schema.types, strict=True)
+            self.moments = {
+                name: TICK_S[kind.unit] for name, kind in kinds if str(kind).startswith("timestamp")
+            }
             times = [k for k, kind in enumerate(schema.types) if is_time(kind)]
             for k in times:
                 self._begin(file, own[k])
@@ -52,6 +59,11 @@ class ParquetSource(Source):
             if (first := first_tick(batch.column(name))) is not None:
                 self.origins[name] = first
                 return
+
+    def epoch(self, name: str) -> float | None:
+        """Return the moment of the first value of a column of times."""
+        own = self._own[name]
+        return self.origins[own] * self.moments[own] if own in self.origins and own in self.moments else None
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns."""
@@ -94,6 +106,49 @@ class ParquetSource(Source):
             else:
                 raise InputError(f"Column '{own}' of {self.path} must hold numbers; it holds {kind}.")
         return found
+
+
+def open_feather(path: Path) -> Arrays:
+    """Open a file or a stream of Arrow (Feather)."""
+    arrow = load("pyarrow")
+    stream = arrow.memory_map(str(path))
+    try:
+        table = load("pyarrow.feather").read_table(stream)
+    except arrow.ArrowInvalid:
+        stream.seek(0)
+        table = load("pyarrow.ipc").open_stream(stream).read_all()
+    return source_of(table, quoted(path))
+
+
+def open_json(path: Path) -> Arrays:
+    """Open lines of JSON objects with the same keys, a list of them, or one object of lists.
+
+    Of an object in an object each entry is a column. A unit behind the name of an object is that of its
+    columns: {"hall_um": {"a": 1.5}} is `hall_a_um`.
+    """
+    arrow = load("pyarrow")
+    try:
+        whole = json.loads(path.read_bytes())
+    except json.JSONDecodeError:  # several objects
+        table = load("pyarrow.json").read_json(path)
+    else:
+        lists = {k: v for k, v in whole.items() if isinstance(v, list)} if isinstance(whole, dict) else {}
+        rows = whole if isinstance(whole, list) else [whole]
+        table = arrow.table(lists) if lists else arrow.Table.from_pylist(rows)
+    names = list(table.column_names)
+    while any(arrow.types.is_struct(kind) for kind in table.schema.types):
+        names = [name for k, column in enumerate(names) for name in _within(column, table.schema.types[k])]
+        table = table.flatten()
+    return source_of(table.rename_columns(names), quoted(path))
+
+
+def _within(name: str, kind: Any) -> list[str]:
+    """Return the names of the columns that an object holds; of a column, its own."""
+    if not load("pyarrow").types.is_struct(kind):
+        return [name]
+    stem, _, last = name.rpartition("_")
+    unit = f"_{last}" if stem and last in UNITS else ""
+    return [f"{stem if unit else name}_{field.name}{unit}" for field in kind]
 
 
 class ParquetWriter:

@@ -15,7 +15,7 @@ from hallsym.errors import InputError, quoted
 from hallsym.log.groups import TIME, Group, GroupedSource
 from hallsym.log.table import load
 from hallsym.log.text.cells import split_header, unit_of
-from hallsym.units import UNITS, Array, split_unit
+from hallsym.units import Array
 
 _STEP, _START, _OFFSET = "wf_increment", "wf_start_time", "wf_start_offset"
 """Properties of a channel that was sampled by a clock: seconds, moment, seconds."""
@@ -102,7 +102,7 @@ class TdmsGroup(Group):
         self.offset = float(properties.get(_OFFSET) or 0.0)
         self.start = properties.get(_START) if self.step else None
         moments = [c.name for c in channels if c.dtype.kind == "M"]
-        timed = [name for name in self.channels if self._time_factor(name)]
+        timed = [name for name in self.channels if self.seconds(name)]
         self.moments = moments[0] if moments and not self.step else ""
         self.clock = timed[0] if timed and not self.step and not moments else ""
 
@@ -158,12 +158,7 @@ class TdmsGroup(Group):
             if self.origin is None:
                 self.origin = self._read(file, window, self.moments, 0, 1)[0]
             return (moments - self.origin) / np.timedelta64(1, "ns") * 1e-9
-        return self._read(file, window, self.own[self.clock], lo, hi) * self._time_factor(self.clock)
-
-    def _time_factor(self, name: str) -> float:
-        """Return the seconds of a channel's unit, 0 where it has another unit."""
-        unit = UNITS[self.units[name]] if name in self.units else split_unit(name)[1]
-        return unit.factor if unit and unit.si == "s" else 0.0
+        return self._read(file, window, self.own[self.clock], lo, hi) * self.seconds(self.clock)
 
 
 def _split(path: Path, group: Any, left_out: dict[str, str]) -> list[TdmsGroup]:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import glob
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,17 +30,19 @@ from hallsym.log.columns import (
 )
 from hallsym.log.core import Log, run_notes
 from hallsym.log.format_csv import CsvSource
-from hallsym.log.format_hdf5 import Hdf5Source
-from hallsym.log.format_mat import open_mat
+from hallsym.log.format_hdf5 import open_hdf5
+from hallsym.log.format_mat import open_mat, open_npz
 from hallsym.log.format_mcap import open_mcap
 from hallsym.log.format_mdf import open_mdf
-from hallsym.log.format_parquet import ParquetSource
+from hallsym.log.format_parquet import ParquetSource, open_feather, open_json
 from hallsym.log.format_tdms import open_tdms
 from hallsym.log.format_xlsx import open_workbook
+from hallsym.log.groups import Columns, GroupedSource
 from hallsym.log.meta import Meta, Noise, check_misspelt_noise, check_noise_keys
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
 from hallsym.log.text.sniff import stated_delimiter
+from hallsym.log.vectors import side_by_side
 from hallsym.units import Array, split_unit
 
 
@@ -56,9 +62,14 @@ class Format:
 
 FORMATS = (
     Format("parquet", (".parquet", ".pq"), ParquetSource, "Parquet"),
-    Format("csv", (".csv", ".txt", ".tsv"), CsvSource, "CSV", ("delimiter", "decimal")),
-    Format("hdf5", (".h5", ".hdf5"), partial(Apart, Hdf5Source), "HDF5"),
-    Format("mat", (".mat",), partial(Apart, open_mat), "MATLAB"),
+    Format(
+        "csv", (".csv", ".txt", ".tsv", ".lvm", ".dat", ".asc"), CsvSource, "CSV", ("delimiter", "decimal")
+    ),
+    Format("feather", (".feather", ".arrow", ".arrows"), open_feather, "Feather"),
+    Format("json", (".jsonl", ".ndjson"), open_json, "JSON lines"),
+    Format("hdf5", (".h5", ".hdf5"), open_hdf5, "HDF5", ("clock",)),
+    Format("mat", (".mat",), open_mat, "MATLAB", ("clock",)),
+    Format("npz", (".npz",), open_npz, "NumPy", ("clock",)),
     Format("xlsx", (".xlsx", ".xlsm", ".xls", ".ods"), open_workbook, "workbook", ("sheet", "decimal")),
     Format("tdms", (".tdms",), open_tdms, "TDMS", ("clock",)),
     Format("mdf", (".mf4", ".mdf"), partial(Apart, open_mdf), "MDF", ("clock",)),
@@ -120,6 +131,11 @@ class Guarded(Source):
         """Return the first rows as text."""
         return self._asked(self.inner.head, count, most)
 
+    def epoch(self, name: str) -> float | None:
+        """Return the moment of zero of a column of times."""
+        with self._reading():
+            return self.inner.epoch(name)
+
     def labels(self, name: str) -> list[str]:
         """Return a column of names, as text."""
         self._possible(getattr(self.inner, "rows", 0))
@@ -176,7 +192,7 @@ def as_log(
 def read_log(
     path: Any,
     *,
-    columns: Mapping[str, str] | None = None,
+    columns: Mapping[str, str | Foreign] | None = None,
     column_file: str | Path | None = None,
     format: str | None = None,
     delimiter: str | None = None,
@@ -191,9 +207,11 @@ def read_log(
 ) -> Log:
     """Open a log; samples are read when they are first used.
 
-    `path` is a data file, or a folder with `log.parquet` (or .csv, .h5, .mat) and perhaps `meta.json`; or a
-    table in memory: a dict of arrays, or a data frame of any library that speaks Arrow (pandas, polars,
-    pyarrow, DuckDB), whose names state their unit as those of a file do: `x_ref_um`, `x_ref [um]`.
+    `path` is a data file, or a folder with `log.parquet` (or .csv, .h5, .mat) and perhaps `meta.json`; a
+    folder or a pattern (`runs/*.csv`) of files that are runs; a list of files, which are runs where they have
+    the same columns, else are joined by their times; or a table in memory: a dict of arrays, or a data frame
+    of any library that speaks Arrow (pandas, polars, pyarrow, DuckDB). Names state their unit as those of a
+    file do: `x_ref_um`, `x_ref [um]`.
     `columns` maps our name, ending with the unit the foreign column is in, to the foreign name:
     `{"hall_a_um": "HallA"}` gives the SI column `hall_a_m`. A column file (TOML) says the same and may give
     noise. `noise` holds 1-sigma values, `{"hall_m": 5e-7}`, and wins over the column file and `meta.json`.
@@ -209,11 +227,12 @@ def read_log(
     `drop_bad` leaves out the samples and runs that `check_log` would refuse.
     """
     given = {"format": format, "delimiter": delimiter, "decimal": decimal, "sheet": sheet, "clock": clock}
-    (file, folder, source), said = _answered(path, given, read_with or {})
-    where = quoted(file) if file is not None else path if isinstance(path, str) else "The table"
-    meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
     stated = read_column_file(column_file) if column_file else ColumnFile()
-    wanted = _resolve({**stated.columns, **(columns or {})}, source)
+    mapped: dict[str, str | Foreign] = {**stated.columns, **(columns or {})}
+    named = {e if isinstance(e, str) else e.name: ours for ours, e in mapped.items()}
+    (file, folder, source, where), said = _answered(path, {**given, "mapped": named}, read_with or {})
+    meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
+    wanted = _resolve(mapped, source)
     again = still_missing(_resolve(remembered or {}, source), source.names, wanted, source.units, where)
     wanted |= again
     counts = stated.counts_per_turn or meta.raw.get("counts_per_turn")
@@ -221,18 +240,25 @@ def read_log(
     turn = None if counts is None else counts_in_turn(counts, where)
     bindings, changed = bind(source.names, wanted, where, turn, source.units)
     table = Table(source, bindings, where)
+    table.open = stated.open
     if not any(name != RUN for name in table.columns):
+        table.require(sorted({split_unit(ours)[0] for ours in stated.open}))
+        words = where.replace(" and ", " ")
+        words += "".join(f" --{name} {quoted(text)}" for name, text in source.read_with.items())
+        words = words.replace("'", '"')  # the command stands between the others
         raise InputError(
-            f"{where} has no column whose name ends with a unit, such as hall_a_m; it has"
-            f" {listed(source.names, 8)}; map them with --column hall_a_um=ITS_NAME, or have 'hallsym info"
-            " FILE --suggest' write a column file."
+            f"{where} has no column whose name ends with a unit; it has {listed(source.names, 5)}; map them"
+            f" with --column hall_a_um=ITS_NAME, or by 'hallsym info {words} --write'."
         )
     known = _noise(meta, stated, noise or {}, table)
     meta = replace(meta, columns=table.columns)
-    check_misspelt_noise(meta.noise_1sigma, table.columns, "meta.json")
+    unused = check_misspelt_noise(meta.noise_1sigma, table.columns, "meta.json")
+    left = (
+        [f"meta.json states the noise of {', '.join(unused)}, which the log does not have."] if unused else []
+    )
     renamed = ", ".join(f"{ours} is '{theirs.name}'" for ours, theirs in again.items() if ours != theirs.name)
     as_before = [f"Columns are named as in the calibration: {renamed}."] if renamed else []
-    left = [
+    left += [
         f"Column {name} is left out: {why}." for name, why in source.left_out.items() if split_unit(name)[1]
     ]
     notes = (*run_notes(table.bindings), *said, *source.notes, *left, *changed, *as_before)
@@ -240,11 +266,17 @@ def read_log(
     return clean_log(log) if drop_bad else log
 
 
-Opened = tuple[Path | None, Path | None, Source]
+class Opened(NamedTuple):
+    """What was opened: a single data file, the folder that was named, the columns, and the name of it all."""
+
+    file: Path | None
+    folder: Path | None
+    source: Source
+    where: str
 
 
 def _answered(
-    path: Any, given: Mapping[str, str | None], read_with: Mapping[str, str]
+    path: Any, given: Mapping[str, Any], read_with: Mapping[str, str]
 ) -> tuple[Opened, tuple[str, ...]]:
     """Open a file as `open_source` does; where it leaves something open, as an earlier one was read."""
     known = {name: text for name, text in read_with.items() if name in given and given[name] is None}
@@ -254,8 +286,8 @@ def _answered(
     for options in (helped, plain) if "delimiter" in known else (plain, helped):
         try:
             opened = open_source(path, **options)
-            if opened[2].unstated:
-                raise InputError(opened[2].unstated)
+            if opened.source.unstated:
+                raise InputError(opened.source.unstated)
         except InputError as error:
             refused[options is plain] = error
             continue
@@ -266,17 +298,40 @@ def _answered(
     raise refused[True]  # without the help of an earlier one
 
 
-def _locate(path: Path) -> tuple[Path, Path | None]:
-    """Return the data file and, for a log given as a folder, the folder."""
+def files_of(path: str | Path) -> list[Path]:
+    """Return the file, the log of a folder, or the runs that a folder or a pattern (`runs/*.csv`) holds.
+
+    Runs may lie in folders of their own; they are in natural order: `run_2` comes before `run_10`. Raises
+    `InputError` where there is none.
+    """
+    path, suffixes = Path(path), [suffix for entry in FORMATS for suffix in entry.suffixes]
     if path.is_dir():
-        names = [f"log{suffix}" for entry in FORMATS for suffix in entry.suffixes]
-        found = [path / name for name in names if (path / name).is_file()]
-        if not found:
-            raise InputError(
-                f"Folder {path} must hold a log named log.parquet, log.csv, log.h5 or log.mat; it has none."
-            )
-        return regular(found[0], "Log"), path
-    return regular(path, "Log"), None
+        logs = [path / f"log{suffix}" for suffix in suffixes if (path / f"log{suffix}").is_file()]
+        found = logs[:1] or _alike(path.iterdir(), suffixes) or _alike(path.glob("*/*"), suffixes)
+    elif glob.has_magic(str(path)) and not path.exists():
+        found = [Path(name) for name in glob.glob(str(path)) if Path(name).is_file()]
+    else:
+        found = [path]
+    if not found:
+        raise InputError(
+            f"{quoted(path)} must hold a log named log.parquet, log.csv, log.h5 or log.mat, or files that are"
+            " runs; it holds none."
+        )
+    return [regular(file, "Log") for file in sorted(found, key=_natural)]
+
+
+def _alike(paths: Iterable[Path], suffixes: Sequence[str]) -> list[Path]:
+    """Return the files of the suffix that most of them have: notes may lie beside runs."""
+    known = (path for path in paths if path.suffix.lower() in suffixes and path.name[0] != ".")
+    files = [path for path in known if path.is_file()]
+    counts = Counter(path.suffix for path in files)
+    return [path for path in files if counts[path.suffix] == max(counts.values())]
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    return [
+        (int(part or 0), "") if k % 2 else (0, part) for k, part in enumerate(re.split(r"(\d+)", str(path)))
+    ]
 
 
 def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> Source:
@@ -295,26 +350,54 @@ def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> S
         options["delimiter"] = stated_delimiter(options["delimiter"])
     fault = f"must be a complete {entry.kind} file; it is cut short or damaged"
     source = Guarded(file, partial(entry.open, **options), fault)
-    source.read_with = {**({"format": format} if format else {}), **options}
-    return source
+    found = side_by_side(source, quoted(file))
+    found.read_with = {**({"format": format} if format else {}), **options}
+    return found
 
 
 def open_source(
-    path: Any, *, format: str | None = None, **stated: str | None
-) -> tuple[Path | None, Path | None, Source]:
-    """Return the data file, the folder of a log that is given as one, and its columns under their own names.
+    path: Any,
+    *,
+    format: str | None = None,
+    clock: str | None = None,
+    mapped: Mapping[str, str] | None = None,
+    **stated: str | None,
+) -> Opened:
+    """Return what `read_log` reads, its columns under their own names; other arguments are as there.
 
-    Arguments as for `read_log`; neither file nor folder for a table in memory.
+    `mapped`: our names, with their units, of columns that somebody mapped.
     """
     if is_table(path):
-        return None, None, source_of(path, "The table")
-    if isinstance(path, str | Path):
-        file, folder = _locate(Path(path))
-        return file, folder, _open(file, format, stated)
-    raise InputError(
-        "A log must be a path, a dict of arrays, a data frame or a Log; instead received a "
-        f"{type(path).__name__}."
-    )
+        return Opened(None, None, source_of(path, "The table"), "The table")
+    paths = path if isinstance(path, list | tuple) else [path]
+    if not paths or not all(isinstance(one, str | Path) for one in paths):
+        raise InputError(
+            "A log must be a path, a dict of arrays, a data frame, a Log or a list of paths; instead received"
+            f" a {type(path).__name__}."
+        )
+    files = [file for one in paths for file in files_of(one)]
+    folder = Path(paths[0]) if Path(paths[0]).is_dir() else None
+    if len(files) == 1:
+        source = _open(files[0], format, {"clock": clock, **stated})
+        return Opened(files[0], folder, source, quoted(files[0]))
+    where = quoted(paths[0]) if len(paths) == 1 else " and ".join(quoted(one) for one in paths[:3])
+    same = len({file.stem for file in files}) < len(files)
+    groups = [
+        Columns(f"{file.parent.name}/{file.name}" if same else file.stem, source, mapped)
+        for file, source in ((file, _open(file, format, stated)) for file in files)
+    ]
+    odd = next((g for g in groups if set(g.channels) != set(groups[0].channels)), None)
+    if odd and len(paths) == 1:
+        names = sorted(set(odd.channels) ^ set(groups[0].channels))
+        raise InputError(
+            f"Files of {where} must have the same columns to be runs; {odd.name} and {groups[0].name} differ"
+            f" in {listed(names, 4)}: name the files of one recording with --join."
+        )
+    left_out = {name: why for g in groups for name, why in g.source.left_out.items()}
+    source = GroupedSource(where, f"{len(files)} files", groups, left_out, clock, files=True)
+    source.read_with = groups[0].source.read_with
+    source.notes = (*dict.fromkeys(note for g in groups[:1] for note in g.source.notes), *source.notes)
+    return Opened(None, folder, source, where)
 
 
 def _resolve(wanted: Mapping[str, str | Foreign], source: Source) -> dict[str, Foreign]:

@@ -6,16 +6,16 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
 from hallsym.errors import InputError, counted, nearest, quoted
-from hallsym.log.columns import RUN
-from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, Source
+from hallsym.log.columns import RUN, TIME_WORDS
+from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, Source, joined
 from hallsym.units import UNITS, Array, split_unit
 
 TIME = "\0time"
@@ -29,8 +29,9 @@ class Group(ABC):
 
     `name`: as the file has it; `rows`: samples; `channels`: names of the channels of numbers; `units`: what
     the file states of them; `first`, `last`: time of the first and the last sample in seconds, None without a
-    time base; `since`: from what time counts, which two clocks must have in common; `clock`: the channel that
-    is the time base, "" where the format gives it.
+    time base; `since`: from what time counts, which two clocks must have in common; `epoch`: the moment of
+    its zero in seconds, where it is known; `clock`: the channel that is the time base, "" where the format
+    gives it; `timed`: whether time is one of its columns; `by_run`: whether it starts again in each run.
     """
 
     name: str
@@ -41,10 +42,21 @@ class Group(ABC):
     last: float | None = None
     since: str = ""
     clock: str = ""
+    epoch: float | None = None
+    timed: bool = True
+    by_run: bool = False
 
     @abstractmethod
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of exactly `size` rows, the last one of what is left; also of `TIME`."""
+
+    def begin(self) -> None:  # noqa: B027
+        """Find the times of the first and the last sample, where they have to be read."""
+
+    def seconds(self, name: str) -> float:
+        """Return the seconds of a channel's unit, 0 where it has another unit."""
+        unit = UNITS[self.units[name]] if name in self.units else split_unit(name)[1]
+        return unit.factor if unit and unit.si == "s" else 0.0
 
     @property
     def rate(self) -> float:
@@ -57,6 +69,75 @@ class Group(ABC):
         """Return the group in words: `Hall (4 channels at 10 kHz)`."""
         rate = f" at {hertz(self.rate)}" if self.rate else ""
         return f"{self.name} ({counted(len(self.channels), 'channel')}{rate})"
+
+
+RUN_APART = 1e6
+"""Seconds that runs are put apart where a clock starts again in each: longer than any run lasts."""
+
+
+class Columns(Group):
+    """Columns of equal length of a source; the one of time, where there is one, is the clock.
+
+    `mapped`: our names, with their units, of columns that somebody mapped.
+    """
+
+    def __init__(self, name: str, source: Source, mapped: Mapping[str, str] | None = None) -> None:
+        self.name, self.source, self.channels = name, source, tuple(source.names)
+        self.shift, self.restarts, self.by_run = 0.0, False, False
+        ours = {c: mapped[c] for c in self.channels if mapped and c in mapped}
+        self.units = {**source.units, **{c: u.name for c, n in ours.items() if (u := split_unit(n)[1])}}
+        named = [c for c in self.channels if split_unit(ours.get(c, c))[0] == OWN_TIME]
+        timed = named or [c for c in self.channels if self.seconds(c)]
+        timed = timed or [c for c in self.channels if c.lower() in TIME_WORDS and c not in self.units]
+        self.clock = timed[0] if len(timed) == 1 else ""
+
+    @cached_property
+    def rows(self) -> int:  # type: ignore[override]
+        """Samples; a file of text is counted when that is asked first."""
+        return self.source.count()
+
+    def begin(self) -> None:
+        """Read the clock once."""
+        if not self.clock:
+            return
+        self.epoch = self.source.epoch(self.clock)
+        self.since = "zero" if self.seconds(self.clock) else "zero, in a unit that is not stated"
+        self.since = self.since if self.epoch is None else "a moment"
+        last = -np.inf
+        for piece in self.chunks([TIME], CHUNK_ROWS):
+            time = piece[TIME]
+            self.restarts |= bool((np.diff(time, prepend=last) < 0).any())
+            self.first = float(time[0]) if last == -np.inf else self.first
+            self.last = last = float(time[-1])
+
+    def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
+        """Yield consecutive chunks of exactly `size` rows, the last one of what is left; also of `TIME`."""
+        clock = [self.clock, *([RUN] if self.by_run else [])] if TIME in names else []
+        wanted = list(dict.fromkeys([*(name for name in names if name != TIME), *clock]))
+        for piece in exact(self.source.chunks(wanted, size), size, wanted):
+            yield {name: self._time(piece) if name == TIME else piece[name] for name in names}
+
+    def _time(self, piece: Mapping[str, Array]) -> Array:
+        time = piece[self.clock] * (self.seconds(self.clock) or 1.0) + self.shift
+        return np.asarray(time + RUN_APART * piece[RUN] if self.by_run else time)
+
+
+def on_one_scale(groups: Sequence[Columns]) -> None:
+    """Let clocks that state a moment count from the earliest one, and those that start again run by run."""
+    if any(g.restarts for g in groups) and all(RUN in g.channels for g in groups):
+        for g in groups:
+            g.by_run, g.restarts = True, False
+            g.begin()
+            if g.restarts:
+                raise InputError(
+                    f"Time of {g.name} must rise in each run, and the numbers of its runs from run to run, to"
+                    " be joined with another file: sort it by run and time."
+                )
+    known = [g for g in groups if g.since == "a moment" and g.epoch is not None and g.first is not None]
+    earliest = min((g.epoch for g in known if g.epoch is not None), default=0.0)
+    for g in known:
+        g.shift = (g.epoch or 0.0) - earliest
+        g.first, g.last = (g.first or 0.0) + g.shift, (g.last or 0.0) + g.shift
 
 
 @dataclass(frozen=True)
@@ -86,10 +167,10 @@ class Place:
     channel: str
 
 
-def places(groups: Sequence[Group]) -> tuple[dict[str, Place], dict[str, str]]:
+def places(groups: Sequence[Group], by: str = "/") -> tuple[dict[str, Place], dict[str, str]]:
     """Name channels by themselves where that is unique, else `group/channel`; times that a format gives too.
 
-    Returns (name -> place, long name -> name).
+    `by`: between group and channel. Returns (name -> place, long name -> name).
     """
     ends = Counter(channel for g in groups for channel in g.channels)
     places: dict[str, Place] = {}
@@ -97,13 +178,12 @@ def places(groups: Sequence[Group]) -> tuple[dict[str, Place], dict[str, str]]:
     clocked: set[tuple[float | None, float | None, int]] = set()
     for g in groups:
         clock = (g.first, g.last, g.rows)
-        if g.first is not None and not g.clock and clock not in clocked:
-            long = f"{g.name}/{OWN_TIME}"
-            name = long if OWN_TIME in ends or clocked else OWN_TIME
+        if g.timed and g.first is not None and not g.clock and clock not in clocked:
+            name = f"{g.name}{by}{OWN_TIME}" if OWN_TIME in ends or clocked else OWN_TIME
             places[name] = Place(g, TIME)
             clocked.add(clock)
         for channel in g.channels:
-            long = f"{g.name}/{channel}"
+            long = f"{g.name}{by}{channel}" if g.name else channel
             name = channel if ends[channel] == 1 else long
             places[name] = Place(g, channel)
             if name != long:
@@ -111,14 +191,17 @@ def places(groups: Sequence[Group]) -> tuple[dict[str, Place], dict[str, str]]:
     return places, aliases
 
 
-def runs(groups: Sequence[Group]) -> list[Group]:
-    """Return the groups in the order of their numbers, if they are runs; else none."""
-    same = len({g.channels for g in groups}) == 1 and len(groups) > 1
-    numbered = same and all(re.search(r"\d$", g.name) for g in groups)
-    numbers = [number_of(g.name) for g in groups] if numbered else []
-    if not numbers or len(set(numbers)) < len(numbers) or len({tuple(g.units.items()) for g in groups}) > 1:
-        return []
-    return sorted(groups, key=lambda g: number_of(g.name))
+def runs(groups: Sequence[Group], named: bool = True) -> dict[int, Group]:
+    """Return groups of the same channels in the order of their numbers, if they are runs; else none.
+
+    `named`: only groups whose names end in different numbers are runs; others are counted from 0.
+    """
+    same = len({(*sorted(g.channels), *sorted(g.units.items())) for g in groups}) == 1 and len(groups) > 1
+    numbers = [number_of(g.name) if re.search(r"\d$", g.name) else -1 for g in groups]
+    if -1 in numbers or len(set(numbers)) < len(numbers):
+        numbers = [] if named else list(range(len(groups)))
+    found = dict(zip(numbers, groups, strict=True)) if same and numbers else {}
+    return {k: found[k] for k in sorted(found)}
 
 
 def number_of(name: str) -> int:
@@ -168,14 +251,14 @@ def exact(
         count += len(piece[names[0]])
         if count < size:
             continue
-        whole = {name: np.concatenate([p[name] for p in held]) for name in names}
+        whole = joined(held, names)
         edges = range(0, count + 1, size)
         for lo, hi in pairwise(edges):
             yield {name: whole[name][lo:hi] for name in names}
         held = [{name: whole[name][edges[-1] :] for name in names}]
         count -= edges[-1]
     if count:
-        yield {name: np.concatenate([p[name] for p in held]) for name in names}
+        yield joined(held, names)
 
 
 SHOWN_GROUPS = 4
@@ -183,35 +266,57 @@ SHOWN_GROUPS = 4
 
 
 class GroupedSource(Source):
-    """One table of the groups of a file."""
+    """One table of groups: those of a file, or whole files."""
 
     def __init__(
-        self, where: str, kind: str, groups: Sequence[Group], left_out: Mapping[str, str], clock: str | None
+        self,
+        where: str,
+        kind: str,
+        groups: Sequence[Group],
+        left_out: Mapping[str, str],
+        clock: str | None,
+        *,
+        by: str = "/",
+        files: bool = False,
     ) -> None:
-        """Arrange groups of a `kind` ("TDMS") of the file that messages call `where`."""
+        """Arrange groups of a `kind` ("TDMS") of what messages call `where`.
+
+        `by`: as in `places`. `files`: each group is a file; those of the same columns are runs whatever they
+        are called, others are read at the samples of the slowest where no `clock` is stated.
+        """
         self.where = where
-        self.left_out: dict[str, str] = {**left_out} | {
-            g.name: "it holds one sample" for g in groups if g.rows == 1
-        }
-        filled = [g for g in groups if g.channels and g.rows > 1]
+        most = max((g.rows for g in groups), default=0)
+        filled = [g for g in groups if g.channels and g.rows > min(most - 1, 1)]
         if not filled:
-            raise InputError(
-                f"Log {where} has no channel of numbers with two samples or more; record it again."
-            )
+            raise InputError(f"Log {where} has no channel of numbers with samples; record it again.")
+        self.left_out: dict[str, str] = {**left_out} | {
+            g.name or channel: "it holds one sample"
+            for g in groups
+            if g not in filled
+            for channel in g.channels
+        }
         stated = None if clock is None else Clock.read(clock)
-        self.runs = [] if stated else runs(filled)
-        self.sets = [filled[:1]] if self.runs else on_one_clock(filled)
+        self.runs = {} if stated else runs(filled, named=not files)
+        if not self.runs and len(filled) > 1:
+            for g in filled:
+                g.begin()
+            on_one_scale([g for g in filled if isinstance(g, Columns)])
+        self.sets = [[next(iter(self.runs.values()))]] if self.runs else on_one_clock(filled)
+        if files and not stated and len(self.sets) > 1 and all(m[0].first is not None for m in self.sets):
+            stated = Clock(min((m[0] for m in self.sets), key=lambda g: g.rate).name, METHODS[0])
         self.stated, self.master = stated, self._master(stated)
         kept = [self.master, *(g for members in self.sets for g in members if g is not self.master)]
-        self.places, self.aliases = places(kept)
+        self._leave_others(bool(stated))
+        self.places, self.aliases = places(kept, by)
         own = {n: "s" if p.channel == TIME else p.group.units.get(p.channel) for n, p in self.places.items()}
         self.units = {name: unit for name, unit in own.items() if unit}
-        self._leave_other_clocks()
-        self.names = (*((RUN,) if self.runs else ()), *self.places)
-        self.rows = sum(g.rows for g in self.runs) or self.master.rows
+        self.numbered = bool(self.runs) and RUN not in self.places
+        self.names = (*((RUN,) if self.numbered else ()), *self.places)
+        self.rows = sum(g.rows for g in self.runs.values()) or self.master.rows
         self.small = self.rows <= IN_MEMORY_ROWS
         self.recognised = self._said(kind, filled)
-        self.notes = (f"{where} is read as {self.recognised}.",) if len(self.sets) > 1 else ()
+        told = len(self.sets) > 1 or (files and len(filled) > 1)
+        self.notes = (f"{where} is read as {self.recognised}.",) if told else ()
         self.unstated = "" if stated or len(self.sets) == 1 else self._ask()
 
     def count(self) -> int:
@@ -240,12 +345,12 @@ class GroupedSource(Source):
         timed = [members for members in self.sets if members[0].first is not None]
         usual = max(timed or self.sets, key=lambda members: sum(len(g.channels) for g in members))
         master = named[stated.group] if stated else usual[0]
-        kept = []
+        kept: list[list[Group]] = []
         for members in self.sets:
             if members[0].first is not None or master in members:
                 kept.append(members)
                 continue
-            why = f"it has no time base and {members[0].rows} samples where {master.name} has {master.rows}"
+            why = f"it has no time base and {members[0].rows} values where the others have {master.rows}"
             self.left_out.update({channel: why for g in members for channel in g.channels})
         self.sets = kept
         if stated and master.first is None:
@@ -254,15 +359,16 @@ class GroupedSource(Source):
             )
         return master
 
-    def _leave_other_clocks(self) -> None:
-        """Leave out the time of groups that are read on another's clock."""
-        if not self.stated:
-            return
+    def _leave_others(self, clocks: bool) -> None:
+        """Leave out runs and times of other groups that the master has; with `clocks`, of other clocks."""
         mine = self._mine()
-        for name, place in list(self.places.items()):
-            if place.group not in mine and place.channel in (TIME, place.group.clock):
-                del self.places[name]
-                self.left_out[name] = f"it is the time of {place.group.name}"
+        for g in (g for members in self.sets for g in members if g is not self.master):
+            dropped = {RUN: "run"} if RUN in self.master.channels else {}
+            if clocks if g not in mine else self.master.clock:
+                dropped[g.clock], g.timed = "time", False
+            for name in [c for c in g.channels if c in dropped]:
+                self.left_out[f"{g.name}/{name}"] = f"it is the {dropped[name]} of {g.name}"
+            g.channels = tuple(c for c in g.channels if c not in dropped)
 
     def _own(self) -> str:
         return next(name for name, place in self.places.items() if place.group is self.master)
@@ -271,7 +377,10 @@ class GroupedSource(Source):
         named = ", ".join(g.said() for g in groups[:SHOWN_GROUPS])
         more = f" and {len(groups) - SHOWN_GROUPS} more" if len(groups) > SHOWN_GROUPS else ""
         if self.runs:
-            return f"{kind}: {len(self.runs)} groups that are runs, {self.runs[0].said()}{more and ', ...'}"
+            counted_from_0 = any(number_of(g.name) != k for k, g in self.runs.items())
+            named = ", ".join(f"run {k} is {g.name}" for k, g in list(self.runs.items())[:SHOWN_GROUPS])
+            each = f"{named}{more}" if counted_from_0 else f"each as {self.sets[0][0].said()}"
+            return f"{kind}: {len(self.runs)} runs, {each}"
         text = f"{kind}: {named}{more}"
         if len(self.sets) == 1:
             return text
@@ -279,7 +388,11 @@ class GroupedSource(Source):
             return f"{text} on {len(self.sets)} clocks"
         how = "the nearest sample" if self.stated.method == "nearest" else "linear between samples"
         whole = "" if self.stated.method == "nearest" else " (whole numbers: the nearest)"
-        return f"{text}, at the samples of {self.master.name}, other groups {how}{whole}"
+        begin, end = self._shared()
+        cut = (begin, end) != (self.master.first, self.master.last)
+        left = f", from {begin:.6g} to {end:.6g} s, where all were recorded" if cut else ""
+        left = ", run by run" if self.master.by_run else left
+        return f"{text}, at the samples of {self.master.name}, other groups {how}{whole}{left}"
 
     def _ask(self) -> str:
         clocks = [members[0] for members in self.sets]
@@ -304,39 +417,30 @@ class GroupedSource(Source):
             }
 
     def _chunks_of_runs(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
-        for group in self.runs:
-            channels = {name: self.places[name].channel for name in names if name != RUN}
+        channels = {name: self.places[name].channel for name in names if name in self.places}
+        for run, group in self.runs.items():
             asked = list(channels.values()) or [group.channels[0]]
             for piece in group.chunks(asked, size):
                 rows = len(next(iter(piece.values())))
-                run = number_of(group.name)
-                yield {name: piece[channels[name]] if name != RUN else np.full(rows, run) for name in names}
+                yield {n: piece[channels[n]] if n in channels else np.full(rows, run) for n in names}
 
     def _resampled(self, names: Sequence[str], size: int, method: str) -> Iterator[Mapping[str, Array]]:
-        mine, others = self._mine(), self._others()
-        for g in others:
-            if g.since != self.master.since:
-                raise InputError(
-                    f"Groups {self.master.name} and {g.name} of {self.where} count time from different starts"
-                    f" ({self.master.since} and {g.since}); they cannot be put on one clock."
-                )
-        wanted = dict(_by_group(self.places, names))
-        followers = [
-            Follower(
-                g.name,
-                g.rate,
-                partial(_timed, g),
-                [Wanted(name, channel, self._turn(name)) for name, channel in wanted.get(g, ())],
-            )
-            for g in others
-        ]
-        own = dict.fromkeys([*(name for name in names if self.places[name].group in mine), self._own()])
-        ends = [_ends(g, self.master) for g in others]
-        begin, end = max(first for first, _ in ends), min(last for _, last in ends)
-        times = self.master.chunks([TIME], size)
-        pieces = self._joined(list(own), size)
-        rows = ((time[TIME], piece) for time, piece in zip(times, pieces, strict=True))
-        yield from resampled(rows, followers, method, (begin, end), names, size, self.where)
+        """Yield columns at the samples of the master, those between which all groups were recorded."""
+        wanted, (begin, end) = dict(_by_group(self.places, names)), self._shared()
+        turns = {name: self._turn(name) for name in names}
+        followers = [Follower(g, wanted[g], turns, size, self.where) for g in self._others() if g in wanted]
+        read = {name for follower in followers for name, _ in follower.wanted}
+        own = [name for name in names if name not in read] or [self._own()]
+        last = np.empty(0)
+        for piece, times in zip(self._joined(own, size), self.master.chunks([TIME], size), strict=True):
+            time = times[TIME]
+            check_rising(np.concatenate([last, time]), self.master.name, self.where)
+            last, inside = time[-1:], (time >= begin) & (time <= end)
+            if inside.any():
+                found = {name: values[inside] for name, values in piece.items()}
+                for follower in followers:
+                    found |= follower.read(time[inside], method)
+                yield {name: found[name] for name in names}
 
     def _mine(self) -> list[Group]:
         return next(members for members in self.sets if self.master in members)
@@ -345,25 +449,29 @@ class GroupedSource(Source):
         mine = self._mine()
         return [g for members in self.sets if members is not mine for g in members]
 
-    def _turn(self, name: str) -> float:
-        """Return a full turn in the unit of an angle, 0 for a column of another unit."""
+    def _shared(self) -> tuple[float, float]:
+        """Return the times between which all groups were recorded."""
+        ends = [(g.first or 0.0, g.last or 0.0) for g in (self.master, *self._others())]
+        begin, end = max(first for first, _ in ends), min(last for _, last in ends)
+        for g, (first, last) in zip(self._others(), ends[1:], strict=True):
+            if g.since != self.master.since:
+                raise InputError(
+                    f"Groups {self.master.name} and {g.name} of {self.where} count time from different starts"
+                    f" ({self.master.since} and {g.since}); they cannot be put on one clock."
+                )
+            if begin >= end:
+                raise InputError(
+                    f"{self.master.name} ({ends[0][0]:.6g} to {ends[0][1]:.6g} s) and {g.name} ({first:.6g}"
+                    f" to {last:.6g} s) of {self.where} must overlap in time; count both from one start."
+                )
+        return begin, end
+
+    def _turn(self, name: str) -> float | None:
+        """Return a full turn in the unit of an angle, 0 for another column; None for counts and runs."""
         unit = UNITS[self.units[name]] if name in self.units else split_unit(name)[1]
+        if name == RUN or (unit and unit.si == "count"):
+            return None
         return 2 * math.pi / unit.factor if unit and unit.si == "rad" else 0.0
-
-
-def _timed(group: Group, channels: Sequence[str], size: int) -> Iterator[tuple[Array, Mapping[str, Array]]]:
-    for piece in group.chunks([TIME, *(c for c in channels if c != TIME)], size):
-        yield piece[TIME], piece
-
-
-def _ends(group: Group, master: Group) -> tuple[float, float]:
-    """Return the times from which and up to which a group has values, where the ends differ by its period.
-
-    Beyond that it was not recorded, and the rows stay, without a value.
-    """
-    first, last, period = group.first or 0.0, group.last or 0.0, 1 / (group.rate or np.inf)
-    begin, end = master.first or 0.0, master.last or 0.0
-    return (first if first <= begin + period else begin), (last if last >= end - period else end)
 
 
 def _by_group(places: Mapping[str, Place], names: Sequence[str]) -> list[tuple[Group, list[tuple[str, str]]]]:
@@ -382,37 +490,39 @@ AT_ONCE = 4096
 FOR_PERIOD = 1000
 """Samples from which the period of a group is taken; a pause between them is not in the median."""
 
-Piece = Mapping[str, Array]
-Stream = Callable[[Sequence[str], int], Iterator[tuple[Array, Piece]]]
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """A column and the channel that it is; `turn`: a full turn in the unit of an angle, 0 for others."""
-
-    column: str
-    channel: str
-    turn: float = 0.0
-
 
 class Follower:
     """One group read along the clock of another; it holds the samples about the rows asked for, no more."""
 
-    def __init__(self, name: str, rate: float, stream: Stream, wanted: Sequence[Wanted]) -> None:
-        """Read channels of a group with `rate` samples a second."""
-        self.name, self.rate, self.stream, self.wanted = name, rate, stream, list(wanted)
-        self.channels = list(dict.fromkeys(w.channel for w in wanted))
+    def __init__(
+        self,
+        group: Group,
+        wanted: Sequence[tuple[str, str]],
+        turns: Mapping[str, float | None],
+        size: int,
+        where: str,
+    ) -> None:
+        """Begin a pass for columns and their channels, with chunks of about `size` samples.
 
-    def start(self, size: int, where: str) -> None:
-        """Begin a pass with chunks of about `size` samples; messages call the file `where`."""
-        self._where = where
-        self._pieces = self.stream(self.channels, max(size, AT_ONCE))
+        `turns`: by column a full turn of an angle, 0 for others; None for whole numbers, between which there
+        is nothing. Messages call the file `where`.
+        """
+        self.group, self.wanted, self.turns, self.where = group, list(wanted), turns, where
+        self.channels = list(dict.fromkeys(channel for _, channel in wanted))
+        self.size = max(size, AT_ONCE)
+        self._pieces = group.chunks([TIME, *self.channels], self.size)
         self._time = np.empty(0)
         self._held: dict[str, Array] = {}
         self._longest = np.inf
         self._ended = not self._more()
         if len(self._time) > 1:
             self._longest = LONGEST_GAP * float(np.median(np.diff(self._time[:FOR_PERIOD])))
+
+    def read(self, time: Array, method: str) -> dict[str, Array]:
+        """Return the columns at rising times, in steps that hold about as many samples as a chunk."""
+        need = math.ceil((time[-1] - time[0]) * self.group.rate / self.size)
+        parts = [part for part in np.array_split(time, max(1, min(len(time), need))) if len(part)]
+        return joined([self.at(part, method) for part in parts], [column for column, _ in self.wanted])
 
     def at(self, time: Array, method: str) -> dict[str, Array]:
         """Return the columns at rising times, each of shape (times,); NaN where the group has no value."""
@@ -423,7 +533,7 @@ class Follower:
         self._time = self._time[keep:]
         self._held = {name: values[keep:] for name, values in self._held.items()}
         if len(self._time) < 2:
-            return {w.column: np.full(len(time), np.nan) for w in self.wanted}
+            return {column: np.full(len(time), np.nan) for column, _ in self.wanted}
         after = np.searchsorted(self._time, time, "left").clip(1, len(self._time) - 1)
         before = after - 1
         left, right = self._time[before], self._time[after]
@@ -431,28 +541,24 @@ class Follower:
         known = inside | (time == left) | (time == right)
         share = np.divide(time - left, right - left, out=np.zeros(len(time)), where=right > left)
         out = {}
-        for w in self.wanted:
-            values = self._held[w.channel]
-            if method == "nearest" or values.dtype.kind != "f" or w.column == RUN:
+        for column, channel in self.wanted:
+            values, turn = self._held[channel], self.turns[column]
+            if method == "nearest" or values.dtype.kind != "f" or turn is None:
                 found = values[np.where(share > 0.5, after, before)].astype(np.float64)
             else:
-                found = _between(values[before], values[after], share, w.turn)
-            out[w.column] = np.where(known, found, np.nan)
+                found = _between(values[before], values[after], share, turn)
+            out[column] = np.where(known, found, np.nan)
         return out
 
     def _more(self) -> bool:
         """Read the next chunk; whether there was one."""
-        found = next(self._pieces, None)
-        if found is None:
+        piece = next(self._pieces, None)
+        if piece is None:
             return False
-        time, piece = found
-        joined = np.concatenate([self._time, time])
-        check_rising(joined[max(0, len(self._time) - 1) :], self.name, self._where)
-        self._time = joined
-        self._held = {
-            c: np.concatenate([self._held[c], piece[c]]) if c in self._held else piece[c]
-            for c in self.channels
-        }
+        time = np.concatenate([self._time, piece[TIME]])
+        check_rising(time[max(0, len(self._time) - 1) :], self.group.name, self.where)
+        self._time = time
+        self._held = {c: np.concatenate([self._held.get(c, piece[c][:0]), piece[c]]) for c in self.channels}
         return True
 
 
@@ -477,44 +583,3 @@ def check_rising(time: Array, name: str, where: str) -> None:
             f"Time of group {name} of {where} must rise; after {time[at]:.9g} s comes {time[at + 1]:.9g} s,"
             " so it cannot be put on one clock with others: split the log there."
         )
-
-
-def resampled(
-    rows: Iterator[tuple[Array, Piece]],
-    followers: Sequence[Follower],
-    method: str,
-    ends: tuple[float, float],
-    names: Sequence[str],
-    size: int,
-    where: str,
-) -> Iterator[Piece]:
-    """Yield the columns `names` at the rows of a clock; those outside `ends` are left out.
-
-    A fast follower of a slow clock is read in few rows at a time, so that it never holds more than about
-    `size` samples.
-    """
-    asked = [f for f in followers if f.wanted]
-    for follower in asked:
-        follower.start(size, where)
-    last = np.empty(0)
-    for time, own in rows:
-        check_rising(np.concatenate([last, time]), "the clock", where)
-        last = time[-1:]
-        inside = (time >= ends[0]) & (time <= ends[1])
-        if not inside.any():
-            continue
-        when = time[inside]
-        found = _read(asked, when, method, size)
-        kept = {name: values[inside] for name, values in own.items()}
-        yield {name: found[name] if name in found else kept[name] for name in names}
-
-
-def _read(followers: Sequence[Follower], time: Array, method: str, size: int) -> dict[str, Array]:
-    """Return all columns of the followers at `time`, in steps that hold about `size` of their samples."""
-    out: dict[str, Array] = {}
-    for follower in followers:
-        need = (time[-1] - time[0]) * follower.rate / max(size, AT_ONCE)
-        parts = [p for p in np.array_split(time, max(1, min(len(time), int(np.ceil(need))))) if len(p)]
-        found = [follower.at(part, method) for part in parts]
-        out |= {name: np.concatenate([piece[name] for piece in found]) for name in found[0]}
-    return out

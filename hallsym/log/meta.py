@@ -170,19 +170,16 @@ def check_noise_keys(values: Mapping[str, float], columns: Sequence[str], where:
             )
 
 
-def check_misspelt_noise(values: Mapping[str, float], columns: Sequence[str], where: str) -> None:
-    """Refuse a stated noise whose key is nearly, but not quite, that of a column.
-
-    Others may stand: a file may state the noise of columns that this log happens not to have, such as
-    `temperature_degc`, or in words of its own.
-    """
+def check_misspelt_noise(values: Mapping[str, float], columns: Sequence[str], where: str) -> list[str]:
+    """Refuse a stated noise whose key is nearly that of a column; return those that no column has."""
     groups = [c for c in ("hall_m", "hall_v", "col_v") if any(_fits(c, column) for column in columns)]
-    for key in values:
+    unused = [key for key in values if not any(_fits(key, column) for column in columns)]
+    for key in unused:
         stem, unit = split_unit(key)
-        if any(_fits(key, column) for column in columns) or (unit and quantity(stem)):
-            continue
-        if get_close_matches(key, [*groups, *columns], n=1, cutoff=_MISSPELT):
+        near = get_close_matches(key, [*groups, *columns], n=1, cutoff=_MISSPELT)
+        if near and not (unit and quantity(stem)):
             check_noise_keys({key: values[key]}, [*groups, *columns], where)
+    return unused
 
 
 def _fits(key: str, column: str) -> bool:

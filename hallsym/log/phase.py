@@ -15,7 +15,7 @@ import numpy as np
 
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log, edges_of
-from hallsym.log.table import View
+from hallsym.log.table import Resting, View
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.units import readable
@@ -99,6 +99,24 @@ def continuous(log: Log, model: Model) -> Log:
     }
     table: Any = _Continuous(log.table, references, branches, apart)
     return replace(log, table=table)
+
+
+def followed(model: Model) -> tuple[str, ...]:
+    """Return the logged columns of the state that some reading follows."""
+    made = {c.name for c in model.computed}
+    follows = ca.DM(model.reading.jac_sparsity(0, 3), 1).full()
+    return tuple(c for k, c in enumerate(model.state) if follows[:, k].any() and c not in made)
+
+
+def at_rest(log: Log, model: Model) -> Log:
+    """Return the log with state columns that it lacks at rest, where no reading of `model` follows them."""
+    lacking = [c for c in model.state if c not in log.columns]
+    needed = {c.name for c in model.computed}.union(followed(model) if lacking else ())
+    if not lacking or needed & set(lacking):
+        return log
+    said = f"{log.name} has no {', '.join(lacking)}; no reading of {model.name} follows them."
+    table: Any = Resting(log.table, {c: model.rest.get(c, 0.0) for c in lacking})
+    return replace(log, table=table, notes=(*log.notes, said))
 
 
 def rehomed(log: Log, shifts: Mapping[str, Mapping[int, float]], model: Model) -> Log:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,15 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.log.columns import RUN, Binding, Foreign, has_meaning, listed
-from hallsym.units import Array
+from hallsym.units import Array, split_unit
 
 IN_MEMORY_ROWS = 2_000_000
 CHUNK_ROWS = 65_536
 
 Piece = dict[str, Array]
+RESTARTED = 0.01
+"""Part of the time that has passed within which a clock that starts again is back at its first value; that of
+a sample that is late or doubled is not."""
 
 
 class Source(ABC):
@@ -45,6 +49,10 @@ class Source(ABC):
     def count(self) -> int:
         """Return the number of rows."""
         return self.rows
+
+    def epoch(self, name: str) -> float | None:
+        """Return the moment of zero of a column of times, in seconds from a fixed day; None if unknown."""
+        return None
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns, each of shape (rows,)."""
@@ -108,10 +116,19 @@ class Table:
     """SI columns over a source. Small sources are kept in memory, one read per newly asked set of columns."""
 
     def __init__(self, source: Source, bindings: Mapping[str, Binding], where: str) -> None:
-        """Bind SI names to a source that messages call `where`."""
+        """Bind SI names to a source that messages call `where`.
+
+        `open`, set later: names of which somebody has yet to choose one in a column file.
+        """
         self.source, self.bindings, self.where = source, dict(bindings), where
         self.columns = tuple(self.bindings) if RUN in self.bindings else (RUN, *self.bindings)
         self._held: Piece = {}
+        self.open: tuple[str, ...] = ()
+
+    @property
+    def numbered(self) -> bool:
+        """Whether runs are those of a column, or all is one, for lack of a clock."""
+        return RUN in self.bindings or "t_s" not in self.bindings
 
     @property
     def in_memory(self) -> bool:
@@ -128,11 +145,9 @@ class Table:
         if self.in_memory:
             yield self._hold(columns)
             return
-        sources = [self.bindings[name].source for name in columns if name in self.bindings] or [
-            self.source.names[0]
-        ]
+        restarts, sources = Restarts(), self._sources(columns) or [self.source.names[0]]
         for raw in self.source.chunks(sources, size):
-            yield self._convert(columns, raw)
+            yield self._convert(columns, raw, restarts)
 
     def require(self, columns: Sequence[str]) -> None:
         """Refuse columns that the log does not have, and say which name is near."""
@@ -142,6 +157,11 @@ class Table:
             if name in self.source.left_out:
                 raise InputError(
                     f"Column {name} of {self.where} cannot be used: {self.source.left_out[name]}."
+                )
+            if choices := [c for c in self.open if split_unit(c)[0] == split_unit(name)[0]]:
+                raise InputError(
+                    f"The unit of {split_unit(name)[0]} of {self.where} must be chosen: remove the # before"
+                    f" {' or '.join(dict.fromkeys(choices))} in the column file."
                 )
             sure = has_meaning(name)  # then no other column of a kind is meant for it
             others = [c for c in self.columns if not (sure and has_meaning(c))]
@@ -159,7 +179,9 @@ class Table:
     def mapping(self) -> dict[str, Foreign]:
         """The columns that somebody mapped: our name, with the unit where it was stated, and the file's."""
         return {
-            b.asked: Foreign(b.source, b.scale, b.counts_per_turn) for b in self.bindings.values() if b.asked
+            b.asked: replace(b.foreign, counts_per_turn=b.counts_per_turn)
+            for b in self.bindings.values()
+            if b.foreign
         }
 
     @property
@@ -174,19 +196,55 @@ class Table:
     def _hold(self, columns: Sequence[str]) -> Piece:
         new = [name for name in columns if name not in self._held]
         if new:
-            sources = [self.bindings[name].source for name in new if name in self.bindings]
-            converted = self._convert(new, self.source.read(sources) if sources else {})
+            converted = self._convert(new, self._read(self._sources(new)), Restarts())
             for values in converted.values():
                 values.flags.writeable = False
             self._held.update(converted)
         return {name: self._held[name] for name in columns}
 
-    def _convert(self, columns: Sequence[str], raw: Mapping[str, Array]) -> Piece:
+    def _sources(self, columns: Sequence[str]) -> list[str]:
+        """Return the file's names of what columns are computed from."""
+        asked = [*columns, *(["t_s"] if RUN in columns and not self.numbered else [])]
+        return list(dict.fromkeys(self.bindings[name].source for name in asked if name in self.bindings))
+
+    def _read(self, sources: Sequence[str]) -> Mapping[str, Array]:
+        """Return whole columns of the file; runs with names are numbered in their order."""
+        try:
+            return self.source.read(sources) if sources else {}
+        except InputError:
+            name = self.bindings[RUN].source if RUN in self.bindings else ""
+            labels = self.source.labels(name) if name in sources else [""]
+            if any(text[:1].isdigit() or not text for text in labels):
+                raise
+            known: dict[str, int] = {}
+            runs = np.array([known.setdefault(text, len(known)) for text in labels])
+            return {**self._read([source for source in sources if source != name]), name: runs}
+
+    def _convert(self, columns: Sequence[str], raw: Mapping[str, Array], restarts: Restarts) -> Piece:
         rows = len(next(iter(raw.values()))) if raw else self.count()
-        bound = self.bindings
-        return {
-            c: bound[c].si(raw[bound[c].source]) if c in bound else np.zeros(rows, np.int64) for c in columns
-        }
+        found = {c: self.bindings[c].si(raw[self.bindings[c].source]) for c in columns if c in self.bindings}
+        if RUN in columns and RUN not in found:
+            clock = None if self.numbered else self.bindings["t_s"]
+            found[RUN] = restarts(clock.si(raw[clock.source])) if clock else np.zeros(rows, np.int64)
+        return {c: found[c] for c in columns}
+
+
+class Restarts:
+    """Numbers runs along chunks of a clock: one begins where time is back at its beginning."""
+
+    def __init__(self) -> None:
+        self._first, self._last, self._run = np.nan, np.nan, 0
+
+    def __call__(self, t: Array) -> Array:
+        """Return the runs, numbered from 0, of times (rows,) in s."""
+        if not len(t):
+            return np.zeros(0, np.int64)
+        self._first = t[0] if np.isnan(self._first) else self._first
+        before = np.r_[self._last, t[:-1]]
+        back = (t < before) & (t - self._first <= RESTARTED * (before - self._first))
+        runs = self._run + np.cumsum(back)
+        self._last, self._run = t[-1], int(runs[-1])
+        return np.asarray(runs)
 
 
 class View:
@@ -200,6 +258,26 @@ class View:
         if name == "table":  # asked for while a copy is made, before it has one
             raise AttributeError(name)
         return getattr(self.table, name)
+
+
+class Resting(View):
+    """A table with further columns of one value each."""
+
+    def __init__(self, table: TableLike, values: Mapping[str, float]) -> None:
+        super().__init__(table)
+        self.values = dict(values)
+        self.columns = (*table.columns, *values)
+
+    def require(self, columns: Sequence[str]) -> None:
+        """Refuse columns that neither the log nor the further ones have."""
+        self.table.require([name for name in columns if name not in self.values])
+
+    def pieces(self, columns: Sequence[str], size: int) -> Iterator[Piece]:
+        """Yield consecutive pieces, as `Table.pieces` does."""
+        own = [name for name in columns if name not in self.values] or [RUN]
+        for piece in self.table.pieces(own, size):
+            rows = len(piece[own[0]])
+            yield {n: np.full(rows, self.values[n]) if n in self.values else piece[n] for n in columns}
 
 
 TableLike = Table | View

@@ -110,6 +110,8 @@ class Family:
     """What a model may be extended by; where a log cannot tell two apart a diagnosis prefers the first."""
     words: Mapping[str, str] = field(default_factory=dict)
     """What a person calls a column, where its name does not say it: `z_m` -> "height Z"."""
+    assumed: str = ""
+    """The layout that its models have where nobody states one, as a note says it."""
     together: str = ""
     """What a person calls all state columns together."""
     example: Example | None = None

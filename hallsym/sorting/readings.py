@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest, require
-from hallsym.log import Log, read_log
+from hallsym.errors import InputError, nearest
+from hallsym.log import Foreign, Log, read_log
 from hallsym.log.columns import listed
 from hallsym.log.table import label
 from hallsym.units import Array, si_unit
@@ -51,7 +51,7 @@ class Readings:
 def read_readings(
     path: str | Path,
     *,
-    columns: Mapping[str, str] | None = None,
+    columns: Mapping[str, str | Foreign] | None = None,
     fields: Sequence[float] = (),
     **options: Any,
 ) -> Readings:
@@ -62,7 +62,8 @@ def read_readings(
     `columns` maps our names to the file's; `options` are those of `read_log`.
     """
     wanted = dict(columns or {})
-    name = wanted.pop(SENSOR, SENSOR)
+    named = wanted.pop(SENSOR, SENSOR)
+    name = named if isinstance(named, str) else named.name
     log = read_log(path, columns=wanted, **options)
     source = log.table.source
     if name not in source.names:

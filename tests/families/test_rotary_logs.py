@@ -32,7 +32,8 @@ def test_the_form_follows_from_the_columns():
     assert build("rotary", meta=voltage_log(V, BOTH).meta).channels == ("v_sin_v", "v_cos_v")
     assert build("rotary", meta=angle_log(V, BOTH).meta).channels == ("angle_rad",)
     assert default_model(angle_log(V, BOTH).meta) == "rotary"
-    assert default_model(Meta(columns=("x_ref_m",))) == "stage31"
+    assert default_model(Meta(columns=("x_ref_m", "z_m", "rx_rad", "ry_rad"))) == "stage31"
+    assert default_model(Meta(columns=("x_ref_m",))) == "stage30"  # its gains follow no height, no tilts
     with pytest.raises(InputError, match=r"neither a stage .* nor an encoder .*; map columns with --column"):
         default_model(Meta(columns=("run", "t_s")))
     assert build("ellipse").name == "rotary"

@@ -42,7 +42,7 @@ def found(suggestion: Suggestion) -> dict[str, tuple[str, str, int]]:
 
 def test_names_and_units(columns: dict[str, np.ndarray]) -> None:
     made = guessed(columns)
-    assert made.model == "stage31"
+    assert made.model.name == "stage31"
     assert made.rest == ()
     for ours, (name, _) in LAB.items():
         stem = "run" if ours == "run" else ours.rpartition("_")[0]
@@ -72,7 +72,7 @@ def test_an_angle_in_counts() -> None:
     made = suggest(
         open_source({"time [s]": t, "Angle [counts]": raw, "Angle ref [deg]": np.degrees(angle)})[2]
     )
-    assert made.model.startswith("rotary")
+    assert made.model.name.startswith("rotary")
     assert found(made)["angle"] == ("Angle", "count", 1)
     assert found(made)["angle_ref"] == ("Angle ref", "deg", 1)
     (angle_guess,) = [g for g in made.guesses if g.stem == "angle"]
@@ -126,3 +126,47 @@ def test_columns_of_ours_stay_what_they_are() -> None:
     assert set(made.rest) == {"hall_7_v", "z_ref_m"}
     text = made.to_toml("log").split("[columns]")[1]
     assert all(line.startswith("#") for line in text.strip().split("\n"))
+
+
+def units_of(name: str, values: np.ndarray, model: str = "stage31") -> tuple[str, ...]:
+    """The units among which somebody has to choose for a column whose file states none."""
+    made = suggest(open_source({name: values})[2], model)
+    return next(g.units for g in made.guesses if g.theirs == name)
+
+
+RAMP = np.linspace(0.0, 1.0, 500)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "model", "units"),
+    [
+        ("IFM X", 600.3 * RAMP, "stage31", ("mm", "um", "nm")),
+        ("IFM X", 1e-3 * RAMP, "stage31", ("m", "mm")),  # no sensor resolves a nanometre of travel
+        ("IFM Yaw", 600.3 * RAMP, "stage31", ("urad", "nrad")),
+        ("Time", np.arange(500) * 1e-3, "stage31", ("s",)),
+        ("Time", np.arange(500.0), "stage31", ("s", "ms")),
+        ("Angle ref", 360.0 * (5 * RAMP % 1), "rotary", ("deg",)),
+        ("Angle ref", 2 * np.pi * (5 * RAMP % 1), "rotary", ("rad",)),
+        ("Angle ref", 40.0 * RAMP, "rotary", ("rad", "deg")),
+    ],
+)
+def test_units_that_a_size_leaves_open(
+    name: str, values: np.ndarray, model: str, units: tuple[str, ...]
+) -> None:
+    assert units_of(name, values, model) == units
+
+
+def test_whole_numbers_over_eight_bits_may_be_counts() -> None:
+    few, many = (np.round(n * RAMP) for n in (255, 256))
+    for values, raw in ((few, ""), (many, "counts")):
+        (guess,) = suggest(open_source({"HallA": values})[2], "stage31").guesses
+        assert guess.raw == raw
+        assert guess.open
+        assert any("scale" in line for line in guess.lines) == bool(raw)
+    (volts,) = suggest(open_source({"HallA [V]": RAMP})[2], "stage31").guesses
+    assert volts.lines == ['# hall_a_um = { name = "HallA", scale = 1.0, offset = 0.0 }']
+
+
+def test_references_tell_the_unit_of_readings(columns: dict[str, np.ndarray]) -> None:
+    made = found(guessed(columns, **{f"hall_{c}_m": (f"Hall{c.upper()}", 1e6) for c in "abc"}))
+    assert {made[f"hall_{c}"][1] for c in "abc"} == {"um"}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import importlib
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,8 @@ from hallsym.cli.main import main
 from hallsym.errors import InputError
 from hallsym.families.published import values
 from hallsym.log import check_log, groups, read_log, write_log
-from hallsym.log.groups import Follower, Wanted, resampled
+from hallsym.log.groups import GroupedSource
+from hallsym.log.table import Arrays
 
 SUFFIXES = tuple(WRITERS)
 HALL, REFERENCE = "Hall", "Reference"
@@ -150,19 +151,16 @@ def test_pieces_of_any_size_give_the_same(
     other = np.linspace(0, 6, len(other)) if ratio != 1.0 else time.copy()
     found = rng.normal(size=len(other))
 
-    def stream(channels: Sequence[str], n: int) -> Iterator[tuple[np.ndarray, Columns]]:
-        for lo in range(0, len(other), n):
-            yield other[lo : lo + n], {"x": found[lo : lo + n]}
-
-    rows = ((time[lo : lo + size], {}) for lo in range(0, len(time), size))
-    follower = Follower("other", (len(other) - 1) / 6, stream, [Wanted("x", "x")])
-    pieces = resampled(rows, [follower], method, (-1.0, 9.0), ["x"], size, "log")
-    values = np.concatenate([piece["x"] for piece in pieces])
+    parts = {"own": {"t_s": time}, "other": {"t_s": other, "x": found}}
+    joined = [groups.Columns(name, Arrays(columns)) for name, columns in parts.items()]
+    source = GroupedSource("log", "arrays", joined, {}, f"own:{method}", files=True)
+    pieces = list(source.chunks(["t_s", "x"], size))
+    time, values = (np.concatenate([piece[name] for piece in pieces]) for name in ("t_s", "x"))
     truth = expected(method, time, other, found)
     inside = (time >= other[0]) & (time <= other[-1])
     away = np.abs(np.abs(time[:, None] - other[None, :]).min(1) - (other[1] - other[0]) / 2) > 1e-6
     assert np.allclose(values[inside & away], truth[inside & away], rtol=0, atol=1e-9)
-    assert np.isnan(values[~inside]).all()
+    assert inside.all()
 
 
 def test_a_long_gap_is_not_bridged(tmp_path: Path) -> None:

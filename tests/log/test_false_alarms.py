@@ -47,7 +47,7 @@ def test_bundled_logs_pass_silently(name: str) -> None:
 
 CASES = Path(os.environ.get("HALLSYM_CASES", ROOT.parent / "shared" / "cases"))
 REAL = CASES.parent / "real"
-NO_RUNS = "No column 'run': all samples are taken as one run, number 0."
+NO_RUNS = "No column 'run': a run begins where t_s starts again, the first is number 0."
 
 
 @pytest.mark.slow

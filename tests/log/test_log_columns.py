@@ -9,7 +9,7 @@ import pytest
 from log_samples import one_sentence
 
 from hallsym.errors import InputError
-from hallsym.log import Log, parse_column_option, read_column_file, read_log, write_log
+from hallsym.log import Foreign, Log, parse_column_option, read_column_file, read_log, write_log
 from hallsym.units import split_unit
 
 
@@ -90,9 +90,10 @@ def test_no_column_with_a_unit_says_how_to_map(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("[columns]\nhall_a_um = 3\n", 'must be "Name"'),
-        ("[columns]\nhall_a_um = {name = 'A', sign = 2}\n", "sign 1 or -1"),
-        ("[columns]\nhall_a_um = {name = 'A', gain = 2}\n", 'must be "Name"'),
+        ("[columns]\nhall_a_um = 3\n", 'must be a table .* write it as "Name"'),
+        ("[columns]\nhall_a_um = {name = 'A', sign = 2}\n", "sign.*sign = -1"),
+        ("[columns]\nhall_a_um = {name = 'A', gain = 2}\n", "unknown key 'gain'"),
+        ("[columns]\nhall_a_um = {name = 'A', scale = 0}\n", "scale other than zero"),
         ("[column]\n", r"Unknown key 'column' in .*did you mean 'columns'"),
         ("[noise]\nhall_m = -1\n", "positive"),
         ("[columns\n", "not valid TOML"),
@@ -103,6 +104,28 @@ def test_bad_column_file(tmp_path: Path, text: str, says: str) -> None:
     with pytest.raises(InputError, match=says) as caught:
         read_column_file(tmp_path / "c.toml")
     assert one_sentence(str(caught.value))
+
+
+def test_counts_have_a_scale_and_an_offset(tmp_path: Path) -> None:
+    (tmp_path / "columns.toml").write_text(
+        '[columns]\nhall_a_um = {name = "A,1", scale = 0.5, offset = -100}\n'
+        'temperature_k = {name = "T", offset = 1}\n'
+    )
+    (tmp_path / "lab.csv").write_text("A,1;T;R\n300;299;64\n302;300;0\n")
+    log = read_log(tmp_path / "lab.csv", column_file=tmp_path / "columns.toml")
+    assert log.array("hall_a_m") == pytest.approx([50e-6, 51e-6])
+    assert log.array("temperature_degc") == pytest.approx([26.85, 27.85])
+    text = "hall_a_um=A,1,scale=0.5,offset=-100"
+    ours, foreign = parse_column_option(text)
+    assert (ours, foreign) == ("hall_a_um", Foreign("A,1", 0.5, -100.0))
+    assert f"{ours}={foreign.option}" == "hall_a_um=A,1,scale=0.5,offset=-100.0"
+    angle = read_log(
+        tmp_path / "lab.csv",
+        columns=dict([parse_column_option("angle_count=R,counts_per_turn=256,offset=-64")]),
+    )
+    assert angle.array("angle_rad") == pytest.approx([0.0, -np.pi / 2])
+    with pytest.raises(InputError, match="scale as a number"):
+        parse_column_option("hall_a_um=A,scale=x")
 
 
 def test_noise_that_belongs_to_no_column_is_refused(tmp_path: Path) -> None:

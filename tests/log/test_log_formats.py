@@ -70,7 +70,7 @@ def test_csv_with_byte_order_mark_crlf_and_text_column(tmp_path: Path) -> None:
     log = read_log(path)
     assert log.columns == ("run", "t_s", "x_ref_m")
     assert log.array("x_ref_m").tolist() == [1.0, 2.0]
-    assert log.notes == ("No column 'run': all samples are taken as one run, number 0.",)
+    assert log.notes == ("No column 'run': a run begins where t_s starts again, the first is number 0.",)
     assert log.runs == (0,)
 
 
@@ -126,7 +126,7 @@ def test_hdf5_with_a_group_per_run(tmp_path: Path) -> None:
 
 def test_vector_of_another_length_is_named_when_needed(tmp_path: Path) -> None:
     savemat(tmp_path / "a.mat", {"x_ref_m": np.zeros(5), "y_ref_m": np.zeros(5), "hall_a_m": np.zeros(7)})
-    with pytest.raises(InputError, match=r"hall_a_m.*7 values where the others have 5") as caught:
+    with pytest.raises(InputError, match=r"no time base and 7 values where the others have 5") as caught:
         list(read_log(tmp_path / "a.mat").blocks(["hall_a_m"]))
     assert one_sentence(str(caught.value))
 
@@ -155,3 +155,168 @@ def test_hash_is_that_of_the_file(tmp_path: Path) -> None:
     assert read_log(tmp_path).sha256 == hashlib.sha256((tmp_path / "log.csv").read_bytes()).hexdigest()
     first, second = (Log.from_arrays(stage_arrays(seed=seed)).sha256 for seed in (0, 1))
     assert first == Log.from_arrays(stage_arrays()).sha256 != second
+
+
+def test_a_matrix_is_columns_and_a_picture_is_none(tmp_path: Path) -> None:
+    halls, wide = np.arange(300.0).reshape(100, 3), np.zeros((101, 102))
+    np.savez(tmp_path / "a.npz", hall_um=halls, x_ref_m=np.arange(100.0), map=wide, ok=np.ones(100, bool))
+    source = read_log(tmp_path / "a.npz").table.source
+    assert source.names == ("hall_0", "hall_1", "hall_2", "x_ref_m")
+    assert dict(source.left_out) == {
+        "map": "it is an array of 101 x 102", "ok": "it holds booleans, not numbers"
+    }  # fmt: skip
+    log = read_log(tmp_path / "a.npz", columns={"hall_c": "hall_2"})
+    assert np.allclose(log.array("hall_c_m"), halls[:, 2] * 1e-6, rtol=1e-15, atol=0)
+
+
+def test_compound_datasets_are_columns(tmp_path: Path) -> None:
+    rows = np.zeros(50, [("t_s", float), ("x_ref_um", float)])
+    rows["t_s"], rows["x_ref_um"] = np.arange(50) * 0.1, np.arange(50)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["log/table"] = rows
+    log = read_log(tmp_path / "a.h5")
+    assert np.allclose(log.array("x_ref_m"), rows["x_ref_um"] * 1e-6, rtol=1e-15, atol=0)
+
+
+def test_files_are_runs_in_natural_order_and_notes_are_none(tmp_path: Path) -> None:
+    for day, first in (("monday", 0.0), ("tuesday", 1.0)):
+        write_log({"x_ref_m": first + np.arange(3.0)}, tmp_path / f"{day}.csv")
+    (tmp_path / "notes.txt").write_text("fine")
+    log = read_log(tmp_path)
+    assert log.runs == (0, 1)
+    assert "run 0 is monday, run 1 is tuesday" in " ".join(log.notes)
+    for k in (10, 2):
+        (tmp_path / f"scan_{k}.csv").write_text("x_ref_um\n1\n2\n")
+    assert read_log(str(tmp_path / "scan_*.csv")).runs == (2, 10)
+    with pytest.raises(InputError, match="same columns to be runs; scan_2 and monday differ in x_ref"):
+        read_log(tmp_path)
+
+
+def test_two_files_are_joined_by_time_and_nothing_is_extrapolated(tmp_path: Path) -> None:
+    fast, slow = np.arange(500) * 0.01, np.arange(-5, 40) * 0.1
+    write_log({"t_s": fast, "hall_a_m": np.sin(fast)}, tmp_path / "hall.csv")
+    write_log({"t_ms": slow * 1e3, "x_ref_m": slow}, tmp_path / "laser.parquet")
+    log = read_log([tmp_path / "hall.csv", tmp_path / "laser.parquet"])
+    assert (log.array("t_s")[0], log.rows) == (pytest.approx(0.0, abs=1e-9), 40)
+    assert np.allclose(log.array("hall_a_m"), np.interp(log.array("t_s"), fast, np.sin(fast)), atol=1e-12)
+    assert any("at the samples of laser" in note and "from 0 to 3.9 s" in note for note in log.notes)
+    other = read_log([tmp_path / "hall.csv", tmp_path / "laser.parquet"], clock="hall:nearest")
+    assert other.rows == 391
+    write_log({"t_s": slow + 100, "x_ref_m": slow}, tmp_path / "laser.csv")
+    with pytest.raises(InputError, match="must overlap in time"):
+        read_log([tmp_path / "hall.csv", tmp_path / "laser.csv"])
+
+
+def test_joined_counts_and_angles_are_not_read_between_two_turns(tmp_path: Path) -> None:
+    """Numbers of a text file are all alike; that they are counts, or an angle, is what somebody states."""
+    t, other = np.arange(200) * 0.01, np.arange(60) * 0.033
+    turn = 3.3 * t
+    table = {"t_s": t, "raw": np.floor(turn % 1 * 4096), "enc": turn % 1 * 360}
+    rows = [
+        "t_s,raw,enc",
+        *(",".join(map(repr, row)) for row in zip(*(v.tolist() for v in table.values()), strict=True)),
+    ]
+    (tmp_path / "chip.csv").write_text("\n".join([*rows, ""]))
+    write_log({"t_s": other, "x_ref_m": other}, tmp_path / "ref.csv")
+    columns = {"angle_count": "raw", "angle_ref_deg": "enc"}
+    log = read_log([tmp_path / "ref.csv", tmp_path / "chip.csv"], columns=columns, counts_per_turn=4096)
+    truth, found = 2 * np.pi * 3.3 * log.array("t_s"), (log.array("angle_rad"), log.array("angle_ref_rad"))
+    off = [np.abs(np.angle(np.exp(1j * (values - truth)))).max() for values in found]
+    assert off[0] < 2 * np.pi * (3.3 * 0.005 + 1 / 4096)
+    assert off[1] < 1e-9
+
+
+def test_few_columns_of_runs_are_no_runs_side_by_side(tmp_path: Path) -> None:
+    table = {"t_s": np.arange(5.0), "x_ref_m": np.arange(5.0), "y_ref_m": np.zeros(5)}
+    write_log(table | {"x_run1_m": np.zeros(5), "x_run2_m": np.zeros(5)}, tmp_path / "log.csv")
+    assert "x_ref_m" in read_log(tmp_path).columns
+    (tmp_path / "wide.csv").write_text("t_s,x_ref_run1_um,x_ref_run2_um\n0,1,4\n1,2,5\n2,3,\n")
+    log = read_log(tmp_path / "wide.csv")
+    assert log.runs == (1, 2)
+    assert log.array("x_ref_m") == pytest.approx([1e-6, 2e-6, 3e-6, 4e-6, 5e-6])
+    (tmp_path / "odd.csv").write_text("x_ref_run1_um,x_ref_run2_um,z_run1_um\n0,1,3\n1,2,\n")
+    with pytest.raises(InputError, match=r"Run 2 of .* must have a column for z_um"):
+        read_log(tmp_path / "odd.csv")
+
+
+def test_a_run_begins_where_the_clock_starts_again(tmp_path: Path) -> None:
+    t = np.r_[np.arange(50), np.arange(40), 0.2 + np.arange(30)] * 0.1 + 7.0
+    for size in (100, 7):
+        log = read_log({"t_s": t, "x_ref_m": t})
+        assert log.runs == (0, 1, 2)
+        assert next(len(b.data["t_s"]) for b in log.blocks(size=size) if b.run == 2) == min(size, 30)
+    late = np.arange(50) * 0.1
+    late[20] = late[10]
+    assert read_log({"t_s": late, "x_ref_m": late}).runs == (0,)
+    assert read_log({"x_ref_m": t}).runs == (0,)
+
+
+def test_runs_with_names_are_numbered_in_their_order(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("run,x_ref_um\nup,1\nup,2\ndown,3\n")
+    assert read_log(tmp_path / "log.csv").array("run").tolist() == [0, 0, 1]
+    (tmp_path / "bad.csv").write_text("run,x_ref_um\n1,1\n1x,2\n2,3\n")
+    with pytest.raises(InputError, match="Line 3, column 'run'"):
+        read_log(tmp_path / "bad.csv").runs  # noqa: B018
+
+
+def test_noise_of_a_channel_that_is_not_there_is_said(tmp_path: Path) -> None:
+    write_log(stage_arrays(), tmp_path / "log.csv")
+    (tmp_path / "meta.json").write_text('{"noise_1sigma": {"hall_m": 5e-7, "channel_v": 1e-3}}')
+    said = "meta.json states the noise of channel_v, which the log does not have."
+    assert said in read_log(tmp_path).notes
+
+
+@pytest.mark.parametrize("kind", ["text", "typed"])
+def test_moments_of_two_files_are_compared(tmp_path: Path, kind: str) -> None:
+    """Each file's times begin with its own first sample; as moments they are 1.5 s apart."""
+    start = np.datetime64("2026-01-05T08:00:00", "us")
+    for name, begin, step in (("hall_a_m", 0.0, 0.01), ("x_ref_m", 1.5, 0.1)):
+        t = begin + np.arange(round(4 / step)) * step
+        stamps = start + np.round(t * 1e6).astype("timedelta64[us]")
+        if kind == "text":
+            rows = [f"{str(s).replace('T', ' ')},{float(v)!r}" for s, v in zip(stamps, t, strict=True)]
+            (tmp_path / f"{name}.csv").write_text("\n".join([f"stamp,{name}", *rows, ""]))
+        else:
+            import pyarrow as pa
+            from pyarrow import parquet
+
+            parquet.write_table(pa.table({"stamp": stamps, name: t}), tmp_path / f"{name}.parquet")
+    log = read_log(sorted(path for path in tmp_path.iterdir() if path.is_file()))
+    assert log.rows == 25
+    assert np.allclose(log.array("hall_a_m"), log.array("x_ref_m"), rtol=0, atol=1e-9)
+
+
+def test_files_on_one_clock_have_one_time(tmp_path: Path) -> None:
+    t = np.arange(30) * 0.1
+    write_log({"run": np.zeros(30), "t_s": t, "hall_a_m": t}, tmp_path / "a.csv")
+    write_log({"run": np.zeros(30), "t_s": t, "x_ref_m": 2 * t}, tmp_path / "b.csv")
+    log = read_log([tmp_path / "a.csv", tmp_path / "b.csv"])
+    assert set(log.columns) == {"run", "t_s", "hall_a_m", "x_ref_m"}
+    assert np.array_equal(log.array("x_ref_m"), 2 * log.array("t_s"))
+
+
+@pytest.mark.parametrize("runs", [(1, 2, 5), (3, 1, 2)])
+def test_files_whose_clocks_start_again_are_joined_run_by_run(tmp_path: Path, runs: tuple[int, ...]) -> None:
+    """Each logger counts from the trigger of each run; nothing is read between two runs."""
+    slow, fast = np.arange(20) * 0.1, np.arange(201) * 0.01
+    reference = {
+        "run": np.repeat(runs, 20), "t_s": np.tile(slow, 3),
+        "x_ref_m": np.concatenate([r + slow for r in runs]),
+    }  # fmt: skip
+    halls = {
+        "run": np.repeat(runs, 201), "t_s": np.tile(fast, 3),
+        "hall_a_m": np.concatenate([r + np.sin(fast) for r in runs]),
+    }  # fmt: skip
+    write_log(reference, tmp_path / "ref.csv")
+    write_log(halls, tmp_path / "hall.csv")
+    files = [tmp_path / "ref.csv", tmp_path / "hall.csv"]
+    if runs != tuple(sorted(runs)):
+        with pytest.raises(InputError, match="Time of ref must rise in each run, and the numbers"):
+            read_log(files)
+        return
+    log = read_log(files)
+    assert (log.runs, log.rows) == (runs, 60)
+    for run in runs:
+        part = log.run(run)
+        assert np.allclose(part["t_s"], slow, rtol=0, atol=1e-12)
+        assert np.allclose(part["hall_a_m"], run + np.sin(slow), rtol=0, atol=1e-7)

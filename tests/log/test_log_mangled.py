@@ -227,3 +227,36 @@ def test_what_cannot_be_read_is_named(tmp_path: Path, text: str, says: str) -> N
     path.write_text(text)
     with pytest.raises(InputError, match=says):
         list(read_log(path).blocks())
+
+
+def test_columns_of_one_name_are_numbered_and_answer_to_their_own(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t_s,Hall [um],Hall [um].1,Temp [K]\n0,1,2,300\n1,3,4,301\n")
+    log = read_log(path, columns={"hall_a": "Hall 1", "hall_b": "Hall [um].1"})
+    assert log.array("hall_b_m") == pytest.approx([2e-6, 4e-6])
+    path.write_text("t_s,Hall [um],Hall [um]\n0,1,2\n1,3,4\n")
+    assert read_log(path, columns={"hall_b": "Hall 2"}).array("hall_b_m") == pytest.approx([2e-6, 4e-6])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"t_ms": [0, 1], "x_ref_um": [1.5, 2]}',
+        '[{"t_ms": 0, "x_ref_um": 1.5}, {"t_ms": 1, "x_ref_um": 2}]',
+        '{"t_ms": 0, "ref": {"um": {"x": 1.5}}, "x_ref_um": 1.5}\n{"t_ms": 1, "x_ref_um": 2}\n',
+    ],
+)
+def test_json_of_lists_and_lists_of_json(tmp_path: Path, text: str) -> None:
+    (tmp_path / "log.jsonl").write_text(text)
+    log = read_log(tmp_path / "log.jsonl")
+    assert log.array("t_s").tolist() == [0.0, 1e-3]
+    assert log.array("x_ref_m") == pytest.approx([1.5e-6, 2e-6])
+
+
+def test_repetitions_are_runs_where_each_has_a_time(tmp_path: Path) -> None:
+    head = "Time #1 [ms];x_ref #1 [um];Time #2 [ms];x_ref #2 [um]"
+    (tmp_path / "log.csv").write_text(f"{head}\n0;1;0;3\n1;2;1;4\n")
+    log = read_log(tmp_path / "log.csv", columns={"t": "Time", "x_ref": "x_ref"})
+    assert log.runs == (1, 2)
+    (tmp_path / "log.csv").write_text("t_s;Hall #1 [um];Hall #2 [um]\n0;1;3\n1;2;4\n")
+    assert read_log(tmp_path / "log.csv").table.source.names == ("t_s", "Hall #1", "Hall #2")

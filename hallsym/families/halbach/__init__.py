@@ -62,6 +62,7 @@ FAMILY = Family(
     decoder="wave",
     further=FURTHER,
     effects=EFFECTS,
+    assumed="columns a third of the wavelength apart, which is 30 mm",
     words={"x_ref_m": "x along the array", "z_ref_m": "gap z"},
     tolerances={"": {"a1_percent": 2, "b1_mv": 6, "a5_mv": 0.5, "b5": "exact"}, **SENSORS},
     example=Example(

@@ -18,6 +18,7 @@ FAMILY = Family(
     from_meta=models.from_meta,
     effects=EFFECTS,
     words={"z_m": "height Z", "rx_rad": "tilt Rx", "ry_rad": "tilt Ry", "rz_ref_rad": "rotation Rz"},
+    assumed="the paper's, A at (0.1975, 0.4), B at (-0.1975, 0.42), C at (0.1975, 0.36) m",
     together="height Z and tilts Rx, Ry",
 )
 models.FAMILY = FAMILY

@@ -67,7 +67,8 @@ def conventions_of(cells: Iterable[str], decimal: str | None = None) -> tuple[li
     numbers = [c for c in dict.fromkeys(cells) if is_number(c)]
     if decimal != "," and all(_PATTERNS[POINT].fullmatch(n) for n in numbers):
         return [POINT], ""
-    allowed = [c for c in CONVENTIONS if decimal in (None, c.decimal)]
+    signs = set().union(*numbers)
+    allowed = [c for c in CONVENTIONS if decimal in (None, c.decimal) and set(c.grouping) <= signs]
     counts = {c: sum(bool(_PATTERNS[c].fullmatch(n)) for n in numbers) for c in allowed}
     most = max(counts.values(), default=0)
     best = [c for c in allowed if counts[c] == most]
@@ -113,12 +114,15 @@ LONGEST_UNIT = 12
 """Characters of a unit that is not known."""
 _BRACKETS = re.compile(r"(.*?)[\s_]*[\[({<]\s*([^\])}>]*?)\s*[\])}>]")
 _BEHIND = (
-    re.compile(r"(.*\S)\s*/\s*(\S+?(?:/\S+)?)"),
+    re.compile(r"([^/]*[^/\s])\s*/\s*(\S+?(?:/\S+)?)"),
     re.compile(r"(.*\S)\s+in\s+(\S+)"),
     re.compile(r"(.*\S),\s*(\S+)"),
+    re.compile(r"(.*\S)_([µμ°]\S*)"),
 )
 
 
+_PROGRAMS = {"X_Value": ("t", "s")}
+"""Names that a program gives whatever is recorded: LabVIEW's of the time in its measurement files."""
 _PLAIN = re.compile(r"(.*\S)\s+(\S+)")
 _SURE = {
     "um", "nm", "mm", "urad", "mrad", "nrad", "deg", "mdeg", "arcsec", "ms", "us", "mv", "uv", "mt", "ut",
@@ -151,6 +155,8 @@ def split_header(text: str) -> tuple[str, str | None]:
     >>> split_header("x_ref [µm]"), split_header("Hall A / mV"), split_header("hall_a_m")
     (('x_ref', 'um'), ('Hall A', 'mv'), ('hall_a_m', None))
     """
+    if text in _PROGRAMS:
+        return _PROGRAMS[text]
     match = _BRACKETS.fullmatch(text)
     if match and match[1]:
         unit = unit_of(match[2])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import csv
 import gzip
+import io
 import os
 import re
 from collections import Counter
@@ -27,10 +28,11 @@ from hallsym.log.text.cells import (
     split_header,
     unit_of,
 )
+from hallsym.units import split_unit
 
-SAID = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}
-TYPED = {"\t": "tab", " ": "blank"}
-"""What `--delimiter` takes for what cannot be typed."""
+BLANKS = " "
+DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", BLANKS: "blank"}
+"""What separates columns, and the word for it, which `--delimiter` takes too."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class Dialect:
     `delimiter`: " " stands for any number of blanks and tabs. `names`: one by cell, `units` those that the
     header states, by name. `header`: line of the names; `units_line`: of the units, 0 without one.
     `first`: line the table begins at. `footer`: lines after the table. `quoted`: whether quotes stand around
-    cells, "inside" where delimiters may stand in them. `padded`: whether blanks stand beside delimiters.
+    cells.
     """
 
     encoding: str
@@ -54,8 +56,7 @@ class Dialect:
     aliases: dict[str, str] = field(default_factory=dict)
     units_line: int = 0
     comments: tuple[str, ...] = ("#",)
-    quoted: str = ""
-    padded: bool = False
+    quoted: bool = False
     footer: int = 0
     footer_text: str = ""
     times: dict[str, TimeForm] = field(default_factory=dict)
@@ -75,7 +76,7 @@ class Dialect:
         coding = {"utf-8": "UTF-8", "utf-8-sig": "UTF-8 with a byte order mark"}.get(
             self.encoding, self.encoding.upper().replace("LATIN", "Latin")
         )
-        by = SAID.get(self.delimiter, repr(self.delimiter))
+        by = f"{DELIMITERS[self.delimiter]}s" if self.delimiter in DELIMITERS else repr(self.delimiter)
         columns = f"columns separated by {by}" if len(self.names) > 1 else "one column"
         text = f"{coding}{', gzip' if self.compressed else ''}, {columns}"
         words = [f"sheet '{sheet}'" if sheet else text]
@@ -91,30 +92,24 @@ class Dialect:
         return ", ".join(words)
 
 
-BLANKS = " "
-DELIMITERS = ("\t", ";", ",", "|", BLANKS)
-_STATED = {
-    "tab": "\t",
-    "\\t": "\t",
-    "blank": BLANKS,
-    "blanks": BLANKS,
-    "space": BLANKS,
-    "comma": ",",
-    "semicolon": ";",
-}
 LOOKED_AT = 200
 """Cells of a row that are looked at to tell data from words."""
 STEADY = 5
 """Rows of numbers in a row that show where a table begins, above which there may be words."""
+COMMENT = "comment"
+"""Last name of LabVIEW's measurement files, under which rows without a comment have no cell."""
+_AGAIN = re.compile(r"(.+)\.\d+")
+"""A name that pandas has numbered, since another column has it too."""
 _QUOTED = re.compile(r'"[^"\n]*"')
 
 
 @dataclass(frozen=True)
 class Line:
-    """A line that is neither empty nor a comment, with its number in the file."""
+    """A line that is not empty, with its number in the file; of a comment, what stands behind its mark."""
 
     number: int
     text: str
+    comment: bool = False
 
 
 @dataclass(frozen=True)
@@ -144,9 +139,10 @@ class Table:
 
 
 def stated_delimiter(text: str) -> str:
-    """Return the delimiter of an option: one character, or a word for one that cannot be typed."""
-    if text.lower() in _STATED:
-        return _STATED[text.lower()]
+    """Return the delimiter of an option: one character, or the word for it."""
+    known = {word: delimiter for delimiter, word in DELIMITERS.items()} | {"\\t": "\t", "space": BLANKS}
+    if (word := text.lower()) in known or word.removesuffix("s") in known:
+        return known.get(word) or known[word.removesuffix("s")]
     if len(text) != 1 or not text.isascii() or text.isalnum() or text in '"\r\n.+-':
         raise InputError(
             f"Delimiter must be one character such as ';', or 'tab' or 'blank'; instead received {text!r}."
@@ -171,14 +167,16 @@ def split(text: str, delimiter: str) -> list[str]:
 def table_under(lines: Sequence[Line], delimiter: str) -> Table:
     """Return where a table would be in `lines` if `delimiter` separates its columns."""
     rows = [split(line.text, delimiter) for line in lines]
-    counts = Counter(len(row) for row in rows)
-    most = max(counts.values(), default=0)
-    width = next((len(row) for row in rows if counts[len(row)] == most), 0)
+    counts = Counter(len(row) for row, line in zip(rows, lines, strict=True) if not line.comment)
+    width = max(counts, key=lambda n: counts[n], default=0)
+    rows = [[] if len(r) != width and line.comment else r for r, line in zip(rows, lines, strict=True)]
     numeric = [sum(map(is_number, row[:LOOKED_AT])) for row in rows]
     start = _start(rows, numeric, width)
     top = _top(rows, numeric, width, start)
     if top >= 0 and delimiter == BLANKS and len(rows[top]) > width:
         rows[top] = _glued(rows[top], width)
+    if top >= 0 and len(rows[top]) == width + 1 and rows[top][-1].lower() == COMMENT:
+        del rows[top][-1]
     data = top + 1 if top >= 0 else start
     body = [k for k in range(data, len(rows)) if len(rows[k]) == width]
     cells = sum(min(width, LOOKED_AT) for _ in body)
@@ -214,13 +212,13 @@ def _top(rows: list[list[str]], numeric: list[int], width: int, start: int) -> i
     Damaged rows may stand between names and data. -1: there is no row of words.
     """
     words = [k for k in range(start) if not numeric[k] and abs(len(rows[k]) - width) <= 1]
-    words = words or [k for k in range(start) if not numeric[k]]
+    words = words or [k for k in range(start) if rows[k] and not numeric[k]]
     if words:
         last = words[-1]
         above = last - 1 in words and len(rows[last - 1]) == len(rows[last])
         return last - 1 if above and is_unit_row(rows[last]) else last
-    whole = rows and numeric[0] >= min(len(rows[0]), LOOKED_AT)
-    return -1 if whole or not rows else 0
+    first = next((k for k, row in enumerate(rows) if row), -1)
+    return -1 if first < 0 or numeric[first] >= min(len(rows[first]), LOOKED_AT) else first
 
 
 SAMPLE = 1 << 18
@@ -241,66 +239,66 @@ def sniffed(file: Encoded, where: str, delimiter: str | None = None, decimal: st
 
     Raises `InputError` for what is no table with names, and for numbers that can be read in two ways.
     """
-    lines, comments = _sample(file, where)
-    known = {c for c in _COMMENTS if c == "#" or any(text.startswith(c) for _, text in comments)}
-    marks = tuple(c for c in _COMMENTS if c in known)
+    lines, marks = _sample(file, where)
     if lines and (stated := _SEP.fullmatch(lines[0].text.strip())):
         lines, delimiter = lines[1:], delimiter or stated[1]
-    if not lines:
+    if all(line.comment for line in lines):
         raise InputError(
             f"{where} is empty: it must hold a header line with column names and one line per sample."
         )
-    table, names, header = _table(lines[:MOST], comments, delimiter, where)
+    table, names, header = _table(lines[:MOST], delimiter, where)
     first, units_line, units = _units(table, lines)
     stems = _stems(names, units, where)
     below = lines[min(first, len(lines)) :]
     rows = (split(line.text, table.delimiter) for line in below)
     body = [row for row in rows if len(row) == table.width]
-    quotes = _quotes(below, table.delimiter)
-    numbers = _numbers(body, "" if quotes == "inside" else table.delimiter, decimal, where)
+    quotes = _quoted(below)
+    numbers = _numbers(body, "" if quotes else table.delimiter, decimal, where)
     found = Dialect(
         file.encoding, file.compressed, table.delimiter, tuple(stems), header,
         lines[first].number if first < len(lines) else lines[-1].number + 1, numbers,
         {stem: unit for stem, (_, unit) in stems.items() if unit},
         {text: stem for stem, (text, _) in stems.items() if text != stem},
-        units_line, marks, above=sum(line.number < header for line in lines),
-        quoted=quotes, padded=_padded(below, table.delimiter), times=_times(tuple(stems), body),
+        units_line, marks, above=sum(line.number < header and not line.comment for line in lines),
+        quoted=quotes, times=_times(tuple(stems), body),
     )  # fmt: skip
     return _with_footer(found, end_of(file), body)
-
-
-def is_comment(text: str, marks: Sequence[str]) -> bool:
-    """Say whether a line is a comment."""
-    return text.lstrip(' \t"').startswith(tuple(marks))
 
 
 # -- the beginning ---------------------------------------------------------------------------------------
 
 
-def _sample(file: Encoded, where: str) -> tuple[list[Line], list[tuple[int, str]]]:
-    """Return the first lines that hold something, and the comments among them; refuse what is no text."""
+def _sample(file: Encoded, where: str) -> tuple[list[Line], tuple[str, ...]]:
+    """Return the first lines, with comments only above the others, and the marks of comments that are used.
+
+    Refuses what is no text.
+    """
     lines: list[Line] = []
-    comments: list[tuple[int, str]] = []
-    length = 0
+    marks, length, filled, opened = {"#"}, 0, 0, ""
     for number, text in enumerate(file.lines(where), start=1):
+        text = f"{opened} {text}" if opened else text
+        opened = text if text.count('"') % 2 and number <= FEW else ""
+        if opened:
+            continue  # a name with a line break within its quotes
         if "\0" in text and number <= FEW:
             raise InputError(
                 f"Line {number} of {where} must hold column names; it is no text, so the file is damaged or "
                 "of another format: copy it again, or state its --format."
             )
         length += len(text)
-        if is_comment(text, _COMMENTS):
-            comments.append((number, text.strip(' \t"')))
+        bare = text.lstrip(' \t"')
+        if mark := next((mark for mark in _COMMENTS if bare.startswith(mark)), ""):
+            marks.add(mark)
+            lines += [] if filled else [Line(number, bare.lstrip("#%/! \t"), True)]
         elif text.strip():
+            filled += 1
             lines.append(Line(number, text))
-        if (length > SAMPLE and len(lines) >= FEW) or len(lines) >= NUMBERS:
+        if (length > SAMPLE and filled >= FEW) or filled >= NUMBERS:
             break
-    return lines, comments
+    return lines, tuple(mark for mark in _COMMENTS if mark in marks)
 
 
-def _table(
-    lines: list[Line], comments: list[tuple[int, str]], delimiter: str | None, where: str
-) -> tuple[Table, list[str], int]:
+def _table(lines: list[Line], delimiter: str | None, where: str) -> tuple[Table, list[str], int]:
     """Return the table under the delimiter that makes most of the lines numbers, its names and their line."""
     tables = [table_under(lines, d) for d in ((delimiter,) if delimiter else DELIMITERS)]
     several = [t for t in tables if t.fits and t.width > 1 and t.quality > 0]
@@ -310,36 +308,23 @@ def _table(
         best = single[0] if single else best
     if any(t.top < 0 and t.width > 1 and t.quality > (best.quality if best else 0.5) for t in tables):
         best = None  # numbers from the first line on
-    chosen = best or _commented(tables, lines, comments)
-    chosen = chosen or max(tables, key=lambda t: (round(t.quality, 2), t.top >= 0, t.width))
+    chosen = best or max(tables, key=lambda t: (round(t.quality, 2), t.top >= 0, t.width))
     if chosen.top < 0:
-        for number, text in reversed([c for c in comments if c[0] < lines[0].number]):
-            names = split(text.lstrip("#%/! \t"), chosen.delimiter)
-            if len(names) == chosen.width and not any(map(is_number, names)):
-                return chosen, names, number
         raise InputError(
-            f"Line {lines[0].number} of {where} must hold column names such as hall_a_m; it holds numbers."
+            f"Line {lines[chosen.data].number} of {where} must hold column names such as hall_a_m; it holds"
+            " numbers: write a line of names above them."
         )
     names, number = chosen.rows[chosen.top], lines[chosen.top].number
-    other = next((d for d in DELIMITERS[:-1] if d != delimiter and d in lines[chosen.top].text), None)
+    text = lines[chosen.top].text
+    other = next((d for d in DELIMITERS if d not in (delimiter, BLANKS) and d in text), None)
     if delimiter and chosen.width == 1 and other:  # one column of a line that another one would split
         raise InputError(
-            f"Columns of {where} must be separated by {SAID.get(delimiter, repr(delimiter))}; line"
-            f" {number} looks separated by {SAID[other]}: leave --delimiter out, or say"
-            f" --delimiter {TYPED.get(other, repr(other))} (in Python delimiter={other!r})."
+            f"Columns of {where} must be separated by {DELIMITERS.get(delimiter, repr(delimiter))}s; line"
+            f" {number} looks separated by {DELIMITERS[other]}s: leave --delimiter out, or say"
+            f" --delimiter {DELIMITERS[other]} (in Python delimiter={other!r})."
         )
     names = [*names, ""] if len(names) == chosen.width - 1 and chosen.trailing else names
     return chosen, names, number
-
-
-def _commented(tables: list[Table], lines: list[Line], comments: list[tuple[int, str]]) -> Table | None:
-    """Return the table whose names stand in a comment."""
-    before = [text.lstrip("#%/! \t") for number, text in comments if number < lines[0].number]
-    for table in sorted(tables, key=lambda t: -t.quality):
-        named = any(len(split(text, table.delimiter)) == table.width for text in before)
-        if table.top < 0 and named and table.width > 1 and table.quality > 0.5:
-            return table
-    return None
 
 
 # -- names and units -------------------------------------------------------------------------------------
@@ -353,16 +338,32 @@ def _units(table: Table, lines: list[Line]) -> tuple[int, int, list[str]]:
     row = table.rows[first]
     if len(row) == len(table.rows[table.top]) and is_unit_row(row):
         return first + 1, lines[first].number, row
+    for k in range(table.top - 1, -1, -1):  # a row of a header: its name, then units
+        units = [cell for cell in table.rows[k][1:] if cell]
+        if 2 * len(units) >= table.width > 1 and all(map(unit_of, units)):
+            return first, lines[k].number, ["", *table.rows[k][1:]]
     return first, 0, []
 
 
 def _stems(names: list[str], units: list[str], where: str) -> dict[str, tuple[str, str | None]]:
     """Return the header's own text and the unit of each column, by its name without the unit."""
     texts = [text or f"(column {k + 1})" for k, text in enumerate(names)]
-    name, times = Counter(texts).most_common(1)[0]
-    if times > 1:
-        raise InputError(f"Column names of {where} must differ; '{name}' stands there twice.")
-    parts = [split_header(text) for text in texts]
+    bare = [m[1] if (m := _AGAIN.fullmatch(text)) and m[1] in texts else text for text in texts]
+    times, same, seen = Counter(bare), Counter(texts), Counter[str]()
+    twice = next((name for name in times if times[name] > 1 and (name == "run" or split_unit(name)[1])), None)
+    if twice:
+        raise InputError(f"Column names of {where} must differ; '{twice}' stands there twice: rename one.")
+    paths = [text.rpartition("/") for text in bare]
+    groups = Counter(before for before, _, _ in paths if before)
+    parts = [split_header(text) for text in bare]
+    for k, (before, _, last) in enumerate(paths):
+        if groups[before] > 1:  # what several columns have before a slash is a group of channels
+            parts[k] = (f"{before}/{split_header(last)[0]}", split_header(last)[1])
+        seen[bare[k]] += 1
+        if times[bare[k]] > 1:  # columns of one name are numbered
+            numbered = f"{bare[k]} {seen[bare[k]]}"
+            parts[k] = (f"{parts[k][0]} {seen[bare[k]]}", parts[k][1])
+            texts[k] = texts[k] if same[texts[k]] == 1 else numbered
     stems = Counter(stem for stem, _ in parts)
     found: dict[str, tuple[str, str | None]] = {}
     for k, (text, (stem, unit)) in enumerate(zip(texts, parts, strict=True)):
@@ -392,27 +393,17 @@ def _numbers(body: list[list[str]], delimiter: str, decimal: str | None, where: 
     return Convention(found[0].decimal, other) if stated else found[0]
 
 
-def _quotes(lines: list[Line], delimiter: str) -> str:
-    """Return whether cells are quoted: "" for none, "inside" where a delimiter stands between quotes."""
-    texts = [line.text for line in lines if '"' in line.text]
-    if 2 * len(texts) <= len(lines) or any(text.count('"') % 2 for text in texts):
-        return ""
-    inside = any(delimiter in part for text in texts for part in re.findall(r'"([^"]*)"', text))
-    return "inside" if inside else "around"
-
-
-def _padded(lines: list[Line], delimiter: str) -> bool:
-    """Return whether blanks stand beside delimiters, or at an end of a line."""
-    mark = re.escape(delimiter)
-    blank = " " if delimiter == "\t" else r"[ \t]"
-    blanks = re.compile(rf"{blank}{mark}|{mark}{blank}|^{blank}|{blank}$")
-    return delimiter != BLANKS and any(blanks.search(line.text) for line in lines)
+def _quoted(lines: list[Line]) -> bool:
+    """Return whether quotes stand around cells: always two in a line."""
+    counts = [line.text.count('"') for line in lines]
+    return any(counts) and not any(count % 2 for count in counts)
 
 
 def _times(names: tuple[str, ...], body: list[list[str]]) -> dict[str, TimeForm]:
     """Return the columns of times as text, and how they are written."""
     found = {}
-    for k, name in enumerate(names):
+    width = min(map(len, body), default=0)
+    for k, name in enumerate(names[:width]):
         cells = [cell for row in body if not is_missing(cell := row[k].strip(' "'))]
         if cells and ":" in cells[0] and (form := time_form(cells)):
             found[name] = form
@@ -431,7 +422,7 @@ def _with_footer(found: Dialect, end: str, body: list[list[str]]) -> Dialect:
     said = ""
     for text in reversed(texts[-LONGEST_FOOTER:]):
         passed += 1
-        if is_comment(text, found.comments):
+        if text.lstrip(' \t"').startswith(found.comments):
             continue
         cells = split(text, found.delimiter) or [""]
         words = len(cells) != len(found.names) and bool(_WORD.match(cells[0])) and not is_number(cells[0])
@@ -496,10 +487,9 @@ class Encoded:
                 while piece := stream.read(size):
                     yield piece
                 return
-            decoder = codecs.getincrementaldecoder(self.encoding)("strict")
-            while piece := stream.read(size):
-                yield decoder.decode(piece).encode("utf-8", "replace")
-            decoder.decode(b"", True)
+            reader = io.TextIOWrapper(stream, self.encoding, newline="")
+            while text := reader.read(size):
+                yield text.encode("utf-8", "replace")
 
     def lines(self, where: str) -> Iterator[str]:
         """Yield the lines of text, without what ends them; `where` names the file in messages."""

@@ -1,0 +1,171 @@
+"""Vectors by their path in a file of groups or structs: which are one table, runs, or on other clocks."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.log.columns import RUN_WORDS, TIME_WORDS
+from hallsym.log.groups import Columns, GroupedSource
+from hallsym.log.table import Arrays, Source
+from hallsym.log.text.cells import split_header, unit_of
+from hallsym.units import UNITS, Array
+
+MOST_COLUMNS = 100
+"""Columns that a matrix is taken for at most: a wider one is a picture or a map."""
+
+
+Opened = Callable[[], AbstractContextManager[Any]]
+
+
+@dataclass(frozen=True)
+class Vector:
+    """A column of numbers: its length, what reads samples from one on to before another, and its unit."""
+
+    rows: int
+    read: Callable[[int, int], Array]
+    unit: str | None = None
+
+
+class Vectors(Source):
+    """Vectors of one length, which are read while `opened`."""
+
+    def __init__(self, vectors: Mapping[str, Vector], opened: Opened = nullcontext) -> None:
+        self.vectors, self.names, self.opened = dict(vectors), tuple(vectors), opened
+        self.rows = next(iter(vectors.values())).rows
+        self.units = {name: vector.unit for name, vector in vectors.items() if vector.unit}
+
+    def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
+        """Yield consecutive chunks of at most `size` rows."""
+        with self.opened():
+            for lo in range(0, self.rows, size):
+                yield {name: self.vectors[name].read(lo, min(lo + size, self.rows)) for name in names}
+
+
+def columns_of(
+    path: str, shape: Sequence[int], kind: str, read: Callable[..., Array], unit: str | None = None
+) -> tuple[dict[str, Vector], str]:
+    """Return the columns of an array by path, or why there are none ("" for what is no array of numbers).
+
+    `read` takes an index of numpy. A matrix becomes a column for each of its rows or columns, whichever are
+    fewer, `name_0` to `name_k`; a row or column matrix, as MATLAB stores a vector, is one.
+    """
+    sizes = [n for n in shape if n != 1] or [1]
+    if kind not in "fiub" or (kind == "b" and not shape):
+        return {}, ""
+    if kind == "b":
+        return {}, "it holds booleans, not numbers"
+    if len(sizes) > 2 or (len(sizes) == 2 and (min(sizes) > MOST_COLUMNS or len(shape) > 2)):
+        return {}, f"it is an array of {' x '.join(map(str, shape))}"
+    if len(sizes) == 1:
+        axis = list(shape).index(sizes[0]) if shape else -1
+
+        def vector(lo: int, hi: int) -> Array:
+            index = tuple(slice(lo, hi) if k == axis else 0 for k in range(len(shape)))
+            return np.atleast_1d(read(index))
+
+        return {path: Vector(sizes[0], vector, unit)}, ""
+    long = int(np.argmax(sizes))
+    stem, own = split_header(path)
+    last = path.rpartition("_")[2]
+    if own is None and last in UNITS and (len(last) > 1 or last in "msv"):
+        stem, own = path.rpartition("_")[0], last
+
+    def column(k: int) -> Callable[[int, int], Array]:
+        return lambda lo, hi: read((slice(lo, hi), k) if long == 0 else (k, slice(lo, hi)))
+
+    return {f"{stem}_{k}": Vector(max(sizes), column(k), unit or own) for k in range(min(sizes))}, ""
+
+
+def unit_in(attributes: Mapping[str, object]) -> str | None:
+    """Return the unit that the attributes of a vector state."""
+    for key, value in attributes.items():
+        if re.fullmatch("units?", key, re.IGNORECASE):
+            text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+            return unit_of(text)
+    return None
+
+
+_OF_RUN = re.compile(
+    rf"(?:^|[_ ./-])(?:(?:{'|'.join(RUN_WORDS)})[_ .#-]?|#)(\d+)(?=$|[_ ./-])", re.IGNORECASE
+)
+
+
+def side_by_side(source: Source, where: str) -> Source:
+    """Return the runs of a table with columns for each run (`hall_a_run0`, `hall_a_run1`) one after another.
+
+    Numbers without the word (`Hall A #1`) are those of runs where each has a time. Any other table, and one
+    of which most columns are of no run, is returned as it is. Columns without a run belong to all of them;
+    the empty cells that end the columns of a shorter run are left out.
+    """
+    runs: dict[int, dict[str, str]] = {}
+    for name in source.names:
+        if match := _OF_RUN.search(name):
+            stem = name[: match.start()] + name[match.end() :]
+            runs.setdefault(int(match[1]), {})[stem.lstrip("_ ./-")] = name
+    of_runs = sum(map(len, runs.values()))
+    if len(runs) < 2 or "" in next(iter(runs.values())) or 2 * of_runs <= len(source.names):
+        return source
+    stems = {stem for columns in runs.values() for stem in columns}
+    marks = [m[0].strip("_ ./-") for name in source.names if (m := _OF_RUN.search(name))]
+    timed = any(split_header(stem)[0].lower() in TIME_WORDS for stem in stems)
+    if not timed and any(mark[0] == "#" for mark in marks):
+        return source
+    for run, columns in runs.items():
+        if lacking := sorted(stems - set(columns)):
+            raise InputError(f"Run {run} of {where} must have a column for {lacking[0]} as the others have.")
+    left_out, shared = dict(source.left_out), dict[str, Array]()
+    for name in source.names:
+        if not _OF_RUN.search(name):
+            try:
+                shared |= source.read([name])
+            except InputError:
+                left_out[name] = "it holds no numbers"
+    data = source.read([name for columns in runs.values() for name in columns.values()])
+    groups = []
+    for run, columns in runs.items():
+        filled = np.any([np.isfinite(data[name]) for name in columns.values()], axis=0)
+        rows = int(np.flatnonzero(filled)[-1]) + 1 if filled.any() else 0
+        part = Arrays(
+            {s: v[:rows] for s, v in {**shared, **{s: data[n] for s, n in columns.items()}}.items()}
+        )
+        units = {**{name: name for name in shared}, **columns}
+        part.units = {stem: source.units[name] for stem, name in units.items() if name in source.units}
+        groups.append(Columns(f"run{run}", part))
+    found = GroupedSource(where, "runs side by side", groups, left_out, None, files=True)
+    found.notes = (*source.notes, *found.notes)
+    return found
+
+
+def arranged(
+    where: str,
+    kind: str,
+    vectors: Mapping[str, Vector],
+    left_out: Mapping[str, str],
+    by: str,
+    clock: str | None,
+    opened: Opened = nullcontext,
+) -> Source:
+    """Return the table of vectors by path; `by` stands between the parts of a path."""
+    groups: dict[tuple[str, int], dict[str, Vector]] = {}
+    for path, vector in vectors.items():
+        group, _, name = path.rpartition(by)
+        groups.setdefault((group, vector.rows), {})[name] = vector
+    runs = {group for group, _ in groups}
+    names = [{path.rpartition(by)[2] for path in vectors if path.rpartition(by)[0] == run} for run in runs]
+    if len(runs) > 1 and all(re.search(r"\d$", run) for run in runs) and all(n == names[0] for n in names):
+        for run in runs:
+            sizes = sorted(rows for group, rows in groups if group == run)
+            if len(sizes) > 1:
+                raise InputError(
+                    f"Columns of group '{run}' of {where} must be equally long; they have"
+                    f" {' and '.join(map(str, sizes))} values: the recording of this run broke off."
+                )
+    found = [Columns(group, Vectors(members, opened)) for (group, _), members in groups.items()]
+    return GroupedSource(where, kind, found, left_out, clock, by=by)
