@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from typing import Any
 
 from hallsym.output import printable
 
@@ -18,9 +19,10 @@ class InputError(ValueError):
     The command line prints it and exits with status 2; a script catches it as `ValueError`.
     """
 
-    def __init__(self, message: object = "") -> None:
-        """Take the sentence."""
+    def __init__(self, message: object = "", claims: Sequence[Any] = ()) -> None:
+        """Take the sentence; `claims`: of a fit that could not be made, what its recording has wrong."""
         super().__init__(one_line(str(message)))
+        self.claims = tuple(claims)
 
 
 def require(good: object, what: str, wanted: str, received: object, known: Sequence[str] = ()) -> None:
@@ -81,6 +83,15 @@ def nearest(name: str, known: list[str]) -> str:
 
 _COMPARED = 2000
 """Known names that a misspelt one is compared with: a folder may hold many more files."""
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names with commas and an and.
+
+    >>> listed(["a", "b", "c"])
+    'a, b and c'
+    """
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def counted(number: int, thing: str) -> str:

@@ -33,10 +33,10 @@ class Unit:
 _DEGREE = math.pi / 180
 _TABLE: tuple[tuple[str, str, float], ...] = (
     ("m", "m", 1.0), ("mm", "m", 1e-3), ("um", "m", 1e-6), ("nm", "m", 1e-9), ("cm", "m", 1e-2),
-    ("pm", "m", 1e-12),
+    ("pm", "m", 1e-12), ("inch", "m", 0.0254),
     ("rad", "rad", 1.0), ("mrad", "rad", 1e-3), ("urad", "rad", 1e-6), ("nrad", "rad", 1e-9),
     ("deg", "rad", _DEGREE), ("mdeg", "rad", _DEGREE / 1e3), ("arcsec", "rad", _DEGREE / 3600),
-    ("rev", "rad", 2 * math.pi),
+    ("rev", "rad", 2 * math.pi), ("grad", "rad", math.pi / 200),
     ("s", "s", 1.0), ("ms", "s", 1e-3), ("us", "s", 1e-6), ("ns", "s", 1e-9), ("min", "s", 60.0),
     ("v", "v", 1.0), ("mv", "v", 1e-3), ("uv", "v", 1e-6),
     ("a", "a", 1.0), ("ma", "a", 1e-3),

@@ -247,12 +247,12 @@ OBEYS = "corrections" in signature(hallsym.fit).parameters
 
 
 def told(r: Recording, **more):
-    """Fit a recording -> (fit or None, how it ends, what is said, seconds)."""
+    """Fit a recording -> (fit, or the refusal; how it ends; what is said; seconds)."""
     began = process_time()
     try:
         fit = hallsym.fit(r.log, r.model, effects=r.effects, parameters=r.parameters, solver="direct", **more)
     except InputError as error:
-        return None, "refusal", str(error), process_time() - began
+        return error, "refusal", str(error), process_time() - began
     with contextlib.redirect_stderr(io.StringIO()) as out:
         code = exit_code(fit)
     amiss = (fit.goodness and fit.goodness.sentence) or ""
@@ -278,20 +278,20 @@ def judged(kind: str, family: str, seed: str, size: Size | None = None) -> Outco
 def judged_mistake(m: Mistaken) -> Outcome:
     """Fit a mistaken log and judge what is said of it."""
     fit, ends, said, seconds = told(m.recording)
-    claims = claims_of(fit) if fit is not None else []
+    claims = claims_of(fit)
     first = next((c["correction"] for c in claims if c["correction"]), None)
     r = m.recording
     healthy = {**r.true}
     recorded = {c: r.arrays[c] if c in m.columns else x for c, x in r.true.items()}
     hurt = own = None
-    if fit is not None:
+    if ends != "refusal":
         hurt = harm(fit, r, healthy)
         own = hurt if m.runs else harm(fit, r, recorded)
     out = Outcome(m.case, m.kind, r.family, m.right, ends, hurt, own, first, claims, said, seconds)
     out.verdict = verdict(m, out)
     if first and OBEYS:
-        again, *_ = told(r, corrections=[first])
-        out.obeyed = None if again is None else harm(again, r, healthy)
+        again, ends, *_ = told(r, corrections=[first])
+        out.obeyed = None if ends == "refusal" else harm(again, r, healthy)
     return out
 
 
@@ -306,7 +306,7 @@ def heals(r: Recording, text: str) -> bool:
         fit, ends, *_ = told(undone(r, text))
     except (ValueError, KeyError, IndexError):
         return False
-    return fit is not None and ends == "0" and harm(fit, r, r.true) <= HARMED
+    return ends == "0" and harm(fit, r, r.true) <= HARMED
 
 
 def verdict(m: Mistaken, out: Outcome) -> str:
@@ -333,10 +333,10 @@ def verdict(m: Mistaken, out: Outcome) -> str:
 def judged_healthy(case: str, kind: str, r: Recording) -> Outcome:
     """Fit a healthy log; a claim with a correction, or a refusal, is false."""
     fit, ends, said, seconds = told(r)
-    claims = claims_of(fit) if fit is not None else []
+    claims = claims_of(fit)
     first = next((c["correction"] for c in claims if c["correction"]), None)
     out = Outcome(case, kind, r.family, (), ends, None, None, first, claims, said, seconds)
-    out.verdict = "false" if first or fit is None else "ok" if ends == "0" and not claims else "noted"
+    out.verdict = "false" if first or ends == "refusal" else "ok" if ends == "0" and not claims else "noted"
     return out
 
 

@@ -63,8 +63,12 @@ def add(sub: Any) -> None:
         help="auto (take out isolated spikes if there are any), none, reject, tukey",
     )  # fmt: skip
     group.add_argument(
-        "--resolve-wiring", action="store_true",
-        help="find channel order and signs instead of refusing wrong ones",
+        "--correct", action="append", default=[], metavar="TEXT",
+        help="undo a mistake of the recording, as a claim states it: 'sign x_ref_m' (repeat)",
+    )  # fmt: skip
+    group.add_argument(
+        "--accept", action="append", default=[], metavar="CLAIM",
+        help="a claim that is none here, by name, such as delay; all accepts every one (repeat)",
     )  # fmt: skip
     group.add_argument("--seed", type=common.seed, default=0, help="of the global search (default 0)")
     common.log_options(parser)
@@ -97,7 +101,8 @@ def run(options: Namespace) -> int:
         loss=options.loss,
         parameters=parameters,
         effects=effects,
-        resolve_wiring=options.resolve_wiring,
+        corrections=options.correct,
+        accept=options.accept,
         seed=options.seed,
         per_log=[name for name in (options.per_log or "").split(",") if name],
         holdout_logs=judged,
@@ -161,8 +166,8 @@ def exit_code(result: Fit, *, said: bool = True) -> int:
     `said`: the text that was printed begins with the sentence on a model that does not describe its log.
     """
     faults = [note for note in result.notes if isinstance(note, Fault)]
-    for fault in faults:
-        common.warn(str(fault))
+    for sentence in (*(one.text for one in result.claims), *map(str, faults)):
+        common.warn(sentence)
     if result.status != "converged":
         common.warn(f"the solver did not converge ({result.status}): {result.message}.")
         return INTERRUPTED if result.status == "interrupted" else NOT_CONVERGED
@@ -176,6 +181,6 @@ def exit_code(result: Fit, *, said: bool = True) -> int:
     amiss = result.goodness and result.goodness.sentence
     if amiss and not said:
         common.warn(amiss)
-    if amiss:
+    if amiss or result.claims:
         return NOT_DESCRIBED
     return NOT_DETERMINED if faults else OK

@@ -22,7 +22,7 @@ from hallsym.cli.trajectory import about_curve
 from hallsym.errors import InputError, counted
 from hallsym.estimation import LOSSES, SOLVERS
 from hallsym.estimation.calibration import load_fit
-from hallsym.families import build, effects, family_called, models
+from hallsym.families import build, effects, family_called, models, recording
 from hallsym.files import atomic_write
 from hallsym.log import Log, Meta, check_log, estimate_noise, open_source, spans
 from hallsym.log.columns import is_moving
@@ -47,7 +47,8 @@ def add(sub: Any) -> None:
         "Describe a log (columns, runs, motion, noise, what is wrong with it), a saved calibration, a\n"
         "saved curve or a campaign file. A model by name: its chain of links, parameters, zeros, effects it\n"
         "can take. An effect by name: what it means, its numbers, the parameters it adds, what recording\n"
-        "separates it from others. Without an argument: the models, effects and solvers there are.\n\n"
+        "separates it from others. corrections: what --correct of fit takes. Without an argument: the\n"
+        "models, effects and solvers there are.\n\n"
         "examples:\n  hallsym info campaign.parquet\n  hallsym info stage31\n  hallsym info hysteresis\n"
         "  hallsym info lab.csv --write columns.toml\n  hallsym info 'runs/*.csv' --write columns.toml",
     )  # fmt: skip
@@ -80,6 +81,9 @@ def run(options: Namespace) -> int:
             "losses": list(LOSSES),
         }
         say(options, record, lambda: _listing(record))
+    elif options.file == "corrections":
+        record = {"corrections": [recording.usage(known) for known in recording.MISTAKES.values()]}
+        say(options, record, lambda: recording.__doc__.strip())
     elif others or options.write:
         return _write(options) if options.write else _log(options)
     elif family_called(options.file) and not Path(options.file).exists():
@@ -113,7 +117,7 @@ def _log(options: Namespace) -> int:
         log = open_log(options, path=options.file)
     except InputError:
         if not options.json:
-            print(_head_text(source))
+            print(fitted(_head_text(source)))
         raise
     record, text = _about_log(log, options)
     if source.recognised:

@@ -52,10 +52,12 @@ def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool]
         what = f"read or write {quoted(error.filename)}" if error.filename else "write to standard output"
         return _said(f"Cannot {what}: {reason(error)}.", BAD_INPUT, error)
     except MemoryError as error:
-        return _said("There is not enough memory; use fewer samples or a larger machine.", BAD_INPUT, error)
+        return _said(LITTLE_MEMORY, BAD_INPUT, error)
     except (KeyboardInterrupt, Exception) as error:
         if interrupted() or isinstance(error, KeyboardInterrupt):
             return _said("interrupted; nothing was written.", INTERRUPTED)
+        if isinstance(error, ImportError) and _limited():  # a library that could not be mapped
+            return _said(LITTLE_MEMORY, BAD_INPUT, error)
         if type(error).__name__ == "LinAlgError":  # by name, because a command without numbers has no numpy
             return _said(
                 f"The numbers of the inputs cannot be computed with ({summary(error)}): a value is far "
@@ -83,6 +85,18 @@ def _run(arguments: Sequence[str] | None) -> int:
     _check(options)
     _take_buffers()
     return options.run(options)
+
+
+LITTLE_MEMORY = "There is not enough memory; use fewer samples or a larger machine."
+
+
+def _limited() -> bool:
+    """Return whether the address space of this process is limited."""
+    with suppress(ImportError):
+        import resource
+
+        return resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
+    return False
 
 
 def _check_memory() -> None:

@@ -9,7 +9,7 @@ from hallsym.cli import OK
 from hallsym.cli.common import command, log_options, open_log, own_effects, own_option, reading_words, say
 from hallsym.estimation import load_fit
 from hallsym.estimation.decoding import logged_columns
-from hallsym.estimation.plausible import as_read
+from hallsym.families.recording import as_read
 from hallsym.files import atomic_write
 from hallsym.log import check_log
 from hallsym.log.phase import at_rest
@@ -37,7 +37,7 @@ def run(options: Namespace) -> int:
     known = load_fit(options.calibration, own_effects(options))
     log = at_rest(open_log(options, known=known), known.model)
     if not options.drop_bad:
-        columns, wired = logged_columns(known.model), as_read(log, known.model, known.wiring)
+        columns, wired = logged_columns(known.model), as_read(log, known.model, known.corrections)
         log = replace(log, notes=tuple(check_log(wired, columns)))
     # the command without the name of the page, so that the name does not change the page
     typed = shlex.join(["hallsym", "report", options.calibration, options.log, *reading_words(options)])

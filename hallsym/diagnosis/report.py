@@ -40,11 +40,10 @@ from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import QUIET, Held, Validation, Verdict, closed
 from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit, noise_text
-from hallsym.errors import InputError, counted
+from hallsym.errors import InputError, counted, listed
 from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.families import added_effects
 from hallsym.families.faults import WIRING
-from hallsym.log.quality.gains import listed
 from hallsym.model import Model, ways_text
 
 
@@ -295,7 +294,8 @@ def next_step(setup: Setup, found: Validation) -> tuple[str, ...]:
         words += ["--effect", text]
     if not setup.split:
         words += ["--holdout", ",".join(map(str, setup.holdout))]
-    return (*words, *(["--resolve-wiring"] if setup.miswired else []))
+    wires = [one.text for one in setup.fit.corrections] if setup.miswired else []
+    return (*words, *(word for text in wires for word in ("--correct", text)))
 
 
 # -- what a budget takes -------------------------------------------------------------------------------------

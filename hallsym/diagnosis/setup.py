@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -13,17 +14,18 @@ from hallsym.diagnosis.p_values import statistic_at
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.residuals import FOLDS, NIL, Base
 from hallsym.errors import InputError, counted
-from hallsym.estimation import fit
 from hallsym.estimation.calibration import Fit
+from hallsym.estimation.claims import assigned
 from hallsym.estimation.decoding import knows_rails, logged_columns
+from hallsym.estimation.fit import ALL, fit
 from hallsym.estimation.goodness_of_fit import noise_floor
 from hallsym.estimation.likelihood import Point, cost_near
 from hallsym.estimation.outliers import beside_rails
-from hallsym.estimation.plausible import Wiring, as_read
 from hallsym.estimation.task import noise_of
 from hallsym.families import build, default_model
 from hallsym.families.faults import FAULTS
 from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ
+from hallsym.families.recording import Wiring, as_read, corrected
 from hallsym.log import Log, clean_log, usable
 from hallsym.log.batches import HELD, remembered
 from hallsym.log.phase import at_rest, continuous
@@ -117,7 +119,7 @@ class Setup:
 
 def base_of(log: Log, result: Fit) -> Base:
     """Return a fit as the point at which tangents are taken."""
-    wired = as_read(log, result.model, result.wiring)
+    wired = as_read(log, result.model, result.corrections)
     sigma = result.noise.std
     keep = beside_rails(result.keep, result.source, wired, logged_columns(result.model))
     cost = cost_near(wired, result.model, result.values, sigma, keep)
@@ -190,11 +192,14 @@ def prepare(
     if not held:
         raise _too_short(log, policy)
     say("fitting the model")
-    result = fit(
-        log, _inspecting(model, whole) if pieces else model, solver="direct", holdout=held,
-        loss="auto" if timed or not pieces else "none", resolve_wiring=True, drop_bad=drop_bad,
-        on_progress=say,
-    )  # fmt: skip
+    asked: dict[str, Any] = {
+        "solver": "direct", "holdout": held, "loss": "auto" if timed or not pieces else "none",
+        "drop_bad": drop_bad, "on_progress": say,
+    }  # fmt: skip
+    inspected = _inspecting(model, whole) if pieces else model
+    result = fit(log, inspected, accept=(ALL,), **asked)
+    if result.goodness and result.goodness.sentence and (wires := _wires(log, result)):
+        result = fit(log, inspected, corrections=wires, accept=(ALL,), **asked)
     result = replace(result, model=model)
     base = base_of(log, result)
     if log.rows > HELD:
@@ -251,9 +256,16 @@ def _pieces(log: Log, model: Model, known: Fit | None, policy: Policy) -> tuple[
 def _known(log: Log, model: Model) -> Fit | None:
     """Return the fit of a log without time: its knots show their noise only side by side."""
     try:
-        return fit(log, model, solver="direct", resolve_wiring=True)
+        return fit(log, model, solver="direct", accept=(ALL,))
     except InputError:
         return None  # the fit of the groups raises it again
+
+
+def _wires(log: Log, result: Fit) -> tuple[str, ...]:
+    """Return the corrections of exchanged or inverted channels that explain what a fit leaves."""
+    mounted = corrected(log, result.corrections)
+    found = assigned(mounted, result.model)
+    return tuple(one.text for one in (*result.corrections, *found)) if found else ()
 
 
 def _first_fit(log: Log, found: Fit, policy: Policy) -> tuple[np.ndarray | None, int]:

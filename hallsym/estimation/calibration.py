@@ -17,6 +17,7 @@ from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost
 from hallsym.families import added_effects, build, known_effect
+from hallsym.families.recording import Correction, Wiring, as_wired, read_correction, wiring_of
 from hallsym.files import read_json
 from hallsym.log import Foreign, Log, Meta, Noise, Sigma
 from hallsym.log.batches import Weigh
@@ -134,6 +135,18 @@ class FittedLogRecord(_Record):
     residual_over_noise: float | None = None
 
 
+class ClaimRecord(_Record):
+    """What a fit found wrong with its recording, or with itself."""
+
+    name: str
+    text: str
+    columns: list[str] = []
+    runs: list[int] = []
+    correction: str | None = None
+    explains: float | None = None
+    rivals: list[str] = []
+
+
 class CalibrationRecord(_Record):
     """A calibration file; everything is in SI."""
 
@@ -155,12 +168,14 @@ class CalibrationRecord(_Record):
     covariance: CovarianceRecord
     zero_bounds: dict[str, tuple[float | None, float | None]]
     zero_deviations: dict[int, dict[str, float]]
-    wiring: list[tuple[str, int]] | None
     layout: list[dict[str, Any]]
     log: LogRecord
     versions: dict[str, str]
     columns: dict[str, Foreign] = {}
     read_with: dict[str, str] = {}
+    corrections: list[str] = []
+    claims: list[ClaimRecord] = []
+    wiring: list[tuple[str, int]] | None = None
     effects: list[str] = []
     own_effects: list[str] = []
     goodness_of_fit: GoodnessOfFit | None = None
@@ -246,6 +261,29 @@ class Joint:
         return float(gradient @ self.values), float(np.sqrt(max(gradient @ self.covariance @ gradient, 0.0)))
 
 
+@dataclass(frozen=True)
+class Claim:
+    """What is wrong with a recording, or with what a fit made of it, in a sentence.
+
+    `name`: what `--accept` takes. `columns`, `runs`: where, all runs where empty. `correction`: what undoes
+    it (`--correct`), None where nothing does. `explains`: the share of the excess over the floor that goes
+    with it. `rivals`: other corrections that explain as much.
+    """
+
+    name: str
+    text: str
+    columns: tuple[str, ...] = ()
+    runs: tuple[int, ...] = ()
+    correction: str | None = None
+    explains: float | None = None
+    rivals: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record of a calibration file."""
+        lists = {k: list(v) for k, v in vars(self).items() if isinstance(v, tuple)}
+        return {**vars(self), **lists}
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit(Shown):
     """What `fit` returns and `calib.json` holds.
@@ -292,9 +330,12 @@ class Fit(Shown):
     determination: Determination | None = None
     """What those runs determine; not saved."""
     undetermined_by_log: tuple[str, ...] = ()
-    wiring: tuple[tuple[str, int], ...] | None = None
+    corrections: tuple[Correction, ...] = ()
+    """Mistakes of the recording that were undone, the sign of a sensor mounted the other way round last."""
     turned: bool = False
-    """Whether `wiring` is what an inspection of the log found before the fit: a side to mount; not saved."""
+    """Whether that sign is all that was undone: a side to mount; not saved."""
+    claims: tuple[Claim, ...] = ()
+    """What is wrong with the recording, or with the result, and was not accepted."""
     columns: Mapping[str, Foreign] = field(default_factory=dict)
     """How the columns of the log were mapped, so that the next log of the machine is read alike."""
     read_with: Mapping[str, str] = field(default_factory=dict)
@@ -307,6 +348,11 @@ class Fit(Shown):
     """The fit log by log, held-out logs last; not saved, `logs` is."""
     logs: tuple[Mapping[str, Any], ...] = ()
     """What is saved of each log: name, errors, noise, the parameters that it has of its own."""
+
+    @property
+    def wiring(self) -> Wiring | None:
+        """For each channel the column that carries it and its sign; None where they are as named."""
+        return wiring_of(self.corrections, self.model.channels)
 
     @property
     def half_width(self) -> np.ndarray:
@@ -369,7 +415,8 @@ class Fit(Shown):
                 str(run): dict(zip((z.name for z in model.zeros), np.asarray(d).tolist(), strict=True))
                 for run, d in self.zeros.items()
             },
-            "wiring": None if self.wiring is None else [list(pair) for pair in self.wiring],
+            "corrections": [one.text for one in self.corrections],
+            "claims": [one.to_dict() for one in self.claims],
             "layout": [dict(part.entry) for part in model.layout],
             "log": {**self.log, "sha256": self.source.sha256 if self.source else self.log["sha256"]},
             **({"columns": mapped} if mapped else {}),
@@ -458,7 +505,14 @@ def load_fit(
         seconds=record.seconds,
         notes=tuple(record.notes),
         undetermined_by_log=tuple(record.undetermined_by_log),
-        wiring=None if record.wiring is None else tuple((c, s) for c, s in record.wiring),
+        corrections=(
+            *map(read_correction, record.corrections),
+            *as_wired(tuple(record.wiring or ()), model.channels[: len(record.wiring or ())]),
+        ),
+        claims=tuple(
+            Claim(c.name, c.text, tuple(c.columns), tuple(c.runs), c.correction, c.explains, tuple(c.rivals))
+            for c in record.claims
+        ),
         columns=record.columns,
         read_with=record.read_with,
         logs=tuple(plain(one) for one in record.logs),

@@ -12,15 +12,13 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.decoding import ErrorTable, error_tables, knows_rails, logged_columns, zero_shifts
-from hallsym.estimation.factors import exact
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of, noise_floor
 from hallsym.estimation.likelihood import Point, cost_near, deviations_of, zeros_of
-from hallsym.estimation.plausible import as_read, lateness, rewired
 from hallsym.estimation.residual_noise import noise_followed, with_noise
-from hallsym.estimation.task import Asked, Task, noise_of
-from hallsym.families import plain
-from hallsym.log import Log, Noise, as_log, clean_log, usable
-from hallsym.log.phase import LISTED, at_rest, rehomed
+from hallsym.estimation.task import noise_of
+from hallsym.families.recording import corrected
+from hallsym.log import Log, Noise, as_log, usable
+from hallsym.log.phase import LISTED, at_rest, continuous, rehomed
 from hallsym.model import Model
 from hallsym.shown import Shown
 from hallsym.units import readable
@@ -59,25 +57,6 @@ def judged(
     return Judged(table, shifts, goodness_of(point, 0), point, log)
 
 
-def recording_notes(log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float]) -> tuple[str, ...]:
-    """Return notes on units, signs, runs and delays of a log, as a fit of `model` gives them.
-
-    `log`: as the model reads it. `p`: (n,) values of the calibration. `noise`: standard deviations by column.
-    Raises `InputError` where a fit refuses the log.
-    """
-    base = model if exact(model) else plain(model)
-    if not exact(base):
-        return ()
-    free = clean_log(log, logged_columns(base)) if knows_rails(model) else log
-    task = Task(free, base, (), Asked())
-    judged = task.judged(task.begin(task.summary()))
-    judged.refuse()
-    if base is not model:
-        return judged.notes
-    late = lateness(log, cost_near(log, model, p, noise).at(p))
-    return judged.notes if late is None else (*judged.notes, late)
-
-
 MOSTLY = 0.5
 """Share of the squared error from which on another zero is what to say first of it."""
 REMEDY = "--own-zero estimates it"
@@ -109,7 +88,7 @@ class Evaluation(Shown):
         """The calibration as it decodes `decoded`: with the offsets and the noise of this log."""
         return replace(
             self.calibration, zeros=self.zeros, noise=self.noise, noise_floor=self.noise_floor, errors=None,
-            log={**self.calibration.log, "holdout": []}, wiring=None, keep=None,
+            log={**self.calibration.log, "holdout": []}, corrections=(), keep=None,
         )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
@@ -141,16 +120,15 @@ def evaluate(
     model = known.model
     given, rails = as_log(log, known.columns, known.read_with), not knows_rails(model)
     given, notes = usable(at_rest(given, model), logged_columns(model), drop_bad=drop_bad, rails=rails)
-    wired = rewired(given, model.channels, known.wiring)
-    if model.inspect and model.inspect(model, wired, fitted=False).wiring is not None:
+    given = corrected(given, [one for one in known.corrections if not one.runs])
+    if model.inspect and model.inspect(model, given, fitted=False).inverted:
         raise InputError(
             f"In {given.name} {' and '.join(model.references)} runs the other way round than when the "
             "calibration was made: turn the sign of the reference in a column file, or put the wires of "
             f"{' and '.join(model.channels)} right."
         )
-    seen = as_read(given, model, known.wiring)
+    seen = continuous(given, model)
     noise = noise_of(seen, model)
-    notes += recording_notes(seen, model, known.values, noise.std)
     found = judged(seen, model, known.values, noise.std, own_zero=own_zero)
     if (followed := noise_followed(found.log, found.point, noise)) is not None:
         noise, found = followed, judged(seen, model, known.values, followed.std, own_zero=own_zero)

@@ -15,12 +15,12 @@ import numpy as np
 from hallsym.errors import InputError, nearest
 from hallsym.estimation import outliers
 from hallsym.estimation.calibration import Errors, Fit
+from hallsym.estimation.claims import claims_of, mistakes_of
 from hallsym.estimation.decoding import columns_of, knows_rails, logged_columns
 from hallsym.estimation.factors import exact, joined
 from hallsym.estimation.identifiable import Determination, determine
 from hallsym.estimation.likelihood import Cost, Sharing, cost_of, joint_cost, numbered, run_numbers
 from hallsym.estimation.optimum import SOLVERS, Solution, check_reference, closed_form, linear_fit, search
-from hallsym.estimation.plausible import lateness, rewired
 from hallsym.estimation.residual_noise import noise_followed
 from hallsym.estimation.several import check_gains, check_same, labels, restricted, several_fit
 from hallsym.estimation.task import (
@@ -37,10 +37,10 @@ from hallsym.estimation.task import (
     zero_notes,
 )
 from hallsym.families import plain
-from hallsym.log import Log, as_log, clean_log
+from hallsym.families.recording import corrected, read_correction
+from hallsym.log import Log, as_log, clean_log, usable
 from hallsym.log.batches import Weigh, batches, remembered
 from hallsym.log.phase import continuous, nearest_turn
-from hallsym.log.quality.gains import explained
 from hallsym.model import Model
 
 LOSSES = ("auto", "none", "reject", "tukey")
@@ -56,7 +56,8 @@ def fit(
     parameters: Mapping[str, Mapping[str, float]] | None = None,
     effects: Sequence[str] = (),
     own: Mapping[str, Callable[[Model], Model]] | None = None,
-    resolve_wiring: bool = False,
+    corrections: Sequence[str] = (),
+    accept: Sequence[str] = (),
     drop_bad: bool = False,
     seed: int = 0,
     start: np.ndarray | None = None,
@@ -101,6 +102,9 @@ def fit(
     without (`hysteresis:half_width_m=6e-05`; `hallsym.diagnosis.choose.model_on` finds them on a log). `own`:
     the user's effects by name. `start`: (n,) values to begin from instead of the closed form.
 
+    `corrections`: mistakes of the recording to undo, as a claim states them (`"sign x_ref_m"`; `hallsym info
+    corrections` lists the forms). `accept`: names of claims that are none here, which become notes; "all".
+
     `quick`: one pass over a log whose run statistics show nothing amiss, without error tables (`errors` is
     None), the lower bound of the cost and a test of the colour of the noise; any other log is fitted as
     without it.
@@ -125,29 +129,63 @@ def fit(
     judged = [as_log(one) for one in holdout_logs]
     models = [model_of(one, model, effects, parameters, own) for one in (*logs, *judged)]
     asked = Asked(
-        solver, holdout, loss, resolve_wiring, drop_bad, seed, start, quick and alone, say,
+        solver, holdout, loss, tuple(map(read_correction, corrections)), drop_bad, seed, start,
+        quick and alone, say,
     )  # fmt: skip
-    if not alone or exact(models[0]):
-        return fit_several(logs, judged, models, per_log, asked, alone=alone, began=began)
-    log, model = logs[0], models[0]
-    say("checking the log")
-    log, told, mounted = prepared(log, model, drop_bad=drop_bad)
-    notes = list(told)
-    held = held_out(log, log.meta.holdout if holdout is None else holdout)
+    if alone:
+        return _recording(logs[0], models[0], asked, accept, began)
+    return fit_several(logs, judged, models, per_log, asked, alone=False, began=began)[0]
+
+
+ALL = "all"
+"""What accepts every claim: none is looked for."""
+
+
+def _recording(log: Log, model: Model, asked: Asked, accept: Sequence[str], began: float) -> Fit:
+    """Fit one log and judge its recording; claims that the user accepts are notes.
+
+    Raises `InputError` where nothing can be fitted, with the mistake that explains it if one does.
+    """
+    if ALL in accept:
+        return _fit_one(log, model, asked, began)[0]
+    try:
+        result, given = _fit_one(log, model, asked, began)
+    except InputError as error:
+        given = corrected(log, asked.corrections)
+        usable(given, logged_columns(model), drop_bad=asked.drop_bad, rails=not knows_rails(model))
+        asked.say("looking for a mistake of the recording")  # the samples themselves can be read
+        if found := mistakes_of(given, model):
+            raise InputError(found[0].text, found) from error
+        raise
+    found = claims_of(result, given)
+    known = [one.text for one in found if one.name in accept]
+    return replace(
+        result, claims=tuple(c for c in found if c.name not in accept), notes=(*result.notes, *known)
+    )
+
+
+def _fit_one(log: Log, model: Model, asked: Asked, began: float) -> tuple[Fit, Log]:
+    """Fit one log; return also the log as it was logged, without its bad samples."""
+    if exact(model):
+        result, given = fit_several([log], [], [model], (), asked, alone=True, began=began)
+        return result, given or log
+    asked.say("checking the log")
+    ready = prepared(log, model, asked.corrections, drop_bad=asked.drop_bad)
+    log, notes = ready.log, list(ready.notes)
+    held = held_out(log, log.meta.holdout if asked.holdout is None else asked.holdout)
     first = None
     if exact(base := plain(model)):
         # the model without effects has no rails: it is fitted to the samples off them
         explains_rails = knows_rails(model)
         free = clean_log(log, logged_columns(model)) if explains_rails else log
-        first = fit(
-            free, base, solver=solver, holdout=held, loss=loss, resolve_wiring=resolve_wiring,
-            drop_bad=explains_rails, seed=seed,
-            on_progress=on_progress,
-        )  # fmt: skip
+        plainly = replace(
+            asked, holdout=held, corrections=(), drop_bad=explains_rails, start=None, quick=False
+        )
+        first = _fit_one(free, base, plainly, began)[0]
         zeros = zero_notes(first.model, tuple(first.zeros), np.array(list(first.zeros.values())))
         notes += [note for note in first.notes if note not in (*zeros, *free.notes)]
-    said = tuple(dict.fromkeys((*mounted.notes, *notes)))
-    return result_of(Task(log, model, held, asked).by_passes(first, said, mounted.wiring), began)
+    said = tuple(dict.fromkeys(notes))
+    return result_of(Task(log, model, held, asked).by_passes(first, said, ready), began), ready.given
 
 
 def _choice(name: str, known: Sequence[str], what: str) -> None:
@@ -158,9 +196,6 @@ def _choice(name: str, known: Sequence[str], what: str) -> None:
         )
 
 
-CLEARLY = 2.0
-"""Cost of a fit over that of another reading of the log from which on the other is right: noise alone makes
-them equal, to a few percent."""
 ROUNDS = 12
 """Of taking outliers out and fitting again, at most."""
 
@@ -174,8 +209,11 @@ def fit_several(
     *,
     alone: bool,
     began: float,
-) -> Fit:
-    """Return the fit of several logs, or of one `alone`; `models`: of logs and held-out logs, in order."""
+) -> tuple[Fit, Log | None]:
+    """Return the fit of several logs, or of one `alone` with its log as it was logged.
+
+    `models`: of logs and held-out logs, in order.
+    """
     every, model = [*logs, *holdout_logs], models[0]
     if not alone:
         check_same(every, models)
@@ -196,9 +234,9 @@ def fit_several(
         for g, one in enumerate(together.logs)
     ]
     if alone:
-        return result_of(members[0], began)
+        return result_of(members[0], began), members[0].ready.given
     judged = [_judged(one, members[-1].solution) for one in opened[len(logs) :]]
-    return several_fit(together.sharing, solution, members, judged, names, together.numbers, began)
+    return several_fit(together.sharing, solution, members, judged, names, together.numbers, began), None
 
 
 def _own_parameters(model: Model, per_log: Sequence[str], logs: int, holdout: bool) -> tuple[str, ...]:
@@ -231,14 +269,14 @@ def _opened(logs: Sequence[Log], model: Model, fitted: int, asked: Asked) -> lis
         raise InputError(f"Held-out run {lost[0]} is in none of the {fitted} logs.")
     for k, log in enumerate(logs):
         asked.say(f"checking {log.name}")
-        ready, said, mounted = prepared(log, model, drop_bad=asked.drop_bad)
+        ready = prepared(log, model, asked.corrections, drop_bad=asked.drop_bad)
         held = log.meta.holdout if asked.holdout is None else tuple(asked.holdout)
-        held = held if fitted == 1 else tuple(r for r in held if r in ready.runs)
-        task = Task(ready, model, held_out(ready, held) if k < fitted else (), asked, centre=centre)
-        found = task.opened()
-        centre = found.begun.everything.summary.centre
-        found.mounted, found.notes = mounted.wiring, (*said, *found.judged.notes)
-        out.append(found)
+        held = held if fitted == 1 else tuple(r for r in held if r in ready.log.runs)
+        held = held_out(ready.log, held) if k < fitted else ()
+        task = Task(ready.log, model, held, asked, centre=centre)
+        begun = task.begin(task.summary())
+        centre = begun.everything.summary.centre
+        out.append(Opened(task, begun, ready, ready.notes))
     return out
 
 
@@ -255,18 +293,11 @@ class _Together:
         No errors where a quick fit of one log shows nothing amiss.
         """
         state = self.solve(self.asked.solver)
-        self._refuse_references(state)
-        if self.asked.quick and not self.logs[0].judged.spiky and self.logs[0].task.in_order(state):
+        if self.asked.quick and self.logs[0].task.in_order(state):
             self._check()
             return state, None
         errors = self.errors(state)
         whole, state = state, self._without_outliers(state, errors)
-        for g, one in enumerate(self.logs):
-            if one.judged.spiky:
-                again = one.task.judge(one.begun)
-                again.refuse()
-                one.notes += again.notes
-            one.notes += _late(one, self.of_log(state, g))
         self._check()
         state = self._with_noise_left(state)
         return state, errors if state is whole else self.errors(state)
@@ -288,22 +319,6 @@ class _Together:
 
     def _sum(self, costs: list[Cost], numbers: Sequence[dict[int, int]]) -> Cost:
         return costs[0] if len(costs) == 1 else joint_cost(self.sharing, costs, numbers)
-
-    def _refuse_references(self, state: Solution) -> None:
-        """Refuse a reference where its sign or order explains the log, and not that of the channels.
-
-        By linear slopes both may; what the fit leaves tells. `state`: the fit with the channels resolved.
-        """
-        for g, one in enumerate(self.logs):
-            for other in one.found.whole if one.wiring is not None else ():
-                if not other.only_references or any(c.factor != 1 for c in other.changes):
-                    continue
-                as_meant = tuple((c.source, c.sign) for c in other.references)
-                task = replace(one.task, log=rewired(one.given, one.task.model.references, as_meant))
-                turned = replace(one, task=task, begun=task.begin(task.summary()))
-                both = _Together([*self.logs[:g], turned, *self.logs[g + 1 :]], self.sharing, self.asked)
-                if CLEARLY * both.solve("direct").search.cost < state.search.cost:
-                    raise InputError(explained(one.given, task.model, [other]).sentence)
 
     def _check(self) -> None:
         """Refuse a reference that does not belong."""
@@ -417,16 +432,10 @@ def _left_out(total: float, left: float, loss: str) -> str:
     )
 
 
-def _late(one: Opened, state: Solution) -> tuple[str, ...]:
-    late = lateness(one.task.log, state.point)
-    return () if late is None else (late,)
-
-
 def _judged(one: Opened, known: Solution) -> Solved:
     """Return a held-out log, decoded with the parameters of the others; all of its runs are held out."""
     everything = one.begun.everything
     state = Solution(everything, everything, known.determination, known.search)
     errors = replace(one.task.errors(state, None), holdout=everything.summary.runs)
-    one.notes += _late(one, state)
     check_reference(one.task.model, one.begun.linear.unexplained, one.task.log.name)
     return one.solved(state, errors)

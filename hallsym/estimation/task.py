@@ -28,9 +28,9 @@ from hallsym.estimation.goodness_of_fit import (
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost, Point, cost_of, deviations_of
 from hallsym.estimation.optimum import DROP, LinearFit, Solution, linear_fit, optimum
-from hallsym.estimation.plausible import Judgement, Wiring, as_read, composed, judge, rewired, wiring_of
 from hallsym.estimation.residual_noise import noise_followed, with_noise
 from hallsym.families import adapted, added_effects, build, default_model
+from hallsym.families.recording import Correction, corrected
 from hallsym.log import Log, Noise, estimate_noise, usable
 from hallsym.log.batches import Weigh
 from hallsym.log.core import Drop, without
@@ -53,17 +53,32 @@ def model_of(
     return build(name, meta=log.meta, added=tuple(effects), parameters=parameters, own=own)
 
 
-def prepared(log: Log, model: Model, *, drop_bad: bool) -> tuple[Log, tuple[str, ...], Inspection]:
-    """Return a log that was checked, as its model reads it, what there is to say, and how it is mounted.
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A log that was checked: as it was logged without its mistakes, and as its model reads it.
+
+    `corrections`: those that were asked for, and the sign of a sensor that is mounted the other way round.
+    """
+
+    given: Log
+    log: Log
+    notes: tuple[str, ...]
+    corrections: tuple[Correction, ...]
+
+
+def prepared(log: Log, model: Model, corrections: Sequence[Correction] = (), *, drop_bad: bool) -> Prepared:
+    """Check a log, without its mistakes, before it is fitted.
 
     `drop_bad`: leave out bad samples. Raises `InputError` for logs that cannot be fitted.
     """
     log, notes = usable(
-        at_rest(log, model), logged_columns(model), drop_bad=drop_bad, rails=not knows_rails(model)
-    )
+        at_rest(corrected(log, corrections), model), logged_columns(model), drop_bad=drop_bad,
+        rails=not knows_rails(model),
+    )  # fmt: skip
     mounted = model.inspect(model, log) if model.inspect else Inspection()
-    notes = [*notes, *mounted.notes]
-    return as_read(log, model, mounted.wiring), tuple(notes), mounted
+    turned = (Correction("sign", mounted.inverted),) if mounted.inverted else ()
+    given = corrected(log, turned)
+    return Prepared(given, continuous(given, model), (*notes, *mounted.notes), (*corrections, *turned))
 
 
 def held_out(log: Log, holdout: Sequence[int]) -> tuple[int, ...]:
@@ -85,8 +100,6 @@ SUSPECT = 6.5
 BEGIN = (2 / 3, 1 / 3)
 """Where a parameter begins that did nothing at its nominal value: parts of the way to its upper bound. Two
 thirds of a share of up to 1.5 is all of it."""
-SPIKY = 1e-3
-"""Share of samples that are spikes from which on slopes are judged after the fit, without them."""
 QUICKLY_KNOWN = 1.06
 """Residual over a noise that was estimated quickly from which on a log is looked at in full: three times its
 1.2 %, and up to 3 % by which the least of several estimates is below their mean."""
@@ -116,7 +129,7 @@ class Asked:
     solver: str = "direct"
     holdout: Sequence[int] | None = None
     loss: str = "none"
-    resolve_wiring: bool = False
+    corrections: tuple[Correction, ...] = ()
     drop_bad: bool = False
     seed: int = 0
     start: np.ndarray | None = None
@@ -141,24 +154,17 @@ class Begun:
 
 @dataclass(eq=False)
 class Opened:
-    """A log that takes part: its costs so far, what was judged by them, taken out, and is to be said.
-
-    `given`, `found`: the log and its judgement before channels were put in order.
-    """
+    """A log that takes part: its costs so far, what was taken out, and is to be said."""
 
     task: "Task"
     begun: Begun
-    judged: Judgement
-    given: Log
-    found: Judgement
-    wiring: Wiring | None
-    mounted: Wiring | None = None
+    ready: Prepared
     notes: tuple[str, ...] = ()
     keep: Weigh | None = None
 
     def solved(self, solution: Solution, errors: Errors | None) -> "Solved":
         """Return how it ended."""
-        return Solved(self.task, solution, errors, self.keep, self.wiring, self.mounted, self.notes)
+        return Solved(self.task, solution, errors, self.ready, self.keep, self.notes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,15 +172,13 @@ class Solved:
     """How the fit of a log ended.
 
     `errors`: None where nothing was amiss and nobody asked. `keep`: weights that took outliers out.
-    `wiring`: None where the channels are in order; `mounted`: that which an inspection found before.
     """
 
     task: "Task"
     solution: Solution
     errors: Errors | None
+    ready: Prepared
     keep: Weigh | None = None
-    wiring: Wiring | None = None
-    mounted: Wiring | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -198,26 +202,13 @@ class Task:
         """Noise by column, with its source."""
         return noise_of(self.log, self.model, self.holdout, quick=self.asked.quick).merged(self.known_noise)
 
-    def opened(self) -> Opened:
-        """Return the costs of the log, judged, with its channels put in order where that is asked for."""
-        task, begun = self, self.begin(self.summary())
-        judged = found = self.judged(begun)
-        wiring = wiring_of(judged.whole) if self.asked.resolve_wiring else None
-        if wiring is not None:
-            task = replace(self, log=rewired(self.log, self.model.channels, wiring))
-            begun = task.begin(task.summary())
-            judged = task.judged(begun).resolved(judged)
-        judged.refuse()
-        return Opened(task, begun, judged, self.log, found, wiring)
-
-    def by_passes(self, first: Fit | None, notes: tuple[str, ...], mounted: Wiring | None) -> Solved:
+    def by_passes(self, first: Fit | None, notes: tuple[str, ...], ready: Prepared) -> Solved:
         """Fit a model without run statistics, from `first`: the fit of what it is without its effects."""
         task, keep, begin = self, None, self.model.nominal
         if self.model.guess is not None and first is None:
             begin = self.model.vector(self.model.guess(self.model, self.log))
         if first is not None:
-            log = rewired(self.log, self.model.channels, first.wiring)
-            task = replace(self, log=log, known_noise=first.noise)
+            task = replace(self, known_noise=first.noise)
             # the corners that a rail cuts look like spikes to a model that knows of none
             keep = None if knows_rails(self.model) else first.keep
             known = first.model.named(first.values)
@@ -229,8 +220,7 @@ class Task:
         if (noise := noise_followed(task.log, state.point, task.noise, keep)) is not None:
             task = replace(task, log=replace(task.log, noise=noise))
             state = task.passes(state.p, keep)
-        wiring = first.wiring if first else None
-        return Solved(task, state, task.errors(state, keep), keep, wiring, mounted, notes)
+        return Solved(task, state, task.errors(state, keep), ready, keep, notes)
 
     def passes(self, begin: np.ndarray, keep: Weigh | None) -> Solution:
         """Return the optimum that passes over the log reach from `begin` (n,)."""
@@ -293,21 +283,6 @@ class Task:
         fitted = everything.without(self.holdout)
         merged = cost_of(fitted.summary.merged(), self.noise.std)
         return Begun(everything, fitted, merged, linear_fit(merged))
-
-    def judged(self, begun: Begun) -> Judgement:
-        """Judge units, signs and runs before the fit; spikes bend slopes: where there are any, after it."""
-        found = self.judge(begun)
-        if not found.findings:
-            return found
-        columns = (*self.model.references, *self.model.channels)
-        again = self.begin(self.summary(outliers.column_spikes(columns)))
-        if again.samples >= (1 - SPIKY) * begun.samples:
-            return found
-        return self.judge(again) if self.asked.loss == "none" else Judgement(spiky=True)
-
-    def judge(self, begun: Begun) -> Judgement:
-        """Judge units, signs and runs by what linear least squares says."""
-        return judge(self.log, begun.everything, begun.merged, begun.linear, self.holdout)
 
     def errors(self, state: Solution, keep: Weigh | None) -> Errors:
         """Return the errors before and after; `keep`: weight of each sample."""
@@ -479,8 +454,8 @@ def fit_of(
         likelihood=state.fitted,
         determination=found,
         undetermined_by_log=estimate.undetermined_by_log,
-        wiring=composed(solved.mounted, solved.wiring, model.channels),
-        turned=solved.mounted is not None and solved.wiring is None,
+        corrections=solved.ready.corrections,
+        turned=bool(solved.ready.corrections) and not task.asked.corrections,
         columns=dict(task.log.table.mapping),
         read_with=dict(task.log.table.read_with),
         versions=dict(_versions()),

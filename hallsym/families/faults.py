@@ -216,7 +216,7 @@ def _invert(out: np.ndarray, pair: list[int], one: int) -> None:
     out[one] *= -1
 
 
-REWIRE = "put the wiring right, or fit with --resolve-wiring."
+REWIRE = "put the wiring right, or fit with --correct 'exchange A B', --correct 'sign A'."
 FAULTS = {
     fault.name: fault
     for fault in (

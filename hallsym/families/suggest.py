@@ -151,7 +151,7 @@ class Guess:
     @property
     def lines(self) -> list[str]:
         """The lines of a column file; comments where somebody must choose."""
-        name = json.dumps(self.theirs, ensure_ascii=False)
+        name = toml_text(self.theirs)
         more = ", sign = -1" if self.sign < 0 else ""
         more += f", counts_per_turn = {self.counts_per_turn}" if self.counts_per_turn else ""
         more += f", scale = {self.scale!r}" if self.scale else ""
@@ -212,12 +212,12 @@ class Suggestion:
         """Return the column file, each line with what speaks for it."""
         rows = [(line, g.why) for g in self.guesses if not g.as_it_is for line in g.lines]
         width = max((len(line) for line, _ in rows), default=0)
-        lines = [f"{line.ljust(width)}  # {why}" for line, why in rows]
+        lines = [f"{line.ljust(width)}  # {printable(why)}" for line, why in rows]
         own = [g.theirs for g in self.guesses if g.as_it_is]
-        lines += [f"# read as they are: {', '.join(own)}"] if own else []
+        lines += [f"# read as they are: {printable(', '.join(own))}"] if own else []
         lines += [f"# not used: {', '.join(map(repr, self.rest))}"] if self.rest else []
         head = [
-            f"# For {' '.join(log.split())}, as {self.model.name} needs it. Check every line.",
+            f"# For {printable(log)}, as {self.model.name} needs it. Check every line.",
             "# Of lines that begin with #, remove the # of the right one: nothing in the file tells which.",
         ]
         return "\n".join([*head, "", "[columns]", *lines, ""])

@@ -13,8 +13,8 @@ from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.decoding import columns_of
 from hallsym.estimation.identifiable import Determination, determine_at
 from hallsym.estimation.likelihood import Cost, Point, cost_near
-from hallsym.estimation.plausible import as_read
 from hallsym.families import same_layout
+from hallsym.families.recording import as_read
 from hallsym.log import Log
 from hallsym.log.batches import batches
 from hallsym.log.derived import extended
@@ -176,7 +176,7 @@ def _fitted_again(known: Fit, log: Log) -> tuple[Fit, tuple[str, ...]]:
             f"The probes in the meta.json of {log.name} are not those of the calibration: another machine, "
             "or another layout; fit this log by itself."
         )
-    log = as_read(log, model, known.wiring)
+    log = as_read(log, model, known.corrections)
     if own:
         log = replace(log, noise=log.noise.merged(known.noise))
     again = fit(

@@ -389,15 +389,3 @@ def fastest(column: str) -> float:
     """Return the speed, in the column's SI unit per second, that no motion has."""
     unit = split_unit(column)[1]
     return _FASTEST.get(unit.si, math.inf) if unit else math.inf
-
-
-def likely_units(limit: Limit, span: float) -> Sequence[str]:
-    """Return the units that would make a span possible, down to the first that makes it a usual one."""
-    found = []
-    for unit in limit.instead:
-        spans = span * UNITS[unit].factor
-        if spans <= limit.span:
-            found.append(unit)
-        if spans <= limit.likely:
-            break
-    return found or limit.instead[-1:]

@@ -6,7 +6,6 @@ import glob
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -67,8 +66,8 @@ FORMATS = (
     ),
     Format("feather", (".feather", ".arrow", ".arrows"), open_feather, "Feather"),
     Format("json", (".jsonl", ".ndjson"), open_json, "JSON lines"),
-    Format("hdf5", (".h5", ".hdf5"), open_hdf5, "HDF5", ("clock",)),
-    Format("mat", (".mat",), open_mat, "MATLAB", ("clock",)),
+    Format("hdf5", (".h5", ".hdf5"), partial(Apart, open_hdf5), "HDF5", ("clock",)),
+    Format("mat", (".mat",), partial(Apart, open_mat), "MATLAB", ("clock",)),
     Format("npz", (".npz",), open_npz, "NumPy", ("clock",)),
     Format("xlsx", (".xlsx", ".xlsm", ".xls", ".ods"), open_workbook, "workbook", ("sheet", "decimal")),
     Format("tdms", (".tdms",), open_tdms, "TDMS", ("clock",)),
@@ -133,8 +132,7 @@ class Guarded(Source):
 
     def epoch(self, name: str) -> float | None:
         """Return the moment of zero of a column of times."""
-        with self._reading():
-            return self.inner.epoch(name)
+        return self._asked(self.inner.epoch, name)
 
     def labels(self, name: str) -> list[str]:
         """Return a column of names, as text."""

@@ -100,13 +100,10 @@ class Combination:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What a family finds in a log before a fit: notes, and for each channel its source and sign.
-
-    `wiring` None: the channels are as the model takes them.
-    """
+    """What a family finds in a log before a fit: notes, and channels whose sign is that of the other side."""
 
     notes: tuple[str, ...] = ()
-    wiring: tuple[tuple[str, int], ...] | None = None
+    inverted: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, nearest, require
 from hallsym.log import Foreign, Log, read_log
 from hallsym.log.columns import listed
 from hallsym.log.table import label

@@ -8,6 +8,7 @@ import pytest
 
 from hallsym import build, bundled_campaign, load_fit, write_log
 from hallsym.cli.main import main
+from hallsym.families.recording import MISTAKES, read_correction
 
 CASES = Path(__file__).parents[3] / "shared" / "cases"
 
@@ -98,6 +99,9 @@ def with_nan(d):
     d["y_ref_m"][300] = np.inf
 
 
+EXCHANGED = "exchange hall_a_m hall_b_m"
+
+
 def swapped(d):
     d["hall_a_m"], d["hall_b_m"] = d["hall_b_m"], d["hall_a_m"]
 
@@ -112,7 +116,6 @@ def short(d):
     [
         (renamed, ["hall_a_m", "halla_m", "--column"]),
         (with_nan, ["NaN", "row", "--drop-bad"]),
-        (swapped, ["hall_a_m and hall_b_m", "swapped"]),
         (short, ["run 5", "8 samples"]),
     ],
 )
@@ -132,14 +135,19 @@ def test_drop_bad_goes_on_and_says_what_it_left_out(capsys, written, change):
     assert "note:" in out
 
 
-def test_wiring_can_be_resolved(capsys, written):
-    code, out, _ = run(capsys, "fit", written(swapped), "--resolve-wiring", "--solver", "direct", "--json")
+def test_exchanged_channels_can_be_put_right(capsys, written):
+    path = written(swapped)
+    code, out, err = run(capsys, "fit", path, "--solver", "direct")
+    assert code == 3
+    assert out.startswith("claim: ")
+    assert f"--correct '{EXCHANGED}'" in err.splitlines()[0]
+    code, out, _ = run(capsys, "fit", path, "--correct", EXCHANGED, "--solver", "direct", "--json")
     found, expected = json.loads(out), {"eta_A": 0.8671, "eta_B": 0.7049, "eta_C": 0.8632}
     assert code == 0
     for name, value in expected.items():
         entry = found["parameters"][name]
         assert abs(entry["value"] - value) < 5 * entry["std"]
-    assert found["wiring"] is not None
+    assert (found["corrections"], found["claims"]) == ([EXCHANGED], [])
 
 
 # -- logs that leave something open ----------------------------------------------------------------------
@@ -274,7 +282,7 @@ def test_evaluate_reproduces_the_fit_on_its_own_log(capsys, written, tmp_path):
 @pytest.mark.slow
 def test_evaluate_reads_the_channels_that_the_fit_resolved(capsys, written, tmp_path):
     log, path = written(swapped), tmp_path / "calib.json"
-    _, out, _ = run(capsys, "fit", log, "-o", path, "--solver", "direct", "--resolve-wiring", "--json")
+    _, out, _ = run(capsys, "fit", log, "-o", path, "--solver", "direct", "--correct", EXCHANGED, "--json")
     fitted = json.loads(out)["errors"]["fitted"]["rmse"]
     _, out, _ = run(capsys, "evaluate", path, log, "--json")
     assert json.loads(out)["logs"][0]["errors"]["rmse"] == pytest.approx(fitted, rel=1e-9)
@@ -295,6 +303,17 @@ def test_simulate_then_fit_recovers_the_truth(capsys, tmp_path):
     entry = json.loads(out)["parameters"]["eta_A"]
     assert code == 0
     assert abs(entry["value"] - 0.8671) < 5 * entry["std"]
+
+
+def test_info_lists_the_forms_of_corrections(capsys):
+    code, out, _ = run(capsys, "info", "corrections", "--json")
+    forms = json.loads(out)["corrections"]
+    assert code == 0
+    assert "exchange COLUMN COLUMN [in RUNS]" in forms
+    _, out, _ = run(capsys, "info", "corrections")
+    examples = [line for line in out.splitlines() if line.startswith("    ")]
+    assert [line.split()[0] for line in examples] == [form.split()[0] for form in forms]
+    assert [read_correction(line.split("  ")[2].strip()).kind for line in examples] == list(MISTAKES)
 
 
 def test_info_on_everything(capsys, written, tmp_path):

@@ -33,6 +33,7 @@ from hallsym.codegen.generation import notes_of
 from hallsym.codegen.lowering.odd_series import ARCTANGENT, SINE, arctangent_error, sine_error, wrapped
 from hallsym.errors import InputError
 from hallsym.families import effects
+from hallsym.families.recording import Correction
 from hallsym.families.rotary import FAMILY
 from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.families.rotary import models as rotary
@@ -298,5 +299,6 @@ def test_the_command_writes_it(tmp_path, capsys):
 
 
 def test_a_reading_that_the_fit_took_with_another_sign_is_said():
-    fit = replace(calibrated(rotary.rotary(LAYOUTS["angle"]), ELLIPSE), wiring=(("angle_rad", -1),))
+    turned = (Correction("sign", ("angle_rad",)),)
+    fit = replace(calibrated(rotary.rotary(LAYOUTS["angle"]), ELLIPSE), corrections=turned)
     assert notes_of(fit)[-1] == "The fit took angle_rad from -angle_rad: give it so here too."

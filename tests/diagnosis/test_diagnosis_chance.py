@@ -24,8 +24,8 @@ from hallsym.diagnosis.scores import candidates
 from hallsym.diagnosis.setup import base_of
 from hallsym.diagnosis.survey import Survey, survey
 from hallsym.estimation.decoding import columns_of
-from hallsym.estimation.plausible import rewired
 from hallsym.families import effects
+from hallsym.families.recording import Correction, corrected
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Batch, Block, Log, batches
 from hallsym.model import Facts
@@ -86,7 +86,7 @@ def test_p_values_of_faults_come_from_the_samples(name: str) -> None:
 def test_exchanged_channels_are_certain_and_the_right_order_is_not(quiet: Base) -> None:
     assert wirings(3) == 47
     channels = quiet.model.channels
-    wrong = rewired(quiet.log, channels, ((channels[1], 1), (channels[0], 1), (channels[2], 1)))
+    wrong = corrected(quiet.log, [Correction("exchange", channels[:2])])
     assert wiring_p(quiet, wrong, quiet.log.runs) < 1e-9
     assert wiring_p(quiet, quiet.log, quiet.log.runs) == 1.0
 

@@ -36,7 +36,7 @@ def left(d: Diagnosis, path: Path) -> tuple[float, float]:
     holdout = tuple(map(int, held[0].split(","))) if held else None
     wide = model_on(log, model, option(d.next_step, "--effect"), holdout=holdout)
     result: Fit = hallsym.fit(
-        log, wide, solver="direct", holdout=holdout, resolve_wiring="--resolve-wiring" in d.next_step
+        log, wide, solver="direct", holdout=holdout, corrections=option(d.next_step, "--correct")
     )
     if holdout:  # on the same samples: a fit without the effect leaves out what looked like spikes
         base = replace(base_of(log, result), keep=None)

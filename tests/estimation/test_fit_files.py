@@ -27,7 +27,7 @@ def rich():
             "delta_A": {"upper": 5e-5},
         },
         holdout=(3,),
-        resolve_wiring=True,
+        corrections=("exchange hall_a_m hall_b_m",),
     )
 
 

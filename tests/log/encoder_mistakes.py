@@ -36,45 +36,42 @@ def times(factor: float) -> Callable[[np.ndarray], np.ndarray]:
     return lambda values: factor * values
 
 
-def of_fit(name: str, make: Make, says: str, ends: Ends = "refusal") -> Mistake:
+def of_fit(name: str, make: Make, says: str, ends: Ends = "claim") -> Mistake:
     return Mistake(f"encoder: {name}", make, says, ends, found="fit", on=ENCODER)
 
 
 _TURN, _PLATES = 2 * np.pi, ("v_sin_v", "v_cos_v")
-_UNIT = r"angle_ref_rad .* another unit: .* if angle_ref_rad were in {}; .*--column angle_ref_{}="
-_OTHER_WAY = r"In run 2 .* turns the other way than in the others: angle_ref_rad or a reading"
+_UNIT = r"undo it with --correct 'scale angle_ref_rad {}'"
 _REVERSED = r"turns against angle_ref_rad .*; v_sin_v is taken with its sign reversed"
 
 ENCODERS = (
-    of_fit("degrees for rad", turned(np.degrees, "angle_ref_rad"), _UNIT.format("degrees", "deg")),
-    of_fit("rad for degrees", turned(np.radians, "angle_ref_rad"), _UNIT.format("rad", "rad")),
-    of_fit("turns for rad", turned(times(1 / _TURN), "angle_ref_rad"), _UNIT.format("turns", "rev")),
-    of_fit("gradians for rad", turned(times(400 / _TURN), "angle_ref_rad"), _UNIT.format("gradians", "grad")),
-    of_fit("mrad for rad", turned(times(1e3), "angle_ref_rad"), _UNIT.format("mrad", "mrad")),
+    of_fit("degrees for rad", turned(np.degrees, "angle_ref_rad"), _UNIT.format("deg")),
+    of_fit("rad for degrees", turned(np.radians, "angle_ref_rad"), _UNIT.format("57.2957795")),
+    of_fit("turns for rad", turned(times(1 / _TURN), "angle_ref_rad"), _UNIT.format("rev")),
+    of_fit("gradians for rad", turned(times(400 / _TURN), "angle_ref_rad"), _UNIT.format("grad")),
+    of_fit("mrad for rad", turned(times(1e3), "angle_ref_rad"), _UNIT.format("mrad")),
     of_fit(
-        "degrees for rad in one run",
-        turned(np.degrees, "angle_ref_rad", run=1),
-        r"angle_ref_rad in run 1 .* if angle_ref_rad were in degrees",
+        "degrees for rad in one run", turned(np.degrees, "angle_ref_rad", run=1), _UNIT.format("deg in 1")
     ),
     of_fit(
         "counts of another resolution",
         turned(lambda a: np.mod(a, _TURN) / 4, "angle_ref_rad"),
-        r"makes 4 turns while angle_ref_rad makes one; .*scale the reference by 4",
+        _UNIT.format("4"),
     ),
-    of_fit("mV for V", turned(times(1e3), *_PLATES), r"v_sin_v .*--column v_sin_mv="),
-    of_fit("mV for V in one column", turned(times(1e3), "v_cos_v"), r"v_cos_v .*--column v_cos_mv="),
+    of_fit("mV for V", turned(times(1e3), *_PLATES), r"--correct 'scale v_sin_v,v_cos_v mv'"),
+    of_fit("mV for V in one column", turned(times(1e3), "v_cos_v"), r"--correct 'scale v_cos_v mv'"),
     of_fit("an inverted plate", turned(np.negative, "v_cos_v"), _REVERSED, "remark"),
     of_fit("exchanged plates", exchanged(), _REVERSED, "remark"),
     of_fit("an inverted reference", turned(np.negative, "angle_ref_rad"), _REVERSED, "remark"),
-    of_fit("plates exchanged in one run", exchanged(run=2), _OTHER_WAY),
+    of_fit("plates exchanged in one run", exchanged(run=2), r"--correct 'exchange v_sin_v v_cos_v in 2'"),
     of_fit(
         "the reference inverted in one run",
         turned(np.negative, "angle_ref_rad", run=2),
-        _OTHER_WAY,
+        r"--correct 'sign angle_ref_rad in 2'",
     ),
     of_fit(
         "a reference that stands in one run",
         turned(times(0.0), "angle_ref_rad", run=1),
-        r"In run 1 .* does not follow angle_ref_rad, in the others it does: the reference stands",
+        r"--correct 'clipped angle_ref_rad .* inf",
     ),
 )

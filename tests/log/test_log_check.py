@@ -62,8 +62,6 @@ REFUSED: list[tuple[Change, str, int | None]] = [
         1500,
     ),
     (put("hall_b_m", slice(None), 0.0), "hall_b_m .* never changes; it is 0 in all 1600", 0),
-    (scale("hall_a_m", 1e6), r"hall_a_m .* spans .* looks like um, so say --column hall_a_um=hall_a_m", 0),
-    (scale("x_ref_m", 1e9), r"--column x_ref_nm=x_ref_m", 0),
     (scale("t_s", 1e6), r"t_s .* its usual step is 2000 s: it looks like ms", 0),
 ]
 
@@ -92,6 +90,7 @@ def test_refused_then_dropped(change: Change, says: str, left: int | None) -> No
 
 
 NOTED: list[tuple[Change, str]] = [
+    (scale("x_ref_m", 1e9), r"x_ref_m covers 1e\+06 m in 0.798 s.*check the units of x_ref_m and t_s"),
     (remove([100, 101, 700]), r"t_s .* misses 3 ticks \(0.19%\), first after 0.198 s in row 101 \(run 0\)"),
     (clip("hall_a_m", 5.7e-4), "hall_a_m .* is saturated"),
     (
@@ -222,22 +221,3 @@ def test_a_wave_that_comes_back_to_the_same_phase_is_on_no_rail(
     v = np.round(0.6 * np.cos(2 * np.pi / 0.015 * (x - phase)), digits)
     log = Log.from_arrays({"run": np.zeros(len(x), int), "x_ref_m": x, "col_0_v": v})
     assert not any("saturated" in note for note in check_log(log))
-
-
-@pytest.mark.parametrize(
-    ("beside", "named"),
-    [
-        (5e-5, "it looks like um, so say --column x_ref_um=x_ref_m."),
-        (4e-3, "it looks like mm, so say --column x_ref_mm=x_ref_m."),
-        (5e-4, "it looks like mm or um, so say --column x_ref_mm=x_ref_m or --column x_ref_um=x_ref_m."),
-        (1.1e-3, "it looks like mm or um, so say --column x_ref_mm=x_ref_m or --column x_ref_um=x_ref_m."),
-    ],
-)
-def test_a_unit_is_named_alone_only_where_other_columns_tell_it(beside, named):
-    """A span of 29 could be mm or um; y of .1 mm says um, of 8 mm says mm, of 1 or 2.2 mm neither."""
-    t = np.arange(400) * 1e-3
-    arrays = {"run": np.zeros(400, int), "t_s": t, "x_ref_m": 14.5 * np.sin(40 * t)}
-    arrays |= {"y_ref_m": beside * np.sin(30 * t), "hall_a_v": np.sin(40 * t), "hall_b_v": np.cos(40 * t)}
-    with pytest.raises(InputError) as refused:
-        check_log(Log.from_arrays(arrays, name="bench.csv"))
-    assert str(refused.value).endswith(named)

@@ -14,8 +14,8 @@ SMALL = Size(16, 100, 4e-3)
 """Enough to tell mistakes, and quick to fit."""
 QUICK = tuple(family for family in FAMILIES if family != "planar")
 """A fit of the planar mover takes a second or more."""
-EVERY = 19
-"""One of so many cases is taken: a search for the cause takes a second or more of each."""
+EVERY = 13
+"""One of so many cases is taken: no divisor of the number of families."""
 
 
 def test_there_are_many_kinds_and_each_family_has_some() -> None:
@@ -54,7 +54,8 @@ def test_rates_of_mistakes() -> None:
     found = rates([judged(*case, SMALL) for case in drawn])
     assert found.noticed >= 0.9, found
     assert found.silent <= 0.08, found
-    assert found.wrong == 0, found
+    assert found.right >= 0.5, found
+    assert found.wrong <= 0.08 * found.felt, found
 
 
 @pytest.mark.slow

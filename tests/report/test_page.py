@@ -191,11 +191,17 @@ def test_spikes_that_the_fit_left_out_stay_out_of_maps_and_series(tmp_path):
         assert float(size) < 1.01e6 * worst < 50
 
 
-def test_a_rewired_fit_is_decoded_with_its_wiring():
+def test_a_page_reads_a_log_without_the_mistakes_that_its_fit_undid():
     columns = record(seed=5)
     columns["hall_a_m"], columns["hall_b_m"] = columns["hall_b_m"], -columns["hall_a_m"]
     swapped = with_noise(columns)
-    result = fit(swapped, "stage31", solver="direct", loss="none", resolve_wiring=True)
+    result = fit(
+        swapped,
+        "stage31",
+        solver="direct",
+        loss="none",
+        corrections=["sign hall_b_m", "exchange hall_a_m hall_b_m"],
+    )
     sizes = [float(v) for v in re.findall(r"fitted up to ([\d.e+]+) µ", fit_page(swapped, result))]
     assert len(sizes) == 3
     assert max(sizes) < 20

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hallsym
-from hallsym.estimation.plausible import as_read
+from hallsym.families.recording import as_read
 from hallsym.report.data.periodic import periodic_error
 from hallsym.report.text.periodic import periodic_text
 
@@ -18,7 +18,7 @@ REAL = Path(__file__).parents[3] / "shared" / "real" / "rotary-mechaduino-luts"
 def of(columns, model="rotary", noise=None):
     log = hallsym.read_log(columns, noise=noise)
     fit = hallsym.fit(log, model, solver="direct")
-    return fit, periodic_error(as_read(log, fit.model, fit.wiring), fit)
+    return fit, periodic_error(as_read(log, fit.model, fit.corrections), fit)
 
 
 def table(sizes, pattern=0.0, sigma=0.01, knots=200, seed=1):
@@ -133,7 +133,7 @@ def test_real_encoders_have_the_waves_that_are_known_of_them(name, waves):
     columns = {"angle_count": "raw_count", "angle_ref_deg": "ref_angle_deg"}
     log = hallsym.read_log(REAL / f"{name}_knots.csv", columns=columns, counts_per_turn=16384)
     fit = hallsym.fit(log, "rotary", solver="direct")
-    found = periodic_error(as_read(log, fit.model, fit.wiring), fit, fit.keep)
+    found = periodic_error(as_read(log, fit.model, fit.corrections), fit, fit.keep)
     by_order = {h.per_period: h.amplitude / DEG for h in found.harmonics}
     for n, amplitude in waves.items():
         assert by_order[n] == pytest.approx(amplitude, abs=0.006)

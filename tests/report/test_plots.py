@@ -13,6 +13,7 @@ from hallsym.diagnosis import examine, prepare
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, evaluate, fit
 from hallsym.families import build
+from hallsym.families.recording import Correction
 from hallsym.log import Block, Log
 from hallsym.report.data.gather import version_of
 from hallsym.report.data.survey import COLUMNS, Survey, Trace, held_out, look_over, settings
@@ -136,10 +137,10 @@ def test_a_folder_that_cannot_be_is_one_sentence(log: Log, fitted: Fit, tmp_path
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_wiring_of_the_fit_is_applied(
+def test_corrections_of_the_fit_are_applied(
     log: Log, fitted: Fit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    a, b, c = fitted.model.channels
+    a, b, *_ = fitted.model.channels
     data = {name: log.array(name) for name in log.columns}
     data |= {a: data[b], b: -data[a]}
     swapped = with_noise(data)
@@ -153,7 +154,7 @@ def test_wiring_of_the_fit_is_applied(
         raise EnoughError
 
     monkeypatch.setattr(plots, "look_over", stop)
-    wired = replace(fitted, wiring=((b, -1), (a, 1), (c, 1)))
+    wired = replace(fitted, corrections=(Correction("sign", (b,)), Correction("exchange", (a, b))))
     with pytest.raises(EnoughError):
         saved(swapped, wired, tmp_path)
     np.testing.assert_array_equal(seen[0].array(a), log.array(a))

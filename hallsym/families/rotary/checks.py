@@ -1,8 +1,6 @@
 """What has to be said of an encoder's log before it is fitted: turns, direction, zero."""
 
-from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-from math import pi
 from typing import Any
 
 import numpy as np
@@ -158,76 +156,15 @@ def _scales(model: Model, log: Any) -> list[tuple[float, float]]:
     return [(float(a + b) / 2, float(b - a) / 2 or 1.0) for a, b in zip(low, high, strict=True)]
 
 
-# -- what puts an encoder right ----------------------------------------------------------------------------
+# -- what is said of an encoder's log ------------------------------------------------------------------------
 
-UNITS = {"": 1.0, "deg": pi / 180, "grad": pi / 200, "mdeg": pi / 180e3, "mrad": 1e-3, "urad": 1e-6,
-         "arcmin": pi / 10800, "arcsec": pi / 648e3, "rev": 2 * pi, "rad": 180 / pi}  # fmt: skip
-"""Unit that an angle may be in where rad is said -> rad; "rad": where degrees are said. Likelier ones first:
-whole numbers of other units are whole numbers of turns, so that these come before."""
-RATIOS = tuple(range(2, 13))
-"""Other counts of turns: pole pairs, gears, counts of another resolution."""
 TOGETHER = 0.75
 """An encoder follows its reference within a run if the mean of exp(i (angle - reference)) is longer: 43 deg
 of scatter, far beyond any offset, gain or clipping."""
-SPAN = 2 * pi / 3
-"""Span of angles [rad] below which they are near each other, whatever they are of."""
-TRIED, NEARLY = 4096, 0.01
-"""Samples that units are tried on, and lengths by which two causes are the same; the plainer one is named."""
-
-
-@dataclass(frozen=True)
-class Cause:
-    """What puts an encoder right: units of angle and reference, or its turns per turn of the reference.
-
-    "" stands for a column that is as it says. `length`: of the mean of exp(i (angle - reference)) then.
-    """
-
-    length: float
-    angle: str = ""
-    reference: str = ""
-    turns: float = 0.0
-
-
-def cause(seen: Seen, model: Model, runs: Collection[int] | None = None) -> Cause | None:
-    """Return the plainest cause that makes the encoder follow its reference in some runs (default: all)."""
-    run, angle, reference = seen.some.values
-    kept = np.ones(len(run), dtype=bool) if runs is None else np.isin(run, list(runs))
-    every = max(1, int(kept.sum()) // TRIED)
-    run, angle, reference = (v[kept][::every] for v in (run, angle, reference))
-    if not len(run):
-        return None
-    found = [c for c in _causes(run, angle, reference, len(model.channels) == 1) if c.length > TOGETHER]
-    best = max((c.length for c in found), default=0.0)
-    return next((c for c in found if c.length > best - NEARLY), None)
-
-
-def _causes(run: np.ndarray, angle: np.ndarray, reference: np.ndarray, read: bool) -> Iterator[Cause]:
-    """Yield causes, the plainest first: a unit of one column, both columns in one unit, other turns."""
-    others = [unit for unit in UNITS if unit]
-    pairs = [("", unit) for unit in others]
-    if read:
-        pairs += [(unit, "") for unit in others] + [(unit, unit) for unit in others]
-        pairs += [(a, b) for a in others for b in others if a != b]
-    starts = np.flatnonzero(np.r_[True, np.diff(run) != 0])
-
-    def length(a: np.ndarray, b: np.ndarray) -> float:
-        if min(np.ptp(a), np.ptp(b)) < SPAN:
-            return 0.0
-        turns = (np.add.reduceat(np.exp(1j * (a - sign * b)), starts) for sign in (1, -1))
-        return max(float(np.abs(sums).sum()) for sums in turns) / len(run)
-
-    for mine, theirs in pairs:
-        yield Cause(length(UNITS[mine] * angle, UNITS[theirs] * reference), mine, theirs)
-    for many in RATIOS:
-        yield Cause(length(angle, many * reference), turns=float(many))
-        yield Cause(length(many * angle, reference), turns=1.0 / many)
-
-
 GAP_NOTE, GAP_REFUSE = 30.0, 120.0
 """Widest part of a turn [deg] without a sample: what is worth a note, and what no harmonics survive."""
 FOLLOWS = 0.5
 """An encoder follows its reference if the mean of exp(i (angle - reference)) is longer than this."""
-WORDS = {"deg": "degrees", "grad": "gradians", "rev": "turns"}
 CLEARLY, LEAST_ZERO = 3.0, 1.0
 """What zeros of runs must differ by for a note: times the scatter of the angle within a run, and deg."""
 ORDERED = 0.3
@@ -246,7 +183,7 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
     own = bool(model.zeros)  # each run has a zero of its own
     forward = seen.follows(1.0, each=own) >= seen.follows(-1.0, each=own)
     sign = 1.0 if forward else -1.0
-    _refuse(seen, log, model, sign, fitted)
+    _refuse(seen, log, model, fitted)
     guessed = fitted and "t_s" not in log.columns and column not in log.noise
     if guessed and abs(seen.even) < ORDERED * (seen.samples - len(seen.runs)):
         raise InputError(
@@ -262,108 +199,29 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
             f"The encoder turns against {column} (its other side faces the reference{swapped}); {channel} is "
             "taken with its sign reversed."
         )
-    wiring = None if forward else tuple((c, -1 if k == 0 else 1) for k, c in enumerate(model.channels))
-    return Inspection(tuple(notes), wiring)
+    return Inspection(tuple(notes), () if forward else model.channels[:1])
 
 
-def _refuse(seen: Seen, log: Any, model: Model, sign: float, fitted: bool) -> None:
+def _refuse(seen: Seen, log: Any, model: Model, fitted: bool) -> None:
     gap, other, (column,), name = _gap(seen.reference), _gap(seen.angle), model.references, log.name
     if fitted and gap > GAP_REFUSE and other > GAP_REFUSE:
         raise InputError(
             f"Column {column} of {name} covers only {360 - gap:.0f} deg of a turn; offset, gain and phase of "
             "an encoder show once and twice per turn, so record at least one full turn, or check its unit."
         )
-    _check_runs(seen, name, model, sign)
     own = bool(model.zeros)
     straight, alone = (max(seen.follows(k, each=each) for k in (1.0, -1.0)) for each in (own, True))
-    best = cause(seen, model) if alone < TOGETHER else None
-    if best and best.turns and straight < FOLLOWS:
-        raise _other_scale(name, column, _turns(best.turns), best.turns, log)
-    astray = max(straight, alone) < (TOGETHER if gap < GAP_REFUSE else FOLLOWS)
-    if astray and (why := _unit(best, model)):
-        raise InputError(f"{why[0]} of {name} {why[1]}")
     if straight < FOLLOWS < alone and len(seen.runs) > 1:
         raise InputError(
             f"The encoder in {name} follows {column} in each run, but each from another zero: the reference "
             "was homed anew between runs. Fit with --effect zero_deviation, which "
             "gives each run its own."
         )
-    if astray:
+    if max(straight, alone) < (TOGETHER if gap < GAP_REFUSE else FOLLOWS):
         raise InputError(
             f"The encoder in {name} does not follow {column} (their difference is spread over the turn); it "
             "does not belong to these readings: check file, clock, columns and units."
         )
-    if fitted:
-        _check_swing(seen, name, model)
-
-
-def _check_runs(seen: Seen, name: str, model: Model, sign: float) -> None:
-    """Refuse runs in which the encoder turns the other way, or does not follow, while it does in most."""
-    (column,) = model.references
-    good = [run for run in seen.runs if seen.length(run, sign) > TOGETHER]
-    far = [run for run in seen.runs if seen.length(run, sign) < FOLLOWS]
-    if not far or len(good) <= len(far):
-        return
-    which = f"run {far[0]}" + (f" (and {len(far) - 1} more)" if len(far) > 1 else "")
-    turned = [run for run in far if seen.length(run, -sign) > TOGETHER]
-    if turned == far:
-        raise InputError(
-            f"In {which} of {name} the encoder turns the other way than in the others: {column} or a "
-            "reading is inverted there, or two are exchanged; put that right, or leave the run out."
-        )
-    why = _unit(cause(seen, model, far), model)
-    raise InputError(
-        f"Column {why[0].split()[1]} in {which} of {name} {why[1]}"
-        if why
-        else f"In {which} of {name} the encoder does not follow {column}, in the others it does: the "
-        "reference stands, or belongs to another recording; repair it, or leave the run out."
-    )
-
-
-def _check_swing(seen: Seen, name: str, model: Model) -> None:
-    """Refuse voltages of an amplitude that the model cannot have, or that cannot be of one sensor."""
-    known = {p.name: p for p in model.parameters}
-    halves = [half for _, half in seen.scales]
-    for k, (channel, own) in enumerate(zip(model.channels, ("Ay", "Ax"), strict=False)):
-        amplitude = known.get(own) or known.get("A")
-        if not amplitude or not halves:
-            continue
-        half = halves[k]
-        if not amplitude.lower <= half <= amplitude.upper:
-            looks = f", such as --column {channel[:-2]}_mv=ITS_NAME" if half > amplitude.upper else ""
-            raise InputError(
-                f"Column {channel} of {name} swings by +-{half:.3g} V, beyond the bounds of its amplitude "
-                f"{amplitude.name} ({amplitude.lower:g} to {amplitude.upper:g} V): check its unit{looks}, or "
-                "give lower, upper and nominal of amplitudes and offsets of that size in a machine file."
-            )
-
-
-def _turns(many: float) -> str:
-    return f"{many:g} turns" if many > 1 else f"1/{1 / many:.0f} of a turn"
-
-
-def _other_scale(name: str, column: str, many: str, factor: float, log: Any) -> InputError:
-    counts = any(log.table.counts_per_turn(c) for c in log.columns)
-    unit = "its counts per turn" if counts else "its unit"
-    return InputError(
-        f"In {name} the encoder makes {many} while {column} makes one; both must be angles of one shaft: "
-        f"scale the reference by {factor:.6g} in a column file, or check {unit}."
-    )
-
-
-def _unit(found: Cause | None, model: Model) -> tuple[str, str] | None:
-    """Which column looks like another unit than its name says, and what to do."""
-    if not found or not (found.angle or found.reference):
-        return None
-    pairs = ((model.channels[0], found.angle), (model.references[0], found.reference))
-    other = [(c, unit) for c, unit in pairs if unit]
-    (first, unit), stem = other[0], other[0][0].rpartition("_")[0]
-    looks = " and ".join(f"{c} were in {WORDS.get(u, u)}" for c, u in other)
-    return (
-        f"Column {first}",
-        f"seems to be in another unit: the encoder would follow its reference if {looks}; say so by the "
-        f"ending of the name, in the file or with --column {stem}_{unit}=ITS_NAME.",
-    )
 
 
 def _notes(seen: Seen, column: str, *, timed: bool) -> list[str]:

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import math
-import statistics
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.columns import RUN, fastest, is_reference, likely_units, limit_of
+from hallsym.log.columns import RUN, fastest, is_reference
 from hallsym.log.core import Drop, Log, without
 from hallsym.log.quality.findings import Finding, name_of, others, the
 from hallsym.log.quality.scan import FEWEST_SAMPLES, Scan, Spans, scan, ticks, time
 from hallsym.log.quality.values import copied, dead, held, saturated, stale
-from hallsym.units import UNITS, si_symbol, si_unit, split_unit
+from hallsym.units import si_symbol
 
 
 def finite(log: Log, seen: Scan, required: Sequence[str]) -> Iterator[Finding]:
@@ -143,7 +141,6 @@ def _clock(log: Log, seen: Scan, thinned: bool) -> Iterator[Finding]:
 
 def _values(log: Log, seen: Scan) -> Iterator[Finding]:
     spans = seen.spans()
-    yield from units(log, spans)
     yield from speeds(log, seen, spans)
     yield from dead(log, seen, spans)
     yield from copied(log, seen, spans)
@@ -205,34 +202,18 @@ _LONGEST_TICK_S = 100.0
 _SLOW_TICK_S = 1.0
 """Usual step of a clock from which on it may be in ms: motion is recorded at 10 Hz and faster, and a log that
 is slower than 1 Hz approaches its points one by one. Nothing else tells the two apart."""
-_TOLD_DECADES = 1.0
-"""So many decades nearer to what other columns span, a unit is the only one that is named."""
-
-
-def units(log: Log, spans: Spans) -> Iterator[Finding]:
-    """Columns that span more than their unit allows."""
-    extents = {name: span.max - span.min for name, span in spans.overall.items()}
-    for name, span in spans.overall.items():
-        limit = limit_of(name)
-        if limit is None:
-            continue
-        extent = extents[name]
-        unit = split_unit(name)[1]
-        symbol = UNITS[unit.si].symbol if unit else ""
-        if extent > limit.span:
-            what = f"it spans {extent:.4g} {symbol}, more than {limit.what} ({limit.span:g} {symbol})"
-        elif span.max > limit.level:
-            what = f"it reaches {span.max:.4g} {symbol}, beyond {limit.level:g} {symbol}"
-        else:
-            continue
-        yield _unit(log, name, what, _beside(name, extents, likely_units(limit, extent)))
 
 
 def clock_unit(log: Log, seen: Scan) -> Iterator[Finding]:
     """A clock that ticks too slowly for a recording, or so slowly that its unit is worth a remark."""
     tick = seen.clock.tick if seen.clock else 0.0
     if tick > _LONGEST_TICK_S:
-        yield _unit(log, "t_s", f"its usual step is {tick:.4g} s", ["ms" if tick < 1e4 else "us"])
+        unit = "ms" if tick < 1e4 else "us"
+        yield Finding(
+            f"{the(log, 't_s')} cannot be in that unit; its usual step is {tick:.4g} s",
+            True,
+            remedy=f"it looks like {unit}, so say --column t_{unit}={log.table.source_name('t_s')}",
+        )
     elif tick > _SLOW_TICK_S and log.table.source_name("t_s") == "t_s":
         yield Finding(
             f"{the(log, 't_s')} has a usual step of {tick:.4g} s; if that is {tick:.4g} ms, say --column "
@@ -241,7 +222,7 @@ def clock_unit(log: Log, seen: Scan) -> Iterator[Finding]:
 
 
 def speeds(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
-    """A clock in which the references cross their range within a run faster than any machine."""
+    """References that cross their range within a run faster than any machine."""
     if "t_s" not in spans.overall or log.counted:
         return
     lasts = spans.covers("t_s")
@@ -249,32 +230,9 @@ def speeds(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
         covers = spans.covers(name)
         for k in np.flatnonzero((lasts > 0) & (covers > fastest(name) * lasts))[:1]:
             run, symbol = list(spans.samples)[k], si_symbol(name)
-            what = f"in run {run} {name} covers {covers[k]:.3g} {symbol} in {lasts[k]:.3g} s"
-            yield _unit(log, "t_s", what, ["s"] if log.table.source_name("t_s") != "t_s" else [])
+            yield Finding(
+                f"In run {run} of {name_of(log)} {name} covers {covers[k]:.3g} {symbol} in {lasts[k]:.3g} s, "
+                "faster than any machine",
+                remedy=f"check the units of {name} and t_s",
+            )
             return
-
-
-def _beside(name: str, extents: Mapping[str, float], possible: Sequence[str]) -> Sequence[str]:
-    """Return the unit of several possible ones that the other columns of the quantity tell; else all."""
-    si = si_unit(name)
-    others = [e for c, e in extents.items() if c != name and si_unit(c) == si and _usual(c, e)]
-    if len(possible) < 2 or not others:
-        return possible
-    usual = statistics.median(others)
-    off = {unit: abs(math.log10(extents[name] * UNITS[unit].factor / usual)) for unit in possible}
-    best, second = sorted(possible, key=off.__getitem__)[:2]
-    return [best] if off[second] - off[best] > _TOLD_DECADES else possible
-
-
-def _usual(name: str, extent: float) -> bool:
-    limit = limit_of(name)
-    return limit is not None and 0 < extent <= limit.likely
-
-
-def _unit(log: Log, name: str, what: str, units: Sequence[str]) -> Finding:
-    stem = split_unit(name)[0]
-    source = log.table.source_name(name)
-    likely = " or ".join(UNITS[unit].symbol for unit in units)
-    say = " or ".join(f"--column {stem}_{unit}={source}" for unit in units)
-    guess = f"it looks like {likely}, so say {say}" if units else "check its unit"
-    return Finding(f"{the(log, name)} cannot be in that unit; {what}", True, remedy=guess)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from hallsym.estimation import Fit
-from hallsym.estimation.plausible import as_read
+from hallsym.families.recording import as_read
 from hallsym.log import Log
 from hallsym.log.batches import Weigh
 from hallsym.model import Family
@@ -121,7 +121,7 @@ def periodic_error(log: Log, fit: Fit, keep: Weigh | None = None) -> PeriodicErr
 def periodic_of(fit: Fit, log: Log | None = None) -> PeriodicError | None:
     """Return the errors that repeat on the log of a fit, or on another one; None where no log is at hand."""
     seen, keep = (fit.source, fit.keep) if log is None else (log, None)
-    return None if seen is None else periodic_error(as_read(seen, fit.model, fit.wiring), fit, keep)
+    return None if seen is None else periodic_error(as_read(seen, fit.model, fit.corrections), fit, keep)
 
 
 def _sources(family: Family) -> tuple[tuple[int, ...], tuple[int, ...], dict[int, tuple[str, ...]]]:

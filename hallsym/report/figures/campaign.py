@@ -9,7 +9,7 @@ import numpy as np
 
 from hallsym.estimation import Fit
 from hallsym.estimation.decoding import ErrorTable
-from hallsym.estimation.plausible import as_read
+from hallsym.families.recording import as_read
 from hallsym.log import Log, Weigh
 from hallsym.report.data.survey import MOST_SETTINGS, Group, Survey, held_out, look_over, settings
 from hallsym.report.figures import style
@@ -27,7 +27,7 @@ def fit_figure(log: Log, fit: Fit, keep: Weigh | None = None) -> Figure:
 
     `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part.
     """
-    return errors_by_setting(fit, look_over(as_read(log, fit.model, fit.wiring), fit, keep))
+    return errors_by_setting(fit, look_over(as_read(log, fit.model, fit.corrections), fit, keep))
 
 
 def evaluation_figure(found: Evaluation) -> Figure:

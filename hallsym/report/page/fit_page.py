@@ -15,8 +15,8 @@ from hallsym.estimation import Fit, evaluate
 from hallsym.estimation.goodness_of_fit import diagnose_command
 from hallsym.estimation.likelihood import cost_near
 from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals
-from hallsym.estimation.plausible import as_read
 from hallsym.families import added_effects
+from hallsym.families.recording import as_read
 from hallsym.log import Log, Weigh
 from hallsym.report.data.gather import Gathered, gather
 from hallsym.report.data.survey import Decoder
@@ -42,7 +42,7 @@ def fit_page(log: Log, fit: Fit, *, command: str = "", calibration: str = "calib
     """
     same = log.sha256 == fit.to_dict()["log"]["sha256"]
     if same:
-        log = as_read(log, fit.model, fit.wiring)
+        log = as_read(log, fit.model, fit.corrections)
     else:
         seen = evaluate(fit, log)
         command_next = diagnose_command(log.path, fit.model, added_effects(fit.model))

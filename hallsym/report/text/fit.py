@@ -44,6 +44,7 @@ def fit_head(fit: Fit) -> list[str]:
     labels = {"designed": "nominal", "holdout": "held out"}
     rows = {labels.get(k, k): v for k, v in fit.error_rows.items()}
     return [
+        *(f"claim: {one.text}" for one in fit.claims),
         *([fit.goodness.verdict, ""] if fit.goodness else []),
         f"{fit.model.name} on {name}: {counted(log['rows'], 'sample')}, "
         + (f"{counted(used, 'run')} fitted" if log["runs"] > 1 else "fitted")

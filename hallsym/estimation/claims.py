@@ -1,0 +1,1057 @@
+"""What a fit finds wrong with a recording: claims, each with its evidence and the correction that undoes it.
+
+A mistake is tried as an effect is: the log without it is fitted again, and what that explains of the excess
+over the noise floor decides. Mistakes of single runs are tried at the parameters of the other runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations, permutations, product
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from hallsym.errors import InputError
+from hallsym.estimation.calibration import Claim, Fit
+from hallsym.estimation.factors import exact, summarise, summarise_at
+from hallsym.estimation.identifiable import determine
+from hallsym.estimation.likelihood import Cost, cost_of, zeros_of
+from hallsym.estimation.optimum import closed_form, search
+from hallsym.estimation.outliers import residual_of, residuals
+from hallsym.estimation.task import Asked, Begun, Task, noise_of
+from hallsym.families.recording import Correction, as_wired, said
+from hallsym.log import Log, Noise
+from hallsym.log.columns import RUN, is_moving
+from hallsym.log.core import Block, Drop, without
+from hallsym.log.phase import continuous
+from hallsym.log.table import joined
+from hallsym.model import Model
+from hallsym.units import UNITS, split_unit
+
+SAMPLES = 8_000
+"""Samples that a mistake is tried on: enough for parameters to a part in a hundred, and quickly fitted."""
+FEW = 400
+"""The same of a model without run statistics, each pass over which costs as much as a fit of others."""
+SETTLING = 3
+"""Rounds of settling the offsets of runs where a mistake is tried."""
+READ = 400_000
+"""Samples that are read at most: corrections are made at the full rate, before samples are picked."""
+
+
+MOST_NOISE = 0.2
+"""Noise of a corrected column over its range, or its period, from which on it explains any residual."""
+
+
+def claims_of(fit: Fit, given: Log) -> tuple[Claim, ...]:
+    """Return what is wrong with the recording of a fit; `given`: the log as it was logged.
+
+    Nothing is looked for where the model describes every run.
+    """
+    told = fit.goodness
+    coarse = tuple(coarse_readings(given, fit.model))
+    if told is None or not (told.sentence or max(told.by_run.values(), default=1.0) ** 2 > ALONE):
+        return coarse
+    return mistakes_of(given, fit.model) or coarse
+
+
+LOOKED = 4096
+"""Samples that are looked at for steps."""
+FEW_CODES = 40
+"""Values that a reading takes at most where its rounding is no noise: it repeats with the motion."""
+
+
+def coarse_readings(given: Log, model: Model) -> Iterator[Claim]:
+    """Yield the readings that take few values; what rounding does to them goes with the pose."""
+    block = next(given.blocks(model.channels, LOOKED))
+    for c, x in block.data.items():
+        values = np.unique(x)
+        if 1 < len(values) <= min(FEW_CODES, len(x) / CODES) and _even(values):
+            one = Correction("coarse_steps", (c,), (float(np.diff(values).min()),))
+            yield Claim(
+                one.kind, f"{c} takes {len(values)} values only, in steps of {one.numbers[0]:.4g}: what "
+                "rounding does to it goes with the pose, and no fit tells it; use a finer converter.",
+                one.columns,
+            )  # fmt: skip
+
+
+def _even(values: np.ndarray) -> bool:
+    """Return whether all steps between ascending values are multiples of the least."""
+    gaps = np.diff(values)
+    gaps = gaps[gaps > 1e-9 * float(np.ptp(values))]
+    return bool(np.abs(gaps / gaps.min() - np.round(gaps / gaps.min())).max() < 0.01)
+
+
+def mistakes_of(given: Log, model: Model) -> tuple[Claim, ...]:
+    """Return the mistakes that explain why nothing can be fitted to a log as it was logged."""
+    with np.errstate(all="ignore"):  # what is tried may be beyond numbers
+        try:
+            return tuple(map(claim, suspects(Trials(given, model, noise_of(given, model)))))
+        except (InputError, np.linalg.LinAlgError):
+            return ()
+
+
+def assigned(given: Log, model: Model) -> tuple[Correction, ...]:
+    """Return how channels are exchanged and inverted, where that explains what a fit leaves; else nothing.
+
+    Every order and sign of up to `ORDERED` channels is tried.
+    """
+    with np.errstate(all="ignore"):
+        return _assigned(Trials(given, model, noise_of(given, model)))
+
+
+def _assigned(trials: Trials) -> tuple[Correction, ...]:
+    model, base = trials.model, trials.fitted()
+    if base is None or not base.left or base.mean(base.left) < EXCESS or len(model.channels) > ORDERED:
+        return ()
+    most = 1 + SLACK * (1 - EXPLAINS) * base.mean(base.left)
+    if base.free > most and not model.period:
+        return ()
+    found: list[tuple[float, int, tuple[Correction, ...]]] = []
+    for order in permutations(model.channels):
+        for signs in product((1, -1), repeat=len(order)):
+            wires = as_wired(tuple(zip(order, signs, strict=True)), model.channels)
+            after = trials.fitted(wires, most=most) if wires else None
+            if after is not None and after.left and _explains(base, after):
+                found.append((round(after.mean(after.left), 2), len(wires), wires))
+    return min(found, key=lambda one: one[:2])[2] if found else ()
+
+
+ORDERED = 3
+"""Channels whose orders and signs are tried, all of them: 48 of three."""
+
+
+def claim(found: Found) -> Claim:
+    """Return a mistake as a claim."""
+    c, rivals = found.correction, tuple(other.text for other in found.rivals)
+    share = f"explains {100 * found.explains:.0f} % of what the model leaves"
+    also = f"; {_listed(rivals)} would do as well" if rivals else ""
+    text = f"{said(c)[0].upper()}{said(c)[1:]}: that {share}{also}; undo it with --correct '{c.text}'."
+    return Claim(c.kind, text, c.columns, c.runs, c.text, found.explains, rivals)
+
+
+def _listed(texts: Sequence[str]) -> str:
+    return f"'{texts[0]}'" + (f" (and {len(texts) - 1} more)" if len(texts) > 1 else "")
+
+
+# -- what is tried -----------------------------------------------------------------------------------------
+
+FACTORS = (10.0, 1e3, 1e6)
+"""Wrong scales that are tried beside those of units, with their inverses: a decimal point, a conversion that
+was done twice."""
+RATIOS = tuple(range(2, 13))
+"""Turns of one column in a turn of another: pole pairs, gears, counts of another resolution."""
+SHIFTS = (1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25)
+"""Delays in samples that are tried, either way, before those between them."""
+
+
+def groups(model: Model, columns: Sequence[str], worst: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return columns that one mistake may change together: each, all readings, all references of a unit.
+
+    `worst`: the readings that are looked at one by one.
+    """
+    logged = [c for c in (*model.references, *model.state) if c in columns]
+    readings = [c for c in model.channels if c in columns]
+    by_unit = [tuple(c for c in logged if _si(c) == unit) for unit in dict.fromkeys(map(_si, logged))]
+    together = (
+        tuple(readings),
+        *by_unit,
+        tuple(c for c in logged if c in model.references),
+        tuple(logged),
+    )
+    return list(dict.fromkeys([*((c,) for c in (*logged, *worst)), *(g for g in together if g)]))
+
+
+def _si(column: str) -> str:
+    unit = split_unit(column)[1]
+    return unit.si if unit else ""
+
+
+def scales(model: Model, columns: Sequence[str]) -> list[tuple[str, float]]:
+    """Return the units that numbers of columns may be in, and plain factors, each with the factor to SI."""
+    own = {split_unit(c)[1] for c in columns}
+    if len(own) != 1 or (unit := own.pop()) is None:
+        return []
+    named = {u.factor: u.name for u in UNITS.values() if u.si == unit.si and not u.offset and u.factor > 1e-7}
+    factors = dict.fromkeys([*named, *(1 / f for f in named), *FACTORS, *(1 / f for f in FACTORS)])
+    if any(c in model.period for c in columns):  # turns: a larger factor makes noise of them
+        factors = dict.fromkeys([*(f for f in factors if f < 60), *RATIOS, *(1 / n for n in RATIOS)])
+    return [(named.get(f, ""), f) for f in factors if f != 1.0]
+
+
+def hypotheses(model: Model, columns: Sequence[str], worst: Sequence[str]) -> Iterator[Correction]:
+    """Yield the mistakes that all samples of some runs may have, the plainest first.
+
+    `worst`: the readings that are looked at one by one.
+    """
+    each = groups(model, columns, worst)
+    yield from (Correction("sign", g) for g in each)
+    for g in each:
+        yield from (Correction("scale", g, (factor,), unit=unit) for unit, factor in scales(model, g))
+    logged = [g[0] for g in each if len(g) == 1 and g[0] not in model.channels]
+    yield from (Correction("exchange", pair) for pair in combinations(logged, 2))
+    yield from (Correction("exchange", pair) for pair in combinations(worst, 2))
+    for g in each:
+        yield from (Correction("delay", g, (float(s * n),)) for n in SHIFTS for s in (1, -1))
+
+
+# -- how it is tried ---------------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class Trials:
+    """A log in which corrections are tried: columns of whole runs as they were logged, and samples picked."""
+
+    given: Log
+    model: Model
+    noise: Noise
+
+    def without(self, runs: Sequence[int]) -> Trials:
+        """Return the same of all other runs."""
+        return replace(self, given=without(self.given, Drop(runs=frozenset(runs))))
+
+    @cached_property
+    def columns(self) -> tuple[str, ...]:
+        """What the model reads."""
+        logged = (*self.model.references, *self.model.state, *self.model.channels, "t_s", "temperature_degc")
+        return tuple(dict.fromkeys(c for c in logged if c in self.given.columns))
+
+    @cached_property
+    def spans(self) -> list[tuple[int, slice]]:
+        """The runs that are read, of a long log evenly taken, and where they lie in `full`."""
+        found = [(b.run, len(b.data[self.columns[0]])) for b in self._blocks]
+        ends = np.cumsum([0, *(n for _, n in found)]).tolist()
+        return [(run, slice(a, b)) for (run, _), a, b in zip(found, ends, ends[1:], strict=False)]
+
+    @cached_property
+    def _blocks(self) -> list[Block]:
+        blocks = list(self.given.blocks(self.columns, size=2**62))
+        every = -(-sum(len(b.data[self.columns[0]]) for b in blocks) // READ)
+        return blocks[::every]
+
+    @cached_property
+    def full(self) -> dict[str, np.ndarray]:
+        """The columns of these runs."""
+        return dict(joined([b.data for b in self._blocks], self.columns))
+
+    @cached_property
+    def run(self) -> np.ndarray:
+        """The run of each sample."""
+        return np.concatenate([np.full(at.stop - at.start, run) for run, at in self.spans])
+
+    def corrected(self, corrections: Sequence[Correction]) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
+        """Return the columns without mistakes, and which samples stay."""
+        columns, keep = dict(self.full), None
+        for one in corrections:
+            spans = self.spans if one.runs or one.mistake.by_run else [(-1, slice(0, len(self.run)))]
+            before = {c: columns[c] for c in one.touched(self.columns)}
+            columns |= {c: v.copy() for c, v in before.items()}
+            for run, at in spans:
+                if one.runs and run not in one.runs:
+                    continue
+                data = {c: v[at] for c, v in before.items()}
+                stays = one.mistake.undo(one, data)
+                for c, v in data.items():
+                    columns[c][at] = v
+                if stays is not None:
+                    keep = np.ones(len(self.run), dtype=bool) if keep is None else keep
+                    keep[at] &= stays
+        return columns, keep
+
+    def log(self, corrections: Sequence[Correction] = (), runs: Sequence[int] | None = None) -> Log:
+        """Return the samples that are tried, of some runs, without mistakes."""
+        columns, keep = self.corrected(corrections)
+        noise = self.noise
+        for one in corrections:
+            noise = one.mistake.noise(one, noise)
+        if self.model.period:  # turns are counted at the full rate
+            whole = Log.from_arrays({RUN: self.run, **columns}, noise, self.given.meta)
+            log = continuous(whole, self.model)
+            columns = {c: log.array(c) for c in self.columns}
+        for c in {c for one in corrections for c in one.columns if c in noise}:
+            reach = min(float(np.ptp(columns[c])), self.model.period.get(c, np.inf))
+            if noise[c].value > MOST_NOISE * reach:
+                raise InputError(f"Column {c} would hold noise alone; leave that correction out.")
+        wanted = np.ones(len(self.run), dtype=bool) if runs is None else np.isin(self.run, list(runs))
+        wanted = wanted if keep is None else wanted & keep
+        every = max(1, int(wanted.sum()) // (SAMPLES if exact(self.model) else FEW))
+        if not wanted.any():
+            raise InputError("No sample would be left; leave that correction out.")
+        pick = np.flatnonzero(wanted)[::every]
+        arrays = {RUN: self.run[pick], **{c: v[pick] for c, v in columns.items()}}
+        return continuous(Log.from_arrays(arrays, noise, self.given.meta), self.model)
+
+    def fitted(
+        self,
+        corrections: Sequence[Correction] = (),
+        runs: Sequence[int] | None = None,
+        most: float = np.inf,
+    ) -> Tried | None:
+        """Fit the log without mistakes; None where that fails.
+
+        Also None where free coefficients already leave more than `most` (mean square over the noise): no
+        parameters leave less.
+        """
+        try:
+            return self._fitted(tuple(corrections), self.log(corrections, runs), most)
+        except (InputError, np.linalg.LinAlgError):
+            return None
+
+    def _fitted(self, corrections: tuple[Correction, ...], log: Log, most: float) -> Tried | None:
+        task = Task(log, self.model, (), Asked())
+        if not exact(self.model):
+            state = task.passes(self.begin(log), None)
+            return Tried(corrections, state.fitted, state.p, self.model, task.log)
+        begun = task.begin(task.summary())
+        free = _left_free(begun)
+        if free > most:
+            return None
+        first = np.clip(closed_form(begun.merged, begun.linear), *self.model.bounds)
+        found = determine(begun.merged, first)
+        held = list(found.held)
+        first[held] = np.clip(self.model.nominal, *self.model.bounds)[held]
+        best = search(begun.merged, begun.merged, first, found, solver="direct", seed=0)
+        return Tried(corrections, begun.fitted, best.p, self.model, log, free)
+
+    def _cost(self, log: Log, p: np.ndarray) -> Cost:
+        """Return the likelihood near `p`, offsets that a reading is not linear in nearly settled."""
+        if exact(self.model):
+            return cost_of(summarise(log, self.model), log.noise.std)
+        zeros: Mapping[int, np.ndarray] = {}
+        for _ in range(SETTLING if self.model.zeros else 1):
+            cost = cost_of(summarise_at(log, self.model, p, zeros, log.noise.std), log.noise.std)
+            zeros = zeros_of(cost, p)
+        return cost
+
+    def begin(self, log: Log) -> np.ndarray:
+        """Return where a fit without run statistics begins, (n,)."""
+        guess = self.model.guess
+        return self.model.vector(guess(self.model, log)) if guess else self.model.nominal
+
+    def at(self, corrections: Sequence[Correction], p: np.ndarray, runs: Sequence[int]) -> Tried | None:
+        """Judge some runs without mistakes at parameters (n,)."""
+        try:
+            log = self.log(corrections, runs)
+            return Tried(tuple(corrections), self._cost(log, p), p, self.model, log)
+        except (InputError, np.linalg.LinAlgError):
+            return None
+
+
+def _left_free(begun: Begun) -> float:
+    """Return the mean square over the noise that free linear coefficients leave; 0 if some did not move."""
+    cost, linear = begun.merged, begun.linear
+    if not linear.moved.all():
+        return 0.0
+    R_f, R_m = (part[0] for part in cost.triangles)
+    rest = R_m - R_f @ linear.coefficients
+    noise = np.einsum("fk,fg,gk->k", linear.coefficients, cost.noise_in_features[0], linear.coefficients)
+    squares = np.einsum("ik,ik->k", rest, rest) / (cost.reading_variance + noise)
+    return float(squares.mean() / max(cost.summary.counts[0], 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A log without mistakes, and the parameters that it was judged by.
+
+    `free`: mean square over the noise that free linear coefficients leave; 0 where that is not known.
+    """
+
+    corrections: tuple[Correction, ...]
+    cost: Cost
+    p: np.ndarray
+    model: Model
+    log: Log
+    free: float = 0.0
+
+    @cached_property
+    def left(self) -> dict[int, float]:
+        """Mean square of the whitened residual by run: 1 is noise; none where the noise is beyond numbers."""
+        counts = self.cost.summary.counts * len(self.model.channels)
+        try:
+            values = self.cost.at(self.p).run_values / np.maximum(counts - len(self.model.zeros), 1.0)
+        except np.linalg.LinAlgError:
+            return {}
+        return dict(zip(self.cost.summary.runs, values.tolist(), strict=True))
+
+    @cached_property
+    def deviance(self) -> dict[int, float]:
+        """Twice the negative logarithm of the likelihood of the logged readings, by run and per reading.
+
+        A reading that is scaled is less likely by the factor, by as much as its noise is less.
+        """
+        point, summary, K = self.cost.at(self.p), self.cost.summary, len(self.model.channels)
+        _, size = np.linalg.slogdet(point.covariance)
+        values = point.run_values / np.maximum(summary.counts, 1.0) + size
+        for one in self.corrections:
+            if one.kind in ("scale", "gain_step"):
+                factor = one.numbers[0] if one.kind == "scale" else 1 / one.numbers[0]
+                values = values - 2 * np.log(abs(factor)) * sum(c in self.model.channels for c in one.columns)
+        return dict(zip(summary.runs, (values / K).tolist(), strict=True))
+
+    @cached_property
+    def unexplained(self) -> float:
+        """Share of the variance of the readings within a run that is left, mean over runs.
+
+        Readings count by their noise, so that one at rest says nothing; of a run at rest the variance of the
+        others counts.
+        """
+        variance = self.cost.reading_variance
+        total = dict.fromkeys(self.cost.summary.runs, 0.0)
+        for block in self.log.blocks(self.model.channels):
+            moved = np.array([np.var(v) * len(v) for v in block.data.values()])
+            total[block.run] += float((moved / variance).sum())
+        within, counts = np.array(list(total.values())), self.cost.summary.counts
+        usual = counts * within.sum() / max(counts.sum(), 1.0)
+        left = np.einsum("rkk->rk", self.cost.at(self.p).squares) / variance
+        return float((left.sum(axis=1) / np.maximum(np.maximum(within, usual), 1e-300)).mean())
+
+    def worst(self, runs: Sequence[int]) -> list[str]:
+        """Return the readings that leave most over their noise in some runs, `SEARCHED` at most, in order."""
+        some = np.isin(self.cost.summary.runs, list(runs))
+        point = self.cost.at(self.p)
+        over = np.einsum("rkk->rk", point.squares)[some].sum(axis=0)
+        over = over / np.einsum("rkk->rk", point.covariance)[some].mean(axis=0)
+        first = set(np.argsort(-over)[:SEARCHED].tolist())
+        return [c for k, c in enumerate(self.model.channels) if k in first]
+
+    @cached_property
+    def counts(self) -> dict[int, float]:
+        """Samples by run."""
+        return dict(zip(self.cost.summary.runs, self.cost.summary.counts.tolist(), strict=True))
+
+    def mean(self, of: Mapping[int, float], runs: Sequence[int] | None = None) -> float:
+        """Return the mean over samples of what runs have."""
+        some = [r for r in of if runs is None or r in runs]
+        weights = np.array([self.counts[r] for r in some])
+        return float(weights @ np.array([of[r] for r in some]) / max(weights.sum(), 1.0))
+
+
+# -- what is found -----------------------------------------------------------------------------------------
+
+EXPLAINS = 0.9
+"""Share of the excess that a correction must explain to be named: one that leaves a tenth of it is near the
+right one, not it."""
+EXCESS = 1.5
+"""Mean square of the residual over the noise from which on a mistake is looked for: a noise that is stated
+20 % too small is none."""
+LEAST = 0.5
+"""Mean square below which the noise of a correction hides what it should explain."""
+ALONE = 3.0
+"""Mean square over that of the other runs from which on a run is looked at by itself."""
+FEWEST = 4
+"""Runs from which on some can be judged by the others."""
+ROUNDS = 8
+"""Of finding the runs that agree, and of finding the size of a step, at most."""
+RIVAL = 20.0
+"""Difference of the deviance, of all readings, up to which two corrections explain as much."""
+NEAR = 0.02
+"""The same of each reading, over what is left: where effects are left too, chance is not all that decides."""
+DIFFERENT = 3
+"""Mistakes of runs that are told apart in one log, at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A correction, what it explains of the excess, and those that explain as much."""
+
+    correction: Correction
+    explains: float
+    left: float
+    rivals: tuple[Correction, ...] = ()
+
+
+def suspects(trials: Trials) -> list[Found]:
+    """Return the mistakes that explain what a model leaves of a log; none where it leaves noise."""
+    copies = copied(trials)
+    trials = trials.without(copies) if copies else trials
+    out = [Found(Correction("copied_run", runs=copies), 1.0, 1.0)] if copies else []
+    base = trials.fitted()
+    if base is None or not base.left:
+        return out
+    runs = list(base.left)
+    if base.mean(base.left) < EXCESS and max(base.left.values()) < ALONE:
+        return out
+    most = 1 + SLACK * (1 - EXPLAINS) * base.mean(base.left)
+    # free coefficients absorb signs, scales and orders of what readings are polynomials of
+    linear = base.free <= most or bool(trials.model.period)
+    best = _best(trials, base, lambda c: trials.fitted((c,), most=most), runs, linear=linear)
+    named = best and _named(trials, base, best)
+    if named and named.left < EXCESS:
+        return [*out, named]
+    agreed = _agreeing(trials, base)
+    found = _needed(trials, base, _in_runs(trials, agreed, [r for r in runs if r not in agreed]))
+    if not named or not found:
+        return [*out, *([named] if named else found)]
+    of_all, of_some = (trials.fitted([one.correction for one in some]) for some in ([named], found))
+    better = of_some and of_all and of_some.mean(of_some.left) < (1 - NEAR) * of_all.mean(of_all.left)
+    return [*out, *(found if better else [named])]
+
+
+def _needed(trials: Trials, base: Tried, found: Sequence[Found]) -> list[Found]:
+    """Return those of several mistakes without which a log is not explained.
+
+    None where all of them do not explain it.
+    """
+
+    def enough(some: Sequence[Found]) -> bool:
+        after = trials.fitted([one.correction for one in some]) if some else None
+        return after is not None and _explains(base, after)
+
+    left = list(found)
+    if not enough(left):
+        return []
+    if len(left) == 1 and (named := _named(trials, base, left[0])):
+        return [named]
+    for one in found:
+        others = [other for other in left if other is not one]
+        left = others if enough(others) else left
+    return left
+
+
+def _named(trials: Trials, base: Tried, found: Found) -> Found | None:
+    """Return a mistake that a fit without it confirms, its factor that of a unit if one is as near.
+
+    None where the fit does not confirm it.
+    """
+    c = found.correction
+    known = scales(trials.model, c.columns) if c.kind == "scale" else []
+    near = [
+        replace(c, numbers=(factor,), unit=unit)
+        for unit, factor in known
+        if c.numbers[0] not in dict(known).values() and 1 / UNIT_NEAR < factor / c.numbers[0] < UNIT_NEAR
+    ]
+    for one in (*near, c):
+        after = trials.fitted((one,))
+        if after is not None and _explains(base, after):
+            return replace(found, correction=one)
+    return None
+
+
+UNIT_NEAR = 1.2
+"""Factor within which a scale may be that of a unit: parameters of few runs are not better known."""
+
+
+def _explains(base: Tried, after: Tried) -> bool:
+    """Return whether a log without mistakes, fitted again, shows that they were what was wrong."""
+    gain = base.mean(base.deviance) - after.mean(after.deviance)
+    over = after.mean(after.left) - 1
+    return gain >= EXPLAINS * (gain + max(over, 0.0)) and _follows(base, after)
+
+
+def _follows(base: Tried, after: Tried) -> bool:
+    """Return whether readings follow the references better: a log that is scaled down leaves less too."""
+    noise = base.unexplained / max(base.mean(base.left), 1.0)
+    most = (1 - EXPLAINS) * base.unexplained + 2 * noise
+    return after.unexplained <= min(most, UNEXPLAINED + 2 * noise)
+
+
+UNEXPLAINED = 0.003
+"""Share of the readings' variance that effects may leave beside a mistake, over the noise: a twentieth of the
+stroke."""
+SLACK = 2.0
+"""Room for what free coefficients leave beside what parameters leave."""
+
+
+def copied(trials: Trials) -> tuple[int, ...]:
+    """Return the runs whose samples are those of a run before."""
+    known: dict[bytes, int] = {}
+    moving = [c for c in trials.columns if is_moving(c)]
+    again = []
+    for run, at in trials.spans:
+        samples = b"".join(trials.full[c][at].tobytes() for c in moving)
+        if known.setdefault(samples, run) != run:
+            again.append(run)
+    return tuple(again)
+
+
+def _agreeing(trials: Trials, base: Tried) -> list[int]:
+    """Return the runs that one set of parameters describes nearly alike: half of them at least, or all.
+
+    The worst runs are left out until the others are described alike: few bad ones bend all that move as they
+    do. Where that does not end, the one run without which the others are described best; where many are bad,
+    least trimmed squares.
+    """
+    runs, now = list(base.left), base
+    if len(runs) < FEWEST:
+        return runs
+    kept = runs
+    while 2 * len(kept) >= len(runs):
+        worst = max(now.left[r] for r in kept)
+        if worst < ALONE * max(float(np.median([now.left[r] for r in kept])), 1.0):
+            break
+        kept = [r for r in kept if now.left[r] < 0.5 * worst]
+        again = trials.fitted((), kept)
+        seen = again and trials.at((), again.p, runs)
+        if not seen or not seen.left:
+            break
+        now = seen
+    if 2 * len(kept) >= len(runs) > len(kept) and now.mean(now.left, kept) < EXCESS:
+        return kept
+    for one in runs if len(runs) <= SINGLY else ():
+        others = [r for r in runs if r != one]
+        without = trials.fitted((), others)
+        if without is not None and without.left and without.mean(without.left) < EXCESS:
+            return others
+    return _trimmed(trials, base)
+
+
+SINGLY = 64
+"""Runs each of which is left out alone, at most."""
+
+
+def _trimmed(trials: Trials, base: Tried) -> list[int]:
+    """Return the runs that agree by least trimmed squares, all where that tells nothing.
+
+    The half of the runs that is described best is fitted again, until it stays.
+    """
+    runs, now = list(base.left), base
+    half = (len(runs) + 1) // 2
+    best = sorted(runs, key=base.left.__getitem__)[:half]
+    for _ in range(ROUNDS):
+        again = trials.fitted((), best)
+        seen = again and trials.at((), again.p, runs)
+        if not seen or not seen.left:
+            return runs
+        now, before = seen, best
+        best = sorted(runs, key=now.left.__getitem__)[:half]
+        if set(best) == set(before):
+            break
+    usual = max(float(np.median([now.left[r] for r in best])), 1.0)
+    agreed = [r for r in runs if now.left[r] < ALONE * usual]
+    rest = now.mean(now.left, agreed)
+    return runs if 2 * len(agreed) < len(runs) or now.mean(now.left) < EXCESS * rest else agreed
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A correction that was tried: the deviance that it gains per reading, and the mean square it leaves."""
+
+    gain: float
+    left: float
+    correction: Correction
+
+    @property
+    def explains(self) -> float:
+        """The share of the excess."""
+        over = self.left - min(self.left, 1.0)
+        return self.gain / max(self.gain + over, 1e-300)
+
+    @property
+    def plain(self) -> tuple[int, int]:
+        """How much it assumes: numbers that were searched, columns."""
+        c = self.correction
+        return (0 if c.unit else len(c.numbers)), len(c.columns)
+
+
+def _best(
+    trials: Trials,
+    base: Tried,
+    tried: Callable[[Correction], Tried | None],
+    runs: Sequence[int],
+    linear: bool = True,
+) -> Found | None:
+    """Return the mistake that explains the excess of `base` in some runs best; None where none does.
+
+    Not `linear`: free coefficients leave an excess too, so that no sign, scale or order explains it.
+    """
+    before = base.mean(base.deviance, runs)
+    seen: list[Judged] = []
+
+    def judge(c: Correction) -> float:
+        found = tried(c)
+        if found is None or not found.left:
+            return -np.inf
+        one = Judged(before - found.mean(found.deviance, runs), found.mean(found.left, runs), c)
+        if np.isfinite(one.gain) and one.left > LEAST and _follows(base, found):
+            seen.append(one)
+            return one.gain
+        return -np.inf
+
+    late = late_columns(trials, base, runs)
+    plain = (
+        c for c in hypotheses(trials.model, trials.columns, base.worst(runs)) if linear or c.kind == "delay"
+    )
+    some = [c for c in (*plain, *of_samples(trials, base)) if c.kind != "delay" or late & {*c.columns}]
+    for c in some if exact(trials.model) else _likely(trials, base, some, runs):
+        judge(c)
+    for c in _closer(seen):
+        judge(c)
+    _refined(trials.model, seen, judge)
+    good = [one for one in seen if one.explains >= EXPLAINS and one.gain >= EXCESS - 1.0]
+    if not good:
+        return None
+    best = max(good, key=lambda one: one.gain)
+    close = max(RIVAL / max(sum(base.counts[r] for r in runs), 1.0), NEAR * max(best.left, 1.0))
+    near = sorted((one for one in good if best.gain - one.gain < close), key=lambda one: one.plain)
+    first = near[0]
+    rivals = tuple(one.correction for one in near[1:] if not _same(one.correction, first.correction))
+    return Found(first.correction, min(first.explains, 1.0), first.left, rivals)
+
+
+def _same(a: Correction, b: Correction) -> bool:
+    """Return whether corrections differ by their number alone."""
+    return (a.kind, a.columns, a.runs) == (b.kind, b.columns, b.runs)
+
+
+def _closer(seen: Sequence[Judged]) -> list[Correction]:
+    """Return the delays between those tried, about the best of each group of columns."""
+    best: dict[tuple[str, ...], Judged] = {}
+    for one in seen:
+        c = one.correction
+        if c.kind == "delay" and one.gain > (best[c.columns].gain if c.columns in best else 0.0):
+            best[c.columns] = one
+    steps, out = sorted({*SHIFTS, 0, *(-s for s in SHIFTS)}), []
+    top = max((one.gain for one in best.values()), default=0.0)
+    for one in best.values():
+        n = int(one.correction.numbers[0])
+        at = steps.index(n)
+        low, high = steps[max(at - 1, 0)], steps[min(at + 1, len(steps) - 1)]
+        if one.gain > 0.5 * top:
+            between = [k for k in range(low + 1, high) if k not in (0, n)]
+            out += [replace(one.correction, numbers=(float(k),)) for k in between]
+    return out
+
+
+ALTERED = 2.0
+"""Factor below which a scale that is none of a unit may be the machine's own: a reference's, a wavelength."""
+REACH = 1.6
+"""Logarithm of the factors that are tried about the best scale, either way."""
+
+
+def _refined(model: Model, seen: list[Judged], judge: Callable[[Correction], float]) -> None:
+    """Try other factors about the best scale: where one is clearly better, no unit explains it."""
+    scaled = [one for one in seen if one.correction.kind == "scale"]
+    if not scaled or max(seen, key=lambda one: one.gain).correction.kind != "scale":
+        return
+    best = max(scaled, key=lambda one: one.gain)
+    if any(c in model.period for c in best.correction.columns):
+        return
+    factor = best.correction.numbers[0]
+
+    def cost(log_factor: float) -> float:
+        gain = judge(Correction("scale", best.correction.columns, (factor * float(np.exp(log_factor)),)))
+        return -gain if np.isfinite(gain) else 1e30
+
+    before = len(seen)
+    at = minimize_scalar(
+        cost, bounds=(-REACH, REACH), method="bounded", options={"maxiter": 20, "xatol": 1e-3}
+    )
+    found = abs(float(np.log(factor)) + float(at.x))
+    # the best lies beyond what is tried, or is near enough to 1 for a wavelength or a scale of the machine
+    if abs(float(at.x)) > 0.9 * REACH or found < np.log(ALTERED):
+        del seen[before:]
+
+
+def _in_runs(trials: Trials, agreed: Sequence[int], odd: Sequence[int]) -> list[Found]:
+    """Return the mistakes of runs that do not go with the others: of all alike, else of each by itself."""
+    base = trials.fitted((), agreed)
+    if base is None or not odd:
+        return []
+    p, out = base.p, list[Found]()
+
+    def look(runs: list[int]) -> Found | None:
+        now = trials.at((), p, runs)
+        if now is None or not now.left:
+            return None
+        found = _best(trials, now, lambda c: trials.at((_of(c, runs),), p, runs), runs)
+        after = found and trials.at((_of(found.correction, runs),), p, runs)
+        if not found or not after:
+            return None
+        most = {r: 1 + (1 - EXPLAINS) * max(now.left[r] - 1, 0.0) for r in runs}
+        good = [r for r in runs if after.left.get(r, 0.0) < most[r]]
+        if not good:
+            return None
+        rivals = tuple(_of(c, good) for c in found.rivals)
+        over = found.left - min(found.left, 1.0)
+        own = _other_device(trials, now, good) if over > EXCESS - 1 and now else []
+        if own and own[0].left - 1 < (1 - EXPLAINS) * over:
+            return own[0]
+        return replace(found, correction=_of(found.correction, good), rivals=rivals)
+
+    left = list(odd)
+    while left and len(out) < DIFFERENT and (found := look(left)):
+        out.append(found)
+        left = [r for r in left if r not in found.correction.runs]
+    if len(left) > 1 and len(out) < DIFFERENT:
+        apart = [found for r in left[:SEARCHED] if (found := look([r]))]
+        out += apart
+        left = [] if apart else left
+    if left and not out:
+        now = trials.at((), p, left)
+        out += _other_device(trials, now, left) if now and now.left else []
+    return [replace(f, correction=_everywhere(trials, f.correction)) for f in out]
+
+
+def _everywhere(trials: Trials, c: Correction) -> Correction:
+    """Return a rail that no run crosses as one of all runs."""
+    if c.kind != "clipped":
+        return c
+    own = np.isin(trials.run, list(c.runs))
+    for x in (trials.full[n] for n in c.columns):
+        ends = (float(x[own].min()), float(x[own].max()))
+        below, above = (x[~own] < ends[0]).any(), (x[~own] > ends[1]).any()
+        if (np.isfinite(c.numbers[0]) and below) or (np.isfinite(c.numbers[1]) and above):
+            return c
+    return replace(c, runs=())
+
+
+def _of(c: Correction, runs: Sequence[int]) -> Correction:
+    """Return a correction of some runs; one that is of some already stays."""
+    return c if c.runs else c.in_runs(runs)
+
+
+def _other_device(trials: Trials, now: Tried, runs: Sequence[int]) -> list[Found]:
+    """Return runs that parameters of their own describe, where no mistake does."""
+    own = trials.fitted((), runs)
+    if own is None or not own.left:
+        return []
+    one = Judged(
+        now.mean(now.deviance) - own.mean(own.deviance), own.mean(own.left), Correction("other_device")
+    )
+    described = one.explains >= EXPLAINS and one.left < EXCESS
+    return [Found(one.correction.in_runs(runs), one.explains, one.left)] if described else []
+
+
+LATE = 0.1
+"""Share of the residual that the rate of a column must explain for delays of it to be tried: the square of
+the cosine of half the phase that the delay is, at one frequency."""
+
+
+def late_columns(trials: Trials, tried: Tried, runs: Sequence[int]) -> set[str]:
+    """Return the columns whose rate explains some of the residual."""
+    columns = [c for c in (*trials.model.references, *trials.model.state, *tried.worst(runs))
+               if c in trials.columns]  # fmt: skip
+    sums = {c: np.zeros(2) for c in columns}
+    total = 0.0
+    for rest, e, block in _whitened(tried, runs):
+        total += float((e * e).sum())
+        for c in columns:
+            part = _slope(rest, e, block, c) * np.gradient(block.data[c])
+            part = part - part.mean(axis=1, keepdims=True)
+            sums[c] += (float((part * e).sum()), float((part * part).sum()))
+    share = {c: a * a / max(b * total, 1e-300) for c, (a, b) in sums.items()}
+    return {c for c in columns if share[c] > LATE}
+
+
+Residual = Callable[[Block], np.ndarray]
+
+
+def _whitened(tried: Tried, runs: Sequence[int]) -> Iterator[tuple[Residual, np.ndarray, Block]]:
+    """Yield runs with their residual over the noise: what computes it, and values (K, samples) less means."""
+    model = tried.model
+    point = tried.cost.at(tried.p)
+    rest = residuals(model, tried.p, dict(zip(tried.cost.summary.runs, point.zeros, strict=True)))
+    sigma = np.array([tried.log.noise[c].value for c in model.channels])[:, None]
+    columns = (*model.references, *model.state, *model.channels, "t_s")
+    for block in tried.log.blocks(tuple(c for c in dict.fromkeys(columns) if c in tried.log.columns)):
+        if block.run in runs and len(block.data[model.channels[0]]) > 1:
+            e = rest(block) / sigma
+            yield (lambda b: rest(b) / sigma), e - e.mean(axis=1, keepdims=True), block
+
+
+def _slope(rest: Residual, e: np.ndarray, block: Block, column: str) -> np.ndarray:
+    """Return the change of the residual with a column, (K, samples)."""
+    x = block.data[column]
+    h = 1e-3 * float(np.ptp(x)) or 1e-9
+    slope = (rest(Block(block.run, {**block.data, column: x + h})) - rest(block)) / h
+    return np.asarray(slope)
+
+
+# -- mistakes of some samples ------------------------------------------------------------------------------
+
+STILL = 8
+"""Samples in a row that are equal where a column stands still."""
+STROKE = 0.1
+"""Motion within a run over the range of all, below which a column is set from run to run."""
+PILED = 3.0
+"""Samples in the last hundredth of a column's range over those in the next, of a column that stops there."""
+
+
+def of_samples(trials: Trials, tried: Tried) -> Iterator[Correction]:
+    """Yield the mistakes that begin or end within a run, where the columns or the residual show them."""
+    runs = list(tried.left)
+    yield from _rails(trials, runs)
+    yield from _coarse(trials, runs)
+    if len(runs) == 1:
+        yield from _still(trials, runs[0])
+        yield from _steps(trials, tried, runs, within=True)
+    for c in _steps(trials, tried, runs, within=False):
+        whole = len(runs) == len(trials.spans)
+        if not whole:
+            yield c
+        elif abs(np.log(abs(c.numbers[0]))) > np.log(ALTERED):
+            yield Correction("scale", c.columns, (1 / c.numbers[0],))
+
+
+SEARCHED = 6
+"""Runs, and readings, that are looked at one by one, at most."""
+
+
+def _rails(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
+    """Yield columns that stop at a value in some runs: its ends hold more samples than the values beside."""
+    some = np.isin(trials.run, list(runs))
+    for c in trials.columns:
+        if not is_moving(c):
+            continue
+        x = trials.full[c][some]
+        low, high = float(x.min()), float(x.max())
+        strokes = [float(np.ptp(trials.full[c][at])) for run, at in trials.spans if run in runs]
+        if np.median(strokes) < STROKE * (high - low):  # set from run to run, not moved
+            continue
+        near = (high - low) / 100
+        if not near > 0:
+            continue
+        at_low, by_low = np.sum(x < low + near), np.sum((x >= low + near) & (x < low + 2 * near))
+        at_high, by_high = np.sum(x > high - near), np.sum((x <= high - near) & (x > high - 2 * near))
+        ends = (low + near if at_low > PILED * by_low else -np.inf,
+                high - near if at_high > PILED * by_high else np.inf)  # fmt: skip
+        for pair in {(ends[0], np.inf), (-np.inf, ends[1]), ends}:
+            if np.isfinite(pair).any():
+                yield Correction("clipped", (c,), pair)
+
+
+def _coarse(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
+    """Yield columns that come in steps which are larger than their noise."""
+    some = np.isin(trials.run, list(runs))
+    for c in filter(is_moving, trials.columns):
+        values = np.unique(trials.full[c][some])
+        if len(values) < 2 or len(values) * CODES > some.sum():
+            continue
+        gaps = np.diff(values)
+        step = float(gaps[gaps > 1e-9 * float(np.ptp(values))].min())
+        if _even(values) and step > trials.noise[c].value:
+            yield Correction("coarse_steps", (c,), (step,))
+
+
+CODES = 4
+"""Samples of each value, at least, of a column that comes in steps."""
+
+
+def _still(trials: Trials, run: int) -> Iterator[Correction]:
+    """Yield stretches in which columns of a run stand still while others move."""
+    (at,) = (at for r, at in trials.spans if r == run)
+    found: dict[tuple[float, float], list[str]] = {}
+    for c in filter(is_moving, trials.columns):
+        x = trials.full[c][at]
+        edges = np.flatnonzero(np.diff(x, prepend=np.nan, append=np.nan) != 0)
+        lengths = np.diff(edges)
+        for k in np.flatnonzero(lengths >= STILL):
+            if lengths[k] < len(x):
+                found.setdefault((float(edges[k]), float(edges[k] + lengths[k])), []).append(c)
+    for ends, columns in found.items():
+        yield Correction("stuck", tuple(columns), ends, (run,))
+
+
+def _steps(trials: Trials, tried: Tried, runs: Sequence[int], *, within: bool) -> Iterator[Correction]:
+    """Yield, for each column, the step of its zero and of its gain that the residual of some runs shows best.
+
+    `within`: from some sample of a run on, else all through the runs. The size is found by Gauss-Newton.
+    """
+    for c in (*trials.model.references, *trials.model.state, *tried.worst(runs)):
+        if c not in trials.columns:
+            continue
+        for kind in ("zero_moved", "gain_step") if within else ("gain_step",):
+            found = _step(trials, tried, c, kind, runs, within=within)
+            if found is not None:
+                yield found
+
+
+def _step(
+    trials: Trials, tried: Tried, column: str, kind: str, runs: Sequence[int], *, within: bool
+) -> Correction | None:
+    gain = kind == "gain_step"
+    size, since = (1.0 if gain else 0.0), 0
+    for k in range(ROUNDS):
+        now = Correction(kind, (column,), (size, float(since)) if within else (size,), tuple(runs))
+        at = tried if k == 0 else trials.at((now,), tried.p, runs)
+        if at is None:
+            return None
+        change, place = _along(trials, at, column, runs, gain=gain, since=since if k and within else None,
+                               within=within)  # fmt: skip
+        if not np.isfinite(change):
+            return None
+        since = place if k == 0 else since
+        before, size = size, size / (1 - change) if gain else size + change
+        if not 0.05 < (abs(size) if gain else 1.0) < 20:
+            return None
+        if abs(size - before) <= 1e-3 * abs(size):
+            break
+    if within and since == 0:
+        return None
+    return Correction(kind, (column,), (size, float(since)) if within else (size,), tuple(runs))
+
+
+def _along(
+    trials: Trials,
+    at: Tried,
+    column: str,
+    runs: Sequence[int],
+    *,
+    gain: bool,
+    since: int | None,
+    within: bool,
+) -> tuple[float, int]:
+    """Return by how much the zero (or gain) of a column changes, and from which sample on, by least squares.
+
+    `since`: the sample where it is known; None: the one that explains most of the residual.
+    """
+    best: tuple[float, float, int] = (-1.0, np.nan, 0)
+    num, den = 0.0, 0.0
+    for rest, e, block in _whitened(at, runs):
+        x = block.data[column]
+        slope = _slope(rest, e, block, column) * (x if gain else 1.0)
+        if not within or since is not None:
+            part = slope * (np.arange(len(x)) >= (since or 0))
+            part = part - part.mean(axis=1, keepdims=True)
+            num, den = num + float((part * e).sum()), den + float((part * part).sum())
+            continue
+        if len(x) <= 2 * STILL:
+            continue
+        tail = slope[:, ::-1].cumsum(axis=1)[:, ::-1]
+        explained = (slope * e)[:, ::-1].cumsum(axis=1)[:, ::-1].sum(axis=0)
+        energy = (slope**2)[:, ::-1].cumsum(axis=1)[:, ::-1].sum(axis=0)
+        energy = np.maximum(energy - (tail**2 / len(x)).sum(axis=0), 1e-12 * energy + 1e-300)  # of rounding
+        power = explained**2 / energy
+        k = int(np.argmax(power[STILL:-STILL])) + STILL
+        if power[k] > best[0]:
+            best = (float(power[k]), float(explained[k] / energy[k]), k)
+    if within and since is None:
+        return best[1], best[2]
+    return (num / den if den > 0 else np.nan), since or 0
+
+
+# -- models without run statistics ---------------------------------------------------------------------------
+
+
+def _likely(
+    trials: Trials, base: Tried, every: Iterable[Correction], runs: Sequence[int]
+) -> list[Correction]:
+    """Return the corrections that are worth a fit where that takes seconds, the best first.
+
+    Those that halve the squared residual at the parameters of the log as it is, or where a fit begins.
+    """
+    points, readings = (base.p, trials.begin(base.log)), {*trials.model.channels}
+    rest = residual_of(trials.model)
+
+    def left(c: tuple[Correction, ...], p: np.ndarray) -> float:
+        try:
+            log = trials.log(c, runs)
+        except InputError:
+            return np.inf
+        sigma = np.array([log.noise[k].value for k in trials.model.channels])
+        total, count = 0.0, 0
+        for block in log.blocks():
+            e = rest(p, np.zeros(len(trials.model.zeros)), block.data) / sigma[:, None]
+            e = e - e.mean(axis=1, keepdims=True) if trials.model.zeros else e
+            total, count = total + float((e * e).sum()), count + e.size
+        return total / max(count, 1)
+
+    before = [left((), p) for p in points]
+    share = {
+        c: min(left((c,), p) / max(b, 1e-300) for p, b in zip(points, before, strict=True)
+               if p is base.p or not {*c.columns} <= readings)  # one reading of many moves no parameters far
+        for c in every
+    }  # fmt: skip
+    return sorted((c for c in share if share[c] < 0.5), key=share.__getitem__)[:SEARCHED]

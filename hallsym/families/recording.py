@@ -1,0 +1,476 @@
+"""Mistakes of a recording, the first link of the chain: what each does to the samples, and its remedy.
+
+A mistake is stated by a text, which a fit proposes, `--correct` takes and a calibration saves:
+
+    sign x_ref_m                        the other sign
+    scale rx_rad deg                    the numbers are in another unit, or times a factor
+    exchange z_m rx_rad                 each holds the other's values
+    delay hall_a_m 3                    late by so many samples (early where negative)
+    zero_moved x_ref_m 2e-5 from 400    its zero lies so much higher, from a sample on
+    gain_step hall_a_m 1.05             its gain is so many times what it is elsewhere
+    clipped x_ref_m -3e-4 3e-4          it stops at these values
+    stuck hall_b_m 120 180              it stands still from one sample to before another
+    averaged hall_a_m,hall_b_m 3        it holds centred means over so many samples
+    coarse_steps hall_a_m 1e-5          it is rounded to steps
+    copied_run in 7                     the run is a copy of another
+    other_device in 20-40               the runs are of another device
+
+Each may end with runs, `in 3,5,7-9`; without, all runs have it. Samples are counted from 0 in their run.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from hallsym.errors import InputError, counted, listed, nearest
+from hallsym.log import Log, Noise
+from hallsym.log.columns import RUN, is_moving
+from hallsym.log.core import Block
+from hallsym.log.phase import continuous
+from hallsym.log.table import CHUNK_ROWS, Piece, TableLike, View, joined
+from hallsym.model import Model
+from hallsym.units import UNITS, split_unit
+
+Data = dict[str, np.ndarray]
+"""Columns of one run, each (samples,)."""
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What undoes a mistake: `kind` of mistake, its `columns` and numbers, and its `runs`, all where empty.
+
+    `unit`: that a column's numbers are in, of a wrong scale; its first number is then the factor to SI.
+    """
+
+    kind: str
+    columns: tuple[str, ...] = ()
+    numbers: tuple[float, ...] = ()
+    runs: tuple[int, ...] = ()
+    unit: str = ""
+
+    @property
+    def mistake(self) -> "Mistake":
+        """What is known of such mistakes."""
+        return MISTAKES[self.kind]
+
+    @property
+    def text(self) -> str:
+        """What `--correct` takes.
+
+        >>> Correction("delay", ("hall_a_m",), (3,), (4, 5, 6, 9)).text
+        'delay hall_a_m 3 in 4-6,9'
+        """
+        known = self.mistake
+        columns = self.columns if known.pair else (",".join(self.columns),) if self.columns else ()
+        numbers = [self.unit] if self.unit else [f"{n:.9g}" for n in self.numbers]
+        if known.since and self.numbers:
+            numbers = [*numbers[:1], *(("from", numbers[1]) if self.numbers[1:] else ())]
+        runs = ["in", run_list(self.runs)] if self.runs else []
+        return " ".join([self.kind, *columns, *numbers, *runs])
+
+    def touched(self, columns: Sequence[str]) -> tuple[str, ...]:
+        """Return which columns its undoing changes or looks at, of those that there are."""
+        others = self.mistake.undo is _average_alike
+        return tuple(c for c in columns if c in self.columns or (others and is_moving(c))) or tuple(
+            columns[:1]
+        )
+
+    def in_runs(self, runs: Sequence[int]) -> "Correction":
+        """Return the same of some runs."""
+        return replace(self, runs=tuple(runs))
+
+    def undo(self, data: Data, run: int, stated: Mapping[str, int] | None = None) -> np.ndarray | None:
+        """Undo the mistake in the columns of one run, in place; return which samples stay, None for all."""
+        return None if self.runs and run not in self.runs else self.mistake.undo(self, data)
+
+
+@dataclass(frozen=True, eq=False)
+class Mistake:
+    """A kind of mistake: what it means, how it is undone in the columns of a run, and what its text holds.
+
+    `numbers`: names of the numbers after the columns; `since`: the second is a sample, after "from", and may
+    be absent. `pair`: the text names two columns. `whole_run`: the text names runs in place of columns.
+    `by_run`: samples of a run are not undone one by one.
+    """
+
+    name: str
+    meaning: str
+    undo: Callable[[Correction, Data], np.ndarray | None]
+    numbers: tuple[str, ...] = ()
+    since: bool = False
+    pair: bool = False
+    whole_run: bool = False
+    by_run: bool = False
+    noise: Callable[[Correction, Noise], Noise] = lambda c, noise: noise
+
+
+def _others(c: Correction, data: Data) -> list[str]:
+    return [name for name in data if name not in c.columns and is_moving(name)]
+
+
+def _negate(c: Correction, data: Data) -> None:
+    for name in c.columns:
+        data[name] = -data[name]
+
+
+def _rescale(c: Correction, data: Data) -> None:
+    for name in c.columns:
+        data[name] = c.numbers[0] * data[name]
+
+
+def _swap(c: Correction, data: Data) -> None:
+    a, b = c.columns
+    data[a], data[b] = data[b], data[a]
+
+
+def _earlier(c: Correction, data: Data) -> np.ndarray:
+    late, n = round(c.numbers[0]), len(data[c.columns[0]])
+    for name in c.columns:
+        data[name] = np.roll(data[name], -late)
+    at = np.arange(n)
+    return np.asarray(at < n - late if late > 0 else at >= -late)
+
+
+def _after(c: Correction, data: Data, name: str) -> np.ndarray:
+    return np.asarray(np.arange(len(data[name])) >= (c.numbers[1] if c.numbers[1:] else 0))
+
+
+def _shift_back(c: Correction, data: Data) -> None:
+    for name in c.columns:
+        data[name] = data[name] - c.numbers[0] * _after(c, data, name)
+
+
+def _gain_back(c: Correction, data: Data) -> None:
+    for name in c.columns:
+        data[name] = np.where(_after(c, data, name), data[name] / c.numbers[0], data[name])
+
+
+def _off_rails(c: Correction, data: Data) -> np.ndarray:
+    low, high = c.numbers
+    return np.all([(data[name] > low) & (data[name] < high) for name in c.columns], axis=0)
+
+
+def _without(c: Correction, data: Data) -> np.ndarray:
+    at = np.arange(len(data[c.columns[0]]))
+    return np.asarray((at < c.numbers[0]) | (at >= c.numbers[1]))
+
+
+def _average_alike(c: Correction, data: Data) -> np.ndarray:
+    """Average what is not averaged yet; one sample of each window stays, so that samples are independent."""
+    many, n = round(c.numbers[0]), len(data[c.columns[0]])
+    for name in _others(c, data):
+        sums = np.cumsum(np.r_[0.0, data[name]])
+        data[name] = np.pad((sums[many:] - sums[:-many]) / many, (many // 2, 0), mode="edge")[:n]
+        data[name] = np.pad(data[name], (0, n - len(data[name])), mode="edge")
+    return np.asarray(np.arange(n) % many == many // 2) & (np.arange(n) < n - many // 2)
+
+
+def _kept(c: Correction, data: Data) -> None:
+    return None
+
+
+def _left_out(c: Correction, data: Data) -> np.ndarray:
+    return np.zeros(len(next(iter(data.values()))), dtype=bool)
+
+
+def _scaled_noise(c: Correction, noise: Noise) -> Noise:
+    """An estimated noise is that of the numbers; a stated one is meant in SI."""
+    factor = abs(c.numbers[0])
+    scaled = {
+        n: replace(s, value=factor * s.value)
+        for n, s in noise.sigmas.items()
+        if n in c.columns and s.source != "given"
+    }
+    return Noise({**noise.sigmas, **scaled})
+
+
+def _swapped_noise(c: Correction, noise: Noise) -> Noise:
+    a, b = c.columns
+    swapped = {x: noise.sigmas[y] for x, y in ((a, b), (b, a)) if y in noise.sigmas}
+    return Noise({**{k: v for k, v in noise.sigmas.items() if k not in c.columns}, **swapped})
+
+
+def _rounding_noise(c: Correction, noise: Noise) -> Noise:
+    step = c.numbers[0] / math.sqrt(12)
+    coarse = {
+        n: replace(s, value=math.hypot(s.value, step)) for n, s in noise.sigmas.items() if n in c.columns
+    }
+    return Noise({**noise.sigmas, **coarse})
+
+
+def _less_noise(c: Correction, noise: Noise) -> Noise:
+    less = 1 / math.sqrt(c.numbers[0])
+    return Noise(
+        {n: s if n in c.columns else replace(s, value=less * s.value) for n, s in noise.sigmas.items()}
+    )
+
+
+MISTAKES = {
+    m.name: m
+    for m in (
+        Mistake("sign", "the sign of {columns} is inverted", _negate),
+        Mistake(
+            "scale", "the numbers of {columns} are {scale}", _rescale, ("UNIT or FACTOR",),
+            noise=_scaled_noise,
+        ),
+        Mistake("exchange", "columns {columns} are exchanged", _swap, pair=True, noise=_swapped_noise),
+        Mistake("delay", "the values of {columns} come {delay}", _earlier, ("SAMPLES",), by_run=True),
+        Mistake(
+            "zero_moved", "the zero of {columns} moves by {0:.4g}{since}", _shift_back, ("VALUE", "SAMPLE"),
+            since=True, by_run=True,
+        ),
+        Mistake(
+            "gain_step", "the gain of {columns} is {0:.4g} times what it is elsewhere{since}", _gain_back,
+            ("FACTOR", "SAMPLE"), since=True, by_run=True,
+        ),
+        Mistake("clipped", "the values of {columns} stop at {rails}", _off_rails, ("LOW", "HIGH")),
+        Mistake(
+            "stuck", "the values of {columns} stand still from sample {0:.0f} to {1:.0f}", _without,
+            ("START", "STOP"), by_run=True,
+        ),
+        Mistake(
+            "averaged", "the values of {columns} are means over {0:.0f} samples", _average_alike,
+            ("SAMPLES",), by_run=True, noise=_less_noise,
+        ),
+        Mistake(
+            "coarse_steps", "the values of {columns} come in steps of {0:.4g}", _kept, ("STEP",),
+            noise=_rounding_noise,
+        ),
+        Mistake("copied_run", "the samples are those of another run", _left_out, whole_run=True),
+        Mistake("other_device", "the samples are of another device", _left_out, whole_run=True),
+    )
+}  # fmt: skip
+"""By name; of the chain they come first, before the clock."""
+
+
+def said(c: Correction) -> str:
+    """Return a mistake in words.
+
+    >>> said(Correction("scale", ("rx_rad",), (0.017453,), (3,), "deg"))
+    'the numbers of rx_rad are in deg in run 3'
+    """
+    late = c.numbers[0] if c.kind == "delay" else 0.0
+    words = {
+        "columns": listed(c.columns) if 0 < len(c.columns) < 4 else f"{', '.join(c.columns[:2])} and so on",
+        "rails": " and ".join(f"{n:.5g}" for n in c.numbers if math.isfinite(n)),
+        "scale": f"in {c.unit}" if c.unit else f"{1 / c.numbers[0]:.4g} times too large" if c.numbers else "",
+        "delay": f"{counted(abs(round(late)), 'sample')} {'late' if late > 0 else 'early'}",
+        "since": f" from sample {c.numbers[1]:.0f} on" if c.numbers[1:] else "",
+    }
+    text = c.mistake.meaning.format(*c.numbers, **words)
+    return f"{text} in {_runs(c.runs)}" if c.runs else text
+
+
+def _runs(runs: Sequence[int]) -> str:
+    return f"run {runs[0]}" if len(runs) == 1 else f"runs {run_list(runs)}"
+
+
+def run_list(runs: Sequence[int]) -> str:
+    """Return runs as `--holdout` takes them.
+
+    >>> run_list([3, 5, 7, 8, 9])
+    '3,5,7-9'
+    """
+    found: list[list[int]] = []
+    for run in sorted(runs):
+        if found and run == found[-1][-1] + 1:
+            found[-1].append(run)
+        else:
+            found.append([run])
+    return ",".join(str(f[0]) if len(f) == 1 else f"{f[0]}-{f[-1]}" for f in found)
+
+
+def read_correction(text: str) -> Correction:
+    """Return the correction that a text states. Raises `InputError` for another form.
+
+    >>> read_correction("delay hall_a_m,hall_b_m -2 in 3-5")
+    Correction(kind='delay', columns=('hall_a_m', 'hall_b_m'), numbers=(-2.0,), runs=(3, 4, 5), unit='')
+    """
+    words = text.split()
+    runs: tuple[int, ...] = ()
+    if "in" in words[1:-1]:
+        at = len(words) - 1 - words[::-1].index("in")
+        if at == len(words) - 2 and words[-1] not in UNITS:
+            runs, words = _run_numbers(words[-1], text), words[:at]
+    if not words or words[0] not in MISTAKES:
+        raise InputError(
+            f"Correction {text!r} must begin with one of {', '.join(MISTAKES)}"
+            f"{nearest(words[0] if words else '', list(MISTAKES))}."
+        )
+    known, rest = MISTAKES[words[0]], [w for w in words[1:] if w != "from"]
+    count = 0 if known.whole_run else 2 if known.pair else 1
+    columns = rest[:2] if known.pair else rest[:1][0].split(",") if count and rest else []
+    least, most = len(known.numbers) - known.since, len(known.numbers)
+    given = rest[count:]
+    if len(rest) < count or not least <= len(given) <= most or (known.whole_run and not runs):
+        raise InputError(f"Correction {text!r} must read {usage(known)!r}.")
+    unit, numbers = "", []
+    for word in given:
+        if known.name == "scale" and word in UNITS:
+            unit, numbers = word, [_factor(columns, word, text)]
+        else:
+            numbers.append(_number(word, text, known))
+    return Correction(known.name, tuple(columns), tuple(numbers), runs, unit)
+
+
+def usage(known: Mistake) -> str:
+    """Return the form of a text."""
+    what = ["in RUNS"] if known.whole_run else ["COLUMN", "COLUMN"] if known.pair else ["COLUMN[,COLUMN]"]
+    numbers = [known.numbers[0], "[from SAMPLE]"] if known.since else list(known.numbers)
+    return " ".join([known.name, *what, *numbers, *([] if known.whole_run else ["[in RUNS]"])])
+
+
+def _number(word: str, text: str, known: Mistake) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        value = math.nan
+    whole = "SAMPLES" in known.numbers or known.name == "stuck"
+    bad = math.isnan(value) or (known.name in ("scale", "gain_step") and not 0 < abs(value) < math.inf)
+    if bad or (whole and not value.is_integer()):
+        raise InputError(f"Correction {text!r} must read {usage(known)!r}; {word!r} is no such number.")
+    return value
+
+
+def _factor(columns: Sequence[str], unit: str, text: str) -> float:
+    """Return the factor from a unit to that of the columns, which is SI."""
+    si = {own.si if (own := split_unit(c)[1]) else "" for c in columns}
+    if si != {UNITS[unit].si}:
+        raise InputError(f"Correction {text!r} must name a unit of {', '.join(columns)}; {unit} is none.")
+    return UNITS[unit].factor
+
+
+def _run_numbers(text: str, whole: str) -> tuple[int, ...]:
+    out: list[int] = []
+    try:
+        for part in text.split(","):
+            first, dash, last = part.partition("-")
+            out += range(int(first), int(last) + 1) if dash else [int(first)]
+    except ValueError:
+        raise InputError(f"Runs of correction {whole!r} must be such as 3,5,7-9; {text!r} is not.") from None
+    return tuple(out)
+
+
+class Corrected(View):
+    """A table without the mistakes that corrections undo; whole runs are read at once."""
+
+    def __init__(self, table: TableLike, corrections: Sequence[Correction]) -> None:
+        super().__init__(table)
+        self.corrections = tuple(corrections)
+        self._held: Piece = {}
+
+    def count(self) -> int:
+        """Return the number of rows that are kept."""
+        return self._rows
+
+    @cached_property
+    def _rows(self) -> int:
+        return sum(len(piece[RUN]) for piece in self.pieces((RUN,), CHUNK_ROWS))
+
+    def counts_per_turn(self, column: str) -> float | None:
+        """Return the counts of a turn of a column; None of one whose values are changed."""
+        changed = any(column in c.columns for c in self.corrections)
+        return None if changed else self.table.counts_per_turn(column)
+
+    def pieces(self, columns: Sequence[str], size: int) -> Iterator[Piece]:
+        """Yield the corrected rows, as `Table.pieces` does; a table in memory is corrected once."""
+        if not self.in_memory:
+            yield from self._pieces(columns, size)
+            return
+        new = [name for name in columns if name not in self._held]
+        if new:
+            parts = list(self._pieces(new, CHUNK_ROWS))
+            self._held |= joined(parts, new) if parts else {name: np.empty(0) for name in new}
+        yield {name: self._held[name] for name in columns}
+
+    def _pieces(self, columns: Sequence[str], size: int) -> Iterator[Piece]:
+        """Yield runs, several at a time where they are short."""
+        partners = [c for one in self.corrections if set(one.columns) & {*columns} or one.mistake.undo in _CUT
+                    for c in one.columns]  # fmt: skip
+        asked = tuple(c for c in dict.fromkeys((*columns, *partners)) if c != RUN)
+        waiting: list[Piece] = []
+        for block in Log(self.table).blocks(asked or self.table.columns[1:2], size=2**62):
+            data, keep = corrected_run(block, self.corrections)
+            rows = len(next(iter(data.values())))
+            data[RUN] = np.full(rows, block.run, dtype=np.int64)
+            kept = {c: data[c] if keep is None else data[c][keep] for c in columns}
+            if keep is None or keep.any():
+                waiting.append(kept)
+            if sum(len(next(iter(p.values()))) for p in waiting) >= size:
+                yield joined(waiting, columns)
+                waiting = []
+        if waiting:
+            yield joined(waiting, columns)
+
+
+_CUT = (_earlier, _off_rails, _without, _average_alike)
+"""What leaves samples out that a column of the mistake tells."""
+
+
+def corrected_run(block: Block, corrections: Sequence[Correction]) -> tuple[Data, np.ndarray | None]:
+    """Return the columns of one whole run without its mistakes, and which samples stay (None: all)."""
+    data, keep = dict(block.data), None
+    for one in corrections:
+        if not all(c in data for c in one.columns):
+            continue
+        stays = one.undo(data, block.run)
+        if stays is not None:
+            keep = stays if keep is None else keep & stays
+    return data, keep
+
+
+Wiring = tuple[tuple[str, int], ...]
+"""For each channel of a model: the column that carries it, and its sign."""
+
+
+def wiring_of(corrections: Sequence[Correction], channels: Sequence[str]) -> Wiring | None:
+    """Return how channels are wired for corrections of whole logs; None where they are as named."""
+    found = {c: (c, 1) for c in channels}
+    for one in corrections:
+        if one.runs or not set(one.columns) <= set(channels):
+            continue
+        if one.kind == "sign":
+            found |= {c: (found[c][0], -found[c][1]) for c in one.columns}
+        elif one.kind == "exchange":
+            a, b = one.columns
+            found[a], found[b] = found[b], found[a]
+    return None if all(found[c] == (c, 1) for c in channels) else tuple(found.values())
+
+
+def as_wired(wiring: Wiring, channels: Sequence[str]) -> tuple[Correction, ...]:
+    """Return the corrections that a wiring is, for which `wiring_of` returns it."""
+    out, now = [], list(channels)
+    for k, (source, _) in enumerate(wiring):
+        if now[k] != source:
+            other = now.index(source)
+            out.append(Correction("exchange", (channels[k], channels[other])))
+            now[k], now[other] = now[other], now[k]
+    turned = tuple(c for c, (_, sign) in zip(channels, wiring, strict=True) if sign < 0)
+    return (*out, *([Correction("sign", turned)] if turned else []))
+
+
+def as_read(log: Log, model: Model, corrections: Sequence[Correction] = ()) -> Log:
+    """Return the log as `model` reads it: without its mistakes, columns that repeat made continuous."""
+    return continuous(corrected(log, corrections), model)
+
+
+def corrected(log: Log, corrections: Sequence[Correction]) -> Log:
+    """Return the log without the mistakes that corrections undo; the log itself where there are none.
+
+    Raises `InputError` for a column or a run that the log does not have.
+    """
+    if not corrections:
+        return log
+    for one in corrections:
+        log.table.require(one.columns)
+        if unknown := set(one.runs) - set(log.runs):
+            raise InputError(
+                f"Correction '{one.text}' names run {min(unknown)}, which {log.name} does not have."
+            )
+    noise = log.noise
+    for one in corrections:
+        noise = noise if one.runs else one.mistake.noise(one, noise)
+    return replace(log, table=Corrected(log.table, corrections), noise=noise)

@@ -1,0 +1,231 @@
+"""What a fit claims of a recording: silent where a log is what it says; else what puts it right is named.
+
+What is claimed of each kind of mistake stands in the table of `tests/log`.
+"""
+
+from itertools import permutations, product
+
+import numpy as np
+import pytest
+from twins import COLUMNS, HALL, SIGMAS, record, same, with_noise
+
+from hallsym.errors import InputError
+from hallsym.estimation import fit
+from hallsym.estimation.claims import mistakes_of
+from hallsym.families import build, published
+from hallsym.families.recording import as_wired
+from hallsym.log import Log, Meta, Noise, Sigma
+from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simulate
+from hallsym.simulation.paper import VERTICAL_NOISE
+from hallsym.simulation.signals import multi_sine
+
+SIGMA = dict.fromkeys(HALL, 5e-7) | {"x_ref_m": 1e-6, "y_ref_m": 1.4e-6, "rz_ref_rad": 5e-7} | VERTICAL_NOISE
+WIRINGS = [(p, s) for p in permutations(range(3)) for s in product((1, -1), repeat=3)]
+QUICK = [WIRINGS[0], ((0, 1, 2), (1, -1, 1)), ((1, 0, 2), (1, 1, 1)), ((2, 0, 1), (1, -1, 1))]
+
+
+def log_of(arrays):
+    return Log.from_arrays(arrays, Noise({c: Sigma(s, "given") for c, s in SIGMA.items()}))
+
+
+def six_runs():
+    settings = published.table("table6_settings")
+    motion = {
+        "x_m": multi_sine(300e-6, [1.0, 4.0]),
+        "y_m": multi_sine(500e-6, [2.0, 5.0]),
+        "rz_rad": multi_sine(300e-6, [3.0, 7.0]),
+    }
+    at = [{axis: settings[axis][k] for axis in ("z_m", "rx_rad", "ry_rad")} for k in (0, 4, 8, 12, 15, 18)]
+    return Campaign(2e-3, tuple(Run(1.0, setting, motion) for setting in at))
+
+
+@pytest.fixture(scope="module")
+def six():
+    truth = published.values("table7_estimates")
+    return simulate(build("stage31"), truth, six_runs(), NoiseModel(SIGMA), seed=3)
+
+
+def found(log, **options):
+    """What is said of a log: the texts of the claims, or that of a refusal."""
+    try:
+        return [claim.text for claim in fit(log, solver="direct", **options).claims]
+    except InputError as error:
+        return [str(error)]
+
+
+# -- channels that are exchanged or inverted ---------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def unequal():
+    """A log whose channels differ in noise, so that noise has to follow its channel."""
+    sigma = {**SIGMAS, "hall_a_m": 0.3e-6, "hall_b_m": 0.6e-6, "hall_c_m": 1.2e-6}
+    columns = record(seed=4, samples=20, sigma=sigma)
+    return columns, sigma, fit(with_noise(columns, sigma), "stage31", solver="direct")
+
+
+@pytest.mark.parametrize(
+    ("order", "signs"),
+    [pytest.param(*w, marks=() if w in QUICK else pytest.mark.slow, id=str(w)) for w in WIRINGS],
+)
+def test_every_wiring_is_noticed_and_put_right_by_its_corrections(unequal, order, signs):
+    """The same optimum, errors and noise as with the right wiring; a single sign or exchange is named."""
+    columns, sigma, right = unequal
+    mixed, stated = dict(columns), dict(sigma)
+    for k, (source, sign) in enumerate(zip(order, signs, strict=True)):
+        mixed[HALL[k]] = sign * columns[HALL[source]]
+        stated[HALL[k]] = sigma[HALL[source]]
+    log = with_noise(mixed, stated)
+    wiring = tuple((HALL[order.index(k)], signs[order.index(k)]) for k in range(3))
+    corrections = [one.text for one in as_wired(wiring, HALL)]
+    if len(corrections) == 1 and "," not in corrections[0]:
+        (said,) = found(log, model="stage31")
+        assert corrections[0] in said
+    elif corrections:
+        try:
+            result = fit(log, "stage31", solver="direct")
+        except InputError:
+            pass
+        else:
+            assert result.goodness.material
+    result = fit(log, "stage31", solver="direct", corrections=corrections)
+    same(right, result)
+    assert result.solver["cost"] == pytest.approx(right.solver["cost"], rel=1e-9)
+    for row in ("rmse", "peak"):
+        for name, value in right.error_rows["fitted"][row].items():
+            assert result.error_rows["fitted"][row][name] == pytest.approx(value, rel=1e-6)
+    assert result.wiring == (wiring if corrections else None)
+    assert not result.claims
+
+
+def test_a_reference_that_does_not_belong_is_refused():
+    columns = record(seed=1, samples=30)
+    other = dict(columns)
+    rng = np.random.default_rng(0)
+    for c in COLUMNS[:3]:
+        other[c] = rng.permutation(columns[c])
+    with pytest.raises(InputError, match="does not belong"):
+        fit(with_noise(other), "stage31", solver="direct")
+
+
+# -- where nothing is claimed ------------------------------------------------------------------------------
+
+
+def machine(rng, model):
+    """A machine anywhere inside the bounds; a rigid stage, as wherever Z and tilts are measured."""
+    values = {p.name: rng.uniform(p.lower, p.upper) for p in model.parameters}
+    x0, y0 = rng.uniform(-0.3, 0.3, 2)
+    for k, (label, side) in enumerate((("A", 1), ("B", -1), ("C", 1)), start=1):
+        slope = -rng.uniform(50, 400)
+        values[f"a_{label}"] = slope
+        values[f"b_{label}"] = slope * (values[f"H{k}y"] - y0)
+        values[f"c_{label}"] = -slope * (side * values[f"H{k}x"] - x0)
+    return values
+
+
+def claimed(seeds):
+    """Seeds of simulated logs without a mistake of which something is claimed, however near it is looked."""
+    model, out = build("stage31"), []
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        campaign = paper_campaign() if seed % 2 else six_runs()
+        log = log_of(simulate(model, machine(rng, model), campaign, NoiseModel(SIGMA), seed=seed))
+        said = [claim.text for claim in mistakes_of(log, model)]
+        out += [(seed, said)] if said or found(log, model=model) else []
+    return out
+
+
+def test_nothing_is_claimed_of_logs_without_a_mistake():
+    assert claimed(range(6)) == []
+
+
+@pytest.mark.slow
+def test_claims_of_at_most_one_per_cent_of_logs_without_a_mistake():
+    assert len(claimed(range(100, 300))) <= 2
+
+
+@pytest.mark.parametrize("column", ["x_ref_m", "rz_ref_rad", "hall_b_m", "z_m", "ry_rad"])
+@pytest.mark.parametrize("factor", [0.95, 1.05])
+def test_a_scale_that_gains_absorb_is_no_mistake(six, column, factor):
+    assert found(log_of(six | {column: factor * six[column]}), model="stage31") == []
+
+
+def test_gains_that_do_not_follow_tilts_are_a_legal_machine():
+    """And so are probes 10 mm from the origin, or gains that do not follow the height."""
+    near = [
+        {"channel": c, "position_m": place, "senses": senses}
+        for c, place, senses in zip(
+            HALL, ([0.01, 0.01], [-0.01, 0.01], [0.01, -0.01]), ([0, 1], [0, 1], [1, 0]), strict=True
+        )
+    ]
+    paper = published.values("table7_estimates")
+    flat = {n: 0.0 if n[:2] in ("b_", "c_") else v for n, v in paper.items()}
+    inner = {n: v for n, v in flat.items() if not n.startswith("H")}
+    level = {n: 0.0 if n.startswith("a_") else v for n, v in flat.items()}
+    for model, truth in (
+        (build("stage31"), flat),
+        (build("stage31"), level),
+        (build("stage31", meta=Meta(probes=near)), inner),
+    ):
+        log = log_of(simulate(model, truth, six_runs(), NoiseModel(SIGMA), seed=3))
+        result = fit(log, model, solver="direct")
+        assert (result.notes, result.claims) == ((), ())
+
+
+def test_spikes_do_not_look_like_another_run():
+    columns = record(seed=7, samples=100)
+    rng = np.random.default_rng(0)
+    for c in HALL:
+        columns[c] = columns[c] + np.where(rng.random(len(columns[c])) < 0.01, 2e-3, 0.0)
+    result = fit(with_noise(columns), "stage31", solver="direct")
+    assert any("isolated spikes" in note for note in result.notes)
+    assert not result.claims
+
+
+# -- what is claimed ---------------------------------------------------------------------------------------
+
+
+def test_two_explanations_are_both_named(six):
+    wrong = log_of(six | {c: -six[c] for c in HALL})
+    (claim,) = mistakes_of(wrong, build("stage31"))
+    halls, references = "sign hall_a_m,hall_b_m,hall_c_m", "sign x_ref_m,y_ref_m,rz_ref_rad"
+    assert references in (claim.correction, *claim.rivals)
+    assert halls in (claim.correction, *claim.rivals)
+    for text in (halls, references):
+        assert fit(wrong, "stage31", solver="direct", corrections=[text]).claims == ()
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.9, 1.1, 1.9])
+def test_a_gain_of_one_run_is_found_with_its_factor(six, factor):
+    """Of a run as of the others; the readings that it multiplies stay, and their noise with them."""
+    first = six["run"] == 0
+    log = log_of(six | {"hall_a_m": np.where(first, factor, 1.0) * six["hall_a_m"]})
+    (claim,) = fit(log, "stage31", solver="direct").claims
+    kind, column, number, _, runs = claim.correction.split()
+    assert (kind in ("scale", "gain_step"), column, runs) == (True, "hall_a_m", "0")
+    assert float(number) == pytest.approx(factor if kind == "gain_step" else 1 / factor, rel=1e-2)
+    assert not fit(log, "stage31", solver="direct", corrections=[claim.correction]).claims
+
+
+def test_a_claim_that_is_accepted_is_a_note(six):
+    here = six["run"] == 4
+    wrong = log_of(six | {"hall_a_m": np.where(here, -six["hall_a_m"], six["hall_a_m"])})
+    (claim,) = fit(wrong, "stage31", solver="direct").claims
+    assert (claim.name, claim.correction) == ("sign", "sign hall_a_m in 4")
+    assert claim.explains > 0.9
+    kept = fit(wrong, "stage31", solver="direct", accept=["sign"])
+    assert kept.claims == ()
+    assert claim.text in kept.notes
+    other = fit(wrong, "stage31", solver="direct", accept=["delay"])
+    assert other.claims == (claim,)
+    assert claim.text not in fit(wrong, "stage31", solver="direct", accept=["all"]).notes
+
+
+def test_a_run_that_no_other_moves_like_is_not_thrown_away_with_its_like():
+    """Runs of the paper's campaign move one axis each: a wrong one bends the gain of all that move alike."""
+    columns = record(seed=1, samples=30)
+    here = columns["run"] == 4
+    wrong = with_noise(columns | {"x_ref_m": np.where(here, -columns["x_ref_m"], columns["x_ref_m"])})
+    (claim,) = fit(wrong, "stage31", solver="direct").claims
+    assert "sign x_ref_m in 4" in (claim.correction, *claim.rivals)
+    assert claim.runs == (4,)
