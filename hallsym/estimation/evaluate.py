@@ -11,13 +11,14 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
+from hallsym.estimation.claims import mistakes_of
 from hallsym.estimation.decoding import ErrorTable, error_tables, knows_rails, logged_columns, zero_shifts
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of, noise_floor
 from hallsym.estimation.likelihood import Point, cost_near, deviations_of, zeros_of
 from hallsym.estimation.residual_noise import noise_followed, with_noise
 from hallsym.estimation.task import noise_of
 from hallsym.families.recording import corrected
-from hallsym.log import Log, Noise, as_log, usable
+from hallsym.log import Fault, Log, Noise, as_log, usable
 from hallsym.log.phase import LISTED, at_rest, continuous, rehomed
 from hallsym.model import Model
 from hallsym.shown import Shown
@@ -134,6 +135,8 @@ def evaluate(
         noise, found = followed, judged(seen, model, known.values, followed.std, own_zero=own_zero)
     notes += _shift_notes(model, found.table, found.shifts, taken_out=own_zero)
     goodness = with_noise(found.goodness, found.log, found.point, noise)
+    if goodness.sentence:
+        notes += [Fault(claim.text) for claim in mistakes_of(given, model)]
     return Evaluation(
         model, found.table, goodness, noise_floor(found.point), noise, tuple(notes), known, given,
         deviations_of(found.point), found.log,

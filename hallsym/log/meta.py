@@ -26,12 +26,12 @@ class MetaRecord(msgspec.Struct):
 
     device: str | None = None
     base_model: str | None = None
-    nominal: dict[str, Any] = {}
+    nominal: dict[str, Any] | None = {}
     probes: list[dict[str, Any]] | None = None
-    validation_runs: list[Run] = []
+    validation_runs: list[Run] | None = []
     gap_length_scale_m: Positive | None = None
     gap_threshold_rel: Positive | None = None
-    noise_1sigma: dict[str, Positive] = {}
+    noise_1sigma: dict[str, Positive] | None = {}
     counts_per_turn: Annotated[float, msgspec.Meta(ge=2, le=1e100)] | None = None
 
 
@@ -71,7 +71,7 @@ class Meta:
         entries = {name: value for name, value in raw.items() if name in known and value is not None}
         record = structured(entries, MetaRecord, where, "correct that place")
         found = {name: getattr(record, name) for name in known - {"counts_per_turn", "validation_runs"}}
-        return Meta(raw=dict(raw), holdout=tuple(record.validation_runs), **found)
+        return Meta(raw=dict(raw), holdout=tuple(record.validation_runs or ()), **found)
 
     @staticmethod
     def read(path: Path) -> Meta:
