@@ -151,7 +151,10 @@ def comma_decimals(path: Path, data: Columns) -> Written:
     names = dict(NAMES) | {"t_s": "Zeit", "z_m": "Höhe", "x_ref_m": "Interferometer X",
                            "y_ref_m": "Interferometer Y", "rz_ref_rad": "Interferometer Rz"}  # fmt: skip
     columns, known = theirs(data, "{name} ({unit})", names)
-    number = lambda x: f"{x:.9g}".replace(".", ",")  # noqa: E731
+
+    def number(x):
+        return f"{x:.9g}".replace(".", ",")
+
     return Written([table(path / "Messung.csv", columns, ";", number=number, encoding="latin-1", end="\r\n")],
                    known)  # fmt: skip
 
@@ -257,7 +260,10 @@ def labview(path: Path, data: Columns) -> Written:
         f"Channels\t{len(columns)}\r\nSamples\t{len(data['run'])}\r\nY_Unit_Label\t{units}\r\n"
         "X_Dimension\tTime\r\nX0\t0,0000000000000000E+0\r\nDelta_X\t0,005000\r\n***End_of_Header***\t\t\r\n"
     )
-    number = lambda x: x if isinstance(x, str) else f"{x:.9g}".replace(".", ",")  # noqa: E731
+
+    def number(x):
+        return x if isinstance(x, str) else f"{x:.9g}".replace(".", ",")
+
     file = table(path / "stage.lvm", seconds, "\t", above=head, number=number, end="\r\n")
     return Written([file], {**known, "t_s": Known("X_Value", "s")})
 
@@ -433,7 +439,9 @@ def matrices(path: Path, data: Columns) -> Written:
     """MATLAB: N x 3 matrices, a row vector of times, no unit in any name."""
     from scipy.io import savemat
 
-    inside = lambda *cs: np.stack([within(data[c], UNIT[c]) for c in cs], axis=1)  # noqa: E731
+    def inside(*cs):
+        return np.stack([within(data[c], UNIT[c]) for c in cs], axis=1)
+
     savemat(path / "stage.mat", {
         "run": data["run"][None, :].astype(float), "t": 1e3 * data["t_s"][None, :],
         "hall": inside("hall_a_m", "hall_b_m", "hall_c_m"), "ref": inside("x_ref_m", "y_ref_m", "rz_ref_rad"),
@@ -626,7 +634,10 @@ def thousands(path: Path, data: Columns) -> Written:
     units = {c: {"um": "nm", "urad": "nrad"}.get(u, u) for c, u in UNIT.items()}
     columns, known = theirs(data, units=units)
     swap = str.maketrans(".,", ",.")
-    number = lambda x: f"{x:,.3f}".translate(swap)  # noqa: E731
+
+    def number(x):
+        return f"{x:,.3f}".translate(swap)
+
     columns["Run"] = data["run"].astype(float)
     return Written([table(path / "tausend.csv", columns, ";", number=number)], known)
 

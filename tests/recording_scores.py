@@ -263,7 +263,10 @@ def told(r: Recording, **more):
 
 def claims_of(fit) -> list[dict]:
     """Return claims as dicts, whatever the type they have."""
-    get = lambda c, k: c.get(k) if isinstance(c, dict) else getattr(c, k, None)  # noqa: E731
+
+    def get(c, k):
+        return c.get(k) if isinstance(c, dict) else getattr(c, k, None)
+
     keys = ("name", "columns", "runs", "text", "correction", "explains", "rivals")
     return [{k: get(c, k) for k in keys} for c in getattr(fit, "claims", ())]
 
@@ -311,7 +314,10 @@ def heals(r: Recording, text: str) -> bool:
 
 def verdict(m: Mistaken, out: Outcome) -> str:
     """right | rival | equal | wrong: a correction is named; noticed: none; harmless | consistent | silent."""
-    is_right = lambda text: any(same(text, right, m.recording) for right in m.right)  # noqa: E731
+
+    def is_right(text):
+        return any(same(text, right, m.recording) for right in m.right)
+
     if m.legal:
         return "wrong" if out.first and not is_right(out.first) else "legal"
     if out.first:
@@ -375,7 +381,10 @@ def rates(rows: Sequence[Outcome]) -> Rates:
     count = Counter(row.verdict for row in rows)
     healthy = count["ok"] + count["noted"] + count["false"]
     felt = sum(count[v] for v in FELT)
-    share = lambda *verdicts: sum(count[v] for v in verdicts) / max(1, felt)  # noqa: E731
+
+    def share(*verdicts):
+        return sum(count[v] for v in verdicts) / max(1, felt)
+
     return Rates(
         mistakes=len(rows) - healthy,
         felt=felt,

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
+from operator import attrgetter
 from zlib import crc32
 
 import numpy as np
@@ -212,7 +213,10 @@ def stage_plan(
 
 def drawn_layout(rng: np.random.Generator) -> tuple[Probe, ...]:
     """Draw three or four probes that tell x, y and Rz apart: two feel y at both sides, the others feel x."""
-    away = lambda: float(rng.uniform(0.06, 0.3))  # noqa: E731
+
+    def away():
+        return float(rng.uniform(0.06, 0.3))
+
     up = (0.0, float(rng.choice([-1.0, 1.0])))
     across = (float(rng.choice([-1.0, 1.0])), 0.0)
     made = [
@@ -389,9 +393,9 @@ class Draft:
 
 Make = Callable[[Draft], None]
 Role = Callable[[Recording], list[str]]
-READINGS: Role = lambda r: r.readings  # noqa: E731
-REFERENCES: Role = lambda r: r.references  # noqa: E731
-STATE: Role = lambda r: r.state  # noqa: E731
+READINGS: Role = attrgetter("readings")
+REFERENCES: Role = attrgetter("references")
+STATE: Role = attrgetter("state")
 
 
 def names(columns: Sequence[str]) -> str:
@@ -903,7 +907,10 @@ def stated_gains(gain: float) -> Planned:
 
 def near(plan: Plan, rng: np.random.Generator) -> Plan:
     """Probes at 50 mm, as a machine file says."""
-    at = lambda: float(rng.uniform(0.04, 0.06))  # noqa: E731
+
+    def at():
+        return float(rng.uniform(0.04, 0.06))
+
     probes = (Probe("hall_a_m", (at(), at()), (0.0, 1.0)), Probe("hall_b_m", (-at(), at()), (0.0, 1.0)),
               Probe("hall_c_m", (at(), at()), (1.0, 0.0)))  # fmt: skip
     return stage_plan(rng, Size(len(plan.campaign.runs), 200, plan.campaign.step_s), probes=probes)

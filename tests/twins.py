@@ -16,8 +16,9 @@ from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.families import build, published
 from hallsym.log import Block, Log, Noise, Sigma
 from hallsym.model import Model
-from hallsym.simulation import Campaign, NoiseModel, paper_campaign, simulate
+from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simulate
 from hallsym.simulation.paper import VERTICAL_NOISE
+from hallsym.simulation.signals import multi_sine
 
 EPS = float(np.finfo(float).eps)
 TRUTH = published.values("table7_estimates")
@@ -150,3 +151,15 @@ def same(one, other) -> None:
     ok = one.determined
     assert np.array_equal(ok, other.determined)
     assert np.all(np.abs(one.values - other.values)[ok] < 1e-6 * one.std[ok])
+
+
+def six_runs() -> Campaign:
+    """Return six runs in which all axes move together, each at another vertical setting of Table 6."""
+    settings = published.table("table6_settings")
+    motion = {
+        "x_m": multi_sine(300e-6, [1.0, 4.0]),
+        "y_m": multi_sine(500e-6, [2.0, 5.0]),
+        "rz_rad": multi_sine(300e-6, [3.0, 7.0]),
+    }
+    at = [{axis: settings[axis][k] for axis in ("z_m", "rx_rad", "ry_rad")} for k in (0, 4, 8, 12, 15, 18)]
+    return Campaign(2e-3, tuple(Run(1.0, setting, motion) for setting in at))

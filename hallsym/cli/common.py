@@ -21,7 +21,7 @@ from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
 from hallsym.families.user import load_effects
 from hallsym.files import json_text
-from hallsym.log import MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
+from hallsym.log import Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
 from hallsym.log.formats import files_of, open_source
 from hallsym.log.groups import GroupedSource
 from hallsym.model import Effect, Model
@@ -273,28 +273,6 @@ def column_ranges(
         require(low < high, option, "from the lesser to the greater value", text)
         ranges[column] = low, high
     return ranges
-
-
-MOST_RUNS = 1_000_000
-"""Runs that a range of run numbers may hold: more than any campaign has."""
-
-
-def run_numbers(text: str) -> list[int]:
-    """`2,7,12` or `40-45` as run numbers."""
-    runs: list[int] = []
-    try:
-        for part in filter(None, text.split(",")):
-            first, _, last = part.strip().partition("-")
-            low, high = int(first), int(last or first)
-            if not low <= high <= min(low + MOST_RUNS, MOST_RUN):
-                raise ValueError(part)
-            runs += range(low, high + 1)
-    except ValueError:
-        raise InputError(
-            f"--holdout must be run numbers such as 2,7,12 or 40-45, {MOST_RUNS} in a row at most; instead "
-            f"received {text!r}."
-        ) from None
-    return runs
 
 
 def warn(sentence: str) -> None:

@@ -14,7 +14,6 @@ from hallsym.cli.common import (
     own_option,
     progress_of,
     reading_words,
-    run_numbers,
     say,
 )
 from hallsym.diagnosis import Examined, examine, model_on, prepare
@@ -24,6 +23,7 @@ from hallsym.families import default_model
 from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write, write_json
 from hallsym.log import Log
+from hallsym.log.columns import read_runs
 from hallsym.model import Effect, Model
 from hallsym.power import REPEATS, detection_power
 from hallsym.report.data.gather import gather, version_of
@@ -81,7 +81,7 @@ def run(options: Namespace) -> int:
     known = load_fit(options.model, own) if str(options.model).endswith(".json") else None
     log = open_log(options, machine, known)
     name = options.model or default_model(log.meta)
-    holdout = None if options.holdout is None else run_numbers(options.holdout)
+    holdout = None if options.holdout is None else read_runs(options.holdout, "--holdout")
     if known:
         model: Model | Fit = known
     else:
@@ -121,7 +121,7 @@ def run(options: Namespace) -> int:
 
 
 def _power(
-    options: Namespace, log: Log, model: Model | Fit, holdout: list[int] | None, own: tuple[Effect, ...]
+    options: Namespace, log: Log, model: Model | Fit, holdout: tuple[int, ...] | None, own: tuple[Effect, ...]
 ) -> int:
     """Say which effects a diagnosis of this log would find, and from which size on."""
     found = detection_power(

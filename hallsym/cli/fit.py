@@ -13,6 +13,7 @@ from hallsym.estimation.fit import fit
 from hallsym.families import added_effects, plain
 from hallsym.families.machine_file import Machine, read_machine
 from hallsym.log import Fault, Log
+from hallsym.log.columns import read_runs
 from hallsym.model import Model
 from hallsym.report.text.fit import fit_text
 
@@ -85,7 +86,7 @@ def run(options: Namespace) -> int:
     logs, judged = _opened(options, options.logs, machine), _opened(options, options.holdout_log, machine)
     shared: dict[str, Any] = {
         "own": common.own_effects(options),
-        "holdout": None if options.holdout is None else common.run_numbers(options.holdout),
+        "holdout": None if options.holdout is None else read_runs(options.holdout, "--holdout"),
         "drop_bad": options.drop_bad,
         "on_progress": common.progress_of(options),
     }

@@ -16,10 +16,10 @@ from scipy.optimize import minimize_scalar
 
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Claim, Fit
+from hallsym.estimation.decoding import logged_columns
 from hallsym.estimation.factors import exact, summarise, summarise_at
-from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_of, zeros_of
-from hallsym.estimation.optimum import closed_form, search
+from hallsym.estimation.optimum import closed_form, searched
 from hallsym.estimation.outliers import residual_of, residuals
 from hallsym.estimation.task import Asked, Begun, Task, noise_of
 from hallsym.families.recording import Correction, as_wired, said
@@ -29,7 +29,7 @@ from hallsym.log.core import Block, Drop, without
 from hallsym.log.phase import continuous
 from hallsym.log.table import joined
 from hallsym.model import Model
-from hallsym.units import UNITS, split_unit
+from hallsym.units import UNITS, si_unit, split_unit
 
 SAMPLES = 8_000
 """Samples that a mistake is tried on: enough for parameters to a part in a hundred, and quickly fitted."""
@@ -39,8 +39,6 @@ SETTLING = 3
 """Rounds of settling the offsets of runs where a mistake is tried."""
 READ = 400_000
 """Samples that are read at most: corrections are made at the full rate, before samples are picked."""
-
-
 MOST_NOISE = 0.2
 """Noise of a corrected column over its range, or its period, from which on it explains any residual."""
 
@@ -68,24 +66,31 @@ def coarse_readings(given: Log, model: Model) -> Iterator[Claim]:
     block = next(given.blocks(model.channels, LOOKED))
     for c, x in block.data.items():
         values = np.unique(x)
-        if 1 < len(values) <= min(FEW_CODES, len(x) / CODES) and _even(values):
-            one = Correction("coarse_steps", (c,), (float(np.diff(values).min()),))
+        step = _step_between(values) if len(values) <= min(FEW_CODES, len(x) / CODES) else None
+        if step is not None:
             yield Claim(
-                one.kind, f"{c} takes {len(values)} values only, in steps of {one.numbers[0]:.4g}: what "
+                "coarse_steps", f"{c} takes {len(values)} values only, in steps of {step:.4g}: what "
                 "rounding does to it goes with the pose, and no fit tells it; use a finer converter.",
-                one.columns,
+                (c,),
             )  # fmt: skip
 
 
-def _even(values: np.ndarray) -> bool:
-    """Return whether all steps between ascending values are multiples of the least."""
+def _step_between(values: np.ndarray) -> float | None:
+    """Return the step that all distances of ascending values are multiples of; None where there is none."""
     gaps = np.diff(values)
     gaps = gaps[gaps > 1e-9 * float(np.ptp(values))]
-    return bool(np.abs(gaps / gaps.min() - np.round(gaps / gaps.min())).max() < 0.01)
+    if not len(gaps):
+        return None
+    step = float(gaps.min())
+    return step if np.abs(gaps / step - np.round(gaps / step)).max() < EVEN else None
+
+
+EVEN = 0.01
+"""Part of a step by which values in even steps may be off."""
 
 
 def mistakes_of(given: Log, model: Model) -> tuple[Claim, ...]:
-    """Return the mistakes that explain why nothing can be fitted to a log as it was logged."""
+    """Return the mistakes that explain what a model leaves of a log as it was logged, or why it fits none."""
     with np.errstate(all="ignore"):  # what is tried may be beyond numbers
         try:
             return tuple(map(claim, suspects(Trials(given, model, noise_of(given, model)))))
@@ -154,7 +159,7 @@ def groups(model: Model, columns: Sequence[str], worst: Sequence[str]) -> list[t
     """
     logged = [c for c in (*model.references, *model.state) if c in columns]
     readings = [c for c in model.channels if c in columns]
-    by_unit = [tuple(c for c in logged if _si(c) == unit) for unit in dict.fromkeys(map(_si, logged))]
+    by_unit = [tuple(c for c in logged if si_unit(c) == unit) for unit in dict.fromkeys(map(si_unit, logged))]
     together = (
         tuple(readings),
         *by_unit,
@@ -162,11 +167,6 @@ def groups(model: Model, columns: Sequence[str], worst: Sequence[str]) -> list[t
         tuple(logged),
     )
     return list(dict.fromkeys([*((c,) for c in (*logged, *worst)), *(g for g in together if g)]))
-
-
-def _si(column: str) -> str:
-    unit = split_unit(column)[1]
-    return unit.si if unit else ""
 
 
 def scales(model: Model, columns: Sequence[str]) -> list[tuple[str, float]]:
@@ -214,9 +214,9 @@ class Trials:
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
-        """What the model reads."""
-        logged = (*self.model.references, *self.model.state, *self.model.channels, "t_s", "temperature_degc")
-        return tuple(dict.fromkeys(c for c in logged if c in self.given.columns))
+        """What the model reads, and time."""
+        logged = dict.fromkeys((*logged_columns(self.model), "t_s"))
+        return tuple(c for c in logged if c in self.given.columns)
 
     @cached_property
     def spans(self) -> list[tuple[int, slice]]:
@@ -308,11 +308,7 @@ class Trials:
         free = _left_free(begun)
         if free > most:
             return None
-        first = np.clip(closed_form(begun.merged, begun.linear), *self.model.bounds)
-        found = determine(begun.merged, first)
-        held = list(found.held)
-        first[held] = np.clip(self.model.nominal, *self.model.bounds)[held]
-        best = search(begun.merged, begun.merged, first, found, solver="direct", seed=0)
+        _, best = searched(begun.merged, begun.merged, closed_form(begun.merged, begun.linear))
         return Tried(corrections, begun.fitted, best.p, self.model, log, free)
 
     def _cost(self, log: Log, p: np.ndarray) -> Cost:
@@ -517,10 +513,11 @@ def _named(trials: Trials, base: Tried, found: Found) -> Found | None:
     """
     c = found.correction
     known = scales(trials.model, c.columns) if c.kind == "scale" else []
+    own = all(factor != c.numbers[0] for _, factor in known)
     near = [
         replace(c, numbers=(factor,), unit=unit)
         for unit, factor in known
-        if c.numbers[0] not in dict(known).values() and 1 / UNIT_NEAR < factor / c.numbers[0] < UNIT_NEAR
+        if own and 1 / UNIT_NEAR < factor / c.numbers[0] < UNIT_NEAR
     ]
     for one in (*near, c):
         after = trials.fitted((one,))
@@ -828,7 +825,7 @@ def late_columns(trials: Trials, tried: Tried, runs: Sequence[int]) -> set[str]:
     for rest, e, block in _whitened(tried, runs):
         total += float((e * e).sum())
         for c in columns:
-            part = _slope(rest, e, block, c) * np.gradient(block.data[c])
+            part = _slope(rest, block, c) * np.gradient(block.data[c])
             part = part - part.mean(axis=1, keepdims=True)
             sums[c] += (float((part * e).sum()), float((part * part).sum()))
     share = {c: a * a / max(b * total, 1e-300) for c, (a, b) in sums.items()}
@@ -851,7 +848,7 @@ def _whitened(tried: Tried, runs: Sequence[int]) -> Iterator[tuple[Residual, np.
             yield (lambda b: rest(b) / sigma), e - e.mean(axis=1, keepdims=True), block
 
 
-def _slope(rest: Residual, e: np.ndarray, block: Block, column: str) -> np.ndarray:
+def _slope(rest: Residual, block: Block, column: str) -> np.ndarray:
     """Return the change of the residual with a column, (K, samples)."""
     x = block.data[column]
     h = 1e-3 * float(np.ptp(x)) or 1e-9
@@ -917,11 +914,8 @@ def _coarse(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
     some = np.isin(trials.run, list(runs))
     for c in filter(is_moving, trials.columns):
         values = np.unique(trials.full[c][some])
-        if len(values) < 2 or len(values) * CODES > some.sum():
-            continue
-        gaps = np.diff(values)
-        step = float(gaps[gaps > 1e-9 * float(np.ptp(values))].min())
-        if _even(values) and step > trials.noise[c].value:
+        step = _step_between(values) if len(values) * CODES <= some.sum() else None
+        if step is not None and step > trials.noise[c].value:
             yield Correction("coarse_steps", (c,), (step,))
 
 
@@ -1001,7 +995,7 @@ def _along(
     num, den = 0.0, 0.0
     for rest, e, block in _whitened(at, runs):
         x = block.data[column]
-        slope = _slope(rest, e, block, column) * (x if gain else 1.0)
+        slope = _slope(rest, block, column) * (x if gain else 1.0)
         if not within or since is not None:
             part = slope * (np.arange(len(x)) >= (since or 0))
             part = part - part.mean(axis=1, keepdims=True)

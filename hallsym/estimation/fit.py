@@ -18,9 +18,8 @@ from hallsym.estimation.calibration import Errors, Fit
 from hallsym.estimation.claims import claims_of, mistakes_of
 from hallsym.estimation.decoding import columns_of, knows_rails, logged_columns
 from hallsym.estimation.factors import exact, joined
-from hallsym.estimation.identifiable import Determination, determine
 from hallsym.estimation.likelihood import Cost, Sharing, cost_of, joint_cost, numbered, run_numbers
-from hallsym.estimation.optimum import SOLVERS, Solution, check_reference, closed_form, linear_fit, search
+from hallsym.estimation.optimum import SOLVERS, Solution, check_reference, closed_form, linear_fit, searched
 from hallsym.estimation.residual_noise import noise_followed
 from hallsym.estimation.several import check_gains, check_same, labels, restricted, several_fit
 from hallsym.estimation.task import (
@@ -307,14 +306,10 @@ class _Together:
         everything = self._sum([one.begun.everything for one in self.logs], self.numbers)
         fitted = self._sum([one.begun.fitted for one in self.logs], self.numbers)
         merged = self._sum([one.begun.merged for one in self.logs], [{0: g} for g in range(len(self.logs))])
-        model = self.sharing.joint
-        first = np.clip(self._first() if begin_at is None else begin_at, *model.bounds)
-        found: Determination = determine(fitted, first)
-        held = list(found.held)
-        first[held] = np.clip(model.nominal, *model.bounds)[held]
+        begin = self._first() if begin_at is None else begin_at
         self.asked.say(f"solving with {solver}")
-        best = search(fitted, merged, first, found, solver=solver, seed=self.asked.seed)
-        best = replace(best, p=nearest_turn(model, best.p))
+        found, best = searched(fitted, merged, begin, solver=solver, seed=self.asked.seed)
+        best = replace(best, p=nearest_turn(self.sharing.joint, best.p))
         return Solution(everything, fitted, found, best)
 
     def _sum(self, costs: list[Cost], numbers: Sequence[dict[int, int]]) -> Cost:

@@ -199,6 +199,21 @@ def search(
     )
 
 
+def searched(
+    fitted: Cost, merged: Cost, begin: np.ndarray, *, solver: str = "direct", seed: int = 0
+) -> tuple[Determination, Search]:
+    """Return what `fitted` determines where a search begins, and the optimum; `begin`: (n,) values.
+
+    What is not determined is held at its nominal value.
+    """
+    model = fitted.summary.model
+    first = np.clip(begin, *model.bounds)
+    found = determine(fitted, first)
+    held = list(found.held)
+    first[held] = np.clip(model.nominal, *model.bounds)[held]
+    return found, search(fitted, merged, first, found, solver=solver, seed=seed)
+
+
 def _message(status: str, ended: solvers.Result, solver: str) -> str:
     """What the status means, and what to do, in terms of what a user of `fit` can change."""
     elsewhere = "--solver hybrid" if solver == "direct" else "another --seed"

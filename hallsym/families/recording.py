@@ -19,7 +19,7 @@ Each may end with runs, `in 3,5,7-9`; without, all runs have it. Samples are cou
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,7 +27,7 @@ import numpy as np
 
 from hallsym.errors import InputError, counted, listed, nearest
 from hallsym.log import Log, Noise
-from hallsym.log.columns import RUN, is_moving
+from hallsym.log.columns import RUN, in_a_row, is_moving, read_runs
 from hallsym.log.core import Block
 from hallsym.log.phase import continuous
 from hallsym.log.table import CHUNK_ROWS, Piece, TableLike, View, joined
@@ -74,15 +74,14 @@ class Correction:
     def touched(self, columns: Sequence[str]) -> tuple[str, ...]:
         """Return which columns its undoing changes or looks at, of those that there are."""
         others = self.mistake.undo is _average_alike
-        return tuple(c for c in columns if c in self.columns or (others and is_moving(c))) or tuple(
-            columns[:1]
-        )
+        found = tuple(c for c in columns if c in self.columns or (others and is_moving(c)))
+        return found or tuple(columns[:1])
 
     def in_runs(self, runs: Sequence[int]) -> "Correction":
         """Return the same of some runs."""
         return replace(self, runs=tuple(runs))
 
-    def undo(self, data: Data, run: int, stated: Mapping[str, int] | None = None) -> np.ndarray | None:
+    def undo(self, data: Data, run: int) -> np.ndarray | None:
         """Undo the mistake in the columns of one run, in place; return which samples stay, None for all."""
         return None if self.runs and run not in self.runs else self.mistake.undo(self, data)
 
@@ -274,13 +273,7 @@ def run_list(runs: Sequence[int]) -> str:
     >>> run_list([3, 5, 7, 8, 9])
     '3,5,7-9'
     """
-    found: list[list[int]] = []
-    for run in sorted(runs):
-        if found and run == found[-1][-1] + 1:
-            found[-1].append(run)
-        else:
-            found.append([run])
-    return ",".join(str(f[0]) if len(f) == 1 else f"{f[0]}-{f[-1]}" for f in found)
+    return ",".join(str(p[0]) if len(p) == 1 else f"{p[0]}-{p[-1]}" for p in in_a_row(runs))
 
 
 def read_correction(text: str) -> Correction:
@@ -294,7 +287,7 @@ def read_correction(text: str) -> Correction:
     if "in" in words[1:-1]:
         at = len(words) - 1 - words[::-1].index("in")
         if at == len(words) - 2 and words[-1] not in UNITS:
-            runs, words = _run_numbers(words[-1], text), words[:at]
+            runs, words = read_runs(words[-1], f"Runs of correction {text!r}"), words[:at]
     if not words or words[0] not in MISTAKES:
         raise InputError(
             f"Correction {text!r} must begin with one of {', '.join(MISTAKES)}"
@@ -341,17 +334,6 @@ def _factor(columns: Sequence[str], unit: str, text: str) -> float:
     if si != {UNITS[unit].si}:
         raise InputError(f"Correction {text!r} must name a unit of {', '.join(columns)}; {unit} is none.")
     return UNITS[unit].factor
-
-
-def _run_numbers(text: str, whole: str) -> tuple[int, ...]:
-    out: list[int] = []
-    try:
-        for part in text.split(","):
-            first, dash, last = part.partition("-")
-            out += range(int(first), int(last) + 1) if dash else [int(first)]
-    except ValueError:
-        raise InputError(f"Runs of correction {whole!r} must be such as 3,5,7-9; {text!r} is not.") from None
-    return tuple(out)
 
 
 class Corrected(View):

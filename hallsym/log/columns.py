@@ -310,6 +310,44 @@ def _whole(raw: Array, source: str) -> Array:
 
 
 MOST_RUN = 2**53
+MOST_RUNS = 1_000_000
+"""Runs that a range of run numbers may hold: more than any campaign has."""
+
+
+def read_runs(text: str, what: str) -> tuple[int, ...]:
+    """Return the runs of `2,7,12` or `40-45`; `what` names the text in errors.
+
+    >>> read_runs("3,5,7-9", "--holdout")
+    (3, 5, 7, 8, 9)
+    """
+    runs: list[int] = []
+    try:
+        for part in filter(None, text.split(",")):
+            first, _, last = part.strip().partition("-")
+            low, high = int(first), int(last or first)
+            if not low <= high <= min(low + MOST_RUNS, MOST_RUN):
+                raise ValueError(part)
+            runs += range(low, high + 1)
+    except ValueError:
+        wanted = f"run numbers such as 2,7,12 or 40-45, {MOST_RUNS} in a row at most"
+        raise InputError(f"{what} must be {wanted}; instead received {text!r}.") from None
+    return tuple(runs)
+
+
+def in_a_row(runs: Sequence[int]) -> list[list[int]]:
+    """Return run numbers in groups of neighbours.
+
+    >>> in_a_row([3, 5, 9, 8])
+    [[3], [5], [8, 9]]
+    """
+    parts: list[list[int]] = []
+    for run in sorted(runs):
+        if not parts or run != parts[-1][-1] + 1:
+            parts.append([])
+        parts[-1].append(run)
+    return parts
+
+
 """Beyond it neighbouring whole numbers are one double, so that two runs would become one."""
 
 

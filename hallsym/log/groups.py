@@ -50,7 +50,7 @@ class Group(ABC):
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of exactly `size` rows, the last one of what is left; also of `TIME`."""
 
-    def begin(self) -> None:  # noqa: B027
+    def begin(self) -> None:  # noqa: B027 (most know these times when they are opened)
         """Find the times of the first and the last sample, where they have to be read."""
 
     def seconds(self, name: str) -> float:
@@ -92,7 +92,7 @@ class Columns(Group):
         self.clock = timed[0] if len(timed) == 1 else ""
 
     @cached_property
-    def rows(self) -> int:  # type: ignore[override]
+    def rows(self) -> int:  # type: ignore[override]  # a plain number in other groups
         """Samples; a file of text is counted when that is asked first."""
         return self.source.count()
 

@@ -63,7 +63,7 @@ def too_slow(*_: object) -> None:
 def chosen(options: argparse.Namespace) -> list[tuple[str, str, str]]:
     """Return the cases that the options choose."""
     if options.only:
-        return [tuple(case.rsplit("/", 2)) for case in options.only]  # type: ignore[misc]
+        return [(kind, family, seed) for kind, family, seed in (case.rsplit("/", 2) for case in options.only)]
     every = recordings.healthy_cases if options.healthy else recordings.cases
     found = [c for c in every(options.seed, options.repeat) if c[1] in options.families]
     found = [c for c in found if any(k in c[0] for k in options.kinds)]

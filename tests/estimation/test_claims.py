@@ -7,7 +7,7 @@ from itertools import permutations, product
 
 import numpy as np
 import pytest
-from twins import COLUMNS, HALL, SIGMAS, record, same, with_noise
+from twins import COLUMNS, HALL, SIGMAS, record, same, six_runs, with_noise
 
 from hallsym.errors import InputError
 from hallsym.estimation import fit
@@ -15,9 +15,8 @@ from hallsym.estimation.claims import mistakes_of
 from hallsym.families import build, published
 from hallsym.families.recording import as_wired
 from hallsym.log import Log, Meta, Noise, Sigma
-from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simulate
+from hallsym.simulation import NoiseModel, paper_campaign, simulate
 from hallsym.simulation.paper import VERTICAL_NOISE
-from hallsym.simulation.signals import multi_sine
 
 SIGMA = dict.fromkeys(HALL, 5e-7) | {"x_ref_m": 1e-6, "y_ref_m": 1.4e-6, "rz_ref_rad": 5e-7} | VERTICAL_NOISE
 WIRINGS = [(p, s) for p in permutations(range(3)) for s in product((1, -1), repeat=3)]
@@ -26,17 +25,6 @@ QUICK = [WIRINGS[0], ((0, 1, 2), (1, -1, 1)), ((1, 0, 2), (1, 1, 1)), ((2, 0, 1)
 
 def log_of(arrays):
     return Log.from_arrays(arrays, Noise({c: Sigma(s, "given") for c, s in SIGMA.items()}))
-
-
-def six_runs():
-    settings = published.table("table6_settings")
-    motion = {
-        "x_m": multi_sine(300e-6, [1.0, 4.0]),
-        "y_m": multi_sine(500e-6, [2.0, 5.0]),
-        "rz_rad": multi_sine(300e-6, [3.0, 7.0]),
-    }
-    at = [{axis: settings[axis][k] for axis in ("z_m", "rx_rad", "ry_rad")} for k in (0, 4, 8, 12, 15, 18)]
-    return Campaign(2e-3, tuple(Run(1.0, setting, motion) for setting in at))
 
 
 @pytest.fixture(scope="module")

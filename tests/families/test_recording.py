@@ -84,7 +84,7 @@ def test_units_stand_in_texts():
         ("clipped x_ref_m 1 2 3", "must read 'clipped"),
         ("zero_moved x_ref_m nan", "'nan' is no such number"),
         ("copied_run", "must read 'copied_run in RUNS'"),
-        ("sign x_ref_m in x-3", "such as 3,5,7-9"),
+        ("sign x_ref_m in x-3", "such as 2,7,12 or 40-45"),
     ],
 )
 def test_a_text_of_another_form_is_one_sentence(text, says):

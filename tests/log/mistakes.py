@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from twins import six_runs
 
 from hallsym.families import build, published
 from hallsym.log import Log, Noise, Sigma
-from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, read_campaign, simulate
+from hallsym.simulation import NoiseModel, paper_campaign, read_campaign, simulate
 from hallsym.simulation.paper import VERTICAL_NOISE
-from hallsym.simulation.signals import multi_sine
 
 Arrays = dict[str, np.ndarray]
 Make = Callable[[Arrays], Arrays | None]
@@ -78,18 +78,6 @@ def _base(name: str) -> tuple[Arrays, Noise]:
         truth = published.values("table7_estimates")
         arrays = simulate(model, truth, campaign, NoiseModel(sigma), seed=1)
     return arrays, Noise({column: Sigma(value, "given") for column, value in sigma.items()})
-
-
-def six_runs() -> Campaign:
-    """Return six runs in which all axes move together, each at another vertical setting of Table 6."""
-    settings = published.table("table6_settings")
-    motion = {
-        "x_m": multi_sine(300e-6, [1.0, 4.0]),
-        "y_m": multi_sine(500e-6, [2.0, 5.0]),
-        "rz_rad": multi_sine(300e-6, [3.0, 7.0]),
-    }
-    at = [{axis: settings[axis][k] for axis in ("z_m", "rx_rad", "ry_rad")} for k in (0, 4, 8, 12, 15, 18)]
-    return Campaign(2e-3, tuple(Run(1.0, setting, motion) for setting in at))
 
 
 # -- what a log reveals by itself ------------------------------------------------------------------------

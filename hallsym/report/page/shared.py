@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.estimation import Fit
+from hallsym.log.columns import in_a_row
 from hallsym.report.data.fit import ParameterRow, parameter_rows
 from hallsym.report.data.gather import Cells, RunSeries
 from hallsym.report.page import pictures
@@ -29,11 +30,7 @@ VALUES = (
 
 def numbers(runs: Sequence[int]) -> str:
     """Return run numbers, neighbours as `3 to 9`."""
-    parts: list[list[int]] = []
-    for run in sorted(runs):
-        if not parts or run != parts[-1][-1] + 1:
-            parts.append([])
-        parts[-1].append(run)
+    parts = in_a_row(runs)
     return ", ".join(f"{p[0]} to {p[-1]}" if len(p) > 2 else ", ".join(map(str, p)) for p in parts)
 
 
