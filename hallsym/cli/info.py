@@ -182,8 +182,9 @@ def _write(options: Namespace) -> int:
     columns = tuple(si_name(g.ours) for g in found.guesses) + found.rest
     notes = [] if described else layout_notes(found.model.name, Meta(columns=columns))
     if not found.told:
-        unknown = "nothing in the file tells what sensor it is of: say it with --model, such as rotary,"
-        notes = [f"{unknown} or name the columns in {options.write}."]
+        unknown = "nothing in the file tells what sensor it is of"
+        remedy = f"say it with --model ('hallsym info' lists them), or name the columns in {options.write}"
+        notes = [f"{unknown}: {remedy}."]
     elif found.lacking:
         notes.append(f"no column is like {', '.join(found.lacking)}; name theirs in {options.write}.")
     said = f"{_head_text(source)}\n\n{text}\n{check}."

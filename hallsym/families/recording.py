@@ -340,8 +340,10 @@ class Corrected(View):
     """A table without the mistakes that corrections undo; whole runs are read at once."""
 
     def __init__(self, table: TableLike, corrections: Sequence[Correction]) -> None:
+        """Undo `corrections`; the attribute of this name holds those of the table too."""
         super().__init__(table)
-        self.corrections = tuple(corrections)
+        self.own = tuple(corrections)
+        self.corrections: tuple[Correction, ...] = (*getattr(table, "corrections", ()), *self.own)
         self._held: Piece = {}
 
     def count(self) -> int:
@@ -354,7 +356,7 @@ class Corrected(View):
 
     def counts_per_turn(self, column: str) -> float | None:
         """Return the counts of a turn of a column; None of one whose values are changed."""
-        changed = any(column in c.columns for c in self.corrections)
+        changed = any(column in c.columns for c in self.own)
         return None if changed else self.table.counts_per_turn(column)
 
     def pieces(self, columns: Sequence[str], size: int) -> Iterator[Piece]:
@@ -370,12 +372,12 @@ class Corrected(View):
 
     def _pieces(self, columns: Sequence[str], size: int) -> Iterator[Piece]:
         """Yield runs, several at a time where they are short."""
-        partners = [c for one in self.corrections if set(one.columns) & {*columns} or one.mistake.undo in _CUT
+        partners = [c for one in self.own if set(one.columns) & {*columns} or one.mistake.undo in _CUT
                     for c in one.columns]  # fmt: skip
         asked = tuple(c for c in dict.fromkeys((*columns, *partners)) if c != RUN)
         waiting: list[Piece] = []
         for block in Log(self.table).blocks(asked or self.table.columns[1:2], size=2**62):
-            data, keep = corrected_run(block, self.corrections)
+            data, keep = corrected_run(block, self.own)
             rows = len(next(iter(data.values())))
             data[RUN] = np.full(rows, block.run, dtype=np.int64)
             kept = {c: data[c] if keep is None else data[c][keep] for c in columns}
@@ -442,8 +444,11 @@ def as_read(log: Log, model: Model, corrections: Sequence[Correction] = ()) -> L
 def corrected(log: Log, corrections: Sequence[Correction]) -> Log:
     """Return the log without the mistakes that corrections undo; the log itself where there are none.
 
+    A correction that the log has already, as the log of a fit has, is not made twice.
     Raises `InputError` for a column or a run that the log does not have.
     """
+    known = getattr(log.table, "corrections", ())
+    corrections = [one for one in corrections if one not in known]
     if not corrections:
         return log
     for one in corrections:

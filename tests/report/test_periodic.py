@@ -8,7 +8,7 @@ import pytest
 
 import hallsym
 from hallsym.families.recording import as_read
-from hallsym.report.data.periodic import periodic_error
+from hallsym.report.data.periodic import periodic_error, periodic_of
 from hallsym.report.text.periodic import periodic_text
 
 DEG = np.pi / 180
@@ -153,3 +153,16 @@ def test_nominal_parameters_decode_while_they_leave_less_than_twice_what_fitted_
     fit, found = of(table({1: 0.35, 2: 0.4}))
     text = periodic_text(replace(found, rest=ratio * found.rest_calibrated), fit.model.family)
     assert ("do not decode these readings" not in text) == decodes
+
+
+def test_a_correction_is_made_once_on_the_log_of_a_fit():
+    """The log that a fit keeps is read already; a mounted sensor of the other sign has the same error."""
+    angle = 2 * np.pi * np.arange(2000) / 400
+    noise = np.random.default_rng(3).normal(0, 0.004, (2, angle.size))
+    volts = {"v_sin_v": -(np.sin(angle) + noise[0]), "v_cos_v": np.cos(angle) + noise[1]}
+    log = hallsym.read_log({**volts, "angle_ref_rad": angle, "t_s": 1e-3 * np.arange(angle.size)})
+    fit = hallsym.fit(log, "rotary", solver="direct")
+    assert [one.text for one in fit.corrections] == ["sign v_sin_v"]
+    kept, raw = periodic_of(fit), periodic_of(fit, log)
+    assert max(h.amplitude for h in kept.harmonics) < 1e-3
+    assert [h.amplitude for h in kept.harmonics] == pytest.approx([h.amplitude for h in raw.harmonics])
