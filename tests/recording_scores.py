@@ -298,18 +298,25 @@ def judged_mistake(m: Mistaken) -> Outcome:
     return out
 
 
-def heals(r: Recording, text: str) -> bool:
+def heals(m: Mistaken, text: str) -> bool:
     """Whether a correction that was not foreseen makes a log that is described and calibrates without harm.
 
-    One that leaves whole runs out would, of any mistake in them; it does not count.
+    One that leaves whole runs out would, of any mistake in them; it does not count. A mistake of the whole log
+    is one of the controller's columns too, and corrected there as it is in the log.
     """
+    r = m.recording
     if text.startswith(("other_device", "copied_run")):
         return False
     try:
-        fit, ends, *_ = told(undone(r, text))
+        again = undone(r, text)
+        fit, ends, *_ = told(again)
     except (ValueError, KeyError, IndexError):
         return False
-    return ends == "0" and harm(fit, r, r.true) <= HARMED
+    if ends != "0":
+        return False
+    recorded = replace(again, true={c: again.arrays[c] if c in m.columns else x for c, x in again.true.items()})
+    same_columns = not m.runs and harm(fit, again, recorded.true) <= HARMED
+    return same_columns or harm(fit, r, r.true) <= HARMED
 
 
 def verdict(m: Mistaken, out: Outcome) -> str:
@@ -325,7 +332,7 @@ def verdict(m: Mistaken, out: Outcome) -> str:
         if is_right(out.first):
             return "right"
         return (
-            "rival" if any(map(is_right, rivals)) else "equal" if heals(m.recording, out.first) else "wrong"
+            "rival" if any(map(is_right, rivals)) else "equal" if heals(m, out.first) else "wrong"
         )
     if not m.right and any(set(c["columns"] or ()) & set(m.columns) for c in out.claims):
         return "right"

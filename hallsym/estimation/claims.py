@@ -71,7 +71,7 @@ def coarse_readings(given: Log, model: Model) -> Iterator[Claim]:
             yield Claim(
                 "coarse_steps", f"{c} takes {len(values)} values only, in steps of {step:.4g}: what "
                 "rounding does to it goes with the pose, and no fit tells it; use a finer converter.",
-                (c,),
+                (c,), correction=Correction("coarse_steps", (c,), (step,)).text,
             )  # fmt: skip
 
 
@@ -143,13 +143,18 @@ def _listed(texts: Sequence[str]) -> str:
 
 # -- what is tried -----------------------------------------------------------------------------------------
 
-FACTORS = (10.0, 1e3, 1e6)
+FACTORS = (10.0, 1e2, 1e3, 1e4, 1e5, 1e6)
 """Wrong scales that are tried beside those of units, with their inverses: a decimal point, a conversion that
-was done twice."""
+was done twice; between them lie counts."""
 RATIOS = tuple(range(2, 13))
 """Turns of one column in a turn of another: pole pairs, gears, counts of another resolution."""
+MEANS = (3, 5, 7, 9, 12, 16)
+"""Samples of centred means that are tried, before those between them."""
 SHIFTS = (1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25)
 """Delays in samples that are tried, either way, before those between them."""
+
+STEPS = {"delay": sorted({*SHIFTS, 0, *(-s for s in SHIFTS)}), "averaged": [2, *MEANS]}
+"""The samples of each kind between which others are tried about the best."""
 
 
 def groups(model: Model, columns: Sequence[str], worst: Sequence[str]) -> list[tuple[str, ...]]:
@@ -195,6 +200,7 @@ def hypotheses(model: Model, columns: Sequence[str], worst: Sequence[str]) -> It
     yield from (Correction("exchange", pair) for pair in combinations(worst, 2))
     for g in each:
         yield from (Correction("delay", g, (float(s * n),)) for n in SHIFTS for s in (1, -1))
+        yield from (Correction("averaged", g, (float(n),)) for n in MEANS)
 
 
 # -- how it is tried ---------------------------------------------------------------------------------------
@@ -387,21 +393,21 @@ class Tried:
         return dict(zip(summary.runs, (values / K).tolist(), strict=True))
 
     @cached_property
-    def unexplained(self) -> float:
-        """Share of the variance of the readings within a run that is left, mean over runs.
+    def shares(self) -> np.ndarray:
+        """Shares of a reading's variance within a run: what is left, what is noise, (2, readings).
 
-        Readings count by their noise, so that one at rest says nothing; of a run at rest the variance of the
-        others counts.
+        Mean over runs; of one in which a reading is at rest, its variance in the others counts.
         """
-        variance = self.cost.reading_variance
-        total = dict.fromkeys(self.cost.summary.runs, 0.0)
+        within = np.zeros((len(self.cost.summary.runs), len(self.model.channels)))
+        row = {run: i for i, run in enumerate(self.cost.summary.runs)}
         for block in self.log.blocks(self.model.channels):
-            moved = np.array([np.var(v) * len(v) for v in block.data.values()])
-            total[block.run] += float((moved / variance).sum())
-        within, counts = np.array(list(total.values())), self.cost.summary.counts
-        usual = counts * within.sum() / max(counts.sum(), 1.0)
-        left = np.einsum("rkk->rk", self.cost.at(self.p).squares) / variance
-        return float((left.sum(axis=1) / np.maximum(np.maximum(within, usual), 1e-300)).mean())
+            within[row[block.run]] += [np.var(v) * len(v) for v in block.data.values()]
+        counts = self.cost.summary.counts[:, None]
+        usual = counts * within.sum(axis=0) / max(float(counts.sum()), 1.0)
+        total = np.maximum(np.maximum(within, usual), 1e-300)
+        left = np.einsum("rkk->rk", self.cost.at(self.p).squares)
+        noise = counts * self.cost.reading_variance
+        return np.array([(part / total).mean(axis=0) for part in (left, noise)])
 
     def worst(self, runs: Sequence[int]) -> list[str]:
         """Return the readings that leave most over their noise in some runs, `SEARCHED` at most, in order."""
@@ -538,10 +544,15 @@ def _explains(base: Tried, after: Tried) -> bool:
 
 
 def _follows(base: Tried, after: Tried) -> bool:
-    """Return whether readings follow the references better: a log that is scaled down leaves less too."""
-    noise = base.unexplained / max(base.mean(base.left), 1.0)
-    most = (1 - EXPLAINS) * base.unexplained + 2 * noise
-    return after.unexplained <= min(most, UNEXPLAINED + 2 * noise)
+    """Return whether each reading follows the references better: one that is scaled down leaves less too."""
+    if all(one.mistake.keeps for one in after.corrections):
+        return True
+    (before, noise), (left, noise_after) = base.shares, after.shares
+    moved = np.minimum(noise, noise_after) < MOST_NOISE**2
+    if not moved.any():
+        return False
+    most = (1 - EXPLAINS) * before[moved].mean() + 2 * noise[moved].mean()
+    return bool(left[moved].mean() <= min(most, UNEXPLAINED + 2 * noise_after[moved].mean()))
 
 
 UNEXPLAINED = 0.003
@@ -666,11 +677,13 @@ def _best(
             return one.gain
         return -np.inf
 
-    late = late_columns(trials, base, runs)
+    smeared = smeared_columns(trials, base, runs)
     plain = (
-        c for c in hypotheses(trials.model, trials.columns, base.worst(runs)) if linear or c.kind == "delay"
+        c for c in hypotheses(trials.model, trials.columns, base.worst(runs)) if linear or c.kind in smeared
     )
-    some = [c for c in (*plain, *of_samples(trials, base)) if c.kind != "delay" or late & {*c.columns}]
+    some = [
+        c for c in (*plain, *of_samples(trials, base)) if c.kind not in smeared or smeared[c.kind] & {*c.columns}
+    ]
     for c in some if exact(trials.model) else _likely(trials, base, some, runs):
         judge(c)
     for c in _closer(seen):
@@ -693,16 +706,15 @@ def _same(a: Correction, b: Correction) -> bool:
 
 
 def _closer(seen: Sequence[Judged]) -> list[Correction]:
-    """Return the delays between those tried, about the best of each group of columns."""
-    best: dict[tuple[str, ...], Judged] = {}
+    """Return the delays and means between those tried, about the best of each group of columns."""
+    best: dict[tuple[str, tuple[str, ...]], Judged] = {}
     for one in seen:
-        c = one.correction
-        if c.kind == "delay" and one.gain > (best[c.columns].gain if c.columns in best else 0.0):
-            best[c.columns] = one
-    steps, out = sorted({*SHIFTS, 0, *(-s for s in SHIFTS)}), []
-    top = max((one.gain for one in best.values()), default=0.0)
+        key = one.correction.kind, one.correction.columns
+        if key[0] in STEPS and one.gain > (best[key].gain if key in best else 0.0):
+            best[key] = one
+    top, out = max((one.gain for one in best.values()), default=0.0), []
     for one in best.values():
-        n = int(one.correction.numbers[0])
+        steps, n = STEPS[one.correction.kind], int(one.correction.numbers[0])
         at = steps.index(n)
         low, high = steps[max(at - 1, 0)], steps[min(at + 1, len(steps) - 1)]
         if one.gain > 0.5 * top:
@@ -811,25 +823,35 @@ def _other_device(trials: Trials, now: Tried, runs: Sequence[int]) -> list[Found
     return [Found(one.correction.in_runs(runs), one.explains, one.left)] if described else []
 
 
-LATE = 0.1
-"""Share of the residual that the rate of a column must explain for delays of it to be tried: the square of
-the cosine of half the phase that the delay is, at one frequency."""
+TELLS = 0.1
+"""Share of the residual that the rate (or curvature) of a column must explain for delays (or means) of it to
+be tried: the square of the cosine of half the phase that a delay is, at one frequency."""
 
 
-def late_columns(trials: Trials, tried: Tried, runs: Sequence[int]) -> set[str]:
-    """Return the columns whose rate explains some of the residual."""
-    columns = [c for c in (*trials.model.references, *trials.model.state, *tried.worst(runs))
+def smeared_columns(trials: Trials, tried: Tried, runs: Sequence[int]) -> dict[str, set[str]]:
+    """Return the columns whose rate explains some of the residual, and whose curvature, by kind of mistake."""
+    model = tried.model
+    columns = [c for c in (*model.references, *model.state, *tried.worst(runs))
                if c in trials.columns]  # fmt: skip
-    sums = {c: np.zeros(2) for c in columns}
+    at_ends = max(MEANS) // 2  # there a mean holds fewer samples, and a delay none
+    sums = {(kind, c): np.zeros(2) for kind in ("delay", "averaged") for c in columns}
     total = 0.0
     for rest, e, block in _whitened(tried, runs):
-        total += float((e * e).sum())
+        inner = slice(at_ends, -at_ends) if e.shape[1] > 4 * at_ends else slice(None)
+        total += float((e[:, inner] ** 2).sum())
+        left = rest(block)
         for c in columns:
-            part = _slope(rest, block, c) * np.gradient(block.data[c])
-            part = part - part.mean(axis=1, keepdims=True)
-            sums[c] += (float((part * e).sum()), float((part * part).sum()))
-    share = {c: a * a / max(b * total, 1e-300) for c, (a, b) in sums.items()}
-    return {c for c in columns if share[c] > LATE}
+            x, slope = block.data[c], _slope(rest, block, c)
+            if c in model.channels:  # without its noise, which is that of the residual
+                k = model.channels.index(c)
+                x = x - left[k] * tried.log.noise[c].value
+            rate = np.gradient(x)
+            for kind, change in (("delay", rate), ("averaged", np.gradient(rate))):
+                part = (slope * change)[:, inner]
+                part = part - part.mean(axis=1, keepdims=True)
+                sums[kind, c] += (float((part * e[:, inner]).sum()), float((part * part).sum()))
+    share = {key: a * a / max(b * total, 1e-300) for key, (a, b) in sums.items()}
+    return {kind: {c for c in columns if share[kind, c] > TELLS} for kind in ("delay", "averaged")}
 
 
 Residual = Callable[[Block], np.ndarray]

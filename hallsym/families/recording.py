@@ -21,12 +21,12 @@ Each may end with runs, `in 3,5,7-9`; without, all runs have it. Samples are cou
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from hallsym.errors import InputError, counted, listed, nearest
-from hallsym.log import Log, Noise
+from hallsym.log import Log, Noise, Sigma
 from hallsym.log.columns import RUN, in_a_row, is_moving, read_runs
 from hallsym.log.core import Block
 from hallsym.log.phase import continuous
@@ -73,9 +73,7 @@ class Correction:
 
     def touched(self, columns: Sequence[str]) -> tuple[str, ...]:
         """Return which columns its undoing changes or looks at, of those that there are."""
-        others = self.mistake.undo is _average_alike
-        found = tuple(c for c in columns if c in self.columns or (others and is_moving(c)))
-        return found or tuple(columns[:1])
+        return tuple(c for c in columns if c in self.columns) or tuple(columns[:1])
 
     def in_runs(self, runs: Sequence[int]) -> "Correction":
         """Return the same of some runs."""
@@ -92,7 +90,7 @@ class Mistake:
 
     `numbers`: names of the numbers after the columns; `since`: the second is a sample, after "from", and may
     be absent. `pair`: the text names two columns. `whole_run`: the text names runs in place of columns.
-    `by_run`: samples of a run are not undone one by one.
+    `by_run`: samples of a run are not undone one by one. `keeps`: no value changes, the noise alone does.
     """
 
     name: str
@@ -104,10 +102,7 @@ class Mistake:
     whole_run: bool = False
     by_run: bool = False
     noise: Callable[[Correction, Noise], Noise] = lambda c, noise: noise
-
-
-def _others(c: Correction, data: Data) -> list[str]:
-    return [name for name in data if name not in c.columns and is_moving(name)]
+    keeps: bool = False
 
 
 def _negate(c: Correction, data: Data) -> None:
@@ -157,14 +152,44 @@ def _without(c: Correction, data: Data) -> np.ndarray:
     return np.asarray((at < c.numbers[0]) | (at >= c.numbers[1]))
 
 
-def _average_alike(c: Correction, data: Data) -> np.ndarray:
-    """Average what is not averaged yet; one sample of each window stays, so that samples are independent."""
-    many, n = round(c.numbers[0]), len(data[c.columns[0]])
-    for name in _others(c, data):
-        sums = np.cumsum(np.r_[0.0, data[name]])
-        data[name] = np.pad((sums[many:] - sums[:-many]) / many, (many // 2, 0), mode="edge")[:n]
-        data[name] = np.pad(data[name], (0, n - len(data[name])), mode="edge")
-    return np.asarray(np.arange(n) % many == many // 2) & (np.arange(n) < n - many // 2)
+def _mean(samples: int) -> np.ndarray:
+    """Return the weights of a centred mean; of an even number of samples the outermost count half."""
+    weights = np.ones(2 * (samples // 2) + 1)
+    weights[[0, -1]] -= 0.5 * (samples % 2 == 0)
+    return weights / samples
+
+
+SMOOTH = 2.0
+"""Phase [rad] that the fastest part of a motion advances within a mean that can be undone: half the wave."""
+
+
+@lru_cache(maxsize=64)
+def _sharpening(samples: int) -> np.ndarray:
+    """Return the weights that undo a centred mean of what is smooth over it, to 4e-4 and with less noise.
+
+    1 + r_1 u + r_2 u^2, u the negative second difference over half a mean, which has the response
+    2 - 2 cos(h w); r by least squares of its product with the response of the mean over the band.
+    """
+    half, mean = max(samples // 2, 1), _mean(samples)
+    w = np.linspace(0.0, SMOOTH / samples, 200)
+    response = mean @ np.cos(np.outer(np.arange(len(mean)) - len(mean) // 2, w))
+    u = 2 - 2 * np.cos(half * w)
+    r, *_ = np.linalg.lstsq(np.stack([response * u, response * u**2], axis=1), 1 - response, rcond=None)
+    second = np.zeros(2 * half + 1)
+    second[[0, half, -1]] = -1.0, 2.0, -1.0
+    weights = r[1] * np.convolve(second, second)
+    weights[half:-half] += r[0] * second
+    weights[2 * half] += 1.0
+    return weights
+
+
+def _sharpen(c: Correction, data: Data) -> np.ndarray:
+    weights, n = _sharpening(round(c.numbers[0])), len(data[c.columns[0]])
+    out = len(weights) // 2 + round(c.numbers[0]) // 2
+    for name in c.columns if n > 2 * out else ():
+        data[name] = np.convolve(data[name], weights, "same")
+    at = np.arange(n)
+    return np.asarray((at >= out) & (at < n - out))
 
 
 def _kept(c: Correction, data: Data) -> None:
@@ -200,11 +225,16 @@ def _rounding_noise(c: Correction, noise: Noise) -> Noise:
     return Noise({**noise.sigmas, **coarse})
 
 
-def _less_noise(c: Correction, noise: Noise) -> Noise:
-    less = 1 / math.sqrt(c.numbers[0])
-    return Noise(
-        {n: s if n in c.columns else replace(s, value=less * s.value) for n, s in noise.sigmas.items()}
-    )
+def _sharpened_noise(c: Correction, noise: Noise) -> Noise:
+    """Return the noise after the mean and its undoing; differences of neighbours show the mean's by 1/n."""
+    many = round(c.numbers[0])
+    factor = float(np.linalg.norm(np.convolve(_mean(many), _sharpening(many))))
+    sharp = {
+        n: replace(s, value=s.value * factor * (1 if s.source == "given" else many))
+        for n, s in noise.sigmas.items()
+        if n in c.columns
+    }
+    return Noise({**noise.sigmas, **sharp})
 
 
 MISTAKES = {
@@ -231,12 +261,12 @@ MISTAKES = {
             ("START", "STOP"), by_run=True,
         ),
         Mistake(
-            "averaged", "the values of {columns} are means over {0:.0f} samples", _average_alike,
-            ("SAMPLES",), by_run=True, noise=_less_noise,
+            "averaged", "the values of {columns} are means over {0:.0f} samples", _sharpen,
+            ("SAMPLES",), by_run=True, noise=_sharpened_noise,
         ),
         Mistake(
             "coarse_steps", "the values of {columns} come in steps of {0:.4g}", _kept, ("STEP",),
-            noise=_rounding_noise,
+            noise=_rounding_noise, keeps=True,
         ),
         Mistake("copied_run", "the samples are those of another run", _left_out, whole_run=True),
         Mistake("other_device", "the samples are of another device", _left_out, whole_run=True),
@@ -390,7 +420,7 @@ class Corrected(View):
             yield joined(waiting, columns)
 
 
-_CUT = (_earlier, _off_rails, _without, _average_alike)
+_CUT = (_earlier, _off_rails, _without, _sharpen)
 """What leaves samples out that a column of the mistake tells."""
 
 
