@@ -301,8 +301,8 @@ def judged_mistake(m: Mistaken) -> Outcome:
 def heals(m: Mistaken, text: str) -> bool:
     """Whether a correction that was not foreseen makes a log that is described and calibrates without harm.
 
-    One that leaves whole runs out would, of any mistake in them; it does not count. A mistake of the whole log
-    is one of the controller's columns too, and corrected there as it is in the log.
+    One that leaves whole runs out would, of any mistake in them; it does not count. A mistake of the whole
+    log is one of the controller's columns too, and corrected there as it is in the log.
     """
     r = m.recording
     if text.startswith(("other_device", "copied_run")):
@@ -314,8 +314,8 @@ def heals(m: Mistaken, text: str) -> bool:
         return False
     if ends != "0":
         return False
-    recorded = replace(again, true={c: again.arrays[c] if c in m.columns else x for c, x in again.true.items()})
-    same_columns = not m.runs and harm(fit, again, recorded.true) <= HARMED
+    recorded = {c: again.arrays[c] if c in m.columns else x for c, x in again.true.items()}
+    same_columns = not m.runs and harm(fit, again, recorded) <= HARMED
     return same_columns or harm(fit, r, r.true) <= HARMED
 
 

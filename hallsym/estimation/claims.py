@@ -6,9 +6,9 @@ over the noise floor decides. Mistakes of single runs are tried at the parameter
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import combinations, permutations, product
 
 import numpy as np
@@ -39,6 +39,8 @@ SETTLING = 3
 """Rounds of settling the offsets of runs where a mistake is tried."""
 READ = 400_000
 """Samples that are read at most: corrections are made at the full rate, before samples are picked."""
+MOVED = 5.0
+"""Standard deviation of a column within a run over its noise from which on it moves."""
 MOST_NOISE = 0.2
 """Noise of a corrected column over its range, or its period, from which on it explains any residual."""
 
@@ -66,7 +68,7 @@ def coarse_readings(given: Log, model: Model) -> Iterator[Claim]:
     block = next(given.blocks(model.channels, LOOKED))
     for c, x in block.data.items():
         values = np.unique(x)
-        step = _step_between(values) if len(values) <= min(FEW_CODES, len(x) / CODES) else None
+        step = _step_between(values) if len(values) <= min(FEW_CODES, len(x) / 4) else None
         if step is not None:
             yield Claim(
                 "coarse_steps", f"{c} takes {len(values)} values only, in steps of {step:.4g}: what "
@@ -148,10 +150,10 @@ FACTORS = (10.0, 1e2, 1e3, 1e4, 1e5, 1e6)
 was done twice; between them lie counts."""
 RATIOS = tuple(range(2, 13))
 """Turns of one column in a turn of another: pole pairs, gears, counts of another resolution."""
-MEANS = (3, 5, 7, 9, 12, 16)
+MEANS = (3, 6, 11, 16)
 """Samples of centred means that are tried, before those between them."""
-SHIFTS = (1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25)
-"""Delays in samples that are tried, either way, before those between them."""
+SHIFTS = (1, 2, 4, 8, 16, 24)
+"""Delays in samples that are tried, either way, before those between them and the best."""
 
 STEPS = {"delay": sorted({*SHIFTS, 0, *(-s for s in SHIFTS)}), "averaged": [2, *MEANS]}
 """The samples of each kind between which others are tried about the best."""
@@ -186,10 +188,12 @@ def scales(model: Model, columns: Sequence[str]) -> list[tuple[str, float]]:
     return [(named.get(f, ""), f) for f in factors if f != 1.0]
 
 
-def hypotheses(model: Model, columns: Sequence[str], worst: Sequence[str]) -> Iterator[Correction]:
+def hypotheses(
+    model: Model, columns: Sequence[str], worst: Sequence[str], moved: Set[str]
+) -> Iterator[Correction]:
     """Yield the mistakes that all samples of some runs may have, the plainest first.
 
-    `worst`: the readings that are looked at one by one.
+    `worst`: the readings that are looked at one by one. `moved`: the columns that move within these runs.
     """
     each = groups(model, columns, worst)
     yield from (Correction("sign", g) for g in each)
@@ -199,8 +203,9 @@ def hypotheses(model: Model, columns: Sequence[str], worst: Sequence[str]) -> It
     yield from (Correction("exchange", pair) for pair in combinations(logged, 2))
     yield from (Correction("exchange", pair) for pair in combinations(worst, 2))
     for g in each:
-        yield from (Correction("delay", g, (float(s * n),)) for n in SHIFTS for s in (1, -1))
-        yield from (Correction("averaged", g, (float(n),)) for n in MEANS)
+        if moved & {*g}:  # of a column at rest both only leave the ends of the runs out
+            yield from (Correction("delay", g, (float(s * n),)) for n in SHIFTS for s in (1, -1))
+            yield from (Correction("averaged", g, (float(n),)) for n in MEANS)
 
 
 # -- how it is tried ---------------------------------------------------------------------------------------
@@ -242,6 +247,15 @@ class Trials:
         """The columns of these runs."""
         return dict(joined([b.data for b in self._blocks], self.columns))
 
+    def moved(self, runs: Sequence[int]) -> set[str]:
+        """Return the columns that move within some runs, by more than their noise."""
+        spans = [at for run, at in self.spans if run in runs]
+        return {
+            c
+            for c in filter(is_moving, self.columns)
+            if any(np.std(self.full[c][at]) > MOVED * self.noise[c].value for at in spans)
+        }
+
     @cached_property
     def run(self) -> np.ndarray:
         """The run of each sample."""
@@ -266,12 +280,16 @@ class Trials:
                     keep[at] &= stays
         return columns, keep
 
-    def log(self, corrections: Sequence[Correction] = (), runs: Sequence[int] | None = None) -> Log:
+    def log(
+        self,
+        corrections: Sequence[Correction] = (),
+        runs: Sequence[int] | None = None,
+    ) -> Log:
         """Return the samples that are tried, of some runs, without mistakes."""
         columns, keep = self.corrected(corrections)
         noise = self.noise
         for one in corrections:
-            noise = one.mistake.noise(one, noise)
+            noise = one.noise_of(noise, runs)
         if self.model.period:  # turns are counted at the full rate
             whole = Log.from_arrays({RUN: self.run, **columns}, noise, self.given.meta)
             log = continuous(whole, self.model)
@@ -666,37 +684,42 @@ def _best(
     """
     before = base.mean(base.deviance, runs)
     seen: list[Judged] = []
+    shares: dict[Correction, float] = {}
+
+    @cache
+    def without_ends(c: Correction) -> float:
+        """Return the deviance of the samples that a delay or a mean leaves, as they are."""
+        found = tried(c)
+        return found.mean(found.deviance, runs) if found is not None and found.left else before
 
     def judge(c: Correction) -> float:
-        found = tried(c)
+        """Try a correction; return the share of the readings' variance that it leaves."""
+        found, shares[c] = tried(c), np.inf
         if found is None or not found.left:
-            return -np.inf
-        one = Judged(before - found.mean(found.deviance, runs), found.mean(found.left, runs), c)
+            return np.inf
+        same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
+        one = Judged(same - found.mean(found.deviance, runs), found.mean(found.left, runs), c)
         if np.isfinite(one.gain) and one.left > LEAST and _follows(base, found):
             seen.append(one)
-            return one.gain
-        return -np.inf
+        shares[c] = float(found.shares[0].mean())
+        return shares[c]
 
-    smeared = smeared_columns(trials, base, runs)
-    plain = (
-        c for c in hypotheses(trials.model, trials.columns, base.worst(runs)) if linear or c.kind in smeared
-    )
-    some = [
-        c for c in (*plain, *of_samples(trials, base)) if c.kind not in smeared or smeared[c.kind] & {*c.columns}
-    ]
-    for c in some if exact(trials.model) else _likely(trials, base, some, runs):
-        judge(c)
-    for c in _closer(seen):
-        judge(c)
-    _refined(trials.model, seen, judge)
+    plain = hypotheses(trials.model, trials.columns, base.worst(runs), trials.moved(runs))
+    some = [*(c for c in plain if linear or c.kind in STEPS), *of_samples(trials, base)]
+    more, left = some if exact(trials.model) else _likely(trials, base, some, runs), base.shares[0].mean()
+    while more:
+        for c in more:
+            judge(c)
+        more = _closer(left, shares)
+    _refined(trials.model, left, shares, seen, judge)
     good = [one for one in seen if one.explains >= EXPLAINS and one.gain >= EXCESS - 1.0]
     if not good:
         return None
     best = max(good, key=lambda one: one.gain)
     close = max(RIVAL / max(sum(base.counts[r] for r in runs), 1.0), NEAR * max(best.left, 1.0))
     near = sorted((one for one in good if best.gain - one.gain < close), key=lambda one: one.plain)
-    first = near[0]
-    rivals = tuple(one.correction for one in near[1:] if not _same(one.correction, first.correction))
+    first = max((one for one in near if _same(one.correction, near[0].correction)), key=lambda one: one.gain)
+    rivals = tuple(one.correction for one in near if not _same(one.correction, first.correction))
     return Found(first.correction, min(first.explains, 1.0), first.left, rivals)
 
 
@@ -705,22 +728,27 @@ def _same(a: Correction, b: Correction) -> bool:
     return (a.kind, a.columns, a.runs) == (b.kind, b.columns, b.runs)
 
 
-def _closer(seen: Sequence[Judged]) -> list[Correction]:
-    """Return the delays and means between those tried, about the best of each group of columns."""
-    best: dict[tuple[str, tuple[str, ...]], Judged] = {}
-    for one in seen:
-        key = one.correction.kind, one.correction.columns
-        if key[0] in STEPS and one.gain > (best[key].gain if key in best else 0.0):
-            best[key] = one
-    top, out = max((one.gain for one in best.values()), default=0.0), []
-    for one in best.values():
-        steps, n = STEPS[one.correction.kind], int(one.correction.numbers[0])
-        at = steps.index(n)
-        low, high = steps[max(at - 1, 0)], steps[min(at + 1, len(steps) - 1)]
-        if one.gain > 0.5 * top:
-            between = [k for k in range(low + 1, high) if k not in (0, n)]
-            out += [replace(one.correction, numbers=(float(k),)) for k in between]
-    return out
+def _closer(before: float, shares: Mapping[Correction, float]) -> list[Correction]:
+    """Return the delays and means beside the best of each group of columns that were not tried yet.
+
+    `before`: share of the readings' variance that is left; `shares`: the same of what was tried.
+    """
+    best: dict[tuple[str, tuple[str, ...]], Correction] = {}
+    for c, share in shares.items():
+        known = best.get((c.kind, c.columns))
+        if c.kind in STEPS and share < PART * before and (known is None or share < shares[known]):
+            best[c.kind, c.columns] = c
+    out = []
+    for c in best.values():
+        steps, n = STEPS[c.kind], int(c.numbers[0])
+        low = max((k for k in steps if k < n), default=n)
+        high = min((k for k in steps if k > n), default=n)
+        out += [replace(c, numbers=(float(k),)) for k in range(low, high + 1) if k]
+    return [c for c in out if c not in shares]
+
+
+PART = 0.7
+"""Share of what is left that a number may leave to be looked at more closely."""
 
 
 ALTERED = 2.0
@@ -729,28 +757,38 @@ REACH = 1.6
 """Logarithm of the factors that are tried about the best scale, either way."""
 
 
-def _refined(model: Model, seen: list[Judged], judge: Callable[[Correction], float]) -> None:
-    """Try other factors about the best scale: where one is clearly better, no unit explains it."""
-    scaled = [one for one in seen if one.correction.kind == "scale"]
-    if not scaled or max(seen, key=lambda one: one.gain).correction.kind != "scale":
+def _refined(
+    model: Model,
+    before: float,
+    shares: Mapping[Correction, float],
+    seen: list[Judged],
+    judge: Callable[[Correction], float],
+) -> None:
+    """Try other factors about the best scale: where one is clearly better, no unit explains it.
+
+    `before`: share of the readings' variance that is left; `shares`: the same of what was tried.
+    """
+    scaled = [c for c, share in shares.items() if c.kind == "scale" and share < PART * before]
+    named = max(seen, key=lambda one: one.gain, default=None)
+    if not scaled or (named and named.correction.kind != "scale"):
         return
-    best = max(scaled, key=lambda one: one.gain)
-    if any(c in model.period for c in best.correction.columns):
+    best = named.correction if named else min(scaled, key=shares.__getitem__)
+    if any(c in model.period for c in best.columns):
         return
-    factor = best.correction.numbers[0]
+    factor = best.numbers[0]
 
     def cost(log_factor: float) -> float:
-        gain = judge(Correction("scale", best.correction.columns, (factor * float(np.exp(log_factor)),)))
-        return -gain if np.isfinite(gain) else 1e30
+        share = judge(Correction("scale", best.columns, (factor * float(np.exp(log_factor)),)))
+        return float(np.log(share)) if 0 < share < np.inf else 1e3
 
-    before = len(seen)
+    count = len(seen)
     at = minimize_scalar(
         cost, bounds=(-REACH, REACH), method="bounded", options={"maxiter": 20, "xatol": 1e-3}
     )
-    found = abs(float(np.log(factor)) + float(at.x))
+    found = abs(float(np.log(abs(factor))) + float(at.x))
     # the best lies beyond what is tried, or is near enough to 1 for a wavelength or a scale of the machine
     if abs(float(at.x)) > 0.9 * REACH or found < np.log(ALTERED):
-        del seen[before:]
+        del seen[count:]
 
 
 def _in_runs(trials: Trials, agreed: Sequence[int], odd: Sequence[int]) -> list[Found]:
@@ -821,37 +859,6 @@ def _other_device(trials: Trials, now: Tried, runs: Sequence[int]) -> list[Found
     )
     described = one.explains >= EXPLAINS and one.left < EXCESS
     return [Found(one.correction.in_runs(runs), one.explains, one.left)] if described else []
-
-
-TELLS = 0.1
-"""Share of the residual that the rate (or curvature) of a column must explain for delays (or means) of it to
-be tried: the square of the cosine of half the phase that a delay is, at one frequency."""
-
-
-def smeared_columns(trials: Trials, tried: Tried, runs: Sequence[int]) -> dict[str, set[str]]:
-    """Return the columns whose rate explains some of the residual, and whose curvature, by kind of mistake."""
-    model = tried.model
-    columns = [c for c in (*model.references, *model.state, *tried.worst(runs))
-               if c in trials.columns]  # fmt: skip
-    at_ends = max(MEANS) // 2  # there a mean holds fewer samples, and a delay none
-    sums = {(kind, c): np.zeros(2) for kind in ("delay", "averaged") for c in columns}
-    total = 0.0
-    for rest, e, block in _whitened(tried, runs):
-        inner = slice(at_ends, -at_ends) if e.shape[1] > 4 * at_ends else slice(None)
-        total += float((e[:, inner] ** 2).sum())
-        left = rest(block)
-        for c in columns:
-            x, slope = block.data[c], _slope(rest, block, c)
-            if c in model.channels:  # without its noise, which is that of the residual
-                k = model.channels.index(c)
-                x = x - left[k] * tried.log.noise[c].value
-            rate = np.gradient(x)
-            for kind, change in (("delay", rate), ("averaged", np.gradient(rate))):
-                part = (slope * change)[:, inner]
-                part = part - part.mean(axis=1, keepdims=True)
-                sums[kind, c] += (float((part * e[:, inner]).sum()), float((part * part).sum()))
-    share = {key: a * a / max(b * total, 1e-300) for key, (a, b) in sums.items()}
-    return {kind: {c for c in columns if share[kind, c] > TELLS} for kind in ("delay", "averaged")}
 
 
 Residual = Callable[[Block], np.ndarray]
@@ -936,13 +943,13 @@ def _coarse(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
     some = np.isin(trials.run, list(runs))
     for c in filter(is_moving, trials.columns):
         values = np.unique(trials.full[c][some])
-        step = _step_between(values) if len(values) * CODES <= some.sum() else None
+        step = _step_between(values) if len(values) > VALUES else None
         if step is not None and step > trials.noise[c].value:
             yield Correction("coarse_steps", (c,), (step,))
 
 
-CODES = 4
-"""Samples of each value, at least, of a column that comes in steps."""
+VALUES = 6
+"""Values from which on it is no chance that all their distances are multiples of one: (2 EVEN)^5."""
 
 
 def _still(trials: Trials, run: int) -> Iterator[Correction]:
@@ -1048,10 +1055,13 @@ def _likely(
 
     Those that halve the squared residual at the parameters of the log as it is, or where a fit begins.
     """
-    points, readings = (base.p, trials.begin(base.log)), {*trials.model.channels}
+    begin, readings = trials.begin(base.log), {*trials.model.channels}
+    start = trials.at((), begin, runs)
+    points = [one for one in (base, start) if one is not None]
+    offsets = [dict(zip(one.cost.summary.runs, one.cost.at(one.p).zeros, strict=True)) for one in points]
     rest = residual_of(trials.model)
 
-    def left(c: tuple[Correction, ...], p: np.ndarray) -> float:
+    def left(c: tuple[Correction, ...], at: int) -> float:
         try:
             log = trials.log(c, runs)
         except InputError:
@@ -1059,15 +1069,15 @@ def _likely(
         sigma = np.array([log.noise[k].value for k in trials.model.channels])
         total, count = 0.0, 0
         for block in log.blocks():
-            e = rest(p, np.zeros(len(trials.model.zeros)), block.data) / sigma[:, None]
+            e = rest(points[at].p, offsets[at][block.run], block.data) / sigma[:, None]
             e = e - e.mean(axis=1, keepdims=True) if trials.model.zeros else e
             total, count = total + float((e * e).sum()), count + e.size
         return total / max(count, 1)
 
-    before = [left((), p) for p in points]
+    before = [left((), at) for at in range(len(points))]
     share = {
-        c: min(left((c,), p) / max(b, 1e-300) for p, b in zip(points, before, strict=True)
-               if p is base.p or not {*c.columns} <= readings)  # one reading of many moves no parameters far
+        c: min(left((c,), at) / max(b, 1e-300) for at, b in enumerate(before)
+               if at == 0 or not {*c.columns} <= readings)  # one reading of many moves no parameters far
         for c in every
     }  # fmt: skip
     return sorted((c for c in share if share[c] < 0.5), key=share.__getitem__)[:SEARCHED]

@@ -26,8 +26,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from hallsym.errors import InputError, counted, listed, nearest
-from hallsym.log import Log, Noise, Sigma
-from hallsym.log.columns import RUN, in_a_row, is_moving, read_runs
+from hallsym.log import Log, Noise
+from hallsym.log.columns import RUN, in_a_row, read_runs
 from hallsym.log.core import Block
 from hallsym.log.phase import continuous
 from hallsym.log.table import CHUNK_ROWS, Piece, TableLike, View, joined
@@ -79,6 +79,22 @@ class Correction:
         """Return the same of some runs."""
         return replace(self, runs=tuple(runs))
 
+    def noise_of(self, noise: Noise, runs: Sequence[int] | None = None) -> Noise:
+        """Return the noise of the columns when it is undone, in some runs of a log or in all.
+
+        What is estimated of a log is that of the runs without the mistake where it has some; of runs with it
+        and others the larger noise counts.
+        """
+        if not self.runs:
+            return self.mistake.noise(self, noise)
+        stated = Noise({n: replace(s, source="given") for n, s in noise.sigmas.items()})
+        after = self.mistake.noise(self, stated).sigmas
+        every = runs is not None and {*runs} <= {*self.runs}
+        larger = {
+            n: s if every else max(s, stated.sigmas[n], key=lambda s: s.value) for n, s in after.items()
+        }
+        return Noise({n: replace(s, source=noise.sigmas[n].source) for n, s in larger.items()})
+
     def undo(self, data: Data, run: int) -> np.ndarray | None:
         """Undo the mistake in the columns of one run, in place; return which samples stay, None for all."""
         return None if self.runs and run not in self.runs else self.mistake.undo(self, data)
@@ -121,7 +137,7 @@ def _swap(c: Correction, data: Data) -> None:
 
 
 def _earlier(c: Correction, data: Data) -> np.ndarray:
-    late, n = round(c.numbers[0]), len(data[c.columns[0]])
+    late, n = round(c.numbers[0]), len(next(iter(data.values())))
     for name in c.columns:
         data[name] = np.roll(data[name], -late)
     at = np.arange(n)
@@ -184,7 +200,7 @@ def _sharpening(samples: int) -> np.ndarray:
 
 
 def _sharpen(c: Correction, data: Data) -> np.ndarray:
-    weights, n = _sharpening(round(c.numbers[0])), len(data[c.columns[0]])
+    weights, n = _sharpening(round(c.numbers[0])), len(next(iter(data.values())))
     out = len(weights) // 2 + round(c.numbers[0]) // 2
     for name in c.columns if n > 2 * out else ():
         data[name] = np.convolve(data[name], weights, "same")
