@@ -19,7 +19,7 @@ from hallsym.estimation.calibration import Claim, Fit
 from hallsym.estimation.decoding import logged_columns
 from hallsym.estimation.factors import exact, summarise, summarise_at
 from hallsym.estimation.likelihood import Cost, cost_of, zeros_of
-from hallsym.estimation.optimum import closed_form, searched
+from hallsym.estimation.optimum import begin_at, closed_form, refit
 from hallsym.estimation.outliers import residual_of, residuals
 from hallsym.estimation.task import Asked, Begun, Task, noise_of
 from hallsym.families.recording import Correction, as_wired, said
@@ -332,8 +332,9 @@ class Trials:
         free = _left_free(begun)
         if free > most:
             return None
-        _, best = searched(begun.merged, begun.merged, closed_form(begun.merged, begun.linear))
-        return Tried(corrections, begun.fitted, best.p, self.model, log, free)
+        found, first = begin_at(begun.merged, closed_form(begun.merged, begun.linear))
+        p = refit(begun.merged, first, found.held) if len(found.held) < len(first) else first
+        return Tried(corrections, begun.fitted, p, self.model, log, free)
 
     def _cost(self, log: Log, p: np.ndarray) -> Cost:
         """Return the likelihood near `p`, offsets that a reading is not linear in nearly settled."""
@@ -500,13 +501,22 @@ def suspects(trials: Trials) -> list[Found]:
     named = best and _named(trials, base, best)
     if named and named.left < EXCESS:
         return [*out, named]
-    agreed = _agreeing(trials, base)
-    found = _needed(trials, base, _in_runs(trials, agreed, [r for r in runs if r not in agreed]))
+    found: list[Found] = []
+    for agreed in _agreeing(trials, base):
+        more = _needed(trials, base, _in_runs(trials, agreed, [r for r in runs if r not in agreed]))
+        if more and (not found or _extent(more) < _extent(found)):
+            found = more
     if not named or not found:
         return [*out, *([named] if named else found)]
     of_all, of_some = (trials.fitted([one.correction for one in some]) for some in ([named], found))
     better = of_some and of_all and of_some.mean(of_some.left) < (1 - NEAR) * of_all.mean(of_all.left)
     return [*out, *(found if better else [named])]
+
+
+def _extent(found: Sequence[Found]) -> tuple[int, float]:
+    """Return how much several mistakes assume: how many they are, and how far gains are from 1."""
+    gains = [f.correction.numbers[0] for f in found if f.correction.kind == "gain_step"]
+    return len(found), sum(abs(np.log(abs(g))) + np.pi * (g < 0) for g in gains)
 
 
 def _needed(trials: Trials, base: Tried, found: Sequence[Found]) -> list[Found]:
@@ -592,16 +602,16 @@ def copied(trials: Trials) -> tuple[int, ...]:
     return tuple(again)
 
 
-def _agreeing(trials: Trials, base: Tried) -> list[int]:
-    """Return the runs that one set of parameters describes nearly alike: half of them at least, or all.
+def _agreeing(trials: Trials, base: Tried) -> list[list[int]]:
+    """Return runs that one set of parameters describes nearly alike, half of them at least; one set or more.
 
     The worst runs are left out until the others are described alike: few bad ones bend all that move as they
-    do. Where that does not end, the one run without which the others are described best; where many are bad,
-    least trimmed squares.
+    do. Where that leaves all but one, or does not end, each run without which the others are described: what
+    only it moves tells no mistake in it from one in another. Where many are bad, least trimmed squares.
     """
     runs, now = list(base.left), base
     if len(runs) < FEWEST:
-        return runs
+        return []
     kept = runs
     while 2 * len(kept) >= len(runs):
         worst = max(now.left[r] for r in kept)
@@ -613,22 +623,23 @@ def _agreeing(trials: Trials, base: Tried) -> list[int]:
         if not seen or not seen.left:
             break
         now = seen
-    if 2 * len(kept) >= len(runs) > len(kept) and now.mean(now.left, kept) < EXCESS:
-        return kept
+    out = [kept] if 2 * len(kept) >= len(runs) > len(kept) and now.mean(now.left, kept) < EXCESS else []
+    if out and len(runs) - len(kept) > 1:
+        return out
     for one in runs if len(runs) <= SINGLY else ():
         others = [r for r in runs if r != one]
         without = trials.fitted((), others)
-        if without is not None and without.left and without.mean(without.left) < EXCESS:
-            return others
-    return _trimmed(trials, base)
+        if without is not None and without.left and without.mean(without.left) < EXCESS and others not in out:
+            out.append(others)
+    return out[:SEARCHED] or _trimmed(trials, base)
 
 
 SINGLY = 64
 """Runs each of which is left out alone, at most."""
 
 
-def _trimmed(trials: Trials, base: Tried) -> list[int]:
-    """Return the runs that agree by least trimmed squares, all where that tells nothing.
+def _trimmed(trials: Trials, base: Tried) -> list[list[int]]:
+    """Return the runs that agree by least trimmed squares; none where that tells nothing.
 
     The half of the runs that is described best is fitted again, until it stays.
     """
@@ -639,7 +650,7 @@ def _trimmed(trials: Trials, base: Tried) -> list[int]:
         again = trials.fitted((), best)
         seen = again and trials.at((), again.p, runs)
         if not seen or not seen.left:
-            return runs
+            return []
         now, before = seen, best
         best = sorted(runs, key=now.left.__getitem__)[:half]
         if set(best) == set(before):
@@ -647,7 +658,7 @@ def _trimmed(trials: Trials, base: Tried) -> list[int]:
     usual = max(float(np.median([now.left[r] for r in best])), 1.0)
     agreed = [r for r in runs if now.left[r] < ALONE * usual]
     rest = now.mean(now.left, agreed)
-    return runs if 2 * len(agreed) < len(runs) or now.mean(now.left) < EXCESS * rest else agreed
+    return [] if 2 * len(agreed) < len(runs) or now.mean(now.left) < EXCESS * rest else [agreed]
 
 
 @dataclass(frozen=True, eq=False)

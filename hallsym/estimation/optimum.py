@@ -206,12 +206,18 @@ def searched(
 
     What is not determined is held at its nominal value.
     """
-    model = fitted.summary.model
+    found, first = begin_at(fitted, begin)
+    return found, search(fitted, merged, first, found, solver=solver, seed=seed)
+
+
+def begin_at(cost: Cost, begin: np.ndarray) -> tuple[Determination, np.ndarray]:
+    """Return what a cost determines at values (n,), and these within their bounds, the held ones nominal."""
+    model = cost.summary.model
     first = np.clip(begin, *model.bounds)
-    found = determine(fitted, first)
+    found = determine(cost, first)
     held = list(found.held)
     first[held] = np.clip(model.nominal, *model.bounds)[held]
-    return found, search(fitted, merged, first, found, solver=solver, seed=seed)
+    return found, first
 
 
 def _message(status: str, ended: solvers.Result, solver: str) -> str:
