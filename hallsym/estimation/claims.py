@@ -497,20 +497,43 @@ def suspects(trials: Trials) -> list[Found]:
     most = 1 + SLACK * (1 - EXPLAINS) * base.mean(base.left)
     # free coefficients absorb signs, scales and orders of what readings are polynomials of
     linear = base.free <= most or bool(trials.model.period)
-    best = _best(trials, base, lambda c: trials.fitted((c,), most=most), runs, linear=linear)
+
+    def tried(c: Correction) -> Tried | None:  # beside the right number, one explains little yet
+        return trials.fitted((c,), most=np.inf if c.kind in STEPS else most)
+
+    best = _best(trials, base, tried, runs, linear=linear)
     named = best and _named(trials, base, best)
     if named and named.left < EXCESS:
         return [*out, named]
-    found: list[Found] = []
-    for agreed in _agreeing(trials, base):
-        more = _needed(trials, base, _in_runs(trials, agreed, [r for r in runs if r not in agreed]))
-        if more and (not found or _extent(more) < _extent(found)):
-            found = more
+    found = _likeliest(trials, base, [
+        _in_runs(trials, agreed, [r for r in runs if r not in agreed]) for agreed in _agreeing(trials, base)
+    ])  # fmt: skip
     if not named or not found:
         return [*out, *([named] if named else found)]
     of_all, of_some = (trials.fitted([one.correction for one in some]) for some in ([named], found))
     better = of_some and of_all and of_some.mean(of_some.left) < (1 - NEAR) * of_all.mean(of_all.left)
     return [*out, *(found if better else [named])]
+
+
+def _likeliest(trials: Trials, base: Tried, options: Sequence[Sequence[Found]]) -> list[Found]:
+    """Return the mistakes that explain a log, of several ways to divide its runs.
+
+    The likeliest; of those that chance does not tell apart the one that assumes least, with the others' as
+    its rivals.
+    """
+    explained: list[tuple[float, list[Found]]] = []
+    for option in options:
+        some = _needed(trials, base, option)
+        after = trials.fitted([one.correction for one in some]) if some else None
+        if after is not None and after.left:
+            explained.append((after.mean(after.deviance), some))
+    if not explained:
+        return []
+    best = min(deviance for deviance, _ in explained)
+    close = RIVAL / max(sum(base.counts.values()), 1.0)
+    near = sorted((some for deviance, some in explained if deviance < best + close), key=_extent)
+    others = tuple(one.correction for some in near[1:] for one in some if len(some) == 1)
+    return [replace(one, rivals=(*one.rivals, *others)) for one in near[0]]
 
 
 def _extent(found: Sequence[Found]) -> tuple[int, float]:
@@ -553,6 +576,10 @@ def _named(trials: Trials, base: Tried, found: Found) -> Found | None:
         for unit, factor in known
         if own and 1 / UNIT_NEAR < factor / c.numbers[0] < UNIT_NEAR
     ]
+    if c.kind in STEPS:  # at the parameters of other runs a number is found to a sample or two
+        about = [replace(c, numbers=(c.numbers[0] + k,)) for k in (-2, -1, 0, 1, 2) if c.numbers[0] + k]
+        tried = {one: after for one in about if (after := trials.fitted((one,))) is not None and after.left}
+        c = min(tried, key=lambda one: tried[one].mean(tried[one].deviance), default=c)
     for one in (*near, c):
         after = trials.fitted((one,))
         if after is not None and _explains(base, after):
@@ -624,7 +651,8 @@ def _agreeing(trials: Trials, base: Tried) -> list[list[int]]:
             break
         now = seen
     out = [kept] if 2 * len(kept) >= len(runs) > len(kept) and now.mean(now.left, kept) < EXCESS else []
-    if out and len(runs) - len(kept) > 1:
+    out += [some for order in (runs, runs[::-1]) if (some := _longest(trials, order)) and some not in out]
+    if out and all(len(runs) - len(some) > 1 for some in out):
         return out
     for one in runs if len(runs) <= SINGLY else ():
         others = [r for r in runs if r != one]
@@ -632,6 +660,22 @@ def _agreeing(trials: Trials, base: Tried) -> list[list[int]]:
         if without is not None and without.left and without.mean(without.left) < EXCESS and others not in out:
             out.append(others)
     return out[:SEARCHED] or _trimmed(trials, base)
+
+
+def _longest(trials: Trials, runs: Sequence[int]) -> list[int]:
+    """Return the most runs in a row from the first on that are described, half of them at least."""
+    enough, too_many = 0, len(runs)
+    now = (len(runs) + 1) // 2
+    while enough < now < too_many:
+        found = trials.fitted((), runs[:now])
+        if found is not None and found.left and max(found.left.values()) < ALONE:
+            enough = now
+        elif not enough:
+            break
+        else:
+            too_many = now
+        now = (enough + too_many) // 2
+    return [*runs[:enough]]
 
 
 SINGLY = 64
@@ -823,7 +867,7 @@ def _in_runs(trials: Trials, agreed: Sequence[int], odd: Sequence[int]) -> list[
             return None
         rivals = tuple(_of(c, good) for c in found.rivals)
         over = found.left - min(found.left, 1.0)
-        own = _other_device(trials, now, good) if over > EXCESS - 1 and now else []
+        own = _other_device(trials, now, good) if over > EXCESS - 1 else []
         if own and own[0].left - 1 < (1 - EXPLAINS) * over:
             return own[0]
         return replace(found, correction=_of(found.correction, good), rivals=rivals)
@@ -835,10 +879,10 @@ def _in_runs(trials: Trials, agreed: Sequence[int], odd: Sequence[int]) -> list[
     if len(left) > 1 and len(out) < DIFFERENT:
         apart = [found for r in left[:SEARCHED] if (found := look([r]))]
         out += apart
-        left = [] if apart else left
-    if left and not out:
-        now = trials.at((), p, left)
-        out += _other_device(trials, now, left) if now and now.left else []
+        left = [r for r in left if all(r not in found.correction.runs for found in apart)]
+    if left:  # what no mistake explains in some of them may be another device in all
+        now = trials.at((), p, odd)
+        out = (_other_device(trials, now, odd) if now and now.left else []) or out
     return [replace(f, correction=_everywhere(trials, f.correction)) for f in out]
 
 
@@ -954,11 +998,13 @@ def _coarse(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
     some = np.isin(trials.run, list(runs))
     for c in filter(is_moving, trials.columns):
         values = np.unique(trials.full[c][some])
-        step = _step_between(values) if len(values) > VALUES else None
+        step = _step_between(values) if VALUES < len(values) < some.sum() / AGAIN else None
         if step is not None and step > trials.noise[c].value:
             yield Correction("coarse_steps", (c,), (step,))
 
 
+AGAIN = 2
+"""Samples of each value, at least, of a column that comes in steps: one of constant speed holds each once."""
 VALUES = 6
 """Values from which on it is no chance that all their distances are multiples of one: (2 EVEN)^5."""
 
