@@ -424,8 +424,9 @@ class Tried:
         counts = self.cost.summary.counts[:, None]
         usual = counts * within.sum(axis=0) / max(float(counts.sum()), 1.0)
         total = np.maximum(np.maximum(within, usual), 1e-300)
-        left = np.einsum("rkk->rk", self.cost.at(self.p).squares)
-        noise = counts * self.cost.reading_variance
+        point = self.cost.at(self.p)
+        left = np.einsum("rkk->rk", point.squares)
+        noise = counts * np.einsum("rkk->rk", point.covariance)
         return np.array([(part / total).mean(axis=0) for part in (left, noise)])
 
     def worst(self, runs: Sequence[int]) -> list[str]:
@@ -532,14 +533,21 @@ def _likeliest(trials: Trials, base: Tried, options: Sequence[Sequence[Found]]) 
     best = min(deviance for deviance, _ in explained)
     close = RIVAL / max(sum(base.counts.values()), 1.0)
     near = sorted((some for deviance, some in explained if deviance < best + close), key=_extent)
-    others = tuple(one.correction for some in near[1:] for one in some if len(some) == 1)
-    return [replace(one, rivals=(*one.rivals, *others)) for one in near[0]]
+    first = [one.correction for one in near[0]]
+    others = (some[0].correction for some in near[1:] if len(some) == 1)
+    rivals = tuple(c for c in dict.fromkeys(others) if all(not _same(c, one) for one in first))
+    return [replace(one, rivals=(*one.rivals, *rivals)) for one in near[0]]
 
 
-def _extent(found: Sequence[Found]) -> tuple[int, float]:
-    """Return how much several mistakes assume: how many they are, and how far gains are from 1."""
-    gains = [f.correction.numbers[0] for f in found if f.correction.kind == "gain_step"]
-    return len(found), sum(abs(np.log(abs(g))) + np.pi * (g < 0) for g in gains)
+def _extent(found: Sequence[Found]) -> tuple[bool, int, float]:
+    """Return how much is assumed: runs left out, how many mistakes, and how far gains are from 1."""
+    every = [one.correction for one in found]
+    gains = [c.numbers[0] for c in every if c.kind == "gain_step"]
+    return (
+        any(c.mistake.whole_run for c in every),
+        len(every),
+        sum(abs(np.log(abs(g))) + np.pi * (g < 0) for g in gains),
+    )
 
 
 def _needed(trials: Trials, base: Tried, found: Sequence[Found]) -> list[Found]:
@@ -675,7 +683,7 @@ def _longest(trials: Trials, runs: Sequence[int]) -> list[int]:
         else:
             too_many = now
         now = (enough + too_many) // 2
-    return [*runs[:enough]]
+    return sorted(runs[:enough])
 
 
 SINGLY = 64

@@ -157,14 +157,28 @@ def test_undoing_a_mistake_gives_the_samples_back(right, text):
         assert log.array(c) == pytest.approx(right[c][stay], rel=1e-12, abs=1e-12), c
 
 
-def test_beside_a_mean_the_others_are_averaged_alike_and_one_sample_of_each_window_stays(right):
-    means = {
-        c: np.concatenate([mean_of_five(right[c][run_of(right, r)]) for r in (2, 3, 7)]) for c in (A, B, X)
-    }
-    log = corrected(Log.from_arrays(right | {A: means[A]}), [read_correction("averaged hall_a_m 5")])
-    stay = np.tile(np.arange(N) % 5 == 2, 3)
-    for c in (A, B, X):
-        assert log.array(c) == pytest.approx(means[c][stay], rel=1e-9), c
+@pytest.mark.parametrize("samples", [2, 3, 4, 5, 8, 9, 16])
+def test_a_mean_is_undone_where_its_window_is_whole(samples):
+    """Of motion that half a wave of which is longer than the mean, to 1.3e-3 of its amplitude."""
+    at = np.arange(600)
+    smooth = np.sin(2 * at / samples) + 0.5 * np.cos(0.7 * at / samples + 1)
+    weights = np.r_[0.5, np.ones(samples - 1), 0.5] if samples % 2 == 0 else np.ones(samples)
+    mean = np.convolve(smooth, weights / samples, "same")
+    log = Log.from_arrays({"run": np.zeros(600, int), A: mean, X: smooth, "t_s": at * 1e-3})
+    log = corrected(log, [read_correction(f"averaged hall_a_m {samples}")])
+    assert log.rows == 600 - 2 * (2 * max(samples // 2, 1) + samples // 2)
+    assert np.abs(log.array(A) - log.array(X)).max() < 2e-3
+
+
+def test_noise_of_a_mean_that_is_undone_is_known():
+    rng = np.random.default_rng(5)
+    for samples in (3, 4, 9):
+        weights = np.r_[0.5, np.ones(samples - 1), 0.5] if samples % 2 == 0 else np.ones(samples)
+        mean = np.convolve(rng.standard_normal(100_000), weights / samples, "same")
+        noise = Noise.given({A: 1.0}, [A])
+        log = Log.from_arrays({"run": np.zeros(100_000, int), A: mean, "t_s": np.arange(1e5)}, noise)
+        log = corrected(log, [read_correction(f"averaged hall_a_m {samples}")])
+        assert np.std(log.array(A)) == pytest.approx(log.noise[A].value, rel=0.02)
 
 
 def test_every_kind_is_made_here():
@@ -193,7 +207,6 @@ def test_noise_follows_what_is_undone(right):
         ("exchange hall_a_m hall_b_m", {A: 2e-3, B: 1e-3, X: 3e-3}),
         ("scale x_ref_m mm", {A: 1e-3, B: 2e-3, X: 3e-3}),
         ("coarse_steps x_ref_m 0.012", {A: 1e-3, B: 2e-3, X: np.hypot(3e-3, 0.012 / np.sqrt(12))}),
-        ("averaged hall_a_m 4", {A: 1e-3, B: 1e-3, X: 1.5e-3}),
         ("sign hall_a_m in 3", {A: 1e-3, B: 2e-3, X: 3e-3}),
     ):
         assert corrected(guessed, [read_correction(text)]).noise.std == pytest.approx(expected), text
