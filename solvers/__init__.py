@@ -8,8 +8,7 @@ linearise. To add a global method write its equations as a generator
 Needs numpy and casadi, nothing else, and nothing of hallsym.
 """
 
-from solvers.driver import SOLVERS, minimize, screened_starts
-from solvers.hybrid import EXPLORERS, hybrid
+from solvers.driver import EXPLORERS, SOLVERS, hybrid, minimize, screened_starts
 from solvers.ipopt import ipopt
 from solvers.newton import gauss_newton, newton
 from solvers.problem import Population, Problem, Result

@@ -135,3 +135,29 @@ def test_help_and_import_load_no_heavy_library() -> None:
         [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout
     assert out.splitlines()[-1] == ""
+
+
+GOES_THROUGH = 40
+"""Modules that a default fit of a dict of arrays goes through: so many a reader who follows it can hold."""
+
+
+def test_a_fit_goes_through_few_modules() -> None:
+    script = """
+import sys
+from hallsym import bundled_campaign, fit
+log = bundled_campaign()
+columns, seen = {c: log.array(c) for c in log.columns}, set()
+
+def called(frame, event, arg):
+    if event == "call" and frame.f_code.co_flags & 2:  # of a function, not of a module or a class
+        seen.add(frame.f_code.co_filename)
+
+sys.setprofile(called)
+fit(columns, "stage31")
+sys.setprofile(None)
+print(*seen, sep="\\n")
+"""
+    run = [sys.executable, "-c", script]
+    files = subprocess.run(run, cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
+    own = {str(path) for path in MODULES.values()}
+    assert len(own.intersection(files)) <= GOES_THROUGH, sorted(own.intersection(files))

@@ -27,7 +27,6 @@ from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.residual_table import (
     PARTS,
     ResidualTable,
-    edges_of,
     means,
     phase,
     residual_table,
@@ -38,6 +37,7 @@ from hallsym.diagnosis.residuals import NIL, Base, found_once, pieces
 from hallsym.diagnosis.survey import SEGMENT
 from hallsym.estimation.residual_noise import MEMORIES, STILL
 from hallsym.families.mechanisms import stop_operators
+from hallsym.log.core import edges_of
 from hallsym.units import readable
 
 RIDGE = 1e-3
@@ -335,7 +335,7 @@ class Smooth(_Over):
             phi = np.array([hats(row, self.at) for row in np.atleast_2d(x)])
         elif c.memory:
             size = float(np.std(self.r.sensed))
-            phi = stop_operators(r.sensed, edges_of(r.run).tolist(), [size * w for w in MEMORIES])
+            phi = stop_operators(r.sensed, edges_of(r.run), [size * w for w in MEMORIES])
         else:
             old, new = (np.array([of.columns[n] for n in c.of]) for of in (self.r, r))
             middle = old.mean(axis=1, keepdims=True) if c.gain else 0.0
@@ -544,11 +544,16 @@ def lack_of_fit(base: Base, runs: frozenset[int]) -> LackOfFit:
     if r is None:
         return LackOfFit(())
     whole = max(r.metric(r.residual), 1e-300)
+
+    def shape(name: str, foreseen: np.ndarray, p: float) -> Shape:
+        return Shape(name, 1 - r.metric(r.residual - foreseen) / whole, p)
+
     _, z, foreseen = run_gains(r, r.residual)
-    found = [("gain of its own", foreseen, float((z >= z[0]).mean()))]
+    shapes = [shape("gain of its own", foreseen, float((z >= z[0]).mean()))]
     for c in coordinates(r):
-        found += [(c.name, x.foreseen, x.p_value) for each in over(r, c) for x in [each.curve(r.residual)]]
-    shapes = [Shape(name, 1 - r.metric(r.residual - x) / whole, p) for name, x, p in found]
+        for each in over(r, c):
+            curve = each.curve(r.residual)
+            shapes.append(shape(c.name, curve.foreseen, curve.p_value))
     return LackOfFit(tuple(sorted(shapes, key=lambda s: -s.drop)), tones(base, runs))
 
 

@@ -14,12 +14,13 @@ import numpy as np
 
 from hallsym.diagnosis.p_values import FLIPS, beyond_one, statistic_at
 from hallsym.diagnosis.policy import Policy
-from hallsym.diagnosis.residual_table import ROOM, ResidualTable, edges_of, means, slices, table_of
+from hallsym.diagnosis.residual_table import ROOM, ResidualTable, means, slices, table_of
 from hallsym.diagnosis.residuals import NIL, Base
 from hallsym.diagnosis.survey import SEGMENT, Survey
 from hallsym.families.mechanisms import CUT, MAINS_HZ, MAINS_REACH_HZ
 from hallsym.log import Log
 from hallsym.log.batches import batches
+from hallsym.log.core import edges_of
 from hallsym.log.quality.scan import FEWEST_SAMPLES
 from hallsym.model import Facts, Model
 

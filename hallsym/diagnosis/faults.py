@@ -20,8 +20,8 @@ from hallsym.diagnosis.residual_table import sums
 from hallsym.diagnosis.residuals import NIL, Base, pieces
 from hallsym.diagnosis.survey import TOLERANCE, WINDOW, Survey
 from hallsym.diagnosis.words import shown
+from hallsym.estimation.decoding import residuals
 from hallsym.estimation.factors import pseudo_inverse
-from hallsym.estimation.outliers import residuals
 from hallsym.families.cordic import CHIP_STEPS, Levels, levels
 from hallsym.families.faults import FAULTS, RecordingFault
 from hallsym.log import Block, Log

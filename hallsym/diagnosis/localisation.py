@@ -26,7 +26,6 @@ from hallsym.diagnosis.residual_table import (
     FrequencyBand,
     ResidualTable,
     both,
-    edges_of,
     means,
     phase,
     spectrum,
@@ -38,6 +37,7 @@ from hallsym.diagnosis.scores import Score, by_name
 from hallsym.diagnosis.selection import Screened
 from hallsym.diagnosis.words import percent, plain, shown
 from hallsym.estimation.calibration import coverage_factor
+from hallsym.log.core import edges_of
 from hallsym.model import LINKS
 from hallsym.units import readable
 

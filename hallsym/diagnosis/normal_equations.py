@@ -433,7 +433,7 @@ class Accumulator:
         follow = -solve(across[:, :, :z], across[:, :, z:]) if z else across
         self.order += u.run[first].tolist()
         # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
-        self.follow.append(follow[:, :, :0] if self.slopes.columns else follow)
+        self.follow.append(follow[:, :, :0].copy() if self.slopes.columns else follow)
         by_unit = np.repeat(follow, parts, axis=0)
         white, inner = self._eliminated(u.white, u.inner, by_unit)
         output, output_inner = self._eliminated(u.output, u.output_inner, by_unit)

@@ -17,11 +17,14 @@ from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.residuals import Base, Piece, found_once, pieces
 from hallsym.estimation.residual_noise import STILL
 from hallsym.families.mechanisms import MAINS_HZ
+from hallsym.log.core import edges_of
 from hallsym.log.quality.scan import FEWEST_SAMPLES
 from hallsym.model.arrays import on_arrays
 
 ROOM = 60_000
 """Samples that are held."""
+TOGETHER = 256
+"""Arrays of a column that are held before they become one: those of short runs are as large as their data."""
 PARTS = 4
 """Stretches of a run at least, so that a gain of its own can be told from noise."""
 
@@ -102,10 +105,13 @@ def table_of(base: Base, runs: frozenset[int]) -> ResidualTable | None:
         data |= {"run": np.full(len(at), piece.run), "place": seen[piece.run] + at}
         seen[piece.run] += len(piece.t)
         for name, values in data.items():
-            out.setdefault(name, []).append(values)
+            own = out.setdefault(name, [])
+            own.append(values)
+            if len(own) > TOGETHER:
+                own[:] = [np.concatenate(own, axis=-1)]
     if not out or sum(len(v) for v in out["run"]) == 0:
         return None
-    joined = {c: np.concatenate(v, axis=-1) for c, v in out.items()}
+    joined = {c: np.concatenate(out.pop(c), axis=-1) for c in list(out)}  # one column at a time is held twice
     residual, rate, run, place = (joined.pop(name) for name in ("residual", "rate", "run", "place"))
     pose, smooth, state = (
         [joined[c] for c in names]
@@ -130,14 +136,9 @@ def both(base: Base, runs: Sequence[int]) -> tuple[ResidualTable | None, Residua
     return residual_table(base, set(runs) - held), residual_table(base, held)
 
 
-def edges_of(group: np.ndarray) -> np.ndarray:
-    """Return where groups of consecutive samples begin and the last one ends, (groups + 1,)."""
-    return np.array([0, *(np.flatnonzero(np.diff(group)) + 1), len(group)])
-
-
 def slices(group: np.ndarray) -> list[slice]:
     """Return the consecutive samples of each group."""
-    return [slice(a, b) for a, b in pairwise(edges_of(group).tolist())]
+    return [slice(a, b) for a, b in pairwise(edges_of(group))]
 
 
 def sums(values: np.ndarray, group: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from hallsym.diagnosis.decoded_errors import FIRST, errors_of
 from hallsym.diagnosis.p_values import statistic_at
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.residuals import FOLDS, NIL, Base
+from hallsym.diagnosis.survey import products_at_lags
 from hallsym.errors import InputError, counted
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.claims import assigned
@@ -297,7 +298,7 @@ def _remembers(base: Base, spikes: np.ndarray | None) -> int:
     if spikes is not None:
         error, columns = error[:, ~spikes], columns[:, ~spikes]
     error -= np.linalg.lstsq(columns.T, error.T, rcond=NIL)[0].T @ columns
-    own = np.fft.irfft((np.abs(np.fft.rfft(error, 2 * n)) ** 2).sum(axis=0))[:n]
+    own = products_at_lags(error)
     chance = np.sqrt(statistic_at(base.policy.false_alarm, 1) / error.size)
     return int(np.argmax(np.append(own[1:] < chance * own[0], True))) + 1
 

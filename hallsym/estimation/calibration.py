@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from hallsym.errors import InputError, quoted
-from hallsym.estimation.decoding import ErrorTable, logged_columns
+from hallsym.estimation.decoding import Errors, logged_columns
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost
@@ -216,24 +216,6 @@ class CombinationEstimate:
     def to_dict(self) -> dict[str, Any]:
         """Return the record; infinite degrees of freedom are None."""
         return {**vars(self), "degrees_of_freedom": _number(self.degrees_of_freedom)}
-
-
-@dataclass(frozen=True, eq=False)
-class Errors:
-    """Error tables of the decoded pose: nominal parameters without zero deviations, and the fit."""
-
-    designed: ErrorTable
-    fitted: ErrorTable
-    holdout: tuple[int, ...]
-
-    def rows(self) -> dict[str, dict[str, dict[str, float]] | None]:
-        """Return rmse and peak: `designed` over all runs, `fitted` and `holdout` over theirs."""
-        used = [run for run in self.fitted.runs if run not in self.holdout]
-        return {
-            "designed": self.designed.over(),
-            "fitted": self.fitted.over(used),
-            "holdout": self.fitted.over(self.holdout),
-        }
 
 
 @dataclass(frozen=True, eq=False)

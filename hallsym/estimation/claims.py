@@ -16,11 +16,10 @@ from scipy.optimize import minimize_scalar
 
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Claim, Fit
-from hallsym.estimation.decoding import logged_columns
+from hallsym.estimation.decoding import logged_columns, residual_of, residuals
 from hallsym.estimation.factors import exact, summarise, summarise_at
 from hallsym.estimation.likelihood import Cost, cost_of, zeros_of
 from hallsym.estimation.optimum import begin_at, closed_form, refit
-from hallsym.estimation.outliers import residual_of, residuals
 from hallsym.estimation.task import Asked, Begun, Task, noise_of
 from hallsym.families.recording import Correction, as_wired, said
 from hallsym.log import Log, Noise

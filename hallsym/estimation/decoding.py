@@ -7,9 +7,10 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log import Log
+from hallsym.log import Block, Log
 from hallsym.log.batches import Batch, Weigh, batches
 from hallsym.log.derived import extended
+from hallsym.log.phase import wrapped
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 
@@ -40,6 +41,24 @@ class ErrorTable:
         return {
             "rmse": dict(zip(self.pose, rmse.tolist(), strict=True)),
             "peak": dict(zip(self.pose, peak.tolist(), strict=True)),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Error tables of the decoded pose: nominal parameters without zero deviations, and the fit."""
+
+    designed: ErrorTable
+    fitted: ErrorTable
+    holdout: tuple[int, ...]
+
+    def rows(self) -> dict[str, dict[str, dict[str, float]] | None]:
+        """Return rmse and peak: `designed` over all runs, `fitted` and `holdout` over theirs."""
+        used = [run for run in self.fitted.runs if run not in self.holdout]
+        return {
+            "designed": self.designed.over(),
+            "fitted": self.fitted.over(used),
+            "holdout": self.fitted.over(self.holdout),
         }
 
 
@@ -143,10 +162,10 @@ def knows_rails(model: Model) -> bool:
 
 Version = tuple[np.ndarray, Mapping[int, np.ndarray]]
 """Parameters (n,), and offsets by run."""
-Errors = Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]
+PoseErrors = Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]
 
 
-def pose_errors(model: Model, reading_variance: np.ndarray) -> Errors:
+def pose_errors(model: Model, reading_variance: np.ndarray) -> PoseErrors:
     """Return `errors(p, zeros, data) -> (n_pose, samples)`: decoded pose minus reference.
 
     A reading at its rail has lost its pose: with `saturation` the errors are those of the readings, mapped to
@@ -171,6 +190,30 @@ def pose_errors(model: Model, reading_variance: np.ndarray) -> Errors:
         return np.einsum("kis,ks->is", gain.reshape(len(residual), len(model.pose), -1), residual)
 
     return mapped
+
+
+def residual_of(model: Model) -> Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]:
+    """Return `(p, zeros, data) -> (n_channels, samples)`: reading minus the model's at the reference, SI.
+
+    `zeros`: (z,), or (z, samples).
+    """
+    read = on_arrays(model.reading)
+    periods = [(k, model.period[c]) for k, c in enumerate(model.channels) if c in model.period]
+
+    def residual(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
+        pose, state = ([data[c] for c in names] for names in (model.references, model.state))
+        left = np.array([data[c] for c in model.channels]) - read(p, zeros, pose, state)[0]
+        for k, period in periods:
+            left[k] = wrapped(left[k], period)
+        return left
+
+    return residual
+
+
+def residuals(model: Model, p: np.ndarray, zeros: Mapping[int, np.ndarray]) -> Callable[[Block], np.ndarray]:
+    """Return `block -> (n_channels, samples)`: the same of a run with its offsets."""
+    residual, none = residual_of(model), np.zeros(len(model.zeros))
+    return lambda block: residual(p, zeros.get(block.run, none), block.data)
 
 
 def check_decoded(errors: np.ndarray, model: Model, log: Log, run: int) -> None:

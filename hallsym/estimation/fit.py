@@ -14,9 +14,9 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.estimation import outliers
-from hallsym.estimation.calibration import Errors, Fit
+from hallsym.estimation.calibration import Fit
 from hallsym.estimation.claims import claims_of, mistakes_of
-from hallsym.estimation.decoding import columns_of, knows_rails, logged_columns
+from hallsym.estimation.decoding import Errors, columns_of, knows_rails, logged_columns
 from hallsym.estimation.factors import exact, joined
 from hallsym.estimation.likelihood import Cost, Sharing, cost_of, joint_cost, numbered, run_numbers
 from hallsym.estimation.optimum import SOLVERS, Solution, check_reference, closed_form, linear_fit, searched
@@ -33,6 +33,7 @@ from hallsym.estimation.task import (
     model_of,
     prepared,
     result_of,
+    silent,
     zero_notes,
 )
 from hallsym.families import plain
@@ -118,7 +119,7 @@ def fit(
 
     Raises `InputError` for a log that cannot be what the model needs.
     """
-    began, say = perf_counter(), on_progress or (lambda _: None)
+    began, say = perf_counter(), on_progress or silent
     _choice(solver, SOLVERS, "solver")
     _choice(loss, LOSSES, "loss")
     alone = not (isinstance(log, list | tuple) or len(holdout_logs) or len(per_log))
@@ -398,7 +399,12 @@ class _Together:
         return self.solve(self.asked.solver) if left < total else whole
 
     def _with_noise_left(self, state: Solution) -> Solution:
-        """Return the optimum with the noise that it leaves where that was estimated."""
+        """Return the optimum with the noise that it leaves where that was estimated.
+
+        The best point of a search that the user stopped is no optimum, and stays what it is.
+        """
+        if state.search.status == "interrupted":
+            return state
         changed = False
         for g, one in enumerate(self.logs):
             noise = noise_followed(one.task.log, self.of_log(state, g).point, one.task.noise, one.keep)

@@ -21,7 +21,6 @@ from hallsym.estimation.decoding import gain_at, slopes_by_column
 from hallsym.estimation.likelihood import Cost, Point
 from hallsym.log import Noise
 from hallsym.model import Model
-from hallsym.records import named
 
 KNOWN = 0.03
 """Relative uncertainty of a noise floor: n samples know a standard deviation to 1 / sqrt(2 n), 560 to 3 %."""
@@ -198,7 +197,7 @@ def goodness_of(point: Point, estimated: int) -> GoodnessOfFit:
         cost_per_degree_of_freedom=point.value / dof,
         degrees_of_freedom=max(dof / coloured, 1.0),
         by_run=dict(zip((summary.runs[r] for r in used), by_run.tolist(), strict=True)),
-        by_channel=named(channels, np.sqrt(relative.sum(axis=0) / cell.sum())),
+        by_channel=dict(zip(channels, np.sqrt(relative.sum(axis=0) / cell.sum()).tolist(), strict=True)),
         worst_run=summary.runs[used[run]],
         worst_channel=channels[channel],
         worst=float(np.sqrt(ratio[run, channel])),

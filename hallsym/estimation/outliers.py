@@ -1,6 +1,6 @@
 """Gross outliers: samples that neither the motion nor the noise explains."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,9 +8,7 @@ import scipy
 
 from hallsym.log import Block, Log, on_rails
 from hallsym.log.batches import Weigh
-from hallsym.log.phase import wrapped
-from hallsym.model import Model
-from hallsym.model.arrays import median, medians, on_arrays
+from hallsym.model.arrays import median, medians
 
 WINDOW = 7
 SPIKE = 10.0
@@ -34,30 +32,6 @@ MOSTLY_SPIKY, SPIKY_STD = 30, 0.38532
 two thirds of them may be spikes or have one beside them, as where a tenth of all samples are spikes."""
 TUKEY = 4.685
 """Tukey's biweight constant: 95 % efficient for Gaussian noise."""
-
-
-def residual_of(model: Model) -> Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]:
-    """Return `(p, zeros, data) -> (n_channels, samples)`: reading minus the model's at the reference, SI.
-
-    `zeros`: (z,), or (z, samples).
-    """
-    read = on_arrays(model.reading)
-    periods = [(k, model.period[c]) for k, c in enumerate(model.channels) if c in model.period]
-
-    def residual(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
-        pose, state = ([data[c] for c in names] for names in (model.references, model.state))
-        left = np.array([data[c] for c in model.channels]) - read(p, zeros, pose, state)[0]
-        for k, period in periods:
-            left[k] = wrapped(left[k], period)
-        return left
-
-    return residual
-
-
-def residuals(model: Model, p: np.ndarray, zeros: Mapping[int, np.ndarray]) -> Callable[[Block], np.ndarray]:
-    """Return `block -> (n_channels, samples)`: the same of a run with its offsets."""
-    residual, none = residual_of(model), np.zeros(len(model.zeros))
-    return lambda block: residual(p, zeros.get(block.run, none), block.data)
 
 
 @dataclass(eq=False)

@@ -20,10 +20,9 @@ from scipy.linalg import solve_toeplitz
 from scipy.linalg.lapack import dtbtrs
 from scipy.special import chdtrc, ndtri, stdtrit
 
-from hallsym.estimation.decoding import columns_of
-from hallsym.estimation.goodness_of_fit import KNOWN, MAD, GoodnessOfFit, limit_of, uncertain
+from hallsym.estimation.decoding import columns_of, residual_of
+from hallsym.estimation.goodness_of_fit import CERTAIN, KNOWN, MAD, GoodnessOfFit, limit_of, uncertain
 from hallsym.estimation.likelihood import Point
-from hallsym.estimation.outliers import residual_of
 from hallsym.families.mechanisms import stop_operators
 from hallsym.log import Log, Noise
 from hallsym.log.batches import Weigh, batches
@@ -45,6 +44,8 @@ FAR = 6.0
 """Robust standard deviations beyond which a sample takes no part in correlations: a spike has none."""
 ROUNDING = 1e-9
 """Part of a column's squares, and of the products of columns of unit length, that is rounding."""
+TOGETHER = 8
+"""Rows whose products are formed at once: 8000 samples of so many stay in the cache."""
 STABLE = 0.995
 """Largest modulus of a root of the autoregression; beyond it noise wanders through the whole of a run."""
 SETTLE = 500
@@ -254,9 +255,11 @@ class _Elimination:
     def covariances(self, rows: np.ndarray, lags: int) -> np.ndarray:
         """Return the mean products of each row (m, n) with itself `lag` samples later, (m, lags + 1)."""
         n, out = rows.shape[1], np.zeros((len(rows), lags + 1))
-        for lag, pairs in enumerate(self.pairs[: lags + 1]):
-            out[:, lag] = (rows[:, lag:] * rows[:, : n - lag]) @ pairs / max(float(pairs.sum()), 1.0)
-        return out
+        for first in range(0, len(rows), TOGETHER):
+            some = slice(first, first + TOGETHER)
+            for lag, pairs in enumerate(self.pairs[: lags + 1]):
+                out[some, lag] = (rows[some, lag:] * rows[some, : n - lag]) @ pairs
+        return out / np.maximum([pairs.sum() for pairs in self.pairs[: lags + 1]], 1.0)
 
     def of_white(self, lags: int) -> np.ndarray:
         """Return the expected autocorrelations of white noise once it is eliminated, (lags + 1,): below 0.
@@ -371,16 +374,38 @@ def noise_left(
     gives a residual; the ratio is against it. `keep`: weight of each sample. None where the log is too short
     to tell.
     """
-    most = max(1, min(ROOM, READINGS // len(model.channels)))
-    data, values, used = _read(log, model, p, zeros, sigma, keep, most)
-    if not len(used) or not used.any():
-        return None
+    read = _read(log, model, p, zeros, sigma, keep)
+    return read and _noise_of(read, log, model, covariance, sigma)
+
+
+def _noise_of(
+    read: "_Read", log: Log, model: Model, covariance: np.ndarray, sigma: Mapping[str, float]
+) -> ResidualNoise | None:
+    data, values, used = read
     if not log.timed:
         return _noise_of_knots(model, data, values[:, used], covariance, used)
     columns = np.array([row for row in _columns(model, data, sigma) if np.all(np.isfinite(row))])
     columns = columns.reshape(-1, len(used))[: int(used.sum()) // SHARE]
     found = Residual(values, covariance, data["run"], columns, used, bool(model.zeros))
     return residual_noise(found, model.channels)
+
+
+def _is_known(read: "_Read", model: Model, covariance: np.ndarray) -> bool:
+    """Return whether a residual certainly is independent noise of `covariance` (K, K), and nothing else.
+
+    It has that size within `KNOWN`, and no part of it that is larger than `KNOWN` can be a function of
+    anything that changes slowly: its correlations are certainly smaller.
+    """
+    data, values, used = read
+    none = np.zeros((0, len(used)))
+    work = _Elimination(Residual(values, covariance, data["run"], none, used, bool(model.zeros)))
+    seen = work.covariances(np.linalg.cholesky(np.linalg.inv(covariance)).T @ work.left(values), LAGS)
+    seen = seen.mean(axis=0)
+    size = float(np.sqrt(seen[0] * work.count / max(work.free, 1.0)))
+    if not 1 / (1 + KNOWN) <= size <= 1 + KNOWN:
+        return False
+    slow = float(np.abs(seen / seen[0] - work.of_white(LAGS))[1:].max())
+    return slow + CERTAIN / np.sqrt(work.count * len(values)) <= (1 + KNOWN) ** 2 - 1
 
 
 def _noise_of_knots(
@@ -421,9 +446,12 @@ def noise_at(
     log: Log, point: Point, sigma: Mapping[str, float], keep: Weigh | None = None
 ) -> ResidualNoise | None:
     """Return the noise that a fit leaves on its runs; `point`: of its cost at the optimum."""
-    cost = point.cost
-    zeros = dict(zip(cost.summary.runs, point.zeros, strict=True))
-    return noise_left(log, cost.summary.model, point.p, zeros, point.covariance.mean(axis=0), sigma, keep)
+    model, covariance = point.cost.summary.model, point.covariance.mean(axis=0)
+    return noise_left(log, model, point.p, _zeros(point), covariance, sigma, keep)
+
+
+def _zeros(point: Point) -> dict[int, np.ndarray]:
+    return dict(zip(point.cost.summary.runs, point.zeros, strict=True))
 
 
 def with_noise(
@@ -454,10 +482,15 @@ def noise_followed(log: Log, point: Point, noise: Noise, keep: Weigh | None = No
     Differences of neighbouring samples miss noise that is correlated, and take motion from sample to sample
     for noise; what the fit leaves holds neither. `point`: of the fit with `noise`.
     """
-    model = point.cost.summary.model
+    model, sigma = point.cost.summary.model, noise.std
     guessed = {c for c in (*model.channels, *model.references) if noise[c].source == "estimated"}
-    left = noise_at(log, point, noise.std, keep) if guessed and not log.counted else None
-    if left is None:
+    if not guessed or log.counted:
+        return None
+    covariance = point.covariance.mean(axis=0)
+    read = _read(log, model, point.p, _zeros(point), sigma, keep)
+    if read is None or (log.timed and _is_known(read, model, covariance)):
+        return None
+    if (left := _noise_of(read, log, model, covariance, sigma)) is None:
         return None
     factor = _factor(left, point, guessed)
     if abs(factor - 1.0) <= KNOWN and left.within == noise[min(guessed)].within:
@@ -488,6 +521,8 @@ def _factor(left: ResidualNoise, point: Point, columns: Collection[str]) -> floa
 
 
 Data = dict[str, np.ndarray]
+_Read = tuple[Data, np.ndarray, np.ndarray]
+"""Columns, the residual (K, n) and which samples count."""
 
 
 def _read(
@@ -497,9 +532,9 @@ def _read(
     zeros: Mapping[int, np.ndarray],
     sigma: Mapping[str, float],
     keep: Weigh | None,
-    most: int,
-) -> tuple[Data, np.ndarray, np.ndarray]:
-    """Return columns, the residual (K, n) and which samples count, of the beginning of each fitted run."""
+) -> _Read | None:
+    """Return the beginning of each run of `zeros`; None where no sample counts."""
+    most = max(1, min(ROOM, READINGS // len(model.channels)))
     wanted = dict.fromkeys(
         (*columns_of(model), *(c for c in ("temperature_degc", "t_s") if c in log.columns))
     )
@@ -524,7 +559,8 @@ def _read(
     own = np.array([zeros.get(run, none) for run in runs.tolist()]).reshape(len(runs), len(none))
     values = residual_of(model)(p, own[index].T, data)
     finite = np.isfinite(values).all(axis=0)
-    return data, np.where(finite, values, 0.0), np.concatenate(counted) & finite
+    used = np.concatenate(counted) & finite
+    return (data, np.where(finite, values, 0.0), used) if used.any() else None
 
 
 def _columns(model: Model, data: Data, sigma: Mapping[str, float]) -> Iterator[np.ndarray]:

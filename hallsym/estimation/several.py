@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import CombinationEstimate, Errors, Fit, Joint
+from hallsym.estimation.calibration import CombinationEstimate, Fit, Joint
 from hallsym.estimation.covariance import Uncertainty, uncertainty
-from hallsym.estimation.decoding import ErrorTable
+from hallsym.estimation.decoding import Errors, ErrorTable
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Sharing, own_name

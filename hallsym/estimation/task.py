@@ -12,9 +12,16 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.estimation import outliers
-from hallsym.estimation.calibration import Errors, Fit
+from hallsym.estimation.calibration import Fit
 from hallsym.estimation.covariance import Uncertainty, uncertainty
-from hallsym.estimation.decoding import error_tables, knows_rails, logged_columns, nominal_variance
+from hallsym.estimation.decoding import (
+    Errors,
+    error_tables,
+    knows_rails,
+    logged_columns,
+    nominal_variance,
+    residuals,
+)
 from hallsym.estimation.factors import RunStatistics, exact, pseudo_inverse, summarise, unit_scale
 from hallsym.estimation.goodness_of_fit import (
     WORTH_REPORTING,
@@ -93,6 +100,12 @@ def held_out(log: Log, holdout: Sequence[int]) -> tuple[int, ...]:
 
 
 Progress = Callable[[str], None]
+
+
+def silent(_: str) -> None:
+    """Tell nobody how far a fit is."""
+
+
 LEAST_SIGMA = 1e-13
 """Standard deviation [m] given to a reading that shows no noise at all (a noise-free simulation)."""
 SUSPECT = 6.5
@@ -101,11 +114,11 @@ BEGIN = (2 / 3, 1 / 3)
 """Where a parameter begins that did nothing at its nominal value: parts of the way to its upper bound. Two
 thirds of a share of up to 1.5 is all of it."""
 QUICKLY_KNOWN = 1.06
-"""Residual over a noise that was estimated quickly from which on a log is looked at in full: three times its
-1.2 %, and up to 3 % by which the least of several estimates is below their mean."""
+"""Residual over a noise that was estimated from which on a log is looked at in full: three times its 1.2 %,
+and up to 3 % by which the least of several estimates is below their mean."""
 
 
-def noise_of(log: Log, model: Model | None, holdout: Sequence[int] = (), *, quick: bool = False) -> Noise:
+def noise_of(log: Log, model: Model | None, holdout: Sequence[int] = ()) -> Noise:
     """Return the noise of every column a model uses (all columns without one): given, else estimated.
 
     Runs in `holdout` take no part in the estimate.
@@ -115,7 +128,7 @@ def noise_of(log: Log, model: Model | None, holdout: Sequence[int] = (), *, quic
     log = continuous(log, model) if model else log
     missing = [c for c in columns if c not in log.noise]
     used = without(log, Drop(runs=frozenset(holdout))) if missing and holdout else log
-    noise = log.noise.merged(estimate_noise(used, missing, quick=quick)) if missing else log.noise
+    noise = log.noise.merged(estimate_noise(used, missing)) if missing else log.noise
     sigmas = {c: noise[c] for c in columns}
     for c in model.channels if model else ():
         sigmas[c] = replace(sigmas[c], value=max(sigmas[c].value, LEAST_SIGMA))
@@ -134,7 +147,7 @@ class Asked:
     seed: int = 0
     start: np.ndarray | None = None
     quick: bool = False
-    say: Progress = lambda _: None
+    say: Progress = silent
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +213,7 @@ class Task:
     @cached_property
     def noise(self) -> Noise:
         """Noise by column, with its source."""
-        return noise_of(self.log, self.model, self.holdout, quick=self.asked.quick).merged(self.known_noise)
+        return noise_of(self.log, self.model, self.holdout).merged(self.known_noise)
 
     def by_passes(self, first: Fit | None, notes: tuple[str, ...], ready: Prepared) -> Solved:
         """Fit a model without run statistics, from `first`: the fit of what it is without its effects."""
@@ -265,8 +278,10 @@ class Task:
         known = uncertain(state.point, self.noise, self.log.meta.gap_length_scale_m)
         return fit.judged(known, self.log.meta.gap_threshold_rel)
 
-    def counting(self, what: str) -> Callable[[int], None]:
-        """Return a progress callback that says which share of the log is done."""
+    def counting(self, what: str) -> Callable[[int], None] | None:
+        """Return a progress callback that says which share of the log is done; None where nobody listens."""
+        if self.asked.say is silent:
+            return None
         total = self.log.rows
         self.asked.say(what)
         return lambda rows: self.asked.say(
@@ -304,7 +319,7 @@ class Task:
 
     def weigh(self, state: Solution, suspects: Weigh) -> outliers.Filter:
         """Return what takes outliers out, judged by the residuals of the fit so far."""
-        residual = outliers.residuals(self.model, state.p, state.zeros())
+        residual = residuals(self.model, state.p, state.zeros())
         covariance = state.point.covariance.mean(axis=0)
         if self.asked.loss == "tukey":
             return outliers.tukey(residual, covariance)

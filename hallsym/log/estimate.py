@@ -16,10 +16,8 @@ from hallsym.model.arrays import median, medians, medians_of, middles
 from hallsym.units import Array, si_unit
 
 _ORDERS = range(2, 9)
-_ENOUGH_QUICKLY = 4  # blocks over all runs: to 1.2 %
 _SAMPLES = 1024  # taken from the middle of each block of a run
-_BLOCKS = 16  # at most, per run
-_ENOUGH = 16  # blocks over all runs: 16 384 samples know a standard deviation to 0.6 %
+_ENOUGH = 4  # blocks over all runs: 4096 samples know a standard deviation to 1.2 %
 _RUNS = 128  # at most, spread over the log
 _FEWEST = 8  # differences that an order needs in a run
 _CLIP = 2.5
@@ -32,7 +30,7 @@ _SLACK = 1.03
 _TURN = 2 * np.pi  # an angle that steps by more than half of it began another turn
 
 
-def estimate_noise(log: Log, channels: Sequence[str], *, quick: bool = False) -> Noise:
+def estimate_noise(log: Log, channels: Sequence[str]) -> Noise:
     """Estimate one standard deviation of white noise for each channel, in its SI unit.
 
     In each run, differences of order k = 2..8 remove motion that is a polynomial of degree k - 1 over k + 1
@@ -42,18 +40,16 @@ def estimate_noise(log: Log, channels: Sequence[str], *, quick: bool = False) ->
     Where samples are not evenly spaced the differences are divided ones; none spans a gap. Where the ADC
     step hides the noise, step / sqrt(12) is the least that is returned.
     Angles are unwrapped first: where one begins another turn it has not moved by one.
-    Some 16 384 samples are used, 1024 in a stretch, of runs spread over the log (at most 128); `quick`: a
-    quarter as many.
+    Some 4096 samples are used, at most 1024 in a stretch, of runs spread over the log (at most 128).
 
     Valid for noise that is independent from sample to sample: drift, 1/f noise and hum below about a tenth of
     the sampling rate look like motion and are not seen. A channel that is constant within all runs gives 0.
     """
-    enough = _ENOUGH_QUICKLY if quick else _ENOUGH
     timed = "t_s" in log.columns
     typical = min(_SAMPLES, max(1, log.rows // len(log.runs)))
-    wanted = min(_RUNS, -(-enough * _SAMPLES // typical))
+    wanted = min(_RUNS, -(-_ENOUGH * _SAMPLES // typical))
     chosen = set(log.runs[:: -(-len(log.runs) // wanted)])
-    most = max(1, min(_BLOCKS, enough // len(chosen)))
+    most = max(1, _ENOUGH // len(chosen))
     taken: dict[int, int] = {}
     alike: dict[int, list[list[Array]]] = {}  # time and channels of stretches of one length
     for block in log.blocks((RUN, *(("t_s",) if timed else ()), *channels)):

@@ -7,8 +7,8 @@
 `s`: processor seconds, the least of several turns where a turn is short. `peer`: what it is compared with, in
 processor seconds of the same process: for a fit of a log in memory Gauss-Newton as someone with numpy writes
 it, the offsets of each run eliminated, from the closed form of ours; for a fit from a file reading that file
-alone; for a diagnosis a direct fit of the same log. `MB`: peak memory of the process, which holds the log,
-numpy, scipy and CasADi too. Each row is a process of its own.
+alone; for a diagnosis a direct fit of the same log. `MB`: peak memory of the process once work is done, of
+a diagnosis before its peer; it holds the log, numpy, scipy and CasADi too. Each row is a process of its own.
 """
 
 from __future__ import annotations
@@ -40,8 +40,13 @@ PACE = (1.0, 1.55, 1.25, 0.35, 0.45, 0.3)
 LATE_S = 1e-3
 TURNS = 7
 HALBACH = Path(__file__).parents[2] / "data" / "halbach"
-Row = tuple[float, float, str]
-"""Processor seconds, those of the peer, and what the peer is."""
+Row = tuple[float, float, str, float]
+"""Processor seconds, those of the peer, what the peer is, and peak memory [MB]."""
+
+
+def peak() -> float:
+    """Peak memory of this process so far [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def campaign(samples: int) -> dict[str, np.ndarray]:
@@ -78,7 +83,7 @@ def direct(samples: int, stated: bool) -> Row:
         return fit(log, MODEL, solver="direct")
 
     ours()
-    return least(TURNS, ours)[0], seconds, "Gauss-Newton by hand"
+    return least(TURNS, ours)[0], seconds, "Gauss-Newton by hand", peak()
 
 
 def hybrid(samples: int) -> Row:
@@ -86,14 +91,15 @@ def hybrid(samples: int) -> Row:
     columns = campaign(samples)
     fit(in_memory(columns), MODEL)
     seconds, _ = least(TURNS, lambda: fit(in_memory(columns), MODEL))
-    return seconds, least(TURNS, lambda: fit(in_memory(columns), MODEL, solver="direct"))[0], "direct"
+    most = peak()
+    return seconds, least(TURNS, lambda: fit(in_memory(columns), MODEL, solver="direct"))[0], "direct", most
 
 
 def refitted(samples: int) -> Row:
     """A refit to runs drawn with replacement."""
     columns = campaign(samples)
     peer, found = least(TURNS, lambda: fit(in_memory(columns), MODEL, solver="direct"))
-    return least(TURNS, lambda: refits(found, 200))[0] / 200, peer, "direct"
+    return least(TURNS, lambda: refits(found, 200))[0] / 200, peer, "direct", peak()
 
 
 def from_file(samples: int, suffix: str, fitted: bool) -> Row:
@@ -119,13 +125,13 @@ def from_file(samples: int, suffix: str, fitted: bool) -> Row:
             )
 
         ours()
-        return least(TURNS, ours)[0], least(TURNS, bare)[0], "reading alone"
+        return least(TURNS, ours)[0], least(TURNS, bare)[0], "reading alone", peak()
 
 
 def diagnosed(log: Log) -> Row:
     """A diagnosis, the first of its process, beside a direct fit of the same log."""
-    seconds, _ = least(1, lambda: diagnose(log))
-    return seconds, least(3, lambda: fit(log, solver="direct"))[0], "direct"
+    (seconds, _), most = least(1, lambda: diagnose(log)), peak()
+    return seconds, least(3, lambda: fit(log, solver="direct"))[0], "direct", most
 
 
 def skewed(runs: int) -> Log:
@@ -164,7 +170,7 @@ def quick_fit(machine: str) -> Row:
     log = log_of(machine, "white", 57 if machine == "stage" else 8, 5)
     fit(log, solver="direct", quick=True)
     peer, _ = least(7, lambda: fit(log, solver="direct"))
-    return least(7, lambda: fit(log, solver="direct", quick=True))[0], peer, "direct"
+    return least(7, lambda: fit(log, solver="direct", quick=True))[0], peer, "direct", peak()
 
 
 def of_machine(make: Callable[..., Log], *how: Any) -> Row:
@@ -206,10 +212,10 @@ WORK: dict[str, tuple[str, Callable[..., Row], tuple]] = {
 """Name of each piece of work: what is wanted of it (a ratio to its peer, or a time), what measures it."""
 
 
-def measured(name: str) -> tuple[str, Row, float]:
-    """Measure one piece of work; return its name, its row and the peak memory of this process [MB]."""
+def measured(name: str) -> Row:
+    """Measure one piece of work."""
     _, action, how = WORK[name]
-    return name, action(*how), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return action(*how)
 
 
 if __name__ == "__main__":
@@ -221,6 +227,6 @@ if __name__ == "__main__":
     print("| work | s | peer | s | x | wanted | MB |\n|---|---|---|---|---|---|---|")
     for name in chosen:
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            _, (seconds, peer, what), most = pool.submit(measured, name).result()
+            seconds, peer, what, most = pool.submit(measured, name).result()
         ratio = f"{what} | {peer:.3g} | {seconds / peer:.3g}"
         print(f"| {name} | {seconds:.3g} | {ratio} | {WORK[name][0]} | {most:.0f} |", flush=True)

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from twins import COLUMNS, HALL, TRUTH, campaign, phi, record, with_noise
 
-from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey
+from hallsym.estimation.decoding import residuals
+from hallsym.estimation.outliers import column_spikes, reject_spikes, tukey
 from hallsym.families.stage.models import stage31
 from hallsym.log import Block, remembered
 

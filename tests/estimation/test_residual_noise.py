@@ -11,10 +11,12 @@ import hallsym
 from hallsym.estimation.residual_noise import (
     Residual,
     ResidualNoise,
+    _is_known,
     autoregressive,
     noise_at,
     residual_noise,
 )
+from hallsym.families import build
 from hallsym.families.mechanisms import stop_operators
 from hallsym.log import Noise
 
@@ -55,6 +57,22 @@ def test_size_and_colour_are_those_of_the_noise(samples: float) -> None:
     rho = np.exp(-1 / samples) if samples else 0.0
     assert np.mean([r.correlation for r in every]) == pytest.approx(rho, abs=0.01)
     assert np.mean([r.memory for r in every]) == pytest.approx((1 + rho) / (1 - rho), rel=0.2)
+
+
+def test_a_residual_is_the_noise_as_estimated_where_nothing_else_can_be_in_it() -> None:
+    """Noise read too large and a gap that makes up for it, or noise that is correlated, are looked into."""
+    rng, n, gap = np.random.default_rng(4), 8000, 0.5
+    smooth = np.sqrt(2) * np.sin(np.arange(n) / 50)
+    white, run = coloured(rng, n, 0), np.arange(n) * 20 // n
+
+    def known(values: np.ndarray) -> bool:
+        read = {"run": run}, values, np.ones(n, bool)
+        return _is_known(read, build("stage31"), np.eye(3))
+
+    assert known(white)
+    assert not known(1.05 * white)
+    assert not known(np.sqrt(1 - gap**2) * white + gap * smooth)
+    assert not known(coloured(rng, n, 0.4))
 
 
 def test_a_gap_is_no_noise() -> None:

@@ -12,9 +12,10 @@ import numpy as np
 
 from hallsym.errors import counted
 from hallsym.estimation import Fit, evaluate
+from hallsym.estimation.decoding import residuals
 from hallsym.estimation.goodness_of_fit import diagnose_command
 from hallsym.estimation.likelihood import cost_near
-from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals
+from hallsym.estimation.outliers import column_spikes, reject_spikes
 from hallsym.families import added_effects
 from hallsym.families.recording import as_read
 from hallsym.log import Log, Weigh
