@@ -331,9 +331,7 @@ def verdict(m: Mistaken, out: Outcome) -> str:
         rivals = next((c["rivals"] or [] for c in out.claims if c["correction"] == out.first), [])
         if is_right(out.first):
             return "right"
-        return (
-            "rival" if any(map(is_right, rivals)) else "equal" if heals(m, out.first) else "wrong"
-        )
+        return "rival" if any(map(is_right, rivals)) else "equal" if heals(m, out.first) else "wrong"
     if not m.right and any(set(c["columns"] or ()) & set(m.columns) for c in out.claims):
         return "right"
     if out.ends != "0" or out.claims:

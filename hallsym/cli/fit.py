@@ -12,7 +12,7 @@ from hallsym.estimation.calibration import Fit
 from hallsym.estimation.fit import fit
 from hallsym.families import added_effects, plain
 from hallsym.families.machine_file import Machine, read_machine
-from hallsym.log import Fault, Log
+from hallsym.log import Log
 from hallsym.log.columns import read_runs
 from hallsym.model import Model
 from hallsym.report.text.fit import fit_text
@@ -166,9 +166,8 @@ def exit_code(result: Fit, *, said: bool = True) -> int:
 
     `said`: the text that was printed begins with the sentence on a model that does not describe its log.
     """
-    faults = [note for note in result.notes if isinstance(note, Fault)]
-    for sentence in (*(one.text for one in result.claims), *map(str, faults)):
-        common.warn(sentence)
+    for one in result.claims:
+        common.warn(one.text)
     if result.status != "converged":
         common.warn(f"the solver did not converge ({result.status}): {result.message}.")
         return INTERRUPTED if result.status == "interrupted" else NOT_CONVERGED
@@ -182,6 +181,4 @@ def exit_code(result: Fit, *, said: bool = True) -> int:
     amiss = result.goodness and result.goodness.sentence
     if amiss and not said:
         common.warn(amiss)
-    if amiss or result.claims:
-        return NOT_DESCRIBED
-    return NOT_DETERMINED if faults else OK
+    return NOT_DESCRIBED if amiss or result.claims else OK

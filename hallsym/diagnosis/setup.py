@@ -17,11 +17,10 @@ from hallsym.diagnosis.survey import products_at_lags
 from hallsym.errors import InputError, counted
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.claims import assigned
-from hallsym.estimation.decoding import knows_rails, logged_columns
+from hallsym.estimation.decoding import logged_columns
 from hallsym.estimation.fit import ALL, fit
 from hallsym.estimation.goodness_of_fit import noise_floor
 from hallsym.estimation.likelihood import Point, cost_near
-from hallsym.estimation.outliers import beside_rails
 from hallsym.estimation.task import noise_of
 from hallsym.families import build, default_model
 from hallsym.families.faults import FAULTS
@@ -122,8 +121,7 @@ def base_of(log: Log, result: Fit) -> Base:
     """Return a fit as the point at which tangents are taken."""
     wired = as_read(log, result.model, result.corrections)
     sigma = result.noise.std
-    keep = beside_rails(result.keep, result.source, wired, logged_columns(result.model))
-    cost = cost_near(wired, result.model, result.values, sigma, keep)
+    cost = cost_near(wired, result.model, result.values, sigma, result.keep)
     point = cost.at(result.values)
     return Base(
         log=wired,
@@ -135,7 +133,7 @@ def base_of(log: Log, result: Fit) -> Base:
         pose_weights=result.model.family.pose_metric.weights(result.model.pose, log.meta.gap_length_scale_m),
         holdout=frozenset(result.log["holdout"]),
         sigma=sigma,
-        keep=remembered(keep, wired.rows),
+        keep=remembered(result.keep, wired.rows),
     )
 
 
@@ -312,18 +310,13 @@ def _inspecting(model: Model, whole: Log) -> Model:
 
 
 def readable(log: Log, model: Model, drop_bad: bool) -> tuple[Log, bool]:
-    """Return the log without what no fit can use, and whether anything had to be left out.
-
-    Readings at their rails stay: they calibrate nothing, but show the rail.
-    """
+    """Return the log without what no fit can use, and whether samples that cannot be read were left out."""
     columns = logged_columns(model)
     if not drop_bad:
-        if clean_log(log, columns).rows == log.rows:
-            return log, False
         with suppress(InputError):
-            usable(log, columns, rails=not knows_rails(model))
-            return log, False
-    return clean_log(log, columns, rails=False), True
+            good, notes = usable(log, columns)
+            return (replace(good, notes=tuple(notes)) if good.rows < log.rows else log), False
+    return clean_log(log, columns), True
 
 
 def _whole_runs(log: Log, holdout: Sequence[int] | None, policy: Policy) -> tuple[int, ...]:

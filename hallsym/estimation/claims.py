@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from itertools import combinations, permutations, product
+from itertools import combinations, islice, permutations, product
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -56,16 +56,16 @@ def claims_of(fit: Fit, given: Log) -> tuple[Claim, ...]:
     return mistakes_of(given, fit.model) or coarse
 
 
-LOOKED = 4096
-"""Samples that are looked at for steps."""
+LOOKED, RUNS_LOOKED = 4096, 8
+"""Samples that are looked at for steps, and runs: a reading may be at rest in the first."""
 FEW_CODES = 40
 """Values that a reading takes at most where its rounding is no noise: it repeats with the motion."""
 
 
 def coarse_readings(given: Log, model: Model) -> Iterator[Claim]:
     """Yield the readings that take few values; what rounding does to them goes with the pose."""
-    block = next(given.blocks(model.channels, LOOKED))
-    for c, x in block.data.items():
+    some = islice(given.blocks(model.channels, LOOKED), RUNS_LOOKED)
+    for c, x in joined([block.data for block in some], model.channels).items():
         values = np.unique(x)
         step = _step_between(values) if len(values) <= min(FEW_CODES, len(x) / 4) else None
         if step is not None:
@@ -978,8 +978,12 @@ SEARCHED = 6
 
 
 def _rails(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
-    """Yield columns that stop at a value in some runs: its ends hold more samples than the values beside."""
+    """Yield columns that stop at a value in some runs: its ends hold more samples than the values beside.
+
+    Readings that do are tried together too: one converter ends at one value.
+    """
     some = np.isin(trials.run, list(runs))
+    found: dict[str, tuple[float, float]] = {}
     for c in trials.columns:
         if not is_moving(c):
             continue
@@ -997,7 +1001,11 @@ def _rails(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
                 high - near if at_high > PILED * by_high else np.inf)  # fmt: skip
         for pair in {(ends[0], np.inf), (-np.inf, ends[1]), ends}:
             if np.isfinite(pair).any():
+                found[c] = ends
                 yield Correction("clipped", (c,), pair)
+    if len(together := [c for c in found if c in trials.model.channels]) > 1:
+        low, high = np.array([found[c] for c in together]).T
+        yield Correction("clipped", tuple(together), (float(low.max()), float(high.min())))
 
 
 def _coarse(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:

@@ -12,7 +12,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.claims import mistakes_of
-from hallsym.estimation.decoding import ErrorTable, error_tables, knows_rails, logged_columns, zero_shifts
+from hallsym.estimation.decoding import ErrorTable, error_tables, logged_columns, zero_shifts
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of, noise_floor
 from hallsym.estimation.likelihood import Point, cost_near, deviations_of, zeros_of
 from hallsym.estimation.residual_noise import noise_followed, with_noise
@@ -20,7 +20,7 @@ from hallsym.estimation.task import noise_of
 from hallsym.families.recording import corrected
 from hallsym.log import Fault, Log, Noise, as_log, usable
 from hallsym.log.phase import LISTED, at_rest, continuous, rehomed
-from hallsym.model import Model
+from hallsym.model import Inspection, Model
 from hallsym.shown import Shown
 from hallsym.units import readable
 
@@ -119,10 +119,12 @@ def evaluate(
     """
     known = calibration if isinstance(calibration, Fit) else load_fit(calibration)
     model = known.model
-    given, rails = as_log(log, known.columns, known.read_with), not knows_rails(model)
-    given, notes = usable(at_rest(given, model), logged_columns(model), drop_bad=drop_bad, rails=rails)
+    given = at_rest(as_log(log, known.columns, known.read_with), model)
+    given, notes = usable(given, logged_columns(model), drop_bad=drop_bad)
     given = corrected(given, [one for one in known.corrections if not one.runs])
-    if model.inspect and model.inspect(model, given, fitted=False).inverted:
+    mounted = model.inspect(model, given, fitted=False) if model.inspect else Inspection()
+    notes += [note for note in mounted.notes if isinstance(note, Fault)]
+    if mounted.inverted:
         raise InputError(
             f"In {given.name} {' and '.join(model.references)} runs the other way round than when the "
             "calibration was made: turn the sign of the reference in a column file, or put the wires of "
@@ -136,7 +138,8 @@ def evaluate(
     notes += _shift_notes(model, found.table, found.shifts, taken_out=own_zero)
     goodness = with_noise(found.goodness, found.log, found.point, noise)
     if goodness.sentence:
-        notes += [Fault(claim.text) for claim in mistakes_of(given, model)]
+        notes += [Fault(one.text, one.name, one.columns, one.runs, one.correction)
+                  for one in mistakes_of(given, model)]  # fmt: skip
     return Evaluation(
         model, found.table, goodness, noise_floor(found.point), noise, tuple(notes), known, given,
         deviations_of(found.point), found.log,

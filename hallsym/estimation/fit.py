@@ -14,12 +14,13 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.estimation import outliers
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation.calibration import Claim, Fit
 from hallsym.estimation.claims import claims_of, mistakes_of
-from hallsym.estimation.decoding import Errors, columns_of, knows_rails, logged_columns
+from hallsym.estimation.decoding import Errors, columns_of, logged_columns
 from hallsym.estimation.factors import exact, joined
 from hallsym.estimation.likelihood import Cost, Sharing, cost_of, joint_cost, numbered, run_numbers
-from hallsym.estimation.optimum import SOLVERS, Solution, check_reference, closed_form, linear_fit, searched
+from hallsym.estimation.optimum import SOLVERS, Solution, closed_form, linear_fit, searched
+from hallsym.estimation.plausible import implausible, stated
 from hallsym.estimation.residual_noise import noise_followed
 from hallsym.estimation.several import check_gains, check_same, labels, restricted, several_fit
 from hallsym.estimation.task import (
@@ -38,7 +39,7 @@ from hallsym.estimation.task import (
 )
 from hallsym.families import plain
 from hallsym.families.recording import corrected, read_correction
-from hallsym.log import Log, as_log, clean_log, usable
+from hallsym.log import LAYOUT, UNRELATED, Fault, Log, as_log, usable
 from hallsym.log.batches import Weigh, batches, remembered
 from hallsym.log.phase import continuous, nearest_turn
 from hallsym.model import Model
@@ -103,7 +104,8 @@ def fit(
     the user's effects by name. `start`: (n,) values to begin from instead of the closed form.
 
     `corrections`: mistakes of the recording to undo, as a claim states them (`"sign x_ref_m"`; `hallsym info
-    corrections` lists the forms). `accept`: names of claims that are none here, which become notes; "all".
+    corrections` lists the forms). `accept`: names of claims that are none here, which become notes; samples
+    that such a claim would leave out stay. "all": every one, and no mistake is looked for.
 
     `quick`: one pass over a log whose run statistics show nothing amiss, without error tables (`errors` is
     None), the lower bound of the cost and a test of the colour of the noise; any other log is fitted as
@@ -130,38 +132,69 @@ def fit(
     models = [model_of(one, model, effects, parameters, own) for one in (*logs, *judged)]
     asked = Asked(
         solver, holdout, loss, tuple(map(read_correction, corrections)), drop_bad, seed, start,
-        quick and alone, say,
+        quick and alone, tuple(accept), say,
     )  # fmt: skip
     if alone:
-        return _recording(logs[0], models[0], asked, accept, began)
-    return fit_several(logs, judged, models, per_log, asked, alone=False, began=began)[0]
+        return _recording(logs[0], models[0], asked, began)
+    several = fit_several(logs, judged, models, per_log, asked, alone=False, began=began)[0]
+    return _claimed(several, (), asked)
 
 
 ALL = "all"
-"""What accepts every claim: none is looked for."""
+"""What accepts every claim: no mistake is looked for."""
 
 
-def _recording(log: Log, model: Model, asked: Asked, accept: Sequence[str], began: float) -> Fit:
-    """Fit one log and judge its recording; claims that the user accepts are notes.
+def _recording(log: Log, model: Model, asked: Asked, began: float) -> Fit:
+    """Fit one log and judge its recording.
 
     Raises `InputError` where nothing can be fitted, with the mistake that explains it if one does.
     """
-    if ALL in accept:
-        return _fit_one(log, model, asked, began)[0]
     try:
         result, given = _fit_one(log, model, asked, began)
     except InputError as error:
+        if ALL in asked.accept:
+            raise
         given = corrected(log, asked.corrections)
-        usable(given, logged_columns(model), drop_bad=asked.drop_bad, rails=not knows_rails(model))
+        good, notes = usable(given, logged_columns(model), drop_bad=asked.drop_bad, accept=asked.accept)
+        notes += model.inspect(model, good).notes if model.inspect else ()
+        odd = [_claim(note) for note in notes if isinstance(note, Fault)]
         asked.say("looking for a mistake of the recording")  # the samples themselves can be read
-        if found := mistakes_of(given, model):
+        found = [c for c in mistakes_of(given, model) or odd if c.name not in asked.accept]
+        if found:
             raise InputError(found[0].text, found) from error
         raise
-    found = claims_of(result, given)
-    known = [one.text for one in found if one.name in accept]
+    return _claimed(result, () if ALL in asked.accept else claims_of(result, given), asked)
+
+
+def _claimed(result: Fit, mistakes: Sequence[Claim], asked: Asked) -> Fit:
+    """Return a fit with its claims: `mistakes` that explain what it leaves, what is odd about the recording.
+
+    What no machine has, and a reference that does not belong, are claims where no mistake explains them. A
+    layout that nobody stated is the first to doubt. Claims that the user accepts are notes.
+    """
+    odd = [note for note in result.notes if isinstance(note, Fault)]
+    notes = [str(note) if note in odd else note for note in result.notes]
+    if ALL in asked.accept:
+        return replace(result, notes=tuple(notes))
+    values = implausible(result)
+    assumed = values if {one.name for one in values} == {LAYOUT} and not stated(result) else []
+    if any(one.correction for one in mistakes):
+        odd = [one for one in odd if one.name != UNRELATED]
+    else:
+        odd += [one for one in values if one not in assumed]
+    said = {(one.name, one.columns) for one in mistakes}
+    found = [*map(_claim, assumed), *mistakes]
+    found += [_claim(one) for one in odd if (one.name, one.columns) not in said]
+    notes = [note for note in notes if note not in odd]
     return replace(
-        result, claims=tuple(c for c in found if c.name not in accept), notes=(*result.notes, *known)
+        result,
+        claims=tuple(one for one in found if one.name not in asked.accept),
+        notes=(*notes, *(one.text for one in found if one.name in asked.accept)),
     )
+
+
+def _claim(fault: Fault) -> Claim:
+    return Claim(fault.name, str(fault), fault.columns, fault.runs, fault.correction)
 
 
 def _fit_one(log: Log, model: Model, asked: Asked, began: float) -> tuple[Fit, Log]:
@@ -170,20 +203,15 @@ def _fit_one(log: Log, model: Model, asked: Asked, began: float) -> tuple[Fit, L
         result, given = fit_several([log], [], [model], (), asked, alone=True, began=began)
         return result, given or log
     asked.say("checking the log")
-    ready = prepared(log, model, asked.corrections, drop_bad=asked.drop_bad)
+    ready = prepared(log, model, asked)
     log, notes = ready.log, list(ready.notes)
     held = held_out(log, log.meta.holdout if asked.holdout is None else asked.holdout)
     first = None
     if exact(base := plain(model)):
-        # the model without effects has no rails: it is fitted to the samples off them
-        explains_rails = knows_rails(model)
-        free = clean_log(log, logged_columns(model)) if explains_rails else log
-        plainly = replace(
-            asked, holdout=held, corrections=(), drop_bad=explains_rails, start=None, quick=False
-        )
-        first = _fit_one(free, base, plainly, began)[0]
+        plainly = replace(asked, holdout=held, corrections=(), drop_bad=False, start=None, quick=False)
+        first = _fit_one(log, base, plainly, began)[0]
         zeros = zero_notes(first.model, tuple(first.zeros), np.array(list(first.zeros.values())))
-        notes += [note for note in first.notes if note not in (*zeros, *free.notes)]
+        notes += [note for note in first.notes if note not in (*zeros, *log.notes)]
     said = tuple(dict.fromkeys(notes))
     return result_of(Task(log, model, held, asked).by_passes(first, said, ready), began), ready.given
 
@@ -269,7 +297,7 @@ def _opened(logs: Sequence[Log], model: Model, fitted: int, asked: Asked) -> lis
         raise InputError(f"Held-out run {lost[0]} is in none of the {fitted} logs.")
     for k, log in enumerate(logs):
         asked.say(f"checking {log.name}")
-        ready = prepared(log, model, asked.corrections, drop_bad=asked.drop_bad)
+        ready = prepared(log, model, asked)
         held = log.meta.holdout if asked.holdout is None else tuple(asked.holdout)
         held = held if fitted == 1 else tuple(r for r in held if r in ready.log.runs)
         held = held_out(ready.log, held) if k < fitted else ()
@@ -294,11 +322,9 @@ class _Together:
         """
         state = self.solve(self.asked.solver)
         if self.asked.quick and self.logs[0].task.in_order(state):
-            self._check()
             return state, None
         errors = self.errors(state)
         whole, state = state, self._without_outliers(state, errors)
-        self._check()
         state = self._with_noise_left(state)
         return state, errors if state is whole else self.errors(state)
 
@@ -315,11 +341,6 @@ class _Together:
 
     def _sum(self, costs: list[Cost], numbers: Sequence[dict[int, int]]) -> Cost:
         return costs[0] if len(costs) == 1 else joint_cost(self.sharing, costs, numbers)
-
-    def _check(self) -> None:
-        """Refuse a reference that does not belong."""
-        for one in self.logs:
-            check_reference(one.task.model, one.begun.linear.unexplained, one.task.log.name)
 
     def _first(self) -> np.ndarray:
         """Return where the search begins: the closed form of all runs, of own parameters that of each log."""
@@ -381,7 +402,6 @@ class _Together:
             if left < total:
                 self.asked.say(f"refitting without outliers ({100 * (1 - left / total):.2g} % of the weight)")
                 state = self.solve("direct")
-            self._check()
             if abs(left - before) <= 1e-6 * total or not left_over:
                 break
             before = left
@@ -438,5 +458,4 @@ def _judged(one: Opened, known: Solution) -> Solved:
     everything = one.begun.everything
     state = Solution(everything, everything, known.determination, known.search)
     errors = replace(one.task.errors(state, None), holdout=everything.summary.runs)
-    check_reference(one.task.model, one.begun.linear.unexplained, one.task.log.name)
     return one.solved(state, errors)

@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 
 import solvers
-from hallsym.errors import InputError
 from hallsym.estimation.factors import summarise_at
 from hallsym.estimation.identifiable import Determination, determine, determine_at, scales
 from hallsym.estimation.likelihood import Cost, Point, Zeros, cost_near, cost_of, zeros_of
-from hallsym.log import Log
+from hallsym.log import UNRELATED, Fault, Log
 from hallsym.log.batches import Weigh
 from hallsym.model import Model
 
@@ -69,16 +68,24 @@ def closed_form(cost: Cost, linear: LinearFit) -> np.ndarray:
     return features.model.closed_form(features.model, named)
 
 
-def check_reference(model: Model, unexplained: np.ndarray, where: str) -> None:
-    """Raise `InputError` when the reference explains less than half of a channel's variance."""
-    for channel, share in zip(model.channels, unexplained, strict=True):
-        if share > 0.5:
-            explained = 100 * max(1 - share, 0)
-            raise InputError(
-                f"The reference of {where} explains only {explained:.0f} % of the variation of {channel} "
-                "(expected more than 90 %); it does not belong to these readings, or outliers hide that it "
-                "does: check file, clock and columns, or fit with --loss auto."
-            )
+FOREIGN = 0.5
+"""Share of a reading's variance that a reference leaves from which on they may be of different recordings."""
+
+
+def unrelated(model: Model, unexplained: np.ndarray, where: str) -> tuple[Fault, ...]:
+    """Return the claim that a reference does not belong to the readings, where it explains hardly any."""
+    far = [c for c, share in zip(model.channels, unexplained, strict=True) if share > FOREIGN]
+    if not far:
+        return ()
+    explained = 100 * max(1 - float(unexplained[model.channels.index(far[0])]), 0.0)
+    return (
+        Fault(
+            f"The reference of {where} explains only {explained:.0f} % of the variation of {far[0]} "
+            "(expected more than 90 %); it does not belong to these readings, or outliers hide that it "
+            "does: check file, clock and columns, or fit with --loss auto.",
+            UNRELATED, far,
+        ),
+    )  # fmt: skip
 
 
 SOLVERS = ("hybrid", "direct", *solvers.EXPLORERS)

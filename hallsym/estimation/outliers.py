@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy
 
-from hallsym.log import Block, Log, on_rails
+from hallsym.log import Block
 from hallsym.log.batches import Weigh
 from hallsym.model.arrays import median, medians
 
@@ -247,28 +247,6 @@ def _expected(r: np.ndarray, median: np.ndarray, good: np.ndarray) -> tuple[np.n
         if len(good) > len(_AHEAD) + 1 and good[inside].all():
             cubic[:, at] = r[:, inside] @ _AHEAD
     return median, left, right, cubic
-
-
-def beside_rails(weigh: Weigh | None, judged: Log | None, log: Log, columns: Sequence[str]) -> Weigh | None:
-    """Return for `log` the weights that were found on it without the samples on rails: the log `judged`.
-
-    A sample on a rail counts: beside its neighbours it would look like a spike, and it shows the rail.
-    `columns`: those that were judged.
-    """
-    if weigh is None or judged is None or judged.rows == log.rows:
-        return weigh
-    rails = on_rails(log, columns).between
-
-    def weights(block: Block) -> np.ndarray:
-        out = np.ones(len(next(iter(block.data.values()))))
-        free = out > 0
-        for c, low, high in rails:
-            free &= (block.data[c] > low) & (block.data[c] < high)
-        if free.any():
-            out[free] = weigh(Block(block.run, {c: v[free] for c, v in block.data.items()}))
-        return out
-
-    return weights
 
 
 def too_many_note(columns: Sequence[str]) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from hallsym.estimation.likelihood import Sharing, own_name
 from hallsym.estimation.optimum import Solution
 from hallsym.estimation.task import Begun, LowerBound, Solved, fit_of, lower_bound
 from hallsym.log import Log, Noise
-from hallsym.log.quality.findings import name_of
+from hallsym.log.quality.findings import Fault, name_of
 from hallsym.model import Model
 from hallsym.units import UNITS
 
@@ -303,7 +303,7 @@ def _tables(tables: Sequence[ErrorTable], numbers: Sequence[Mapping[int, int]]) 
 def _notes(fits: Sequence[Fit], numbers: Sequence[Mapping[int, int]], sharing: Sharing) -> tuple[str, ...]:
     """Return what is to be said of the logs, each note once, with the log that it is of."""
     out = [
-        type(note)(f"{log}: {note}")
+        note.of(f"{log}: {note}") if isinstance(note, Fault) else f"{log}: {note}"
         for fit, log in zip(fits, sharing.logs, strict=True)
         for note in fit.notes
     ]

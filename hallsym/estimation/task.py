@@ -34,11 +34,11 @@ from hallsym.estimation.goodness_of_fit import (
 )
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost, Point, cost_of, deviations_of
-from hallsym.estimation.optimum import DROP, LinearFit, Solution, linear_fit, optimum
+from hallsym.estimation.optimum import DROP, LinearFit, Solution, linear_fit, optimum, unrelated
 from hallsym.estimation.residual_noise import noise_followed, with_noise
 from hallsym.families import adapted, added_effects, build, default_model
 from hallsym.families.recording import Correction, corrected
-from hallsym.log import Log, Noise, estimate_noise, usable
+from hallsym.log import UNRELATED, Fault, Log, Noise, estimate_noise, usable
 from hallsym.log.batches import Weigh
 from hallsym.log.core import Drop, without
 from hallsym.log.phase import at_rest, continuous, designed, home_notes
@@ -73,14 +73,12 @@ class Prepared:
     corrections: tuple[Correction, ...]
 
 
-def prepared(log: Log, model: Model, corrections: Sequence[Correction] = (), *, drop_bad: bool) -> Prepared:
-    """Check a log, without its mistakes, before it is fitted.
-
-    `drop_bad`: leave out bad samples. Raises `InputError` for logs that cannot be fitted.
-    """
+def prepared(log: Log, model: Model, asked: "Asked") -> Prepared:
+    """Check a log, without its mistakes, before it is fitted. Raises `InputError` for one that cannot be."""
+    corrections = asked.corrections
     log, notes = usable(
-        at_rest(corrected(log, corrections), model), logged_columns(model), drop_bad=drop_bad,
-        rails=not knows_rails(model),
+        at_rest(corrected(log, corrections), model), logged_columns(model), drop_bad=asked.drop_bad,
+        accept=asked.accept,
     )  # fmt: skip
     mounted = model.inspect(model, log) if model.inspect else Inspection()
     turned = (Correction("sign", mounted.inverted),) if mounted.inverted else ()
@@ -147,6 +145,8 @@ class Asked:
     seed: int = 0
     start: np.ndarray | None = None
     quick: bool = False
+    accept: tuple[str, ...] = ()
+    """Names of claims whose samples stay."""
     say: Progress = silent
 
 
@@ -177,7 +177,10 @@ class Opened:
 
     def solved(self, solution: Solution, errors: Errors | None) -> "Solved":
         """Return how it ended."""
-        return Solved(self.task, solution, errors, self.ready, self.keep, self.notes)
+        odd = unrelated(self.task.model, self.begun.linear.unexplained, self.task.log.name)
+        if any(isinstance(note, Fault) and note.name == UNRELATED for note in self.notes):
+            odd = ()  # the family said so
+        return Solved(self.task, solution, errors, self.ready, self.keep, (*self.notes, *odd))
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from hallsym.estimation import Fit, fit
 from hallsym.estimation.task import model_of
 from hallsym.families.machine_file import Machine
 from hallsym.fleets.sources import Device
-from hallsym.log import Fault, Log, read_log
+from hallsym.log import Log, read_log
 from hallsym.model import Model
 
 GOOD, AMISS, UNDETERMINED, NOT_CONVERGED, FAILED = (
@@ -88,22 +88,13 @@ def row_of_fit(found: Fit) -> dict[str, Any]:
 
 def verdict_of(found: Fit) -> tuple[str, str]:
     """Return the verdict on a fit and the sentence that says why; "" where it is good."""
-    faults = [note for note in found.notes if isinstance(note, Fault)]
     amiss = found.goodness.sentence if found.goodness else None
     if found.status != "converged":
         return NOT_CONVERGED, found.message
     if amiss:
         return AMISS, amiss
-    if faults:
-        return AMISS, faults[0]
-    nominal = {p.name: p.nominal for p in found.model.parameters}
-    for pressed in found.at_bound:
-        if np.isclose(found.value(pressed), nominal[pressed], atol=1e-12):
-            continue  # an effect is merely absent
-        return AMISS, (
-            f"{pressed} ends at its bound, {found.value(pressed):.6g}, so other parameters make up for it; "
-            "widen the bound (--machine), or look at this device."
-        )
+    if found.claims:
+        return AMISS, found.claims[0].text
     if found.undetermined_by_log:
         return UNDETERMINED, f"{', '.join(found.undetermined_by_log)} are not determined by this log."
     return GOOD, ""

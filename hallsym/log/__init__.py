@@ -8,14 +8,16 @@ from hallsym.log.estimate import estimate_noise
 from hallsym.log.formats import MOST_ROWS, as_log, open_source, read_log
 from hallsym.log.meta import Meta, Noise, Sigma, check_noise_keys, meta_schema
 from hallsym.log.phase import continuous, near, unwrapped, wrapped
-from hallsym.log.quality.check import check_log, clean_log, on_rails, spans, usable
-from hallsym.log.quality.findings import Fault
+from hallsym.log.quality.check import check_log, clean_log, spans, usable
+from hallsym.log.quality.findings import LAYOUT, UNRELATED, Fault
 from hallsym.log.quality.scan import Span
 from hallsym.log.write import LogWriter, write_log
 
 __all__ = [
+    "LAYOUT",
     "MOST_ROWS",
     "MOST_RUN",
+    "UNRELATED",
     "Batch",
     "Block",
     "Drop",
@@ -38,7 +40,6 @@ __all__ = [
     "extended",
     "meta_schema",
     "near",
-    "on_rails",
     "open_source",
     "parse_column_option",
     "read_column_file",

@@ -196,12 +196,11 @@ def _float(values: Array) -> Array:
 class Drop:
     """Samples to leave out: not finite in a column, with time that does not advance, of a run.
 
-    `between`: columns with the values that samples to keep lie between; `rows`: (start, stop) in the log.
+    `rows`: (start, stop) in the log.
     """
 
     finite: tuple[str, ...] = ()
     forward: bool = False
-    between: tuple[tuple[str, float, float], ...] = ()
     runs: frozenset[int] = field(default_factory=frozenset)
     rows: tuple[tuple[int, int], ...] = ()
 
@@ -210,20 +209,19 @@ class Drop:
         return Drop(
             tuple(dict.fromkeys(self.finite + other.finite)),
             self.forward or other.forward,
-            self.between + other.between,
             self.runs | other.runs,
             self.rows + other.rows,
         )
 
     def __bool__(self) -> bool:
         """Say whether anything is left out."""
-        return bool(self.finite or self.forward or self.between or self.runs or self.rows)
+        return bool(self.finite or self.forward or self.runs or self.rows)
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Columns that decide."""
         time = ("t_s",) if self.forward else ()
-        return tuple(dict.fromkeys((RUN, *self.finite, *time, *(name for name, _, _ in self.between))))
+        return tuple(dict.fromkeys((RUN, *self.finite, *time)))
 
 
 class Keep:
@@ -240,8 +238,6 @@ class Keep:
         keep = np.ones(len(piece[RUN]), bool)
         for name in self.drop.finite:
             keep &= np.isfinite(piece[name])
-        for name, low, high in self.drop.between:
-            keep &= (piece[name] > low) & (piece[name] < high)
         for start, stop in self.drop.rows:
             keep[max(0, start - self._row) : max(0, stop - self._row)] = False
         self._row += len(keep)

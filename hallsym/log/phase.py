@@ -285,17 +285,9 @@ class _Continuous(View):
         return out + _of_runs(self.apart[column], run) if column in self.apart else out
 
 
-def unwrapped(x: np.ndarray, period: float, starts: np.ndarray | None = None) -> np.ndarray:
-    """Return x (n,) less whole periods, so that no step is longer than half of one; `np.unwrap`, but lean.
-
-    `starts`: where stretches of finite numbers begin, 0 the first, each of which is unwrapped by itself.
-    """
+def unwrapped(x: np.ndarray, period: float) -> np.ndarray:
+    """Return x (n,) less whole periods, so that no step is longer than half of one; `np.unwrap`, but lean."""
     whole = np.round(np.diff(x) / period)
-    if starts is not None:
-        whole[starts[1:] - 1] = 0.0
     if not whole.any():
         return x
-    turns = np.concatenate([[0.0], np.cumsum(whole)])
-    if starts is not None:
-        turns -= np.repeat(turns[starts], np.diff(starts, append=len(x)))
-    return np.asarray(x - period * turns)
+    return np.asarray(x - period * np.concatenate([[0.0], np.cumsum(whole)]))

@@ -126,6 +126,10 @@ class Family:
     """Whether a diagnosis holds a flexible effect against pairs of plain ones."""
     most_effects: int = 3
     """Effects that a diagnosis adds at most."""
+    at_bounds: tuple[tuple[str, str, str], ...] = ()
+    """Claims on parameters that end at their bounds: name, pattern of the parameters, what it means."""
+    implausible: Callable[[Any], Iterable[Any]] = lambda fit: ()
+    """Claims (`hallsym.log.Fault`) on a fit whose values no machine of the family has."""
     further: tuple[Further, ...] = ()
     """Recordings that its machines can make beside a log."""
     decoder: str | Callable[..., Any] = "linear"

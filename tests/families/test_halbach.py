@@ -237,21 +237,25 @@ def test_two_sensors_half_a_wavelength_apart_tell_no_position():
         halbach(columns((0.0,)))
 
 
-def _refused(**changed):
+def _claimed(column, change):
+    """Names of claims, or the sentence of what nothing can be fitted to."""
     model = halbach(NINE)
     log = recorded(model)
-    data = {c: log.array(c) for c in log.columns} | {c: f(log) for c, f in changed.items()}
-    with pytest.raises(InputError) as error:
-        hallsym.fit(Log.from_arrays(data), model, solver="direct")
-    assert len(str(error.value)) <= 400
-    return str(error.value)
+    data = {c: log.array(c) for c in log.columns} | {column: change(log.array(column))}
+    try:
+        claims = hallsym.fit(Log.from_arrays(data, log.noise), model, solver="direct").claims
+    except InputError as error:
+        claims = error.claims
+    assert all(len(claim.text) <= 400 for claim in claims)
+    return [claim.name for claim in claims]
 
 
-def test_bad_logs_are_refused_in_one_sentence():
-    assert "beyond the outermost sensor" in _refused(x_ref_m=lambda log: log.array("x_ref_m") + 0.4)
-    assert "covers" in _refused(x_ref_m=lambda log: 1e-2 * log.array("x_ref_m"))
-    still = np.random.default_rng(0).permutation(len(recorded(halbach(NINE)).array("x_ref_m")))
-    assert "does not belong to these readings" in _refused(x_ref_m=lambda log: log.array("x_ref_m")[still])
+def test_logs_that_no_array_can_have_made_are_claimed():
+    assert _claimed("x_ref_m", lambda x: x + 0.4) == ["beyond"]
+    assert "short_travel" in _claimed("x_ref_m", lambda x: 1e-2 * x)
+    assert "unrelated" in _claimed("x_ref_m", np.random.default_rng(0).permutation)
+    assert _claimed("z_ref_m", lambda z: z - z.mean()) == ["gap"]
+    assert _claimed("z_ref_m", lambda z: z) == []
 
 
 def test_another_wavelength_and_a_silent_sensor_are_far_from_the_noise():

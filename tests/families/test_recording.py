@@ -14,7 +14,15 @@ from twins import record, with_noise
 from hallsym.errors import InputError
 from hallsym.estimation import evaluate, fit, load_fit
 from hallsym.estimation.calibration import Claim
-from hallsym.families.recording import MISTAKES, Correction, as_wired, corrected, read_correction, wiring_of
+from hallsym.families.recording import (
+    MISTAKES,
+    Correction,
+    as_wired,
+    corrected,
+    read_correction,
+    said,
+    wiring_of,
+)
 from hallsym.log import Log, Noise, read_log, write_log
 
 A, B, X = "hall_a_m", "hall_b_m", "x_ref_m"
@@ -240,3 +248,8 @@ def test_a_calibration_keeps_corrections_and_claims_and_reads_the_next_log_with_
     assert found.table.over()["rmse"] == pytest.approx(
         evaluate(plain, with_noise(next_log)).table.over()["rmse"]
     )
+
+
+def test_a_mistake_that_begins_with_a_run_has_words():
+    one = read_correction("stuck hall_a_m 0 40 in 3")
+    assert said(one) == "the values of hall_a_m stand still from sample 0 to 40 in run 3"

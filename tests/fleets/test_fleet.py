@@ -179,7 +179,7 @@ def test_a_parameter_at_its_bound_is_named(tmp_path):
         tmp_path, "rotary", machine=Machine(None, {"beta": {"lower": -0.01, "upper": 0.0199}}), workers=1
     )
     assert found.rows[0]["verdict"] == "not described"
-    assert found.rows[0]["reason"].startswith("beta ends at its bound, 0.0199")
+    assert found.rows[0]["reason"].startswith("beta = 0.0199: at the bounds")
 
 
 # -- stopped and resumed -----------------------------------------------------------------------------------

@@ -11,7 +11,8 @@ import pytest
 from log_samples import one_sentence, stage_arrays
 
 from hallsym.errors import InputError
-from hallsym.log import Log, check_log, clean_log, read_log, spans, write_log
+from hallsym.families.recording import corrected, read_correction
+from hallsym.log import Fault, Log, check_log, clean_log, read_log, spans, usable, write_log
 
 Arrays = dict[str, np.ndarray]
 Change = Callable[[Arrays], object]
@@ -42,33 +43,14 @@ def scale(column: str, factor: float) -> Change:
     return lambda arrays: arrays.update({column: arrays[column] * factor})
 
 
-def clip(column: str, level: float) -> Change:
-    return lambda arrays: arrays.update({column: np.clip(arrays[column], -level, level)})
-
-
-REFUSED: list[tuple[Change, str, int | None]] = [
+REFUSED: list[tuple[Change, str, int]] = [
     (put("hall_a_m", [450, 900], np.nan), r"hall_a_m .* 2 of 1600 .* row 451 \(run 1\)", 1598),
     (put("t_s", 10, 0.001), r"t_s .* runs backwards 1 times, first in row 11 \(run 0\)", 1599),
-    (remove(np.arange(400, 795)), r"at least 8 samples; run 1 has 5", 1200),
-    (put("hall_b_m", slice(800, 1200), 1e-4), r"hall_b_m .* never changes in run 2 although", 1200),
-    (
-        clip("hall_a_m", 3e-4),
-        r"hall_a_m .* is saturated: \d+ samples \(\d\d.\d%\) lie on its rails at -0.0003 and 0.0003 m",
-        None,
-    ),
-    (
-        remove(np.arange(200, 300)),
-        r"t_s .* misses 100 ticks .* first after 0.398 s in row 201 \(run 0\)",
-        1500,
-    ),
-    (put("hall_b_m", slice(None), 0.0), "hall_b_m .* never changes; it is 0 in all 1600", 0),
-    (scale("t_s", 1e6), r"t_s .* its usual step is 2000 s: it looks like ms", 0),
 ]
 
 
-@pytest.mark.parametrize(("change", "says", "left"), REFUSED, ids=[entry[1][:25] for entry in REFUSED])
-def test_refused_then_dropped(change: Change, says: str, left: int | None) -> None:
-    """`left` is the number of samples that remain with drop_bad; 0 means that dropping cannot help."""
+@pytest.mark.parametrize(("change", "says", "left"), REFUSED, ids=["NaN", "time"])
+def test_what_cannot_be_read_is_refused_then_dropped(change: Change, says: str, left: int) -> None:
     log = broken(change)
     required = tuple(log.columns)
     with pytest.raises(InputError, match=says) as caught:
@@ -76,36 +58,96 @@ def test_refused_then_dropped(change: Change, says: str, left: int | None) -> No
     message = str(caught.value)
     assert one_sentence(message), message
     assert "bench.csv" in message
-    assert ("--drop-bad" in message) == (left != 0)
-    if left == 0:
-        with pytest.raises(InputError, match=says):
-            check_log(log, required, drop_bad=True)
-        return
+    assert "--drop-bad" in message
     kept = clean_log(log, required)
-    assert left in (None, kept.rows)
+    assert kept.rows == left
     assert any(re.search(says, note) for note in kept.notes), kept.notes
     assert all(map(one_sentence, kept.notes))
     assert list(kept.notes) == check_log(log, required, drop_bad=True)
     assert not any("left out" in note for note in clean_log(kept, required).notes[len(kept.notes) :])
 
 
-NOTED: list[tuple[Change, str]] = [
-    (scale("x_ref_m", 1e9), r"x_ref_m covers 1e\+06 m in 0.798 s.*check the units of x_ref_m and t_s"),
+def freeze(arrays: Arrays) -> None:
+    arrays["x_ref_m"][500:530] = arrays["x_ref_m"][500]
+
+
+def paste(arrays: Arrays) -> None:
+    for name in arrays:
+        if name not in ("run", "t_s"):
+            arrays[name][800:1200] = arrays[name][:400]
+
+
+CLAIMED: list[tuple[Change, str, str, str | None, int]] = [
+    (
+        put("hall_b_m", slice(800, 1200), 1e-4),
+        r"hall_b_m .* never changes in run 2 although",
+        "stuck",
+        "stuck hall_b_m 0 400 in 2",
+        1200,
+    ),
+    (
+        put("hall_b_m", slice(None), 0.0),
+        "hall_b_m .* never changes; it is 0 in all 1600",
+        "stuck",
+        None,
+        1600,
+    ),
+    (scale("t_s", 1e6), r"t_s .* has a usual step of 2000 s; if that is 2000 ms", "clock_unit", None, 1600),
+    (
+        scale("x_ref_m", 1e9),
+        r"x_ref_m covers 1e\+06 m in 0.798 s.*check the units of x_ref_m and t_s",
+        "clock_unit",
+        None,
+        1600,
+    ),
+    (freeze, r"x_ref_m .* up to 30 .* row 501, run 1", "stuck", "stuck x_ref_m 100 130 in 1", 1570),
+    (paste, r"the same samples in runs 0 and 2", "copied_run", "copied_run in 2", 1200),
+]
+
+
+@pytest.mark.parametrize(("change", "says", "name", "correction", "left"), CLAIMED)
+def test_what_is_odd_is_a_claim_and_accepted_it_keeps_its_samples(
+    change: Change, says: str, name: str, correction: str | None, left: int
+) -> None:
+    """`left`: samples without those that the claim calls bad; its correction leaves as many."""
+    log = broken(change)
+    good, notes = usable(log)
+    (claim,) = (note for note in notes if isinstance(note, Fault))
+    assert re.search(says, claim), notes
+    assert one_sentence(claim)
+    assert (claim.name, claim.correction, good.rows) == (name, correction, left)
+    kept, told = usable(log, accept=[name])
+    assert kept.rows == 1600
+    assert any(re.search(says.partition(".*check")[0], note) for note in told)
+    assert not any(isinstance(note, Fault) for note in told)
+    dropped = clean_log(log)
+    assert dropped.rows == left
+    if left < 1600:
+        assert not any(isinstance(note, Fault) for note in dropped.notes)
+    if correction:
+        assert corrected(log, [read_correction(correction)]).rows == left
+
+
+REMARKS: list[tuple[Change, str]] = [
     (remove([100, 101, 700]), r"t_s .* misses 3 ticks \(0.19%\), first after 0.198 s in row 101 \(run 0\)"),
-    (clip("hall_a_m", 5.7e-4), "hall_a_m .* is saturated"),
     (
-        lambda a: a["x_ref_m"].__setitem__(slice(500, 530), a["x_ref_m"][500]),
-        r"x_ref_m .* up to 30 .* row 501, run 1",
+        remove(np.arange(200, 300)),
+        r"t_s .* misses 100 ticks .* first after 0.398 s in row 201 \(run 0\), a step of 0.202 s",
     ),
-    (
-        lambda a: a.update(x_ref_m=np.repeat(a["x_ref_m"][::10], 10)),
-        "x_ref_m .* repeats each value about 10 times",
-    ),
+    (remove(np.arange(400, 795)), r"Run 1 of .* has 5 samples where the usual run has 400"),
     (
         lambda a: a.update(temperature_degc=np.full(1600, np.nan)),
         "temperature_degc .* no finite value and is not used",
     ),
 ]
+
+
+@pytest.mark.parametrize(("change", "says"), REMARKS)
+def test_what_harms_nothing_is_a_remark(change: Change, says: str) -> None:
+    (note,) = check_log(broken(change))
+    assert re.search(says, note)
+    assert not isinstance(note, Fault)
+    assert usable(broken(change))[0].rows == broken(change).rows
 
 
 def quantise(column: str, step: float) -> Change:
@@ -208,16 +250,3 @@ def test_a_noise_free_axis_that_rests_in_two_runs_of_three_repeats_nothing():
         {"run": run, "t_s": t, "x_ref_m": x, "hall_a_m": x + 1e-7 * rng.standard_normal(300)}
     )
     assert check_log(log) == []
-
-
-@pytest.mark.parametrize("step", [1e-3, 2.5e-3, 5e-3])
-@pytest.mark.parametrize("phase", [0.0, 5e-3])
-@pytest.mark.parametrize("digits", [16, 6])
-def test_a_wave_that_comes_back_to_the_same_phase_is_on_no_rail(
-    step: float, phase: float, digits: int
-) -> None:
-    """A machine steps x over periods of 15 mm: tops have one value, other phases one but for rounding."""
-    x = np.arange(round(0.24 / step) + 1) * step
-    v = np.round(0.6 * np.cos(2 * np.pi / 0.015 * (x - phase)), digits)
-    log = Log.from_arrays({"run": np.zeros(len(x), int), "x_ref_m": x, "col_0_v": v})
-    assert not any("saturated" in note for note in check_log(log))

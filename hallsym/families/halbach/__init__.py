@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hallsym.families.halbach import models, planar
+from hallsym.families.halbach.checks import implausible
 from hallsym.families.halbach.effects import EFFECTS, PLANAR_EFFECTS
 from hallsym.families.halbach.further import FURTHER
 from hallsym.model import Example, Family, PoseMetric
@@ -60,6 +61,7 @@ FAMILY = Family(
     from_meta=models.from_meta,
     tables=("arrays",),
     decoder="wave",
+    implausible=implausible,
     further=FURTHER,
     effects=EFFECTS,
     assumed="columns a third of the wavelength apart, which is 30 mm",
@@ -86,6 +88,7 @@ PLANAR = Family(
     from_meta=planar.from_meta,
     tables=("arrays", "channels"),
     decoder="wave",
+    implausible=implausible,
     further=FURTHER,
     effects=PLANAR_EFFECTS,
     words={"z_ref_m": "gap z"},

@@ -1,12 +1,12 @@
 """What has to be said of a log of Halbach arrays before it is fitted: travel, sensors under the arrays."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError
 from hallsym.families.halbach.layout import Array, Sensor, arrays, sensors
+from hallsym.log import Fault
 from hallsym.model import Inspection, Model
 
 SAMPLES = 4000
@@ -25,33 +25,28 @@ LEAST_SEEN = 2
 
 
 def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
-    """Refuse a log of x and z that the array of a layout cannot have made; note what it cannot tell.
-
-    Raises `InputError` for a travel that is too short, and a mover beyond the sensors.
-    """
+    """Claim what the array of a layout cannot have logged of x and z; note what the log cannot tell."""
     (array,) = arrays(model.layout).values()
     pose = _poses(model, log, SAMPLES)
     if pose.shape[1] < FEWEST:
         return Inspection()
-    _inside(model, array, pose[0], log.name)
-    if not fitted:
-        return Inspection()
-    found = _travel(model.references[:1], pose, array.wavelength_m, log.name)
-    _covered(model, array, pose[0], log.name)
-    return found
+    odd: list[str] = [*_covered(model, array, pose[0], log.name)]
+    if fitted:
+        odd += _travel(model.references[:1], pose, array.wavelength_m, log.name)
+    return Inspection(tuple(odd))
 
 
 def inspect_planar(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
-    """Refuse a log of six coordinates that the arrays of a layout cannot have made, as `inspect` does."""
+    """Claim what the arrays of a layout cannot have logged of six coordinates, as `inspect` does."""
     pose = _poses(model, log, SAMPLES // 10)
     if pose.shape[1] < FEWEST:
         return Inspection()
     known = arrays(model.layout)
     places = [in_mover(s, known[s.array], pose) for s in sensors(model.layout)]
-    _under_arrays(model, known, places, log.name)
-    if not fitted:
-        return Inspection()
-    return _travel(model.references[:2], pose, next(iter(known.values())).wavelength_m, log.name)
+    odd: list[str] = [*_under_arrays(model, known, places, log.name)]
+    if fitted:
+        odd += _travel(model.references[:2], pose, next(iter(known.values())).wavelength_m, log.name)
+    return Inspection(tuple(odd))
 
 
 def _poses(model: Model, log: Any, samples: int) -> np.ndarray:
@@ -62,52 +57,39 @@ def _poses(model: Model, log: Any, samples: int) -> np.ndarray:
     return pose[:, np.isfinite(pose).all(axis=0)]
 
 
-def _travel(columns: Sequence[str], pose: np.ndarray, wave: float, name: str) -> Inspection:
-    """Refuse a travel, in the shortest of the first coordinates, that tells no wave; note a short one."""
+def _travel(columns: Sequence[str], pose: np.ndarray, wave: float, name: str) -> Iterator[str]:
+    """Claim that the travel, in the shortest of the first coordinates, tells no wave; note a short one."""
     travel = {c: float(np.ptp(along)) for c, along in zip(columns, pose, strict=False)}
     shortest = min(travel, key=lambda c: travel[c])
     if travel[shortest] < LEAST_TRAVEL * wave:
-        raise InputError(
+        text = (
             f"Column {shortest} of {name} covers {1e3 * travel[shortest]:.3g} mm, "
             f"{travel[shortest] / wave:.2f} of a wavelength ({1e3 * wave:g} mm); amplitude and phase need a "
             "quarter at least, and gains, offsets and places a whole one."
         )
-    if travel[shortest] >= WHOLE * wave:
-        return Inspection()
-    return Inspection(
-        (
+        yield Fault(text, "short_travel", (shortest,))
+    elif travel[shortest] < WHOLE * wave:
+        yield (
             f"The travel of {1e3 * travel[shortest]:.3g} mm in {shortest} stays within one wavelength "
             f"({1e3 * wave:g} mm): gains, places and the wavelength share what they explain; record a longer "
-            "one.",
-        )
-    )
-
-
-def _inside(model: Model, array: Array, x: np.ndarray, name: str) -> None:
-    """Refuse poses at which the array stands over no sensor of the board."""
-    places = np.array([s.middle[0] for s in sensors(model.layout)])
-    beyond = np.maximum(x.min() - places.max(), 0), np.maximum(places.min() - x.max(), 0)
-    far = max(x.max() - places.max(), places.min() - x.min(), *beyond)
-    if far > array.length_m / 2:
-        raise InputError(
-            f"Column {model.references[0]} of {name} goes {1e3 * far:.4g} mm beyond the outermost sensor, "
-            f"where an array of {1e3 * array.length_m:g} mm is over none; check the zero and the unit of the "
-            "reference, or state 'periods' and the places of all sensors."
+            "one."
         )
 
 
-def _covered(model: Model, array: Array, x: np.ndarray, name: str) -> None:
-    """Refuse sensors that the array hardly is over, unless the model knows the ends of the array."""
+def _covered(model: Model, array: Array, x: np.ndarray, name: str) -> Iterator[Fault]:
+    """Claim sensors that the array hardly is over, unless the model knows the ends of the array."""
     places = np.array([s.middle[0] for s in sensors(model.layout)])
     share = np.mean(np.abs(places[:, None] - x) < array.length_m / 2, axis=1)
     least = int(np.argmin(share))
     if share[least] < COVERED and "edges" not in model.names:
         sensor = sensors(model.layout)[least]
-        raise InputError(
+        yield Fault(
             f"Channel {sensor.channel} of {name}, at {1e3 * sensor.middle[0]:.4g} mm, is outside the field "
             f"in {100 * (1 - share[least]):.0f} % of the samples, beyond the ends of an array of "
-            f"{1e3 * array.length_m:g} mm; fit with --effect array_edges, correct 'periods' (length_m), or "
-            "leave it out."
+            f"{1e3 * array.length_m:g} mm; check zero and unit of the reference, fit with --effect "
+            "array_edges, correct 'periods' (length_m), or leave it out.",
+            "beyond",
+            (sensor.channel,),
         )
 
 
@@ -124,35 +106,53 @@ def in_mover(sensor: Sensor, array: Array, pose: np.ndarray) -> np.ndarray:
     return np.array([m[array.axis], m[1 - array.axis], -z + ry * dx - rx * dy]).swapaxes(0, 1)
 
 
-def _under_arrays(model: Model, known: dict[str, Array], places: Sequence[np.ndarray], name: str) -> None:
-    """Refuse poses at which a sensor has left its array: the mover is beyond the grid.
+def _under_arrays(
+    model: Model, known: dict[str, Array], places: Sequence[np.ndarray], name: str
+) -> Iterator[Fault]:
+    """Claim poses at which a sensor has left its array: the mover is beyond the grid.
 
     A model that knows the ends of the arrays tells the field of sensors beyond them too: there each array
     must see as many as phase and height need.
     """
     if "edges" in model.names:
-        _seen(model, known, places, name)
+        yield from _seen(model, known, places, name)
     for sensor, at in zip(sensors(model.layout), places, strict=True):
         array = known[sensor.array]
         reach = np.inf if "edges" in model.names else array.length_m / 2
         beyond = np.array([np.abs(at[:, 0]) - reach, np.abs(at[:, 1]) - array.width_m / 2]).max()
         if beyond > 0:
             size = f"{1e3 * array.length_m:g} x {1e3 * array.width_m:g} mm"
-            raise InputError(
+            yield Fault(
                 f"The mover of {name} goes {1e3 * beyond:.3g} mm beyond sensor {sensor.channel}, "
                 f"which array {array.name} ({size}) then no longer "
-                "covers; check zero and unit of the reference, leave out those poses, or the sensor."
+                "covers; check zero and unit of the reference, leave out those poses, or the sensor.",
+                "beyond",
+                (sensor.channel,),
             )
+            return
 
 
-def _seen(model: Model, known: dict[str, Array], places: Sequence[np.ndarray], name: str) -> None:
-    """Refuse poses at which an array has fewer sensors under it than phase and height need."""
+def _seen(model: Model, known: dict[str, Array], places: Sequence[np.ndarray], name: str) -> Iterator[Fault]:
+    """Claim poses at which an array has fewer sensors under it than phase and height need."""
     for array in known.values():
         own = [at for s, at in zip(sensors(model.layout), places, strict=True) if s.array == array.name]
         under = sum(np.abs(at[:, 0].mean(axis=0)) <= array.length_m / 2 for at in own)
         if np.min(under) < LEAST_SEEN:
-            raise InputError(
+            yield Fault(
                 f"The mover of {name} goes so far that array {array.name} ({1e3 * array.length_m:g} mm long) "
                 f"has {int(np.min(under))} of its {len(own)} sensors under it, where phase and height need "
-                f"{LEAST_SEEN}; check zero and unit of the reference, or leave out those poses."
+                f"{LEAST_SEEN}; check zero and unit of the reference, or leave out those poses.",
+                "beyond",
             )
+
+
+def implausible(fit: Any) -> Iterator[Fault]:
+    """Yield the claim that a gap ends below zero: its zero is that of another place."""
+    low = min(fit.log["span"].get("z_ref_m", (0.0,)))
+    if low < 0:
+        yield Fault(
+            f"z_ref_m goes down to {1e3 * low:.3g} mm, and a gap between array and sensors cannot be below "
+            "0: it counts from another place, and amplitudes are those of another gap; put it right with "
+            "--correct 'zero_moved z_ref_m METRES'.",
+            "gap", ("z_ref_m",),
+        )  # fmt: skip

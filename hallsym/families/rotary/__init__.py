@@ -1,6 +1,7 @@
 """The Hall rotary encoder, read as two voltages or as an angle: models and effects."""
 
 from hallsym.families.rotary import models
+from hallsym.families.rotary.checks import implausible
 from hallsym.families.rotary.effects import EFFECTS, direct, short
 from hallsym.model import Example, Family, PoseMetric
 
@@ -32,6 +33,7 @@ FAMILY = Family(
         },
         noise={"v_sin_v": 3.5e-4, "v_cos_v": 3.5e-4, "angle_rad": 3.5e-4, "angle_ref_rad": 2e-5},
     ),
+    implausible=implausible,
     direct=direct,
     short=short,
     pairs=True,

@@ -1,12 +1,12 @@
-"""What has to be said of an encoder's log before it is fitted: turns, direction, zero."""
+"""What has to be said of an encoder's log before it is fitted, and of its fit: turns, zero, ellipse."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError
-from hallsym.log.batches import Batch, batches
+from hallsym.log import UNRELATED, Fault
 from hallsym.log.phase import unwrapped
 from hallsym.model import Inspection, Model
 
@@ -15,66 +15,9 @@ from hallsym.model import Inspection, Model
 BINS = 72
 """Sectors of a turn that are looked at: 5 deg each."""
 MANY = 65536
-"""Numbers of a stream that are kept, however long it is."""
+"""Samples that tell the middle and the extent of a voltage, however long a log is."""
 EDGE = 0.02
 """Share of the samples at either end that may be spikes."""
-
-
-@dataclass(frozen=True, eq=False)
-class Stretches:
-    """Samples of consecutive stretches of a run each: run of each, where it begins, samples of all."""
-
-    runs: tuple[int, ...]
-    starts: np.ndarray
-    samples: int
-
-    @staticmethod
-    def of(batch: Batch, good: np.ndarray) -> "Stretches":
-        """Return the stretches of a batch, of its `good` samples (n,), that hold any."""
-        before = np.r_[0, np.cumsum(good)][list(batch.edges)]
-        some = np.flatnonzero(np.diff(before))
-        runs = tuple(batch.blocks[k].run for k in some)
-        return Stretches(runs, before[some], int(before[-1]))
-
-    @property
-    def counts(self) -> np.ndarray:
-        """Samples of each stretch, (s,)."""
-        return np.diff(self.starts, append=self.samples)
-
-    def sums(self, values: np.ndarray) -> np.ndarray:
-        """Sum values (..., n) over each stretch, (..., s)."""
-        return np.asarray(np.add.reduceat(values, self.starts, axis=-1))
-
-    def inside(self) -> np.ndarray:
-        """Whether each step from a sample to the next lies in one stretch, (n - 1,)."""
-        out = np.ones(self.samples - 1, dtype=bool)
-        out[self.starts[1:] - 1] = False
-        return out
-
-
-class Some:
-    """Evenly taken numbers (..., n) of a stream, at most MANY of them; `count` went by."""
-
-    def __init__(self, none: np.ndarray) -> None:
-        """Begin with no number: `none` is (..., 0)."""
-        self.count, self.every = 0, 1
-        self._taken, self._size = [none], 0
-
-    @property
-    def values(self) -> np.ndarray:
-        """The numbers that were taken."""
-        if len(self._taken) > 1:
-            self._taken = [np.concatenate(self._taken, axis=-1)]
-        return self._taken[0]
-
-    def add(self, new: np.ndarray) -> None:
-        """Take more of the stream."""
-        kept = new[..., -self.count % self.every :: self.every].copy()  # a view would hold all of `new`
-        self._taken.append(kept)
-        self._size, self.count = self._size + kept.shape[-1], self.count + new.shape[-1]
-        while self._size > MANY:
-            self._taken, self.every = [self.values[..., ::2]], 2 * self.every
-            self._size = self._taken[0].shape[-1]
 
 
 @dataclass
@@ -84,35 +27,24 @@ class Seen:
     samples: int = 0
     runs: dict[int, dict[float, complex]] = field(default_factory=dict)
     counts: dict[int, int] = field(default_factory=dict)
-    some: Some = field(default_factory=lambda: Some(np.empty((3, 0))))
-    """Run, angle and reference of some samples."""
     reference: np.ndarray = field(default_factory=lambda: np.zeros(BINS, dtype=bool))
     angle: np.ndarray = field(default_factory=lambda: np.zeros(BINS, dtype=bool))
     up: float = 0.0
     down: float = 0.0
     even: complex = 0j
     """Sum of exp(2 i |step|) over the steps of the reference: short where they are of all lengths."""
-    scales: list[tuple[float, float]] = field(default_factory=list)
-    """Middle and half of the extent of each voltage [V]."""
 
-    def add(self, at: Stretches, angle: np.ndarray, reference: np.ndarray) -> None:
-        """Take stretches, (n,) each [rad]."""
-        self.samples += at.samples
-        for run, count in zip(at.runs, at.counts.tolist(), strict=True):
-            self.counts[run] = self.counts.get(run, 0) + count
-        self.some.add(np.array([np.repeat(at.runs, at.counts), angle, reference]))
-        along, inside = unwrapped(reference, 2 * np.pi, at.starts), at.inside()
+    def add(self, run: int, angle: np.ndarray, reference: np.ndarray) -> None:
+        """Take samples of a run, (n,) each [rad]."""
+        self.samples += len(angle)
+        self.counts[run] = self.counts.get(run, 0) + len(angle)
+        own = self.runs.setdefault(run, {})
         for k in (1.0, -1.0):
-            apart = angle - k * reference
-            turns = at.sums(np.cos(apart)) + 1j * at.sums(np.sin(apart))
-            for run, turn in zip(at.runs, turns.tolist(), strict=True):
-                own = self.runs.setdefault(run, {})
-                own[k] = own.get(k, 0j) + turn
+            own[k] = own.get(k, 0j) + complex(np.exp(1j * (angle - k * reference)).sum())
         for bins, values in ((self.reference, reference), (self.angle, angle)):
             bins[np.floor(values * (BINS / (2 * np.pi))).astype(int) % BINS] = True
-        moved = np.diff(along)[inside]
-        twice = 2 * np.abs(moved)
-        self.even += complex(np.cos(twice).sum(), np.sin(twice).sum())
+        moved = np.diff(unwrapped(reference, 2 * np.pi))
+        self.even += complex(np.exp(2j * np.abs(moved)).sum())
         self.up += float(moved[moved > 0].sum())
         self.down -= float(moved[moved < 0].sum())
 
@@ -121,38 +53,28 @@ class Seen:
         sums = [own[k] for own in self.runs.values()]
         return float(sum(map(abs, sums)) if each else abs(sum(sums))) / max(self.samples, 1)
 
-    def length(self, run: int, k: float) -> float:
-        """Return that of one run."""
-        return abs(self.runs[run][k]) / max(self.counts[run], 1)
-
 
 def seen_of(model: Model, log: Any) -> Seen:
     """Go over a log once (twice for voltages, whose middle and extent come first)."""
     scales = _scales(model, log) if len(model.channels) == 2 else []
-    seen, (column,) = Seen(scales=scales), model.references
-    for batch in batches(log, (*model.channels, column)):
-        values, reference = np.array(batch.columns(model.channels)), batch.data[column]
+    seen, (column,) = Seen(), model.references
+    for block in log.blocks((*model.channels, column)):
+        values, reference = np.array([block.data[c] for c in model.channels]), block.data[column]
         good = np.isfinite(values.sum(axis=0) + reference)
-        at = Stretches.of(batch, good)
-        if not at.samples:
-            continue
-        if not good.all():
-            values, reference = values[:, good], reference[good]
         if scales:
             y, x = ((v - middle) / half for v, (middle, half) in zip(values, scales, strict=True))
-            angle = np.arctan2(y, x)
-        else:
-            angle = values[0]
-        seen.add(at, angle, reference)
+            values = np.arctan2(y, x)[None]
+        if good.any():
+            seen.add(block.run, values[0][good], reference[good])
     return seen
 
 
 def _scales(model: Model, log: Any) -> list[tuple[float, float]]:
     """Middle and half of the extent of each voltage, spikes aside: near enough to count turns by."""
-    seen = Some(np.empty((2, 0)))
-    for batch in batches(log, model.channels):
-        seen.add(np.array(batch.columns(model.channels)))
-    low, high = np.nanquantile(seen.values, [EDGE, 1 - EDGE], axis=1)
+    every, found = max(1, log.rows // MANY), []
+    for block in log.blocks(model.channels):
+        found.append(np.array([block.data[c][::every] for c in model.channels]))
+    low, high = np.nanquantile(np.concatenate(found, axis=1), [EDGE, 1 - EDGE], axis=1)
     return [(float(a + b) / 2, float(b - a) / 2 or 1.0) for a, b in zip(low, high, strict=True)]
 
 
@@ -172,25 +94,23 @@ ORDERED = 0.3
 
 
 def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
-    """Refuse a log that no encoder model can be fitted to; return its direction and what it cannot tell.
+    """Return an encoder's direction, what its log cannot tell, and claims on a log that it cannot have made.
 
     `fitted` False: the log is only judged, for which a part of a turn is enough.
-
-    Raises `InputError` when the reference covers too little of a turn, makes another number of turns, or does
-    not belong to the readings.
     """
     seen, (column,) = seen_of(model, log), model.references
     own = bool(model.zeros)  # each run has a zero of its own
-    forward = seen.follows(1.0, each=own) >= seen.follows(-1.0, each=own)
+    notes: list[str] = [*_claims(seen, log, model, fitted)]
+    forward = seen.follows(1.0, each=own) >= seen.follows(-1.0, each=own) or bool(notes)
     sign = 1.0 if forward else -1.0
-    _refuse(seen, log, model, fitted)
     guessed = fitted and "t_s" not in log.columns and column not in log.noise
     if guessed and abs(seen.even) < ORDERED * (seen.samples - len(seen.runs)):
-        raise InputError(
+        text = (
             f"Rows of {log.name} are in no order ({column} moves by anything from one to the next), so the "
             f"noise cannot be estimated: sort them by {column}, or state the noise with --noise."
         )
-    notes = _notes(seen, column, timed="t_s" in log.columns)
+        notes.append(Fault(text, "order", (column,)))
+    notes += _notes(seen, column, timed="t_s" in log.columns)
     notes += _homed(seen, column, sign, own)
     if not forward:
         channel = model.channels[0]
@@ -202,26 +122,29 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
     return Inspection(tuple(notes), () if forward else model.channels[:1])
 
 
-def _refuse(seen: Seen, log: Any, model: Model, fitted: bool) -> None:
+def _claims(seen: Seen, log: Any, model: Model, fitted: bool) -> Iterator[Fault]:
     gap, other, (column,), name = _gap(seen.reference), _gap(seen.angle), model.references, log.name
     if fitted and gap > GAP_REFUSE and other > GAP_REFUSE:
-        raise InputError(
+        text = (
             f"Column {column} of {name} covers only {360 - gap:.0f} deg of a turn; offset, gain and phase of "
             "an encoder show once and twice per turn, so record at least one full turn, or check its unit."
         )
+        yield Fault(text, "part_of_a_turn", (column,))
     own = bool(model.zeros)
     straight, alone = (max(seen.follows(k, each=each) for k in (1.0, -1.0)) for each in (own, True))
     if straight < FOLLOWS < alone and len(seen.runs) > 1:
-        raise InputError(
+        text = (
             f"The encoder in {name} follows {column} in each run, but each from another zero: the reference "
             "was homed anew between runs. Fit with --effect zero_deviation, which "
             "gives each run its own."
         )
-    if max(straight, alone) < (TOGETHER if gap < GAP_REFUSE else FOLLOWS):
-        raise InputError(
+        yield Fault(text, "homed", (column,))
+    elif max(straight, alone) < (TOGETHER if gap < GAP_REFUSE else FOLLOWS):
+        text = (
             f"The encoder in {name} does not follow {column} (their difference is spread over the turn); it "
             "does not belong to these readings: check file, clock, columns and units."
         )
+        yield Fault(text, UNRELATED, (column,))
 
 
 def _notes(seen: Seen, column: str, *, timed: bool) -> list[str]:
@@ -268,3 +191,33 @@ def _gap(bins: np.ndarray) -> float:
     at = np.flatnonzero(bins)
     between = np.diff(np.r_[at, at[0] + BINS]) - 1
     return float(between.max()) * 360.0 / BINS
+
+
+# -- what is said of its fit ---------------------------------------------------------------------------------
+
+UNEQUAL = 3.0
+"""Ratio of the amplitudes of two plates beyond any encoder: sensitivities of one lot are within a tenth, and
+a plate at twice the distance from the magnet sees half the field."""
+NEAR = 1.2
+"""Factor within which a ratio is a power of ten."""
+
+
+def implausible(fit: Any) -> Iterator[Fault]:
+    """Yield the claim that the ellipse of two voltages is longer than that of any encoder."""
+    if not {"Ay", "Ax"} <= set(fit.model.names) or len(fit.model.channels) != 2:
+        return
+    sizes = np.abs([fit.value("Ay"), fit.value("Ax")])
+    ratio = float(sizes.max() / sizes.min())
+    if ratio < UNEQUAL:
+        return
+    power = 10.0 ** np.round(np.log10(ratio))
+    # of the two the one that is farther from 1 V is the scaled one: only their ratio counts
+    k = int(np.argmax(np.abs(np.log(sizes))))
+    factor = 1 / power if k == int(np.argmax(sizes)) else power
+    correction = f"scale {fit.model.channels[k]} {factor:.9g}" if 1 / NEAR < ratio / power < NEAR else None
+    remedy = f"; undo it with --correct '{correction}'" if correction else ""
+    yield Fault(
+        f"The amplitudes of {' and '.join(fit.model.channels)} differ by a factor of {ratio:.3g}, an ellipse "
+        f"that no encoder makes: are both in the same unit?{remedy}.".replace("?;", "?").replace("?.", "?"),
+        "scale", fit.model.channels, correction=correction,
+    )  # fmt: skip

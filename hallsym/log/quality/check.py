@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from hallsym.log.columns import RUN, fastest, is_reference
 from hallsym.log.core import Drop, Log, without
 from hallsym.log.quality.findings import Finding, name_of, others, the
 from hallsym.log.quality.scan import FEWEST_SAMPLES, Scan, Spans, scan, ticks, time
-from hallsym.log.quality.values import copied, dead, held, saturated, stale
+from hallsym.log.quality.values import copied, dead, held
 from hallsym.units import si_symbol
 
 
@@ -22,14 +22,14 @@ def finite(log: Log, seen: Scan, required: Sequence[str]) -> Iterator[Finding]:
         if trace.nonfinite == seen.rows and name not in required:
             yield Finding(f"{the(log, name)} has no finite value and is not used")
         elif trace.nonfinite == seen.rows:
-            yield Finding(f"{the(log, name)} has no finite value", True, remedy="record it again")
+            yield Finding(f"{the(log, name)} has no finite value", refuse=True, remedy="record it again")
         elif trace.nonfinite:
             row, ends = trace.first_nonfinite, np.cumsum([n for _, n in seen.segments])
             run = seen.segments[int(np.searchsorted(ends, row, side="right"))][0]
             yield Finding(
                 f"{the(log, name)} must be finite; {trace.nonfinite} of {seen.rows} values are NaN or"
                 f" infinite, the first in row {row + 1} (run {run})",
-                True, Drop(finite=(name,)), remedy="repair them",
+                refuse=True, drop=Drop(finite=(name,)), remedy="repair them",
             )  # fmt: skip
 
 
@@ -37,7 +37,7 @@ _PASSES = 6
 
 
 def check_log(log: Log, required: Sequence[str] = (), *, drop_bad: bool = False) -> list[str]:
-    """Return what is worth knowing about a log, one sentence each; refuse one that cannot be used.
+    """Return what is worth knowing about a log, one sentence each; refuse one that cannot be read.
 
     `required` names the columns that will be used (none: all of them); only these are judged. With `drop_bad`
     samples and runs that can be left out are no reason to refuse; `clean_log` returns the log without them.
@@ -47,46 +47,43 @@ def check_log(log: Log, required: Sequence[str] = (), *, drop_bad: bool = False)
     found = list(_judge(log, required))
     for finding in found:
         if finding.refuse:
-            raise InputError(finding.sentence)
-    return [*log.notes, *(finding.sentence for finding in found)]
+            raise InputError(finding.said())
+    return [*log.notes, *(finding.said() for finding in found)]
 
 
-def clean_log(log: Log, required: Sequence[str] = (), *, rails: bool = True) -> Log:
+def clean_log(log: Log, required: Sequence[str] = ()) -> Log:
     """Return the log without its bad samples and runs; its `notes` say what was left out.
 
-    Left out: samples with NaN or infinity, with time that does not advance, on a rail (unless not `rails`),
-    of a column that is frozen, copies of others, runs that are too short or in which a reading is dead.
-    A log that streams goes on streaming.
+    Left out: samples with NaN or infinity, with time that does not advance, of a column that is frozen,
+    copies of others, runs in which a reading is dead. A log that streams goes on streaming.
     """
-    log, notes = usable(log, required, drop_bad=True, rails=rails)
+    log, notes = usable(log, required, drop_bad=True)
     return replace(log, notes=tuple(notes))
 
 
 def usable(
-    log: Log, required: Sequence[str] = (), *, drop_bad: bool = False, rails: bool = True
+    log: Log, required: Sequence[str] = (), *, drop_bad: bool = False, accept: Collection[str] = ()
 ) -> tuple[Log, list[str]]:
-    """Return the log to compute from, and what is worth knowing about it; refuse one that cannot be used.
+    """Return the log to compute from, and what is worth knowing about it; refuse one that cannot be read.
 
-    A few samples on a rail or in a frozen stretch are left out unasked; the log itself is returned where
-    nothing is. With `drop_bad` everything that can be left out is no reason to refuse. Without `rails`
-    samples on a rail are kept: for what explains them.
+    Samples of which a claim says that they are bad are left out, unless its name is in `accept`; the log
+    itself is returned where nothing is. With `drop_bad` samples that cannot be read are left out too, and
+    nothing that was left out is a claim.
     """
     notes, began = list(log.notes), log
     for _ in range(_PASSES):
         told, drop = [], Drop()
         for finding in _judge(log.recording or log, required, thinned=log is not began):
-            on_rails = finding.drop is not None and bool(finding.drop.between)
-            leave_out = finding.drop is not None and not (on_rails and not rails)
-            if finding.refuse and not drop_bad and not (on_rails and not rails):
-                raise InputError(finding.sentence)
-            if leave_out and finding.drop:
-                drop |= finding.drop
-                notes.append(finding.left_out)
-            elif finding.refuse and not finding.bear and not on_rails:
+            if finding.refuse and not (drop_bad and finding.drop):
                 before = [f" ({note[:-1]})" for note in notes[len(log.notes) :]]
-                raise InputError(f"{finding.sentence[:-1]}{''.join(before[-1:])}.")
+                raise InputError(f"{finding.said()[:-1]}{''.join(before[-1:])}.")
+            if finding.claim in accept:
+                told.append(finding.plain)
+            elif finding.drop:
+                drop |= finding.drop
+                notes.append(finding.dropped if drop_bad else finding.said(left_out=True))
             else:
-                told.append(finding.borne if finding.refuse else finding.sentence)
+                told.append(finding.said())
         if not drop:
             break
         log = without(log, drop)
@@ -95,13 +92,6 @@ def usable(
         if not drop_bad:
             break
     return log, [*notes, *told]
-
-
-def on_rails(log: Log, required: Sequence[str] = ()) -> Drop:
-    """Return the samples that lie on a rail of a reading, of `required` columns (none: of all)."""
-    columns = tuple(required) or log.columns
-    found = saturated(log, scan(log, [name for name in columns if name != RUN]))
-    return Drop(between=tuple(ends for finding in found if finding.drop for ends in finding.drop.between))
 
 
 def spans(log: Log, columns: Sequence[str] | None = None) -> Spans:
@@ -144,12 +134,7 @@ def _values(log: Log, seen: Scan) -> Iterator[Finding]:
     yield from speeds(log, seen, spans)
     yield from dead(log, seen, spans)
     yield from copied(log, seen, spans)
-    rails = Drop()
-    for finding in saturated(log, seen):
-        yield finding
-        rails |= finding.drop or Drop()
-    yield from held(log, seen, spans, rails)
-    yield from stale(log, seen, spans, rails)
+    yield from held(log, seen, spans)
 
 
 _CUT_SHORT = 0.1
@@ -159,42 +144,26 @@ _FEW = 16
 
 
 def short_runs(log: Log, seen: Scan) -> Iterator[Finding]:
-    """Runs with too few samples to say anything, or far fewer than the others."""
-    samples = seen.samples
-    short = [run for run, n in samples.items() if n < FEWEST_SAMPLES]
-    if short and len(samples) == 1 and not log.timed:
+    """A log with too few samples to say anything; runs with far fewer than the others, or all with few."""
+    samples, name = seen.samples, name_of(log)
+    if seen.rows < FEWEST_SAMPLES:
         yield Finding(
-            f"{name_of(log)} must have at least {FEWEST_SAMPLES} samples; it has {samples[short[0]]}",
-            True, remedy="record more samples",
-        )  # fmt: skip
-        return
-    if short:
-        yield Finding(
-            f"Every run of {name_of(log)} must have at least {FEWEST_SAMPLES} samples; run {short[0]} has"
-            f" {samples[short[0]]}{others(short)}",
-            True, Drop(runs=frozenset(short)) if len(short) < len(samples) else None,
-            remedy="record longer runs",
+            f"{name} must have at least {FEWEST_SAMPLES} samples; it has {seen.rows}",
+            refuse=True, remedy="record more samples",
         )  # fmt: skip
         return
     usual = float(np.median(list(samples.values())))
     cut = [run for run, n in samples.items() if n < _CUT_SHORT * usual]
     if cut:
         yield Finding(
-            f"Run {cut[0]} of {name_of(log)} has {samples[cut[0]]} samples{others(cut)} where the usual run"
-            f" has {usual:.0f}: it tells little more than its own zero",
-            remedy="see whether its recording was cut short",
-        )
-    elif usual < _FEW and log.timed:
-        yield Finding(
-            f"The usual run of {name_of(log)} has {usual:.0f} samples: a frozen column, noise or a delay"
-            " cannot be seen in so few",
-            remedy="record longer runs if you can",
+            f"Run {cut[0]} of {name} has {samples[cut[0]]} samples{others(cut)} where the usual run has"
+            f" {usual:.0f}: it tells little more than its own zero; see whether its recording was cut short"
         )
     elif usual < _FEW:
+        runs = "The usual run" if log.timed else "Each part that is compared"
         yield Finding(
-            f"The parts of {name_of(log)} that are compared have {usual:.0f} samples: a frozen column cannot"
-            " be seen in so few",
-            remedy="record more samples if you can",
+            f"{runs} of {name} has {usual:.0f} samples: a frozen column, noise or a delay cannot be seen in"
+            " so few"
         )
 
 
@@ -205,20 +174,15 @@ is slower than 1 Hz approaches its points one by one. Nothing else tells the two
 
 
 def clock_unit(log: Log, seen: Scan) -> Iterator[Finding]:
-    """A clock that ticks too slowly for a recording, or so slowly that its unit is worth a remark."""
+    """A clock that ticks so slowly that its unit is worth a remark, or a claim."""
     tick = seen.clock.tick if seen.clock else 0.0
-    if tick > _LONGEST_TICK_S:
+    if tick > _LONGEST_TICK_S or (tick > _SLOW_TICK_S and log.table.source_name("t_s") == "t_s"):
         unit = "ms" if tick < 1e4 else "us"
         yield Finding(
-            f"{the(log, 't_s')} cannot be in that unit; its usual step is {tick:.4g} s",
-            True,
-            remedy=f"it looks like {unit}, so say --column t_{unit}={log.table.source_name('t_s')}",
-        )
-    elif tick > _SLOW_TICK_S and log.table.source_name("t_s") == "t_s":
-        yield Finding(
-            f"{the(log, 't_s')} has a usual step of {tick:.4g} s; if that is {tick:.4g} ms, say --column "
-            "t_ms=t_s, or delays, time constants and frequencies will be 1000 times off"
-        )
+            f"{the(log, 't_s')} has a usual step of {tick:.4g} s; if that is {tick:.4g} {unit}, say --column "
+            f"t_{unit}={log.table.source_name('t_s')}, or delays, time constants and frequencies will be off",
+            claim="clock_unit" if tick > _LONGEST_TICK_S else "", columns=("t_s",),
+        )  # fmt: skip
 
 
 def speeds(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
@@ -233,6 +197,7 @@ def speeds(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
             yield Finding(
                 f"In run {run} of {name_of(log)} {name} covers {covers[k]:.3g} {symbol} in {lasts[k]:.3g} s, "
                 "faster than any machine",
+                claim="clock_unit", columns=(name, "t_s"), runs=(run,),
                 remedy=f"check the units of {name} and t_s",
-            )
+            )  # fmt: skip
             return

@@ -12,42 +12,78 @@ _LONGEST_NAME = 60
 """Characters of a log's name that a sentence has room for: with them it stays below 300."""
 
 
+UNRELATED, LAYOUT = "unrelated", "layout"
+"""Names of the claims that readings do not follow the reference, and that sensors are elsewhere."""
+
+
 class Fault(str):
-    """A note on what is wrong with a recording that is used all the same; other notes are remarks."""
+    """A claim: what is odd about a recording, or a fit, that is used all the same; other notes are remarks.
+
+    `name`: what `--accept` takes. `columns`, `runs`: where, all runs where empty. `correction`: what undoes
+    it (`--correct`), None where nothing does.
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    runs: tuple[int, ...]
+    correction: str | None
+
+    def __new__(
+        cls,
+        text: str,
+        name: str = "",
+        columns: Collection[str] = (),
+        runs: Collection[int] = (),
+        correction: str | None = None,
+    ) -> Fault:
+        """Make a sentence a claim."""
+        fault = super().__new__(cls, text)
+        fault.name, fault.columns, fault.runs = name, tuple(columns), tuple(runs)
+        fault.correction = correction
+        return fault
+
+    def of(self, text: str) -> Fault:
+        """Return the same claim in other words."""
+        return Fault(text, self.name, self.columns, self.runs, self.correction)
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A fault, `text` without its end and `remedy`.
+    """What is odd about a log, `text` without its end and `remedy`.
 
-    `refuse` stops the work, unless `drop` or `bear` helps and the user asks for it (drop_bad). Without
-    `refuse` it is a note, and the samples of `drop` are left out unasked.
+    `refuse`: nothing can be computed from the samples of `drop`, or of the log, so it stops the work.
+    `claim`: the name of a claim; the samples of `drop` are left out unless it is accepted. With neither it is
+    a remark. `columns`, `runs`, `correction`: those of the claim.
     """
 
     text: str
     refuse: bool = False
+    claim: str = ""
     drop: Drop | None = None
-    bear: bool = False
     remedy: str = ""
+    columns: tuple[str, ...] = ()
+    runs: tuple[int, ...] = ()
+    correction: str | None = None
+
+    def said(self, *, left_out: bool = False) -> str:
+        """Return the whole sentence: a `Fault` of a claim. `left_out`: the samples of `drop` are."""
+        ends = f"{'; left out' if left_out else ''}{': ' if self.remedy else ''}{self.remedy}"
+        if left_out and self.correction:
+            ends += f", and state it with --correct '{self.correction}'"
+        if self.refuse and self.drop:
+            ends += ", or leave the bad samples out with --drop-bad"
+        text = f"{self.text}{ends}."
+        return Fault(text, self.claim, self.columns, self.runs, self.correction) if self.claim else text
 
     @property
-    def sentence(self) -> str:
-        """The whole sentence of a log that is used as it is, or refused; a `Fault` if it says what to do."""
-        way = "leave the bad samples out with --drop-bad" if self.drop else "accept it with --drop-bad"
-        ends = [self.remedy] if self.remedy else []
-        ends += [way] if self.refuse and (self.drop or self.bear) else []
-        said = self.text + (": " if ends else "") + ", or ".join(ends) + "."
-        return Fault(said) if ends else said
-
-    @property
-    def left_out(self) -> str:
-        """The whole sentence of a log without the bad samples, with the remedy where nobody asked for it."""
-        return f"{self.text}; left out." if self.refuse else Fault(f"{self.text}; left out: {self.remedy}.")
-
-    @property
-    def borne(self) -> str:
-        """The whole sentence of a log that is used although it should be refused."""
+    def plain(self) -> str:
+        """The whole sentence where the user knows of it."""
         return f"{self.text}."
+
+    @property
+    def dropped(self) -> str:
+        """The whole sentence where the user asked for a log without the bad samples."""
+        return f"{self.text}; left out."
 
 
 def name_of(log: Log) -> str:

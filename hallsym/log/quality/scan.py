@@ -9,7 +9,7 @@ from math import comb
 
 import numpy as np
 
-from hallsym.log.columns import RUN, is_moving, is_reading
+from hallsym.log.columns import RUN, is_moving
 from hallsym.log.core import Drop, Log, RunOrder
 from hallsym.log.quality.findings import Finding, the
 from hallsym.log.table import CHUNK_ROWS, Piece
@@ -17,53 +17,6 @@ from hallsym.units import Array
 
 FEWEST_SAMPLES = 8
 """Samples of a run below which it says nothing."""
-ENOUGH = 8192
-"""Samples that are kept at least where a log has them; at most twice as many. 0.5 % of them are 40."""
-WHOLE_ROWS = 2_000_000
-"""Samples up to which a second look reads whole columns."""
-
-
-class Sample:
-    """Every n-th sample of a log, n a power of two that grows along the pass."""
-
-    def __init__(self, columns: Sequence[str]) -> None:
-        """Keep samples of `columns`."""
-        self.columns = tuple(columns)
-        self.stride = 1
-        self._parts: list[tuple[Array, Array, Array]] = []
-        self._count = 0
-
-    def add(self, piece: Piece, row: int) -> None:
-        """Take a piece that begins at `row` of the log."""
-        here = slice(-row % self.stride, None, self.stride)
-        rows = np.arange(row + here.start, row + len(piece[RUN]), self.stride)
-        values = np.array([piece[name][here] for name in self.columns]).reshape(len(self.columns), len(rows))
-        self._parts.append((rows, piece[RUN][here].copy(), values))  # a view would keep the whole piece
-        self._count += len(rows)
-        while self._count > 2 * ENOUGH:
-            self._thin()
-
-    def _thin(self) -> None:
-        self.stride *= 2
-        kept = [(part, part[0] % self.stride == 0) for part in self._parts]
-        self._parts = [(rows[keep], run[keep], values[:, keep]) for (rows, run, values), keep in kept]
-        self._count = sum(len(part[0]) for part in self._parts)
-
-    @cached_property
-    def whole(self) -> Whole:
-        """The kept samples, at the end of the pass."""
-        _, run, values = (np.concatenate(parts, axis=-1) for parts in zip(*self._parts, strict=True))
-        return Whole(run, dict(zip(self.columns, values, strict=True)))
-
-
-@dataclass(frozen=True, eq=False)
-class Whole:
-    """Columns of a log side by side, or those of its thinned copy: `run` and `data[column]`, (n,) each."""
-
-    run: Array
-    data: dict[str, Array]
-
-
 HELD_SAMPLES = 8
 _CACHE_ROWS = 32_768
 
@@ -112,7 +65,7 @@ class Trace:
 
     `parts` holds arrays (segments, 4): min, max, sum, sum of squares; `sums` arrays (segments,) of what the
     samples' bits times their places come to, whatever pieces they came in: equal for runs that hold the same
-    samples. `repeats`: samples equal to the one before, `held`: whether `HELD_SAMPLES` are in a row.
+    samples. `held`: whether `HELD_SAMPLES` in a row are equal.
     """
 
     pivot: float | None = None
@@ -120,12 +73,7 @@ class Trace:
     sums: list[Array] = field(default_factory=list)
     nonfinite: int = 0
     first_nonfinite: int = -1
-    repeats: int = 0
     held: bool = False
-    low: float = np.inf
-    high: float = -np.inf
-    at_low: int = 0
-    at_high: int = 0
 
     def add(self, name: str, values: Array, starts: Array, places: Array, row: int, scratch: Array) -> None:
         """Take a piece that begins at `row`, with segments from `starts` on and the `places` of its samples.
@@ -147,26 +95,14 @@ class Trace:
         np.add.reduceat(shifted, starts, out=part[:, 2])
         np.add.reduceat(np.square(shifted, out=shifted), starts, out=part[:, 3])
         self.parts.append(part)
-        if is_reading(name):
-            self._extremes(values, part[:, 0].min(), part[:, 1].max())
         if is_moving(name):
             equal = values[1:] == values[:-1]
-            self.repeats += int(np.count_nonzero(equal))
             if not self.held and len(equal) >= HELD_SAMPLES:
                 two = equal[1:] & equal[:-1]
                 four = two[2:] & two[:-2]
                 self.held = bool((four[3:] & four[:-3]).any())
             # exact in any order, whole numbers modulo 2^64
             self.sums.append(np.add.reduceat(values.view(np.uint64) * places, starts))
-
-    def _extremes(self, values: Array, low: float, high: float) -> None:
-        """Count the samples that sit exactly at the least and at the greatest value so far."""
-        if low <= self.low:
-            self.at_low = int(np.count_nonzero(values == low)) + (self.at_low if low == self.low else 0)
-            self.low = low
-        if high >= self.high:
-            self.at_high = int(np.count_nonzero(values == high)) + (self.at_high if high == self.high else 0)
-            self.high = high
 
 
 @dataclass
@@ -175,7 +111,6 @@ class Scan:
 
     traces: dict[str, Trace]
     clock: Clock | None
-    sample: Sample
     segments: list[tuple[int, int]] = field(default_factory=list)
     rows: int = 0
 
@@ -219,8 +154,7 @@ def scan(log: Log, columns: Sequence[str]) -> Scan:
     """Read the columns once and return what was seen; `run` and `t_s` are included where the log has them."""
     clock = Clock() if "t_s" in log.columns and "t_s" in columns else None
     own = tuple(name for name in columns if name != RUN)
-    moving = tuple(filter(is_moving, own))
-    result = Scan({name: Trace() for name in own}, clock, Sample(moving))
+    result = Scan({name: Trace() for name in own}, clock)
     order = RunOrder(log.name)
     scratch = np.empty(_CACHE_ROWS)
     for piece in _small_pieces(log, columns):
@@ -232,7 +166,6 @@ def scan(log: Log, columns: Sequence[str]) -> Scan:
             trace.add(name, piece[name], starts, places, result.rows, scratch)
         if clock is not None:
             clock.add(piece["t_s"], found, result.rows)
-        result.sample.add(piece, result.rows)
         result.rows += len(piece[RUN])
     return result
 
@@ -265,9 +198,6 @@ def _extents(table: Array, counts: Array, pivot: float, starts: Sequence[int] | 
     variance = np.maximum(np.add.reduceat(table[:, 3], starts) / n - mean**2, 0.0)
     return np.array([low, high, mean + pivot, np.where(high > low, np.sqrt(variance), 0.0)])
 
-
-_MISSING_REFUSE = 0.02
-"""Share of missing ticks from which a log is refused: below, a logger was late now and then."""
 
 _LATE = 1.8  # a step longer than this many ticks means that samples are missing
 _MOST_MISSING = 2.0**53  # what a clock that jumps to 1e308 s is said to miss
@@ -334,21 +264,19 @@ def time(log: Log, clock: Clock) -> Iterator[Finding]:
         yield Finding(
             f"{the(log, 't_s')} must increase within a run; it {how} {clock.backward} times, first in row"
             f" {row + 1} (run {run}) at {t:.6g} s",
-            True, Drop(forward=True), remedy="sort the samples by time or number the runs",
+            refuse=True, drop=Drop(forward=True), remedy="sort the samples by time or number the runs",
         )  # fmt: skip
 
 
 def ticks(log: Log, clock: Clock) -> Iterator[Finding]:
-    """Samples that are missing."""
+    """Samples that are missing: a remark, since each sample has its time."""
     if clock.first_missing and not clock.first_backward:
         row, run, t, step = clock.first_missing
         share = clock.missing / max(1, clock.missing + clock.steps)
-        refuse = share > _MISSING_REFUSE
         yield Finding(
             f"{the(log, 't_s')} misses {clock.missing} ticks ({share:.2%}), first after {t:.6g} s in row"
-            f" {row + 1} (run {run}), a step of {step:.4g} s",
-            refuse, bear=True, remedy="number the stretches around a pause as runs" if refuse else "",
-        )  # fmt: skip
+            f" {row + 1} (run {run}), a step of {step:.4g} s"
+        )
 
 
 _ROUGH = 0.5
@@ -365,15 +293,6 @@ that is one code: the codes of a converter may lie unevenly."""
 _MORE = 3.0
 """Equal neighbours over those by chance from which it is no noise: an axis that goes from rest to rest."""
 _FEWEST = 16
-_FAR = 10.0
-"""Leverage of a sample over that of the usual one up to which a linear function is believed there."""
-LINEAR = 0.5
-"""Share of a column's variation that a linear function of others must explain to be believed."""
-OVER_NOISE = 2.0
-"""Spread of what a linear function predicts over what it leaves, noise and rounding, from which the column
-should have moved. A column that rests between two codes hides 0.5 of one, and rounding leaves 0.29."""
-_COARSE = 0.8
-"""Share of distinct values below which a column shows the codes of its converter."""
 
 
 def stretches(mask: Array, shortest: int = 2) -> list[tuple[int, int]]:
@@ -382,13 +301,6 @@ def stretches(mask: Array, shortest: int = 2) -> list[tuple[int, int]]:
     return [
         (a, b) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True) if b - a >= shortest
     ]
-
-
-def code(ordered: Array) -> float:
-    """Return the step between codes of sorted values (n,); 0 where nearly all of them differ."""
-    step = np.diff(ordered)
-    step = step[step > 0]
-    return float(step.min()) if len(step) and len(step) < _COARSE * len(ordered) else 0.0
 
 
 def is_noisy(x: Array) -> bool:
@@ -424,62 +336,3 @@ def equal_by_chance(codes: float) -> float:
 def _spread(difference: Array, order: int) -> float:
     """Standard deviation of white noise with such differences; a few outliers do not count."""
     return float(np.median(np.abs(difference))) / (0.67449 * np.sqrt(comb(2 * order, order)))
-
-
-@dataclass(frozen=True, eq=False)
-class Gains:
-    """A column as a linear function of others, over the samples it was fitted to.
-
-    `share` of its variation that the function explains; `spread` of what is left, one sigma.
-    """
-
-    share: float
-    spread: float
-    _moving: Array
-    _centre: Array
-    _scale: Array
-    _coefficients: Array
-    _inverse: Array
-
-    @property
-    def believed(self) -> bool:
-        """Whether the function explains enough of the column to say what it should have been elsewhere."""
-        return self.share > LINEAR
-
-    def moves(self, others: Sequence[Array]) -> bool:
-        """Say whether the column should have moved while the others took these values, (n,) each."""
-        predicted, known = self.predicted(others)
-        return bool(known.any() and np.std(predicted[known]) > OVER_NOISE * self.spread)
-
-    def predicted(self, others: Sequence[Array]) -> tuple[Array, Array]:
-        """Return the column (n,) by the others, and where the fitted samples support it, (n,) of bool.
-
-        Their leverage says so: that of the fitted samples is 1 on average.
-        """
-        table = _table(others, self._moving, self._centre, self._scale)
-        leverage = np.sum(table * (self._inverse @ table), axis=0) / len(table)
-        return self._coefficients @ table, leverage < _FAR
-
-
-def gains(x: Array, others: Sequence[Array], good: Array) -> Gains | None:
-    """Fit column x (n,) by others (n,) and a constant over the `good` samples; None if these are too few."""
-    values = np.array([other[good] for other in others])
-    scale = values.std(axis=1) if values.size else np.zeros(0)
-    moving = np.flatnonzero(scale > 0)
-    count = int(np.count_nonzero(good))
-    if not len(moving) or count < 4 * (len(moving) + 1):
-        return None
-    centre = values.mean(axis=1)
-    table = _table(list(values), moving, centre, scale)
-    inverse = np.linalg.pinv(table @ table.T / count, hermitian=True)
-    coefficients = inverse @ (table @ x[good]) / count
-    rest = x[good] - coefficients @ table
-    variance = float(np.var(x[good]))
-    share = 1.0 - float(np.mean(rest**2)) / variance if variance > 0 else 0.0
-    spread = float(np.sqrt(np.sum(rest**2) / (count - len(table))))
-    return Gains(share, spread, moving, centre, scale, coefficients, inverse)
-
-
-def _table(others: Sequence[Array], moving: Array, centre: Array, scale: Array) -> Array:
-    rows = [(others[k] - centre[k]) / scale[k] for k in moving.tolist()]
-    return np.array([*rows, np.ones(len(others[0]))])
