@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Any
 from hallsym.shown import shown_by
 
 if TYPE_CHECKING:
+    from hallsym.codegen import Exported as Exported
     from hallsym.codegen import Generated as Generated
     from hallsym.codegen import decouple as decouple
+    from hallsym.codegen import export_table as export_table
     from hallsym.codegen import generate as generate
     from hallsym.diagnosis import Diagnosis as Diagnosis
     from hallsym.diagnosis import diagnose as diagnose
@@ -83,7 +85,7 @@ if TYPE_CHECKING:
     from hallsym.uncertainty.tolerances import tolerances as tolerances
 
 _PUBLIC = {
-    "hallsym.codegen": ("Generated", "decouple", "generate"),
+    "hallsym.codegen": ("Exported", "Generated", "decouple", "export_table", "generate"),
     "hallsym.diagnosis": ("Diagnosis", "diagnose", "diagnosis_schema"),
     "hallsym.errors": ("InputError",),
     "hallsym.estimation": (

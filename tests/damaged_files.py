@@ -14,6 +14,7 @@ import os
 import random
 import re
 import resource
+import shutil
 import signal
 import sys
 import tempfile
@@ -299,6 +300,7 @@ def targets() -> tuple[Target, ...]:
             "curve, followed", "curve.json",
             ("simulate", "campaign.toml", "-o", "out.csv", "--seed", "1"), m.JSON,
         ),
+        Target("table of a firmware", "table.h", ("info", "{FILE}", "--json"), m.TEXT),
         Target("points", "points.csv", ("trajectory", "{FILE}", "--method", "cubic", "--json"), m.TEXT),
         Target(
             "diagnosis", "diagnosis.json",
@@ -355,6 +357,7 @@ def make_files(folder: Path) -> None:
     }.items():  # fmt: skip
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
     (folder / "sensors.csv").write_text(_sensors(), encoding="utf-8")
+    shutil.copy(Path(__file__).parents[1] / "data" / "tables" / "calibration_lut.h", folder / "table.h")
     t = np.linspace(0, 1, 24)
     lines = [f"{a!r},{b!r}" for a, b in zip((100 * t).tolist(), (50 * np.sin(3 * t)).tolist(), strict=True)]
     (folder / "points.csv").write_text("\n".join(["x_um,y_um", *lines, ""]), encoding="utf-8")

@@ -37,9 +37,9 @@ LISTED = (
     "data/encoder/README.md",
 )  # fmt: skip
 LONG = {
-    "budget", "campaign", "codegen", "concepts", "controller", "diagnose", "encoder", "evaluate", "fleet",
-    "halbach", "howto", "logs", "plan", "power", "report", "rotary", "sensitivity", "sorting", "stage",
-    "tolerances", "trajectory",
+    "budget", "campaign", "codegen", "concepts", "controller", "diagnose", "encoder", "evaluate", "firmware",
+    "fleet", "halbach", "howto", "logs", "plan", "power", "report", "rotary", "sensitivity", "sorting",
+    "stage", "tables", "tolerances", "trajectory",
 }  # fmt: skip
 """Pages whose examples take more than a second of a processor: they run with the slow tests; what they name
 is always looked up."""
@@ -48,12 +48,14 @@ COMMANDS = (
     "demo",
     "fit",
     "fleet",
+    "capture",
     "evaluate",
     "diagnose",
     "report",
     "sensitivity",
     "budget",
     "codegen",
+    "export",
     "plan",
     "tolerances",
     "simulate",

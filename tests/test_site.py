@@ -106,7 +106,10 @@ def chromium(tmp_path_factory) -> browser.Browser:
 
 
 DARK = "--blink-settings=preferredColorScheme=0"
-SHOWN = ("index", "tutorials/stage", "tutorials/encoder", "tutorials/controller", "examples/index")
+SHOWN = (
+    "index", "tutorials/stage", "tutorials/encoder", "tutorials/controller", "tutorials/firmware",
+    "examples/index",
+)  # fmt: skip
 SET = ("theory", "statistics", "encoder_model")
 
 

@@ -2,6 +2,7 @@
 
 GROUPS = {
     "calibrate": {
+        "capture": "lines of numbers from a serial port, as a log",
         "demo": "the paper's calibration on the bundled campaign",
         "info": "what a log, calibration or campaign file holds, or what a model is",
         "fit": "calibrate a model on a log",
@@ -23,6 +24,7 @@ GROUPS = {
     "use": {
         "evaluate": "errors of a saved calibration on other logs, and whether they belong to it",
         "codegen": "C for the controller",
+        "export": "the correction table of a maker's firmware",
     },
 }
 """Each command by task, as `hallsym --help` lists them; the file of one is read when it is called."""

@@ -122,7 +122,8 @@ def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
     )  # fmt: skip
     group.add_argument(
         "--format", metavar="FORMAT",
-        help="parquet, csv, mat, hdf5, npz, feather, json, xlsx, tdms, mdf, mcap; by the suffix if not given",
+        help="parquet, csv, mat, hdf5, npz, feather, json, xlsx, tdms, mdf, mcap, table (of firmware); by "
+        "the suffix if not given",
     )  # fmt: skip
     group.add_argument(
         "--delimiter", help="of a text file: ';', tab, blank; recognised where it is not given"

@@ -25,6 +25,7 @@ from hallsym.families.recording import Correction, as_wired, said
 from hallsym.log import Log, Noise
 from hallsym.log.columns import RUN, is_moving
 from hallsym.log.core import Block, Drop, without
+from hallsym.log.derived import extended
 from hallsym.log.phase import continuous
 from hallsym.log.table import joined
 from hallsym.model import Model
@@ -933,7 +934,8 @@ def _whitened(tried: Tried, runs: Sequence[int]) -> Iterator[tuple[Residual, np.
     rest = residuals(model, tried.p, dict(zip(tried.cost.summary.runs, point.zeros, strict=True)))
     sigma = np.array([tried.log.noise[c].value for c in model.channels])[:, None]
     columns = (*model.references, *model.state, *model.channels, "t_s")
-    for block in tried.log.blocks(tuple(c for c in dict.fromkeys(columns) if c in tried.log.columns)):
+    log = extended(tried.log, model, tried.log.noise.std, model.named(tried.p))
+    for block in log.blocks(tuple(c for c in dict.fromkeys(columns) if c in log.columns)):
         if block.run in runs and len(block.data[model.channels[0]]) > 1:
             e = rest(block) / sigma
             yield (lambda b: rest(b) / sigma), e - e.mean(axis=1, keepdims=True), block
@@ -1140,8 +1142,9 @@ def _likely(
             return np.inf
         sigma = np.array([log.noise[k].value for k in trials.model.channels])
         total, count = 0.0, 0
-        for block in log.blocks():
-            e = rest(points[at].p, offsets[at][block.run], block.data) / sigma[:, None]
+        p = points[at].p
+        for block in extended(log, trials.model, log.noise.std, trials.model.named(p)).blocks():
+            e = rest(p, offsets[at][block.run], block.data) / sigma[:, None]
             e = e - e.mean(axis=1, keepdims=True) if trials.model.zeros else e
             total, count = total + float((e * e).sum()), count + e.size
         return total / max(count, 1)

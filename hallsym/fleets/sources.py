@@ -9,7 +9,7 @@ from typing import Any
 from hallsym.errors import InputError, quoted
 from hallsym.log.formats import COMPRESSED, FORMATS
 
-SUFFIXES = tuple(suffix for entry in FORMATS for suffix in entry.suffixes)
+SUFFIXES = tuple(suffix for entry in FORMATS if entry.found for suffix in entry.suffixes)
 
 
 @dataclass(frozen=True)

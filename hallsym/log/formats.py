@@ -37,6 +37,7 @@ from hallsym.log.format_parquet import ParquetSource, open_feather, open_json
 from hallsym.log.format_tdms import open_tdms
 from hallsym.log.format_xlsx import open_workbook
 from hallsym.log.groups import Columns, GroupedSource
+from hallsym.log.maker_tables import open_table
 from hallsym.log.meta import Meta, Noise, check_misspelt_noise, check_noise_keys
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
@@ -49,7 +50,8 @@ from hallsym.units import Array, split_unit
 class Format:
     """A format's name, the suffixes that mean it, how to open it and what it is called.
 
-    `options`: what a reader may be told of it, by the names of `read_log`.
+    `options`: what a reader may be told of it, by the names of `read_log`. `found`: whether a folder is
+    searched for it; code that lies beside logs is none.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Format:
     open: Callable[..., Source]
     kind: str
     options: tuple[str, ...] = ()
+    found: bool = True
 
 
 FORMATS = (
@@ -73,6 +76,7 @@ FORMATS = (
     Format("tdms", (".tdms",), open_tdms, "TDMS", ("clock",)),
     Format("mdf", (".mf4", ".mdf"), partial(Apart, open_mdf), "MDF", ("clock",)),
     Format("mcap", (".mcap",), partial(Apart, open_mcap), "MCAP", ("clock",)),
+    Format("table", (".h", ".hpp", ".c", ".cpp", ".ino", ".cfg"), open_table, "table", found=False),
 )
 
 
@@ -302,7 +306,8 @@ def files_of(path: str | Path) -> list[Path]:
     Runs may lie in folders of their own; they are in natural order: `run_2` comes before `run_10`. Raises
     `InputError` where there is none.
     """
-    path, suffixes = Path(path), [suffix for entry in FORMATS for suffix in entry.suffixes]
+    path = Path(path)
+    suffixes = [suffix for entry in FORMATS if entry.found for suffix in entry.suffixes]
     if path.is_dir():
         logs = [path / f"log{suffix}" for suffix in suffixes if (path / f"log{suffix}").is_file()]
         found = logs[:1] or _alike(path.iterdir(), suffixes) or _alike(path.glob("*/*"), suffixes)

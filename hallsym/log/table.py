@@ -284,14 +284,15 @@ TableLike = Table | View
 
 
 _EXTRAS = {
-    "h5py": ("hdf5", "HDF5 (and MATLAB v7.3)", "h5py"),
-    "python_calamine": ("xlsx", "Workbook", "python-calamine"),
-    "nptdms": ("tdms", "TDMS", "npTDMS"),
-    "asammdf": ("mdf", "MDF", "asammdf"),
-    "mcap": ("mcap", "MCAP", "mcap"),
-    "mcap_ros2": ("mcap", "MCAP", "mcap-ros2-support"),
+    "h5py": ("hdf5", "HDF5 (and MATLAB v7.3) files", "h5py"),
+    "python_calamine": ("xlsx", "Workbook files", "python-calamine"),
+    "nptdms": ("tdms", "TDMS files", "npTDMS"),
+    "asammdf": ("mdf", "MDF files", "asammdf"),
+    "mcap": ("mcap", "MCAP files", "mcap"),
+    "mcap_ros2": ("mcap", "MCAP files", "mcap-ros2-support"),
+    "serial": ("capture", "Serial ports", "pyserial"),
 }
-"""Module -> the extra it comes with, the files it reads, the name of its package."""
+"""Module -> the extra it comes with, what it reads, the name of its package."""
 
 
 def load(module: str) -> Any:
@@ -304,5 +305,5 @@ def load(module: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         raise InputError(
-            f"{kind} files need {package}, which is not installed; run: pip install 'hallsym[{extra}]'."
+            f"{kind} need {package}, which is not installed; run: pip install 'hallsym[{extra}]'."
         ) from error

@@ -265,3 +265,20 @@ def test_an_ellipse_longer_than_any_encoder_makes_is_claimed_with_its_scale(by, 
     for claim in claims:
         assert claim.correction == "scale v_sin_v 0.1"
         assert fit(log, "rotary", solver="direct", corrections=[claim.correction]).claims == ()
+
+
+def test_a_log_that_a_model_with_computed_columns_does_not_describe_is_looked_at_too():
+    rng, t = np.random.default_rng(3), np.arange(300) * 1e-3
+    runs = []
+    for run, rate in enumerate((13.0, -13.0, 40.0, -40.0)):
+        a = rate * t
+        late = a + 3e-3 * np.cos(4 * a) - 60e-6 * rate  # four waves a turn, which a delay is none of
+        v = [np.sin(late), np.cos(late)] + 3e-4 * rng.standard_normal((2, 300))
+        runs.append(
+            {"run": np.full(300, run), "t_s": t, "v_sin_v": v[0], "v_cos_v": v[1], "angle_ref_rad": a}
+        )
+    log = Log.from_arrays({c: np.concatenate([r[c] for r in runs]) for c in runs[0]})
+    found = fit(log, "rotary", effects=["time_skew"])
+    assert found.value("delay") == pytest.approx(60e-6, rel=0.1)
+    assert found.goodness is not None
+    assert found.goodness.sentence

@@ -1,0 +1,90 @@
+"""`hallsym export`: a calibration as the table of a maker's firmware."""
+
+from argparse import Namespace
+from math import degrees
+from typing import Any
+
+from hallsym.cli import NOT_DETERMINED, OK
+from hallsym.cli.common import command, own_effects, own_option, say
+from hallsym.codegen.table import Error, Exported, export_table
+from hallsym.estimation.calibration import load_fit
+from hallsym.log.maker_tables import BY_NAME
+from hallsym.report.tables import grid
+
+EPILOG = """\
+examples:
+  hallsym export calib.json --table simplefoc -o table.h             for CalibratedSensor, 200 entries
+  hallsym export calib.json --table mechaduino --like Parameters.cpp -o Parameters.new.cpp
+                                       the numbers of that file replaced; its zero and all else stay
+  hallsym export calib.json --table klipper --motor-steps 200 -o angle.cfg
+  hallsym export calib.json --table csv --entries 360 -o table.csv   readings and angles, for any other
+"""
+
+
+def add(sub: Any) -> None:
+    """Add the command to the parser."""
+    parser = command(
+        sub, "export", run,
+        "Write the calibration of an encoder as the correction table of a maker's firmware, in its bytes,\n"
+        "and print the error over a turn before and after. 'hallsym fit' reads such tables as logs.",
+        EPILOG,
+    )  # fmt: skip
+    parser.add_argument("calibration", metavar="CALIB", help="a calibration saved by 'hallsym fit -o'")
+    parser.add_argument("--table", required=True, metavar="FORMAT", help=f"one of {', '.join(BY_NAME)}")
+    parser.add_argument("-o", "--output", required=True, metavar="FILE", help="file to write")
+    parser.add_argument(
+        "--like", metavar="FILE",
+        help="the maker's own file: its layout, number of entries, zero, sense and all else are kept, and "
+        "the error with its old table is printed too",
+    )  # fmt: skip
+    parser.add_argument(
+        "--entries", type=int, metavar="N", help="entries of the table (default: as the firmware has)"
+    )
+    parser.add_argument(
+        "--motor-steps", type=int, metavar="N",
+        help="full steps in a turn of the stepper that was the reference: its waves, N/4 a turn and "
+        "multiples, are left out; tables by full steps have N entries (default: 200)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--keep-reference",
+        action="store_true",
+        help="put into the table what the calibration knows of its reference's own error (default: left out)",
+    )
+    parser.add_argument(
+        "--allow-undetermined", action="store_true", help="use values that the log does not determine"
+    )
+    own_option(parser)
+
+
+def run(options: Namespace) -> int:
+    """Carry the command out."""
+    fit = load_fit(options.calibration, own_effects(options))
+    made = export_table(
+        fit,
+        options.table,
+        entries=options.entries,
+        like=options.like,
+        keep_reference=options.keep_reference,
+        motor_steps=options.motor_steps,
+        allow_undetermined=options.allow_undetermined,
+    )
+    made.write(options.output)
+    record = {"output": str(options.output), **made.to_dict()}
+    say(options, record, lambda: _text(made, options), notes=made.notes, wrote=[options.output])
+    return NOT_DETERMINED if made.undetermined else OK
+
+
+def _text(made: Exported, options: Namespace) -> str:
+    def row(label: str, error: Error) -> list[str]:
+        return [label, f"{degrees(error.rms):.3g}", f"{degrees(error.peak):.3g}"]
+
+    rows = [["error of the angle over the turn, by the calibration", "rms [deg]", "peak [deg]"]]
+    rows.append(row("without a table", made.before))
+    if made.old:
+        rows.append(row(f"with the table in {options.like}", made.old))
+    rows.append(row(f"with the new table, {made.entries} entries", made.after))
+    text = grid(rows)
+    if made.calibrated is not None:
+        rest = degrees(made.calibrated)
+        text += f"\nwhat the calibration itself leaves on its log comes on top: rms {rest:.3g} deg"
+    return text

@@ -1,0 +1,206 @@
+"""A calibration of an angle as a table of a maker's firmware, and the error over a turn with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from hallsym.codegen.generation import check, notes_of
+from hallsym.codegen.lowering.phase_curve import check_static
+from hallsym.errors import InputError, require
+from hallsym.estimation.calibration import Fit
+from hallsym.files import atomic_write
+from hallsym.log.maker_tables import BY_NAME, TURN, Layout, MakerTable, encoded, read_table, replaced, text_of
+from hallsym.log.phase import wrapped
+from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
+
+POINTS = 1 << 14
+"""Angles of a turn at which readings are computed; lines between leave 2e-8 of a wave of one per turn."""
+ANGLE = np.arange(POINTS) * (TURN / POINTS)
+POLE_PAIR = 4
+"""Full steps of a stepper in one of its electrical periods."""
+MOST_ENTRIES = 1 << 16
+
+
+@dataclass(frozen=True)
+class Error:
+    """Error of an angle over a turn without its mean [rad]."""
+
+    rms: float
+    peak: float
+
+
+@dataclass(frozen=True, eq=False)
+class Exported:
+    """A table and its text; errors over the turn, by the calibration, without it, with it, with the old one.
+
+    `calibrated`: rms that the calibration leaves on its own log [rad], None where it does not say.
+    `undetermined`: parameters that the table depends on and that log does not determine.
+    """
+
+    name: str
+    text: str
+    entries: int
+    before: Error
+    after: Error
+    old: Error | None
+    calibrated: float | None
+    notes: tuple[str, ...]
+    undetermined: tuple[str, ...]
+
+    def write(self, path: str | Path) -> None:
+        """Write the file, through a temporary one."""
+        atomic_write(path, encoded(self.text))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record of `--json`, in SI."""
+        return {k: v for k, v in asdict(self).items() if k != "text"}
+
+
+def export_table(
+    fit: Fit,
+    name: str,
+    *,
+    entries: int | None = None,
+    like: str | Path | None = None,
+    keep_reference: bool = False,
+    motor_steps: int | None = None,
+    allow_undetermined: bool = False,
+) -> Exported:
+    """Return a calibration as a table in the format `name`, a key of `hallsym.log.maker_tables.BY_NAME`.
+
+    `like`: a file that holds a table of the maker's, whose text, zero and sense are kept; it states the
+    entries. What the calibration knows of its reference's own error is left out, unless
+    `keep_reference`; so are the waves of a stepper with `motor_steps` full steps, one for each pole pair and
+    its multiples. Of two voltages the table corrects the arctangent. Raises `InputError` for a calibration
+    that cannot be trusted on a controller, or that no table corrects.
+    """
+    require(name in BY_NAME, "--table", f"one of {', '.join(BY_NAME)}", name, list(BY_NAME))
+    layout, model = BY_NAME[name], fit.model
+    if model.family.decoder != "angle" or len(model.channels) > 2:
+        raise InputError(
+            f"A table corrects the angle of a chip or of two voltages; {model.name} of the family "
+            f"{model.family} reads {', '.join(model.channels[:3])}: use 'hallsym codegen'."
+        )
+    own = replace(model, steps=tuple(s for s in model.steps if s[0] != "reference"), before=model)
+    check_static(own, "the angle")
+    used = model if keep_reference else own
+    needed = [n for n, symbol in zip(model.names, ca.vertsplit(used.symbols.parameters), strict=True)
+              if ca.depends_on(used.symbols.reading, symbol)]  # fmt: skip
+    fit = replace(fit, undetermined_by_log=tuple(n for n in fit.undetermined_by_log if n in needed))
+    check(fit, allow_undetermined)
+    raw = _raw(fit, used, motor_steps)
+    usual = layout.entries if layout.at_reading else motor_steps or layout.entries
+    old, text = read_table(like) if like else (None, "")
+    if old is not None:
+        require(old.layout is layout, "--like", f"a table of {layout.about}", old.layout.about)
+        usual = len(old.values)
+        require(entries in (None, usual), "--entries", f"that of --like, {usual}, or left out", entries)
+    count = usual if entries is None else entries
+    require(3 <= count <= MOST_ENTRIES, "--entries", f"3 to {MOST_ENTRIES}", count)
+    table = _made(raw, layout, count, old)
+    rows = [fit.error_rows.get(row) for row in ("holdout", "fitted")]
+    return Exported(
+        name=name,
+        text=text_of(table) if old is None else replaced(text, table),
+        entries=count,
+        before=_error(raw),
+        after=_error(table.decoded(table.seen(raw))),
+        old=_error(old.decoded(old.seen(raw))) if old else None,
+        calibrated=next((row["rmse"][c] for row in rows if row for c in model.pose), None),
+        notes=tuple(_notes(fit, layout, old is not None, keep_reference)),
+        undetermined=fit.undetermined_by_log,
+    )
+
+
+def _raw(fit: Fit, model: Model, motor_steps: int | None) -> np.ndarray:
+    """Return what is logged at `ANGLE`, (POINTS,) [rad] without jumps: the angle, or that of two voltages."""
+    found = np.asarray(on_arrays(model.reading)(fit.values, np.zeros(len(model.zeros)), [ANGLE], [])[0])
+    wiring = fit.wiring or tuple((c, 1) for c in model.channels)
+    logged = {source: sign * found[k] for k, (source, sign) in enumerate(wiring)}
+    given = [logged[c] for c in model.channels]
+    raw = np.unwrap(given[0] if len(given) == 1 else np.arctan2(*given))
+    sense = _sense(raw)
+    if motor_steps is not None:
+        good = motor_steps % POLE_PAIR == 0 and 0 < motor_steps <= POINTS
+        require(good, "--motor-steps", "full steps in a turn, such as 200, in fours", motor_steps)
+        waves = np.fft.rfft(raw - sense * ANGLE)
+        waves[motor_steps // POLE_PAIR :: motor_steps // POLE_PAIR] = 0
+        raw = sense * ANGLE + np.fft.irfft(waves, POINTS)
+    if not (np.diff(sense * np.append(raw, raw[0] + sense * TURN)) > 0).all():
+        raise InputError(
+            f"No angle belongs to each reading of this calibration of {model.name}: no table undoes it."
+        )
+    return raw
+
+
+def _sense(values: np.ndarray) -> int:
+    return 1 if np.asarray(wrapped(np.diff(values), TURN)).sum() > 0 else -1
+
+
+def _centred(off: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the mean of angles that may jump by turns, and what they differ from it by [rad]."""
+    middle = float(np.angle(np.exp(1j * off).mean()))
+    rest = np.asarray(wrapped(off - middle, TURN))
+    return middle + float(rest.mean()), rest - rest.mean()
+
+
+def _error(angle: np.ndarray) -> Error:
+    """Return how far angles (POINTS,) of either sense lie from `ANGLE`."""
+    _, off = _centred(angle - _sense(angle) * ANGLE)
+    return Error(float(np.sqrt(np.mean(off**2))), float(np.abs(off).max()))
+
+
+def _made(raw: np.ndarray, layout: Layout, count: int, old: MakerTable | None) -> MakerTable:
+    """Return the table of readings at `ANGLE`, with zero and sense of an old one."""
+    given = old or MakerTable(layout, np.zeros(count), layout.decimals)
+    raw = given.seen(raw)
+    seen = _sense(raw)  # of readings as the table has them
+
+    def angle_at(reading: np.ndarray) -> np.ndarray:
+        return seen * reading + np.interp(reading, raw, ANGLE - seen * raw, period=TURN)
+
+    sense, shift = 1, 0.0
+    if old is not None or not layout.absolute:  # an empty table of corrections has a zero and a sense too
+        reading, angle = given.rows
+        sense = given.sense * seen
+        shift, _ = _centred(angle - sense * angle_at(reading))
+    at = given.places
+    if layout.at_reading:
+        reading, angle = at, sense * angle_at(at) + shift
+    else:
+        angle, place = at, sense * (at - shift)
+        reading = seen * place + np.interp(place, ANGLE, raw - seen * ANGLE, period=TURN)
+    needed = layout.reading * reading + layout.angle * angle
+    needed = np.mod(needed, TURN) if layout.absolute else np.asarray(wrapped(needed, TURN))
+    scale = float(np.float32(np.abs(needed).max() / TURN)) or 1.0 if layout.scaled else given.scale
+    made = replace(given, scale=scale, decimals=max(given.decimals, layout.decimals))
+    made = replace(made, values=needed / made.unit).rounded()
+    if layout.by_pole_pair and old is None:
+        first = int(np.argmin(made.values) if made.sense > 0 else np.argmax(made.values)) & ~(POLE_PAIR - 1)
+        made = replace(made, values=np.roll(made.values, -first))
+    return made
+
+
+def _notes(fit: Fit, layout: Layout, like: bool, kept: bool) -> Iterator[str]:
+    """Yield what the user of a table should know."""
+    yield from notes_of(replace(fit, corrections=()))
+    effects = (e.name for e in fit.model.family.effects if e.link == "reference")
+    if known := [name for name in effects if name in fit.model.effects]:
+        what = "is in the table" if kept else "is left out of the table (--keep-reference puts it in)"
+        yield f"What the calibration knows of its reference's own error ({', '.join(known)}) {what}."
+    if len(fit.model.channels) > 1:
+        yield "The table corrects the arctangent of both voltages as they are logged, uncalibrated."
+    if layout.absolute and not like:
+        yield (
+            "Zero and sense of the table are those of the log's reference. Where the firmware commutates a "
+            "motor by them and that reference was not the motor itself, give its old table with --like."
+        )
+    elif not like:
+        yield "The mean of the table is zero: electrical zero and direction of the motor stay as they are."
