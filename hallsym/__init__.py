@@ -24,9 +24,11 @@ if TYPE_CHECKING:
     from hallsym.errors import InputError as InputError
     from hallsym.estimation import Evaluation as Evaluation
     from hallsym.estimation import Fit as Fit
+    from hallsym.estimation import SelfFit as SelfFit
     from hallsym.estimation import calibration_schema as calibration_schema
     from hallsym.estimation import evaluate as evaluate
     from hallsym.estimation import fit as fit
+    from hallsym.estimation import fit_without_reference as fit_without_reference
     from hallsym.estimation import load_fit as load_fit
     from hallsym.estimation.decoding import ErrorTable as ErrorTable
     from hallsym.estimation.optimum import refit as refit
@@ -38,8 +40,10 @@ if TYPE_CHECKING:
     from hallsym.families import build as build
     from hallsym.families import published as published
     from hallsym.fleets import Fleet as Fleet
+    from hallsym.fleets import RingFleet as RingFleet
     from hallsym.fleets import fleet as fleet
     from hallsym.fleets import load_fleet as load_fleet
+    from hallsym.fleets import ring_fleet as ring_fleet
     from hallsym.inference import Belonging as Belonging
     from hallsym.inference import Identifiability as Identifiability
     from hallsym.inference import belonging as belonging
@@ -89,12 +93,12 @@ _PUBLIC = {
     "hallsym.diagnosis": ("Diagnosis", "diagnose", "diagnosis_schema"),
     "hallsym.errors": ("InputError",),
     "hallsym.estimation": (
-        "ErrorTable", "Evaluation", "Fit", "calibration_schema", "evaluate", "fit", "load_fit",
-        "refit",
+        "ErrorTable", "Evaluation", "Fit", "SelfFit", "calibration_schema", "evaluate", "fit",
+        "fit_without_reference", "load_fit", "refit",
     ),
     "hallsym.experiment": ("Plan", "Ranges", "paper_ranges", "plan", "read_ranges"),
     "hallsym.families": ("build", "published"),
-    "hallsym.fleets": ("Fleet", "fleet", "load_fleet"),
+    "hallsym.fleets": ("Fleet", "RingFleet", "fleet", "load_fleet", "ring_fleet"),
     "hallsym.inference": ("Belonging", "Identifiability", "belonging", "identify"),
     "hallsym.log": ("Log", "LogWriter", "Meta", "Noise", "meta_schema", "read_log", "write_log"),
     "hallsym.model": ("Model", "Parameter"),

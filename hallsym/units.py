@@ -58,7 +58,7 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 # What hallsym's own names measure: a name that fits a row has one of its SI units.
 _QUANTITIES: tuple[tuple[str, tuple[str, ...]], ...] = (
     (r"hall_[a-z0-9]+(_\d+)*", ("m", "v", "t", "count")),
-    (r"(col|v)_[a-z0-9]+", ("v", "t", "count")),
+    (r"(col|v)_[a-z0-9]+|hall\d+", ("v", "t", "count")),
     (r"[xyz](_ref)?", ("m",)),
     (r"r[xyz](_ref)?", ("rad",)),
     (r"angle(_ref)?", ("rad", "count")),

@@ -38,8 +38,8 @@ LISTED = (
 )  # fmt: skip
 LONG = {
     "budget", "campaign", "codegen", "concepts", "controller", "diagnose", "encoder", "evaluate", "firmware",
-    "fleet", "halbach", "howto", "logs", "plan", "power", "report", "rotary", "sensitivity", "sorting",
-    "stage", "tables", "tolerances", "trajectory",
+    "fleet", "halbach", "howto", "logs", "plan", "power", "report", "rotary", "self_calibration",
+    "sensitivity", "sorting", "stage", "tables", "tolerances", "trajectory",
 }  # fmt: skip
 """Pages whose examples take more than a second of a processor: they run with the slow tests; what they name
 is always looked up."""

@@ -8,14 +8,20 @@ from typing import Any
 
 from hallsym.cli import INTERRUPTED, NOT_CONVERGED, NOT_DESCRIBED, NOT_DETERMINED, OK, common
 from hallsym.diagnosis import model_on
+from hallsym.errors import InputError, counted
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.fit import fit
+from hallsym.estimation.self_calibration import REFERENCES
+from hallsym.estimation.task import model_of
+from hallsym.estimation.without_reference import check_referenced, fit_without_reference
 from hallsym.families import added_effects, plain
 from hallsym.families.machine_file import Machine, read_machine
 from hallsym.log import Log
 from hallsym.log.columns import read_runs
 from hallsym.model import Model
+from hallsym.report.figures.self_calibration import waves_figure
 from hallsym.report.text.fit import fit_text
+from hallsym.report.text.self_calibration import self_fit_text
 
 
 def add(sub: Any) -> None:
@@ -31,7 +37,9 @@ def add(sub: Any) -> None:
         "  hallsym fit log.csv --column hall_a_um=HallA --column x_ref_um=IFM_X ... --holdout 2,7,12\n"
         "  hallsym fit log.mat --machine mystage.toml --json > calib.json\n"
         "  hallsym fit campaign.parquet --effect hysteresis    what 'hallsym diagnose' found\n"
-        "  hallsym fit before.csv after.csv --per-log 'eta_*'  one device, gains before and after a repair",
+        "  hallsym fit before.csv after.csv --per-log 'eta_*'  one device, gains before and after a repair\n"
+        "  hallsym fit ring.csv --model rings3 --reference none  three Halls over a ring and nothing "
+        "beside them",
     )  # fmt: skip
     parser.add_argument(
         "logs", metavar="LOG", nargs="+",
@@ -43,6 +51,11 @@ def add(sub: Any) -> None:
     common.model_options(parser, "the log's base_model, else by its columns")
     common.own_option(parser)
     group = parser.add_argument_group("fit")
+    group.add_argument(
+        "--reference",
+        choices=REFERENCES,
+        help="encoders of several Halls whose log has no reference: what is known of the motion instead",
+    )
     group.add_argument(
         "--holdout", metavar="RUNS", help="runs to judge on and not to fit, such as 2,7,12 or 40-45"
     )
@@ -79,11 +92,15 @@ def run(options: Namespace) -> int:
     """Carry the command out."""
     machine = read_machine(options.machine)
     common.refuse_twice(options.logs)
+    if options.reference:
+        return _without_reference(options, machine)
     apart = options.per_log or options.holdout_log
     if not apart and (files := common.runs_in_files(options, options.logs)):
         options.logs, options.join = files[:1], [*files[1:], *options.join]
     several = len(options.logs) > 1 or bool(apart)
     logs, judged = _opened(options, options.logs, machine), _opened(options, options.holdout_log, machine)
+    for log in (*logs, *judged):
+        check_referenced(log, model_of(log, options.model))
     shared: dict[str, Any] = {
         "own": common.own_effects(options),
         "holdout": None if options.holdout is None else read_runs(options.holdout, "--holdout"),
@@ -119,6 +136,37 @@ def run(options: Namespace) -> int:
         wrote += common.fit_pictures(log, part, folder, options.plot_format)
     common.say(options, result.to_dict(), lambda: fit_text(result), wrote=wrote, then=_next(options, result))
     return exit_code(result, said=not options.json)
+
+
+def _without_reference(options: Namespace, machine: Machine) -> int:
+    """Calibrate an encoder whose log has no reference; 3 where waves of its table are not separated."""
+    apart = {
+        "--holdout": options.holdout, "--holdout-log": options.holdout_log, "--per-log": options.per_log,
+        "--correct": options.correct,
+    }  # fmt: skip
+    if len(options.logs) > 1 or any(apart.values()):
+        given = [name for name, value in apart.items() if value] or ["several logs"]
+        raise InputError(
+            f"With --reference one log is calibrated, its last turn held out; leave {given[0]} out "
+            "(runs of a "
+            "log may be recordings at several speeds)."
+        )
+    log = common.open_log(options, machine, path=options.logs[0])
+    result = fit_without_reference(
+        log, options.model or "rings3", options.reference, effects=options.effect,
+        parameters=machine.parameters,
+    )  # fmt: skip
+    wrote: list[str | Path] = []
+    if options.output:
+        result.save(options.output)
+        wrote.append(options.output)
+    draw = {"waves": lambda: waves_figure(result)}
+    wrote += common.plots(options, draw, log.path, result.fit.model.name)
+    then = [] if options.output else [*options.typed, "-o", "calib.json"]
+    common.say(options, result.to_dict(), lambda: self_fit_text(result), wrote=wrote, then=then)
+    if result.open and not options.json:
+        common.warn(f"{counted(len(result.open), 'wave')} of the table not separated from the motion.")
+    return NOT_DETERMINED if result.open else OK
 
 
 def _opened(options: Namespace, paths: list[str], machine: Machine) -> list[Log]:

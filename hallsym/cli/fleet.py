@@ -1,15 +1,21 @@
 """`hallsym fleet`: calibrate many devices."""
 
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from hallsym.cli import NOT_DESCRIBED, OK
 from hallsym.cli.common import command, log_options, model_options, progress_of, reading_of, say
+from hallsym.errors import InputError, require
+from hallsym.estimation.self_calibration import REFERENCES
+from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
-from hallsym.fleets import fleet, machine_file, tolerance_file
+from hallsym.fleets import devices_of, fleet, machine_file, ring_fleet, tolerance_file
 from hallsym.fleets.row import GOOD
+from hallsym.log import Drop, read_log, without
 from hallsym.report.text.fleet import fleet_text
+from hallsym.report.text.self_calibration import ring_fleet_text
 
 
 def add(sub: Any) -> None:
@@ -48,6 +54,14 @@ def add(sub: Any) -> None:
         "--workers", type=int, metavar="N", help="processes that fit devices (default: one a core)"
     )
     group.add_argument(
+        "--reference", choices=REFERENCES,
+        help="rings of one jig whose logs have no reference: what is known of the motion instead; heads and "
+        "drive are taken as common to all",
+    )  # fmt: skip
+    group.add_argument(
+        "--each-run", action="store_true", help="with --reference: each run of a log is a device"
+    )
+    group.add_argument(
         "--scheduler", metavar="ADDRESS", help="Dask scheduler to use instead: tcp://host:8786"
     )
     log_options(parser)
@@ -55,6 +69,9 @@ def add(sub: Any) -> None:
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
+    if options.reference:
+        return _rings(options)
+    require(not options.each_run, "--each-run", "given with --reference", "--each-run")
     found = fleet(
         options.logs,
         options.model,
@@ -80,3 +97,31 @@ def run(options: Namespace) -> int:
         wrote.append(options.page)
     say(options, found.to_dict(), lambda: fleet_text(found), wrote=wrote)
     return OK if set(found.verdicts) <= {GOOD} else NOT_DESCRIBED
+
+
+def _rings(options: Namespace) -> int:
+    """Calibrate rings of one jig without a reference."""
+    for name in ("diagnose", "scheduler", "next_machine", "tolerances", "page"):
+        if getattr(options, name):
+            raise InputError(f"--{name.replace('_', '-')} is not for logs without a reference; leave it out.")
+    machine, reading = read_machine(options.machine), reading_of(options)
+    logs = {}
+    for device in devices_of(options.logs):
+        log = read_log(device.log, drop_bad=options.drop_bad, **{k: v for k, v in reading.items() if v})
+        log = replace(log, meta=machine.applied(log.meta))
+        runs = log.runs
+        if not options.each_run:
+            logs[device.name] = log
+            continue
+        for run in runs:
+            rest = Drop(runs=frozenset(r for r in runs if r != run))
+            logs[str(run) if len(options.logs) == 1 else f"{device.name} {run}"] = without(log, rest)
+    found = ring_fleet(
+        logs, options.model, options.reference, effects=options.effect, parameters=machine.parameters,
+        workers=options.workers, on_progress=progress_of(options),
+    )  # fmt: skip
+    if options.output:
+        found.save(options.output)
+    wrote: list[str | Path] = [options.output] if options.output else []
+    say(options, found.to_dict(), lambda: ring_fleet_text(found), wrote=wrote)
+    return OK if set(found.fleet.verdicts) <= {GOOD} else NOT_DESCRIBED

@@ -4,17 +4,22 @@ from argparse import Namespace
 from typing import Any
 
 from hallsym.cli import OK, common
-from hallsym.errors import InputError
+from hallsym.errors import InputError, require
 from hallsym.estimation import fit, load_fit
+from hallsym.estimation.self_calibration import REFERENCES, seen, waves_of
 from hallsym.estimation.task import noise_of
+from hallsym.estimation.without_reference import fit_without_reference, terms_of
 from hallsym.experiment import CRITERIA, Ranges, paper_ranges, plan, read_ranges
+from hallsym.experiment.turns import TurnPlan
 from hallsym.families.machine_file import Machine, read_machine
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.records import named
 from hallsym.report.figures.plan import coverage
 from hallsym.report.text.plan import plan_text
+from hallsym.report.text.self_calibration import turns_text
 from hallsym.simulation import is_the_papers, table8_noise, write_campaign
+from hallsym.units import read_quantity
 
 
 def add(sub: Any) -> None:
@@ -28,7 +33,10 @@ def add(sub: Any) -> None:
         "  hallsym plan ranges.toml -o next.toml --runs 20\n"
         "  hallsym plan ranges.toml -o next.toml --minutes 30 --criterion max-u --values calib.json\n"
         "  hallsym plan ranges.toml -o next.toml --runs 10 --after log.parquet --plots pictures\n"
-        "  hallsym plan --like-paper -o next.toml",
+        "  hallsym plan --like-paper -o next.toml\n"
+        "  hallsym plan --reference constant-speed --model rings3 --machine ring.toml   open waves of "
+        "its Halls\n"
+        "  hallsym plan --reference constant-speed --after ring.csv --accuracy 0.01deg   and turns to record",
     )  # fmt: skip
     parser.add_argument("ranges", metavar="TOML", nargs="?", help="ranges file (docs/plan.md)")
     parser.add_argument(
@@ -52,6 +60,14 @@ def add(sub: Any) -> None:
         help="calibration to plan for (default: fitted to the log of --after, else the published or "
         "example values)",
     )  # fmt: skip
+    parser.add_argument(
+        "--reference", choices=REFERENCES,
+        help="an encoder of several Halls without a reference: list the waves that its Halls leave open, and "
+        "the turns for an accuracy",
+    )  # fmt: skip
+    parser.add_argument(
+        "--accuracy", metavar="ANGLE", help="of such a table, rms of the mechanical angle: 0.01deg"
+    )
     parser.add_argument("--seed", type=common.seed, default=0, help="of the order of exchanges (default 0)")
     common.model_options(parser, "stage31")
     common.log_options(parser)
@@ -59,6 +75,9 @@ def add(sub: Any) -> None:
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
+    if options.reference:
+        return _turns(options)
+    require(options.accuracy is None, "--accuracy", "given with --reference", options.accuracy)
     ranges, machine, show = _ranges(options), read_machine(options.machine), common.progress_of(options)
     ranges.allowed(options.runs, options.minutes)  # before a log is read and fitted
     log = None
@@ -129,3 +148,27 @@ def _noise(
     if is_the_papers(model):
         return dict(table8_noise(model, values).sigma), "noise that reproduces Table 8."
     return None, ""
+
+
+def _turns(options: Namespace) -> int:
+    """Plan a recording without a reference."""
+    if options.ranges or options.output or options.like_paper or options.runs or options.minutes:
+        raise InputError(
+            "With --reference the plan is of turns: give --model, --machine, and --after LOG with --accuracy."
+        )
+    machine, density = read_machine(options.machine), None
+    model = common.built(options.model or "rings3", machine)
+    if options.after:
+        log = common.open_log(options, machine, path=options.after)
+        result = fit_without_reference(log, options.model or "rings3", options.reference)
+        model, density = result.fit.model, result.found.line.density
+    pairs, _, _ = terms_of(model)
+    target = None
+    if options.accuracy:
+        target = read_quantity(options.accuracy, "--accuracy", "rad", "0.01deg")
+    places = [float(h.place_rad) for h in model.layout]
+    if options.after and result.found.closure is not None:  # which period they stand in is known now
+        places = [0.0, *result.found.closure.jig.places.tolist()]
+    found = TurnPlan(pairs, tuple(places), seen(places, waves_of(pairs)), target, density)
+    common.say(options, found.to_dict(), lambda: turns_text(found))
+    return OK

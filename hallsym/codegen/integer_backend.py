@@ -4,7 +4,7 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import ceil, floor
+from math import ceil, floor, pi
 from typing import Any, ClassVar
 from zlib import crc32
 
@@ -61,9 +61,15 @@ class IntegerBackend(Backend):
 
     def _port(self, column: str) -> Port:
         if column in self.program.angles:
-            return Port(column, "uint32_t", f"{short(column)}_bam", "2^-32 turn", UNIT)
+            return Port(column, "uint32_t", f"{short(column)}_bam", self._bam[1], self._bam[0])
         exponent = self.exponents[column]
         return Port(column, "int32_t", identifier(column), f"2^-{exponent} {unit(column)}", 2.0**-exponent)
+
+    @property
+    def _bam(self) -> tuple[float, str]:
+        """What a unit of a binary angle is [rad], and in words: 2^-32 of what the angle repeats with."""
+        period = self.decoupler.model.period[self.decoupler.pose[0]]
+        return UNIT * (period / (2 * pi)), f"2^-32 {'turn' if period == 2 * pi else 'period'}"
 
     @property
     def reads_angle(self) -> bool:
@@ -208,8 +214,11 @@ class IntegerBackend(Backend):
                     "input": c.column in p.inputs,
                 })  # fmt: skip
         said = [f" * {line}" for text in p.said for line in textwrap.wrap(text, 110)]
-        bam = f"#define DECOUPLER_RAD_PER_BAM {UNIT!r} /**< binary angles: 2^-32 turn */"
-        of_angles = [bam, *lines_of(f"{FRAGMENTS}angle_conversions.h", {"per_rad": repr(1 / UNIT)})]
+        of_angles = []
+        if p.angles:
+            bam, words = self._bam
+            of_angles = [f"#define DECOUPLER_RAD_PER_BAM {bam!r} /**< binary angles: {words} */"]
+            of_angles += lines_of(f"{FRAGMENTS}angle_conversions.h", {"per_rad": repr(1 / bam)})
         common = {
             "out": self._outputs(errors),
             # header
@@ -217,7 +226,7 @@ class IntegerBackend(Backend):
             "scaledinput": [s for s in scales if s["input"]],
             "conversions": lines_of(f"{FRAGMENTS}conversions.h", {"largest": LARGEST}) if scales else [],
             "no_bits": [] if self.limited or d.flags else [""],
-            "rad_per_bam": of_angles if p.angles else [],
+            "rad_per_bam": of_angles,
             "said": [*lines_of(f"{FRAGMENTS}binary_angles.txt", {}), *said] if p.angles else said,
             "known_bit": [] if p.angles else [KNOWN_BIT],
             # build files

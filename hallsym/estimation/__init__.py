@@ -12,6 +12,7 @@ The path of a fit, file by file:
 - `residual_noise`: the residual noise, its size and autocorrelation; `goodness_of_fit`: its size in multiples
   of the stated noise; `covariance`: standard uncertainties, and those that show between runs.
 - `calibration`: the record that is printed and saved; `evaluate`: a calibration on another log.
+- `self_calibration`: an encoder without a reference, as mathematics; `without_reference`: as a calibration.
 
 `fit` puts these in order and is what users call; `several` fits logs of one device together.
 """
@@ -21,6 +22,7 @@ from hallsym.estimation.decoding import ErrorTable
 from hallsym.estimation.evaluate import Evaluation, evaluate
 from hallsym.estimation.fit import LOSSES, fit
 from hallsym.estimation.optimum import SOLVERS, refit
+from hallsym.estimation.without_reference import SelfFit, fit_without_reference
 
 __all__ = [
     "LOSSES",
@@ -28,9 +30,11 @@ __all__ = [
     "ErrorTable",
     "Evaluation",
     "Fit",
+    "SelfFit",
     "calibration_schema",
     "evaluate",
     "fit",
+    "fit_without_reference",
     "load_fit",
     "refit",
 ]

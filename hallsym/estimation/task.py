@@ -476,7 +476,7 @@ def fit_of(
         turned=bool(solved.ready.corrections) and not task.asked.corrections,
         columns=dict(task.log.table.mapping),
         read_with=dict(task.log.table.read_with),
-        versions=dict(_versions()),
+        versions=dict(versions_used()),
         error_rows=errors.rows() if errors else {},
     )
 
@@ -497,7 +497,8 @@ def zero_notes(model: Model, runs: Sequence[int], delta: np.ndarray) -> tuple[st
 
 
 @cache
-def _versions() -> dict[str, str]:
+def versions_used() -> dict[str, str]:
+    """Return the versions of what computed a result."""
     packages = ("hallsym", "casadi", "numpy", "scipy")
     found = {}
     for name in packages:

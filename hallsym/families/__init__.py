@@ -13,7 +13,7 @@ from hallsym.log.phase import followed
 from hallsym.model import Effect, Family, Model
 from hallsym.model.effect import as_effect, read_text
 
-FAMILIES: tuple[Family, ...] = (stage.FAMILY, rotary.FAMILY, halbach.FAMILY, halbach.PLANAR)
+FAMILIES: tuple[Family, ...] = (stage.FAMILY, rotary.FAMILY, rotary.RING, halbach.FAMILY, halbach.PLANAR)
 """Families whose models and effects have names on the command line; shared code asks `Model.family`."""
 
 

@@ -384,7 +384,7 @@ LIMITS = (
 _FASTEST = {"m": 100.0, "rad": 1e5}
 """m/s and rad/s that no reference moves at: a thousand times a stage, a million revolutions a minute."""
 
-_READING = re.compile(r"([xy]\d+_)?(hall|col|row|v)_\w+_(m|v|t|count)|angle_rad")
+_READING = re.compile(r"([xy]\d+_)?(hall|col|row|v)_\w+_(m|v|t|count)|hall\d+_(v|t|count)|angle_rad")
 _REFERENCE = re.compile(r"([xyz]|r[xyz]|angle)_ref_(m|rad)")
 _POSE = re.compile(r"(z|r[xy])_(m|rad)")
 

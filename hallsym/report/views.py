@@ -10,15 +10,16 @@ import numpy as np
 
 from hallsym.diagnosis import Diagnosis
 from hallsym.errors import InputError
-from hallsym.estimation import Evaluation, Fit, load_fit
+from hallsym.estimation import Evaluation, Fit, SelfFit, load_fit
 from hallsym.experiment import Plan
-from hallsym.fleets import Fleet
+from hallsym.fleets import Fleet, RingFleet
 from hallsym.inference import Identifiability
 from hallsym.log import Log, as_log
 from hallsym.output import fitted
 from hallsym.report.figures.campaign import evaluation_figure, fit_figure, gap
 from hallsym.report.figures.fleet import distributions
 from hallsym.report.figures.plan import coverage
+from hallsym.report.figures.self_calibration import waves_figure
 from hallsym.report.figures.sensitivity import effects
 from hallsym.report.figures.style import STYLE
 from hallsym.report.figures.uncertainty import budget_bars
@@ -30,6 +31,7 @@ from hallsym.report.text.fit import evaluation_head, evaluation_text, fit_head, 
 from hallsym.report.text.fleet import fleet_text
 from hallsym.report.text.identifiability import report_text
 from hallsym.report.text.plan import plan_text
+from hallsym.report.text.self_calibration import ring_fleet_text, self_fit_text
 from hallsym.uncertainty import Budget
 
 if TYPE_CHECKING:
@@ -188,6 +190,11 @@ def _budget_table(budget: Budget) -> Table:
     }
 
 
+def _waves_table(found: SelfFit) -> Table:
+    rows = [w.to_dict(found.found.pairs) for w in found.found.waves]
+    return {key: [row[key] for row in rows] for key in rows[0]}
+
+
 VIEWS: Mapping[type, View] = {
     Fit: View(
         fit_text,
@@ -204,5 +211,9 @@ VIEWS: Mapping[type, View] = {
         plan_text, _plan_table, lambda plan, log: coverage(plan, None if log is None else as_log(log))
     ),
     Fleet: View(fleet_text, Fleet.table, lambda fleet, log: distributions(fleet)),
+    SelfFit: View(self_fit_text, _waves_table, lambda found, log: waves_figure(found)),
+    RingFleet: View(
+        ring_fleet_text, lambda found: found.fleet.table(), lambda found, log: distributions(found.fleet)
+    ),
     Budget: View(budget_text, _budget_table, lambda budget, log: budget_bars({budget.quantity: budget})),
 }

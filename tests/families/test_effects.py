@@ -18,7 +18,8 @@ from hallsym.model.arguments import example_facts, from_log, searched
 
 ANGLE = Meta(columns=("angle_rad", "angle_ref_rad"))
 MODELS = [build("stage15"), build("stage31"), build("rotary_ideal"), build("rotary"),
-          build("rotary_ideal", meta=ANGLE), build("rotary", meta=ANGLE), build("halbach")]  # fmt: skip
+          build("rotary_ideal", meta=ANGLE), build("rotary", meta=ANGLE),
+          build("rings3"), build("halbach")]  # fmt: skip
 CASES = [
     pytest.param(model, e, id=f"{model.name}-{len(model.channels)}-{e.name}")
     for model in MODELS

@@ -1,15 +1,15 @@
 """Lowering of models of one angle: from two voltages or from the decoded angle to the corrected angle.
 
-Two voltages: the ellipse is undone by a linear map, the phase taken by an arctangent whose polynomial is
-proved (`lowering.odd_series`), and what is left corrected by a series of its waves or by a table. A
-decoded angle: the correction alone. Both wrap. The correction comes from the model by solving it over a turn
-(`lowering.phase_curve`, `lowering.correction`), so any effect that is a static function of the angle
-follows; for the circle and the ellipse it is empty.
+Two voltages or more: the ellipse is undone by a linear map, the phase taken by an arctangent whose
+polynomial is proved (`lowering.odd_series`), and what is left corrected by a series of its waves or by a
+table. A decoded angle: the correction alone. Both wrap. The correction comes from the model by solving it
+over a turn (`lowering.phase_curve`, `lowering.correction`), so any effect that is a static function of the
+angle follows; for the circle and the ellipse it is empty.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, reduce
 from math import asin, hypot, pi, sqrt
 
 import casadi as ca
@@ -27,6 +27,7 @@ from hallsym.codegen.lowering.phase_curve import POINTS, Curve, check_static
 from hallsym.errors import InputError, counted
 from hallsym.log.phase import wrapped as within_turn
 from hallsym.model import Model
+from hallsym.units import si_symbol
 
 TURN = 2 * pi
 WEAK = 0.5
@@ -84,12 +85,13 @@ class _Assembly(Collected):
                 Flag("FIELD", "field", "least_field", f"field below {WEAK:g} of its amplitude: no magnet"),
             )
         self._finish(phase, self.symbols[f"zero_{short(model.pose[0])}"])
-        ends = self.given.over({c: self._ends(c) for c in inputs})
+        ends, share = self.given.over({c: self._ends(c) for c in inputs}), self.curve.share
         return self.finished(
             model, inputs, ends, margins=(margin,), flags=flags, approximation=self._left,
-            exact=lambda given: self.curve.angle(self.curve.phase(given))[None],
-            cut=CUT * self.correction.slope if isinstance(self.correction, Grid) else 0.0,
-            bounded=Rounding(self.curve, self.correction, WEAK), listed=self._listed(),
+            exact=lambda given: self.curve.angle(self.curve.phase(given))[None] * share,
+            cut=CUT * share * self.correction.slope if isinstance(self.correction, Grid) else 0.0,
+            bounded=Rounding(self.curve, self.correction, WEAK, [ends.ends[c] for c in inputs]),
+            listed=self._listed(),
             arrays=tuple(self.arrays), options={"correction": self.correction.form}, said=self._said(),
         )  # fmt: skip
 
@@ -106,17 +108,21 @@ class _Assembly(Collected):
     def _ellipse(self) -> Margin:
         off = []
         for channel, center in zip(self.curve.model.channels, self.curve.center, strict=True):
-            name = short(channel)
-            entry = self.entry(f"center_{name}", center, "V", f"center of {channel}")
+            name, symbol = short(channel), si_symbol(channel)
+            entry = self.entry(f"center_{name}", center, symbol, f"center of {channel}")
             off.append(
-                self.step(f"off_{name}", self.symbols[channel] - entry, f"[V] {channel} from its center")
+                self.step(
+                    f"off_{name}", self.symbols[channel] - entry, f"[{symbol}] {channel} from its center"
+                )
             )
         for axis, row in zip("xy", self.curve.matrix, strict=True):
             entries = [
-                self.entry(f"{axis}_{short(c)}", value, "1/V", f"{axis} of the unit circle per {c}")
+                self.entry(
+                    f"{axis}_{short(c)}", value, f"1/{si_symbol(c)}", f"{axis} of the unit circle per {c}"
+                )
                 for c, value in zip(self.curve.model.channels, row, strict=True)
             ]
-            self.step(axis, entries[0] * off[0] + entries[1] * off[1])
+            self.total(axis, [e * o for e, o in zip(entries, off, strict=True)])
         x, y = self.symbols["x"], self.symbols["y"]
         self.entry("least_field", WEAK**2, "1", "square of the least share of the calibrated amplitude")
         self.step("field", x * x + y * y, "[1] square of the amplitude, 1 as calibrated")
@@ -147,8 +153,16 @@ class _Assembly(Collected):
             angle = angle + self._waves(found, phase)
         if self.curve.angle_only and angle is not phase:
             angle = self.step("turned", odd_series.wrapped(angle))
-        total = self.step("total", zero + angle)
-        self.step("angle", odd_series.wrapped(total), "[rad] within half a turn")
+        if self.curve.share == 1.0:
+            total = self.step("total", zero + angle)
+            self.step("angle", odd_series.wrapped(total), "[rad] within half a turn")
+            return
+        share = self.entry(
+            "per_phase", self.curve.share, "1", "angle per phase: one over the periods of a turn"
+        )
+        total = self.step("total", zero * (1.0 / self.curve.share) + angle)
+        self.step("within", odd_series.wrapped(total), "[rad] phase within half a period")
+        self.step("angle", share * self.symbols["within"], "[rad] within half a period")
 
     def _looked_up(self, grid: Grid, phase: ca.SX) -> ca.SX:
         """Entry of the table, and a line or a cubic to the next."""
@@ -235,7 +249,9 @@ class _Assembly(Collected):
         if channel in given:
             return given[channel]
         (angles,) = (given[c] for c in self.curve.model.pose)
-        seen = self.curve.readings(np.linspace(*angles, 4096))[self.curve.model.channels.index(channel)]
+        seen = self.curve.readings(np.linspace(*angles, 4096) / self.curve.share)[
+            self.curve.model.channels.index(channel)
+        ]
         middle, swing = (seen.max() + seen.min()) / 2, (seen.max() - seen.min()) / 2 * (1 + ROOM)
         return float(f"{middle - swing:.3g}"), float(f"{middle + swing:.3g}")
 
@@ -253,14 +269,14 @@ class _Assembly(Collected):
                 * found.slope
                 * (1 + 2 * odd_series.sine_error()) ** len(found.cos)
             )
-        return float(arctangent + sines + found.left + ROUNDED)
+        return float(arctangent + sines + found.left + ROUNDED) * self.curve.share
 
     def _listed(self) -> tuple[tuple[float, ...], ...]:
         """No field, and the seams of the octants."""
         if self.curve.angle_only:
             return tuple((a,) for a in (-TURN, -pi, -1e-3, 0.0, pi, TURN))
         seams = np.array([[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1]]) / 2**0.5
-        back = np.linalg.solve(self.curve.matrix, seams.T).T + self.curve.center
+        back = (np.linalg.pinv(self.curve.matrix) @ seams.T).T + self.curve.center
         return tuple(map(tuple, [self.curve.center.tolist(), *back.tolist()]))
 
     def _said(self) -> tuple[str, ...]:
@@ -302,6 +318,8 @@ class Rounding:
     curve: Curve
     correction: Series | Grid
     weak: float
+    ends: Sequence[tuple[float, float]]
+    """Least and greatest value of each input."""
 
     def __call__(self, digits: int) -> dict[str, Enclosure]:
         """Return the enclosure of each pose coordinate, zeros at zero."""
@@ -315,7 +333,9 @@ class Rounding:
         if found.most or found.constant:
             error += u * abs(found.constant) + half_ulp(pi + abs(found.constant), digits)
             error += half_ulp(pi, digits)  # a wrap rounds once: its first difference is exact
-        end = float(np.float32(pi)) * (1 + 4 * u) + error
+        end, share = float(np.float32(pi)) * (1 + 4 * u) + error, self.curve.share
+        if share != 1.0:  # a product with an entry that is rounded, of a zero of its own
+            error, end = share * (error + 4 * u * (pi + error)), share * end * (1 + 4 * u)
         return {c: Enclosure(-end, end, float(error)) for c in self.curve.model.pose}
 
     def _vector(self, digits: int) -> float:
@@ -325,7 +345,11 @@ class Rounding:
         |M| |M^-1| times the radius; only the center's own rounding counts more where the field is weak.
         """
         u, matrix = 2.0**-digits, np.abs(self.curve.matrix)
-        spread = np.linalg.norm(matrix, 2) * np.linalg.norm(np.linalg.inv(self.curve.matrix), 2)
+        if matrix.shape[1] == 2:
+            spread = np.linalg.norm(matrix, 2) * np.linalg.norm(np.linalg.inv(self.curve.matrix), 2)
+        else:  # what readings do off the plane is bounded by their ranges alone; sums of so many terms
+            far = np.abs(np.array(self.ends) - self.curve.center[:, None]).max(axis=1)
+            spread = len(far) * np.linalg.norm(matrix @ far) / self.weak
         center = np.linalg.norm(matrix @ np.abs(self.curve.center)) * u
         moved = (1 + 8 * u) * (4 * u * spread + center / (self.weak * (1 - 8 * u)))
         return asin(min(1.0, float(moved)))
@@ -474,7 +498,7 @@ class _Turns(Compiler):
         else:
             phase, error = self._vector()
         angle, table = phase, self.table
-        shift, left = self.curve.needed[0], 0.0
+        shift, left, part = self.curve.needed[0], 0.0, self.curve.share
         if table is not None:
             shift, left = table.constant, table.left
             values = np.roll(table.values.astype(np.int64), len(table.values) // 2)
@@ -496,7 +520,7 @@ class _Turns(Compiler):
             angle = self._line("turn", angle, looked)
         angle = self._line("turn", angle, self._angle(f"zero_{short(pose)}", 0.0, "set by decoupler_zero()"))
         p.outputs[pose] = (angle, 0)
-        p.bounds[pose] = (0.0, 2 * pi, error + left + 1e-13)
+        p.bounds[pose] = (0.0, 2 * pi * part, (error + left + 1e-13) * part)
         return p
 
     def _angle(self, name: str, value: float, meaning: str) -> str:
@@ -545,11 +569,11 @@ class _Turns(Compiler):
         return self._line("angle", x.text, y.text, self.steps), moved + cordic
 
     def _row(self, axis: str, row: np.ndarray, off: list[Fixed], e: int) -> Fixed:
-        first, second = (
+        terms = (
             self._mul(self._constant(f"{axis}_{short(c)}", float(value), e), o)
             for c, value, o in zip(self.d.inputs, row, off, strict=True)
         )
-        return self._add(first, second)
+        return reduce(self._add, terms)
 
     def _cut(self, v: Fixed, e: int) -> Fixed:
         if v.e == e:

@@ -1,9 +1,11 @@
-"""The phase that a model of one angle reads over a turn, its slopes and its inverse.
+"""The phase that a model of one angle reads over a period, its slopes and its inverse.
 
-For two voltages the phase is that of the linear map which brings the model's curve nearest to the unit
-circle: the ellipse of offsets, amplitudes and phase is undone by it. For a decoded angle the phase is the
-reading. What is left, angle - phase, is periodic whatever caused it (a quadratic plate, harmonics of the
-magnet, an axis that is off, a rail): `hallsym.codegen.lowering.correction` makes a series or a table of it.
+Angles are those of a period as a turn (`Curve.share`): of an encoder that repeats P times a turn, P times the
+mechanical angle. For two or more voltages the phase is that of the linear map which brings the model's curve
+nearest to the unit circle: the ellipse of offsets, amplitudes and phase is undone by it. For a decoded angle
+the phase is the reading. What is left, angle - phase, is periodic whatever caused it (a quadratic plate,
+harmonics of the magnet, an axis that is off, a rail): `hallsym.codegen.lowering.correction` makes a series or
+a table of it.
 """
 
 from collections.abc import Callable
@@ -23,6 +25,9 @@ from hallsym.model.arrays import on_arrays
 POINTS = 1024
 BRACKETS = 4096
 ROUNDS = 12
+PLANE = 1e-3
+"""Size of what readings do off the plane of their ellipse, relative to it, that is no direction of its own:
+of three Halls and more the map is the shortest one, which adds least noise."""
 SETTLED = 1e-13
 """Change of the angle [rad] below which its iteration ends."""
 
@@ -44,7 +49,7 @@ def check_static(model: Model, what: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A model of two voltages or of an angle at parameters `p`, over a turn."""
+    """A model of two or more voltages, or of an angle, at parameters `p`, over a turn."""
 
     model: Model
     p: np.ndarray
@@ -55,10 +60,15 @@ class Curve:
         """Whether the decoded angle is read: a channel that repeats."""
         return set(self.model.channels) <= self.model.period.keys()
 
+    @property
+    def share(self) -> float:
+        """What an angle of the curve, of which 2 pi are a period, is multiplied by to be that of the pose."""
+        return self.model.period[self.model.pose[0]] / (2 * pi)
+
     def readings(self, angle: np.ndarray) -> np.ndarray:
-        """Return the model's readings (n_channels, s) at angles (s,)."""
+        """Return the model's readings (n_channels, s) at angles (s,), of which 2 pi are a period."""
         zeros = np.zeros(len(self.model.zeros))
-        return np.asarray(self._run(self.p, zeros, [np.asarray(angle, dtype=float)], [])[0])
+        return np.asarray(self._run(self.p, zeros, [np.asarray(angle, dtype=float) * self.share], [])[0])
 
     @cached_property
     def _run(self) -> Callable[..., list[np.ndarray]]:
@@ -72,12 +82,20 @@ class Curve:
     @cached_property
     def _map(self) -> tuple[np.ndarray, np.ndarray]:
         circle = np.array([np.cos(self.turn), np.sin(self.turn)])
-        given = np.vstack([self.readings(self.turn), np.ones(POINTS)])
+        seen = self.readings(self.turn)
+        if not np.allclose(seen, self.readings(self.turn + 2 * pi), rtol=1e-9, atol=1e-9 * np.ptp(seen)):
+            raise InputError(
+                f"The calibration of {self.model.name} holds waves that differ from one period to the next, "
+                "which readings of one moment cannot tell: fit without them, or with those of the period "
+                "alone (turn_waves with the pole pairs as its step)."
+            )
+        middle = seen.mean(axis=1, keepdims=True)
+        given = np.vstack([seen - middle, np.ones(POINTS)])
         scale = np.abs(given).max(axis=1, keepdims=True)
-        found, *_ = np.linalg.lstsq((given / scale).T, circle.T, rcond=None)
+        found, *_ = np.linalg.lstsq((given / scale).T, circle.T, rcond=PLANE)
         matrix = (found / scale).T
-        center = -np.linalg.solve(matrix[:, :2], matrix[:, 2])
-        return matrix[:, :2], center
+        center = middle[:, 0] - np.linalg.pinv(matrix[:, :-1]) @ matrix[:, -1]
+        return matrix[:, :-1], center
 
     @property
     def matrix(self) -> np.ndarray:
@@ -170,7 +188,7 @@ class Curve:
         belongs to each phase.
         """
         angle = ca.SX.sym("angle")
-        readings = self.model.reading(self.p, np.zeros(len(self.model.zeros)), angle, [])
+        readings = self.model.reading(self.p, np.zeros(len(self.model.zeros)), angle * self.share, [])
         if count in self._slopes:
             return self._slopes[count]
         if self.angle_only:

@@ -1,8 +1,8 @@
 """The Hall rotary encoder, read as two voltages or as an angle: models and effects."""
 
-from hallsym.families.rotary import models
+from hallsym.families.rotary import models, rings
 from hallsym.families.rotary.checks import implausible
-from hallsym.families.rotary.effects import EFFECTS, direct, short
+from hallsym.families.rotary.effects import EFFECTS, RING_EFFECTS, direct, short
 from hallsym.model import Example, Family, PoseMetric
 
 FAMILY = Family(
@@ -41,3 +41,32 @@ FAMILY = Family(
     decoder="angle",
 )  # fmt: skip
 models.FAMILY = FAMILY
+RING = Family(
+    name="ring",
+    noun="encoder",
+    about="a ring under several Halls (hall1_count, hall2_count, ...; angle_ref_rad)",
+    readings=rings.HEADS,
+    references=models.REFERENCES,
+    moved=models.POSE,
+    pose_metric=PoseMetric("rad"),
+    models=(rings.rings3,),
+    default="rings3",
+    from_meta=rings.from_meta,
+    tables=("encoder",),
+    assumed="three Halls that share a period evenly over one pole pair",
+    effects=RING_EFFECTS,
+    # two speeds in both directions; Halls of a 12-bit converter, not quite 120 deg apart
+    example=Example(
+        campaign=FAMILY.example.campaign if FAMILY.example else {},
+        values={
+            "V1": 2050.0, "V2": 2031.0, "V3": 2066.0, "A1": 905.0, "A2": 880.0, "A3": 912.0, "place_2": 2.11,
+            "place_3": 4.17, "zero": 0.6,
+        },
+        noise={"hall1_count": 1.2, "hall2_count": 1.2, "hall3_count": 1.2, "angle_ref_rad": 2e-5},
+    ),
+    direct=direct,
+    short=short,
+    most_effects=6,
+    decoder="angle",
+)  # fmt: skip
+rings.RING = RING

@@ -313,14 +313,14 @@ def closed_form(model: Model, coefficients: Mapping[str, np.ndarray]) -> np.ndar
     return np.array([found.get(name, p[name]) for name in model.names])
 
 
-def _phasor(coefficients: Mapping[str, np.ndarray], n: int, k: int) -> complex:
+def phasor(coefficients: Mapping[str, np.ndarray], n: int, k: int) -> complex:
     """c - i s of harmonic n in channel k: c cos + s sin is the real part of it times exp(i n a)."""
     c, s = (coefficients.get(f"{name} {n}a") for name in ("cos", "sin"))
     return complex(0.0 if c is None else c[k], 0.0 if s is None else -s[k])
 
 
 def _from_voltages(p: Mapping[str, float], c: Mapping[str, np.ndarray]) -> dict[str, float]:
-    sine, cosine = _phasor(c, 1, 0) * 1j, _phasor(c, 1, 1)  # i sin(u): both like exp(i zero) then
+    sine, cosine = phasor(c, 1, 0) * 1j, phasor(c, 1, 1)  # i sin(u): both like exp(i zero) then
     if "A" in p:
         both = (sine + cosine) / 2
         return {"A": abs(both), "zero": float(np.angle(both))}
@@ -329,7 +329,7 @@ def _from_voltages(p: Mapping[str, float], c: Mapping[str, np.ndarray]) -> dict[
     Ay, Ax = abs(sine), abs(cosine)
     if "m" in p:
         # harmonic 2 over harmonic 1 of Ax F is K1 m / (2 K2)
-        second = -_phasor(c, 2, 0) * np.exp(-2j * (zero + beta)) + _phasor(c, 2, 1) * np.exp(-2j * zero)
+        second = -phasor(c, 2, 0) * np.exp(-2j * (zero + beta)) + phasor(c, 2, 1) * np.exp(-2j * zero)
         m = 2 * float(second.real) / (Ay + Ax) * p["K2"] / p["K1"] if p["K1"] else p["m"]
         m = m if 0 < m < 10 * p["m"] else p["m"]
         Ay, Ax = Ay / (p["K2"] * m), Ax / (p["K2"] * m)
@@ -343,7 +343,7 @@ def _from_angle(p: Mapping[str, float], c: Mapping[str, np.ndarray]) -> dict[str
     zero = float(np.angle(np.exp(1j * float(c["1"][0]))))
     if "A" in p:
         return {"zero": zero}
-    first, second, third = (_phasor(c, n, 0) * np.exp(-1j * n * zero) for n in (1, 2, 3))
+    first, second, third = (phasor(c, n, 0) * np.exp(-1j * n * zero) for n in (1, 2, 3))
     beta, ratio = 2 * second.real, 1 - 2 * second.imag
     eps = -2 * (third.real - third.imag) if "m" in p and p["K1"] else 0.0
     found = {"zero": zero - beta / 2, "beta": beta}

@@ -7,7 +7,7 @@ mechanisms that other families share are in `hallsym.families.mechanisms`; `dire
 series of waves.
 """
 
-from hallsym.families.rotary import models
+from hallsym.families.rotary import models, rings
 from hallsym.families.rotary.effects import electronics, field, mechanics, transducer
 from hallsym.families.rotary.effects.field import field_harmonics
 from hallsym.families.rotary.effects.mechanics import direction, off_axis
@@ -24,4 +24,13 @@ EFFECTS = (
     mechanics.reference_scale_error, mechanics.reference_pole_pairs,
 )  # fmt: skip
 
-__all__ = ["EFFECTS", "direct", "direction", "field_harmonics", "off_axis", "short"]
+RING_EFFECTS = (
+    rings.turn_waves, models.zero_deviation, field.third_harmonic_distortion, field.field_saturation,
+    transducer.odd_nonlinearity, transducer.even_nonlinearity, rings.eccentricity, mechanics.time_skew,
+    transducer.first_order_lag, mechanics.hysteresis, transducer.gain_temperature_drift,
+    transducer.offset_temperature_drift, transducer.gain_time_drift, transducer.offset_time_drift,
+    electronics.mains_hum, electronics.reference_voltage_fluctuation, mechanics.reference_scale_error,
+)  # fmt: skip
+"""Those of a ring read by several Halls, whose offsets, gains and places are in its model."""
+
+__all__ = ["EFFECTS", "RING_EFFECTS", "direct", "direction", "field_harmonics", "off_axis", "short"]

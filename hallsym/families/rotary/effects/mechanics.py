@@ -13,13 +13,13 @@ from hallsym.families.rotary.effects.field import field_harmonics
 from hallsym.families.rotary.effects.parts import (
     LATE,
     MAGNET,
-    PLATES,
     REFERENCE,
     TURNED,
     add_ahead,
     decodes,
     free_ellipse,
     harmonic,
+    plates,
 )
 from hallsym.model import Facts, Model, Parameter, Signals, Way, effect
 from hallsym.model.arguments import ANY, Valid, one_of, searched
@@ -143,10 +143,10 @@ def time_skew(
         raise InputError(
             f"Model {model.name} reads the angle alone here; a delay per plate needs both voltages."
         )
-    new = free({f"delay_{k}": f"delay of the {k} plate" for k in PLATES}, 1.0, "s")
+    new = free({f"delay_{k}": f"delay of the {k} plate" for k in plates(model)}, 1.0, "s")
 
     def step(s: Signals, p: P) -> None:
-        for plate in PLATES:
+        for plate in plates(model):
             s[f"v_{plate}"] = s[f"v_{plate}"].ahead(-p[f"delay_{plate}"] * s[speed.name])
 
     return model.with_columns(speed).with_step("transducer", step, effect="time_skew", parameters=new)

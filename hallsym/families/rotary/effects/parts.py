@@ -7,7 +7,8 @@ import casadi as ca
 
 from hallsym.families.mechanisms import P, Port, port
 from hallsym.families.rotary import models as rotary
-from hallsym.families.rotary.waveforms import waveform
+from hallsym.families.rotary import rings
+from hallsym.families.rotary.waveforms import Waveform, waveform
 from hallsym.families.rotary.waves import Wave, cosine, sine
 from hallsym.model import Model, Parameter, Signals, Step
 from hallsym.model.derived import Computed
@@ -20,14 +21,24 @@ LATE = "speeds so high that a low-pass lowers the amplitude, which a delay does 
 TURNED = "a turn with the reference coupled at each of several other angles"
 
 
+def plates(model: Model) -> tuple[str, ...]:
+    """Return the labels of the plates, or of the Halls over a ring, that a model has."""
+    return tuple(h.label for h in model.layout) if isinstance(model.layout[0], rings.Head) else PLATES
+
+
+def _voltages(s: Signals) -> list[str]:
+    """The signals of the plates, in the order in which the transducer made them."""
+    return [name for name, value in s.items() if name[:2] == "v_" and isinstance(value, Wave | Waveform)]
+
+
 def _write(s: Signals, values: Sequence[Wave]) -> None:
-    s["v_sin"], s["v_cos"] = values
+    s.update(zip(_voltages(s), values, strict=True))
 
 
-VOLTAGES = Port(lambda model: PLATES, lambda s: (s["v_sin"], s["v_cos"]), _write)
+VOLTAGES = Port(plates, lambda s: [s[name] for name in _voltages(s)], _write)
 """Voltages of the plates as waves of the angle of the magnet."""
-READINGS = port("reading", lambda model: PLATES)
-"""Both voltages as they are read."""
+READINGS = port("reading", plates)
+"""All voltages as they are read."""
 
 
 def decodes(model: Model) -> bool:
@@ -47,7 +58,7 @@ def free_ellipse(model: Model) -> bool:
 
 def amplitude(model: Model) -> float:
     """Return the nominal amplitude of the voltages [V], 1 where only the angle is read."""
-    return next(p.nominal for p in model.parameters if p.name in ("A", "Ax"))
+    return next(p.nominal for p in model.parameters if p.name in ("A", "Ax", "A1"))
 
 
 def ahead(s: Signals, angle: ca.SX) -> None:
@@ -72,7 +83,8 @@ def add_ahead(
 
 
 def harmonic(s: Signals, n: int, re: ca.SX, im: ca.SX) -> None:
-    """Add (re + i im) exp(i n u) to the field."""
+    """Add (re + i im) exp(i n u) to the field, n waves per period of it."""
+    n *= s.get("pairs", 1)
     sign = 1.0 if n >= 0 else -1.0
     s["cosine"] = s["cosine"] + Wave({abs(n): (re, -sign * im if n else ca.SX(0))})
     s["sine"] = s["sine"] + Wave({abs(n): (im, sign * re if n else ca.SX(0))})

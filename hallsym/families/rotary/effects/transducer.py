@@ -6,12 +6,12 @@ from hallsym.families.mechanisms import Functions, P, bends, drifts, following, 
 from hallsym.families.rotary.effects.parts import (
     LATE,
     MAGNET,
-    PLATES,
     REFERENCE,
     SPEED,
     VOLTAGES,
     amplitude,
     decodes,
+    plates,
 )
 from hallsym.model import Model, Parameter, Signals, Way, effect
 from hallsym.model.derived import rate
@@ -76,7 +76,7 @@ def first_order_lag(model: Model) -> Model:
             x = n * p["lag"] * s[SPEED]
             return 1 / (1 + x**2), -x / (1 + x**2)  # 1 / (1 + i x)
 
-        for plate in PLATES:
+        for plate in plates(model):
             s[f"v_{plate}"] = s[f"v_{plate}"].filtered(share)
 
     lag = Parameter("lag", 0.0, 0.0, 1.0, "s", "time constant of the low-pass")
