@@ -23,6 +23,8 @@ from hallsym.codegen.templates import MARK, filled, lines_of, tree
 from hallsym.files import json_text
 from hallsym.output import commented
 
+STEP = "misra-c2012-8.7:src/decoupler.c"
+"""Deviation: the function is external for its user, not for its library."""
 VERSION = 2
 """Of the generated interface and of the head of the table."""
 BINARY = "params/decoupler_params.bin"
@@ -497,6 +499,11 @@ def bit(column: str) -> str:
 def status_bit(name: str) -> str:
     """Return the name of a status bit."""
     return f"DECOUPLER_STATUS_{name}"
+
+
+def found(condition: str, what: str) -> list[str]:
+    """Return C of `decoupler_check()` that says a finding where a condition holds."""
+    return [f"if ({condition})", "{", f"    found |= DECOUPLER_BAD_{what};", "}"]
 
 
 def raised(condition: str, flag: str) -> list[str]:

@@ -1,13 +1,15 @@
 """What can be said of the arithmetic over the whole box: least gains, size of the pose, rounding."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import prod
+from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Decoupler, Step, short
-from hallsym.codegen.intervals import Enclosure, constant, enclose
+from hallsym.codegen.decoupler import Decoupler, Entry, Step, Whole, computed, of_step, short
+from hallsym.codegen.intervals import TINY, Enclosure, constant, enclose
+from hallsym.codegen.operations import Graph, Operation, graph
 
 LEAST_GAIN = 0.1
 """Share of its gain at rest below which a probe must not fall within the box."""
@@ -27,31 +29,16 @@ class Bounds:
     least_gain: Mapping[str, float]
 
 
-def spreads(d: Decoupler) -> list[Step]:
-    """Return `spread_k`, how far the rest of each margin can move within the limits.
+def least_gains(d: Decoupler) -> dict[str, float]:
+    """Return by column what the terms of each margin leave of it within the limits, as a share of its rest.
 
     The largest magnitude of each term, summed: exact where the box is symmetric and the columns independent.
     """
-    symbols = {e.name: d.symbols.get(e.name, ca.SX.sym(e.name)) for e in d.entries}
-    steps = []
-    for margin in d.margins:
-        total = ca.SX(0)
-        for entry, columns in margin.terms:
-            c = symbols[entry]
-            total = total + ca.fmax(c, -c) * _reach(d, symbols, columns)
-        steps.append(Step(f"spread_{short(margin.column)}", total))
-    return steps
-
-
-def _reach(d: Decoupler, symbols: Mapping[str, ca.SX], columns: Sequence[str]) -> ca.SX:
-    most = ca.SX(1)
-    for column in columns:
-        name = short(column)
-        if d.box.symmetric(column):
-            most = most * symbols[f"limit_{name}"]
-        else:
-            most = most * ca.fmax(-symbols[f"low_{name}"], symbols[f"high_{name}"])
-    return most
+    values, reach = {e.name: abs(e.value) for e in d.table}, d.box.reach()
+    return {
+        m.column: 1 - sum(values[e] * prod(reach[c] for c in own) for e, own in m.terms) / values[m.rest]
+        for m in d.margins
+    }
 
 
 def pose_bounds(d: Decoupler, digits: int = 24) -> Bounds:
@@ -60,18 +47,11 @@ def pose_bounds(d: Decoupler, digits: int = 24) -> Bounds:
         found = _enclosed(d, d.steps, digits)[-len(d.pose) :]
     else:
         found = list(d.bounded(digits).values())
-    values = {e.name: e.value for e in d.entries}
-    least = {}
-    for step, margin in zip(spreads(d), d.margins, strict=True):
-        symbols = ca.symvar(step.expression)
-        f = ca.Function("spread", symbols, [step.expression])
-        spread = float(f(*(values[s.name()] for s in symbols))) if symbols else float(step.expression)
-        least[margin.column] = 1 - spread / abs(values[margin.rest])
     return Bounds(
         low=dict(zip(d.pose, (e.low for e in found), strict=True)),
         high=dict(zip(d.pose, (e.high for e in found), strict=True)),
         error=dict(zip(d.pose, (e.error for e in found), strict=True)),
-        least_gain=least,
+        least_gain=least_gains(d),
     )
 
 
@@ -100,3 +80,115 @@ def _enclosed(d: Decoupler, steps: Sequence[Step], digits: int) -> list[Enclosur
     for step in steps:
         (given[step.name],) = enclose([step.expression], given, digits)
     return [given[step.name] for step in steps]
+
+
+# -- rounding of one pose after the other, where intervals over the box relate too little --------------------
+
+BOUNDED = 1000
+"""Poses for which the rounding is bounded, one by one."""
+ROOM = 1.5
+"""Times the largest bound of these poses."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseByPose:
+    """Digits of the significand -> range and rounding of each coordinate, flags clear, zeros at zero.
+
+    Rounding is bounded for each of many poses, and the largest bound is taken with some room.
+    """
+
+    pose: tuple[str, ...]
+    inputs: tuple[str, ...]
+    steps: tuple[Step, ...]
+    table: tuple[Entry, ...]
+    drawn: Callable[[np.random.Generator, int], np.ndarray]
+    """Random inputs (n_inputs, s) of poses in the box."""
+
+    def __call__(self, digits: int) -> dict[str, Enclosure]:
+        """Return the enclosure of each coordinate."""
+        entries = {e.name: e.value for e in self.table} | {f"zero_{short(c)}": 0.0 for c in self.pose}
+        inputs = self.drawn(np.random.default_rng(6), BOUNDED)
+        named = dict(zip(map(short, self.inputs), inputs, strict=True))
+        values, errors = rounding(self.steps, named, entries, digits, len(self.pose))
+        ends = (values.min(axis=1), values.max(axis=1), ROOM * errors.max(axis=1))
+        return {c: Enclosure(*map(float, e)) for c, *e in zip(self.pose, *ends, strict=True)}
+
+
+EXACT = ("assign", "neg", "twice", "fabs", "lt", "le", "not", "if_else_zero")
+"""Operations that do not round."""
+
+Numbers = dict[str, Any]
+
+_SLOPES: dict[str, Callable[..., tuple]] = {
+    "assign": lambda z, x: (1.0,),
+    "neg": lambda z, x: (-1.0,),
+    "twice": lambda z, x: (2.0,),
+    "fabs": lambda z, x: (np.sign(x),),
+    "lt": lambda z, x, y: (0.0, 0.0),
+    "le": lambda z, x, y: (0.0, 0.0),
+    "not": lambda z, x: (0.0,),
+    "if_else_zero": lambda z, c, x: (0.0, (c != 0) * 1.0),
+    "add": lambda z, x, y: (1.0, 1.0),
+    "sub": lambda z, x, y: (1.0, -1.0),
+    "mul": lambda z, x, y: (y, x),
+    "div": lambda z, x, y: (1 / y, -z / y),
+    "inv": lambda z, x: (-z * z,),
+    "sq": lambda z, x: (2 * x,),
+}
+"""Derivatives by the arguments of an operation of result z; choices are between equals where they turn."""
+
+
+def rounding(
+    steps: Sequence[Step],
+    inputs: Mapping[str, np.ndarray],
+    entries: Mapping[str, float],
+    digits: int,
+    last: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return values and rounding errors (last, s) of the last steps.
+
+    `inputs` (s,) by symbol, exact; `entries`: numbers of the table; `digits`: of the significand.
+    """
+    known: Numbers = {**inputs, **entries}
+    graphs = [graph([step.expression]) for step in steps]
+    worked = []
+    for step, own in zip(steps, graphs, strict=True):
+        with np.errstate(all="ignore"):
+            worked.append(computed(own, known))
+            known[step.name] = of_step(step, own, worked[-1])
+    count = len(next(iter(inputs.values())))
+    errors = []
+    for step in steps[-last:]:
+        adjoint: Numbers = {step.name: np.ones(count)}
+        total = np.zeros(count)
+        for one, own, values in zip(reversed(steps), reversed(graphs), reversed(worked), strict=True):
+            if one.name in adjoint and not isinstance(one, Whole):
+                total = total + _back(own, values, adjoint.pop(one.name), adjoint, digits)
+        for name, value in entries.items():
+            total = total + np.abs(adjoint.get(name, 0.0)) * constant(value, digits).error
+        errors.append(total)
+    return np.array([np.broadcast_to(known[s.name], count) for s in steps[-last:]]), np.array(errors)
+
+
+def _back(own: Graph, values: list[Any], by: np.ndarray, adjoint: Numbers, digits: int) -> np.ndarray:
+    """Add the derivatives by the symbols of a step, whose own is `by`; returns what its operations round."""
+    slopes: list[Any] = [0.0] * len(values)
+    slopes[own.results[0]] = by
+    total = np.zeros_like(by)
+    for k in reversed(range(len(values))):
+        o, z, slope = own.operations[k], values[k], slopes[k]
+        if o.op == "input":
+            adjoint[o.symbol] = adjoint.get(o.symbol, 0.0) + slope
+            continue
+        total = total + np.abs(slope) * _rounded(o, z, digits)
+        if o.op != "const":
+            for j, own_slope in zip(o.args, _SLOPES[o.op](z, *(values[a] for a in o.args)), strict=True):
+                slopes[j] = slopes[j] + slope * own_slope
+    return np.asarray(total)
+
+
+def _rounded(operation: Operation, value: Any, digits: int) -> Any:
+    """Bound of what an operation is off by where its arguments are exact; of a number, as it is stored."""
+    if operation.op == "const":
+        return constant(value, digits).error
+    return 0.0 if operation.op in EXACT else 2.0**-digits * np.abs(value) + TINY[digits]

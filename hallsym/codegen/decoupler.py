@@ -28,6 +28,8 @@ class Entry:
     value: float
     unit: str
     meaning: str
+    holds: str = ""
+    """What no recalibration changes: its "sign", as of a length, or its "value"."""
 
 
 def short(column: str) -> str:
@@ -106,6 +108,8 @@ class Step:
     remark: str = ""
     within: tuple[float, int] | None = field(default=None, kw_only=True)
     """Of a part of a power of a phasor: factor and power of its length that are not exceeded."""
+    most: ca.SX | float | None = field(default=None, kw_only=True)
+    """Magnitude, of entries, that the value does not exceed whatever it is computed from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +158,8 @@ class Margin:
     column: str
     rest: str
     terms: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    step: str = ""
+    """The step that adds them up, where there is one."""
 
 
 @dataclass(frozen=True)
@@ -333,6 +339,8 @@ class Collected:
     table: list[Entry] = field(default_factory=list)
     symbols: dict[str, ca.SX] = field(default_factory=dict)
     steps: list[Step] = field(default_factory=list)
+    named: set[str] = field(default_factory=set)
+    """Names of the entries."""
 
     def begin(self, model: Model, inputs: Sequence[str]) -> None:
         """Add the symbols of inputs and zeros."""
@@ -355,17 +363,20 @@ class Collected:
         self.steps.append(step)
         return self.symbols.setdefault(step.name, ca.SX.sym(step.name))
 
-    def entry(self, name: str, value: float, unit: str, meaning: str) -> ca.SX:
-        """Add an entry of the table; returns its symbol."""
-        self.table.append(Entry(name, float(value), unit, meaning))
-        self.symbols[name] = ca.SX.sym(name)
+    def entry(self, name: str, value: float, unit: str, meaning: str, holds: str = "") -> ca.SX:
+        """Add an entry of the table, once; returns its symbol. `holds`: see `Entry`."""
+        if name not in self.named:
+            self.named.add(name)
+            self.table.append(Entry(name, float(value), unit, meaning, holds))
+            self.symbols[name] = ca.SX.sym(name)
         return self.symbols[name]
 
     def step(
-        self, name: str, expression: ca.SX, remark: str = "", within: tuple[float, int] | None = None
-    ) -> ca.SX:
-        """Add a step; returns its symbol. `within`: see `Step`."""
-        return self.add(Step(name, expression, remark, within=within))
+        self, name: str, expression: ca.SX, remark: str = "", within: tuple[float, int] | None = None,
+        most: ca.SX | float | None = None,
+    ) -> ca.SX:  # fmt: skip
+        """Add a step; returns its symbol. `within`, `most`: see `Step`."""
+        return self.add(Step(name, expression, remark, within=within, most=most))
 
     def total(self, name: str, terms: Sequence[ca.SX], remark: str = "") -> ca.SX:
         """Add a sum, some terms at a time: compilers take it as one, and readers can read it."""

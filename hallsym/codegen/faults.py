@@ -5,8 +5,9 @@ limit must be found good.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from math import prod
+from math import inf, prod
 
+from hallsym.codegen.accepted import Ends
 from hallsym.codegen.bounds import LEAST_GAIN
 from hallsym.codegen.decoupler import Decoupler, short
 
@@ -33,10 +34,8 @@ def of_words() -> Iterator[str]:
     yield from expect(both, "DECOUPLER_BAD_VERSION | DECOUPLER_BAD_LAYOUT")
 
 
-def of_several(
-    d: Decoupler, limited: Sequence[str], zero: str | None, *, gains: bool = True
-) -> Iterator[str]:
-    """Faults of every kind at once: each has a bit of its own. `gains`: whether those are checked."""
+def of_several(d: Decoupler, limited: Sequence[str], zero: str | None, gain: str = "") -> Iterator[str]:
+    """Faults of every kind at once: each has a bit of its own. `gain`: what is found of a gain of nothing."""
     changes, found = ["table.version += 1U;"], ["DECOUPLER_BAD_VERSION"]
     if limited:
         name, symmetric = short(limited[0]), d.box.symmetric(limited[0])
@@ -44,30 +43,38 @@ def of_several(
         changes.append(f"table.{one} = {'-' if symmetric else ''}decoupler_params.{other};")
         changes += [] if symmetric else [f"table.{other} = decoupler_params.{one};"]
         found.append("DECOUPLER_BAD_LIMITS")
-    if d.margins and gains:
+    if d.margins and gain:
         changes.append(f"table.{d.margins[0].rest} = 0;")
-        found.append("DECOUPLER_BAD_GAIN")
+        found.append(gain)
     if zero:
         changes.append(zero)
         found.append("DECOUPLER_BAD_ZEROS")
     yield from expect(changes, " | ".join(found))
 
 
-def of_limits(d: Decoupler, limited: Sequence[str], zero: str = "") -> Iterator[str]:
-    """An empty range, one of a single value, and one of -0 where numbers have it (`zero`), of each input."""
+def of_limits(
+    d: Decoupler, limited: Sequence[str], zero: str = "", ends: Ends | None = None
+) -> Iterator[str]:
+    """An empty range, one of a single value, and one of 0 and -0 of numbers (`zero`), of each input.
+
+    `ends`: least and greatest values of the limits, if any.
+    """
     for column in limited:
         name = short(column)
         if d.box.symmetric(column):
             entry = f"limit_{name}"
             yield from expect([f"table.{entry} = -decoupler_params.{entry};"], "DECOUPLER_BAD_LIMITS")
-            yield from expect([f"table.{entry} -= decoupler_params.{entry};"])
+            none = [f"table.{entry} -= decoupler_params.{entry};"]
+            yield from expect(none, "DECOUPLER_BAD_LIMITS" if zero else "0U")
             if zero:
                 yield from expect([f"table.{entry} = -{zero};"], "DECOUPLER_BAD_LIMITS")
         else:
             low, high = f"low_{name}", f"high_{name}"
             swapped = [f"table.{low} = decoupler_params.{high};", f"table.{high} = decoupler_params.{low};"]
             yield from expect(swapped, "DECOUPLER_BAD_LIMITS")
-            yield from expect([f"table.{low} = decoupler_params.{high};"])
+            least, greatest = (ends or {}).get(low, (-inf, inf))
+            single = "0U" if least <= d.ends(column)[1] <= greatest else "DECOUPLER_BAD_LIMITS"
+            yield from expect([f"table.{low} = decoupler_params.{high};"], single)
 
 
 def of_margins(d: Decoupler, reach: Mapping[str, float], write: Setter) -> Iterator[str]:

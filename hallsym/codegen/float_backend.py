@@ -10,9 +10,9 @@ from zlib import crc32
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen import backend, faults
+from hallsym.codegen import accepted, backend, faults
 from hallsym.codegen.backend import COUNT, VERSION, Backend, Port, Stored, ends
-from hallsym.codegen.bounds import LEAST_GAIN, Bounds, pose_bounds, spreads, step_errors
+from hallsym.codegen.bounds import LEAST_GAIN, Bounds, pose_bounds, step_errors
 from hallsym.codegen.cost import firmware_cost
 from hallsym.codegen.decoupler import Array, Decoupler, Entry, Step, short, steps_on_arrays, unit
 from hallsym.codegen.float_c import Real, shared_steps, statements
@@ -27,9 +27,13 @@ FPU = {4: "-mfloat-abi=hard -mfpu=fpv4-sp-d16", 8: "-mfloat-abi=soft"}
 """Compiler options of its floating-point unit by bytes of a number; it has no double."""
 MOST_STEPS = 20
 """Steps of the arithmetic that the report lists."""
-UNIONS = ["misra-c2012-19.2:src/decoupler.c", "misra-c2012-19.2:src/decoupler_check.c"]
+UNIONS = ("misra-c2012-19.2:src/decoupler.c", "misra-c2012-19.2:src/decoupler_check.c")
 """Deviation: the bits of a number are read through a union, which C99 defines."""
 FRAGMENTS = "float/fragments/"
+GAIN_LOST = (
+    "((found & (DECOUPLER_BAD_NUMBER | DECOUPLER_BAD_LIMITS)) == 0U) && (gain_lost(&bytes[NUMBERS]) != 0U)"
+)
+"""Gains are looked at where all numbers are some."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +91,8 @@ class FloatBackend(Backend):
 
     real: Real
     jacobian: bool = False
+    kept: accepted.Ends | None = None
+    """Least and greatest values of the table of code that shall stay as it is."""
 
     tree: ClassVar[str] = "float"
     hashed: ClassVar[tuple[int, int]] = (4096, 1_000_000)
@@ -236,8 +242,13 @@ class FloatBackend(Backend):
 
     def _json(self) -> dict[str, Any]:
         d = self.decoupler
-        numbers = [{**vars(e), "value": float(self.real.dtype(e.value))} for e in d.entries]
-        rows = [{k: v for k, v in vars(a).items() if k != "integers"} for a in d.arrays]
+        ends = {name: {"least": low, "greatest": high} for name, (low, high) in self.accepted.items()}
+        numbers = [
+            {"name": e.name, "value": float(self.real.dtype(e.value)), "unit": e.unit, "meaning": e.meaning}
+            | ends[e.name]
+            for e in d.entries
+        ]
+        rows = [{k: v for k, v in vars(a).items() if k != "integers"} | ends[a.name] for a in d.arrays]
         return {"parameters": numbers} | ({"arrays": rows} if rows else {})
 
     def _literal(self, value: Any) -> str:
@@ -281,7 +292,10 @@ class FloatBackend(Backend):
             "quantity": d.quantity,
             "slope_units": ", ".join(dict.fromkeys(record["unit"] for record in slopes)),
             # build files
-            "deviations": UNIONS if any(map(self.by_size, d.inputs)) else [],
+            "deviations": [
+                *UNIONS[not any(map(self.by_size, d.inputs)) :],
+                *([] if d.at_pose else [backend.STEP]),
+            ],
             "cpu": f"{M4} {FPU[self.real.size]}",
             "machine": "mps2-an386",
             # proofs
@@ -359,28 +373,34 @@ class FloatBackend(Backend):
 
     def _step(self, common: Mapping[str, Any]) -> dict[str, Any]:
         d, real = self.decoupler, self.real
-        names = {e.name: f"p->{e.name}" for e in (*d.table, *d.limits)}
+        names = {e.name: f"p->{e.name}" for e in d.entries}
         last = d.steps[-len(d.pose) :]
         results = {s.name: f"out->{identifier(c)}" for s, c in zip(last, d.pose, strict=True)}
         body = statements(d.steps, names, real, results)
         flags = [line for f in d.flags for line in backend.raised(f"!({f.step} >= p->{f.least})", f.name)]
         most = {identifier(c): real.constant(d.known(c)) for c in d.pose}
         known = [f"((pose->{c} >= -{far}) && (pose->{c} <= {far}))" for c, far in most.items()]
-        whole = {**names, **{e.name: f"p->{e.name}" for e in d.zeros}}
         slopes: list[str] = []
         if self.jacobian:
             slopes = self._held(self.slopes.whole)
             stored = {f"result_{k}": f"slopes->{name}" for k, name in enumerate(self.slopes.expressions)}
-            slopes += statements(self.slopes.steps, whole, real, stored)
+            slopes += statements(self.slopes.steps, names, real, stored)
         magnitude = lines_of(f"{FRAGMENTS}magnitude.c", common)
         by_size = list(map(self.by_size, d.inputs))
         within = lines_of(f"{FRAGMENTS}within.c", {**common, **self._bits()}) if any(by_size) else []
         limited = lines_of(f"{FRAGMENTS}limited.c", common)
         if all(by_size):
             limited = ["#if defined(__FRAMAC__)", *limited[:-1], "#endif", ""]
-        zeros = [e.name for e in d.zeros]
-        none = {"pose": len(d.pose), "no_zeros": ", ".join(real.constant(0.0) for _ in zeros)}
-        iterated = {"all_held": self._held(), "at_pose": statements(d.at_pose, whole, real, {})}
+        wrapped = [
+            line
+            for k, c in enumerate(d.pose)
+            if c in d.model.period
+            for line in lines_of(f"{FRAGMENTS}wrap.c", {
+                "index": k, "real": self.type, "period": real.constant(d.model.period[c]),
+            })
+        ]  # fmt: skip
+        taken = {"pose": len(d.pose), "wrapped": wrapped}
+        iterated = {"all_held": self._held(), "at_pose": statements(d.at_pose, names, real, {})}
         zero = "take_zero_iterated.c" if d.at_pose else "take_zero.c"
         return {
             "limited_function": limited,
@@ -390,44 +410,68 @@ class FloatBackend(Backend):
             "flags": flags,
             "jacobian": self._if_jacobian("jacobian.c", {"slopes": slopes}),
             "known_within": "\n        && ".join(known),
-            "zero_parameters": ", ".join(f"{self.type} {name}" for name in zeros),
-            "zeros_of_table": ", ".join(f"p->{name}" for name in zeros),
-            "take_zero": lines_of(FRAGMENTS + zero, {**common, **none, **iterated}),
+            "take_zero": lines_of(FRAGMENTS + zero, {**common, **taken, **iterated}),
             "magnitude": magnitude if any("MAGNITUDE(" in line for line in (*body, *within)) else [],
         }
 
+    @cached_property
+    def accepted(self) -> accepted.Ends:
+        """Least and greatest value of each number and row of the table: those of code that stays, if any."""
+        return accepted.accepted(self.decoupler, float(np.finfo(self.real.dtype).max), self.kept)
+
     def _check(self) -> dict[str, Any]:
-        d, real = self.decoupler, self.real
-        share = real.constant(round(1 - LEAST_GAIN, 6))
-        moved = [(s, m) for s, m in zip(spreads(d), d.margins, strict=True) if m.terms]
-        sides = {c: ends(d, c) for c in d.inputs}
-        filled = [
-            f"(negative({high}) == 0U)" if d.box.symmetric(c) else f"({low} <= {high})"
-            for c, (low, high) in sides.items()
-        ]
-        remain = [f"({s.name} < ({share} * greater(p->{m.rest}, -p->{m.rest})))" for s, m in moved]
-        none = real.constant(0.0)
-        remain += [f"(greater(p->{m.rest}, -p->{m.rest}) > {none})" for m in d.margins if not m.terms]
-        finite: list[str] = []
-        for a in d.arrays:
-            if not a.integers:
-                finite += [f"for (uint32_t k = 0U; k < {len(a.values)}U; k++)", "{"]
-                finite += [f"    bad += not_finite(p->{a.name}[k]);", "}"]
-        far = {e.name: real.constant(2.0 * d.known(c)) for e, c in zip(d.zeros, d.pose, strict=True)}
-        beyond = [f"\n        || !((p->{z} >= -{most}) && (p->{z} <= {most}))" for z, most in far.items()]
+        d, real, found = self.decoupler, self.real, self.accepted
+        numbers = [e.name for e in (*d.table, *d.limits)]
+        listed = [*numbers, *(e.name for e in d.zeros)]
+        rows = [
+            line
+            for a in d.arrays
+            if not a.integers
+            for line in lines_of(f"{FRAGMENTS}row_outside.c", {
+                "name": a.name, "count": len(a.values), "low": real.constant(found[a.name][0]),
+                "high": real.constant(found[a.name][1]),
+            })
+        ]  # fmt: skip
+        sided = [ends(d, c) for c in d.inputs if not d.box.symmetric(c)]
+        filled = [f"({low} <= {high})" for low, high in sided]
+        gains = list(self._gains(numbers))
+        fields = {
+            "real": self.type, "size": real.size, "zero": real.constant(0.0), "one": real.constant(1.0),
+            "share": real.constant(round(1 - LEAST_GAIN, 6)), "count": len(gains),
+        }  # fmt: skip
+        listed_gains = textwrap.wrap(", ".join(f"{k}U" for k in gains), 100)
+        of_gains = [f"static const uint16_t gains[{len(gains)}] = {{", *(f"    {k}" for k in listed_gains)]
         return {
-            "zeros_beyond": "".join(beyond),
-            "negative": lines_of(f"{FRAGMENTS}negative.c", {"real": self.type, **self._bits()})
-            if any(map(self.by_size, d.inputs))
+            **fields,
+            "first": numbers[0],
+            "ranges": len(listed),
+            "ends": [f"{{{', '.join(map(real.constant, found[name]))}}}, /* {name} */" for name in listed],
+            "entries": len(d.table),
+            "zeros_at": len(numbers),
+            "limits_to": len(numbers) * real.size,
+            "rows_outside": rows,
+            "gain_lost": lines_of(f"{FRAGMENTS}gain_lost.c", {**fields, "gains": [*of_gains, "};"]})
+            if gains
             else [],
-            "most": self._most,
-            "spreads": statements(
-                [s for s, _ in moved], {e.name: f"p->{e.name}" for e in d.entries}, real, {}
-            ),
-            "not_empty": "\n        && ".join(filled),
-            "gains_remain": "\n        && ".join(remain),
-            "rows_finite": finite,
+            "check_limits": backend.found("!(" + " && ".join(filled) + ")", "LIMITS") if filled else [],
+            "check_gains": backend.found(GAIN_LOST, "GAIN") if gains else [],
         }
+
+    def _gains(self, numbers: Sequence[str]) -> Iterator[int]:
+        """Yield four times a place in the table, plus what is there for `gain_lost`."""
+        d, place = self.decoupler, {name: 4 * k for k, name in enumerate(numbers)}
+        first = None
+        for margin in d.margins:
+            if not margin.terms:
+                continue
+            first = margin.rest if first is None else first
+            yield place[margin.rest]
+            for entry, columns in margin.terms:
+                yield place[entry] + 1
+                for c in columns:
+                    sides = ("limit",) if d.box.symmetric(c) else ("low", "high")
+                    yield from (place[f"{side}_{short(c)}"] + k for k, side in enumerate(sides, 2))
+        yield from () if first is None else (place[first],)  # ends the last one
 
     # -- self-test and proofs ------------------------------------------------------------------------------
 
@@ -496,31 +540,37 @@ class FloatBackend(Backend):
         return "FLT_MAX" if self.real.size == 4 else "DBL_MAX"
 
     def _faults(self) -> Iterator[str]:
-        d, c = self.decoupler, self.real.constant
+        d, c, ends, real = self.decoupler, self.real.constant, self.accepted, self.real.dtype
         reach = {column: max(map(abs, d.ends(column))) for column in d.inputs}
         values = [self._input(value) for value in (np.nan, np.inf, -np.inf)]
+        own = {name for m in d.margins for name in (m.rest, *(entry for entry, _ in m.terms))}
+        found = dict.fromkeys((e.name for e in d.limits), "DECOUPLER_BAD_LIMITS")
+        found |= dict.fromkeys((e.name for e in d.zeros), "DECOUPLER_BAD_ZEROS")
+
+        def write(name: str, value: float) -> str | None:
+            low, high = ends[name]
+            return f"table.{name} = {c(value)};" if low <= value <= high else None
+
         yield from faults.of_words()
         for stored in self.entries:
+            if stored.values.dtype.kind != "f":
+                continue
             last = f"[{len(stored.values) - 1}]" if stored.values.ndim else ""
-            also = " | DECOUPLER_BAD_ZEROS" if stored in self.zeros else ""
-            for value in values if stored.values.dtype.kind == "f" else ():
-                yield from faults.expect(
-                    [f"table.{stored.name}{last} = {value};"], f"DECOUPLER_BAD_NUMBER{also}"
-                )
-        yield from faults.of_limits(d, self.limited, c(0.0))
-        yield from faults.of_margins(d, reach, lambda name, value: f"table.{name} = {c(value)};")
-        own = {name for m in d.margins for name in (m.rest, *(entry for entry, _ in m.terms))}
-        for entry in d.table:
-            for minus in ("", "-"):
-                if entry.name not in own:  # the largest number is one
-                    yield from faults.expect([f"table.{entry.name} = {minus}{self._most};"])
+            sides = [real(end) for end in ends[stored.name]]
+            just = [np.nextafter(end, real(k * np.inf)) for end, k in zip(sides, (-1, 1), strict=True)]
+            for value in (*values, *map(c, map(float, just))):
+                what = found.get(stored.name, "DECOUPLER_BAD_NUMBER")
+                yield from faults.expect([f"table.{stored.name}{last} = {value};"], what)
+            if stored.name not in own and stored.name not in found and not last:
+                for end in sides:
+                    yield from faults.expect([f"table.{stored.name} = {c(float(end))};"])
+        yield from faults.of_limits(d, self.limited, c(0.0), ends)
+        yield from faults.of_margins(d, reach, write)
         beyond = f"table.{d.zeros[0].name} = {c(3.0 * d.known(d.pose[0]))};"
-        yield from faults.of_several(d, self.limited, beyond)
-        for zero, column in zip(d.zeros, d.pose, strict=True):
-            for sign in (1.0, -1.0):
-                for share, found in ((1.0, "0U"), (1 + faults.JUST, "DECOUPLER_BAD_ZEROS")):
-                    value = c(2.0 * sign * share * d.known(column))
-                    yield from faults.expect([f"table.{zero.name} = {value};"], found)
+        yield from faults.of_several(d, self.limited, beyond, "DECOUPLER_BAD_NUMBER")
+        for zero in d.zeros:
+            for end in ends[zero.name]:
+                yield from faults.expect([f"table.{zero.name} = {c(end)};"])
 
     def _input(self, value: float) -> str:
         cast = "" if self.real.size == 4 else "(double)"  # math.h has them as float

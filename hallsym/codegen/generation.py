@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from hallsym.codegen.accepted import Ends, accepted_of
 from hallsym.codegen.backend import Backend
 from hallsym.codegen.bounds import LEAST_GAIN, Bounds, pose_bounds
 from hallsym.codegen.box import box_of, shortened
@@ -140,7 +141,8 @@ def generate(
         backend: Backend = _integers(fit, record, box, given, chosen.get("plan"), ranges or {})
     else:
         real = DOUBLE if double else FLOAT
-        backend = _floats(fit, record, box, given, real, jacobian or "jacobian" in chosen)
+        kept = accepted_of(before)
+        backend = _floats(fit, record, box, given, real, jacobian or "jacobian" in chosen, kept)
     errors = backend.errors()
     notes = (
         *notes_of(fit),
@@ -158,8 +160,9 @@ def _check_names(d: Decoupler) -> None:
 
 
 def _floats(
-    fit: Fit, record: Mapping[str, Any], box: Box, given: Mapping[str, Any], real: Real, jacobian: bool
-) -> FloatBackend:
+    fit: Fit, record: Mapping[str, Any], box: Box, given: Mapping[str, Any], real: Real, jacobian: bool,
+    kept: Ends | None,
+) -> FloatBackend:  # fmt: skip
     found = lower(fit, box, **given)
     _check_names(found)
     if jacobian and found.bounded is not None:
@@ -169,10 +172,10 @@ def _floats(
         )
     variant = {"jacobian": "reading"} if jacobian else {}
     record = {**record, **_recorded({**found.options, **variant}, given)}
-    backend = FloatBackend(found, record, real, jacobian)
+    backend = FloatBackend(found, record, real, jacobian, kept)
     check_gains(backend.bounds)
     for column, error in backend.bounds.error.items():
-        if not np.isfinite(error):  # what could grow beyond all bounds somewhere in the box
+        if not error < max(-backend.bounds.low[column], backend.bounds.high[column]):  # grows without end
             raise InputError(
                 f"Nothing bounds the generated {column} of model {found.model.name} over the whole box: its "
                 "iterations spread too far; give a smaller box with --range."

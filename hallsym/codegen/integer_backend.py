@@ -22,8 +22,6 @@ from hallsym.output import commented
 KNOWN = 1 << 29
 """Largest known pose, in units of its last bit, that a zero may be taken at."""
 KNOWN_BIT = "#define DECOUPLER_STATUS_KNOWN 0x80000000UL /**< decoupler_zero(): known pose beyond 2^29 */"
-STEP = "misra-c2012-8.7:src/decoupler.c"
-"""Deviation: the function is external for its user, not for its library."""
 SHIFTS = "misra-c2012-10.1:src/decoupler.c"
 """Deviation: numbers with a sign are shifted right."""
 FRAGMENTS = "q31/fragments/"
@@ -230,7 +228,7 @@ class IntegerBackend(Backend):
             "said": [*lines_of(f"{FRAGMENTS}binary_angles.txt", {}), *said] if p.angles else said,
             "known_bit": [] if p.angles else [KNOWN_BIT],
             # build files
-            "deviations": [STEP, *([SHIFTS] if p.shifts else [])],
+            "deviations": [backend.STEP, *([SHIFTS] if p.shifts else [])],
             "cpu": "-mcpu=cortex-m0 -mthumb",
             "machine": "microbit",
             # report
@@ -304,9 +302,8 @@ class IntegerBackend(Backend):
             gains.append(f"(({spread}) >= ((size(p->{margin.rest}) * {share}U) >> 10U))")
         return {
             "size": lines_of(f"{FRAGMENTS}size.c", {}) if any("size(" in text for text in gains) else [],
-            "zeros_beyond": "",
-            "check_limits": _found("!(" + "\n    && ".join(within) + ")", "LIMITS") if within else [],
-            "check_gains": _found("\n    || ".join(gains), "GAIN") if gains else [],
+            "check_limits": backend.found("!(" + "\n    && ".join(within) + ")", "LIMITS") if within else [],
+            "check_gains": backend.found("\n    || ".join(gains), "GAIN") if gains else [],
         }
 
     # -- self-test and proofs ------------------------------------------------------------------------------
@@ -357,7 +354,7 @@ class IntegerBackend(Backend):
         yield from faults.of_limits(d, self.limited)
         if not p.angles:
             yield from faults.of_margins(d, reach, write)
-        yield from faults.of_several(d, self.limited, None, gains=not p.angles)
+        yield from faults.of_several(d, self.limited, None, "" if p.angles else "DECOUPLER_BAD_GAIN")
 
     def _proofs(self) -> dict[str, Any]:
         """Every divisor through its reciprocal, and the arithmetic for Frama-C EVA.
@@ -414,10 +411,6 @@ def _integer(value: int | np.integer, unsigned: bool) -> str:
     if unsigned:
         return f"{value}U"
     return f"({value + 1} - 1)" if value == -MOST - 1 else str(value)
-
-
-def _found(condition: str, what: str) -> list[str]:
-    return [f"if ({condition})", "{", f"    found |= DECOUPLER_BAD_{what};", "}"]
 
 
 MOST = 2**31 - 1

@@ -150,23 +150,23 @@ def upper(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(ah * bh + ((ah * bl) >> 16) + ((al * bh) >> 16))
 
 
-def _shifted(text: str, n: int) -> str:
-    return f"({text} >> {n})" if n else text
+def _bare(text: str, n: int) -> str:
+    return f"{text} >> {n}" if n else text
 
 
 OPERATIONS: dict[str, tuple[Callable[..., np.ndarray], Callable[[str, str, int, int], str]]] = {
     "mul": (lambda a, b, i, j: upper(a, b), lambda a, b, i, j: f"upper({a}, {b})"),
     "add": (
         lambda a, b, i, j: (a >> i) + (b >> j),
-        lambda a, b, i, j: f"{_shifted(a, i)} + {_shifted(b, j)}",
+        lambda a, b, i, j: f"sum({_bare(a, i)}, {_bare(b, j)})",
     ),
     "sub": (
         lambda a, b, i, j: (a >> i) - (b >> j),
-        lambda a, b, i, j: f"{_shifted(a, i)} - {_shifted(b, j)}",
+        lambda a, b, i, j: f"difference({_bare(a, i)}, {_bare(b, j)})",
     ),
-    "left": (lambda a, b, i, j: a << i, lambda a, b, i, j: f"{a} * {1 << i}"),
+    "left": (lambda a, b, i, j: a << i, lambda a, b, i, j: f"scaled({a}, {1 << i})"),
     "right": (lambda a, b, i, j: a >> i, lambda a, b, i, j: f"{a} >> {i}"),
-    "one": (lambda a, b, i, j: (1 << i) - a, lambda a, b, i, j: f"{1 << i} - {a}"),
+    "one": (lambda a, b, i, j: (1 << i) - a, lambda a, b, i, j: f"difference({1 << i}, {a})"),
     "look": (lambda a, b, i, j: b.at(a), lambda a, b, i, j: f"{b}_at(p, {a})"),
     "angle": (lambda a, b, i, j: angle_of(a, b, i), lambda a, b, i, j: f"angle_of({a}, {b})"),
     "turn": (lambda a, b, i, j: (a + b) & MASK, lambda a, b, i, j: f"{a} + {b}"),
@@ -257,7 +257,9 @@ class Program:
 def helpers(program: Program) -> list[str]:
     """Return the C functions that the lines of a program call."""
     lines = {line.operation: line for line in program.lines}
-    called = lines_of(f"{FRAGMENTS}upper.c", {}) if "mul" in lines else []
+    called = lines_of(f"{FRAGMENTS}wrapping.c", {})
+    for operation, name in (("left", "scaled"), ("mul", "upper")):
+        called += lines_of(f"{FRAGMENTS}{name}.c", {}) if operation in lines else []
     if "angle" in lines:
         steps = lines["angle"].i
         angles = [f"{t}U" for t in ARCTANGENTS[:steps]]
@@ -276,12 +278,12 @@ def _look_up(array: AngleTable) -> list[str]:
         left, right = f"(int32_t){left}", f"(int32_t){right}"
         scaled = f"left * {1 << array.shift}" if array.shift else "left"
         moved = f"(rise * rest) >> {fine - array.shift}" if array.shift < fine else "rise * rest"
-        between = [f"return ({scaled}) + ({moved});"]
+        between = [f"return sum({scaled}, {moved});"]
     else:
         between = [
             f"const uint32_t rise_bits = (uint32_t)rise & 0x{2**fine - 1:X}U;",
             "const int32_t rise_low = (int32_t)rise_bits;",
-            f"return left + ((rise >> {fine}) * rest) + ((rise_low * rest) >> {fine});",
+            f"return sum(left, sum((rise >> {fine}) * rest, (rise_low * rest) >> {fine}));",
         ]
     return lines_of(f"{FRAGMENTS}look_up.c", {
         "name": array.name, "count": count, "kind": f"int{array.bits}_t", "first": array.first,

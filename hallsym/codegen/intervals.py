@@ -14,13 +14,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.operations import TESTS, Operation, graph
+from hallsym.codegen.operations import TESTS, Graph, Operation, graph
 from hallsym.errors import InputError
 
 TINY = {24: 2.0**-149, 53: 2.0**-1074}
 """Smallest subnormal number by digits of the significand."""
 ULPS = 8 * np.finfo(float).eps
-"""Relative widening of a range after each operation, more than any of numpy's functions is off by."""
+"""Relative widening of each end after an operation, more than any of numpy's functions is off by."""
 
 Numbers = Any
 """A float, or one per interval (s,)."""
@@ -62,6 +62,12 @@ def enclose(
     operation that has no range here.
     """
     found = graph(expressions)
+    made = enclosures(found, inputs, digits)
+    return [made[k] for k in found.results]
+
+
+def enclosures(found: Graph, inputs: Mapping[str, Enclosure], digits: int | None = None) -> list[Enclosure]:
+    """Return the enclosure of each operation of a graph; see `enclose`."""
     made: list[Enclosure] = []
     with np.errstate(all="ignore"):
         for operation in found.operations:
@@ -71,9 +77,12 @@ def enclose(
                 made.append(constant(operation.value, digits or 53))
             elif other := _other(operation, found.operations):
                 made.append(Enclosure(*_share(made[operation.args[0]], made[other])))
+            elif extreme := _extreme(operation, found.operations):
+                name, *args = extreme
+                made.append(_enclosed(name, [made[k] for k in args], digits))
             else:
                 made.append(_enclosed(operation.op, [made[k] for k in operation.args], digits))
-    return [made[k] for k in found.results]
+    return made
 
 
 def _other(operation: Operation, operations: Sequence[Operation]) -> int | None:
@@ -86,14 +95,44 @@ def _other(operation: Operation, operations: Sequence[Operation]) -> int | None:
     return total.args[1 - total.args.index(x)]
 
 
+def _extreme(operation: Operation, operations: Sequence[Operation]) -> tuple[str, int, int] | None:
+    """Return (fmin or fmax, x, y) where an operation is the choice x < y ? x : y, or the other one.
+
+    CasADi writes x < 0 ? x : 0 without the second part.
+    """
+    if operation.op == "if_else_zero" and operations[operation.args[0]].op in TESTS:
+        x, y = operations[operation.args[0]].args
+        for name, kept, none in (("fmin", x, y), ("fmax", y, x)):
+            is_none = (operations[none].op, operations[none].value) == ("const", 0.0)
+            if is_none and _same(operation.args[1], kept, operations):
+                return name, x, y
+    if operation.op != "add" or any(operations[k].op != "if_else_zero" for k in operation.args):
+        return None
+    (test, chosen), (no, other) = (operations[k].args for k in operation.args)
+    if operations[no] != Operation("not", (test,)) or operations[test].op not in TESTS:
+        return None
+    x, y = operations[test].args
+    for name, ends in (("fmin", (x, y)), ("fmax", (y, x))):
+        if all(_same(a, b, operations) for a, b in zip((chosen, other), ends, strict=True)):
+            return name, x, y
+    return None
+
+
+def _same(a: int, b: int, operations: Sequence[Operation]) -> bool:
+    """Whether two operations are the same expression."""
+    x, y = operations[a], operations[b]
+    alike = (x.op, x.symbol, x.value, len(x.args)) == (y.op, y.symbol, y.value, len(y.args))
+    return a == b or (alike and all(_same(k, j, operations) for k, j in zip(x.args, y.args, strict=True)))
+
+
 def _enclosed(op: str, args: list[Enclosure], digits: int | None) -> Enclosure:
     if op not in _RANGES or (digits and op not in _ERRORS):
         raise InputError(f"Operation {op} of the model has no C without libm.")
     low, high = _RANGES[op](*args)
     if op not in _EXACT:
-        room = ULPS * np.maximum(np.abs(low), np.abs(high)) + 1e-300
         unknown = np.isnan(low) | np.isnan(high)
-        low, high = np.where(unknown, -np.inf, low - room), np.where(unknown, np.inf, high + room)
+        low = np.where(unknown, -np.inf, low - (ULPS * np.abs(low) + 1e-300))
+        high = np.where(unknown, np.inf, high + (ULPS * np.abs(high) + 1e-300))
     if not digits:
         return Enclosure(low, high)
     error = _ERRORS[op](*args)

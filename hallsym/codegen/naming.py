@@ -23,8 +23,8 @@ static_cast struct switch template this thread_local throw true try typedef type
 unsigned using virtual void volatile wchar_t while xor xor_eq
 """
 _LOCAL = """
-angle_of bad bits bytes crc field found greater high in k known limit limited low magnitude n negative
-not_finite out p pose pose_of result seen size slopes status upper value within
+angle_of bad bits bytes crc difference field found high in k known limit limited low magnitude n out p pose
+result scaled seen size slopes status sum upper value within
 """
 KEYWORDS = frozenset(_WORDS.split())
 """Words of C11 and C++20 that no identifier can be; the header is for both."""

@@ -15,7 +15,7 @@ from waves import LENGTH, SIX, calibrated
 import hallsym
 from hallsym.codegen.box import box_of
 from hallsym.codegen.decoupler import steps_on_arrays
-from hallsym.codegen.lowering import mover
+from hallsym.codegen.lowering import rows
 from hallsym.families.halbach.effects.planar_ends import array_edges
 from hallsym.families.halbach.layout import Array, Sensor
 from hallsym.families.halbach.planar import halbach_planar
@@ -178,4 +178,4 @@ def test_instructions_and_bits_on_a_cortex_m4f(tmp_path):
 def test_arrays_that_end_beyond_all_sensors_are_decoded_as_fixed_patches():
     fit = fit_of(length=12 * LENGTH, reach=0.01)
     weight = np.array([1 / fit.noise.sigmas[c].value ** 2 for c in fit.model.channels])
-    assert mover.decoupler(fit.model, fit.values, weight, box_of(fit), 2e-5) is None
+    assert rows.decoupler(fit.model, fit.values, weight, box_of(fit), 2e-5) is None

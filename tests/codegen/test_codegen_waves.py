@@ -250,24 +250,3 @@ def test_its_cost_is_counted_without_a_compiler_about_its_typical_gap():
     model = halbach.models.halbach()
     cost = cost_of(model, model.vector({"a1": 0.62, "a5": -6e-4}))  # at a gap of 0 it would not converge
     assert 100 < cost.instructions < 160
-
-
-@pytest.mark.slow
-def test_more_inputs_than_bits_share_them_and_flags_keep_their_own(tmp_path):
-    need("gcc")
-    fit = calibrated(sums(36), VALUES)
-    code = hallsym.generate(fit)
-    bits, backend = code.decoupler.input_bits, code.backend
-    assert len(set(bits)) == 30
-    assert max(bits) < 0x40000000  # of the field
-    readings = on_arrays(fit.model.reading)(fit.values, [], [np.zeros(36), np.full(36, 7e-3)], [])[0]
-    inputs = np.array(readings)
-    np.fill_diagonal(inputs, np.nan)
-    assert ((backend.step(inputs.astype(np.float32))[1] & 0x3FFFFFFF) == bits).all()
-    inputs[:] = np.nan
-    assert (backend.step(inputs.astype(np.float32))[1] & 0x3FFFFFFF == 0x3FFFFFFF).all()
-    code.write(tmp_path / "fw")
-    text = (tmp_path / "fw/src/decoupler.c").read_text()
-    assert "*status |= bit;" in text
-    assert "*status += bit;" not in text
-    ran(tmp_path / "fw", "make", "check")

@@ -101,8 +101,9 @@ class _Assembly(Collected):
         """The phase that is read, either branch taken."""
         (channel,) = self.curve.model.channels
         name = f"gain_{short(channel)}"
-        gain = self.entry(name, 1.0, "1", f"phase per {channel}, 1")
-        self.step("phase", odd_series.wrapped(gain * self.symbols[channel]), "[rad] as read, either branch")
+        gain = self.entry(name, 1.0, "1", f"phase per {channel}, 1", "value")
+        read = odd_series.wrapped(gain * self.symbols[channel])  # of at most a turn, by the limits
+        self.step("phase", read, "[rad] as read, either branch", most=1.00001 * pi)
         return Margin(channel, name)
 
     def _ellipse(self) -> Margin:
@@ -124,7 +125,8 @@ class _Assembly(Collected):
             ]
             self.total(axis, [e * o for e, o in zip(entries, off, strict=True)])
         x, y = self.symbols["x"], self.symbols["y"]
-        self.entry("least_field", WEAK**2, "1", "square of the least share of the calibrated amplitude")
+        about = "square of the least share of the calibrated amplitude"
+        self.entry("least_field", WEAK**2, "1", about, "sign")
         self.step("field", x * x + y * y, "[1] square of the amplitude, 1 as calibrated")
         return Margin(self.curve.model.channels[0], "least_field")
 
@@ -132,7 +134,9 @@ class _Assembly(Collected):
         x, y = self.symbols["x"], self.symbols["y"]
         across, up = self.step("across", ca.fabs(x)), self.step("up", ca.fabs(y))
         flat = up <= across
-        share = self.step("share", ca.if_else(flat, up, across) / (ca.if_else(flat, across, up) + TINY))
+        share = self.step(
+            "share", ca.if_else(flat, up, across) / (ca.if_else(flat, across, up) + TINY), most=1.0
+        )
         ratio = self.step("ratio", ca.if_else(share < 1.0, share, 1.0), "[1] tangent in the first octant")
         square = self.step("square", ratio * ratio)
         octant = self.step("octant", odd(ARCTANGENT, ratio, square), "[rad] its angle, a polynomial")

@@ -7,7 +7,7 @@ own readings (`lowering.arrays_fit`). No iteration, no branch that changes the p
 a step.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import pi, tan
@@ -15,140 +15,23 @@ from math import pi, tan
 import casadi as ca
 import numpy as np
 
+from hallsym.codegen.bounds import PoseByPose
 from hallsym.codegen.decoupler import (
     Box,
     Collected,
     Decoupler,
     Flag,
     Margin,
-    Step,
-    Values,
-    Whole,
     short,
     unit,
 )
-from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
 from hallsym.codegen.lowering import wave_steps
 from hallsym.codegen.lowering.arrays_fit import KINDS, NEGLIGIBLE, Arrays, groups_of
 from hallsym.codegen.lowering.odd_series import Odd, odd, shortest
 from hallsym.codegen.lowering.wave_steps import Pair, Wave
-from hallsym.codegen.operations import TESTS, graph
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
 from hallsym.records import named
-
-POSES = 2000
-OF_ARCTANGENT = ("across", "up", "turned", "turned_square", "quadrant", "beyond", "half")
-"""Steps of an arctangent, whose bound is of the whole."""
-CROSS = ("cross_real", "cross_imaginary", "cross", "cross_square", "held_cross", "bound")
-"""Steps of the turn of one phasor from another."""
-ROUNDINGS = 64
-"""Roundings of that turn, each a share of it: two products, their sums, quotient and polynomial."""
-POWERS = ((2, 0), (4, 4), (6, 4), (4, 0))
-"""Of each kind of term: how often the phasor is a factor, and the power of its length."""
-CHOSEN = ("held_", "next_", "along_")
-"""Steps that choose between values, and do not jump."""
-
-
-@dataclass(frozen=True, eq=False)
-class Rounding:
-    """Digits of the significand -> range and rounding of each coordinate, flags clear, zeros at zero."""
-
-    found: Arrays
-    waves: Sequence[Wave]
-    names: Sequence[str]
-    steps: tuple[Step, ...]
-    values: Values
-    nears: tuple[str, ...]
-    drawn: Callable[[np.random.Generator, int], np.ndarray]
-    """Random inputs (n_inputs, s) of poses in the box."""
-
-    def __call__(self, digits: int) -> dict[str, Enclosure]:
-        """Return the enclosure of each coordinate."""
-        known = wave_steps.stored(self.values, digits)
-        pose = self.found.model.pose
-        known |= {f"zero_{c.rpartition('_')[0]}": Enclosure(0.0, 0.0) for c in pose}
-        inputs = self.drawn(np.random.default_rng(6), POSES)
-        columns = (*self.found.model.channels, *self.nears)
-        ranges = wave_steps.ranges_of(self.steps, columns, inputs, self.values, pose)
-        known |= self._functions(digits, ranges)
-        for step in self.steps:
-            if step.name in known:
-                continue
-            if isinstance(step, Whole):
-                low, high = ranges[step.name]
-                known[step.name] = Enclosure(low, high)
-                continue
-            operations = graph([step.expression]).operations if step.name.startswith(CHOSEN) else ()
-            if any(operation.op in TESTS for operation in operations):
-                known[step.name] = _chosen(step, known, ranges[step.name], digits)
-                continue
-            needs = {s.name(): known[s.name()] for s in ca.symvar(step.expression)}
-            (made,) = enclose([step.expression], needs, digits)
-            low, high = ranges[step.name]
-            known[step.name] = Enclosure(max(float(made.low), low), min(float(made.high), high), made.error)
-        last = [known[step.name] for step in self.steps[-6:]]
-        low, high = np.array([ranges[step.name] for step in self.steps[-6:]]).T
-        return {c: Enclosure(low[k], high[k], float(last[k].error)) for k, c in enumerate(pose)}
-
-    def _functions(self, digits: int, ranges: Mapping[str, tuple[float, float]]) -> dict[str, Enclosure]:
-        """Arctangents, logarithms, what leads to them and quotients, each with the rounding of its vector.
-
-        As a phasor turns and stretches by a share of itself, so do its powers.
-        """
-        moved: dict[str, float] = {}
-        none, u, made = Enclosure(0.0, 0.0), 2.0**-digits, dict[str, Enclosure]()
-        for wave, group, name in zip(self.waves, self.found.groups, self.names, strict=True):
-            own = _of_vector(self.steps, name)
-            vector, lc = wave_steps.vector_error(wave, own, self.values, digits), group.phasor.lc
-            # terms of tilt take powers of the first round: as far off as the vector, at most
-            made |= {step.name: Enclosure(-wave.outer, wave.outer, vector) for step in own}
-            made |= {f"{step}_{name}": none for step in OF_ARCTANGENT}
-            height = wave_steps.height_error(wave, vector, digits) / lc
-            place = wave_steps.place_error(wave, vector, digits) / lc
-            made[f"log_{name}"] = Enclosure(float(np.log(wave.least)), -float(np.log(wave.least)), height)
-            made[f"phase_{name}"] = Enclosure(-pi, pi, place)
-            moved[name] = vector / (wave.least * wave_steps.SHORT - vector)
-            for kind, (power, size) in enumerate(POWERS):
-                off = wave.outer**size * (1.1 * power * moved[name] + 4 * power * u)
-                ends = wave.outer**size
-                made |= {f"kind{kind}_{name}_{part}": Enclosure(-ends, ends, off) for part in ("re", "im")}
-            made |= {s.name: none for s in self.steps if s.name.endswith(f"_of_{name}")}
-            made[f"held_size_{name}"] = none
-        for members in self.found.axes.values():
-            for k in members[1:]:
-                name, first = self.names[k], self.names[members[0]]
-                low, high = ranges[f"turn_{name}"]
-                most = max(abs(low), abs(high))
-                off = 1.1 * (moved[first] + moved[name]) + ROUNDINGS * u * max(most, 1e-3)
-                made[f"turn_{name}"] = Enclosure(low, high, off)
-                made |= {f"{n}_{name}": none for n in CROSS}
-        return made
-
-
-def _chosen(step: Step, known: Mapping[str, Enclosure], ends: tuple[float, float], digits: int) -> Enclosure:
-    """A choice between values that are equal where it turns, or that poses of the box do not turn.
-
-    No further off than either, and the least is one of the table where one is chosen for it.
-    """
-    taken = [known[s.name()] for s in ca.symvar(step.expression)]
-    error = max(float(e.error) for e in taken)
-    numbers = [float(e.low) for e in taken if e.low == e.high]
-    if not step.name.startswith("held_"):  # a whole wavelength on or back rounds once more
-        return Enclosure(*ends, error + constant(max(numbers), digits).error + half_ulp(max(numbers), digits))
-    return Enclosure(max(ends[0], min(numbers)), ends[1], error)
-
-
-def _of_vector(steps: Sequence[Step], name: str) -> tuple[Step, ...]:
-    """The steps from the readings to the vector of an array: those before its logarithm."""
-    own = []
-    for step in steps:
-        if step.name == f"size_{name}" or step.name == f"size_seen_{name}":
-            break
-        if step.name.endswith(f"_{name}"):
-            own.append(step)
-    return tuple(own)
-
 
 ENOUGH = 1e-6
 """Place [m] that terms and polynomials may leave, and rotation times the arm of the family's pose metric."""
@@ -159,9 +42,7 @@ FIELD = "an array's field beyond the calibrated heights: too near, too far, or n
 TILTED = "rotations beyond the calibrated box"
 
 
-def decoupler(
-    model: Model, p: np.ndarray, weight: np.ndarray, box: Box, accuracy: float | None = None
-) -> Decoupler:
+def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box, accuracy: float) -> Decoupler:
     """Return the decoupler of several arrays at parameters `p` over a box; see `lowering.wave.decoupler`."""
     middle, half, leaves = ends_and_leaves(model, box, accuracy)
     aim = float(leaves[0])
@@ -172,13 +53,11 @@ def decoupler(
     return Assembly(found, _waves(found, aim), box).make()
 
 
-def ends_and_leaves(
-    model: Model, box: Box, accuracy: float | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def ends_and_leaves(model: Model, box: Box, accuracy: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return middle and half of the box (6,), and what terms may leave of each coordinate (6,)."""
     ends = np.array([box.ends[c] for c in model.pose])
-    aim, arm = ENOUGH if accuracy is None else accuracy, model.family.pose_metric.arm_m
-    leaves = np.array([aim if c.endswith("_m") else aim / arm for c in model.pose])
+    arm = model.family.pose_metric.arm_m
+    leaves = np.array([accuracy if c.endswith("_m") else accuracy / arm for c in model.pose])
     return ends.mean(axis=1), np.diff(ends, axis=1)[:, 0] / 2, leaves
 
 
@@ -217,23 +96,20 @@ class Assembly:
         made, (a, b), (c, d), name = self.made, vectors[first], vectors[k], self.names[k]
         real = made.step(f"cross_real_{name}", c * a + d * b)
         imaginary = made.step(f"cross_imaginary_{name}", d * a - c * b)
-        if floor := self._floor(first, k):
-            least = made.entry(f"least_cross_{name}", floor, "1", "least product of two phasors of the box")
-            held = made.step(f"held_cross_{name}", ca.if_else(real > least, real, least))
-            return self._turned(first, k, imaginary / held)
         # no reading turns two phasors beyond the end of the polynomial: real - cotangent |imaginary| is held
-        angle, steep = self._angle(first, k), 1.0 / self.series(first, k).end
-        least_square = self.waves[first].least * self.waves[k].least
-        floor = 0.5 * least_square * (float(np.cos(angle)) - steep * float(np.sin(angle)))
-        cone = made.entry(f"cone_{name}", steep, "1", "cotangent of the largest turn of two phasors")
-        least = made.entry(f"least_cross_{name}", floor, "1", "least product of two phasors of the box")
-        bound = made.step(f"bound_{name}", cone * ca.fabs(imaginary) + least)
+        floor, angle, steep = self._floor(first, k), self._angle(first, k), 1.0 / self.series(first, k).end
+        bound, most = ca.SX(0.0), None
+        if not floor:
+            least_square = self.waves[first].least * self.waves[k].least
+            floor = 0.5 * least_square * (float(np.cos(angle)) - steep * float(np.sin(angle)))
+            about = "cotangent of the largest turn of two phasors"
+            cone = made.entry(f"cone_{name}", steep, "1", about, "sign")
+            bound, most = cone * ca.fabs(imaginary), 1.0 / cone
+        about = "least product of two phasors of the box"
+        bound = bound + made.entry(f"least_cross_{name}", floor, "1", about, "sign")
+        bound = made.step(f"bound_{name}", bound)
         held = made.step(f"held_cross_{name}", ca.if_else(real > bound, real, bound))
-        return self._turned(first, k, imaginary / held)
-
-    def _turned(self, first: int, k: int, value: ca.SX) -> ca.SX:
-        made, name = self.made, self.names[k]
-        tangent = made.step(f"cross_{name}", value)
+        tangent = made.step(f"cross_{name}", imaginary / held, most=most)
         square = made.step(f"cross_square_{name}", tangent * tangent)
         return made.step(f"turn_{name}", odd(self.series(first, k).coefficients, tangent, square), "[rad]")
 
@@ -246,7 +122,7 @@ class Assembly:
         most = self._longest(first) * self._longest(k) / least
         sizes = np.abs(self.series(first, k).coefficients)
         with np.errstate(over="ignore"):
-            turn = (sizes * most ** (2.0 * np.arange(len(sizes)) + 1)).sum()
+            turn = (sizes * (WILD * most) ** (2.0 * np.arange(len(sizes)) + 1)).sum()
         return least if turn < TURNED else 0.0
 
     def _longest(self, k: int) -> np.float64:
@@ -329,7 +205,7 @@ class Assembly:
             if turns and not self.unwrapped(axis):
                 total = phase + sum(turns[1:], start=turns[0]) * (1.0 / len(members))
             lc = self.found.groups[first].phasor.lc
-            entry = made.entry(f"lc_{name}", lc, "m", "wavelength over 2 pi")
+            entry = made.entry(f"lc_{name}", lc, "m", "wavelength over 2 pi", "sign")
             if self.unwrapped(axis):
                 out += [made.step(f"along_{name}", entry * total, "[m] from the middle"), *turns]
                 continue
@@ -341,19 +217,19 @@ class Assembly:
         """The place from the middle of the box, in the period that is meant."""
         made, column = self.made, short(self.found.model.pose[axis])
         at = float(self.found.at_middle[self.found.axes[axis], 0].mean())
-        whole = made.entry(f"wavelength_{name}", 2 * pi * lc, "m", "wavelength")
+        whole = made.entry(f"wavelength_{name}", 2 * pi * lc, "m", "wavelength", "sign")
         from_middle = place
         if abs(at) > LOST:
             middle = made.entry(f"place_{name}_middle", at, "m", "place in the middle of the box")
             from_middle = place - middle
         from_middle = made.step(f"from_middle_{name}", from_middle)
         if not self.wide(axis):
-            half = made.entry(f"half_wave_{name}", pi * lc, "m", "half the wavelength")
+            half = made.entry(f"half_wave_{name}", pi * lc, "m", "half the wavelength", "sign")
             beyond = made.step(f"next_{name}", from_middle - ca.if_else(from_middle < 0, -whole, whole))
             return made.step(
                 f"along_{name}", ca.if_else(ca.fabs(from_middle) <= half, from_middle, beyond), "[m]"
             )
-        per = made.entry(f"per_wave_{name}", 1 / (2 * pi * lc), "1/m", "periods per metre")
+        per = made.entry(f"per_wave_{name}", 1 / (2 * pi * lc), "1/m", "periods per metre", "sign")
         center = made.entry(f"{column}_middle", float(self.found.middle[axis]), "m", "middle of the box")
         away = (made.symbols[f"{column}_near_m"] - center) - from_middle
         number = wave_steps.periods_steps(made, away * per, f"_{name}", "periods to the known place")
@@ -399,8 +275,8 @@ class Assembly:
         spread = np.abs(np.linalg.pinv(matrix) @ (found.inverse @ (seen - found.at_middle))).max(axis=1)
         out: dict[int, dict[str, float]] = {}
         for i, column in enumerate(found.model.pose):
-            row, turns = matrix[i], np.zeros(3)
-            if i < len(self.found.axes):
+            row, turns = matrix[i], np.zeros(len(found.turns))
+            if len(turns) and i in self.found.axes:
                 own = [self.names[k] for k in self.found.axes[i]]
                 other = [k for k, label in enumerate(labels)
                          if label.startswith("deep_") or label.partition("_")[2] not in own]  # fmt: skip
@@ -424,9 +300,8 @@ class Assembly:
                 terms.append(values[label])
                 continue
             name = f"{short(column)}_{label}"
-            if name not in self.made.symbols:
-                self.made.entry(name, value, unit(column), f"{column} per {label}")
-            terms.append(self.made.symbols[name] * values[label])
+            entry = self.made.entry(name, value, unit(column), f"{column} per {label}")
+            terms.append(entry * values[label])
         return sum(terms[1:], start=terms[0])
 
     def turning(self, vectors: Sequence[Pair]) -> dict[str, ca.SX]:
@@ -496,10 +371,11 @@ class Assembly:
         made = self.made
         if f"held_size_{name}" in made.symbols:
             return made.symbols[f"held_size_{name}"]
-        if "least_size" not in made.symbols:
-            value = min(w.least for w in self.waves) ** 2
-            made.entry("least_size", value, "1", "least square of a phasor")
-        size, least = made.symbols[f"size_{name}"], made.symbols["least_size"]
+        value = min(w.least for w in self.waves) ** 2
+        size, least = (
+            made.symbols[f"size_{name}"],
+            made.entry("least_size", value, "1", "least of a square", "sign"),
+        )
         return made.step(f"held_size_{name}", ca.if_else(size > least, size, least))
 
     def _product(
@@ -529,14 +405,18 @@ class Assembly:
         for label, value in zip(labels, seen, strict=True):
             straight[label] = made.step(f"straight_{label}", value - off[label]) if label in off else value
         linear: dict[int, ca.SX] = {}
-        for i in (3, 4, 5, 0, 1, 2):
+        for i in (*self.found.turns, *range(self.found.height + 1)):
             name = f"linear_{short(self.found.model.pose[i])}"
             straight[name] = linear[i] = made.step(
                 name, self.total(i, straight), "from the middle of the box"
             )
-        out = [linear[i] for i in range(6)]
+        out = [linear[i] for i in sorted(linear)]
+        if not self.found.turns:
+            return out
         most = float(((TILT * self.found.half[3:]) ** 2).sum())
-        made.entry("least_turns", -most, "rad2", "less the largest sum of the squares of the rotations")
+        made.entry(
+            "least_turns", -most, "rad2", "less the largest sum of the squares of the rotations", "sign"
+        )
         made.step("turns", -(out[3] * out[3] + out[4] * out[4] + out[5] * out[5]))
         return out
 
@@ -579,8 +459,9 @@ class Assembly:
         leaves = self.leaves()
         return made.finished(
             model, inputs, ends, margins=(Margin(inputs[0], self.never_zero),), exact=self.exact,
-            flags=self.flags, leaves=leaves, bounded=self.bounded(made.values(inputs, ends), nears),
-            drawn=self.drawn_of_box, said=self.said(leaves), evident=False,
+            flags=self.flags, leaves=leaves, drawn=self.drawn_of_box,
+            bounded=PoseByPose(model.pose, inputs, tuple(made.steps), tuple(made.table), self.drawn_of_box),
+            said=self.said(leaves), evident=False,
         )  # fmt: skip
 
     def linear(self, nears: Sequence[str]) -> list[ca.SX]:
@@ -607,25 +488,15 @@ class Assembly:
     @property
     def flags(self) -> tuple[Flag, ...]:
         """Status bits beyond the ranges."""
-        return (
-            Flag("FIELD", f"least_to_{self.names[-1]}", "least_inside", FIELD),
-            Flag("TILT", "turns", "least_turns", TILTED),
-        )
-
-    def bounded(
-        self, values: Mapping[str, float | tuple[float, float]], nears: tuple[str, ...]
-    ) -> Callable[[int], Mapping[str, Enclosure]]:
-        """Return what bounds the rounding."""
-        return Rounding(
-            self.found, self.waves, self.names, tuple(self.made.steps), values, nears, self.drawn_of_box
-        )
+        field = Flag("FIELD", f"least_to_{self.names[-1]}", "least_inside", FIELD)
+        return (field, Flag("TILT", "turns", "least_turns", TILTED)) if self.found.turns else (field,)
 
     # -- ranges, trials, what is said ----------------------------------------------------------------------
 
     def _ends(self, nears: Sequence[str]) -> Box:
         """Ranges of readings over poses of the box, and of what says the period."""
         found = self.found
-        seen = found.readings(found.poses(np.random.default_rng(4), 4000))
+        _, seen = found.trials(4, 4000)
         ends = {}
         for c, row in zip(found.model.channels, seen, strict=True):
             middle, swing = (row.max() + row.min()) / 2, (row.max() - row.min()) / 2
@@ -682,6 +553,8 @@ class Assembly:
 
 ROOMY = 1.1
 """Times the largest tangent of the box: end of the polynomial of a turn."""
+WILD = 2.0**9
+"""Times what phasors of this calibration are, of any table that the code accepts."""
 TURNED = 1e6
 """Most [rad] that the polynomial of a turn may give of readings of no pose: products of four such numbers are
 far below the largest float."""

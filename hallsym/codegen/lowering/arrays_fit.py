@@ -30,7 +30,7 @@ NEWTON = 3
 
 @dataclass(frozen=True, eq=False)
 class Reference(ABC):
-    """A model of six coordinates at parameters `p`, over poses `middle` +- `half` (6,)."""
+    """A model of place and height or of six coordinates at parameters `p`, over poses `middle` +- `half`."""
 
     model: Model
     p: np.ndarray
@@ -38,21 +38,41 @@ class Reference(ABC):
     middle: np.ndarray
     half: np.ndarray
     accuracy: np.ndarray
-    """What terms may leave of each coordinate (6,)."""
+    """What terms may leave of each coordinate (n_pose,)."""
     memory: dict = field(default_factory=dict, kw_only=True)
     """Trial poses and their readings by seed and number, the same whatever is chosen for a decoder."""
 
+    @staticmethod
+    def height_of(pose: np.ndarray) -> int:
+        """Number of the coordinate that waves decay along: the third of six, the last of two."""
+        return min(2, len(pose) - 1)
+
+    @property
+    def height(self) -> int:
+        """The same, of this model."""
+        return self.height_of(self.middle)
+
+    @property
+    def turns(self) -> range:
+        """Numbers of the rotations among the coordinates."""
+        return range(self.height + 1, len(self.middle))
+
     @abstractmethod
     def straight(self, readings: np.ndarray, near: np.ndarray | None) -> np.ndarray:
-        """Return displacements (6, s) from the middle, linear in places and heights without tilt."""
+        """Return displacements (n_pose, s) from the middle, linear in places and heights without tilt."""
 
     @abstractmethod
     def _bent(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return poses (6, s) that products of coordinates are fitted to, and their `straight`."""
+        """Return poses (n_pose, s) that products of coordinates are fitted to, and their `straight`."""
 
     @cached_property
     def bends(self) -> "tuple[Terms, ...]":
-        """Polynomial terms (numbers of coordinates) of displacements that are added to each coordinate."""
+        """Polynomial terms (numbers of coordinates) of displacements that are added to each coordinate.
+
+        Rotations make them: none without.
+        """
+        if not self.turns:
+            return (Terms((), ()),) * len(self.middle)
         pose, v = self._bent()
         off = pose - self.middle[:, None] - v
         terms = [c for degree in range(4) for c in combined(range(6), degree)]
@@ -60,7 +80,7 @@ class Reference(ABC):
         return tuple(fewest(terms, columns, off[k], float(self.accuracy[k]) / 2) for k in range(6))
 
     def decoded(self, readings: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
-        """Return the poses (6, s) as the generated code computes them, functions exact."""
+        """Return the poses (n_pose, s) as the generated code computes them, functions exact."""
         v = self.straight(readings, near)
         with np.errstate(all="ignore"):
             rows = [b.of([np.prod(v[list(c)], axis=0) for c in b.terms], v.shape[1]) for b in self.bends]
@@ -73,29 +93,29 @@ class Reference(ABC):
     @cached_property
     def _slopes(self) -> Callable[..., list[np.ndarray]]:
         """Poses -> d readings / d pose, column by column."""
-        pose = ca.SX.sym("pose", 6)
+        pose = ca.SX.sym("pose", len(self.middle))
         readings = self.model.reading(self.p, np.zeros(len(self.model.zeros)), pose, [])
         return on_arrays(ca.Function("slopes", [pose], [ca.densify(ca.vec(ca.jacobian(readings, pose)))]))
 
     def readings(self, pose: np.ndarray) -> np.ndarray:
-        """Return readings (n, s) at poses (6, s)."""
+        """Return readings (n, s) at poses (n_pose, s)."""
         return np.asarray(self._run(self.p, np.zeros(len(self.model.zeros)), list(pose), [])[0])
 
     def poses(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Return random poses of the box, corners among them."""
-        share = rng.uniform(-1, 1, (6, count))
+        share = rng.uniform(-1, 1, (len(self.middle), count))
         share[:, : count // 20] = np.sign(share[:, : count // 20])
         return np.asarray(self.middle[:, None] + self.half[:, None] * share)
 
     def trials(self, seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return random poses (6, s) of the box and their readings (n, s)."""
+        """Return random poses (n_pose, s) of the box and their readings (n, s)."""
         if (seed, count) not in self.memory:
             pose = self.poses(np.random.default_rng(seed), count)
             self.memory[seed, count] = pose, self.readings(pose)
         return self.memory[seed, count]
 
     def solved(self, readings: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
-        """Return the poses (6, s) of weighted least squares over all channels: the reference decoder.
+        """Return the poses (n_pose, s) of weighted least squares over all channels: the reference decoder.
 
         `near` (2, s): places in the period that is meant; the middle of the box without it.
         """
@@ -107,15 +127,15 @@ class Reference(ABC):
 
     def _solved(self, readings: np.ndarray, near: np.ndarray | None) -> np.ndarray:
         """Steps with the slopes at the closed form, which is within some um of the solution."""
-        n, root = len(self.model.channels), np.sqrt(self.weight)[:, None]
+        n, count, root = len(self.model.channels), len(self.middle), np.sqrt(self.weight)[:, None]
         with np.errstate(all="ignore"):
             pose = np.clip(np.nan_to_num(self.decoded(readings, near)), -1e3, 1e3)
-            scaled = (np.asarray(self._slopes(list(pose))[0]).reshape(6, n, -1) * root).transpose(2, 0, 1)
-            left = scaled @ scaled.transpose(0, 2, 1)  # s, 6, 6
+            scaled = (np.asarray(self._slopes(list(pose))[0]).reshape(count, n, -1) * root).transpose(2, 0, 1)
+            left = scaled @ scaled.transpose(0, 2, 1)  # s, n_pose, n_pose
             bad = ~np.isfinite(left).all(axis=(1, 2))
-            left[bad], scaled[bad] = np.eye(6), 0.0
-            left = left + np.eye(6) * 1e-14 * np.trace(left, axis1=1, axis2=2)[:, None, None]
-            inverse = np.linalg.inv(left) @ scaled  # s, 6, n
+            left[bad], scaled[bad] = np.eye(count), 0.0
+            left = left + np.eye(count) * 1e-14 * np.trace(left, axis1=1, axis2=2)[:, None, None]
+            inverse = np.linalg.inv(left) @ scaled  # s, n_pose, n
             for _ in range(NEWTON):
                 off = np.nan_to_num(readings - self.readings(pose), posinf=0.0, neginf=0.0)
                 pose = pose + (inverse @ (root * off).T[..., None])[..., 0].T

@@ -17,10 +17,15 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
+from hallsym.codegen.accepted import any_accepted
 from hallsym.codegen.decoupler import Box, Collected, Decoupler, Margin, Step, short, unit
 from hallsym.codegen.lowering.polynomials import Polynomial, PolynomialModel, Row
 from hallsym.errors import InputError
 from hallsym.model import Model
+
+HELD = 16.0
+"""Times the box from which an iteration starts at most, of a model whose iterations could grow without end:
+far more than any readings within their limits make."""
 
 
 def per(base: str, label: str) -> str:
@@ -45,7 +50,11 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Deco
             f"C is generated for readings gain * displacement + offset; model {model.name} has none of that "
             "form, and its family brings no decoupler of its own."
         )
-    return _Assembly(PolynomialModel(model, box), p, weight).make()
+    taken = PolynomialModel(model, box)
+    made = _Assembly(taken, p, weight).make()
+    if made.at_pose and not any_accepted(made, float(np.finfo(np.float32).max)):
+        made = _Assembly(taken, p, weight, held=True).make()
+    return made
 
 
 @dataclass(eq=False)
@@ -53,6 +62,8 @@ class _Assembly(Collected):
     taken: PolynomialModel
     p: np.ndarray
     weight: np.ndarray
+    held: bool = False
+    """Whether each iteration starts within `HELD` times the box, whatever the readings are."""
 
     def make(self) -> Decoupler:
         taken, model = self.taken, self.taken.model
@@ -107,7 +118,8 @@ class _Assembly(Collected):
             rest = self.entry(f"gain_{name}", at_rest[k], base, f"{about}, at rest")
             total = rest if small is None else small + rest
             self.step(f"now_{name}", total, f"[{base}] {about}")
-            margins.append(Margin(channel, f"gain_{name}", tuple((t.entry, t.columns) for t in terms)))
+            of = tuple((t.entry, t.columns) for t in terms)
+            margins.append(Margin(channel, f"gain_{name}", of, f"now_{name}"))
         return tuple(margins)
 
     def _shares(self, own: list[int], monomials: "_Monomials") -> None:
@@ -161,11 +173,20 @@ class _Assembly(Collected):
                 sensed = self._sensed(bends, _Monomials(self.symbols, self.steps, source, f"_{n}"), f"_{n}")
             made = self._product(rows, sensed, f"_{n + 1}" if n < count else "")
             source = dict(zip(model.pose, made, strict=True))
+            if self.held and n < count:
+                source = {c: self._within(c, v, f"_{n + 1}") for c, v in source.items()}
         every, self.steps = self.steps, before
         known = _Monomials(self.symbols, self.steps, {c: self.symbols[c] for c in model.pose}, "_known")
         self._product(rows, self._sensed(bends, known, "_known"), "_seen", zero=False)
         at_pose, self.steps = tuple(self.steps), every
         return at_pose
+
+    def _within(self, column: str, value: ca.SX, tag: str) -> ca.SX:
+        """A pose coordinate that an iteration starts from, no further out than `HELD` times the box."""
+        name, most = short(column), HELD * max(map(abs, self.taken.box.ends[column]))
+        end = self.entry(f"most_{name}", most, unit(column), f"largest |{column}| of an iteration", "sign")
+        below = self.step(f"{name}_below{tag}", ca.if_else(value < end, value, end))
+        return self.step(f"{name}_held{tag}", ca.if_else(below > -end, below, -end))
 
     def _seen(self) -> dict[str, ca.SX]:
         return {(k := short(c)): self.symbols[f"u_{k}"] for c in self.taken.model.channels}

@@ -14,7 +14,7 @@ import numpy as np
 
 from hallsym.codegen.decoupler import Box, Collected, Decoupler, Flag, Margin, Step, Values, short, unit
 from hallsym.codegen.intervals import Enclosure, constant, half_ulp
-from hallsym.codegen.lowering import arrays, mover, travel, wave_steps
+from hallsym.codegen.lowering import arrays, rows, wave_steps
 from hallsym.codegen.lowering.phase_curve import check_static
 from hallsym.codegen.lowering.phasors import Phasor, phasor
 from hallsym.codegen.lowering.wave_steps import Wave
@@ -37,17 +37,16 @@ def decoupler(
 ) -> Decoupler:
     """Return the decoupler of a wave at parameters `p` over a box.
 
-    `weight`: 1 / variance of each reading. `accuracy`: what rounds and polynomials may leave of place and
-    height [m], default `ENOUGH`. The place is the one within half a wavelength of zero. Raises `InputError`
-    for readings that are no decaying wave.
+    `weight`: 1 / variance of each reading. `accuracy`: what rounds, polynomials and terms may leave of place
+    and height [m], default `ENOUGH`, of six coordinates `arrays.ENOUGH`. A place that repeats is the one
+    within half a wavelength of zero. Raises `InputError` for readings that are no decaying wave.
     """
     check_static(model, "the pose")
-    if len(model.pose) == SIX:
-        longer = mover.decoupler(model, p, weight, box, accuracy)
-        return longer or arrays.decoupler(model, p, weight, box, accuracy)
-    aim = ENOUGH if accuracy is None else accuracy
-    if len(model.pose) == TWO and not model.period:
-        return travel.decoupler(model, p, weight, box, aim)
+    several = len(model.pose) == SIX
+    aim = (arrays.ENOUGH if several else ENOUGH) if accuracy is None else accuracy
+    if several or (len(model.pose) == TWO and not model.period):
+        longer = rows.decoupler(model, p, weight, box, aim)
+        return longer or arrays.decoupler(model, p, weight, box, aim)
     along, height = _coordinates(model)
     found = phasor(model, p, weight, along, height, box.ends[height])
     own = replace(model, period={**model.period, along: 2 * pi * found.lc})
@@ -118,10 +117,10 @@ class _Assembly:
     def _pose(self, made: Collected, logarithm: ca.SX, phase: ca.SX) -> None:
         """Add the last steps: place within half a wavelength, and height."""
         found, wave = self.wave.phasor, self.wave
-        lc = made.entry("lc", found.lc, "m", "wavelength over 2 pi")
+        lc = made.entry("lc", found.lc, "m", "wavelength over 2 pi", "sign")
         middle = made.entry("middle", found.middle, "m", f"{self.height} at which the phasor is 1")
         wave_steps.least_inside(made, (wave,))
-        half = made.entry("half_wave", pi * found.lc, "m", "half the wavelength")
+        half = made.entry("half_wave", pi * found.lc, "m", "half the wavelength", "sign")
         place = made.step("place", lc * phase + made.symbols[f"zero_{short(self.along)}"])
         beyond = place - ca.if_else(place < 0, -half, half)
         level = middle + made.symbols[f"zero_{short(self.height)}"]

@@ -11,16 +11,14 @@ accuracy is taken.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import asin, ceil, hypot, log, pi, tanh
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Collected, Step, Values, computed, of_step, short, unit
+from hallsym.codegen.decoupler import Collected, Step, Values, unit
 from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
 from hallsym.codegen.lowering.odd_series import PI, Odd, odd, shortest
 from hallsym.codegen.lowering.phasors import Phasor
-from hallsym.codegen.operations import graph
 from hallsym.errors import InputError
 
 ROOM = 0.05
@@ -304,7 +302,7 @@ def _chain(n: int) -> set[int]:
 def logarithm_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.SX:
     """Add the steps of ln |u|; returns it. The step "inside" is what the flag looks at."""
     size = made.step(f"size{tag}", u[0] * u[0] + u[1] * u[1], "[1] square of the phasor, 1 at middle height")
-    t = made.step(f"tangent{tag}", (size - 1.0) / (size + 1.0), "[1] of its logarithm, hyperbolic")
+    t = made.step(f"tangent{tag}", (size - 1.0) / (size + 1.0), "[1] of its logarithm, hyperbolic", most=1.0)
     square = made.step(f"tangent_square{tag}", t * t)
     made.step(f"inside{tag}", 1.0 - square)
     total = odd(wave.logarithm.coefficients, t, square)
@@ -336,14 +334,15 @@ def periods_steps(made: Collected, away: ca.SX, tag: str, remark: str = "") -> c
     """Add the steps that round a number of periods; returns the whole number."""
     count = made.step(f"periods{tag}", away + (PERIODS + 0.5))
     most = 2.0 * PERIODS  # of readings of no pose it could be anything
-    held = ca.if_else(count < 0.0, 0.0, ca.if_else(count > most, most, count))
-    return made.whole(f"whole{tag}", made.step(f"counted{tag}", held, remark)) - float(PERIODS)
+    below = made.step(f"counted_to{tag}", ca.if_else(count < most, count, most), remark)
+    held = made.step(f"counted{tag}", ca.if_else(below > 0.0, below, 0.0))
+    return made.whole(f"whole{tag}", held) - float(PERIODS)
 
 
 def least_inside(made: Collected, waves: Sequence[Wave]) -> None:
     """Add the entry that the flag of the field compares with."""
     value, about = min(w.least_inside for w in waves), "1 - t^2 at the ends of the heights, t as computed"
-    made.entry("least_inside", float(value), "1", about)
+    made.entry("least_inside", float(value), "1", about, "sign")
 
 
 def arctangent_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.SX:
@@ -352,7 +351,9 @@ def arctangent_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.
     Correct rounding keeps |b - a| <= b + a of two magnitudes, so no tangent is beyond 1.
     """
     across, up = (made.step(f"{n}{tag}", ca.fabs(v)) for n, v in zip(("across", "up"), u, strict=True))
-    t = made.step(f"turned{tag}", (up - across) / ((up + across) + TINY), "[1] tangent of the angle - pi / 4")
+    t = made.step(
+        f"turned{tag}", (up - across) / ((up + across) + TINY), "[1] tangent of the angle - pi / 4", most=1.0
+    )
     square = made.step(f"turned_square{tag}", t * t)
     series = odd(wave.arctangent.coefficients, t, square)
     quadrant = made.step(f"quadrant{tag}", QUARTER_PI + series, "[rad] in the first quadrant")
@@ -368,9 +369,6 @@ SHORT = 1 - 1e-5
 RADIAL = 64
 """Roundings of a radial term, each a share of it: entry and powers up to the twelfth harmonic."""
 
-TRIED_ROOM = 1.5
-"""Times what trial poses make of a step: the range in which intervals take it."""
-
 
 def stored(values: Values, digits: int) -> dict[str, Enclosure]:
     """Return the enclosures of entries and inputs as numbers of so many digits hold them."""
@@ -381,24 +379,6 @@ def stored(values: Values, digits: int) -> dict[str, Enclosure]:
         else constant(value, digits)
         for name, value in values.items()
     }
-
-
-def ranges_of(
-    steps: Sequence[Step], columns: Sequence[str], inputs: np.ndarray, values: Values, pose: Sequence[str]
-) -> dict[str, tuple[float, float]]:
-    """Return what trial inputs (n_inputs, s) make of each step, and some room; zeros are 0."""
-    value: dict[str, Any] = {short(c): row for c, row in zip(columns, inputs, strict=True)}
-    value |= {name: v for name, v in values.items() if not isinstance(v, tuple)}
-    value |= {f"zero_{short(c)}": 0.0 for c in pose}
-    out = {}
-    for step in steps:
-        found = graph([step.expression])
-        with np.errstate(all="ignore"):
-            value[step.name] = of_step(step, found, computed(found, value))
-        low, high = float(np.min(value[step.name])), float(np.max(value[step.name]))
-        room = (TRIED_ROOM - 1) * max(high - low, 1e-3 * max(abs(low), abs(high)))
-        out[step.name] = low - room, high + room
-    return out
 
 
 def vector_error(wave: Wave, steps: Sequence[Step], values: Values, digits: int) -> float:

@@ -75,9 +75,7 @@ INLINE float within(float value, float limit, uint32_t bit, uint32_t *status)
 }
 #endif
 
-/* The pose counted from the zeros given. */
-INLINE uint32_t pose_of(const decoupler_params_t *p, const decoupler_in_t *in,
-                        float zero_x, float zero_y, float zero_rz, decoupler_out_t *out)
+uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)
 {
     uint32_t status = 0U;
     const float hall_a = within(in->hall_a_m, p->limit_hall_a, DECOUPLER_STATUS_HALL_A, &status);
@@ -98,15 +96,10 @@ INLINE uint32_t pose_of(const decoupler_params_t *p, const decoupler_in_t *in,
     const float u_hall_b = hall_b / now_hall_b;
     /* [m] share of x_m that hall_c sees */
     const float u_hall_c = hall_c / now_hall_c;
-    out->x_m = ((zero_x + (p->x_hall_a * u_hall_a)) + (p->x_hall_b * u_hall_b)) + u_hall_c;
-    out->y_m = ((zero_y + (p->y_hall_c * u_hall_c)) + u_hall_a) + u_hall_b;
-    out->rz_rad = ((zero_rz + (p->rz_hall_c * u_hall_c)) + (p->rz_hall_a * u_hall_a)) + (p->rz_hall_b * u_hall_b);
+    out->x_m = ((p->zero_x + (p->x_hall_a * u_hall_a)) + (p->x_hall_b * u_hall_b)) + u_hall_c;
+    out->y_m = ((p->zero_y + (p->y_hall_c * u_hall_c)) + u_hall_a) + u_hall_b;
+    out->rz_rad = ((p->zero_rz + (p->rz_hall_c * u_hall_c)) + (p->rz_hall_a * u_hall_a)) + (p->rz_hall_b * u_hall_b);
     return status;
-}
-
-uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)
-{
-    return pose_of(p, in, p->zero_x, p->zero_y, p->zero_rz, out);
 }
 
 uint32_t decoupler_zero(decoupler_params_t *p, const decoupler_in_t *in, const decoupler_out_t *pose)
@@ -118,10 +111,10 @@ uint32_t decoupler_zero(decoupler_params_t *p, const decoupler_in_t *in, const d
     {
         float zeros[3];
         decoupler_out_t seen;
-        status = pose_of(p, in, 0.0f, 0.0f, 0.0f, &seen);
-        zeros[0] = pose->x_m - seen.x_m;
-        zeros[1] = pose->y_m - seen.y_m;
-        zeros[2] = pose->rz_rad - seen.rz_rad;
+        status = decoupler_step(p, in, &seen);
+        zeros[0] = p->zero_x + (pose->x_m - seen.x_m);
+        zeros[1] = p->zero_y + (pose->y_m - seen.y_m);
+        zeros[2] = p->zero_rz + (pose->rz_rad - seen.rz_rad);
         if (status == 0U)
         {
             const uint32_t crc = decoupler_crc((const uint8_t *)zeros, (uint32_t)sizeof(zeros));

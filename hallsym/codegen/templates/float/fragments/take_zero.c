@@ -1,4 +1,5 @@
 @REAL@ zeros[@POSE@];
 decoupler_out_t seen;
-status = pose_of(p, in, @NO_ZEROS@, &seen);
-zeros[@out.index@] = pose->@out.member@ - seen.@out.member@;
+status = decoupler_step(p, in, &seen);
+zeros[@out.index@] = p->@out.zero@ + (pose->@out.member@ - seen.@out.member@);
+@WRAPPED@

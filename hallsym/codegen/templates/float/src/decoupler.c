@@ -14,20 +14,13 @@
 
 @LIMITED_FUNCTION@
 @WITHIN@
-/* The pose counted from the zeros given. */
-INLINE uint32_t pose_of(const decoupler_params_t *p, const decoupler_in_t *in,
-                        @ZERO_PARAMETERS@, decoupler_out_t *out)
+uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)
 {
     uint32_t status = 0U;
     @HELD@
     @BODY@
     @FLAGS@
     return status;
-}
-
-uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)
-{
-    return pose_of(p, in, @ZEROS_OF_TABLE@, out);
 }
 
 @JACOBIAN@

@@ -122,14 +122,15 @@ static uint32_t away(@REAL@ value, @REAL@ wanted, @REAL@ period)
     return ((error < @NEAR@) || (other < @NEAR@)) ? 0U : 1U;
 }
 
-/* 0 if a zero is taken at each pose of a few, and the pose is the known one then. */
-static uint32_t not_taken(const decoupler_in_t *in)
+/* 0 if a zero is taken at each pose of a few, after another one, and the pose is the known one then. */
+static uint32_t not_taken(const decoupler_in_t *in, @REAL@ before)
 {
     static const decoupler_out_t known[@KNOWN_POSES@] = {
         @KNOWN_ROWS@
     };
     decoupler_params_t table = decoupler_params;
     uint32_t bad = 0U;
+    table.@out.zero@ = before * @out.hashed@;
     for (uint32_t k = 0U; k < @KNOWN_POSES@U; k++)
     {
         decoupler_out_t out;
@@ -161,7 +162,7 @@ uint32_t decoupler_missed_zeros(void)
         decoupler_out_t pose = {0};
         if (decoupler_vectors[k].status == 0U)
         {
-            bad += not_taken(in);
+            bad += not_taken(in, @ONE@) + not_taken(in, -@ONE@);
             @REFUSED@
         }
         else

@@ -8,8 +8,8 @@ static uint32_t angle_of(int32_t x, int32_t y)
     uint32_t angle = 0U;
     if (x < 0)
     {
-        across = -x;
-        up = -y;
+        across = difference(0, x);
+        up = difference(0, y);
         angle = 0x80000000U;
     }
     //@ loop unroll @STEPS@;
@@ -19,14 +19,14 @@ static uint32_t angle_of(int32_t x, int32_t y)
         const int32_t b = up >> k;
         if (up < 0)
         {
-            across -= b;
-            up += a;
+            across = difference(across, b);
+            up = sum(up, a);
             angle -= arctangents[k];
         }
         else
         {
-            across += b;
-            up -= a;
+            across = sum(across, b);
+            up = difference(up, a);
             angle += arctangents[k];
         }
     }

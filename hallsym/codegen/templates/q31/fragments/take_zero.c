@@ -5,5 +5,5 @@ if (@KNOWN@)
 {
     decoupler_out_t seen;
     status = decoupler_step(p, in, &seen);
-    zeros[@out.index@] += pose->@out.member@ - seen.@out.member@;
+    zeros[@out.index@] = sum(zeros[@out.index@], difference(pose->@out.member@, seen.@out.member@));
 }

@@ -22,7 +22,7 @@ uint32_t decoupler_check(const decoupler_params_t *p)
     {
         found |= DECOUPLER_BAD_CRC;
     }
-    if ((decoupler_crc(&bytes[ZEROS], LENGTH - ZEROS) != p->zeros_crc)@ZEROS_BEYOND@)
+    if ((decoupler_crc(&bytes[ZEROS], LENGTH - ZEROS) != p->zeros_crc))
     {
         found |= DECOUPLER_BAD_ZEROS;
     }

@@ -1,0 +1,213 @@
+"""Which tables code accepts: least and greatest value of each entry, as `decoupler_check()` compares them.
+
+They are as wide as finite results allow: an interval evaluation of all steps, over every table within them
+and every input within the limits of such a table, stays below the largest number, divides by nothing that may
+be zero and takes whole numbers of what is one. So every accepted table gives finite numbers.
+"""
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from math import ceil, floor, log10, prod
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from hallsym.codegen.bounds import LEAST_GAIN
+from hallsym.codegen.decoupler import Bits, Decoupler, Lookup, Margin, Step, Whole, short
+from hallsym.codegen.intervals import Enclosure, enclose, enclosures
+from hallsym.codegen.operations import Graph, graph
+from hallsym.errors import InputError
+
+Ends = Mapping[str, tuple[float, float]]
+"""Least and greatest value by entry or array."""
+WIDE, NARROW = tuple(range(10, 0, -1)), (0.5, 0.25, 0.125, 0.0625, 0.03125)
+"""Powers of two by which entries may differ from those of the calibration, the widest that is finite."""
+LEAST_LIMIT = 2.0**-10
+"""Share of a limit of the calibration below which a range is empty, or -0."""
+HEADROOM = 2.0**-8
+"""Share of the largest number that no step exceeds: rounding of each is counted in it."""
+SURE = 1 - 1e-5
+"""Share of a least gain that rounding of the check leaves at least."""
+
+
+def accepted(d: Decoupler, most: float, before: Ends | None = None) -> dict[str, tuple[float, float]]:
+    """Return least and greatest value of each number and array of the table; `most`: the largest number.
+
+    `before`: those of code that shall stay as it is. Raises `InputError` where nothing bounds the results,
+    and where the table is not one that the code accepts.
+    """
+    wanted = _values(d)
+    if before is not None and before.keys() == wanted.keys():  # of another layout is refused as such
+        for name, values in wanted.items():
+            low, high = before[name]
+            if not (low <= min(values) and max(values) <= high):
+                raise InputError(
+                    f"The calibration's {name}, {values[0]:.3g}, is not within {low:.3g} to {high:.3g}, "
+                    "which the code in the folder accepts; generate the folder again with --force."
+                )
+        return dict(before)
+    if widest := any_accepted(d, most):
+        return widest
+    raise InputError(
+        f"Nothing bounds what the C of model {d.model.name} computes of tables like this one: its numbers "
+        "spread too far; give a smaller box with --range."
+    )
+
+
+def any_accepted(d: Decoupler, most: float) -> dict[str, tuple[float, float]] | None:
+    """Return the widest ends of which all steps give less than the largest number `most`, if any do."""
+    graphs = [graph([step.expression]) for step in d.steps]
+    for sizes, powers in ((_by_unit(d), WIDE), (_by_form(d), (*WIDE, *NARROW)), (None, NARROW)):
+        for power in powers:
+            found = _within(d, 2.0**power, sizes)
+            if finite(d, found, most, graphs):
+                return found
+    return None
+
+
+def accepted_of(record: Mapping[str, Any]) -> Ends | None:
+    """Return the ends that the record of a generated table says; None where it says none."""
+    listed = [*record.get("parameters", ()), *record.get("arrays", ())] if _lists(record) else []
+    found = {}
+    for entry in listed:
+        low, high = (
+            (entry.get(side) for side in ("least", "greatest")) if isinstance(entry, dict) else (None, None)
+        )
+        if not (isinstance(low, int | float) and isinstance(high, int | float)):
+            return None
+        found[str(entry.get("name"))] = (float(low), float(high))
+    return found or None
+
+
+def _lists(record: Mapping[str, Any]) -> bool:
+    return all(isinstance(record.get(name, []), list) for name in ("parameters", "arrays"))
+
+
+def _values(d: Decoupler) -> dict[str, Sequence[float]]:
+    numbers: dict[str, Sequence[float]] = {e.name: (e.value,) for e in d.entries}
+    return numbers | {a.name: a.values for a in d.arrays}
+
+
+def _by_unit(d: Decoupler) -> dict[str, float]:
+    """Return for each entry the largest of its unit, limits too; of a term of a gain what takes all of it."""
+    sizes: dict[str, float] = {}
+    for e in (*d.table, *d.limits):
+        sizes[e.unit] = max(sizes.get(e.unit, 0.0), abs(e.value))
+    return {e.name: sizes[e.unit] or 1.0 for e in d.table} | dict(_terms(d))
+
+
+def _by_form(d: Decoupler) -> dict[str, float]:
+    """Return for each entry the largest of those with its name but for columns: all offsets, for example."""
+    columns = "|".join(sorted((re.escape(short(c)) for c in (*d.inputs, *d.pose)), key=len, reverse=True))
+    form = {e.name: re.sub(rf"(?<![a-z0-9])({columns})(?![a-z0-9])", "", e.name) for e in d.table}
+    sizes: dict[str, float] = {}
+    for e in d.table:
+        sizes[form[e.name]] = max(sizes.get(form[e.name], 0.0), abs(e.value))
+    return {e.name: sizes[form[e.name]] for e in d.table}
+
+
+def _within(d: Decoupler, ratio: float, sizes: Mapping[str, float] | None) -> dict[str, tuple[float, float]]:
+    """Return ends that leave each entry a ratio: both signs of the larger of its own and a given size.
+
+    Its own sign alone without `sizes`.
+    """
+    out, rests, digits = {}, {m.rest for m in d.margins}, 1 if ratio >= 2 else 3
+    for e in d.table:
+        size = abs(e.value)
+        if e.holds == "value":
+            out[e.name] = (e.value, e.value)
+        elif sizes is None or e.name in rests or e.holds == "sign":
+            ends = _outward(size / ratio, size * ratio, digits)
+            out[e.name] = ends if e.value >= 0 else (-ends[1], -ends[0])
+        else:
+            out[e.name] = _both(ratio * max(size, sizes[e.name]), digits)
+    for column in d.inputs:
+        name, ends, period = short(column), d.ends(column), d.model.period.get(column, np.inf)
+        most = max(map(abs, ends))
+        far = min(ratio * most, max(period, most))
+        if d.box.symmetric(column):
+            least, greatest = _outward(LEAST_LIMIT * ends[1], far, digits)
+            out[f"limit_{name}"] = least, greatest if far < period else far
+        elif sizes is None:
+            room = (ratio - 1) * most
+            out |= {
+                f"{side}_{name}": (v - room, v + room) for side, v in zip(("low", "high"), ends, strict=True)
+            }
+        else:
+            out[f"low_{name}"] = out[f"high_{name}"] = _both(far, digits) if far < period else (-far, far)
+    for a in d.arrays:
+        size = max(map(abs, a.values))
+        out[a.name] = (-32768.0, 32767.0) if a.integers else _both(ratio * (size or 1.0), digits)
+    return out | {e.name: (-2 * d.known(c), 2 * d.known(c)) for e, c in zip(d.zeros, d.pose, strict=True)}
+
+
+def _terms(d: Decoupler) -> Iterator[tuple[str, float]]:
+    """Yield the entry of each term of a margin, and the size at which it takes all of the rest."""
+    values = {e.name: abs(e.value) for e in d.table}
+    for margin in d.margins:
+        for entry, columns in margin.terms:
+            reach = prod(max(map(abs, d.ends(c))) for c in columns)
+            yield entry, values[margin.rest] / reach if reach else 0.0
+
+
+def _outward(least: float, greatest: float, digits: int) -> tuple[float, float]:
+    """Return positive ends rounded outwards to few digits: so they outlast a small recalibration."""
+    return _rounded(least, floor, digits), _rounded(greatest, ceil, digits)
+
+
+def _both(size: float, digits: int) -> tuple[float, float]:
+    most = _rounded(size, ceil, digits)
+    return -most, most
+
+
+def _rounded(value: float, to: Callable[[float], int], digits: int) -> float:
+    power = floor(log10(value)) - digits + 1 if value > 0 else 0
+    return float(f"{to(value / 10.0**power)}e{power}")
+
+
+def finite(d: Decoupler, ends: Ends, most: float, graphs: Sequence[Graph]) -> bool:
+    """Whether all steps, of these graphs, give numbers of less than `most` of every table within `ends`."""
+    known = {name: Enclosure(*pair) for name, pair in ends.items()}
+    gains = {m.step: m for m in d.margins if m.step}
+    for column in d.inputs:
+        name = short(column)
+        if d.box.symmetric(column):
+            high = ends[f"limit_{name}"][1]
+            known[name] = Enclosure(-high, high)
+        else:
+            known[name] = Enclosure(ends[f"low_{name}"][0], ends[f"high_{name}"][1])
+    for step, own in zip(d.steps, graphs, strict=True):
+        every, found = _of_step(step, own, known)
+        if isinstance(step, Whole) and not (found.low > -1 and found.high < 2.0**32):
+            return False
+        if not all(e.most < HEADROOM * most for e in every):  # not of one that is not a number either
+            return False
+        if step.name in gains:
+            found = _kept(found, gains[step.name], ends)
+        if step.most is not None:
+            (end,) = enclose([ca.SX(step.most)], known, None)
+            found = Enclosure(max(float(found.low), -end.high), min(float(found.high), end.high))
+        known[step.name] = found
+    return True
+
+
+def _of_step(step: Step, own: Graph, known: Mapping[str, Enclosure]) -> tuple[list[Enclosure], Enclosure]:
+    """Return the enclosure of each operation that must be finite, and of the step."""
+    if isinstance(step, Lookup):
+        return [], known[step.array.name]
+    every = enclosures(own, known)
+    found = every.pop(own.results[0]) if step.most is not None else every[own.results[0]]
+    if isinstance(step, Bits):
+        most = (1 << step.first) - 1 if step.below else (2**32 - 1) >> step.first
+        return every, Enclosure(0.0, float(most))
+    return every, found
+
+
+def _kept(now: Enclosure, margin: Margin, ends: Ends) -> Enclosure:
+    """A gain of which its terms leave a tenth, as the check sees to it."""
+    low, high = sorted(map(abs, ends[margin.rest]))
+    least, greatest = SURE * LEAST_GAIN * low, (2 - LEAST_GAIN) * high / SURE
+    if ends[margin.rest][0] < 0:
+        return Enclosure(max(float(now.low), -greatest), min(float(now.high), -least))
+    return Enclosure(max(float(now.low), least), min(float(now.high), greatest))

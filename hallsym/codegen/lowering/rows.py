@@ -1,0 +1,729 @@
+"""Lowering of models of arrays of finite length over rows of sensors longer than they are.
+
+One array over one row gives place and height, several give six coordinates. Which sensors count follows from
+where the mover is: weights go to zero smoothly at the ends of each array, so nothing steps as sensors come
+and go, and nothing is remembered from one sample to the next. Least squares of the weighted sensors give a
+phasor as of an endless wave; further solutions take off what tilt and higher harmonics add to each sensor.
+How far from its ends a sensor must be to count is chosen by what ends and noise leave.
+
+Of one row the place is absolute: the middle of what it reads, squared, says the period, and where the array
+reaches beyond the row, the middle of the rest and the end of the row say it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from math import pi
+
+import casadi as ca
+import numpy as np
+
+from hallsym.codegen.decoupler import Box, Collected, Decoupler, Flag, short
+from hallsym.codegen.lowering import wave_steps
+from hallsym.codegen.lowering.arrays import LOST, NEAR, TRIALS, Assembly, ends_and_leaves
+from hallsym.codegen.lowering.arrays_fit import APART, SAMPLES, Reference, check_along, together
+from hallsym.codegen.lowering.passing import NeverEnds, passes, readings
+from hallsym.codegen.lowering.phasors import HARMONICS, PLACES, TURN, WIDE, Phasor, Sample
+from hallsym.codegen.lowering.wave_steps import Pair, wave_of
+from hallsym.errors import InputError, counted
+from hallsym.model import Model
+from hallsym.records import named
+
+COUNTS = 1.0
+"""Change of a place, over a micrometre, above which a higher harmonic counts."""
+MICRON = 1e-6
+TINY = 1e-12
+"""Added to the energy of all sensors [V2]: it may be zero."""
+RAMP = 0.5
+"""Wavelengths over which the weight of a sensor goes from 0 to 1."""
+NO_COVER = 1e-9
+"""Determinant of the normal matrix [V4] of no sensors."""
+COVER = 0.5
+"""Share of the least cover of the box below which the flag is set."""
+COVERS_SEEN = 2000
+COVERED = "too few sensors see an array: it is at an end of the board or beyond"
+FAR = 30
+"""Wavelengths away at which it is seen whether the arrays end: more than arrays have, and some mrad do not
+lift a mover out of sight on the way."""
+ENDED = 0.05
+"""Share of its swing that a channel may have there."""
+LEVELLING = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """Channels of one array along one row: sensor k reads offset + Re sum c_kn u^n under it.
+
+    u = exp(rising (z - middle) / lc + i x / lc) of the middle of the array, where x is the coordinate `axis`.
+    """
+
+    channels: tuple[int, ...]
+    axis: int
+    place: np.ndarray
+    """Coordinate at which the middle of the array is over each sensor (n,) [m]."""
+    offset: np.ndarray
+    factor: np.ndarray
+    lever: np.ndarray
+    """What rotations move height and place at the middle of the array by, complex (3,) or (0,) [m / rad]."""
+    length: float
+
+    def design(self, n: int = 1) -> np.ndarray:
+        """What each sensor reads of the real and imaginary part of u^n, (2, n_sensors) [V]."""
+        own = self.factor[:, n - 1]
+        return np.stack([own.real, -own.imag])
+
+
+@dataclass(frozen=True, eq=False)
+class Rows(Reference):
+    """Arrays over rows of sensors, at parameters `p`, over poses `middle` +- `half`."""
+
+    rows: tuple[Row, ...]
+    lc: float
+    rising: float
+    margin: float = 0.0
+    """Wavelengths from the ends of an array within which a sensor does not count."""
+    rounds: int = 0
+    """Solutions after the first: each takes off what the one before says of tilt and higher harmonics."""
+    plainly: bool = False
+    """Whether higher harmonics are left alone."""
+
+    @property
+    def wavelength(self) -> float:
+        """In metres."""
+        return 2 * pi * self.lc
+
+    @property
+    def absolute(self) -> bool:
+        """Whether the readings say which period it is: of one array that is not tilted."""
+        return not self.turns
+
+    @cached_property
+    def axes(self) -> dict[int, list[int]]:
+        """Numbers of the rows along each axis."""
+        along = {axis: [k for k, row in enumerate(self.rows) if row.axis == axis] for axis in (0, 1)}
+        return {axis: members for axis, members in along.items() if members}
+
+    @cached_property
+    def harmonics(self) -> tuple[int, ...]:
+        """Those that count, beyond the first."""
+        if self.plainly:
+            return ()
+        reach = np.exp(np.arange(HARMONICS) * self.half[self.height] / self.lc)
+        share = np.max(
+            [np.abs(r.factor).max(axis=0) / np.abs(r.factor[:, 0]).max() for r in self.rows], axis=0
+        )
+        counts = share * reach > COUNTS * MICRON / self.lc
+        return tuple(n for n in range(2, HARMONICS + 1) if counts[n - 1])
+
+    @property
+    def plain(self) -> Phasor:
+        """The first harmonic of a row, of which functions are bounded."""
+        row, middle = self.rows[0], float(self.middle[self.height])
+        zeros = np.zeros((2, len(row.channels)))
+        return Phasor(self.lc, self.rising, middle, zeros[0], row.factor[:, :1], zeros, ())
+
+    # -- the decoder -----------------------------------------------------------------------------------------
+
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """Pose per place and height of the rows (n_pose, 2 rows), least squares."""
+        n, slopes = len(self.rows), np.zeros((2 * len(self.rows), len(self.middle)))
+        for k, row in enumerate(self.rows):
+            slopes[k, row.axis], slopes[n + k, self.height] = 1.0, 1.0
+            slopes[k, 3:], slopes[n + k, 3:] = row.lever.imag, self.rising * row.lever.real
+        arm = self.model.family.pose_metric.arm_m
+        scale = np.array([1 / arm if k in self.turns else 1.0 for k in range(len(self.middle))])
+        return np.asarray(scale[:, None] * np.linalg.pinv(slopes * scale))
+
+    def tilt_of(self, row: Row) -> int:
+        """Number of the rotation that lifts one end of the array: about the axis across it."""
+        return 4 if row.axis == 0 else 3
+
+    def lift_of(self, row: Row) -> float:
+        """What that rotation adds to ln |u| per metre along the row."""
+        return (1.0 if row.axis == 0 else -1.0) * self.rising / self.lc
+
+    @cached_property
+    def whole(self) -> tuple[float, float]:
+        """Places between which all of one array is over its row; the middle of the row where it never is."""
+        (row,) = self.rows
+        place = np.sort(row.place)
+        half = (row.length - float(np.median(np.diff(place)))) / 2
+        low, high = float(place[0]) + half, float(place[-1]) - half
+        return (low, high) if low <= high else ((low + high) / 2,) * 2
+
+    def middle_seen(self, r: np.ndarray) -> np.ndarray:
+        """Return the middle (s,) of what one row reads, squared; at its ends of all the array."""
+        (row,), (low, high) = self.rows, self.whole
+        energy = r[list(row.channels)] ** 2
+        at = (energy * row.place[:, None]).sum(axis=0) / (energy.sum(axis=0) + TINY)
+        return np.minimum(np.maximum(at, 2 * at - high), 2 * at - low) if low < high else np.asarray(at)
+
+    def first(self, r: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """Return places (axes, s) from all sensors of an axis alike, in the period of `near` (2, s)."""
+        out = []
+        for axis, members in self.axes.items():
+            rows = [self.rows[k] for k in members]
+            alike = sum((row.factor[:, :1].conj() * r[list(row.channels)]).sum(axis=0) for row in rows)
+            at = self.middle_seen(r) if self.absolute else near[axis]
+            out.append(next_to(self.lc, at, np.asarray(alike)))
+        return np.array(out)
+
+    def weights(self, row: Row, x: np.ndarray) -> np.ndarray:
+        """Return the weight (n, s) of each sensor of a row for an array at x (s,): 0 beyond the ends."""
+        away = np.abs(row.place[:, None] - x)
+        inside = (row.length / 2 - self.margin * self.wavelength - away) / (RAMP * self.wavelength)
+        inside = np.clip(inside, 0.0, 1.0)
+        return np.asarray(inside * inside * (3 - 2 * inside))
+
+    def least_cover(self, row: Row) -> float:
+        """Return the determinant of the normal matrix [V4] below which the flag is set."""
+        w = self.weights(row, self.poses(np.random.default_rng(3), COVERS_SEEN)[row.axis])
+        c, s = row.design()
+        cc, cs, ss = ((p[:, None] * w).sum(axis=0) for p in (c * c, c * s, s * s))
+        return COVER * float((cc * ss - cs * cs).min())
+
+    def seen(
+        self, r: np.ndarray, at: np.ndarray, before: tuple[np.ndarray, Sequence[np.ndarray]] | None = None
+    ) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return place and height of each row (2 rows, s), and its phasor.
+
+        `at` (axes, s): places that weights are taken at; `before`: rotations (n_rotations, s) and phasors, to
+        be taken out.
+        """
+        out, heights, phasors, first = [], [], [], dict(enumerate(at))
+        for k, row in enumerate(self.rows):
+            w, v = self.weights(row, at[row.axis]), r[list(row.channels)]
+            lifted = np.ones_like(w)
+            if before is not None:
+                if self.turns:
+                    turn = before[0][self.tilt_of(row) - 3] * self.lift_of(row)
+                    lifted = exponential(turn * (at[row.axis] - row.place[:, None]))
+                for n in self.harmonics:
+                    v = v - (row.factor[:, n - 1 : n] * before[1][k] ** n).real * lifted**n
+            rows = row.design()[:, :, None] * lifted
+            normal = np.einsum("iks,jks,ks->sij", rows, rows, w)
+            low = np.linalg.det(normal) < NO_COVER
+            both = np.einsum("iks,ks,ks->si", rows, w, v)
+            re, im = np.einsum("sij,sj->is", np.linalg.inv(normal + np.eye(2) * low[:, None, None]), both)
+            u = re + 1j * im
+            out.append(next_to(self.lc, first[row.axis], u))
+            heights.append(self.rising * self.lc * np.log(np.abs(u)))
+            phasors.append(u)
+        return np.array([*out, *heights]), phasors
+
+    def straight(self, readings: np.ndarray, near: np.ndarray | None) -> np.ndarray:
+        """Return displacements (n_pose, s) from the middle, linear in places and heights without tilt."""
+        r = self.without_offset(readings)
+        shape = (2, r.shape[1])
+        at = self.first(r, np.broadcast_to(self.middle[:2, None], shape) if near is None else near)
+        with np.errstate(all="ignore"):
+            seen, phasors = self.seen(r, at)
+            for _ in range(self.rounds):
+                turns = self.inverse[3:] @ (seen - self.at_middle)
+                seen, phasors = self.seen(r, at, (turns, phasors))
+        return np.asarray(self.inverse @ (seen - self.at_middle))
+
+    def without_offset(self, readings: np.ndarray) -> np.ndarray:
+        """Return readings (n, s) less what each sensor reads with no array over it."""
+        r = np.array(readings, dtype=float)
+        for row in self.rows:
+            r[list(row.channels)] -= row.offset[:, None]
+        return r
+
+    @property
+    def at_middle(self) -> np.ndarray:
+        """Places and heights (2 rows, 1) in the middle of the box."""
+        n = len(self.rows)
+        return np.array([self.middle[row.axis] for row in self.rows] + n * [0.0])[:, None]
+
+    @cached_property
+    def sample(self) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+        """Poses of the box, their phasors, places and heights."""
+        pose, readings = self.trials(1, SAMPLES)
+        r = self.without_offset(readings)
+        seen, phasors = self.seen(r, self.first(r, pose[:2]))
+        return pose, phasors, seen
+
+    def wave_of(self, axis: int) -> float:
+        """Wavelength along a coordinate [m]."""
+        return self.wavelength
+
+    def travels(self) -> bool:
+        """Whether some sensor is beyond the end of its array somewhere in the box."""
+        return any(
+            np.abs(row.place - self.middle[row.axis]).max() + self.half[row.axis] > row.length / 2
+            for row in self.rows
+        )
+
+    def _bent(self) -> tuple[np.ndarray, np.ndarray]:
+        pose, readings = self.trials(1, SAMPLES)
+        return pose, self.straight(readings, pose[:2])
+
+
+def exponential(v: np.ndarray) -> np.ndarray:
+    """Return exp of small numbers as the code computes it."""
+    return np.asarray(1 + v * (1 + v * (0.5 + v * (1 / 6))))
+
+
+def next_to(lc: float, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return the place of the phase of u in the period next to x."""
+    place, wave = lc * np.angle(u), 2 * pi * lc
+    return np.asarray(place + wave * np.floor((x - place) / wave + 0.5))
+
+
+# -- found from the model ------------------------------------------------------------------------------------
+
+
+def ends(model: Model, p: np.ndarray, middle: np.ndarray, heights: tuple[float, float]) -> bool:
+    """Return whether the arrays of a model end: far away its channels read nothing that varies."""
+    sample = Sample(model, p, middle, heights)
+    for axis in (0, 1):
+        x = np.random.default_rng(0).uniform(-1, 1, PLACES) * WIDE
+        z, far = np.full(PLACES, sample.middle), FAR * 2 * pi * sample.lc(axis)
+        here, away = (readings(sample, axis, x + by, z).std(axis=1).max() for by in (0.0, far))
+        if not away < ENDED * here:
+            return False
+    return True
+
+
+def rows_of(
+    model: Model, p: np.ndarray, weight: np.ndarray, box: tuple[np.ndarray, np.ndarray], accuracy: np.ndarray
+) -> Rows:
+    """Return the rows of a model over a box, its middle made level. Raises `InputError` for too few.
+
+    `box`: its middle and half (n_pose,); `accuracy` (n_pose,): what terms may leave of each coordinate.
+    """
+    middle, half = box
+    height = Reference.height_of(middle)
+    sample = Sample(model, p, middle, (middle[height] - half[height], middle[height] + half[height]), height)
+    several = len(middle) > height + 1
+    axes = _followed(sample, half) if several else {0: list(range(len(model.channels)))}
+    seen = [_Seen(sample, axis, own, half) for axis, own in axes.items()]
+    if several:
+        for _ in range(LEVELLING):
+            sample.at[3:] -= np.nan_to_num(np.nanmean([s.off_level() for s in seen], axis=0))
+        seen = [_Seen(sample, axis, own, half) for axis, own in axes.items()]
+    rows, lc = [row for s in seen for row in s.rows()], float(np.mean([s.lc for s in seen]))
+    if several:
+        check_along(model, [row.axis for row in rows])
+    at = np.concatenate([middle[:3], sample.at[3:]])
+    wide = half + np.abs(middle - at)
+    return Rows(model, p, weight, at, wide, accuracy, tuple(rows), lc, sample.rising(0))
+
+
+def _followed(sample: Sample, half: np.ndarray) -> dict[int, list[int]]:
+    """Return the channels that follow each axis."""
+    swings = []
+    for axis in (0, 1):
+        reach = half[axis] + 4 * pi * sample.lc(axis) + WIDE
+        x = sample.at[axis] + np.random.default_rng(0).uniform(-1, 1, 8 * PLACES) * reach
+        swings.append(readings(sample, axis, x, np.full(len(x), sample.middle)).std(axis=1))
+    follows = np.argmax(swings, axis=0)
+    return {axis: np.flatnonzero(follows == axis).tolist() for axis in (0, 1) if (follows == axis).any()}
+
+
+class _Seen:
+    """The channels of one axis, as the mover passes them."""
+
+    def __init__(self, sample: Sample, axis: int, own: Sequence[int], half: np.ndarray) -> None:
+        self.sample, self.axis, self.own = sample, axis, list(own)
+        rough = sample.lc(axis)
+        reach = 4 * half[axis] + 8 * pi * rough + WIDE
+        self.passed, self.window, self.lc = passes(sample, axis, own, reach, rough)
+
+    def _slopes(self, k: int, step: float) -> np.ndarray:
+        """What a coordinate moves height (real) and place (imaginary part) of each channel by, (n,)."""
+        moves, channels = (
+            step * np.eye(len(self.sample.at))[k] * np.array([[1.0], [-1.0]]),
+            range(len(self.own)),
+        )
+        up, down = np.array([[self.window.fitted(j, self.lc, m)[0][1] for j in channels] for m in moves])
+        return np.asarray(self.lc * np.log(up / down) / (2 * step))
+
+    def off_level(self) -> np.ndarray:
+        """Rotations (3,) by which the mover is off level, as a step across the array says; NaN of the other.
+
+        A rigid body turned about x and y by small angles: a step across lifts it, turned about z moves it.
+        """
+        out = np.full(3, np.nan)
+        across, sign = self._slopes(1 - self.axis, pi / 2 * self.lc).mean(), 1.0 if self.axis == 0 else -1.0
+        out[self.axis] = -sign * self.sample.rising(self.axis) * across.real
+        out[2] = sign * across.imag
+        return out
+
+    def rows(self) -> list[Row]:
+        """Return the rows of the axis: channels that one array passes at one place across it."""
+        turns = range(3, len(self.sample.at))
+        levers = np.array([self._slopes(k, TURN) for k in turns]).reshape(len(turns), len(self.own))
+        spread = np.concatenate([levers.real, levers.imag]).T
+        fitted = [self.window.fitted(k, self.lc)[0] for k in range(len(self.own))]
+        out = []
+        for members in together(spread, APART * 2 * pi * self.lc) if turns else [list(range(len(self.own)))]:
+            order = sorted(members, key=lambda k: self.passed.place[k])
+            out.append(Row(
+                tuple(self.own[k] for k in order), self.axis, self.passed.place[order],
+                np.array([fitted[k][0].real for k in order]), np.array([fitted[k][1:] for k in order]),
+                levers[:, order].mean(axis=1), self.passed.length,
+            ))  # fmt: skip
+        return out
+
+
+MARGINS = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Wavelengths from the ends of the wave within which a sensor does not count, of which one is chosen."""
+MOST_ROUNDS = 4
+TRIED = 1000
+"""Poses over which margins and rounds are compared."""
+HARDLY = 1.1
+"""Times what is left with it: a round that brings less is left out."""
+
+
+def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box, accuracy: float) -> Decoupler | None:
+    """Return the decoupler of arrays over longer rows over a box; see `lowering.wave.decoupler`.
+
+    None for several arrays that do not end near the box, or where no sensor is ever beyond the end of its
+    array. Raises `InputError` for one that does not end.
+    """
+    middle, half, leaves = ends_and_leaves(model, box, accuracy)
+    p, height = np.asarray(p, dtype=float), Reference.height_of(middle)
+    low, high = middle[height] - half[height], middle[height] + half[height]
+    several = len(middle) > height + 1
+    if several and not ends(model, p, middle, (low, high)):
+        return None
+    own = replace(model, period={c: v for c, v in model.period.items() if c not in model.pose})
+    try:
+        found = replace(rows_of(model, p, weight, (middle, half), leaves), model=own)
+    except NeverEnds:
+        if several:
+            return None
+        raise
+    if several and not found.travels():
+        return None
+    found = _best(found)
+    tilted = float(np.abs(np.array([row.lever for row in found.rows])).max(axis=0) @ half[3:])
+    wave = wave_of(found.plain, (low - tilted, high + tilted), float(leaves[0]))
+    return _Assembly(found, (wave,) * len(found.rows), box).make()
+
+
+def _best(found: Rows) -> Rows:
+    """Return the rows with the margin that leaves least of ends and noise, and rounds that are worth it."""
+    tried: list[tuple[float, int, Rows]] = []
+    least = 1 if found.turns else 0
+    for margin in MARGINS:
+        one = replace(found, margin=margin, rounds=least, plainly=True)
+        if 2 * margin * one.wavelength >= min(r.length for r in one.rows) - one.wavelength:
+            continue
+        size, price = _left(one), 1.0
+        tried.append((size, len(tried), one))
+        for rounds in range(1, MOST_ROUNDS + 1):
+            one = replace(found, margin=margin, rounds=rounds)
+            before, size, price = size, _left(one), price * HARDLY
+            if not size * HARDLY < before:
+                break
+            tried.append((size * price, len(tried), one))
+    size, _, best = min(tried, default=(np.inf, 0, found))
+    if not np.isfinite(size):
+        along = " and ".join(found.model.pose[axis] for axis in found.axes)
+        raise InputError(
+            f"Over the box too few sensors see an array at its ends to tell {along} and which period that is "
+            f"in; give fewer {along} with --range, or more sensors in the layout."
+        )
+    return best
+
+
+def _left(found: Rows) -> float:
+    """What is left, rms, of coordinates over their accuracy, with the noise of the calibration."""
+    pose, readings = found.trials(7, TRIED)
+    noise = np.random.default_rng(8).standard_normal(readings.shape) / np.sqrt(found.weight)[:, None]
+    with np.errstate(all="ignore"):  # where no sensor counts there is no pose
+        off = found.decoded(readings + noise, pose[:2]) - pose
+        size = float(np.sqrt(((off / found.accuracy[:, None]) ** 2).mean()))
+    resolved = np.isfinite(off).all() and np.abs(off[list(found.axes)]).max() < found.wavelength / 4
+    return size if resolved else np.inf
+
+
+@dataclass(eq=False)
+class _Assembly(Assembly):
+    found: Rows  # type: ignore[assignment]
+    _normal: dict[str, tuple] = field(default_factory=dict, init=False)
+    """By row: sensors times weight, the normal matrix and one over its determinant."""
+
+    def _channels(self, row: Row) -> list[str]:
+        return [short(self.found.model.channels[k]) for k in row.channels]
+
+    def wide(self, axis: int) -> bool:
+        return not self.found.absolute and super().wide(axis)
+
+    # -- from readings to places and heights ---------------------------------------------------------------
+
+    def rows(self) -> list[ca.SX]:
+        """Add the steps from the readings to places from the middle [m] and logarithms of all rows."""
+        made, found = self.made, self.found
+        made.entry("lc", found.lc, "m", "wavelength over 2 pi", "sign")
+        made.entry("wavelength", found.wavelength, "m", "wavelength", "sign")
+        made.entry("per_wave", 1 / found.wavelength, "1/m", "periods per metre", "sign")
+        wave_steps.least_inside(made, self.waves[:1])
+        self.at = {axis: self._first(axis, members) for axis, members in found.axes.items()}
+        for row, name in zip(found.rows, self.names, strict=True):
+            self._weights(row, name)
+        tags = [*(f"_{k}" for k in range(found.rounds)), ""]
+        seen = self._solved(tags[0])
+        self._covered(tags[0])
+        for before, tag in pairwise(tags):
+            tilts = sorted({found.tilt_of(row) for row in found.rows}) if found.turns else ()
+            turns = {k: self._first_turn(k, seen, before) for k in tilts}
+            seen = self._solved(tag, before, turns)
+        return list(seen.values())
+
+    def _center(self, axis: int) -> ca.SX:
+        """The middle of the box along an axis."""
+        value, column = float(self.found.middle[axis]), short(self.found.model.pose[axis])
+        if abs(value) < LOST:
+            return ca.SX(0)
+        return self.made.entry(f"{column}_middle", value, "m", "middle of the box")
+
+    def _first(self, axis: int, members: Sequence[int]) -> ca.SX:
+        """The place along an axis that all its sensors alike say, in the period that is meant."""
+        made, column, cos, sin = self.made, short(self.found.model.pose[axis]), [], []
+        for k in members:
+            row = self.found.rows[k]
+            design = row.design()
+            for j, name in enumerate(self._channels(row)):
+                offset = made.entry(f"offset_{name}", float(row.offset[j]), "V", f"offset of {name}")
+                reading = made.symbols[self.found.model.channels[row.channels[j]]]
+                f = made.step(f"field_{name}", reading - offset)
+                cos.append(f * made.entry(f"cos_{name}", design[0, j], "V", f"read by {name} of the cosine"))
+                sin.append(f * made.entry(f"sin_{name}", design[1, j], "V", f"read by {name} of the sine"))
+                about = f"place at which the array is over {name}"
+                made.entry(f"at_{name}", float(row.place[j]), "m", about)
+        u = made.total(f"cos_all_{column}", cos, "all alike"), made.total(f"sin_all_{column}", sin)
+        if self.found.absolute:
+            near = self._middle_seen()
+        else:
+            near = made.symbols[f"{column}_near_m"] if self.wide(axis) else self._center(axis)
+        return place_steps(made, self.waves[0], u, near, f"_{column}")
+
+    def _middle_seen(self) -> ca.SX:
+        """The middle of one array as far as the squares of the readings say it."""
+        made, (row,), (low, high) = self.made, self.found.rows, self.found.whole
+        names = self._channels(row)
+        energy = [made.step(f"energy_{n}", made.symbols[f"field_{n}"] ** 2) for n in names]
+        total = made.total("energy", energy, "[V2] of all sensors")
+        places = [made.symbols[f"at_{n}"] * e for n, e in zip(names, energy, strict=True)]
+        at = made.step("energy_middle", made.total("energy_first", places) / (total + TINY),
+                       "[m] middle of what is read, squared")  # fmt: skip
+        if not low < high:
+            return at
+        ends = {
+            "low": made.entry("low_whole", low, "m", "least place with all of the array over sensors"),
+            "high": made.entry("high_whole", high, "m", "greatest such place"),
+        }
+        up, down = (made.step(f"beyond_{n}", (at + at) - end) for n, end in ends.items())
+        upper = made.step("chosen_upper", ca.if_else(at < down, down, at))
+        return made.step(
+            "chosen_middle", ca.if_else(up < upper, up, upper), "[m] also at the ends of the board"
+        )
+
+    def _weights(self, row: Row, tag: str) -> None:
+        """Weight of each sensor, w^2 (3 - 2 w): 1 well under the array, 0 beyond, smooth."""
+        made, found = self.made, self.found
+        ramp = RAMP * found.wavelength
+        half = row.length / 2 - found.margin * found.wavelength
+        about = "half of what counts of the array, over the ramp"
+        start = made.entry(f"depth_{tag}", half / ramp, "1", about)
+        rate = made.entry("per_ramp", 1 / ramp, "1/m", "a weight goes from 0 to 1 over its inverse", "sign")
+        for name in self._channels(row):
+            at = made.symbols[f"at_{name}"]
+            beside = made.step(f"beside_{name}", self.at[row.axis] - at, "[m] of the middle of the array")
+            depth = made.step(f"deep_{name}", start - ca.fabs(beside) * rate)
+            # 0 to 1 without a branch: its rounding is a millionth of a weight, far away half of one
+            between = (ca.fabs(depth) - ca.fabs(depth - 1.0) + 1.0) * 0.5
+            share = made.step(f"share_{name}", between, most=1.5)
+            made.step(f"weight_{name}", share * share * (3.0 - (share + share)))
+
+    def _solved(
+        self, tag: str, before: str | None = None, turns: dict[int, ca.SX] | None = None
+    ) -> dict[str, ca.SX]:
+        """Place from the middle and logarithm of each row by label.
+
+        `before`: the tag of the solution whose harmonics are taken off, `turns`: its rotations.
+        """
+        found, made, places, logs = self.found, self.made, {}, {}
+        for k, (row, name) in enumerate(zip(found.rows, self.names, strict=True)):
+            turn = turns[found.tilt_of(row)] if turns else None
+            u = self._vector(row, name, tag, before, turn)
+            log = wave_steps.logarithm_steps(made, self.waves[k], u, f"_{name}{tag}")
+            place = place_steps(made, self.waves[0], u, self.at[row.axis], f"_{name}{tag}")
+            away = made.step(f"along_{name}{tag}", place - self._center(row.axis), "[m] from the middle")
+            places[f"along_{name}"], logs[f"deep_{name}"] = away, log
+        return places | logs
+
+    def _first_turn(self, k: int, values: dict[str, ca.SX], tag: str) -> ca.SX:
+        """Estimate of a rotation, within its range: of readings of no pose it could be anything."""
+        made, column = self.made, short(self.found.model.pose[k])
+        half_more = 1.5 * float(self.found.half[3:].max())
+        most = made.entry(f"most_{column}", half_more, "rad", f"largest {column} that is taken out", "sign")
+        turn = made.step(f"seen_{column}{tag}", self.total(k, values), "[rad] estimate")
+        up = made.step(f"above_{column}{tag}", ca.if_else(turn < most, turn, most))
+        return made.step(f"taken_{column}{tag}", ca.if_else(up > -most, up, -most))
+
+    def _vector(self, row: Row, name: str, tag: str, before: str | None, turn: ca.SX | None) -> Pair:
+        made, sensors = self.made, self._channels(row)
+        field = [made.symbols[f"field_{s}"] for s in sensors]
+        cos, sin, weight = ([made.symbols[f"{n}_{s}"] for s in sensors] for n in ("cos", "sin", "weight"))
+        lifted: list[ca.SX] = []
+        if turn is not None:  # how much stronger the field is at each sensor than at the array's middle
+            about = "of ln |u| per metre and rotation"
+            lift = made.entry(f"lift_{name}", self.found.lift_of(row), "1/m", about)
+            steep = made.step(f"steep_{name}{tag}", lift * turn)
+            for s in sensors:
+                v = made.step(f"tilt_{s}{tag}", steep * made.symbols[f"beside_{s}"])
+                lifted.append(made.step(f"lifted_{s}{tag}", 1.0 + v * (1.0 + v * (0.5 + v * (1 / 6)))))
+            both = (cos, sin)
+            cos, sin = (
+                [
+                    made.step(f"lifted_{axis}_{s}{tag}", c * v)
+                    for s, c, v in zip(sensors, part, lifted, strict=True)
+                ]
+                for axis, part in zip(wave_steps.AXES, both, strict=True)
+            )
+        if before is not None:
+            field = self._without_harmonics(row, name, field, lifted, before, tag)
+
+        def product(label: str, a: Sequence[ca.SX], b: Sequence[ca.SX], tag: str) -> ca.SX:
+            return made.total(f"{label}_{name}{tag}", [x * y for x, y in zip(a, b, strict=True)])
+
+        if turn is not None or before is None:  # the same for all solutions without tilt
+            wc = [made.step(f"wcos_{s}{tag}", w * c) for s, w, c in zip(sensors, weight, cos, strict=True)]
+            ws = [made.step(f"wsin_{s}{tag}", w * c) for s, w, c in zip(sensors, weight, sin, strict=True)]
+            pairs = {"cos_cos": (wc, cos), "cos_sin": (wc, sin), "sin_sin": (ws, sin)}
+            normal = [product(label, *pair, tag) for label, pair in pairs.items()]
+            self._normal[name] = wc, ws, *normal, self._per_cover(row, name, normal, tag)
+        wc, ws, cc, cs, ss, per = self._normal[name]
+        re, im = product("cos_seen", wc, field, tag), product("sin_seen", ws, field, tag)
+        return self._held((ss * re - cs * im, cc * im - cs * re), per, f"{name}{tag}")
+
+    def _per_cover(self, row: Row, name: str, normal: Sequence[ca.SX], tag: str) -> ca.SX:
+        """One over the determinant of a normal matrix, no less than where the flag is set."""
+        made, (cc, cs, ss) = self.made, normal
+        cover = made.step(f"cover_{name}{tag}", cc * ss - cs * cs, "[V4] cosine told from sine")
+        value = self.found.least_cover(row)
+        least = made.entry(f"least_cover_{name}", value, "V4", "share of the least of the box", "sign")
+        held = made.step(f"held_cover_{name}{tag}", ca.if_else(cover > least, cover, least))
+        return made.step(f"per_cover_{name}{tag}", 1.0 / held)
+
+    def _held(self, wide: Pair, per: ca.SX, tag: str) -> Pair:
+        """A phasor, no longer than any of the box is, from what is as many times it as 1 over `per`."""
+        made, u = self.made, []
+        most = made.entry("longest", 2.0 * self.waves[0].outer, "1", "most of a phasor", "sign")
+        for axis, v in zip(wave_steps.AXES, wide, strict=True):
+            raw = made.step(f"raw_{axis}_{tag}", v * per)
+            low = made.step(f"above_{axis}_{tag}", ca.if_else(raw > -most, raw, -most))
+            u.append(made.step(f"held_{axis}_{tag}", ca.if_else(low < most, low, most)))
+        return u[0], u[1]
+
+    def _without_harmonics(
+        self, row: Row, name: str, field: Sequence[ca.SX], lifted: Sequence[ca.SX], before: str, tag: str
+    ) -> list[ca.SX]:
+        """Readings without the higher harmonics that an earlier solution says."""
+        made, out = self.made, list(field)
+        cos, sin = (made.symbols[f"held_{axis}_{name}{before}"] for axis in wave_steps.AXES)
+        powers = wave_steps.Powers(made, cos, sin, f"_{name}{tag}_of")
+        known = [{1: v} for v in lifted]
+        for n in self.found.harmonics:
+            re, im = powers(n)
+            design = row.design(n)
+            for k, sensor in enumerate(self._channels(row)):
+                a, b = (
+                    made.entry(f"{part}_{n}_{sensor}", design[j, k], "V", f"read by {sensor} of {part} {n}")
+                    for j, part in enumerate(wave_steps.AXES)
+                )
+                off = a * re + b * im
+                if lifted:
+                    off = off * wave_steps.power(made, known[k], n, f"lifted_{sensor}{tag}")
+                out[k] = made.step(f"left_{n}_{sensor}{tag}", out[k] - off)
+        return out
+
+    # -- the linear pose -----------------------------------------------------------------------------------
+
+    @property
+    def labels(self) -> list[str]:
+        """Of what the pose is linear in: places, then logarithms."""
+        return [f"along_{n}" for n in self.names] + [f"deep_{n}" for n in self.names]
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Pose per label (6, labels)."""
+        n = len(self.names)
+        scale = np.array(n * [1.0] + n * [self.found.rising * self.found.lc])
+        return np.asarray(self.found.inverse * scale)
+
+    def _covered(self, tag: str) -> None:
+        """Add the step that the flag of the cover looks at: what the row that has least has to spare."""
+        made, (first, *others) = self.made, [
+            self.made.step(
+                f"covered_{name}",
+                self.made.symbols[f"cover_{name}{tag}"] - self.made.symbols[f"least_cover_{name}"], "[V4]",
+            )
+            for name in self.names
+        ]  # fmt: skip
+        for name, own in zip(self.names[1:], others, strict=True):
+            first = made.step(f"cover_to_{name}", ca.if_else(first < own, first, own))
+        made.step("cover", first)
+        made.entry("least_cover", 0.0, "V4", "what each row must have more than its least", "value")
+
+    def linear(self, nears: Sequence[str]) -> list[ca.SX]:
+        """Add the steps from the readings to the linear pose; returns its displacements from the middle."""
+        seen = self.rows()
+        self.least()
+        return self.pose(seen, {})
+
+    @property
+    def never_zero(self) -> str:
+        """An entry that decoupler_check() looks at: a wavelength over 2 pi."""
+        return "lc"
+
+    @property
+    def flags(self) -> tuple[Flag, ...]:
+        """Status bits beyond the ranges."""
+        return (*super().flags, Flag("COVER", "cover", "least_cover", COVERED))
+
+    def leaves(self) -> dict[str, float]:
+        """What is left of each coordinate: met over trial poses by exact functions, and what these leave."""
+        found = self.found
+        pose, readings = found.trials(5, TRIALS)
+        met = np.abs(found.decoded(readings, pose[:2]) - pose).max(axis=1)
+        each = np.full(2 * len(found.rows), self.waves[0].error * found.lc)
+        return named(found.model.pose, wave_steps.SAFE * (met + np.abs(found.inverse) @ each))
+
+    def said(self, leaves: dict[str, float]) -> tuple[str, ...]:
+        """Return sentences for header and report."""
+        found = self.found
+        rows = ", ".join(
+            f"{n} {counted(len(r.channels), 'reading')} over {1e3 * np.ptp(r.place):.4g} mm, array of "
+            f"{1e3 * r.length:.3g} mm"
+            for n, r in zip(self.names, found.rows, strict=True)
+        )
+        return (
+            f"Rows: {rows}, wavelength {1e3 * found.wavelength:.6g} mm.",
+            f"A sensor counts from {1e3 * found.margin * found.wavelength:.3g} mm inside the "
+            "ends of its array on, and fully half a wavelength further: weights are smooth, so nothing steps "
+            "where sensors come and go.",
+            "Give all readings at every sample, also of sensors that no array is over: the code weights "
+            "them.",
+            f"{found.model.pose[0]} is absolute, from the readings of one sample."
+            if found.absolute
+            else "What says the period, x_near_m and y_near_m where they are inputs, is the position so far "
+            f"or the commanded one, within {1e3 * NEAR * found.wavelength:.2g} mm: it chooses the period and "
+            "nothing else.",
+            *wave_steps.measured("It", leaves, TRIALS, " of the poses of the model"),
+        )
+
+
+def place_steps(made: Collected, wave: wave_steps.Wave, u: Pair, near: ca.SX, tag: str = "") -> ca.SX:
+    """Add the steps of the place [m] of a phase in the period next to another place; returns it."""
+    lc, whole, per = (made.symbols[name] for name in ("lc", "wavelength", "per_wave"))
+    place = made.step(f"in_wave{tag}", lc * wave_steps.arctangent_steps(made, wave, u, tag))
+    number = wave_steps.periods_steps(made, (near - place) * per, tag)
+    return made.step(f"place{tag}", place + whole * number, "[m]")
