@@ -27,7 +27,7 @@ import numpy as np
 
 from hallsym.errors import InputError, counted, listed, nearest
 from hallsym.log import Log, Noise
-from hallsym.log.columns import RUN, in_a_row, read_runs
+from hallsym.log.columns import RUN, read_runs, run_list
 from hallsym.log.core import Block
 from hallsym.log.phase import continuous
 from hallsym.log.table import CHUNK_ROWS, Piece, TableLike, View, joined
@@ -312,15 +312,6 @@ def said(c: Correction) -> str:
 
 def _runs(runs: Sequence[int]) -> str:
     return f"run {runs[0]}" if len(runs) == 1 else f"runs {run_list(runs)}"
-
-
-def run_list(runs: Sequence[int]) -> str:
-    """Return runs as `--holdout` takes them.
-
-    >>> run_list([3, 5, 7, 8, 9])
-    '3,5,7-9'
-    """
-    return ",".join(str(p[0]) if len(p) == 1 else f"{p[0]}-{p[-1]}" for p in in_a_row(runs))
 
 
 def read_correction(text: str) -> Correction:

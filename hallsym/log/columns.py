@@ -310,6 +310,7 @@ def _whole(raw: Array, source: str) -> Array:
 
 
 MOST_RUN = 2**53
+"""Beyond it neighbouring whole numbers are one double, so that two runs would become one."""
 MOST_RUNS = 1_000_000
 """Runs that a range of run numbers may hold: more than any campaign has."""
 
@@ -348,7 +349,13 @@ def in_a_row(runs: Sequence[int]) -> list[list[int]]:
     return parts
 
 
-"""Beyond it neighbouring whole numbers are one double, so that two runs would become one."""
+def run_list(runs: Sequence[int]) -> str:
+    """Return runs as `--holdout` takes them.
+
+    >>> run_list([3, 5, 7, 8, 9])
+    '3,5,7-9'
+    """
+    return ",".join(str(p[0]) if len(p) == 1 else f"{p[0]}-{p[-1]}" for p in in_a_row(runs))
 
 
 @dataclass(frozen=True)

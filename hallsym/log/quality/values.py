@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hallsym.log.columns import in_a_row, is_moving, is_reading, is_reference, tells
+from hallsym.log.columns import is_moving, is_reading, is_reference, run_list, tells
 from hallsym.log.core import Block, Drop, Log
 from hallsym.log.quality.findings import Fault, Finding, name_of, others, the
 from hallsym.log.quality.scan import (
@@ -47,7 +47,7 @@ def dead(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
                 " moves",
                 claim="stuck", drop=Drop(runs=frozenset(still)), remedy="check the probe and its wiring",
                 columns=(name,), runs=tuple(still),
-                correction=f"stuck {name} 0 {max(seen.samples[run] for run in still)} in {_listed(still)}",
+                correction=f"stuck {name} 0 {max(seen.samples[run] for run in still)} in {run_list(still)}",
             )  # fmt: skip
 
 
@@ -133,11 +133,6 @@ def _stuck(log: Log, name: str, one: Stretch) -> str:
             break
         before += len(block.data[name])
     return f"stuck {name} {one.start - before} {one.stop - before} in {one.run}"
-
-
-def _listed(runs: Iterable[int]) -> str:
-    parts = in_a_row(list(runs))
-    return ",".join(str(p[0]) if len(p) == 1 else f"{p[0]}-{p[-1]}" for p in parts)
 
 
 def _stretches(log: Log, seen: Scan, name: str, spans: Spans) -> list[Stretch]:
@@ -265,5 +260,5 @@ def _pasted(log: Log, same: Pairs, spans: Spans) -> Finding:
         f"{others(same, 'more pair')}",
         claim="copied_run", drop=Drop(runs=frozenset(wrong)) if len(wrong) < len(runs) else None,
         remedy="remove a run that is a copy, or give each run the columns that were recorded with it",
-        columns=tuple(names), runs=tuple(sorted(wrong)), correction=f"copied_run in {_listed(sorted(wrong))}",
+        columns=tuple(names), runs=tuple(sorted(wrong)), correction=f"copied_run in {run_list([*wrong])}",
     )  # fmt: skip
