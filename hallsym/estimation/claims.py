@@ -715,11 +715,20 @@ def _trimmed(trials: Trials, base: Tried) -> list[list[int]]:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A correction that was tried: the deviance that it gains per reading, and the mean square it leaves."""
+    """A correction that was tried: the deviance per reading before and after, and the mean square it leaves.
 
-    gain: float
+    Before: of the samples that the correction leaves.
+    """
+
+    before: float
+    after: float
     left: float
     correction: Correction
+
+    @property
+    def gain(self) -> float:
+        """The deviance that it gains."""
+        return self.before - self.after
 
     @property
     def explains(self) -> float:
@@ -761,7 +770,7 @@ def _best(
         if found is None or not found.left:
             return np.inf
         same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
-        one = Judged(same - found.mean(found.deviance, runs), found.mean(found.left, runs), c)
+        one = Judged(same, found.mean(found.deviance, runs), found.mean(found.left, runs), c)
         if np.isfinite(one.gain) and one.left > LEAST and _follows(base, found):
             seen.append(one)
         shares[c] = float(found.shares[0].mean())
@@ -778,10 +787,10 @@ def _best(
     good = [one for one in seen if one.explains >= EXPLAINS and one.gain >= EXCESS - 1.0]
     if not good:
         return None
-    best = max(good, key=lambda one: one.gain)
+    best = min(good, key=lambda one: one.after)
     close = max(RIVAL / max(sum(base.counts[r] for r in runs), 1.0), NEAR * max(best.left, 1.0))
-    near = sorted((one for one in good if best.gain - one.gain < close), key=lambda one: one.plain)
-    first = max((one for one in near if _same(one.correction, near[0].correction)), key=lambda one: one.gain)
+    near = sorted((one for one in good if one.after - best.after < close), key=lambda one: one.plain)
+    first = min((one for one in near if _same(one.correction, near[0].correction)), key=lambda one: one.after)
     rivals = tuple(one.correction for one in near if not _same(one.correction, first.correction))
     return Found(first.correction, min(first.explains, 1.0), first.left, rivals)
 
@@ -832,7 +841,7 @@ def _refined(
     `before`: share of the readings' variance that is left; `shares`: the same of what was tried.
     """
     scaled = [c for c, share in shares.items() if c.kind == "scale" and share < PART * before]
-    named = max(seen, key=lambda one: one.gain, default=None)
+    named = min(seen, key=lambda one: one.after, default=None)
     if not scaled or (named and named.correction.kind != "scale"):
         return
     best = named.correction if named else min(scaled, key=shares.__getitem__)
@@ -918,7 +927,7 @@ def _other_device(trials: Trials, now: Tried, runs: Sequence[int]) -> list[Found
     if own is None or not own.left:
         return []
     one = Judged(
-        now.mean(now.deviance) - own.mean(own.deviance), own.mean(own.left), Correction("other_device")
+        now.mean(now.deviance), own.mean(own.deviance), own.mean(own.left), Correction("other_device")
     )
     described = one.explains >= EXPLAINS and one.left < EXCESS
     return [Found(one.correction.in_runs(runs), one.explains, one.left)] if described else []
