@@ -301,13 +301,13 @@ def test_swapped_voltages_are_said_where_a_calibration_is_judged(calib: Path, tm
     assert "or the two voltages are swapped" in capsys.readouterr().out
 
 
-def test_a_part_of_a_turn_is_judged_but_not_fitted(calib: Path, tmp_path: Path, capsys) -> None:
+def test_a_part_of_a_turn_is_judged_and_a_claim_of_a_fit(calib: Path, tmp_path: Path, capsys) -> None:
     log = encoder(None)
     part = {c: log.array(c) for c in log.columns}
     some = np.mod(part["angle_ref_rad"] + 1e-3, 2 * np.pi) < 1.5
     del part["t_s"]
     table = {c: v[some].astype(int) if c == "run" else v[some] for c, v in part.items()}
     path = str(written(Log.from_arrays(table), tmp_path / "log.csv"))
-    assert main(["fit", path, "--model", "rotary"]) == 2
+    assert main(["fit", path, "--model", "rotary"]) == 3
     assert "deg of a turn" in capsys.readouterr().err
     assert main(["evaluate", str(calib), path]) == 0

@@ -68,7 +68,11 @@ def test_a_fit_of_a_log_without_a_mistake_says_nothing(name: str) -> None:
 
 @pytest.mark.parametrize(("mistake", "name"), ONE_OF_EACH)
 def test_the_command_names_a_mistake_and_ends_with_its_code(
-    mistake: Mistake, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    mistake: Mistake,
+    name: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """2 for a refusal; 3 for a claim, with the sentence on stderr too; 0 for a remark."""
     log = made(mistake, name)
@@ -76,12 +80,12 @@ def test_the_command_names_a_mistake_and_ends_with_its_code(
     write_log(next(iter(held)), tmp_path / "log.parquet")
     noise = {column: sigma.value for column, sigma in log.noise.sigmas.items()}
     (tmp_path / "meta.json").write_text(json.dumps({"base_model": MODELS[name], "noise_1sigma": noise}))
-    code = main(["fit", str(tmp_path)])
+    monkeypatch.chdir(tmp_path)  # a long path would be part of each sentence
+    code = main(["fit", "."])
     out, err = capsys.readouterr()
     assert code in {"refusal": (2,), "remark": (0,), "claim": (2, 3)}[mistake.ends], err
     assert re.search(mistake.says, out if mistake.ends == "remark" else err), err
-    told = err.replace(str(tmp_path), "log")  # a command to run next holds the path as it is
-    assert all(len(line) <= LONGEST + len("hallsym: ") for line in told.splitlines()), err
+    assert all(len(line) <= LONGEST + len("hallsym: ") for line in err.splitlines()), err
     assert (out == "") == (code == 2)
 
 
