@@ -15,6 +15,11 @@ FIRMWARE := gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck c
 # Continuous integration (CI=true) runs the slow tests too, in the same run.
 SLOW := $(if $(filter true,$(CI)),-m "slow or not slow")
 
+# Another apt that runs holds a lock: wait for it, up to five minutes, and say so. What else fails is shown.
+APT := said() { for n in $$(seq 30); do \
+	told=$$(apt-get -o DPkg::Lock::Timeout=300 "$$@" 2>&1) && return 0; echo "$$told" >&2; \
+	case "$$told" in *[Ll]ock*) sleep 10 ;; *) return 1 ;; esac; done; return 1; }; said
+
 .DEFAULT_GOAL := help
 .PHONY: help install tools demo test bench docs lint clean browser
 
@@ -34,9 +39,9 @@ tools: ## compilers, QEMU and provers that the tests of generated C use (as root
 	missing=$$(for name in $(FIRMWARE); do \
 	    dpkg-query -W -f '$${Status}' $$name 2>/dev/null | grep -q '^install ok installed' || echo $$name; done); \
 	[ -z "$$missing" ] || { echo "installing" $$missing; \
-	    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive \
-	        apt-get install -y -qq --no-install-recommends $$missing; } >/dev/null 2>&1 || \
-	    echo "apt could not install them; the tests that need them say so"; }
+	    export DEBIAN_FRONTEND=noninteractive; \
+	    { $(APT) update -qq && said install -y -qq --no-install-recommends $$missing; } || \
+	    echo "apt could not install them, as it says above; the tests that need them say so"; }
 
 # Tests start many interpreters; those read each other's bytecode, whatever the environment says.
 test: install tools lint browser ## lint, then pytest on all cores (with the slow tests when CI=true)
@@ -46,9 +51,9 @@ test: install tools lint browser ## lint, then pytest on all cores (with the slo
 browser:
 	@command -v chromium >/dev/null 2>&1 || [ "$$(id -u)" != 0 ] || ! command -v apt-get >/dev/null 2>&1 || { \
 	    echo "installing chromium, which the tests of HTML pages use"; \
-	    { apt-get update && DEBIAN_FRONTEND=noninteractive \
-	        apt-get install --yes --no-install-recommends chromium; } >/dev/null 2>&1 || \
-	    echo "chromium could not be installed: tests that need it are skipped" >&2; }
+	    export DEBIAN_FRONTEND=noninteractive; \
+	    { $(APT) update -qq && said install --yes -qq --no-install-recommends chromium; } || \
+	    echo "chromium could not be installed, as apt says above: tests that need it are skipped" >&2; }
 
 bench: $(BENCHABLE) ## the benchmarks in tests/benchmarks
 	@set -e; for script in tests/benchmarks/*.py; do \

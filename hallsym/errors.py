@@ -73,10 +73,13 @@ def summary(error: BaseException, most: int = 100) -> str:
 
 
 def nearest(name: str, known: list[str]) -> str:
-    """Return `" (did you mean 'x'?)"` for the closest known name, or an empty string."""
+    """Return `" (did you mean 'x'?)"` for the closest known name, or an empty string.
+
+    A name that is known, but not in its place, is not offered again.
+    """
     from difflib import get_close_matches
 
-    folded = {k.lower(): k for k in reversed(known[:_COMPARED])}
+    folded = {k.lower(): k for k in reversed(known[:_COMPARED]) if k != name}
     hit = get_close_matches(name.lower()[:_LONGEST_WORD], list(folded), n=1, cutoff=0.5)
     return f" (did you mean '{folded[hit[0]]}'?)" if hit else ""
 

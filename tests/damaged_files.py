@@ -268,7 +268,7 @@ def targets() -> tuple[Target, ...]:
             ("codegen", "calib.json", "-o", "c", "--force", UNDETERMINED, "--json"), m.JSON,
         ),
         Target(
-            "C, numbers alone", "c/params/decoupler_params.json",
+            "C, numbers alone", "c/table/decoupler_params.json",
             ("codegen", "calib.json", "-o", "c", "--params-only", UNDETERMINED, "--json"), m.JSON,
         ),
         Target(

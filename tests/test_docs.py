@@ -181,7 +181,7 @@ def run_cell(code: str, page: Path, line: int, shared: dict) -> None:
 def compiles(code: str, folder: Path) -> None:
     """Compile a C example against the folders that the page generated; nothing to do without a compiler."""
     if compiler := shutil.which("gcc"):
-        paths = [f"-I{path}" for where in ("include", "params") for path in folder.glob(f"*/{where}")]
+        paths = [f"-I{path.parent}" for path in folder.glob("*/*_params.h")]
         command = [compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", *paths, "-fsyntax-only", "-xc", "-"]
         found = subprocess.run(command, input=code, capture_output=True, text=True)
         assert found.returncode == 0, found.stderr

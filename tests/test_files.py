@@ -146,6 +146,7 @@ class Whole(msgspec.Struct, forbid_unknown_fields=True):
             "'parts.a' of file f has the unknown key 'valeu' .*'value'",
         ),
         ({"part": {}}, r"File f has the unknown key 'part' \(did you mean 'parts'"),
+        ({"parts": {}, "value": 1}, "File f has the unknown key 'value'; correct it"),  # known, but elsewhere
         ({}, "File f is incomplete: 'parts' is missing"),
         ({"parts": {}, "runs": [1, 2.5]}, "Key 'runs.1' of file f must be a whole number.*2.5"),
         ([], "File f must be a table of keys"),

@@ -11,7 +11,11 @@ from hallsym.codegen.folder import name_of
 from hallsym.codegen.generation import sha256
 from hallsym.codegen.lowering.correction import KINDS as CORRECTIONS
 from hallsym.codegen.naming import PREFIX
+from hallsym.codegen.observer import Observer, observer_of
+from hallsym.codegen.templates import LICENSE
+from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
+from hallsym.log import read_log
 from hallsym.units import fitting, readable
 
 EPILOG = """\
@@ -49,7 +53,8 @@ def add(sub: Any) -> None:
     parser.add_argument(
         "--accuracy", metavar="COLUMN=ANGLE",
         help="encoders: what the correction of the angle may leave besides rounding, as angle_mrad=1 "
-        "(default: angle_nrad=30); a coarser one takes fewer waves or a smaller table; magnet arrays: of a "
+        "(default: angle_nrad=30, of q31 angle_urad=10); a coarser one takes fewer waves or a "
+        "smaller table; magnet arrays: of a "
         "place, as x_um=0.1",
     )  # fmt: skip
     parser.add_argument(
@@ -60,6 +65,21 @@ def add(sub: Any) -> None:
         "--name", metavar="NAME",
         help="prefix of symbols and files, such as enc_left (default: decoupler): "
         "several decouplers then fit in one image",
+    )  # fmt: skip
+    parser.add_argument(
+        "--license", metavar="SPDX",
+        help=f"SPDX expression in every file, such as MIT (default: {LICENSE}, yours to license)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--predict", metavar="LOG",
+        help="with decoupler_predict(): position and speed at the time that the controller asks for, by an "
+        "observer whose bandwidth leaves least of this log",
+    )  # fmt: skip
+    parser.add_argument("--bandwidth", metavar="HZ", type=float, help="of --predict, in place of the log's")
+    parser.add_argument(
+        "--latency", metavar="SECONDS", type=float, default=0.0,
+        help="of --predict: from the pose to the timestamp of its sample, which a prediction adds "
+        "(default: 0)",
     )  # fmt: skip
     parser.add_argument("--double", action="store_true", help="double instead of float, for hosts")
     parser.add_argument(
@@ -99,7 +119,21 @@ def _made(fit: Fit, options: Namespace) -> Generated:
         allow_undetermined=allow,
         calibration_sha256=digest,
         name=name,
+        license=options.license,
+        observer=_observer(fit, options),
         like=folder if options.params_only else None,
+    )
+
+
+def _observer(fit: Fit, options: Namespace) -> Observer | None:
+    if options.predict is None:
+        if options.bandwidth is not None or options.latency:
+            raise InputError(
+                "--bandwidth and --latency belong to --predict LOG, which names the log to follow."
+            )
+        return None
+    return observer_of(
+        fit, read_log(options.predict), bandwidth_hz=options.bandwidth, latency=options.latency
     )
 
 

@@ -117,6 +117,8 @@ def _within(d: Decoupler, ratio: float, sizes: Mapping[str, float] | None) -> di
         size = abs(e.value)
         if e.holds == "value":
             out[e.name] = (e.value, e.value)
+        elif e.holds == "share":
+            out[e.name] = (0.0, 1.0)
         elif sizes is None or e.name in rests or e.holds == "sign":
             ends = _outward(size / ratio, size * ratio, digits)
             out[e.name] = ends if e.value >= 0 else (-ends[1], -ends[0])

@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.metadata import version
 from itertools import product
 from typing import Any, ClassVar
 
@@ -19,15 +20,16 @@ import numpy as np
 from hallsym.codegen.bounds import Bounds
 from hallsym.codegen.decoupler import Decoupler, flag_bit, short, unit
 from hallsym.codegen.naming import PREFIX
-from hallsym.codegen.templates import MARK, filled, lines_of, tree
+from hallsym.codegen.residual import Ran
+from hallsym.codegen.templates import LICENSE, filled, lines_of, tree
 from hallsym.files import json_text
 from hallsym.output import commented
 
-STEP = "misra-c2012-8.7:src/decoupler.c"
+STEP = "misra-c2012-8.7:decoupler.c"
 """Deviation: the function is external for its user, not for its library."""
-VERSION = 2
+VERSION = 3
 """Of the generated interface and of the head of the table."""
-BINARY = "params/decoupler_params.bin"
+BINARY = "table/decoupler_params.bin"
 REFERENCE = 1e-15
 """Rounding [m, rad] of the model's own pose, computed in double and written with 13 digits."""
 C_TYPES = {"f4": "float", "f8": "double", "i4": "int32_t", "u4": "uint32_t", "i2": "int16_t"}
@@ -148,8 +150,8 @@ class Backend(ABC):
         return self.ends
 
     @abstractmethod
-    def run(self, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return pose (n_pose, s) and bits of the flags (s,) of inputs within the box: the same bits as C."""
+    def run(self, held: np.ndarray) -> Ran:
+        """Return pose, bits of the flags and suspects of inputs within the box: the same bits as C."""
 
     @abstractmethod
     def sample(self, numbers: np.ndarray) -> np.ndarray:
@@ -171,7 +173,8 @@ class Backend(ABC):
         """Return random inputs (n_inputs, count) in the box, in the unit of their own numbers."""
         low, high = self.span
         if self.decoupler.drawn is not None:
-            return np.clip(self.decoupler.drawn(rng, count), low, high)
+            scale = np.array([[port.scale] for port in self.inputs])
+            return np.clip(self.decoupler.drawn(rng, count) / scale, low, high)
         return np.asarray(low + (high - low) * rng.random((len(low), count)))
 
     def hold(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -185,23 +188,35 @@ class Backend(ABC):
 
     def step(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return pose (n_pose, s) and status (s,) of inputs (n_inputs, s), whatever their bits, as C does."""
-        held, status = self.hold(inputs)
-        pose, flags = self.run(held)
-        return pose, status.astype(np.uint32) | flags.astype(np.uint32)
+        return self.whole_step(inputs)[:2]
 
-    def hashed_step(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return pose (n_pose, s) and status (s,) of numbered samples, as the self-test hashes them."""
-        return self.step(self.sample(numbers))
+    def whole_step(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return pose (n_pose, s), status (s,) and suspects (s,) by number from 1; 0 is none."""
+        held, status = self.hold(inputs)
+        return self._done(status, self.run(held))
+
+    def _done(self, status: np.ndarray, found: Ran) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return found.pose, status.astype(np.uint32) | found.flags.astype(np.uint32), found.suspects
+
+    def hashed_step(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return pose, status and suspects of numbered samples, as the self-test hashes them."""
+        return self.whole_step(self.sample(numbers))
 
     def hash(self, count: int) -> int:
         """Return the hash of status and pose over samples 0 to count - 1."""
-        total, width = 0, np.uint32(len(self.decoupler.pose) + 1)
+        total, width = 0, np.uint32(self._width)
         for first in range(0, count, BATCH):
             n = np.arange(first, min(first + BATCH, count), dtype=np.uint32)
-            pose, status = self.hashed_step(n)
-            for k, row in enumerate((status, *self._words(pose))):
+            pose, status, suspects = self.hashed_step(n)
+            others = (suspects,) if self.decoupler.suspects else ()
+            for k, row in enumerate((status, *self._words(pose), *others)):
                 total += int(mix(row ^ mix(n * width + np.uint32(k))).astype(np.uint64).sum())
         return total & 0xFFFFFFFF
+
+    @property
+    def _width(self) -> int:
+        """Words of a sample that the hash takes: status, pose and, where one is named, the suspect."""
+        return len(self.decoupler.pose) + 1 + self.decoupler.suspects
 
     def errors(self, samples: int | None = None, seed: int = 0) -> dict[str, float]:
         """Return the largest error of each pose coordinate against the model, over random inputs."""
@@ -231,8 +246,11 @@ class Backend(ABC):
 
     tree: ClassVar[str]
     """Folder of templates."""
-    hashed: ClassVar[tuple[int, int]]
-    """Samples in the short and the long hash of the self-test."""
+
+    @property
+    @abstractmethod
+    def hashed(self) -> tuple[int, int]:
+        """Samples in the short and the long hash of the self-test."""
 
     @abstractmethod
     def summary(self) -> dict[str, Any]:
@@ -313,7 +331,8 @@ class Backend(ABC):
     def json(self) -> str:
         """Return the table as a readable record."""
         record = {
-            "format": "hallsym decoupler parameters 1", "generator": MARK, **self.record, "version": VERSION,
+            "format": "hallsym decoupler parameters 1", "generator": f"hallsym {version('hallsym')}",
+            **self.record, "version": VERSION,
             "layout": f"0x{self.layout:08x}", "crc32": f"0x{self.crc:08x}", "type": self.type, **self._json(),
         }  # fmt: skip
         return json_text(record) + "\n"
@@ -388,12 +407,13 @@ class Backend(ABC):
         made: dict[str, str | bytes] = {
             name: filled(path, fields) for name, path in self._templates().items()
         }
-        return made | {"params/decoupler_params.json": self.json(), BINARY: self.binary}
+        return made | {"table/decoupler_params.json": self.json(), BINARY: self.binary}
 
     def _flags_raised(self, most: str) -> dict[str, list[str]]:
         """A table whose flags are all raised, by their largest least value, whatever else a vector raises."""
         flags = self.decoupler.flags
-        bits = " | ".join(["wanted->status", *(status_bit(flag.name) for flag in flags)])
+        own = f"(wanted->status & ~{status_bit('DEGRADED')})" if self.decoupler.mends else "wanted->status"
+        bits = " | ".join([own, *(status_bit(flag.name) for flag in flags)])
         call = "decoupler_step(&strict, &wanted->in, &out)"
         return {
             "strict": ["decoupler_params_t strict = decoupler_params;"] * bool(flags)
@@ -433,6 +453,7 @@ class Backend(ABC):
             "decoded": f"{'Decoupled' if len(d.pose) > 1 else 'Corrected'} {d.quantity}",
             "family": d.model.family,
             "sha256": self.record["calibration_sha256"],
+            "license": self.record.get("license", LICENSE),
             "version": VERSION,
             "layout": f"0x{self.layout:08X}UL",
             "table_layout": f"0x{self.layout:08x}",
@@ -441,7 +462,7 @@ class Backend(ABC):
             "type": self.type,
             "inputs": len(d.inputs),
             "pose": len(d.pose),
-            "width": len(d.pose) + 1,
+            "width": self._width,
             "trials": d.tried,
             "if_evident": "" if d.evident else "[ -f proof/eva.c ] && ",
             "why_no_eva": "frama-c is not installed"
@@ -455,7 +476,26 @@ class Backend(ABC):
                 f"status == 0x{bits:08X}" if bits else "status == 0" for bits in sorted(raised)
             ),
             "vectors": self.vectors.inputs.shape[1],
+            "and_flags": [f" *         (and {', '.join(status_bit(f.name) for f in d.flags)})"]
+            if d.flags
+            else [],
+            "no_loop": "" if d.suspects else ", no loop",
+            "degraded_defined": [
+                f"#define {status_bit('DEGRADED')} 0x{d.degraded_bit:08X}UL /**< one reading contradicts the "
+                f"others: the {d.quantity} is decoded without it */"
+            ]
+            if d.mends
+            else [],
+            "suspect_member": [
+                "uint32_t suspect; /**< number of the reading that contradicts the others, from 1; 0: none */"
+            ]
+            if d.suspects
+            else [],
+            "hash_suspect": [f"total += mix(out.suspect ^ mix((n * {self._width}U) + {len(d.pose) + 1}U));"]
+            if d.suspects
+            else [],
             "bounds": ", ".join(f"{error + REFERENCE:.3e}" for error in self.error_bound.values()),
+            "hashed": self.hashed[1],
             "hash_short": short_hash,
             "hash_long": long_hash,
             **self._fields(errors, notes),

@@ -29,7 +29,8 @@ class Entry:
     unit: str
     meaning: str
     holds: str = ""
-    """What no recalibration changes: its "sign", as of a length, or its "value"."""
+    """What no recalibration changes: its "sign", as of a length, its "value", or that it is a "share", 0 to
+    1."""
 
 
 def short(column: str) -> str:
@@ -95,6 +96,10 @@ ENOUGH = 2e-11
 """Change of the pose [m, rad] below which an iteration of a non-linear model ends."""
 
 TRIED = 100_000
+FAULT, AGREEMENT = "FAULT", "agreement"
+"""Flag of readings that contradict one another, and the step that it looks at."""
+ROOT = "root"
+"""Row of the table by which what is left of each reading is compared with the others."""
 FLAG_BITS = 31
 """Bits of the status of a step: inputs from below, flags from above; the last is of a refused zero."""
 
@@ -176,6 +181,41 @@ class Flag:
 
 
 @dataclass(frozen=True, eq=False)
+class Watched:
+    """What is left of a reading after the decode: the step `left`, of the readings (numbers) it may be.
+
+    `error`: the step whose product with `left` is its part of the sum that the flag of a fault looks at;
+    `left` itself where readings count alike.
+    """
+
+    left: str
+    readings: tuple[int, ...]
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class Redundancy:
+    """What readings say beyond the unknowns, so that they can contradict one another.
+
+    The step "agreement" is less the sum of squares of what is left of the readings, the entry
+    "least_agreement" the least of it that noise and approximations explain. With several `watched` the
+    largest, each times its entry of the row "root", names the suspect; `mended`: the pose is decoded again
+    without it, by the reading at which nothing of it is left. `unseen`: by pose column what a fault that
+    raises no bit moves it by at most [its unit]; `without`: the same of a pose without its suspect.
+    """
+
+    watched: tuple[Watched, ...] = ()
+    mended: bool = False
+    unseen: Mapping[str, float] = field(default_factory=dict)
+    without: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def steps(self) -> tuple[str, ...]:
+        """Names of the steps that it looks at."""
+        return (AGREEMENT, *(name for w in self.watched for name in (w.left, w.error) if name))
+
+
+@dataclass(frozen=True, eq=False)
 class Decoupler:
     """The arithmetic from inputs to pose: `steps` in order; the last `len(pose)` of them are the pose.
 
@@ -217,10 +257,16 @@ class Decoupler:
     """The program of integers, of a family that brings one of its own."""
     arrays: tuple[Array, ...] = ()
     """Rows of numbers that steps look up; in the table after the limits."""
+    redundancy: Redundancy | None = None
+    """None where there are no more readings than unknowns."""
     evident: bool = True
     """Whether an analysis that relates no two values, such as Frama-C EVA, sees that the pose is finite."""
     said: tuple[str, ...] = ()
     """Sentences for header and report: approximations, and what they may leave."""
+    observed: bool = False
+    """Whether an observer of position and speed stands behind it; its numbers are in the table."""
+    of_faults: tuple[str, ...] = ()
+    """Sentences on how readings check one another, and what a fault can do."""
 
     @property
     def pose(self) -> tuple[str, ...]:
@@ -235,8 +281,33 @@ class Decoupler:
     @property
     def input_bits(self) -> tuple[int, ...]:
         """Status bit of each input, below those of the flags; of more inputs, neighbours share one."""
-        own, count = FLAG_BITS - len(self.flags), len(self.inputs)
+        own, count = FLAG_BITS - len(self.flags) - self.mends, len(self.inputs)
         return tuple(1 << (k if count <= own else k * own // count) for k in range(count))
+
+    @property
+    def watched(self) -> tuple[Watched, ...]:
+        """What names a suspect."""
+        return () if self.redundancy is None else self.redundancy.watched
+
+    @property
+    def mends(self) -> bool:
+        """Whether a pose is decoded without a suspect."""
+        return self.redundancy is not None and self.redundancy.mended
+
+    @property
+    def suspects(self) -> bool:
+        """Whether a suspect is named: there is more than one thing left to name it by."""
+        return len(self.watched) > 1
+
+    @property
+    def degraded_bit(self) -> int:
+        """Status bit of a pose without its suspect: the one below the flags."""
+        return flag_bit(len(self.flags))
+
+    @property
+    def fault_bit(self) -> int:
+        """Status bit of readings that contradict one another."""
+        return sum(flag_bit(k) for k, flag in enumerate(self.flags) if flag.name == FAULT)
 
     @property
     def shared(self) -> bool:
@@ -410,7 +481,8 @@ OPERATIONS: Mapping[str, Callable[..., np.ndarray]] = {
 
 
 def steps_on_arrays(d: Decoupler, real: type = float) -> Callable[..., list[np.ndarray]]:
-    """Return `run(inputs, coefficients and zeros)`: pose (n_pose, s), and what flags look at, if any.
+    """Return `run(inputs, coefficients and zeros)`: pose (n_pose, s), what flags look at, if any, and what is
+    left of each reading that is watched, if any.
 
     `inputs` (n_inputs, s) and the constants (n,) or (n, 1) are of the type `real`.
     """
@@ -426,7 +498,7 @@ def steps_on_arrays(d: Decoupler, real: type = float) -> Callable[..., list[np.n
         shape = np.broadcast_shapes(*(np.shape(row) for row in inputs))
         return [
             np.array([np.broadcast_to(values[name], shape) for name in group], dtype=real)
-            for group in (results, [flag.step for flag in d.flags])
+            for group in (results, [flag.step for flag in d.flags], [w.left for w in d.watched])
             if group
         ]
 

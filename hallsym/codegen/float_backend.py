@@ -4,19 +4,21 @@ import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import Any, ClassVar
 from zlib import crc32
 
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen import accepted, backend, faults
+from hallsym.codegen import accepted, backend, faults, residual
 from hallsym.codegen.backend import COUNT, VERSION, Backend, Port, Stored, ends
 from hallsym.codegen.bounds import LEAST_GAIN, Bounds, pose_bounds, step_errors
 from hallsym.codegen.cost import firmware_cost
-from hallsym.codegen.decoupler import Array, Decoupler, Entry, Step, short, steps_on_arrays, unit
+from hallsym.codegen.decoupler import FAULT, ROOT, Array, Decoupler, Entry, Step, short, steps_on_arrays, unit
 from hallsym.codegen.float_c import Real, shared_steps, statements
 from hallsym.codegen.naming import identifier
+from hallsym.codegen.residual import Ran
 from hallsym.codegen.templates import lines_of
 from hallsym.model.arrays import on_arrays
 from hallsym.output import commented
@@ -27,7 +29,7 @@ FPU = {4: "-mfloat-abi=hard -mfpu=fpv4-sp-d16", 8: "-mfloat-abi=soft"}
 """Compiler options of its floating-point unit by bytes of a number; it has no double."""
 MOST_STEPS = 20
 """Steps of the arithmetic that the report lists."""
-UNIONS = ("misra-c2012-19.2:src/decoupler.c", "misra-c2012-19.2:src/decoupler_check.c")
+UNIONS = ("misra-c2012-19.2:decoupler.c", "misra-c2012-19.2:decoupler_check.c")
 """Deviation: the bits of a number are read through a union, which C99 defines."""
 FRAGMENTS = "float/fragments/"
 GAIN_LOST = (
@@ -95,7 +97,11 @@ class FloatBackend(Backend):
     """Least and greatest values of the table of code that shall stay as it is."""
 
     tree: ClassVar[str] = "float"
-    hashed: ClassVar[tuple[int, int]] = (4096, 1_000_000)
+
+    @property
+    def hashed(self) -> tuple[int, int]:
+        """Fewer where most samples, of no pose, are decoded again without a suspect."""
+        return 4096, 100_000 if self.decoupler.suspects else 1_000_000
 
     @property
     def type(self) -> str:
@@ -143,16 +149,27 @@ class FloatBackend(Backend):
         symmetric = np.array([[self.decoupler.box.symmetric(c)] for c in self.decoupler.inputs])
         return np.where(np.isnan(inputs) & np.signbit(inputs) & symmetric, self.ends[0], held), status
 
-    def run(self, held: np.ndarray, zeros: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def run(self, held: np.ndarray, zeros: np.ndarray | None = None) -> Ran:
         """Operation by operation; `zeros` (n_pose, s) in place of those of the table."""
-        dtype = self.real.dtype
-        constants: list[np.ndarray] = [np.array([c], dtype=dtype) for c in self.decoupler.constants]
-        if zeros is not None:
-            constants[-len(zeros) :] = list(zeros)
-        with np.errstate(under="ignore"):
-            pose, *seen = self._run(held.astype(dtype), constants)
-        flags = self.decoupler.raised(seen[0], dtype) if seen else np.uint32(0)
-        return pose, np.asarray(flags)
+        d, dtype = self.decoupler, self.real.dtype
+        constants: list[np.ndarray] = [np.array([c], dtype=dtype) for c in d.constants]
+
+        def once(given: np.ndarray, samples: Any) -> Ran:
+            if zeros is not None:
+                constants[-len(zeros) :] = list(zeros[:, samples])
+            with np.errstate(under="ignore"):
+                pose, *seen = self._run(self.hold(given)[0].astype(dtype), constants)
+            none = np.zeros(given.shape[1], np.uint32)
+            flags = np.asarray(d.raised(seen[0], dtype)) if seen else none
+            return Ran(pose, flags, seen[-1] if d.watched else pose[:0], none)
+
+        given: np.ndarray = held.astype(dtype)
+        return residual.checked(d, once, given, self._root) if d.suspects else once(given, slice(None))
+
+    @cached_property
+    def _root(self) -> np.ndarray:
+        values = next(a.values for a in self.decoupler.arrays if a.name == ROOT)
+        return np.array(values, dtype=self.real.dtype)
 
     def sample(self, numbers: np.ndarray) -> np.ndarray:
         """Most lie in the box, every 16th has any bits at all, every 16th is four times too large."""
@@ -174,14 +191,13 @@ class FloatBackend(Backend):
         d = self.decoupler
         return {c: (1 - 2.0**-7) * d.known(c) if c in d.model.period else 2.0**-12 for c in d.pose}
 
-    def hashed_step(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def hashed_step(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Half of the samples have no zeros, a quarter each those of a reset at one end and at the other."""
         kind = backend.mix(np.asarray(numbers, dtype=np.uint32) ^ np.uint32(0x85EBCA6B)) & np.uint32(3)
         sign: np.ndarray = np.select([kind == 2, kind == 3], [1, -1], 0).astype(self.real.dtype)
         zeros = np.array([self.real.dtype(self.reset[c]) * sign for c in self.decoupler.pose])
         held, status = self.hold(self.sample(numbers))
-        pose, flags = self.run(held, zeros)
-        return pose, status.astype(np.uint32) | flags.astype(np.uint32)
+        return self._done(status, self.run(held, zeros))
 
     def _words(self, pose: np.ndarray) -> np.ndarray:
         if self.real.size == 4:
@@ -206,6 +222,11 @@ class FloatBackend(Backend):
             for value in (np.nan, np.inf, -np.inf, 2 * low[k], 2 * high[k], np.finfo(dtype).max):
                 column = inside[:, (9 + k) % COUNT].copy()
                 column[k] = value
+                bad.append(column)
+        if self.decoupler.drawn is not None:  # poses alone do not reach the ends
+            for k, value in product(range(len(low)), (low, high)):
+                column = inside[:, (9 + k) % COUNT].copy()
+                column[k] = value[k]
                 bad.append(column)
         bad.append(np.full(len(low), np.nan, dtype=dtype))
         bad += [np.array(row, dtype=dtype) for row in self.decoupler.listed]
@@ -269,7 +290,7 @@ class FloatBackend(Backend):
         d, c = self.decoupler, port.column
         own = {"hashed": self.real.constant(self.reset[c])}
         own["period"] = self.real.constant(d.model.period.get(c, 0.0))
-        if d.drawn is not None:  # of readings of no pose nothing is claimed
+        if not d.evident:  # nothing is proved of it by EVA
             return own
         low, high = (side[c] for side in (self.bounds.low, self.bounds.high))
         return {**own, "outer_low": self._beyond(low), "outer_high": self._beyond(high)}
@@ -294,20 +315,20 @@ class FloatBackend(Backend):
             # build files
             "deviations": [
                 *UNIONS[not any(map(self.by_size, d.inputs)) :],
-                *([] if d.at_pose else [backend.STEP]),
+                *([] if d.at_pose and not d.redundancy else [backend.STEP]),
             ],
             "cpu": f"{M4} {FPU[self.real.size]}",
             "machine": "mps2-an386",
             # proofs
             "eva_slopes": self._if_jacobian("eva_slopes.c"),
             # report
-            "notes": "\n".join(f"- {commented(note)}" for note in (*d.said, *notes)),
+            "notes": "\n".join(f"- {commented(note)}" for note in (*d.said, *d.of_faults, *notes)),
             "gain": [
                 {"column": commented(c), "share": f"{v:.4f}"} for c, v in self.bounds.least_gain.items()
             ],
             "arithmetic": [f"    {s.name} = {s.expression}" for s in d.steps]
             if len(d.steps) <= MOST_STEPS
-            else [f"    {len(d.steps)} steps, see src/decoupler.c"],
+            else [f"    {len(d.steps)} steps, see decoupler.c"],
             "operations": work.operations,
             "moves": work.moves,
             "instructions": work.instructions,
@@ -333,17 +354,15 @@ class FloatBackend(Backend):
         def units(columns: Sequence[str], between: str = ", ") -> str:
             return between.join(dict.fromkeys(map(unit, columns)))
 
-        flags = ", ".join(backend.status_bit(f.name) for f in d.flags)
         return {
             "probes": len(d.model.channels),
             "all_units": units((*d.inputs, *d.pose), " and "),
             "reading_units": units(d.model.channels),
             "state_units": f" and state [{units(d.model.state)}]" if d.model.state else "",
             "pose_units": units(d.pose),
-            "said": [f" * {line}" for text in d.said for line in textwrap.wrap(text, 110)],
+            "said": [f" * {line}" for text in (*d.said, *d.of_faults) for line in textwrap.wrap(text, 110)],
             "known": ", ".join(dict.fromkeys(f"{d.known(c):.6g} {unit(c)}" for c in d.pose)),
             "least_gain": f"{LEAST_GAIN:g}",
-            "and_flags": [f" *         (and {flags})"] if flags else [],
             "jacobian_type": self._if_jacobian("jacobian_type.h", common),
             "jacobian_function": self._if_jacobian("jacobian.h", common),
         }
@@ -400,7 +419,9 @@ class FloatBackend(Backend):
             })
         ]  # fmt: skip
         taken = {"pose": len(d.pose), "wrapped": wrapped}
+        checked = ["decoupler_out_t seen;", "status |= decoupler_step(p, in, &seen);"]
         iterated = {"all_held": self._held(), "at_pose": statements(d.at_pose, names, real, {})}
+        iterated["also_checked"] = checked if d.redundancy else []
         zero = "take_zero_iterated.c" if d.at_pose else "take_zero.c"
         return {
             "limited_function": limited,
@@ -410,9 +431,64 @@ class FloatBackend(Backend):
             "flags": flags,
             "jacobian": self._if_jacobian("jacobian.c", {"slopes": slopes}),
             "known_within": "\n        && ".join(known),
+            **self._predict(common),
+            **self._checked({**common, **self._bits()}),
             "take_zero": lines_of(FRAGMENTS + zero, {**common, **taken, **iterated}),
-            "magnitude": magnitude if any("MAGNITUDE(" in line for line in (*body, *within)) else [],
+            "magnitude": magnitude
+            if d.suspects or any("MAGNITUDE(" in line for line in (*body, *within))
+            else [],
         }
+
+    def _predict(self, common: Mapping[str, Any]) -> dict[str, list[str]]:
+        """The observer behind the step."""
+        d, c = self.decoupler, self.real.constant
+        if not d.observed:
+            return {"predict": [], "predict_functions": []}
+        ahead, updated, predicted, repeats = [], [], [], False
+        for port in self.outputs:
+            m, name = port.member, short(port.column)
+            speed = f"track->speed_{name}"
+            period = c(d.model.period[port.column]) if port.column in d.model.period else ""
+            repeats |= bool(period)
+            around = (lambda text, own=period: f"around({text}, {own})") if period else (lambda text: text)
+            ahead.append(f"track->{m} = {around(f'track->{m} + ({speed} * dt)')};")
+            updated += [
+                f"const {self.type} off_{name} = {around(f'pose->{m} - track->{m}')};",
+                f"track->{m} = {around(f'track->{m} + (p->observer_position * off_{name})')};",
+                f"{speed} = slower({speed} + (p->observer_speed * off_{name}), p->fastest_{name});",
+            ]
+            predicted.append(f"pose->{m} = {around(f'track->{m} + ({speed} * time)')};")
+        predicted += ["pose->suspect = 0U;"] if d.suspects else []
+        usable = "status == 0U"
+        if d.mends:
+            usable = f"(status == 0U) || (status == {backend.status_bit('DEGRADED')})"
+        fields = {
+            **common,
+            "around": lines_of(f"{FRAGMENTS}around.c", {**common, "half": c(0.5)}) if repeats else [],
+            "ahead_of": ahead, "updated": updated, "predicted": predicted, "usable": usable,
+        }  # fmt: skip
+        return {
+            "predict": lines_of(f"{FRAGMENTS}predict.c", fields),
+            "predict_functions": lines_of(f"{FRAGMENTS}predict.h", common),
+        }
+
+    def _checked(self, common: Mapping[str, Any]) -> dict[str, Any]:
+        """The step, and what it does where readings contradict one another."""
+        d, of_step = self.decoupler, {"step_kind": "", "step_name": "decoupler_step", "left_parameter": ""}
+        if not d.suspects:
+            return {**of_step, "left": [], "suspect": []}
+        fields = {**common, "watched": len(d.watched)}
+        fields |= residual.fields_of(d, lambda n, bits: lines_of(f"common/fragments/{n}", {**fields, **bits}))
+        fault = f"UNLIKELY((status & {backend.status_bit(FAULT)}) != 0U)"
+        suspect = lines_of(f"{FRAGMENTS}size_of.c", fields)
+        suspect += lines_of(f"{FRAGMENTS}without.c", fields) if d.mends else []
+        suspect += lines_of("common/fragments/name_suspect.c", fields)
+        suspect += lines_of("common/fragments/step_checked.c", {**fields, "unlikely_fault": fault})
+        return {
+            "step_kind": "static ", "step_name": "pose_of", "left_parameter": f" {self.type} *left,",
+            "left": [f"left[{k}] = {w.left};" for k, w in enumerate(d.watched)],
+            "suspect": suspect,
+        }  # fmt: skip
 
     @cached_property
     def accepted(self) -> accepted.Ends:
@@ -492,7 +568,10 @@ class FloatBackend(Backend):
             rows.append(
                 f"{{{{{inputs}}}, {{{_listed(found.pose[:, k])}}}, {slope}0x{int(found.status[k]):X}UL}},"
             )
-        status = "failed |= (status == wanted->status) ? 0U : 1U;"
+        own = "wanted->status"
+        if self.decoupler.flags:  # of the inputs alone: a slope looks at no flag
+            own = f"(wanted->status & 0x{sum(set(self.decoupler.input_bits)):08X}UL)"
+        status = f"failed |= (status == {own}) ? 0U : 1U;"
         size = "float" if self.real.size == 4 else "double"
         return {
             "that_the_model_gives": "that the model gives",
@@ -525,7 +604,8 @@ class FloatBackend(Backend):
         d, c = self.decoupler, self.real.constant
         most = [d.known(p) for p in d.pose]
         ends = (2.0**-12, -(2.0**-12)) if d.at_pose else (2.0**-12, 1.0, -1.0)  # non-linear models: near rest
-        rows = [", ".join(c(share * m) for m in most) for share in ends]
+        none = ["0U"] if d.suspects else []
+        rows = [", ".join([*(c(share * m) for m in most), *none]) for share in ends]
         refused: list[str] = []
         for port in self.outputs:
             far = d.known(port.column) * 1.0001

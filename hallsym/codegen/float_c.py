@@ -119,8 +119,8 @@ def _choice(o: Operation, operations: Sequence[Operation], text: Sequence[str]) 
 
 
 def straight(steps: Sequence[Step]) -> bool:
-    """Whether steps hold arithmetic only: no magnitude, comparison or choice."""
-    return not any(o.op in BRANCHES for step in steps for o in graph([step.expression]).operations)
+    """Whether steps hold arithmetic and magnitudes only: no comparison or choice."""
+    return not any(o.op in BRANCHES - {"fabs"} for step in steps for o in graph([step.expression]).operations)
 
 
 _SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<="}

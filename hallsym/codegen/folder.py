@@ -19,7 +19,7 @@ from hallsym.files import check_output, json_text, reason, replacing
 
 MANIFEST = "manifest.json"
 """Lists what is generated in a folder, with the SHA-256 of each file."""
-PROOF = "doc/proof.txt"
+PROOF = "proof/proof.txt"
 """What `make prove` found: of no use once a table has changed."""
 WIDEST_PLAN = 200
 """Largest size of an exponent that a folder is believed: beyond it the record was edited."""
@@ -61,11 +61,11 @@ def replace_params(folder: Path, files: Files, layout: int, name: str = PREFIX) 
 
     Raises `InputError` if its code needs another layout.
     """
-    headers, listed = sorted((folder / "include").glob("*.h")), _listed(folder)
+    path, listed = folder / f"{name_of(folder)}.h", _listed(folder)
     try:
-        header = headers[0].read_text(encoding="utf-8", errors="replace") if headers else ""
+        header = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
     except OSError as error:
-        raise InputError(f"Cannot read {quoted(headers[0])}: {reason(error)}.") from None
+        raise InputError(f"Cannot read {quoted(path)}: {reason(error)}.") from None
     if not listed:
         raise InputError(
             f"--params-only replaces the parameters of a generated folder; {quoted(folder)} has no "
@@ -88,8 +88,8 @@ def replace_params(folder: Path, files: Files, layout: int, name: str = PREFIX) 
 
 
 def record_of(folder: Path) -> Mapping[str, Any]:
-    """Return the record of the table of a generated folder: `params/NAME_params.json`."""
-    return _record(folder / "params" / f"{name_of(folder)}_params.json")
+    """Return the record of the table of a generated folder: `table/NAME_params.json`."""
+    return _record(folder / "table" / f"{name_of(folder)}_params.json")
 
 
 def options_of(record: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -163,7 +163,8 @@ def _replace(folder: Path, files: Files, name: str, listed: Mapping[str, str] | 
     """Replace files and the manifest, which keeps what is `listed`, once all stand beside their place."""
     content = {path: text.encode() if isinstance(text, str) else text for path, text in files.items()}
     digests = {**(listed or {}), **{path: sha256(data).hexdigest() for path, data in content.items()}}
-    about = f"{MARK}; what is not listed here, or has another SHA-256, is never replaced or removed."
+    by = MARK.partition(" (")[0]
+    about = f"{by}; what is not listed here, or has another SHA-256, is never replaced or removed."
     record = {"about": about, "name": name, "files": dict(sorted(digests.items()))}
     content[MANIFEST] = f"{json_text(record)}\n".encode()
     with ExitStack() as stack:

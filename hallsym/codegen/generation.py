@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +22,24 @@ from hallsym.codegen.folder import options_of as options_before
 from hallsym.codegen.integer_backend import IntegerBackend
 from hallsym.codegen.integer_c import float_instead, integer_program
 from hallsym.codegen.lowering import check_columns, lower, lowering_of, options_of
-from hallsym.codegen.naming import PREFIX, check_distinct, check_prefix, mapping, renamed_files
+from hallsym.codegen.naming import (
+    PREFIX,
+    check_distinct,
+    check_license,
+    check_prefix,
+    mapping,
+    renamed,
+    renamed_files,
+)
+from hallsym.codegen.observer import Observer
+from hallsym.codegen.templates import LICENSE
 from hallsym.errors import InputError, quoted, require
 from hallsym.estimation.calibration import Fit
 
 ARITHMETICS = ("float", "q31")
 REPLACED = (
-    "params/", "test/selftest", "test/faults.c", "doc/report.md", "proof/eva.c", "proof/exhaustive.c"
+    "decoupler_params.", "table/", "test/selftest", "test/faults.c", "proof/report.md", "proof/eva.c",
+    "proof/exhaustive.c",
 )  # fmt: skip
 """Beginnings of the files that a recalibration replaces: numbers, and what tries them."""
 UNSEEN = {"accuracy": np.pi, "correction": "series:0"}
@@ -61,7 +72,8 @@ class Generated:
     @property
     def params(self) -> dict[str, str | bytes]:
         """The files that a recalibration replaces."""
-        return {name: content for name, content in self.files.items() if name.startswith(REPLACED)}
+        beginnings = tuple(renamed(beginning, self.name) for beginning in REPLACED)
+        return {name: content for name, content in self.files.items() if name.startswith(beginnings)}
 
     def write(self, folder: str | Path, *, force: bool = False, params_only: bool = False) -> None:
         """Write the folder, or only its parameters. Raises `InputError` before anything is written."""
@@ -102,6 +114,8 @@ def generate(
     allow_undetermined: bool = False,
     calibration_sha256: str | None = None,
     name: str = PREFIX,
+    license: str | None = None,
+    observer: Observer | None = None,
     like: str | Path | None = None,
 ) -> Generated:
     """Generate the C decoupler of a calibration.
@@ -112,9 +126,11 @@ def generate(
     of an angle: `accuracy` is what the correction of it may leave besides rounding [rad], default 3e-8, of
     integers 1e-5; `correction` is "series", "table", or "auto" for the one of fewer bytes. Magnet arrays:
     `accuracy` is what harmonics and polynomials may leave of a place [m]. `name`: prefix of symbols and
-    files, so that several decouplers fit in one image. `like`: a generated folder whose code it shall have,
-    for a recalibration: what was chosen there is taken where it is not given. Raises `InputError` for a
-    calibration that cannot be trusted on a controller.
+    files, so that several decouplers fit in one image. `license`: SPDX expression in every file, default
+    `LICENSE`: generated, and yours to license. `observer`: with `decoupler_predict()`, position and speed at
+    the time that a controller asks for. `like`: a generated folder whose code it shall have, for a
+    recalibration: what was chosen there is taken where it is not given. Raises `InputError` for a calibration
+    that cannot be trusted on a controller.
     """
     before: Mapping[str, Any] = {} if like is None else record_of(Path(like))
     if arithmetic is None:
@@ -128,21 +144,29 @@ def generate(
     check_distinct(columns, map(short, fit.model.pose), ())
     record = {"model": fit.model.name, "calibration_sha256": calibration_sha256 or digest_of(fit)}
     record |= {} if name == PREFIX else {"name": name}
+    record["license"] = check_license(str(before.get("license", LICENSE)) if license is None else license)
     chosen = options_before(before)
     box = box_of(fit, ranges, entries_of(before))
     given: dict[str, Any] = {
         "accuracy": chosen.get("accuracy") if accuracy is None else accuracy,
         "correction": chosen.get("correction") if correction is None else correction,
     }
+    if observer is None and "observer" in chosen:
+        observer = Observer(**{**chosen["observer"], "said": tuple(chosen["observer"].get("said", ()))})
     if arithmetic == "q31":
-        for option, unwanted in (("double", double), ("jacobian", jacobian)):
+        for option, unwanted in (
+            ("double", double),
+            ("jacobian", jacobian),
+            ("predict", observer is not None),
+        ):
             if unwanted:
                 raise InputError(f"--{option} belongs to --arithmetic float; leave it out, or the integers.")
         backend: Backend = _integers(fit, record, box, given, chosen.get("plan"), ranges or {})
     else:
         real = DOUBLE if double else FLOAT
         kept = accepted_of(before)
-        backend = _floats(fit, record, box, given, real, jacobian or "jacobian" in chosen, kept)
+        slopes = jacobian or "jacobian" in chosen
+        backend = _floats(fit, record, box, given, real, slopes, observer, kept)
     errors = backend.errors()
     notes = (
         *notes_of(fit),
@@ -161,16 +185,20 @@ def _check_names(d: Decoupler) -> None:
 
 def _floats(
     fit: Fit, record: Mapping[str, Any], box: Box, given: Mapping[str, Any], real: Real, jacobian: bool,
-    kept: Ends | None,
+    observer: Observer | None, kept: Ends | None,
 ) -> FloatBackend:  # fmt: skip
     found = lower(fit, box, **given)
+    if observer is not None:
+        reach = {c: fit.model.period.get(c, 4 * max(map(abs, box.ends[c]))) / 2 for c in found.pose}
+        found = observer.behind(found, reach)
     _check_names(found)
     if jacobian and found.bounded is not None:
         raise InputError(
             f"--jacobian is not generated for {found.model.name} of the family {found.model.family}, whose "
             "rounding is bounded by an argument of its own that does not cover slopes; leave it out."
         )
-    variant = {"jacobian": "reading"} if jacobian else {}
+    variant: dict[str, Any] = {"jacobian": "reading"} if jacobian else {}
+    variant |= {} if observer is None else {"observer": asdict(observer)}
     record = {**record, **_recorded({**found.options, **variant}, given)}
     backend = FloatBackend(found, record, real, jacobian, kept)
     check_gains(backend.bounds)
@@ -210,7 +238,7 @@ def _integers(
 
 
 def _recorded(options: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the choices of a lowering as `params/decoupler_params.json` holds them, for a recalibration."""
+    """Return the choices of a lowering as `table/decoupler_params.json` holds them, for a recalibration."""
     found = {**options, **({} if given["accuracy"] is None else {"accuracy": given["accuracy"]})}
     return {"options": found} if found else {}
 

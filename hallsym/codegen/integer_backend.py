@@ -16,13 +16,14 @@ from hallsym.codegen.bounds import LEAST_GAIN, Bounds
 from hallsym.codegen.decoupler import flag_bit, short, unit
 from hallsym.codegen.integer_c import LARGEST, MASK, UNIT, Program, Reciprocal, helpers
 from hallsym.codegen.naming import identifier
+from hallsym.codegen.residual import Ran
 from hallsym.codegen.templates import lines_of
 from hallsym.output import commented
 
 KNOWN = 1 << 29
 """Largest known pose, in units of its last bit, that a zero may be taken at."""
 KNOWN_BIT = "#define DECOUPLER_STATUS_KNOWN 0x80000000UL /**< decoupler_zero(): known pose beyond 2^29 */"
-SHIFTS = "misra-c2012-10.1:src/decoupler.c"
+SHIFTS = "misra-c2012-10.1:decoupler.c"
 """Deviation: numbers with a sign are shifted right."""
 FRAGMENTS = "q31/fragments/"
 
@@ -34,7 +35,7 @@ class IntegerBackend(Backend):
     program: Program
 
     tree: ClassVar[str] = "q31"
-    hashed: ClassVar[tuple[int, int]] = (4096, 100_000)
+    hashed = (4096, 100_000)
     batch: ClassVar[int] = 1 << 62
     type: ClassVar[str] = "q31"
 
@@ -93,14 +94,15 @@ class IntegerBackend(Backend):
         wide = inputs.astype(np.int64)
         return super().hold(wide & MASK if self.reads_angle else wide)
 
-    def run(self, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def run(self, held: np.ndarray) -> Ran:
         """Line by line; raises `OverflowError` beyond 32 bits."""
         p, d = self.program, self.decoupler
         found = p.run({short(c): row for c, row in zip(d.inputs, held, strict=True)})
         flags = np.zeros(held.shape[1], dtype=np.int64)
         for k, flag in enumerate(d.flags):
             flags |= np.where(found[flag.name] < p.table[p.flags[flag.name][1]][0], flag_bit(k), 0)
-        return np.array([found[c] for c in d.pose]), flags
+        none = np.zeros(held.shape[1], np.uint32)
+        return Ran(np.array([found[c] for c in d.pose]), flags, none, none)
 
     def sample(self, numbers: np.ndarray) -> np.ndarray:
         """Any integers, three quarters of them shifted towards the box."""
@@ -118,11 +120,16 @@ class IntegerBackend(Backend):
         d, (low, high) = self.decoupler, self.ends
         rng = np.random.default_rng(1)
         share = np.hstack([rng.choice([0.0, 1.0], (len(low), 8)), rng.random((len(low), COUNT - 8))])
-        given = [self._rounded(low + (high - low) * share)]
+        inside = low + (high - low) * share if d.drawn is None else self._trials(rng, COUNT)
+        given = [self._rounded(inside)]
         for k in range(0 if self.reads_angle else len(low)):
             beyond = np.repeat(given[0][:, [(9 + k) % COUNT]], 4, axis=1)
             beyond[k] = (-MOST - 1, low[k, 0] - 1, high[k, 0] + 1, MOST)
             given.append(beyond)
+            if d.drawn is not None:  # poses alone do not reach the ends
+                ends = beyond[:, 1:3].copy()
+                ends[k] += (1, -1)
+                given.append(ends)
         if d.listed:
             listed = self._rounded(np.array(d.listed) / [port.scale for port in self.inputs]).T
             given.append(listed & MASK if self.reads_angle else listed)
@@ -211,7 +218,7 @@ class IntegerBackend(Backend):
                     "step": repr(2.0**-e), "column": commented(c.column), "unit": c.unit,
                     "input": c.column in p.inputs,
                 })  # fmt: skip
-        said = [f" * {line}" for text in p.said for line in textwrap.wrap(text, 110)]
+        said = [f" * {line}" for text in (*p.said, *d.of_faults) for line in textwrap.wrap(text, 110)]
         of_angles = []
         if p.angles:
             bam, words = self._bam
@@ -232,7 +239,7 @@ class IntegerBackend(Backend):
             "cpu": "-mcpu=cortex-m0 -mthumb",
             "machine": "microbit",
             # report
-            "notes": "\n".join(f"- {commented(note)}" for note in (*p.said, *notes)),
+            "notes": "\n".join(f"- {commented(note)}" for note in (*p.said, *d.of_faults, *notes)),
             "operations": len(p.lines),
             "products": sum(line.operation == "mul" for line in p.lines),
             "pose_names": ", ".join(short(c) for c in d.pose),

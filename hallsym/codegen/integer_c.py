@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from math import asin, atan, ceil, log2, pi, prod, sqrt
+from math import asin, atan, ceil, floor, log2, pi, prod, sqrt
 from typing import Any, cast
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from hallsym.codegen.decoupler import Decoupler, Step, short, unit
 from hallsym.codegen.float_c import straight
 from hallsym.codegen.operations import Operation, graph
+from hallsym.codegen.residual import flag_alone
 from hallsym.codegen.templates import lines_of
 from hallsym.errors import InputError
 from hallsym.model import Model
@@ -166,6 +167,11 @@ OPERATIONS: dict[str, tuple[Callable[..., np.ndarray], Callable[[str, str, int, 
     ),
     "left": (lambda a, b, i, j: a << i, lambda a, b, i, j: f"scaled({a}, {1 << i})"),
     "right": (lambda a, b, i, j: a >> i, lambda a, b, i, j: f"{a} >> {i}"),
+    "size": (
+        lambda a, b, i, j: np.abs(a),
+        lambda a, b, i, j: f"({a} < 0) ? difference(0, {a}) : {a}",
+    ),
+    "neg": (lambda a, b, i, j: -a, lambda a, b, i, j: f"difference(0, {a})"),
     "one": (lambda a, b, i, j: (1 << i) - a, lambda a, b, i, j: f"difference({1 << i}, {a})"),
     "look": (lambda a, b, i, j: b.at(a), lambda a, b, i, j: f"{b}_at(p, {a})"),
     "angle": (lambda a, b, i, j: angle_of(a, b, i), lambda a, b, i, j: f"angle_of({a}, {b})"),
@@ -335,10 +341,11 @@ def integer_program(d: Decoupler, plan: Sequence[int] | None = None, **options: 
     takes. Raises `InputError` where a value does not fit the plan.
     """
     if d.integers is not None:
-        return cast(Program, d.integers(plan=plan, **options))
+        return cast(Program, d.integers(d, plan=plan, **options))
     if d.at_pose or not straight(d.steps):
         raise float_instead(d.model)
-    return planned(lambda given: Compiler(d, given), plan)
+    alone = flag_alone(d)
+    return planned(lambda given: Compiler(alone, given), plan)
 
 
 def float_instead(model: Model) -> InputError:
@@ -374,7 +381,10 @@ class Compiler:
         self._inputs()
         for c, e in p.inputs.items():
             known[short(c)] = self._checked(Fixed(short(c), e, *d.ends(c)))
+        least = {flag.least: flag for flag in d.flags}
         for entry in d.table:
+            if entry.name in least:  # in the exponent of the step that it is compared with
+                continue
             alike = max(abs(o.value) for o in d.table if o.unit == entry.unit)
             most = alike if abs(entry.value) * LIKE >= alike else alike / LIKE
             known[entry.name] = self._constant(entry.name, entry.value, self._exponent(-most, most))
@@ -382,6 +392,7 @@ class Compiler:
             known[entry.name] = Fixed(entry.name, 0, 0.0, 0.0)
         for step in d.steps:
             known[step.name] = self._step(step, known)
+        self._flags(known)
         self._outputs({c: known[step.name] for c, step in zip(d.pose, d.steps[-len(d.pose) :], strict=True)})
         return p
 
@@ -404,6 +415,16 @@ class Compiler:
             for c in columns:
                 like = [reach[o] for o in columns if unit(o) == unit(c) and reach[o] <= LIKE * reach[c]]
                 self.p.inputs[c] = self._exponent(0.0, max(like))
+
+    def _flags(self, known: Mapping[str, Fixed]) -> None:
+        """Add the least value of what each flag looks at, less what integers make of it."""
+        for flag in self.d.flags:
+            self._least(flag.name, flag.least, known[flag.step])
+
+    def _least(self, flag: str, entry: str, seen: Fixed) -> None:
+        value = next(e.value for e in self.d.table if e.name == entry)
+        self.p.table[entry] = (floor((value - seen.error) * 2.0**seen.e), seen.e)
+        self.p.flags[flag] = (seen.text, entry)
 
     def _outputs(self, found: Mapping[str, Fixed]) -> None:
         """Give pose coordinates of one unit one exponent, and add the zeros."""
@@ -447,6 +468,11 @@ class Compiler:
             if b.low - b.error <= 0 <= b.high + b.error:
                 raise InputError("A gain crosses zero within the box; give a smaller one with --range.")
             return self._grown(self._mul(a, self._reciprocal(b)))
+        (a, *_) = args
+        if operation.op == "fabs":
+            return Fixed(self._line("size", a.text), a.e, 0.0, max(abs(a.low), abs(a.high)), a.error)
+        if operation.op == "neg":
+            return Fixed(self._line("neg", a.text), a.e, -a.high, -a.low, a.error)
         raise InputError(f"Operation {operation.op} of the model has no integer form; use float.")
 
     def _line(self, operation: str, a: str, b: str = "", i: int = 0, j: int = 0) -> str:

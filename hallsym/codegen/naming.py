@@ -12,6 +12,7 @@ from hallsym.output import commented
 
 PREFIX = "decoupler"
 """Prefix of symbols, files, include guards and the CMake target, unless another is given."""
+LONGEST_LICENSE = 100
 LONGEST_PREFIX = 24
 """Characters of a prefix: C99 promises 63 of an identifier, and the longest suffix has 30."""
 _WORDS = """
@@ -23,9 +24,17 @@ static_cast struct switch template this thread_local throw true try typedef type
 unsigned using virtual void volatile wchar_t while xor xor_eq
 """
 _LOCAL = """
-angle_of bad bits bytes crc difference field found high in k known limit limited low magnitude n out p pose
-result scaled seen size slopes status sum upper value within
+agreement angle_of around bad bits bytes crc difference field found high in k known left limit limited low
+magnitude n out p pose pose_of result root scaled seen size size_of slopes slower status sum suspect suspected
+upper value within without
 """
+_HEADERS = """
+assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg
+stdatomic stdbool stddef stdint stdio stdlib stdnoreturn string strings tgmath threads time uchar unistd
+wchar wctype
+"""
+HEADERS = frozenset(_HEADERS.split())
+"""Headers of the C library, whose place a file of that name would take."""
 KEYWORDS = frozenset(_WORDS.split())
 """Words of C11 and C++20 that no identifier can be; the header is for both."""
 TAKEN = frozenset(_LOCAL.split())
@@ -90,7 +99,24 @@ def check_prefix(prefix: str) -> str:
         )
     if prefix in KEYWORDS:
         raise InputError(f"--name {prefix} is a word of C or C++; give another, such as {prefix}_1.")
+    if prefix in HEADERS:
+        raise InputError(
+            f"--name {prefix} would make {prefix}.h, which is a header of the C library; give "
+            f"another, such as "
+            f"{prefix}_1."
+        )
     return prefix
+
+
+def check_license(text: str) -> str:
+    """Return an SPDX expression; raise `InputError` where it is none that a comment of C can hold."""
+    word = r"[A-Za-z0-9][A-Za-z0-9.+:-]*"
+    if len(text) > LONGEST_LICENSE or not re.fullmatch(rf"\(?{word}( (AND|OR|WITH) \(?{word}\)?)*\)?", text):
+        raise InputError(
+            "--license must be an SPDX expression, such as MIT or LicenseRef-ours; instead received "
+            f"{quoted(text)}."
+        )
+    return text
 
 
 def renamed(text: str, prefix: str) -> str:

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from hallsym.errors import InputError, quoted
+from hallsym.errors import InputError, nearest, quoted
 from hallsym.estimation.decoding import Errors, logged_columns
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.identifiable import Determination
@@ -431,6 +431,12 @@ def load_fit(
             "give the file that defines it: --effects my_effects.py."
         )
     model = _model(record, own, families, where)
+    for name in record.effects:
+        if name not in model.effects:
+            raise InputError(
+                f"'effects' of {where} lists {name!r}, which its model and what was added to it do not have"
+                f"{nearest(name, list(model.effects))}; fit the log again."
+            )
     entries, names = record.parameters, model.names
     _same(names, entries, f"parameters of {where}")
     _same(names, record.covariance.parameters, f"covariance of {where}")

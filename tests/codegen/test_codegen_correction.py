@@ -195,10 +195,10 @@ def test_the_table_of_entries_lies_in_the_parameters():
     (array,) = code.decoupler.arrays
     assert len(array.values) in SIZES
     assert array.integers
-    assert f"int16_t correction[{len(array.values)}];" in code.files["include/decoupler.h"]
+    assert f"int16_t correction[{len(array.values)}];" in code.files["decoupler.h"]
     assert len(code.backend.binary) == 28 + 4 * len(code.decoupler.entries) + 2 * len(array.values)
-    assert f"& {len(array.values) - 1}U]" in code.files["src/decoupler.c"]
-    assert "entries" in code.files["doc/report.md"]
+    assert f"& {len(array.values) - 1}U]" in code.files["decoupler.c"]
+    assert "entries" in code.files["proof/report.md"]
 
 
 @pytest.mark.slow
@@ -209,7 +209,7 @@ def test_the_folder_passes_here_and_on_a_cortex_m4f_and_eva_raises_no_alarm(case
     folder = written(code, tmp_path / "fw")
     passes(folder)
     assert ran(folder, "make", "qemu").count("as stated") == 2
-    assert max(instructions(code, folder)) <= {"clipped": 180, "meng angle": 100}[case]
+    assert max(instructions(code, folder)) <= {"clipped": 185, "meng angle": 100}[case]
     ran(folder, "make", "misra")
     proved_by_eva(folder)
 
@@ -254,7 +254,7 @@ def test_the_command_takes_an_accuracy_in_any_unit(tmp_path, capsys):
     assert main(base) == 2
     assert "is within reach: give --accuracy" in capsys.readouterr().err
     assert main([*base, "--accuracy", "angle_mrad=5", "--correction", "table"]) == 0
-    assert "table of 588 bytes" in capsys.readouterr().out
+    assert "table of 592 bytes" in capsys.readouterr().out
 
 
 def with_waves(factor):
@@ -279,13 +279,13 @@ def test_a_recalibration_keeps_the_form_of_the_correction(options, tmp_path, cap
     folder = tmp_path / "fw"
     assert main(["codegen", str(tmp_path / "old.json"), "-o", str(folder), *options]) == 0
     code, before = (
-        (folder / "src/decoupler.c").read_text(),
-        (folder / "params/decoupler_params.c").read_text(),
+        (folder / "decoupler.c").read_text(),
+        (folder / "decoupler_params.c").read_text(),
     )
     again = [*options[:2], "--params-only"] if "q31" in options else ["--params-only"]
     assert main(["codegen", str(tmp_path / "new.json"), "-o", str(folder), *again]) == 0
-    assert (folder / "src/decoupler.c").read_text() == code
-    assert (folder / "params/decoupler_params.c").read_text() != before
+    assert (folder / "decoupler.c").read_text() == code
+    assert (folder / "decoupler_params.c").read_text() != before
     need("gcc", "make")
     assert ran(folder, "make", "check").count("as stated") == 2
     capsys.readouterr()

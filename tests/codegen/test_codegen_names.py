@@ -70,7 +70,17 @@ def test_a_probe_that_is_called_like_a_number_of_the_code_is_refused(column, ari
 @pytest.mark.parametrize("arithmetic", ["float", "q31"])
 def test_probes_that_are_called_like_functions_of_the_code_compile(tmp_path, arithmetic):
     need("gcc", "make")
-    for column in ("upper_m", "limited_m", "within_m", "q1_m", "known_m", "negative_m", "field_m", "size_m"):
+    for column in (
+        "upper_m",
+        "limited_m",
+        "within_m",
+        "q1_m",
+        "left_m",
+        "known_m",
+        "negative_m",
+        "field_m",
+        "size_m",
+    ):
         generate(foreign(column, "hall_b_m", "hall_c_m"), arithmetic=arithmetic).write(tmp_path / column)
         assert "as stated" in ran(tmp_path / column, "make", "check")
 
@@ -81,7 +91,7 @@ def test_probes_of_any_name_give_code_that_compiles(tmp_path, arithmetic):
     evil = ("hall_x-1_m", "hall_a; int evil; float q_m", "hall_*/ #error \n_m")
     made = generate(foreign(*evil), arithmetic=arithmetic)
     assert made.to_dict()["identifiers"]["hall_x-1_m"] == "hall_x_x2d_1_m"
-    assert "Column hall_x-1_m is hall_x_x2d_1_m in C." in str(made.files["doc/report.md"])
+    assert "Column hall_x-1_m is hall_x_x2d_1_m in C." in str(made.files["proof/report.md"])
     assert not any(
         "int evil" in str(text).replace("a; int evil; float q", "") for text in made.files.values()
     )
@@ -94,7 +104,7 @@ def image(tmp_path_factory):
     """A stage and two encoders, floats and integers, with prefixes of their own, and a program with all."""
     folder = tmp_path_factory.mktemp("image")
     generate(calibration(), name="stage").write(folder / "stage")
-    generate(fit_of("meng volts"), name="enc_left").write(folder / "enc_left")
+    generate(fit_of("meng volts"), name="enc_left", license="MIT OR Apache-2.0").write(folder / "enc_left")
     generate(fit_of("meng angle"), arithmetic="q31", name="enc_right").write(folder / "enc_right")
     uses = "".join(f"    bad |= {n}_check(&{n}_params);\n" for n in NAMES)
     includes = "".join(f'#include "{n}.h"\n#include "{n}_params.h"\n' for n in NAMES)
@@ -105,10 +115,8 @@ def image(tmp_path_factory):
 
 
 def sources(folder):
-    paths = [f"-I{n}/{where}" for n in NAMES for where in ("include", "params")]
-    files = [
-        f"{n}/{file}" for n in NAMES for file in (f"src/{n}.c", f"src/{n}_check.c", f"params/{n}_params.c")
-    ]
+    paths = [f"-I{n}" for n in NAMES]
+    files = [f"{n}/{file}" for n in NAMES for file in (f"{n}.c", f"{n}_check.c", f"{n}_params.c")]
     return (*paths, *files)
 
 
@@ -124,7 +132,7 @@ def test_three_decouplers_link_into_one_image(image, compiler):
 def test_a_million_inputs_of_any_bits_without_undefined_behaviour(image, name):
     """The self-test hashes a million samples of floats, a hundred thousand of integers, NaN among them."""
     need("gcc")
-    paths = [f"-I{name}/{where}" for where in ("include", "params", "test")]
+    paths = [f"-I{name}", f"-I{name}/test"]
     files = [f for f in sources(image) if f.startswith(f"{name}/")]
     files += [f"{name}/test/{file}.c" for file in ("selftest", "faults", "main")]
     undefined = ("-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all")
@@ -139,12 +147,12 @@ def test_three_decouplers_compile_for_a_controller(image, core):
     need("arm-none-eabi-gcc")
     for source in sources(image):
         if source.endswith(".c"):
-            paths = sources(image)[: 2 * len(NAMES)]
+            paths = sources(image)[: len(NAMES)]
             options = (*STRICT, *CORES[core], "-ffreestanding", *paths)
             ran(image, "arm-none-eabi-gcc", *options, "-c", source, "-o", "x.o")
 
 
-COMPILED = ("-std=c99", "-O2", "-Istage/include", "-c", "stage/src/stage.c", "-o", "x.o")
+COMPILED = ("-std=c99", "-O2", "-Istage", "-c", "stage/stage.c", "-o", "x.o")
 WITHOUT_NAN = ("-ffast-math", "-Ofast", "-ffinite-math-only")
 REORDERED = (("-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math"), ("-freciprocal-math",))
 """What lets a compiler compute another number than IEEE 754; gcc takes the first with the others only."""
@@ -194,16 +202,42 @@ def test_the_self_test_finds_a_flag_that_clang_does_not_tell(tmp_path):
 
 def test_nothing_of_a_library_is_needed(image):
     need("gcc")
-    free = (*STRICT, "-ffreestanding", "-fno-builtin", "-Istage/include")
-    ran(image, "gcc", *free, "-c", "stage/src/stage.c", "-o", "f.o")
+    free = (*STRICT, "-ffreestanding", "-fno-builtin", "-Istage")
+    ran(image, "gcc", *free, "-c", "stage/stage.c", "-o", "f.o")
     foreign = [line.split()[-1] for line in ran(image, "nm", "f.o").splitlines() if " U " in line]
     assert foreign == ["stage_crc"]
 
 
-@pytest.mark.parametrize("name", ["", "2nd", "Left", "a__b", "_a", "float", "x" * 25, "a b", "a/../b", "a\n"])
+@pytest.mark.parametrize(
+    "name",
+    ["", "2nd", "Left", "a__b", "_a", "float", "x" * 25, "a b", "a/../b", "a\n", "math", "stdint", "string"],
+)
 def test_a_prefix_that_c_does_not_take_is_refused(name):
     with pytest.raises(InputError, match="--name"):
         generate(calibration(), name=name)
+
+
+@pytest.mark.parametrize("text", ["", "MIT */", "MIT\nint x;", "MIT OR", "x" * 101, "MIT // x"])
+def test_a_licence_that_no_comment_holds_is_refused(text):
+    with pytest.raises(InputError, match="--license"):
+        generate(calibration(), license=text)
+
+
+def test_every_file_says_its_licence_what_made_it_and_of_which_calibration(image):
+    for name, licence in (("stage", "LicenseRef-generated"), ("enc_left", "MIT OR Apache-2.0")):
+        folder = image / name
+        digest = re.search(r"SHA256 \"(\w+)\"", (folder / f"{name}_params.h").read_text())[1]
+        for path in folder.rglob("*"):
+            inside = path.relative_to(folder)
+            if not path.is_file() or path.suffix == ".bin" or inside.parts[0] in ("build", "manifest.json"):
+                continue  # bytes of a flash page, what tests compiled, and the list of all
+            head = "".join(path.read_text().splitlines(keepends=True)[:6])
+            if path.suffix == ".json":
+                record = json.loads(path.read_text())
+                assert record["license"] == licence, path
+                continue
+            assert f"SPDX-License-Identifier: {licence}" in head, path
+            assert f"hallsym {hallsym.__version__} from calibration {digest[:16]}" in head, path
 
 
 # -- packages ------------------------------------------------------------------------------------------------
@@ -218,7 +252,7 @@ def test_an_installed_library_is_found_by_its_name(image, tmp_path):
     user = tmp_path / "user"
     user.mkdir()
     (user / "CMakeLists.txt").write_text(
-        "cmake_minimum_required(VERSION 3.13)\nproject(user C)\nfind_package(enc_left 2 REQUIRED)\n"
+        "cmake_minimum_required(VERSION 3.13)\nproject(user C)\nfind_package(enc_left 3 REQUIRED)\n"
         "add_executable(user main.c)\ntarget_link_libraries(user enc_left::enc_left)\n"
     )
     (user / "main.c").write_text(
@@ -235,7 +269,7 @@ def test_packages_name_files_that_are_there(image, name):
     folder = image / name
     library = json.loads((folder / "library.json").read_text())
     assert library["name"] == name
-    headers = {path.name for path in (*folder.glob("include/*.h"), *folder.glob("params/*.h"))}
+    headers = {path.name for path in folder.glob("*.h")}
     assert headers == set(library["headers"])
     module = (folder / "zephyr/module.yml").read_text()
     assert f"name: {name}\n" in module
@@ -305,7 +339,7 @@ int main(void)
     const stage_in_t in = {0};
     const stage_out_t known = {1e-4F, 0.0F, 0.0F};
     stage_out_t pose;
-    FILE *file = fopen("stage/params/stage_params.bin", "rb");
+    FILE *file = fopen("stage/table/stage_params.bin", "rb");
     const uint32_t count = (uint32_t)fread(bytes, 1U, sizeof(bytes), file);
     int bad = start(&kept) | start(NULL);
     bad |= (reset_done(&in, &known) == 0U) ? 0 : 32;
@@ -328,8 +362,8 @@ int main(void)
 }
 """
     (image / "update.c").write_text(code + trial)
-    files = ["stage/src/stage.c", "stage/src/stage_check.c", "stage/params/stage_params.c"]
+    files = ["stage/stage.c", "stage/stage_check.c", "stage/stage_params.c"]
     warned = ("-std=c99", "-Wall", "-Wextra", "-Werror")
     ran(image, "gcc", *warned, *sources(image)[:2], "update.c", *files, "-o", "update")
-    record = json.loads((image / "stage/params/stage_params.json").read_text())
+    record = json.loads((image / "stage/table/stage_params.json").read_text())
     assert ran(image, "./update") == record["calibration_sha256"][:16]

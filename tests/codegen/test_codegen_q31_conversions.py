@@ -109,7 +109,7 @@ def test_conversions_round_to_the_nearest_and_saturate(folder, compiler):
     need(compiler[0])
     text, wanted = sources(folder)
     (folder / "conversions.c").write_text(text)
-    ran(folder, *compiler, *WARNINGS, *UNDEFINED, "-Iinclude", "conversions.c", "-o", "conversions")
+    ran(folder, *compiler, *WARNINGS, *UNDEFINED, "-I.", "conversions.c", "-o", "conversions")
     assert json.loads(ran(folder, "./conversions")) == wanted
 
 
@@ -123,7 +123,7 @@ def test_a_round_trip_is_exact(folder):
         '#include "decoupler.h"\nint main(void)\n{\n int bad = 0;\n'
         f" for (int64_t q = -{MOST}; q <= {MOST}; q += 9973)\n {{\n{tests}\n }}\n return bad;\n}}\n"
     )
-    ran(folder, "gcc", "-std=c99", "-O2", *WARNINGS, *UNDEFINED, "-Iinclude", "trip.c", "-o", "trip")
+    ran(folder, "gcc", "-std=c99", "-O2", *WARNINGS, *UNDEFINED, "-I.", "trip.c", "-o", "trip")
     ran(folder, "./trip")
 
 
@@ -143,7 +143,7 @@ def test_angles_are_converted_round_and_round(tmp_path):
         " bad += (DECOUPLER_BAM_FROM_SI(si) == (uint32_t)q) ? 0U : 1U; }\n"
         ' printf("%u]\\n", bad);\n return 0;\n}\n'
     )
-    ran(tmp_path / "fw", "gcc", "-std=c99", *WARNINGS, *UNDEFINED, "-Iinclude", "angles.c", "-o", "angles")
+    ran(tmp_path / "fw", "gcc", "-std=c99", *WARNINGS, *UNDEFINED, "-I.", "angles.c", "-o", "angles")
     *found, first, second, bad = json.loads(ran(tmp_path / "fw", "./angles"))
     for angle, value in zip(angles, found, strict=True):
         turns = angle / (2 * pi) if abs(angle) < 1e9 else 0.0

@@ -71,7 +71,7 @@ def test_a_wrong_slope_is_noticed(tmp_path):
     for name in ("x_hall_a", "rz_hall_b", "y_hall_c"):
         folder = tmp_path / name
         code.write(folder)
-        source = folder / "src/decoupler.c"
+        source = folder / "decoupler.c"
         text = source.read_text()
         assert f"slopes->{name} = " in text
         source.write_text(text.replace(f"slopes->{name} = ", f"slopes->{name} = 1.00001f * "))
@@ -86,7 +86,7 @@ def test_a_recalibration_remembers_them(tmp_path):
     vectors = (folder / "test/selftest_vectors.h").read_text()
     assert main([*command, "--params-only"]) == 0
     assert (folder / "test/selftest_vectors.h").read_text() == vectors
-    table = json.loads((folder / "params/decoupler_params.json").read_text())
+    table = json.loads((folder / "table/decoupler_params.json").read_text())
     assert table["options"] == {"jacobian": "reading"}
 
 

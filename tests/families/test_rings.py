@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from firmware import passes, written
 from rings import ONE, ring
 
 import hallsym
@@ -99,6 +100,40 @@ def test_c_of_several_heads_gives_the_angle_within_a_period(pairs, heads, arithm
     x = on_arrays(bent.reading)(values, np.zeros(0), [angle], [])[0]
     assert np.abs(made.decoupler.difference(made.decoupler.exact(x), angle[None])).max() < 1e-9
     assert made.errors["angle_rad"] <= made.bounds.error["angle_rad"] < 1e-4 * TURN / pairs
+
+
+@pytest.mark.parametrize(("heads", "arithmetic"), [(3, "float"), (3, "q31"), (4, "q31"), (5, "float")])
+def test_c_tells_that_one_of_several_heads_is_dead_and_a_warmer_magnet_is_none(
+    heads, arithmetic, tmp_path
+) -> None:
+    log, own, scale = log_of(4, heads, size=1e-4)
+    made = generate(hallsym.fit(log, "rings3", solver="direct"), arithmetic=arithmetic)
+    d, backend, rng = made.decoupler, made.backend, np.random.default_rng(5)
+    angle = rng.uniform(-np.pi / 4, np.pi / 4, 4000)
+    x = scale * (own.readings(angle).T + 1e-3 * rng.standard_normal((heads, 4000)))
+    numbers = np.array([[port.scale] for port in backend.inputs])
+
+    def status(readings):
+        given = np.round(readings / numbers) if arithmetic == "q31" else readings.astype(np.float32)
+        return backend.step(given)[1]
+
+    offsets = scale * own.offsets[:, None]
+    assert not (status(x) & d.fault_bit).any()
+    assert not (status(offsets + 0.97 * (x - offsets)) & d.fault_bit).any()
+    for k in range(heads):
+        dead = x.copy()
+        dead[k] = 0.0
+        far = np.abs(x[k]) > 0.05 * scale
+        if not d.mends:  # of five and more each is told from the others
+            assert heads < 5
+            assert (status(dead) & d.fault_bit > 0)[far].all()
+            continue
+        found, said, suspects = backend.whole_step(dead.astype(np.float32))
+        assert (said == d.degraded_bit)[far].all()
+        assert (suspects == k + 1)[far].all()
+        most = dict(d.redundancy.without)["angle_rad"]
+        assert np.abs(d.difference(found, angle[None]))[:, far].max() < most < 0.005
+    passes(written(made, tmp_path / "fw"))
 
 
 def test_c_refuses_waves_that_one_moment_cannot_tell() -> None:

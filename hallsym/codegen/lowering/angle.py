@@ -15,8 +15,21 @@ from math import asin, hypot, pi, sqrt
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen import integer_c
-from hallsym.codegen.decoupler import Array, Bits, Box, Collected, Decoupler, Flag, Lookup, Margin, short
+from hallsym.codegen import integer_c, residual
+from hallsym.codegen.decoupler import (
+    FAULT,
+    Array,
+    Bits,
+    Box,
+    Collected,
+    Decoupler,
+    Flag,
+    Lookup,
+    Margin,
+    Redundancy,
+    Watched,
+    short,
+)
 from hallsym.codegen.integer_c import UNIT, Compiler, Fixed, Program, planned
 from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
 from hallsym.codegen.lowering import correction as corrections
@@ -62,7 +75,14 @@ def decoupler(
     check_static(model, "the angle")
     curve = Curve(model, np.asarray(p, dtype=float))
     made = _Assembly(curve, box, corrections.shortest_correction(curve, accuracy, correction)).make()
-    return replace(made, integers=lambda **options: program(made, curve, WEAK, **options))
+    return replace(
+        made, integers=lambda found, **options: program(residual.flag_alone(found), curve, WEAK, **options)
+    )
+
+
+def _spare_names(channels: Sequence[str]) -> list[str]:
+    """Return the names of what is left of three readings, or of each of more."""
+    return ["left_of_all"] if len(channels) == 3 else [f"left_{short(c)}" for c in channels]
 
 
 @dataclass(eq=False)
@@ -71,6 +91,7 @@ class _Assembly(Collected):
     given: Box
     correction: Series | Grid
     arrays: list[Array] = field(default_factory=list)
+    redundancy: Redundancy | None = None
 
     def make(self) -> Decoupler:
         model = self.curve.model
@@ -83,6 +104,7 @@ class _Assembly(Collected):
             margin, phase = self._ellipse(), self._arctangent()
             flags = (
                 Flag("FIELD", "field", "least_field", f"field below {WEAK:g} of its amplitude: no magnet"),
+                residual.flag(),
             )
         self._finish(phase, self.symbols[f"zero_{short(model.pose[0])}"])
         ends, share = self.given.over({c: self._ends(c) for c in inputs}), self.curve.share
@@ -91,7 +113,8 @@ class _Assembly(Collected):
             exact=lambda given: self.curve.angle(self.curve.phase(given))[None] * share,
             cut=CUT * share * self.correction.slope if isinstance(self.correction, Grid) else 0.0,
             bounded=Rounding(self.curve, self.correction, WEAK, [ends.ends[c] for c in inputs]),
-            listed=self._listed(),
+            listed=self._listed(), redundancy=self.redundancy,
+            drawn=residual.drawn_of(model, self.curve.p, self.given) if self.redundancy else None,
             arrays=tuple(self.arrays), options={"correction": self.correction.form}, said=self._said(),
         )  # fmt: skip
 
@@ -103,7 +126,7 @@ class _Assembly(Collected):
         name = f"gain_{short(channel)}"
         gain = self.entry(name, 1.0, "1", f"phase per {channel}, 1", "value")
         read = odd_series.wrapped(gain * self.symbols[channel])  # of at most a turn, by the limits
-        self.step("phase", read, "[rad] as read, either branch", most=1.00001 * pi)
+        self.step("phase", read, "[rad] as read, either branch", most=PI)
         return Margin(channel, name)
 
     def _ellipse(self) -> Margin:
@@ -128,7 +151,27 @@ class _Assembly(Collected):
         about = "square of the least share of the calibrated amplitude"
         self.entry("least_field", WEAK**2, "1", about, "sign")
         self.step("field", x * x + y * y, "[1] square of the amplitude, 1 as calibrated")
+        self.redundancy = residual.summed(self, self._watched(off))
         return Margin(self.curve.model.channels[0], "least_field")
+
+    def _watched(self, off: list[ca.SX]) -> list[Watched]:
+        """Add what is left of readings: beside the circle of two, off the plane of the ellipse of more."""
+        channels = self.curve.model.channels
+        every = tuple(range(len(channels)))
+        if len(off) == 2:
+            self.step("beside", self.symbols["field"] - 1.0, "[1] of the circle that both voltages lie on")
+            return [Watched("beside", every)]
+        out = []
+        for k, (name, row) in enumerate(zip(_spare_names(channels), self.curve.spare, strict=True)):
+            shares = [
+                self.entry(f"{name}_{short(c)}", share, "1", f"share of {c} in what is off the plane")
+                for c, share in zip(channels, row, strict=True)
+            ]
+            self.total(
+                name, [s * o for s, o in zip(shares, off, strict=True)], "off the plane of the ellipse"
+            )
+            out.append(Watched(name, every if len(self.curve.spare) == 1 else (k,)))
+        return out
 
     def _arctangent(self) -> ca.SX:
         x, y = self.symbols["x"], self.symbols["y"]
@@ -562,6 +605,7 @@ class _Turns(Compiler):
         field = self._add(self._mul(x, x), self._mul(y, y))
         p.table["least_field"] = (round(self.weak**2 * 2.0**field.e), field.e)
         p.flags["FIELD"] = (field.text, "least_field")
+        self._beside(field, off)
         # where the flag is clear, the vector is as long but for the rounding of its square
         length = np.sqrt(max(self.weak**2 - field.error - field.unit, 1e-9))
         moved = asin(min(1.0, hypot(x.error, y.error) / (length - hypot(x.error, y.error))))
@@ -571,6 +615,25 @@ class _Turns(Compiler):
             f"{cordic:.2g} rad where the field is not weak (proved)."
         )
         return self._line("angle", x.text, y.text, self.steps), moved + cordic
+
+    def _beside(self, field: Fixed, off: list[Fixed]) -> None:
+        """How far readings are beside their circle, or off its plane: the flag of a fault looks at it."""
+        if len(off) == 2:
+            beside = Fixed(
+                self._line("one", field.text, i=field.e), field.e, 1 - field.high, 1 - field.low, field.error
+            )
+            return self._least(FAULT, residual.LEAST, self._less(beside))
+        names, e = _spare_names(self.d.model.channels), self._exponent(-1.0, 1.0)
+        left = [self._row(name, row, off, e) for name, row in zip(names, self.curve.spare, strict=True)]
+        if len(left) == 1:
+            return self._least(FAULT, residual.LEAST, self._less(left[0]))
+        total = reduce(self._add, (self._mul(v, v) for v in left))
+        return self._least(FAULT, residual.LEAST, self._less(total))
+
+    def _less(self, v: Fixed) -> Fixed:
+        """Less the size of a value."""
+        text = self._line("neg", self._line("size", v.text))
+        return Fixed(text, v.e, -v.most, 0.0, v.error)
 
     def _row(self, axis: str, row: np.ndarray, off: list[Fixed], e: int) -> Fixed:
         terms = (

@@ -15,6 +15,7 @@ from math import pi, tan
 import casadi as ca
 import numpy as np
 
+from hallsym.codegen import residual
 from hallsym.codegen.bounds import PoseByPose
 from hallsym.codegen.decoupler import (
     Box,
@@ -22,12 +23,14 @@ from hallsym.codegen.decoupler import (
     Decoupler,
     Flag,
     Margin,
+    Redundancy,
     short,
     unit,
 )
 from hallsym.codegen.lowering import wave_steps
 from hallsym.codegen.lowering.arrays_fit import KINDS, NEGLIGIBLE, Arrays, groups_of
 from hallsym.codegen.lowering.odd_series import Odd, odd, shortest
+from hallsym.codegen.lowering.remainders import Seen, contradictions
 from hallsym.codegen.lowering.wave_steps import Pair, Wave
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
@@ -452,14 +455,18 @@ class Assembly:
         inputs = (*model.channels, *nears)
         made.begin(model, inputs)
         ends = self._ends(nears)
-        pose = self.bent(self.linear(nears))
+        linear = self.linear(nears)
+        redundancy = self.redundancy(linear)
+        pose = self.bent(linear)
         for column, value in zip(model.pose, pose, strict=True):
             made.step(short(column), made.symbols[f"zero_{short(column)}"] + value, f"[{unit(column)}]")
-        made.keep((*(short(c) for c in model.pose), *(flag.step for flag in self.flags)))
+        flags = (*self.flags, *((residual.flag(),) if redundancy else ()))
+        left = redundancy.steps if redundancy else ()
+        made.keep((*(short(c) for c in model.pose), *(flag.step for flag in flags), *left))
         leaves = self.leaves()
         return made.finished(
             model, inputs, ends, margins=(Margin(inputs[0], self.never_zero),), exact=self.exact,
-            flags=self.flags, leaves=leaves, drawn=self.drawn_of_box,
+            flags=flags, redundancy=redundancy, leaves=leaves, drawn=self.drawn_of_box,
             bounded=PoseByPose(model.pose, inputs, tuple(made.steps), tuple(made.table), self.drawn_of_box),
             said=self.said(leaves), evident=False,
         )  # fmt: skip
@@ -479,6 +486,22 @@ class Assembly:
         self.least()
         seen = [*self.places(vectors), *self.heights(logs)]
         return self.pose(seen, self.turning(vectors))
+
+    def redundancy(self, linear: Sequence[ca.SX]) -> Redundancy | None:
+        """Add what is left of the readings of each array."""
+        found, made = self.found, self.made
+        pose, phasors, _ = found.sample
+        read, tilted, waves = found.readings(pose), pose[3:] - found.middle[3:, None], []
+        for group, wave, u, name in zip(found.groups, self.waves, phasors, self.names, strict=True):
+            readings = {
+                short(found.model.channels[k]): made.symbols[found.model.channels[k]] for k in group.channels
+            }
+            own = [made.symbols[f"{axis}_{wave.rounds or 'seen'}_{name}"] for axis in wave_steps.AXES]
+            at = own[0], own[1]
+            waves.append(
+                Seen(group.channels, group.phasor, readings, at, read[list(group.channels)], u, f"_{name}")
+            )
+        return contradictions(made, waves, found.weight**-0.5, dict(enumerate(linear[3:])), tilted)
 
     @property
     def never_zero(self) -> str:

@@ -17,8 +17,19 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
+from hallsym.codegen import residual
 from hallsym.codegen.accepted import any_accepted
-from hallsym.codegen.decoupler import Box, Collected, Decoupler, Margin, Step, short, unit
+from hallsym.codegen.decoupler import (
+    Box,
+    Collected,
+    Decoupler,
+    Margin,
+    Redundancy,
+    Step,
+    Watched,
+    short,
+    unit,
+)
 from hallsym.codegen.lowering.polynomials import Polynomial, PolynomialModel, Row
 from hallsym.errors import InputError
 from hallsym.model import Model
@@ -64,6 +75,7 @@ class _Assembly(Collected):
     weight: np.ndarray
     held: bool = False
     """Whether each iteration starts within `HELD` times the box, whatever the readings are."""
+    redundancy: Redundancy | None = None
 
     def make(self) -> Decoupler:
         taken, model = self.taken, self.taken.model
@@ -73,6 +85,7 @@ class _Assembly(Collected):
         eta, inverse = taken.eta(self.p), taken.inverse(self.p, self.weight)
         rows, own = self._design()
         scale = np.array([inverse[i, k] for k, i in enumerate(own)])
+        spare = self._spare(inverse * eta, scale * eta, self.weight**-0.5 / np.abs(eta))
         monomials = _Monomials(self.symbols, self.steps)
         margins = self._gains(1 / eta / scale, 1 / scale, own, monomials)
         self._shares(own, monomials)
@@ -87,10 +100,48 @@ class _Assembly(Collected):
         for poly, channel, of in zip(taken.bend, model.channels, eta * scale, strict=True):
             about = f"displacement at {short(channel)} beyond the linear one"
             bends.append(self._terms(poly, poly.rows, f"bend_{short(channel)}", of, "m", about, "per 1"))
-        at_pose = self._solve(rows, bends, monomials)
+        at_pose = self._solve(rows, bends, monomials, spare)
         box = taken.box.over({**taken.readings(self.p), **dict(taken.box.ends)})
         exact = taken.exact(self.p, self.weight)
-        return self.finished(model, inputs, box, at_pose=at_pose, margins=margins, exact=exact)
+        return self.finished(
+            model, inputs, box, at_pose=at_pose, margins=margins, exact=exact, redundancy=self.redundancy,
+            drawn=residual.drawn_of(model, self.p, taken.box) if self.redundancy else None,
+            flags=(residual.flag(),) if self.redundancy else (),
+        )  # fmt: skip
+
+    @staticmethod
+    def _spare(inverse: np.ndarray, scale: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+        """Return what is left of the displacements, (rows, n) per what the probes see: no row of three
+        probes.
+
+        `inverse` (n_pose, n): pose per displacement, (M^T W M)^-1 M^T W; `scale` (n,): what is seen of a
+        displacement; `sigma` (n,): its standard deviation, in units of the largest of which the rows are: one
+        row where one degree of freedom is left, one for each probe where there are more.
+        """
+        count, freedom = len(scale), len(scale) - len(inverse)
+        if not freedom:
+            return np.zeros((0, count))
+        wide = inverse * sigma
+        slopes = (sigma[:, None] ** 2 * inverse.T) @ np.linalg.inv(wide @ wide.T)
+        left = np.eye(count) - slopes @ inverse
+        if freedom == 1:
+            left = np.linalg.svd(left / sigma[:, None] * sigma)[2][:1] / sigma
+            return np.asarray(left * sigma.max() / scale)
+        return np.asarray(left * (sigma.max() / sigma)[:, None] / scale)
+
+    def _contradiction(self, spare: np.ndarray, sensed: Mapping[str, ca.SX]) -> None:
+        """Add what is left of the probes, and the sum of its squares."""
+        channels, watched = self.taken.model.channels, []
+        for k, row in enumerate(spare):
+            name, terms = "left_of_all" if len(spare) == 1 else f"left_{short(channels[k])}", []
+            for (label, value), share, channel in zip(sensed.items(), row, channels, strict=True):
+                about = f"share of {channel} in what {'they contradict' if len(spare) == 1 else 'is left'}"
+                terms.append(self.entry(f"{name}_{label}", share, "1", about) * value)
+            self.step(name, _total(terms), "[m] that the pose leaves")
+            readings = tuple(range(len(channels))) if len(spare) == 1 else (k,)
+            watched.append(Watched(name, readings))
+        if watched:
+            self.redundancy = residual.summed(self, watched)
 
     def _design(self) -> tuple[list[list[int]], list[int]]:
         """Return the channels of each pose coordinate, least influence first, and each channel's own row.
@@ -157,11 +208,14 @@ class _Assembly(Collected):
 
     # -- from what the probes see to the pose ------------------------------------------------------------
 
-    def _solve(self, rows: list[list[int]], bends: list, monomials: "_Monomials") -> tuple[Step, ...]:
+    def _solve(
+        self, rows: list[list[int]], bends: list, monomials: "_Monomials", spare: np.ndarray
+    ) -> tuple[Step, ...]:
         """Add the steps from u to the pose; returns those of `decoupler_zero` for a non-linear model."""
         model = self.taken.model
         if not self.taken.curved:
             sensed = self._sensed(bends, monomials, "") if any(bends) else self._seen()
+            self._contradiction(spare, sensed)
             self._product(rows, sensed, "")
             return ()
         before = list(self.steps)
@@ -171,6 +225,8 @@ class _Assembly(Collected):
             sensed = self._seen()
             if n:
                 sensed = self._sensed(bends, _Monomials(self.symbols, self.steps, source, f"_{n}"), f"_{n}")
+            if n == count:
+                self._contradiction(spare, sensed)
             made = self._product(rows, sensed, f"_{n + 1}" if n < count else "")
             source = dict(zip(model.pose, made, strict=True))
             if self.held and n < count:

@@ -107,6 +107,13 @@ class Curve:
         """Center of the ellipse [V], in the order of the channels."""
         return self._map[1]
 
+    @cached_property
+    def spare(self) -> np.ndarray:
+        """What readings do off the plane of their ellipse, (rows, n_channels) per reading: none of two."""
+        seen = self.readings(self.turn)
+        off = np.linalg.svd(seen - seen.mean(axis=1, keepdims=True), full_matrices=False)[0][:, 2:]
+        return off.T if off.shape[1] < 2 else off @ off.T
+
     def phase(self, readings: np.ndarray) -> np.ndarray:
         """Return the phase (s,) [rad] of readings (n_channels, s)."""
         if self.angle_only:

@@ -19,12 +19,14 @@ from math import pi
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Box, Collected, Decoupler, Flag, short
+from hallsym.codegen import residual
+from hallsym.codegen.decoupler import Box, Collected, Decoupler, Flag, Redundancy, Watched, short
 from hallsym.codegen.lowering import wave_steps
 from hallsym.codegen.lowering.arrays import LOST, NEAR, TRIALS, Assembly, ends_and_leaves
 from hallsym.codegen.lowering.arrays_fit import APART, SAMPLES, Reference, check_along, together
 from hallsym.codegen.lowering.passing import NeverEnds, passes, readings
 from hallsym.codegen.lowering.phasors import HARMONICS, PLACES, TURN, WIDE, Phasor, Sample
+from hallsym.codegen.lowering.remainders import UNKNOWNS
 from hallsym.codegen.lowering.wave_steps import Pair, wave_of
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
@@ -678,6 +680,24 @@ class _Assembly(Assembly):
         seen = self.rows()
         self.least()
         return self.pose(seen, {})
+
+    def redundancy(self, linear: Sequence[ca.SX]) -> Redundancy | None:
+        """Add what is left of each sensor under an array, weighted as it counts."""
+        made, watched = self.made, []
+        last = self.found.harmonics[-1:] if self.found.rounds else ()
+        lifted = "lifted_" if self.found.turns else ""
+        for row, name in zip(self.found.rows, self.names, strict=True):
+            if len(row.channels) <= UNKNOWNS:
+                continue
+            seen = [made.symbols[f"held_{axis}_{name}"] for axis in wave_steps.AXES]
+            for number, s in zip(row.channels, self._channels(row), strict=True):
+                rest = made.symbols[f"left_{last[0]}_{s}" if last else f"field_{s}"]
+                for axis, part in zip(wave_steps.AXES, seen, strict=True):
+                    rest = rest - made.symbols[f"{lifted}{axis}_{s}"] * part
+                off = made.step(f"off_{s}", rest, "[V] beside what is decoded")
+                made.step(f"rest_{s}", made.symbols[f"weight_{s}"] * off)
+                watched.append(Watched(f"rest_{s}", (number,), f"off_{s}"))
+        return residual.summed(made, watched) if watched else None
 
     @property
     def never_zero(self) -> str:

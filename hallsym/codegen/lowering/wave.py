@@ -6,18 +6,32 @@ polynomials with proved bounds (`lowering.wave_steps`). What they are made of is
 readings (`lowering.phasors`).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import pi
 
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Box, Collected, Decoupler, Flag, Margin, Step, Values, short, unit
+from hallsym.codegen import residual
+from hallsym.codegen.decoupler import (
+    Box,
+    Collected,
+    Decoupler,
+    Flag,
+    Margin,
+    Redundancy,
+    Step,
+    Values,
+    short,
+    unit,
+)
 from hallsym.codegen.intervals import Enclosure, constant, half_ulp
 from hallsym.codegen.lowering import arrays, rows, wave_steps
 from hallsym.codegen.lowering.phase_curve import check_static
 from hallsym.codegen.lowering.phasors import Phasor, phasor
-from hallsym.codegen.lowering.wave_steps import Wave
+from hallsym.codegen.lowering.remainders import Seen, contradictions
+from hallsym.codegen.lowering.wave_steps import Pair, Wave
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
 
@@ -28,6 +42,8 @@ TWO = 2
 """Coordinates of one array: place and height."""
 SIX = 6
 """Coordinates of a mover over several arrays."""
+TRIALS = 2000
+"""Poses by which it is found what is left of readings."""
 ROUNDED = 1e-13
 LAST = {"": "", "radial": " and the radial part of a second", "linear": " and one along its slope"}
 
@@ -51,7 +67,8 @@ def decoupler(
     found = phasor(model, p, weight, along, height, box.ends[height])
     own = replace(model, period={**model.period, along: 2 * pi * found.lc})
     ends = box.ends[height]
-    return _Assembly(own, wave_steps.wave_of(found, ends, aim), box, along, height).make()
+    drawn = residual.drawn_of(model, np.asarray(p, dtype=float), box)
+    return _Assembly(own, wave_steps.wave_of(found, ends, aim), box, along, height, weight, drawn).make()
 
 
 def _coordinates(model: Model) -> tuple[str, str]:
@@ -88,6 +105,8 @@ class _Assembly:
     given: Box
     along: str
     height: str
+    weight: np.ndarray
+    drawn: Callable[[np.random.Generator, int], np.ndarray]
     made: Collected = field(default_factory=Collected)
 
     def make(self) -> Decoupler:
@@ -99,20 +118,33 @@ class _Assembly:
             {c: self.given.ends.get(c, ends_of(found, k, heights)) for k, c in enumerate(inputs)}
         )
         vector = wave_steps.phasor_steps(made, wave, {short(c): made.symbols[c] for c in inputs})
-        after_vector = len(made.steps)
+        to_vector = tuple(made.steps)
+        redundancy = self._redundancy(vector)
         self._pose(
             made,
             wave_steps.logarithm_steps(made, wave, vector),
             wave_steps.arctangent_steps(made, wave, vector),
         )
         values = made.values(inputs, ends)
+        made.keep((*map(short, model.pose), "inside", *(redundancy.steps if redundancy else ())))
         return made.finished(
             model, inputs, ends, margins=(Margin(inputs[0], "lc"),), exact=self._exact,
-            flags=(Flag("FIELD", "inside", "least_inside", wave_steps.FIELD),),
+            flags=(
+                Flag("FIELD", "inside", "least_inside", wave_steps.FIELD),
+                *((residual.flag(),) if redundancy else ()),
+            ),
+            redundancy=redundancy, drawn=self.drawn if redundancy else None,
             approximation=found.lc * wave.error + ROUNDED,
-            bounded=Rounding(wave, model.pose, self.along, tuple(made.steps[:after_vector]), values),
+            bounded=Rounding(wave, model.pose, self.along, to_vector, values),
             listed=self._listed(), said=self._said(), evident=False,
         )  # fmt: skip
+
+    def _redundancy(self, vector: Pair) -> Redundancy | None:
+        found, inputs = self.wave.phasor, self.model.channels
+        read = self.drawn(np.random.default_rng(12), TRIALS)
+        readings = {short(c): self.made.symbols[c] for c in inputs}
+        seen = Seen(tuple(range(len(inputs))), found, readings, vector, read, found.solved(read))
+        return contradictions(self.made, [seen], self.weight**-0.5)
 
     def _pose(self, made: Collected, logarithm: ca.SX, phase: ca.SX) -> None:
         """Add the last steps: place within half a wavelength, and height."""

@@ -12,17 +12,32 @@ typedef struct
     double worst;      /**< largest deviation from the model in double [m, rad] */
 } decoupler_selftest_t;
 
-/** Run the listed vectors. */
+/**
+ * Run the listed vectors.
+ * @return how many ran and failed, and the largest deviation
+ */
 decoupler_selftest_t decoupler_selftest(void);
 
-/** How many faults of a table, and of taking a zero, are not found; 0 if all are. */
+/**
+ * Faults of a table.
+ * @return how many are not found
+ */
 uint32_t decoupler_missed_faults(void);
+
+/**
+ * Zeros that are taken or refused.
+ * @return how many are wrong
+ */
 uint32_t decoupler_missed_zeros(void);
 
-/** Hash of status and bits of the pose over `count` samples that include any bit pattern. */
+/**
+ * Hash of status and bits of the pose over samples that include any bit pattern.
+ * @param[in] count samples
+ * @return the hash
+ */
 uint32_t decoupler_hash(uint32_t count);
 
 extern const uint32_t decoupler_hash_short; /**< expected of decoupler_hash(4096) */
-extern const uint32_t decoupler_hash_long;  /**< expected of decoupler_hash(1000000) */
+extern const uint32_t decoupler_hash_long;  /**< expected of decoupler_hash(@HASHED@) */
 
 #endif /* DECOUPLER_SELFTEST_H */

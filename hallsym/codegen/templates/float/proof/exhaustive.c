@@ -4,7 +4,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "../src/decoupler.c"
+#include "../decoupler.c"
 #include "decoupler_params.h"
 
 @EVERY@

@@ -80,6 +80,7 @@ uint32_t decoupler_hash(uint32_t count)
         take(n, &table);
         total += mix(decoupler_step(&table, &in, &out) ^ mix(n * @WIDTH@U));
         total += mix(word(out.@out.member@) ^ mix((n * @WIDTH@U) + @out.number@U));
+        @HASH_SUSPECT@
     }
     return total;
 }

@@ -4,7 +4,7 @@
 
 #include "__fc_builtin.h"
 
-#include "../src/decoupler.c"
+#include "../decoupler.c"
 #include "decoupler_params.h"
 
 int main(void)

@@ -5,7 +5,7 @@
 
 #include <stdio.h>
 
-#include "../src/decoupler.c"
+#include "../decoupler.c"
 #include "decoupler_params.h"
 
 @RECIPROCALS@

@@ -44,6 +44,7 @@ uint32_t decoupler_hash(uint32_t count)
         sample(n, &in);
         total += mix(decoupler_step(&decoupler_params, &in, &out) ^ mix(n * @WIDTH@U));
         total += mix((uint32_t)out.@out.member@ ^ mix((n * @WIDTH@U) + @out.number@U));
+        @HASH_SUSPECT@
     }
     return total;
 }

@@ -22,6 +22,7 @@ extern "C" {
 /** @{ */
 #define @in.bit@ @in.mask@ /**< @in.column@ outside its range, or not finite */
 #define DECOUPLER_STATUS_@flag.name@ @flag.mask@ /**< @flag.meaning@ */
+@DEGRADED_DEFINED@
 #define DECOUPLER_STATUS_KNOWN 0x80000000UL /**< decoupler_zero(): known pose not within @KNOWN@ */
 /** @} */
 
@@ -48,35 +49,46 @@ typedef struct
 typedef struct
 {
     @out.type@ @out.member@; /**< [@out.unit@] */
+    @SUSPECT_MEMBER@
 } decoupler_out_t;
 @JACOBIAN_TYPE@
 
 /**
  * Decouple one sample.
- * @param p table that decoupler_check() found nothing wrong with
- * @param in readings [@READING_UNITS@]@STATE_UNITS@
- * @param out @QUANTITY@ [@POSE_UNITS@]: always finite; inputs outside their range are brought back to its end
+ * @param[in] p table that decoupler_check() found nothing wrong with
+ * @param[in] in readings [@READING_UNITS@]@STATE_UNITS@
+ * @param[out] out @QUANTITY@ [@POSE_UNITS@]: always finite; inputs outside their range are brought back to its end
  * @return 0 if every input is finite and within its range, else the bits of those that are not
 @AND_FLAGS@
  */
 uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out);
 @JACOBIAN_FUNCTION@
+@PREDICT_FUNCTIONS@
 
 /**
  * Take the zero at a known pose, after a reset: later poses are counted from it.
  * The zeros are computed first and stored last, one by one: an interrupt that calls decoupler_step() on the same
  * table meanwhile can see some new and some old ones. Where that matters, take the zero in a second table.
- * @param p table in RAM; only its zeros change, and only if the result is 0
- * @param in sample taken at the known pose
- * @param pose where the machine is [@POSE_UNITS@]; within @KNOWN@
+ * @param[in,out] p table in RAM; only its zeros change, and only if the result is 0
+ * @param[in] in sample taken at the known pose
+ * @param[in] pose where the machine is [@POSE_UNITS@]; within @KNOWN@
  * @return as decoupler_step(), or DECOUPLER_STATUS_KNOWN
  */
 uint32_t decoupler_zero(decoupler_params_t *p, const decoupler_in_t *in, const decoupler_out_t *pose);
 
-/** Check a table when it is loaded: 0, or DECOUPLER_BAD_* bits. */
+/**
+ * Check a table when it is loaded.
+ * @param[in] p table, in flash or in RAM
+ * @return 0 if nothing is wrong with it, else DECOUPLER_BAD_* bits
+ */
 uint32_t decoupler_check(const decoupler_params_t *p);
 
-/** CRC-32 (IEEE 802.3) of bytes, as the table has it. */
+/**
+ * CRC-32 (IEEE 802.3) of bytes, as the table has it.
+ * @param[in] bytes first of them
+ * @param[in] count how many there are
+ * @return their CRC
+ */
 uint32_t decoupler_crc(const uint8_t *bytes, uint32_t count);
 
 #ifdef __cplusplus

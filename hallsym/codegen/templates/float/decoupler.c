@@ -14,15 +14,17 @@
 
 @LIMITED_FUNCTION@
 @WITHIN@
-uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)
+@STEP_KIND@uint32_t @STEP_NAME@(const decoupler_params_t *p, const decoupler_in_t *in,@LEFT_PARAMETER@ decoupler_out_t *out)
 {
     uint32_t status = 0U;
     @HELD@
     @BODY@
+    @LEFT@
     @FLAGS@
     return status;
 }
 
+@SUSPECT@
 @JACOBIAN@
 uint32_t decoupler_zero(decoupler_params_t *p, const decoupler_in_t *in, const decoupler_out_t *pose)
 {
@@ -39,3 +41,4 @@ uint32_t decoupler_zero(decoupler_params_t *p, const decoupler_in_t *in, const d
     }
     return status;
 }
+@PREDICT@

@@ -24,6 +24,7 @@ extern "C" {
 #define @limited.bit@ @limited.mask@ /**< @limited.column@ outside its range */
 #define DECOUPLER_STATUS_@flag.name@ @flag.mask@ /**< @flag.meaning@ */
 @NO_BITS@
+@DEGRADED_DEFINED@
 @KNOWN_BIT@
 /** @} */
 
@@ -66,22 +67,43 @@ typedef struct
 typedef struct
 {
     @out.type@ @out.member@; /**< [@out.unit@] */
+    @SUSPECT_MEMBER@
 } decoupler_out_t;
 
-/** Decouple one sample; 0 if every input is within its range, else the bits of those that were brought back. */
+/**
+ * Decouple one sample.
+ * @param[in] p table that decoupler_check() found nothing wrong with
+ * @param[in] in readings and state, in units of their last bits
+ * @param[out] out @QUANTITY@; inputs outside their range are brought back to its end
+ * @return 0 if every input is within its range, else the bits of those that are not
+@AND_FLAGS@
+ */
 uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out);
 
 /**
  * Take the zero at a known pose, after a reset, into a table in RAM; unchanged unless the result is 0.
  * The zeros are computed first and stored last, one by one: an interrupt that calls decoupler_step() on the same
  * table meanwhile can see some new and some old ones. Where that matters, take the zero in a second table.
+ * @param[in,out] p table in RAM; only its zeros change, and only if the result is 0
+ * @param[in] in sample taken at the known pose
+ * @param[in] pose where the machine is, in units of its last bits
+ * @return as decoupler_step(), or the bit of a known pose that is too large where there is one
  */
 uint32_t decoupler_zero(decoupler_params_t *p, const decoupler_in_t *in, const decoupler_out_t *pose);
 
-/** Check a table when it is loaded: 0, or DECOUPLER_BAD_* bits. */
+/**
+ * Check a table when it is loaded.
+ * @param[in] p table, in flash or in RAM
+ * @return 0 if nothing is wrong with it, else DECOUPLER_BAD_* bits
+ */
 uint32_t decoupler_check(const decoupler_params_t *p);
 
-/** CRC-32 (IEEE 802.3) of bytes, as the table has it. */
+/**
+ * CRC-32 (IEEE 802.3) of bytes, as the table has it.
+ * @param[in] bytes first of them
+ * @param[in] count how many there are
+ * @return their CRC
+ */
 uint32_t decoupler_crc(const uint8_t *bytes, uint32_t count);
 
 #ifdef __cplusplus

@@ -1,0 +1,168 @@
+"""Steps of what is left of readings of a wave once its phasor is known: their contradiction.
+
+Weighted least squares make a phasor of n readings; what its first harmonic leaves of them, P (r - offset)
+with P = 1 - H of rank n - 2, is linear in the readings with constant entries. What the higher harmonics and a
+tilt read of it is taken off by few terms, found by regression over poses of the box.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement as combined
+
+import casadi as ca
+import numpy as np
+
+from hallsym.codegen import residual
+from hallsym.codegen.decoupler import Collected, Redundancy, Watched
+from hallsym.codegen.lowering.phasors import Phasor
+from hallsym.codegen.lowering.wave_steps import Pair, Powers
+
+LEAVE = 0.5
+"""Standard deviations of a reading, rms over poses, that terms may leave of it: what they leave at most
+widens the limit of the fault."""
+TILTS = 2
+"""Highest power of rotations in a term."""
+LOST = 1e-12
+"""Offset [V] that is rounding of the analysis."""
+ALIKE = 1e-9
+"""Relative difference of standard deviations that is rounding."""
+UNKNOWNS = 2
+"""Of a phasor: its real and its imaginary part."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Readings of one wave, and trial poses of them.
+
+    `numbers`: of the readings; `readings`: their symbols by name; `at`: symbols of the phasor. `read` (n, s)
+    and `u` (s,): readings and phasors of trial poses.
+    """
+
+    numbers: tuple[int, ...]
+    phasor: Phasor
+    readings: Mapping[str, ca.SX]
+    at: Pair
+    read: np.ndarray
+    u: np.ndarray
+    tag: str = ""
+
+
+def contradictions(
+    made: Collected,
+    waves: Sequence[Seen],
+    sigma: np.ndarray,
+    tilts: Mapping[int, ca.SX] | None = None,
+    tilted: np.ndarray | None = None,
+) -> Redundancy | None:
+    """Add what is left of all readings and the sum of its squares; None where nothing is left over.
+
+    `sigma` (n,): standard deviation of each reading [V]; the sum is in units of the largest. `tilts`: symbols
+    of rotations by number, `tilted` (3, s) of the trial poses.
+    """
+    watched: list[Watched] = []
+    shapes = np.zeros((0, len(waves[0].u))) if tilted is None else tilted
+    for wave in waves:
+        if len(wave.numbers) > UNKNOWNS:
+            watched += _Left(made, wave, sigma, tilts or {}, shapes).make()
+    if not watched:
+        return None
+    return residual.summed(made, watched)
+
+
+class _Left:
+    """What is left of the readings of one wave."""
+
+    def __init__(
+        self, made: Collected, wave: Seen, sigma: np.ndarray, tilts: Mapping[int, ca.SX], tilted: np.ndarray
+    ) -> None:
+        self.made, self.wave, self.tilts, self.tilted = made, wave, tilts, tilted
+        own = sigma[list(wave.numbers)]
+        self.scale, self.unit = sigma.max() / own, float(sigma.max())
+        first = wave.phasor.factor[:, 0]
+        self.rows = np.stack([first.real, -first.imag], axis=1)
+        self.powers = Powers(made, *wave.at, f"_of{wave.tag}")
+
+    def make(self) -> list[Watched]:
+        """Add the steps: one of each reading, or one of all where they have one degree of freedom."""
+        wave, offset = self.wave, self.wave.phasor.offset
+        free = (wave.read - offset[:, None]) * self.scale[:, None]
+        rows = self.rows * self.scale[:, None]
+        left = free - rows @ np.linalg.lstsq(rows, free, rcond=None)[0]
+        names = list(wave.readings)
+        if len(names) == UNKNOWNS + 1:
+            parity = np.linalg.svd(rows)[0][:, -1]
+            total = self._parity(names, parity * self.scale)
+            name = f"left{wave.tag or '_of_all'}"
+            return [self._watched(name, total, parity @ free, wave.numbers)]
+        cos, sin = (self.made.symbols[f"{axis}_seen{wave.tag}"] for axis in ("cos", "sin"))
+        out = []
+        for k, name in enumerate(names):
+            a, b = (
+                self._entry(f"fit_{part}_{name}", value, f"read by {name} of the {part} that is seen")
+                for part, value in zip(("cos", "sin"), self.rows[k] * self.scale[k], strict=True)
+            )
+            reading = wave.readings[name]
+            if abs(self.scale[k] - 1.0) > ALIKE:
+                reading = reading * self._entry(f"fit_{name}", self.scale[k], f"weight of {name}", "1")
+            if abs(offset[k]) > LOST:
+                about = f"what {name} reads of no field"
+                reading = reading - self._entry(f"fit_offset_{name}", offset[k] * self.scale[k], about)
+            total = reading - a * cos - b * sin
+            out.append(self._watched(f"left_{name}", total, left[k], (wave.numbers[k],)))
+        return out
+
+    def _entry(self, name: str, value: float, about: str, unit: str = "V") -> ca.SX:
+        return self.made.entry(name, float(value), unit, about)
+
+    def _parity(self, names: Sequence[str], parity: np.ndarray) -> ca.SX:
+        terms = [
+            self._entry(f"fit_{name}", value, f"share of {name} in what the readings contradict", "1")
+            * self.wave.readings[name]
+            for name, value in zip(names, parity, strict=True)
+        ]
+        shift = float(parity @ self.wave.phasor.offset)
+        total = sum(terms[1:], start=terms[0])
+        return total - self._entry(f"fit_offset{self.wave.tag or '_of_all'}", shift, "the same of no field")
+
+    def _watched(self, name: str, total: ca.SX, target: np.ndarray, numbers: tuple[int, ...]) -> Watched:
+        """Take off what harmonics and tilts read of it."""
+        count = self.tilted.shape[0]
+        turns = [c for degree in range(TILTS + 1) for c in combined(range(count), degree)]
+        orders = (1, *self.wave.phasor.harmonics)
+        terms = [(n, c, part) for n in orders for c in turns if n > 1 or c for part in (0, 1)]
+        if terms:
+            columns = np.array([self._column(*term) for term in terms])
+            for k, ((n, c, part), factor) in enumerate(fewest(terms, columns, target, LEAVE * self.unit)):
+                about = f"{name} per power {n} of the phasor{''.join(f' and rotation {j + 1}' for j in c)}"
+                total = total - self._entry(f"{name}_{k + 1}", factor, about) * self._symbol(n, c, part)
+        self.made.step(name, total, "[V] that the decoded field leaves")
+        return Watched(name, numbers)
+
+    def _column(self, n: int, turns: tuple[int, ...], part: int) -> np.ndarray:
+        power = self.wave.u**n
+        return np.asarray((power.imag if part else power.real) * np.prod(self.tilted[list(turns)], axis=0))
+
+    def _symbol(self, n: int, turns: tuple[int, ...], part: int) -> ca.SX:
+        value = self.powers(n)[part]
+        for k in range(len(turns)):  # products of a power and rotations, each made once
+            name = f"power_{n}_{'im' if part else 're'}_{''.join(map(str, turns[: k + 1]))}{self.wave.tag}"
+            if name not in self.made.symbols:
+                self.made.step(name, value * self.tilts[turns[k]])
+            value = self.made.symbols[name]
+        return value
+
+
+def fewest(
+    terms: Sequence[tuple], columns: np.ndarray, target: np.ndarray, enough: float
+) -> list[tuple[tuple, float]]:
+    """Return terms and factors whose sum leaves `enough` of a target (s,), rms: what explains most first."""
+    unit = columns / (np.linalg.norm(columns, axis=1, keepdims=True) + 1e-300)
+    chosen: list[int] = []
+    factors, rest = np.zeros(0), target
+    while len(chosen) < len(terms) and np.sqrt(np.mean(rest**2)) > enough:
+        gain = np.abs(unit @ rest)
+        gain[chosen] = -1.0
+        chosen.append(int(gain.argmax()))
+        factors, *_ = np.linalg.lstsq(columns[chosen].T, target, rcond=None)
+        rest = target - factors @ columns[chosen]
+    return [(terms[k], float(f)) for k, f in zip(chosen, factors, strict=True)]

@@ -1,0 +1,503 @@
+"""Readings that contradict one another: when that is a fault, of which of them, and what a fault can do.
+
+A decoder with more readings than unknowns knows what each of them should be. The sum of squares of what is
+left is compared with the least that noise and approximations explain (the global test of Baarda, A Testing
+Procedure for Use in Geodetic Networks, Delft 1968); where it is more, the largest normalised residual names
+the suspect, and the pose is decoded again by the reading at which nothing of that residual is left. All that
+is said of it comes from the generated arithmetic itself, at poses of the box: how each reading moves the
+pose, and what is left of the others (internal and external reliability).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.stats import chi2, norm
+
+from hallsym.codegen.decoupler import (
+    AGREEMENT,
+    FAULT,
+    ROOT,
+    Array,
+    Box,
+    Collected,
+    Decoupler,
+    Flag,
+    Redundancy,
+    Watched,
+    flag_bit,
+    steps_on_arrays,
+    unit,
+)
+from hallsym.errors import counted
+from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
+from hallsym.records import named
+
+FALSE_ALARMS = 1e-6
+"""Largest share of the samples of a sound machine in which the flag of a fault may be set."""
+LEAST = f"least_{AGREEMENT}"
+"""Entry that the flag looks at."""
+POSES = 200
+"""Poses of the box over which readings are judged."""
+OWN_POSES = 5000
+"""Poses over which it is met what approximations leave of readings without noise."""
+SAFE = 1.5
+"""Times what these poses show of the decoder's own approximations, and of a pose without its suspect."""
+NUDGE = 1.0
+"""Standard deviations by which a reading is moved either way to see what follows it: far above the steps
+of polynomials."""
+FORMS = 40
+"""Poses of these at which degrees of freedom are counted."""
+MASKED = 1e-3
+"""Share of the square of a fault below which the sum does not see it."""
+TOLD = 0.1
+"""Least share of the square of a fault that is left once another reading is taken for the suspect: with
+less, the two cannot be told from one another."""
+BENDS = 0.02
+"""Share of a reading's range from which on a fault is followed on the arithmetic itself."""
+GROWN = 50
+"""Sizes of a fault that grows from one standard deviation to the range."""
+STUCK = 5000
+"""Poses at which a reading sticks."""
+SECANTS = 4
+"""Times a pose is decoded without its suspect: its reading at the middle of its range, what is left taken off
+it, and steps along the line through the last two."""
+MEANING = "readings contradict one another by more than noise explains: nothing is claimed of the pose"
+
+
+def flag() -> Flag:
+    """Return the flag of readings that contradict one another."""
+    return Flag(FAULT, AGREEMENT, LEAST, MEANING)
+
+
+def summed(made: Collected, watched: Sequence[Watched]) -> Redundancy:
+    """Add the sum of squares of what is left of readings, and the entry that it is compared with.
+
+    Where one thing is left, its size does as well, and integers keep its digits.
+    """
+    about = "less the largest contradiction that noise and approximations explain"
+    made.entry(LEAST, 0.0, "1", about, "sign")
+    if len(watched) == 1:
+        made.step(AGREEMENT, -ca.fabs(made.symbols[watched[0].left]), "less what the readings contradict")
+        return Redundancy(tuple(watched))
+    terms = [made.symbols[w.left] * made.symbols[w.error or w.left] for w in watched]
+    made.step(AGREEMENT, -made.total("contradiction", terms, "squares of what is left of the readings"))
+    return Redundancy(tuple(watched))
+
+
+def drawn_of(model: Model, p: np.ndarray, box: Box) -> Callable[[np.random.Generator, int], np.ndarray]:
+    """Return random inputs (n_inputs, s) of poses and states within a box."""
+    columns = (*model.pose, *model.state)
+    run = on_arrays(model.reading)
+
+    def drawn(rng: np.random.Generator, count: int) -> np.ndarray:
+        low, high = np.array([box.ends[c] for c in columns]).T
+        share = rng.random((len(columns), count))
+        share[:, : count // 20] = np.round(share[:, : count // 20])
+        at = list(low[:, None] + (high - low)[:, None] * share)
+        pose, state = at[: len(model.pose)], at[len(model.pose) :]
+        readings = run(p, np.zeros(len(model.zeros)), pose, state)[0]
+        return np.vstack([readings, *state]) if state else np.asarray(readings)
+
+    return drawn
+
+
+def judged(d: Decoupler, sigma: np.ndarray) -> Decoupler:
+    """Return the decoupler with the limit of its contradictions, and what is said of its readings.
+
+    `sigma` (n_channels,): standard deviation of each reading, by noise and what the model leaves of it.
+    """
+    if d.redundancy is None:
+        return replace(d, of_faults=(_nothing_left_over(d),))
+    if not d.redundancy.watched:
+        return d
+    found = _Judgement(d, sigma)
+    limit = found.limit if d.suspects else np.sqrt(found.limit)
+    table = tuple(replace(e, value=-float(limit)) if e.name == LEAST else e for e in d.table)
+    about = "by which what is left of a reading is compared; below 0: not to be told from another"
+    root = Array(ROOT, tuple(found.root.tolist()), "1", about)
+    redundancy = found.redundancy
+    arrays = (*d.arrays, root) if d.suspects else d.arrays
+    return replace(
+        d, table=table, arrays=arrays, redundancy=redundancy, of_faults=found.said,
+        evident=d.evident and not redundancy.mended,  # an analysis does not see where a secant ends
+    )  # fmt: skip
+
+
+def flag_alone(d: Decoupler) -> Decoupler:
+    """Return the decoupler with the flag of a fault, but no suspect."""
+    if not d.suspects:
+        return d
+    said = (*(text for text in d.of_faults if "suspect" not in text), "Integers name no suspect.")
+    arrays = tuple(a for a in d.arrays if a.name != ROOT)
+    return replace(d, redundancy=Redundancy(unseen=_redundancy(d).unseen), arrays=arrays, of_faults=said)
+
+
+def _redundancy(d: Decoupler) -> Redundancy:
+    assert d.redundancy is not None
+    return d.redundancy
+
+
+def _nothing_left_over(d: Decoupler) -> str:
+    n, unknowns = len(d.model.channels), counted(len(d.pose), "unknown")
+    return (
+        f"{counted(n, 'reading')}, {unknowns}: nothing is left over to check a reading by. One that is dead, "
+        f"stuck or drifts gives a wrong {d.quantity} with status 0 as long as it stays within its range."
+    )
+
+
+class _Judgement:
+    """What the arithmetic of a decoupler makes of its readings, at poses of the box."""
+
+    def __init__(self, d: Decoupler, sigma: np.ndarray) -> None:
+        self.d, self.sigma, self.n = d, np.asarray(sigma, dtype=float), len(d.model.channels)
+        watched, flags = d.watched, [f for f in d.flags if f.name != FAULT]
+        assert d.drawn is not None  # of every decoder whose readings are watched
+        self.drawn = d.drawn
+        self.inputs = d.drawn(np.random.default_rng(11), POSES)
+        wide = tuple(w.error for w in watched if w.error)
+        self.run = steps_on_arrays(replace(d, flags=(*flags, *(Flag(e, e, LEAST, "") for e in wide))))
+        self.at = self._seen(self.inputs)
+
+    def _seen(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pose, what is left of the readings, and what each is multiplied with in the sum."""
+        d, watched = self.d, self.d.watched
+        pose, *others = self.run(inputs, d.constants)
+        left = others[-1]
+        errors = others[0][len(others[0]) - len(watched) :] if watched[0].error else left
+        return pose, left, errors
+
+    def _once(self, inputs: np.ndarray, samples: Any) -> "Ran":
+        pose, left, _ = self._seen(inputs)
+        none = np.zeros(inputs.shape[1], np.uint32)
+        return Ran(pose, none, left, none)
+
+    @cached_property
+    def slopes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """By a reading, per standard deviation: pose (n, pose, s), what is left and its factor (n, m, s)."""
+        found = []
+        for k in range(self.n):
+            ends = []
+            for sign in (1.0, -1.0):
+                moved = self.inputs.copy()
+                moved[k] += sign * NUDGE * self.sigma[k]
+                ends.append(self._seen(moved))
+            pose = self.d.difference(ends[0][0], ends[1][0])
+            found.append(
+                [
+                    v / (2 * NUDGE)
+                    for v in (pose, *(a - b for a, b in zip(*(e[1:] for e in ends), strict=True)))
+                ]
+            )
+        return tuple(np.array(rows) for rows in zip(*found, strict=True))  # type: ignore[return-value]
+
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """Part (n, s) of the sum of squares that one standard deviation of each reading makes [V2]."""
+        _, left, errors = self.slopes
+        return np.asarray((left * errors).sum(axis=1))
+
+    @cached_property
+    def freedom(self) -> int:
+        """Degrees of freedom of the sum: the most over the poses."""
+        sizes = [np.linalg.eigvals(m).real for m in self._forms]
+        return max(int((size > MASKED * size.max()).sum()) for size in sizes)
+
+    @cached_property
+    def _forms(self) -> list[np.ndarray]:
+        """The sum as a quadratic form (n, n) of the readings at some poses."""
+        _, left, errors = self.slopes
+        return [left[:, :, s] @ errors[:, :, s].T for s in range(FORMS)]
+
+    @cached_property
+    def unit(self) -> float:
+        """Value [V2] of the sum of squares of one standard deviation that the decode leaves alone."""
+        return float(max(np.linalg.eigvals(m).real.max() for m in self._forms))
+
+    @cached_property
+    def noise(self) -> float:
+        """Root of the sum that noise exceeds in `FALSE_ALARMS` of the samples, over its unit."""
+        return float(np.sqrt(chi2.isf(FALSE_ALARMS, self.freedom)))
+
+    @cached_property
+    def limit(self) -> float:
+        """Most of the sum [V2]: noise, and what approximations leave of readings without noise."""
+        _, left, errors = self._seen(self.drawn(np.random.default_rng(13), OWN_POSES))
+        own = np.sqrt(np.maximum((left * errors).sum(axis=0), 0.0).max())
+        return float((self.noise * np.sqrt(self.unit) + SAFE * own) ** 2)
+
+    @cached_property
+    def span(self) -> np.ndarray:
+        """Standard deviations (n,) that a reading can be off by within its range."""
+        return np.array([np.ptp(self.d.ends(c)) for c in self.d.model.channels]) / self.sigma
+
+    @cached_property
+    def most(self) -> float:
+        """Root of the sum that a fault must add to be flagged whatever the noise does."""
+        return float(np.sqrt(self.limit) + self.noise * np.sqrt(self.unit))
+
+    def _unflagged(self, seen: np.ndarray) -> np.ndarray:
+        """Largest fault (..., s) [standard deviations] that may raise no bit, of what one makes of the
+        sum."""
+        with np.errstate(divide="ignore"):
+            fault = self.most / np.sqrt(np.maximum(seen, 0.0))
+        return np.minimum(fault, self.span[:, None])
+
+    @cached_property
+    def faults(self) -> tuple[np.ndarray, np.ndarray]:
+        """Largest fault (n, s) [standard deviations] that may raise no bit, and what it moves (n, pose, s).
+
+        Where a straight line says that it may be as large as the range, it grows on the arithmetic itself.
+        """
+        size = self._unflagged(self.seen)
+        moved = np.abs(self.slopes[0]) * size[:, None]
+        for k in np.flatnonzero((size >= BENDS * self.span[:, None]).any(axis=1)):
+            size[k], moved[k] = self._grown(int(k))
+        return size, moved
+
+    def _grown(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Largest fault (s,) and what it moves (pose, s) as far as no bit is raised, and one size further."""
+        size, moved = np.zeros(POSES), np.zeros((len(self.d.pose), POSES))
+        grown = np.geomspace(1.0, self.span[k], GROWN)
+        right = np.tile(self.at[0], GROWN)
+        for sign in (1.0, -1.0):
+            inputs = np.tile(self.inputs, GROWN)
+            inputs[k] = np.clip(inputs[k] + sign * self.sigma[k] * np.repeat(grown, POSES), *self._ends(k))
+            pose, left, errors = self._seen(inputs)
+            raised = ((left * errors).sum(axis=0) > self.most**2).reshape(GROWN, POSES)
+            quiet = np.vstack([np.ones((1, POSES), bool), ~np.logical_or.accumulate(raised)[:-1]])
+            off = np.abs(self.d.difference(pose, right)).reshape(-1, GROWN, POSES)
+            size = np.maximum(size, np.where(quiet, grown[:, None], 0.0).max(axis=0))
+            moved = np.maximum(moved, np.where(quiet, off, 0.0).max(axis=1))
+        return size, moved
+
+    def _ends(self, k: int) -> tuple[float, float]:
+        return self.d.ends(self.d.model.channels[k])
+
+    @cached_property
+    def _noise_of_pose(self) -> np.ndarray:
+        return norm.isf(FALSE_ALARMS / 2) * np.sqrt((self.slopes[0] ** 2).sum(axis=0))
+
+    @cached_property
+    def _unseen(self) -> np.ndarray:
+        """What a fault of the worst reading moves each coordinate by, with noise, by pose (pose, s)."""
+        return np.asarray(self.faults[1].max(axis=0) + self._noise_of_pose)
+
+    @cached_property
+    def unseen(self) -> np.ndarray:
+        """What a fault that grows moves each coordinate by before it raises a bit, with noise (pose,)."""
+        return np.asarray(self._unseen.max(axis=1))
+
+    @cached_property
+    def missed(self) -> float:
+        """Share of readings that stick anywhere in their range, of poses drawn anywhere, that move the pose
+        by more than that and raise no bit."""
+        rng, missed = np.random.default_rng(14), []
+        inputs = self.drawn(rng, STUCK)
+        right = self._seen(inputs)[0]
+        for k, c in enumerate(self.d.model.channels):
+            stuck = inputs.copy()
+            stuck[k] = rng.uniform(*self.d.ends(c), STUCK)
+            pose, left, errors = self._seen(stuck)
+            far = (np.abs(self.d.difference(pose, right)) > self.unseen[:, None]).any(axis=0)
+            missed.append(np.mean(far & ((left * errors).sum(axis=0) <= self.limit)))
+        return float(np.mean(missed))
+
+    # -- without a suspect ---------------------------------------------------------------------------------
+
+    def _others(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Without the reading of watched k: slopes of the pose (n, pose, s), and the parts of the sum."""
+        pose, left, errors = self.slopes
+        (i,) = self.d.watched[k].readings
+        own = left[i, k]
+        counts = np.abs(own) > MASKED * np.abs(own).max()  # where it counts at all
+        # by which the mended reading follows each other one, less
+        share = np.where(counts, left[:, k] / np.where(counts, own, 1.0), 0.0)
+        others = [v - v[i][None] * share[:, None] for v in (pose, left, errors)]
+        return others[0], np.asarray((others[1] * others[2]).sum(axis=1))
+
+    @cached_property
+    def told(self) -> np.ndarray:
+        """Whether each watched reading can be told from every other (m,)."""
+        out = []
+        for k, one in enumerate(self.d.watched):
+            if len(one.readings) > 1 or one.error:  # alike, or told from others in some places only
+                out.append(False)
+                continue
+            _, seen = self._others(k)
+            rest = np.delete(seen, one.readings, axis=0)
+            own = np.delete(self.seen, one.readings, axis=0)
+            counts = own > MASKED * self.unit
+            out.append(bool((rest >= TOLD * own)[counts].all()))
+        return np.array(out)
+
+    @cached_property
+    def root(self) -> np.ndarray:
+        """By which what is left of watched readings is compared (m,): one over the root of its variance."""
+        _, left, errors = self.slopes
+        out = []
+        for k, one in enumerate(self.d.watched):
+            own = (left[list(one.readings), k] * errors[list(one.readings), k]).sum(axis=0)
+            counts = own[own > MASKED * self.unit]
+            out.append(float(np.sqrt(self.unit / np.median(counts))) if len(counts) else 1.0)
+        return np.where(self.told, out, -np.array(out))
+
+    @cached_property
+    def without(self) -> np.ndarray:
+        """What a pose without its suspect may be off by (pose,), whichever of the told it is."""
+        worst = np.zeros(len(self.d.pose))
+        for k in np.flatnonzero(self.told):
+            pose, seen = self._others(int(k))
+            (i,) = self.d.watched[k].readings
+            fault = self._unflagged(seen)
+            fault[i] = 0.0
+            moved = np.abs(pose) * fault[:, None]
+            noise = norm.isf(FALSE_ALARMS / 2) * np.sqrt((pose**2).sum(axis=0))
+            worst = np.maximum(worst, (moved.max(axis=0) + noise).max(axis=1))
+        return worst
+
+    @cached_property
+    def redundancy(self) -> Redundancy:
+        """The record of it."""
+        d, mended = self.d, bool(self.told.any())
+        own = _redundancy(self.d)
+        unseen, without = self.unseen, self.without
+        if mended:
+            without = without + SAFE * self._mended_off()
+        return replace(
+            own, watched=own.watched, mended=mended, unseen=named(d.pose, unseen),
+            without=named(d.pose, without) if mended else {},
+        )  # fmt: skip
+
+    def _mended_off(self) -> np.ndarray:
+        """What is left (pose,) of a pose without noise by decoding it again without each reading."""
+        d, worst = self.d, np.zeros(len(self.d.pose))
+        for k in np.flatnonzero(self.told):
+            (i,) = d.watched[k].readings
+            found = without_reading(self._once, self.inputs, slice(None), i, int(k)).pose
+            worst = np.maximum(worst, np.abs(d.difference(found, self.at[0])).max(axis=1))
+        return worst
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """Sentences for header and report."""
+        d, found = self.d, self.redundancy
+        in_si = [f((self.faults[0] * self.sigma[:, None]).ravel()) for f in (np.min, np.max)]
+        typical = named(d.pose, np.median(self._unseen, axis=1))
+        out = [
+            f"{counted(self.n, 'reading')} for {counted(len(d.pose), 'unknown')}: they are checked against "
+            f"one another, with a false alarm in fewer than {FALSE_ALARMS:g} of the samples of the fit's "
+            f"noise. A reading that is off by more than {in_si[0]:.2g} to {in_si[1]:.2g} "
+            f"{unit(d.model.channels[0])}, by where it is, raises a bit in the same sample. One that "
+            f"drifts by "
+            f"less moves the {d.quantity}, with the noise, by at most {_listed(found.unseen)}, at "
+            f"half of the "
+            f"places by less than {_listed(typical)}."
+        ]
+        if self.missed > 0:
+            out.append(
+                f"Of readings that stick anywhere in their range {100 * self.missed:.2g} % happen to "
+                f"agree with "
+                f"the others at another {d.quantity}: no bit is raised then, until the machine moves."
+            )
+        if found.mended:
+            out.append(
+                f"Without its suspect the {d.quantity} is off by at most {_listed(found.without)}; "
+                "out->suspect is the number of that reading, from 1."
+            )
+        alike = [w for w, told in zip(d.watched, self.told, strict=True) if not told]
+        if any(w.error for w in alike):
+            out.append(
+                "Which readings count changes from place to place, so a suspect is named, and nothing is "
+                "decoded without it."
+            )
+        elif alike:
+            names = ["; ".join(", ".join(d.model.channels[i] for i in w.readings) for w in alike)]
+            out.append(
+                f"A fault cannot be told from one of another reading, and nothing is decoded without it, of: "
+                f"{names[0]}."
+            )
+        return tuple(out)
+
+
+def _listed(errors: Mapping[str, float]) -> str:
+    return ", ".join(f"{value:.2g} {unit(c)} ({c})" for c, value in errors.items())
+
+
+@dataclass(frozen=True, eq=False)
+class Ran:
+    """What the steps made of samples: pose (pose, s), bits of flags (s,), what is left (watched, s); suspects
+    (s,) by number from 1, 0 where there is none.
+    """
+
+    pose: np.ndarray
+    flags: np.ndarray
+    left: np.ndarray
+    suspects: np.ndarray
+
+
+Once = Callable[[np.ndarray, Any], Ran]
+"""Inputs and which samples they are of -> one pass of the steps, inputs brought back into their range."""
+
+
+def checked(d: Decoupler, once: Once, held: np.ndarray, root: np.ndarray) -> Ran:
+    """Return what `decoupler_step()` makes of inputs (n_inputs, s) in their range, suspects mended.
+
+    `root` (watched,): in the numbers of the arithmetic, as what is left is.
+    """
+    first = once(held, slice(None))
+    bad = np.flatnonzero(first.flags & d.fault_bit)
+    if not len(bad):
+        return first
+    with np.errstate(all="ignore"):
+        sizes = np.abs(first.left[:, bad] * root[:, None])
+    named_by = np.argmax(sizes, axis=0)
+    pose, flags, suspects = first.pose.copy(), first.flags.copy(), first.suspects.copy()
+    suspects[bad] = np.array([w.readings[0] + 1 for w in d.watched], dtype=np.uint32)[named_by]
+    for k in np.unique(named_by) if d.mends else ():
+        own = bad[named_by == k]
+        if root[k] > 0:
+            again = without_reading(once, held[:, own], own, d.watched[k].readings[0], int(k))
+            pose[:, own] = again.pose
+            cleared = (again.flags & d.fault_bit) == 0
+            flags[own] = np.where(cleared, again.flags | d.degraded_bit, again.flags)
+    return Ran(pose, flags, first.left, suspects)
+
+
+def without_reading(once: Once, held: np.ndarray, samples: Any, reading: int, watched: int) -> Ran:
+    """Return a pass of the steps by the value of a reading at which nothing is left of it."""
+    given = held.copy()
+    value = np.zeros_like(held[0])
+    before = last = value
+    for n in range(SECANTS):
+        given[reading] = value
+        found = once(given, samples)
+        now = found.left[watched]
+        with np.errstate(all="ignore"):
+            step = (now * (value - before)) / (now - last)
+            # the first step takes what is left off the reading, the others go along the line through two
+            step = now if n == 0 else np.where((now < last) | (now > last), step, now.dtype.type(0))
+            before, last, value = value, now, value - step
+    return found
+
+
+def fields_of(d: Decoupler, fragment: Callable[[str, Mapping[str, Any]], list[str]]) -> dict[str, Any]:
+    """Return the fields of the templates of the suspect; `fragment` fills one in."""
+    numbers = [w.readings[0] + 1 for w in d.watched]
+    flags = sum(flag_bit(k) for k in range(len(d.flags)))
+    bits = {
+        "input_bits": f"0x{(flag_bit(len(d.flags) + d.mends - 1) - 1):08X}UL",
+        "flag_bits": f"0x{flags:08X}UL",
+    }
+    return {
+        "numbers": ", ".join(map(str, numbers)),
+        "number_type": "uint8_t" if max(numbers) < 256 else "uint16_t",
+        "secants": SECANTS,
+        "in_parameter": "const decoupler_in_t *in, " if d.mends else "",
+        "in_argument": "in, " if d.mends else "",
+        "mend": fragment("mend.c", bits) if d.mends else [],
+    }

@@ -1,0 +1,16 @@
+/* Of readings that contradict one another, the one of the largest normalised residual; the pose without it. */
+static uint32_t suspected(const decoupler_params_t *p, @IN_PARAMETER@uint32_t status,
+                          const @REAL@ *left, decoupler_out_t *out)
+{
+    static const @NUMBER_TYPE@ numbers[@WATCHED@] = {@NUMBERS@};
+    uint32_t k = 0U;
+    uint32_t result = status;
+    for (uint32_t n = 1U; n < @WATCHED@U; n++)
+    {
+        k = (size_of(left[n], p->root[n]) > size_of(left[k], p->root[k])) ? n : k;
+    }
+    @MEND@
+    out->suspect = numbers[k];
+    return result;
+}
+

@@ -1,0 +1,5 @@
+static @REAL@ size_of(@REAL@ left, @REAL@ root)
+{
+    return MAGNITUDE(left * root);
+}
+
