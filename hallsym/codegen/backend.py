@@ -240,8 +240,13 @@ class Backend(ABC):
         if d.model.period:  # on the branch of what is computed
             exact = found - d.difference(found, exact)
         weak = status >= flag_bit(len(d.flags) - 1) if d.flags else np.zeros(len(status), bool)
-        if d.drawn is not None:  # inputs brought back into the box belong to no pose
-            weak = status > 0
+        if d.drawn is not None:
+            # Inputs brought back into the box belong to no pose, nor does one that was put to its end alone.
+            # Code that weights such a sensor out keeps its pose, with status 0; the model, which fits all
+            # readings alike, goes elsewhere. What is computed still holds the compiled C to it.
+            low, high = self.ends
+            given = self.hold(inputs)[0]
+            weak = (status > 0) | ((given <= low) | (given >= high)).any(axis=0)
         return Vectors(inputs, held, np.where(weak, found, exact), status)
 
     tree: ClassVar[str]

@@ -470,6 +470,10 @@ RIVAL = 20.0
 """Difference of the deviance, of all readings, up to which two corrections explain as much."""
 NEAR = 0.02
 """The same of each reading, over what is left: where effects are left too, chance is not all that decides."""
+KEEPS = 0.6
+"""Share of the samples that a delay or a mean must keep: half a wave of what moves is a sign as well."""
+CHANCE = 2.0
+"""Standard deviations of the mean square of noise: corrections that keep other samples differ by chance."""
 DIFFERENT = 3
 """Mistakes of runs that are told apart in one log, at most."""
 
@@ -771,7 +775,8 @@ def _best(
             return np.inf
         same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
         one = Judged(same, found.mean(found.deviance, runs), found.mean(found.left, runs), c)
-        if np.isfinite(one.gain) and one.left > LEAST and _follows(base, found):
+        enough = c.kind not in STEPS or sum(found.counts.values()) > KEEPS * sum(base.counts.values())
+        if enough and np.isfinite(one.gain) and one.left > LEAST and _follows(base, found):
             seen.append(one)
         shares[c] = float(found.shares[0].mean())
         return shares[c]
@@ -788,7 +793,12 @@ def _best(
     if not good:
         return None
     best = min(good, key=lambda one: one.after)
-    close = max(RIVAL / max(sum(base.counts[r] for r in runs), 1.0), NEAR * max(best.left, 1.0))
+    readings = max(sum(base.counts[r] for r in runs), 1.0) * len(trials.model.channels)
+    close = max(
+        RIVAL / readings * len(trials.model.channels),
+        NEAR * max(best.left, 1.0),
+        CHANCE * np.sqrt(2 / readings),
+    )
     near = sorted((one for one in good if one.after - best.after < close), key=lambda one: one.plain)
     first = min((one for one in near if _same(one.correction, near[0].correction)), key=lambda one: one.after)
     rivals = tuple(one.correction for one in near if not _same(one.correction, first.correction))

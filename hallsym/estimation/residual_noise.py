@@ -399,8 +399,11 @@ def _is_known(read: "_Read", model: Model, covariance: np.ndarray) -> bool:
     data, values, used = read
     none = np.zeros((0, len(used)))
     work = _Elimination(Residual(values, covariance, data["run"], none, used, bool(model.zeros)))
-    seen = work.covariances(np.linalg.cholesky(np.linalg.inv(covariance)).T @ work.left(values), LAGS)
-    seen = seen.mean(axis=0)
+    try:
+        root = np.linalg.cholesky(np.linalg.inv(covariance)).T
+    except np.linalg.LinAlgError:  # noise of readings that differ by more than rounding: nothing is known
+        return False
+    seen = work.covariances(root @ work.left(values), LAGS).mean(axis=0)
     size = float(np.sqrt(seen[0] * work.count / max(work.free, 1.0)))
     if not 1 / (1 + KNOWN) <= size <= 1 + KNOWN:
         return False

@@ -57,7 +57,7 @@ class SelfFit(Shown):
         self.fit.save(path)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the record that `hallsym fit --reference ... --json` prints."""
+        """Return the record that `hallsym fit --json` prints without a reference."""
         found, closure = self.found, self.found.closure
         return {
             "sentence": self.sentence,

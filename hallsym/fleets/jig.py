@@ -119,7 +119,7 @@ class RingFleet(Shown):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the record that `hallsym fleet --reference ... --json` prints."""
+        """Return the record that `hallsym fleet --json` prints of rings."""
         return {
             "sentence": self.sentence,
             "heads": [h + 1 for h in self.jig.heads],

@@ -91,10 +91,10 @@ def verdict_of(found: Fit) -> tuple[str, str]:
     amiss = found.goodness.sentence if found.goodness else None
     if found.status != "converged":
         return NOT_CONVERGED, found.message
+    if found.claims:
+        return AMISS, found.claims[0].text  # it explains what the model leaves, if it leaves any
     if amiss:
         return AMISS, amiss
-    if found.claims:
-        return AMISS, found.claims[0].text
     if found.undetermined_by_log:
         return UNDETERMINED, f"{', '.join(found.undetermined_by_log)} are not determined by this log."
     return GOOD, ""
