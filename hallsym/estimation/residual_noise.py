@@ -149,12 +149,23 @@ class Residual:
     offsets: bool
 
 
+def _whitening(covariance: np.ndarray) -> np.ndarray | None:
+    """Return what makes noise of a covariance (K, K) independent and of size 1; None where it is singular.
+
+    Where the reference's noise acts on all readings alike and is far above theirs, as with columns exchanged,
+    rounding makes it so.
+    """
+    try:
+        return np.asarray(np.linalg.cholesky(np.linalg.inv(covariance)).T)
+    except np.linalg.LinAlgError:
+        return None
+
+
 def residual_noise(r: Residual, channels: Sequence[str]) -> ResidualNoise | None:
     """Return the noise of a residual; None where there is too little to tell it from what it may follow."""
     work = _Elimination(r)
-    if work.free <= 2 * LAGS:
+    if work.free <= 2 * LAGS or (whiten := _whitening(r.covariance)) is None:
         return None
-    whiten = np.linalg.cholesky(np.linalg.inv(r.covariance)).T
     raw = work.left(r.values)
     left = whiten @ raw
     body = MAD * np.median(np.abs(left[:, r.used]), axis=1, keepdims=True)
@@ -399,11 +410,9 @@ def _is_known(read: "_Read", model: Model, covariance: np.ndarray) -> bool:
     data, values, used = read
     none = np.zeros((0, len(used)))
     work = _Elimination(Residual(values, covariance, data["run"], none, used, bool(model.zeros)))
-    try:
-        root = np.linalg.cholesky(np.linalg.inv(covariance)).T
-    except np.linalg.LinAlgError:  # noise of readings that differ by more than rounding: nothing is known
+    if (whiten := _whitening(covariance)) is None:
         return False
-    seen = work.covariances(root @ work.left(values), LAGS).mean(axis=0)
+    seen = work.covariances(whiten @ work.left(values), LAGS).mean(axis=0)
     size = float(np.sqrt(seen[0] * work.count / max(work.free, 1.0)))
     if not 1 / (1 + KNOWN) <= size <= 1 + KNOWN:
         return False
@@ -429,7 +438,9 @@ def _noise_of_knots(
         power = np.abs(np.fft.rfft(rows, axis=1)[:, 1 : bins + 1]) ** 2 / n
         return np.asarray(np.median(power, axis=1) / np.log(2.0))
 
-    ratio = float(np.sqrt(median_of(np.linalg.cholesky(np.linalg.inv(covariance)).T @ values).mean()))
+    if (whiten := _whitening(covariance)) is None:
+        return None
+    ratio = float(np.sqrt(median_of(whiten @ values).mean()))
     each = np.sqrt(median_of(values) / np.diag(covariance))
     if not ratio > 0:
         return None
