@@ -95,6 +95,14 @@ def verdict_of(found: Fit) -> tuple[str, str]:
         return AMISS, found.claims[0].text  # it explains what the model leaves, if it leaves any
     if amiss:
         return AMISS, amiss
+    nominal = {p.name: p.nominal for p in found.model.parameters}
+    for pressed in found.at_bound:  # by however little: its value is not the device's
+        if np.isclose(found.value(pressed), nominal[pressed], atol=1e-12):
+            continue  # an effect is merely absent
+        return AMISS, (
+            f"{pressed} ends at its bound, {found.value(pressed):.6g}, so other parameters make up for it; "
+            "widen the bound (--machine), or look at this device."
+        )
     if found.undetermined_by_log:
         return UNDETERMINED, f"{', '.join(found.undetermined_by_log)} are not determined by this log."
     return GOOD, ""

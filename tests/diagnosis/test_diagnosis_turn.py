@@ -10,6 +10,7 @@ from hallsym.diagnosis import POLICY, diagnose, prepare
 from hallsym.diagnosis.curves import others
 from hallsym.diagnosis.setup import split
 from hallsym.errors import InputError
+from hallsym.estimation import fit
 from hallsym.log import Log, check_log, read_log
 from hallsym.report.text.diagnosis import diagnosis_text
 
@@ -154,6 +155,19 @@ def test_a_recording_is_taken_as_many_slices_of_forty_samples_or_more(samples, s
     assert (len(log.runs), len(held)) == (slices, slices // 2)
     assert np.bincount(log.array("run").astype(int)).min() >= 40
     assert np.array_equal(log.array("t_s"), t)  # in the order of the recording
+
+
+def test_a_slice_that_turns_back_smoothly_is_not_clipped():
+    """By itself it would look so: an arc to one side of which the reading hardly changes."""
+    t = 1e-3 * np.arange(1200)
+    rng = np.random.default_rng(16)
+    hz, size = rng.uniform(0.3, 2), rng.uniform(2, 12)
+    a = size * np.sin(2 * np.pi * hz * t)
+    volts = {c: f(a) + rng.normal(0, 6e-4, len(t)) for c, f in (("v_sin_v", np.sin), ("v_cos_v", np.cos))}
+    log, held = split(Log.from_arrays({"t_s": t, "angle_ref_rad": a, **volts}), POLICY)
+    found = fit(log, "ellipse", solver="direct", holdout=held)
+    assert found.errors
+    assert found.claims == ()
 
 
 @pytest.mark.parametrize("knots", [48, 100, 175])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from halbach_plant import BR, magnets, readings, rotation
 
+import hallsym
 from hallsym import InputError, Log, Noise
 from hallsym.estimation.decoding import decoding_gain
 from hallsym.families.halbach import PLANAR, planar
@@ -154,6 +155,14 @@ def test_a_log_that_no_mover_can_have_made_is_claimed_in_one_sentence(model, mad
     assert re.search(says, claim)
     assert "\n" not in claim
     assert len(claim) <= 300
+
+
+@pytest.mark.slow
+def test_a_clipped_sensor_of_a_mover_is_noticed(model):
+    """Without the search for its name, which takes a minute of a mover."""
+    log = recorded(model, change=spoiled("x1_col_1_v", lambda v: np.clip(v, -0.2, 0.2)))
+    amiss = hallsym.fit(log, model, solver="direct", accept=["all"]).goodness
+    assert "x1_col_1_v" in amiss.sentence
 
 
 def longer_rows():

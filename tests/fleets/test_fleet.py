@@ -176,10 +176,10 @@ def test_a_parameter_at_its_bound_is_named(tmp_path):
     """Others make up for it, so that its device says nothing of how devices differ."""
     write_log(recorded(truths(1)[0] | {"beta": 0.02}, 0), tmp_path / "dev0.parquet")
     found = hallsym.fleet(
-        tmp_path, "rotary", machine=Machine(None, {"beta": {"lower": -0.01, "upper": 0.0195}}), workers=1
+        tmp_path, "rotary", machine=Machine(None, {"beta": {"lower": -0.01, "upper": 0.0199}}), workers=1
     )
     assert found.rows[0]["verdict"] == "not described"
-    assert found.rows[0]["reason"].startswith("beta = 0.0195: at the bounds")
+    assert found.rows[0]["reason"].startswith("beta ends at its bound, 0.0199")
 
 
 # -- stopped and resumed -----------------------------------------------------------------------------------
@@ -327,7 +327,7 @@ def test_a_log_of_another_model_is_a_row_that_says_so(broken, tmp_path):
     (other / "meta.json").write_text('{"base_model": "rotary_meng"}')
     found = hallsym.fleet([folder / "dev0.parquet", folder / "dev1.parquet", other], workers=1)
     assert found.model.name == "rotary"
-    assert found.outlying == {"odd": "good: of model rotary_meng, not rotary"}
+    assert found.outlying == {"odd": "not described: of model rotary_meng, not rotary"}
     assert found.good.tolist() == [True, True, False]
     assert found.spreads == ()  # of two devices
 

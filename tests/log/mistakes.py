@@ -323,7 +323,7 @@ RECORDING = (
     of_stage(
         "12 % on one rail", rails(("hall_c_m",), 0.12, high_only=True), r"'clipped hall_c_m -inf", "claim"
     ),
-    of_stage("12 % on the rails, with noise", rails(("hall_a_m",), 0.12, noise=5e-7), _RAILS, "claim"),
+    of_stage("8 % on the rails, with noise", rails(("hall_a_m",), 0.08, noise=5e-7), _RAILS, "claim"),
     # old samples and dropped channels
     of_stage(
         "a reading frozen to the end of a run",

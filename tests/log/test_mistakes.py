@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from encoder_mistakes import ENCODERS
 from mistaken_columns import COLUMNS
-from mistakes import ENCODER, RECORDING, STAGE, Mistake, base, made
+from mistakes import ENCODER, RECORDING, STAGE, Mistake, base, made, rails
 
 from hallsym import build
 from hallsym.cli.main import main
@@ -53,6 +53,14 @@ def test_each_mistake_is_named(mistake: Mistake, name: str) -> None:
     assert any(re.search(mistake.says, text) for text in said), said
     assert ends == mistake.ends or (mistake.ends == "claim" and ends == "refusal" and mistake.found == "fit")
     assert all(len(text) <= LONGEST and "\n" not in text for text in said), said
+
+
+@pytest.mark.parametrize("name", STAGE)
+def test_rails_of_a_few_samples_behind_noise_are_noticed(name: str) -> None:
+    """Not named: what is left of 4 % without them is not yet nine tenths less."""
+    arrays, noise = base(name)
+    few = rails(("hall_a_m",), 0.04, noise=5e-7)({c: x.copy() for c, x in arrays.items()})
+    assert fit(Log.from_arrays(few, noise), solver="direct", accept=["all"]).goodness.sentence
 
 
 @pytest.mark.parametrize("name", [*STAGE, *ENCODER])
