@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Claim, Fit
-from hallsym.estimation.decoding import logged_columns, residual_of, residuals
+from hallsym.estimation.decoding import logged_columns, residuals
 from hallsym.estimation.factors import exact, summarise, summarise_at
 from hallsym.estimation.likelihood import Cost, cost_of, zeros_of
 from hallsym.estimation.optimum import begin_at, closed_form, refit
@@ -41,7 +41,7 @@ READ = 400_000
 """Samples that are read at most: corrections are made at the full rate, before samples are picked."""
 MOVED = 5.0
 """Standard deviation of a column within a run over its noise from which on it moves."""
-MOST_NOISE = 0.2
+MOST_NOISE = 0.05
 """Noise of a corrected column over its range, or its period, from which on it explains any residual."""
 
 
@@ -475,7 +475,7 @@ KEEPS = 0.6
 CHANCE = 2.0
 """Standard deviations of the mean square of noise: corrections that keep other samples differ by chance."""
 DIFFERENT = 3
-"""Mistakes of runs that are told apart in one log, at most."""
+"""Mistakes of runs that are told apart in one log, and columns whose scale is looked at closely, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -511,7 +511,7 @@ def suspects(trials: Trials) -> list[Found]:
     if named and named.left < EXCESS:
         return [*out, named]
     found = _likeliest(trials, base, [
-        _in_runs(trials, agreed, [r for r in runs if r not in agreed]) for agreed in _agreeing(trials, base)
+        _in_runs(trials, agreed, odd) for odd, agreed in _divisions(trials, base).items()
     ])  # fmt: skip
     if not named or not found:
         return [*out, *([named] if named else found)]
@@ -639,6 +639,17 @@ def copied(trials: Trials) -> tuple[int, ...]:
         if known.setdefault(samples, run) != run:
             again.append(run)
     return tuple(again)
+
+
+def _divisions(trials: Trials, base: Tried) -> dict[tuple[int, ...], Tried]:
+    """Return runs that others do not foresee, with the fit of those others: the ways to divide a log."""
+    out: dict[tuple[int, ...], Tried] = {}
+    for some in _agreeing(trials, base):
+        agreed = trials.fitted((), some)
+        rest = agreed and trials.at((), agreed.p, [r for r in base.left if r not in some])
+        if agreed and rest and (odd := tuple(r for r, left in rest.left.items() if left > EXCESS)):
+            out.setdefault(odd, agreed)
+    return out
 
 
 def _agreeing(trials: Trials, base: Tried) -> list[list[int]]:
@@ -789,7 +800,7 @@ def _best(
             judge(c)
         more = _closer(left, shares)
     _refined(trials.model, left, shares, seen, judge)
-    good = [one for one in seen if one.explains >= EXPLAINS and one.gain >= EXCESS - 1.0]
+    good = [*filter(_good, seen)]
     if not good:
         return None
     best = min(good, key=lambda one: one.after)
@@ -803,6 +814,11 @@ def _best(
     first = min((one for one in near if _same(one.correction, near[0].correction)), key=lambda one: one.after)
     rivals = tuple(one.correction for one in near if not _same(one.correction, first.correction))
     return Found(first.correction, min(first.explains, 1.0), first.left, rivals)
+
+
+def _good(one: Judged) -> bool:
+    """Return whether a correction explains an excess that is worth one."""
+    return one.explains >= EXPLAINS and one.gain >= EXCESS - 1.0
 
 
 def _same(a: Correction, b: Correction) -> bool:
@@ -850,34 +866,38 @@ def _refined(
 
     `before`: share of the readings' variance that is left; `shares`: the same of what was tried.
     """
-    scaled = [c for c, share in shares.items() if c.kind == "scale" and share < PART * before]
-    named = min(seen, key=lambda one: one.after, default=None)
-    if not scaled or (named and named.correction.kind != "scale"):
-        return
-    best = named.correction if named else min(scaled, key=shares.__getitem__)
-    if any(c in model.period for c in best.columns):
-        return
-    factor = best.numbers[0]
+    named = min(filter(_good, seen), key=lambda one: one.after, default=None)
+    if named and (named.correction.kind == "scale" or named.left < EXCESS):
+        best = [named.correction] if named.correction.kind == "scale" else []
+    else:
+        scaled = [c for c, share in shares.items() if c.kind == "scale" and share < PART * before]
+        scaled = sorted(scaled, key=shares.__getitem__, reverse=True)
+        best = sorted({c.columns: c for c in scaled}.values(), key=shares.__getitem__)[:DIFFERENT]
+    for about in best:
+        if any(c in model.period for c in about.columns):
+            continue
+        count, factor = len(seen), about.numbers[0]
 
-    def cost(log_factor: float) -> float:
-        share = judge(Correction("scale", best.columns, (factor * float(np.exp(log_factor)),)))
-        return float(np.log(share)) if 0 < share < np.inf else 1e3
+        def cost(log_factor: float, about: Correction = about, factor: float = factor) -> float:
+            share = judge(replace(about, numbers=(factor * float(np.exp(log_factor)),), unit=""))
+            return float(np.log(share)) if 0 < share < np.inf else 1e3
 
-    count = len(seen)
-    at = minimize_scalar(
-        cost, bounds=(-REACH, REACH), method="bounded", options={"maxiter": 20, "xatol": 1e-3}
-    )
-    found = abs(float(np.log(abs(factor))) + float(at.x))
-    # the best lies beyond what is tried, or is near enough to 1 for a wavelength or a scale of the machine
-    if abs(float(at.x)) > 0.9 * REACH or found < np.log(ALTERED):
-        del seen[count:]
+        at = minimize_scalar(
+            cost, bounds=(-REACH, REACH), method="bounded", options={"maxiter": 20, "xatol": 1e-3}
+        )
+        found = abs(float(np.log(abs(factor))) + float(at.x))
+        # beyond what is tried, or near enough to 1 for a wavelength or a scale of the machine
+        if abs(float(at.x)) > 0.9 * REACH or found < np.log(ALTERED):
+            del seen[count:]
+        elif any(map(_good, seen[count:])):
+            return
 
 
-def _in_runs(trials: Trials, agreed: Sequence[int], odd: Sequence[int]) -> list[Found]:
-    """Return the mistakes of runs that do not go with the others: of all alike, else of each by itself."""
-    base = trials.fitted((), agreed)
-    if base is None or not odd:
-        return []
+def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
+    """Return the mistakes of runs that do not go with the others: of all alike, else of each by itself.
+
+    `base`: what the others agree on.
+    """
     p, out = base.p, list[Found]()
 
     def look(runs: list[int]) -> Found | None:
@@ -975,7 +995,8 @@ STILL = 8
 STROKE = 0.1
 """Motion within a run over the range of all, below which a column is set from run to run."""
 PILED = 3.0
-"""Samples in the last hundredth of a column's range over those in the next, of a column that stops there."""
+"""Samples in the last hundredth of a column's range over those in the next, or at its last value over those
+at the next, of a column that stops there: a sine has 2.4."""
 
 
 def of_samples(trials: Trials, tried: Tried) -> Iterator[Correction]:
@@ -1013,13 +1034,9 @@ def _rails(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
         strokes = [float(np.ptp(trials.full[c][at])) for run, at in trials.spans if run in runs]
         if np.median(strokes) < STROKE * (high - low):  # set from run to run, not moved
             continue
-        near = (high - low) / 100
-        if not near > 0:
+        if not high > low:
             continue
-        at_low, by_low = np.sum(x < low + near), np.sum((x >= low + near) & (x < low + 2 * near))
-        at_high, by_high = np.sum(x > high - near), np.sum((x <= high - near) & (x > high - 2 * near))
-        ends = (low + near if at_low > PILED * by_low else -np.inf,
-                high - near if at_high > PILED * by_high else np.inf)  # fmt: skip
+        ends = (_stop(x), -_stop(-x))
         for pair in {(ends[0], np.inf), (-np.inf, ends[1]), ends}:
             if np.isfinite(pair).any():
                 found[c] = ends
@@ -1027,6 +1044,19 @@ def _rails(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
     if len(together := [c for c in found if c in trials.model.channels]) > 1:
         low, high = np.array([found[c] for c in together]).T
         yield Correction("clipped", tuple(together), (float(low.max()), float(high.min())))
+
+
+def _stop(x: np.ndarray) -> float:
+    """Return the least value that a column takes, or a hundredth of its range above, where it stops there.
+
+    More samples are there than beside; -inf where they are not.
+    """
+    least, near = float(x.min()), float(np.ptp(x)) / 100
+    there, beside = int(np.sum(x < least + near)), int(np.sum((x >= least + near) & (x < least + 2 * near)))
+    if there > PILED * (beside + 2 * np.sqrt(beside + 1)):  # by more than chance
+        return least + near
+    same, following = int(np.sum(x == least)), int(np.sum(x == x[x > least].min()))
+    return least if same > PILED * following else -np.inf
 
 
 def _coarse(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
@@ -1148,30 +1178,16 @@ def _likely(
 
     Those that halve the squared residual at the parameters of the log as it is, or where a fit begins.
     """
-    begin, readings = trials.begin(base.log), {*trials.model.channels}
-    start = trials.at((), begin, runs)
-    points = [one for one in (base, start) if one is not None]
-    offsets = [dict(zip(one.cost.summary.runs, one.cost.at(one.p).zeros, strict=True)) for one in points]
-    rest = residual_of(trials.model)
+    points, readings = (base.p, trials.begin(base.log)), {*trials.model.channels}
 
-    def left(c: tuple[Correction, ...], at: int) -> float:
-        try:
-            log = trials.log(c, runs)
-        except InputError:
-            return np.inf
-        sigma = np.array([log.noise[k].value for k in trials.model.channels])
-        total, count = 0.0, 0
-        p = points[at].p
-        for block in extended(log, trials.model, log.noise.std, trials.model.named(p)).blocks():
-            e = rest(p, offsets[at][block.run], block.data) / sigma[:, None]
-            e = e - e.mean(axis=1, keepdims=True) if trials.model.zeros else e
-            total, count = total + float((e * e).sum()), count + e.size
-        return total / max(count, 1)
+    def left(c: tuple[Correction, ...], p: np.ndarray) -> float:
+        found = trials.at(c, p, runs)
+        return found.mean(found.left) if found is not None and found.left else np.inf
 
-    before = [left((), at) for at in range(len(points))]
+    before = [left((), p) for p in points]
     share = {
-        c: min(left((c,), at) / max(b, 1e-300) for at, b in enumerate(before)
-               if at == 0 or not {*c.columns} <= readings)  # one reading of many moves no parameters far
+        c: min(left((c,), p) / max(b, 1e-300) for p, b in zip(points, before, strict=True)
+               if p is base.p or not {*c.columns} <= readings)  # one reading of many moves no parameters far
         for c in every
     }  # fmt: skip
     return sorted((c for c in share if share[c] < 0.5), key=share.__getitem__)[:SEARCHED]

@@ -4,7 +4,7 @@ The path is the same for every family: one pass over the log gives run statistic
 give starting points; Newton's method or IPOPT refines them inside the bounds; a second pass tabulates errors.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from time import perf_counter
@@ -38,7 +38,7 @@ from hallsym.estimation.task import (
     zero_notes,
 )
 from hallsym.families import plain
-from hallsym.families.recording import corrected, read_correction
+from hallsym.families.recording import Correction, corrected, read_correction
 from hallsym.log import LAYOUT, UNRELATED, Fault, Log, as_log, usable
 from hallsym.log.batches import Weigh, batches, remembered
 from hallsym.log.phase import continuous, nearest_turn
@@ -163,7 +163,23 @@ def _recording(log: Log, model: Model, asked: Asked, began: float) -> Fit:
         if found:
             raise InputError(found[0].text, found) from error
         raise
-    return _claimed(result, () if ALL in asked.accept else claims_of(result, given), asked)
+    if ALL in asked.accept:
+        return _claimed(result, (), asked)
+    unsaid = {n.name for n in result.notes if isinstance(n, Fault) and n.runs and n.correction is None}
+    if unsaid:  # what left samples out and names no remedy: the fit finds one in the samples as they are
+        found = mistakes_of(_as_logged(log, model, asked, result.corrections, unsaid), model)
+        return _claimed(result, found or claims_of(result, given), asked)
+    return _claimed(result, claims_of(result, given), asked)
+
+
+def _as_logged(
+    log: Log, model: Model, asked: Asked, corrections: Sequence[Correction], claims: Collection[str]
+) -> Log:
+    """Return a log without its mistakes and bad samples, but with those that some claims left out."""
+    accept = (*asked.accept, *claims)
+    return usable(corrected(log, corrections), logged_columns(model), drop_bad=asked.drop_bad, accept=accept)[
+        0
+    ]
 
 
 def _claimed(result: Fit, mistakes: Sequence[Claim], asked: Asked) -> Fit:

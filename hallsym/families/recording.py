@@ -158,8 +158,12 @@ def _gain_back(c: Correction, data: Data) -> None:
         data[name] = np.where(_after(c, data, name), data[name] / c.numbers[0], data[name])
 
 
+PRINTED = 1e-8
+"""Part of a rail by which it may be off as a text gives it, in nine digits."""
+
+
 def _off_rails(c: Correction, data: Data) -> np.ndarray:
-    low, high = c.numbers
+    low, high = (n + PRINTED * abs(n) * away for n, away in zip(c.numbers, (1, -1), strict=True))
     return np.all([(data[name] > low) & (data[name] < high) for name in c.columns], axis=0)
 
 

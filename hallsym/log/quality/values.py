@@ -106,16 +106,21 @@ def held(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
             continue
         lasts, first = [one.stop - one.start for one in found], found[0]
         stretches_of = "1 stretch" if len(found) == 1 else f"{len(found)} stretches"
-        zero = not any(one.value for one in found)
+        undone = _correction(spans, name, found)
+        cause = (
+            "the logger repeated old samples"
+            if any(one.value for one in found)
+            else "the channel dropped out"
+        )
+        cause = "it stops at an end of its range" if (undone or "").startswith("clipped") else cause
         yield Finding(
             f"{the(log, name)} holds one value for up to {max(lasts)} samples ({stretches_of},"
             f" {sum(lasts) / seen.rows:.1%}, first in row {first.start + 1}, run {first.run},"
-            f" {first.value:.4g} {si_symbol(name)})"
-            + (": the channel dropped out" if zero else ": the logger repeated old samples"),
+            f" {first.value:.4g} {si_symbol(name)}): {cause}",
             claim="stuck", drop=Drop(rows=tuple((one.start, one.stop) for one in found)),
             remedy="look at the channel and the logger", columns=(name,),
             runs=tuple(dict.fromkeys(one.run for one in found)),
-            correction=_stuck(log, name, first) if len(found) == 1 else None,
+            correction=undone,
         )  # fmt: skip
 
 
@@ -125,14 +130,25 @@ def _off_ends(found: list[Stretch], span: Span) -> list[Stretch]:
     return [one for one in found if one.value not in ends]
 
 
-def _stuck(log: Log, name: str, one: Stretch) -> str:
-    """Return the correction of one stretch, whose samples are counted from 0 in their run."""
-    before = 0
-    for block in log.blocks((name,)):
-        if block.run == one.run:
-            break
-        before += len(block.data[name])
-    return f"stuck {name} {one.start - before} {one.stop - before} in {one.run}"
+def _correction(spans: Spans, name: str, found: list[Stretch]) -> str | None:
+    """Return what undoes the first stretch, a rail where it is at an end of what its run holds.
+
+    None where the fit tells: at an end of what the column holds other runs may stop too, and what is late
+    repeats its first or last value at an end of each run.
+    """
+    whole = spans.overall[name]
+    starts = dict(zip(spans.samples, np.cumsum([0, *spans.samples.values()]).tolist(), strict=False))
+    low, high = (dict(zip(spans.samples, row, strict=True)) for row in spans.by_run[name][:2])
+    for one in found:
+        run, a, b = one.run, one.start - starts[one.run], one.stop - starts[one.run]
+        if a == 0 or b == spans.samples[run] or one.value in (whole.min, whole.max):
+            continue
+        if one.value not in (low[run], high[run]):
+            return f"stuck {name} {a} {b} in {run}"
+        ends = {stretch.value for stretch in found if stretch.run == run}
+        rails = (low[run] if low[run] in ends else -np.inf, high[run] if high[run] in ends else np.inf)
+        return f"clipped {name} {rails[0]:.9g} {rails[1]:.9g} in {run}"
+    return None
 
 
 def _stretches(log: Log, seen: Scan, name: str, spans: Spans) -> list[Stretch]:
