@@ -223,6 +223,11 @@ class Trials:
         """Return the same of all other runs."""
         return replace(self, given=without(self.given, Drop(runs=frozenset(runs))))
 
+    def over(self, floor: float) -> Trials:
+        """Return the same with `floor` times the variance: an estimate misses what colour a noise has."""
+        sigmas = {n: replace(s, value=s.value * floor**0.5) for n, s in self.noise.sigmas.items()}
+        return replace(self, noise=Noise(sigmas))
+
     @cached_property
     def columns(self) -> tuple[str, ...]:
         """What the model reads, and time."""
@@ -506,13 +511,17 @@ def suspects(trials: Trials) -> list[Found]:
     def tried(c: Correction) -> Tried | None:  # beside the right number, one explains little yet
         return trials.fitted((c,), most=np.inf if c.kind in STEPS else most)
 
-    best = _best(trials, base, tried, runs, linear=linear)
+    best = _best(trials, base, tried, runs, linear=linear) if base.mean(base.left) > EXCESS else None
     named = best and _named(trials, base, best)
     if named and named.left < EXCESS:
         return [*out, named]
-    found = _likeliest(trials, base, [
-        _in_runs(trials, agreed, odd) for odd, agreed in _divisions(trials, base).items()
-    ])  # fmt: skip
+    divided = _divisions(trials, base)
+    found = _likeliest(trials, base, [_in_runs(trials, agreed, odd) for odd, agreed in divided.items()])
+    if not named and not found:
+        floor = min((agreed.mean(agreed.left) for agreed in divided.values()), default=1.0)
+        known = all(trials.noise[c].source == "given" for c in trials.model.channels)
+        again = [] if known or floor < EXCESS else suspects(trials.over(floor))
+        return [*out, *again]
     if not named or not found:
         return [*out, *([named] if named else found)]
     of_all, of_some = (trials.fitted([one.correction for one in some]) for some in ([named], found))
@@ -780,7 +789,10 @@ def _best(
         return found.mean(found.deviance, runs) if found is not None and found.left else before
 
     def judge(c: Correction) -> float:
-        """Try a correction; return the share of the readings' variance that it leaves."""
+        """Try a correction; return the share that it leaves of what was left.
+
+        Of the squares over the noise; of a scale, which scales an estimated noise too, of the variance.
+        """
         found, shares[c] = tried(c), np.inf
         if found is None or not found.left:
             return np.inf
@@ -789,17 +801,19 @@ def _best(
         enough = c.kind not in STEPS or sum(found.counts.values()) > KEEPS * sum(base.counts.values())
         if enough and np.isfinite(one.gain) and one.left > LEAST and _follows(base, found):
             seen.append(one)
-        shares[c] = float(found.shares[0].mean())
+        of_noise = found.mean(found.left, runs) / base.mean(base.left, runs)
+        of_variance = float(found.shares[0].mean() / base.shares[0].mean())
+        shares[c] = of_variance if c.kind == "scale" else of_noise
         return shares[c]
 
     plain = hypotheses(trials.model, trials.columns, base.worst(runs), trials.moved(runs))
     some = [*(c for c in plain if linear or c.kind in STEPS), *of_samples(trials, base)]
-    more, left = some if exact(trials.model) else _likely(trials, base, some, runs), base.shares[0].mean()
+    more = some if exact(trials.model) else _likely(trials, base, some, runs)
     while more:
         for c in more:
             judge(c)
-        more = _closer(left, shares)
-    _refined(trials.model, left, shares, seen, judge)
+        more = _closer(shares)
+    _refined(trials.model, shares, seen, judge)
     good = [*filter(_good, seen)]
     if not good:
         return None
@@ -826,15 +840,15 @@ def _same(a: Correction, b: Correction) -> bool:
     return (a.kind, a.columns, a.runs) == (b.kind, b.columns, b.runs)
 
 
-def _closer(before: float, shares: Mapping[Correction, float]) -> list[Correction]:
+def _closer(shares: Mapping[Correction, float]) -> list[Correction]:
     """Return the delays and means beside the best of each group of columns that were not tried yet.
 
-    `before`: share of the readings' variance that is left; `shares`: the same of what was tried.
+    `shares`: what was tried, and the share that it leaves of what was left.
     """
     best: dict[tuple[str, tuple[str, ...]], Correction] = {}
     for c, share in shares.items():
         known = best.get((c.kind, c.columns))
-        if c.kind in STEPS and share < PART * before and (known is None or share < shares[known]):
+        if c.kind in STEPS and share < PART and (known is None or share < shares[known]):
             best[c.kind, c.columns] = c
     out = []
     for c in best.values():
@@ -857,20 +871,19 @@ REACH = 1.6
 
 def _refined(
     model: Model,
-    before: float,
     shares: Mapping[Correction, float],
     seen: list[Judged],
     judge: Callable[[Correction], float],
 ) -> None:
     """Try other factors about the best scale: where one is clearly better, no unit explains it.
 
-    `before`: share of the readings' variance that is left; `shares`: the same of what was tried.
+    `shares`: what was tried, and the share that it leaves of what was left.
     """
     named = min(filter(_good, seen), key=lambda one: one.after, default=None)
     if named and (named.correction.kind == "scale" or named.left < EXCESS):
         best = [named.correction] if named.correction.kind == "scale" else []
     else:
-        scaled = [c for c, share in shares.items() if c.kind == "scale" and share < PART * before]
+        scaled = [c for c, share in shares.items() if c.kind == "scale" and share < PART]
         scaled = sorted(scaled, key=shares.__getitem__, reverse=True)
         best = sorted({c.columns: c for c in scaled}.values(), key=shares.__getitem__)[:DIFFERENT]
     for about in best:
