@@ -1,10 +1,11 @@
 """Hypothesis without a clock and with the same examples in every run; no progress on a busy machine.
 
-Output has the width of a pipe, none, whatever the terminal that the tests are started from.
+Output has the width of a pipe, none, and Ctrl-C ends a program, wherever the tests are started from.
 """
 
 import gc
 import os
+import signal
 from collections.abc import Iterator
 
 import pytest
@@ -37,3 +38,10 @@ def _no_progress() -> Iterator[None]:
 def _no_terminal() -> None:
     """Let nothing be folded: pytest-xdist states the width of its own terminal to its workers."""
     os.environ.pop("COLUMNS", None)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _control_c() -> None:
+    """Let programs that tests start heed Ctrl-C: a shell ignores it in a job in the background."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -5,8 +5,8 @@ Blocks of one page run in order in one temporary folder, in which `data` is the 
 A ```toml or ```json block is written to the last `file` named before it. `<!--setup ... -->` is Python that a
 reader does not need. A comment `# exit 3` states the exit code that is expected, 0 otherwise.
 
-The tutorials are notebooks: cells of Python, of shell commands (`%%sh`; `|| echo` where the exit code shall
-be 3) and files to write (`%%writefile`). They run here without a kernel, in tests/test_site.py with one.
+The tutorials are notebooks, which run where the site is built (tests/test_site.py): cells of Python, of shell
+commands (`%%sh`; `|| echo` where the exit code shall be 3) and files to write (`%%writefile`).
 """
 
 import ast
@@ -37,9 +37,9 @@ LISTED = (
     "data/encoder/README.md",
 )  # fmt: skip
 LONG = {
-    "budget", "campaign", "codegen", "concepts", "controller", "diagnose", "encoder", "evaluate", "firmware",
+    "budget", "campaign", "codegen", "concepts", "controller", "diagnose", "evaluate", "extend",
     "fleet", "halbach", "howto", "logs", "plan", "power", "report", "rotary", "self_calibration",
-    "sensitivity", "sorting", "stage", "tables", "tolerances", "trajectory",
+    "sensitivity", "sorting", "tables", "tolerances", "trajectory",
 }  # fmt: skip
 """Pages whose examples take more than a second of a processor: they run with the slow tests; what they name
 is always looked up."""
@@ -158,26 +158,6 @@ def run(command: str, expected: int) -> None:
         pytest.fail(f"do not know how to check {command!r}")
 
 
-def run_cell(code: str, page: Path, line: int, shared: dict) -> None:
-    """Run a cell of a notebook: Python, shell commands, or a file to write."""
-    magic, _, rest = code.partition("\n")
-    if magic.startswith("%%writefile "):
-        Path(magic.split()[1]).write_text(rest, encoding="utf-8")
-    elif magic == "%%sh":
-        for command in lines_of(rest):
-            before, fails, _ = command.partition(" || echo ")
-            if before.startswith("hallsym "):
-                run(before, 3 if fails else 0)
-            elif before.startswith("cc ") and not shutil.which("cc"):
-                pytest.skip("no C compiler: what follows on this page needs one")
-            else:
-                done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60)
-                assert done.returncode == 0, f"{command}\n{done.stderr}"
-    else:
-        with contextlib.redirect_stdout(io.StringIO()):
-            exec(compile("\n" * line + code, str(page), "exec"), shared)
-
-
 def compiles(code: str, folder: Path) -> None:
     """Compile a C example against the folders that the page generated; nothing to do without a compiler."""
     if compiler := shutil.which("gcc"):
@@ -192,6 +172,7 @@ def compiles(code: str, folder: Path) -> None:
     [
         pytest.param(page, marks=[pytest.mark.slow] if page.stem in LONG else [], id=name_of(page))
         for page in PAGES
+        if page not in TUTORIALS
     ],
 )
 def test_examples_run(page, tmp_path, monkeypatch):
@@ -212,8 +193,6 @@ def test_examples_run(page, tmp_path, monkeypatch):
             (tomllib if block.kind == "toml" else json).loads(block.text)
             Path(block.name).parent.mkdir(exist_ok=True)
             Path(block.name).write_text(block.text, encoding="utf-8")
-        elif block.kind == "ipython3":
-            run_cell(block.text, page, block.line, shared)
         elif block.kind == "c":
             compiles(block.text, tmp_path)
         else:
@@ -293,6 +272,7 @@ def test_python_of_the_page_names_what_exists(page):
                 assert hasattr(hallsym_package, node.attr), f"{name_of(page)}: hallsym has no {node.attr}"
 
 
+@pytest.mark.slow
 def test_the_table_beside_the_paper_is_what_the_demo_prints():
     from hallsym.cli import demo
 

@@ -98,6 +98,9 @@ def test_a_tutorial_is_a_notebook_that_has_run(site, name):
     progress = re.compile(r"hallsym: .* s (left|so far)|")
     assert [line for line in said.splitlines() if not progress.fullmatch(line)] == []
     assert sum("image/png" in output.get("data", {}) for output in outputs) >= 1
+    stated = ["".join(cell["source"]).count('|| echo "exit code $?"') for cell in code]
+    codes = ["".join("".join(o.get("text", "")) for o in cell["outputs"]) for cell in code]
+    assert [re.findall(r"^exit code (.*)$", text, re.M) for text in codes] == [["3"] * n for n in stated]
 
 
 @pytest.fixture(scope="module")

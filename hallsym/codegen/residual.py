@@ -310,15 +310,18 @@ class _Judgement:
     # -- without a suspect ---------------------------------------------------------------------------------
 
     def _others(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """Without the reading of watched k: slopes of the pose (n, pose, s), and the parts of the sum."""
+        """Without the reading of watched k: slopes of the pose (n, pose, s), and the parts of the sum (n, s).
+
+        The sum is bilinear in what is left and its factor: neither is computed again for all readings.
+        """
         pose, left, errors = self.slopes
         (i,) = self.d.watched[k].readings
         own = left[i, k]
         counts = np.abs(own) > MASKED * np.abs(own).max()  # where it counts at all
         # by which the mended reading follows each other one, less
         share = np.where(counts, left[:, k] / np.where(counts, own, 1.0), 0.0)
-        others = [v - v[i][None] * share[:, None] for v in (pose, left, errors)]
-        return others[0], np.asarray((others[1] * others[2]).sum(axis=1))
+        both = np.einsum("ms,nms->ns", left[i], errors) + np.einsum("nms,ms->ns", left, errors[i])
+        return pose - pose[i] * share[:, None], self.seen - share * both + share**2 * self.seen[i]
 
     @cached_property
     def told(self) -> np.ndarray:

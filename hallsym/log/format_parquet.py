@@ -81,7 +81,7 @@ class ParquetSource(Source):
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield batches of at most `size` rows."""
-        with self._opened(buffer_size=_BUFFER, pre_buffer=False) as file:
+        with self._opened(buffer_size=_BUFFER) as file:
             readers = self._readers(names, file.schema_arrow)
             columns = [self._own[name] for name in names]
             for batch in file.iter_batches(batch_size=size, columns=columns, use_threads=False):
@@ -90,6 +90,7 @@ class ParquetSource(Source):
     @contextmanager
     def _opened(self, **options: Any) -> Iterator[Any]:
         parquet = load("pyarrow.parquet")
+        options["pre_buffer"] = False  # its threads end the process where there is little memory
         with parquet.ParquetFile(self.path, page_checksum_verification=True, **options) as file:
             yield file
 

@@ -262,6 +262,7 @@ def test_a_step_inside_bounds_is_the_least_squares_solution_there() -> None:
     assert np.sum((A @ step - b) ** 2) <= 1.02 * 2 * exact.cost
 
 
+@pytest.mark.slow
 def test_the_instant_of_a_slip_is_found_without_held_out_runs() -> None:
     log = hidden("mount_slip", "grid", thin=8)
     base = fitted(log)

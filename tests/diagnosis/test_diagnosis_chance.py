@@ -71,6 +71,7 @@ def test_noise_without_a_fault_is_no_fault(noise: str) -> None:
     assert min(f.p_value for f in of_samples(found, POLICY)) > 0.01 / TESTED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["outliers", "dropped_samples", "clock_jitter", "adc_quantisation"])
 def test_p_values_of_faults_come_from_the_samples(name: str) -> None:
     log = machine("multisine", (faulty(np.random.default_rng(1))[name],), seed=1)

@@ -112,6 +112,7 @@ def test_page_says_what_the_fit_says(page: str, fitted: Fit, log: Log):
     assert text.count("not identifiable from any recording") == len(fitted.structural)
 
 
+@pytest.mark.slow
 def test_verdict_says_how_far_above_the_floor_and_asks_for_a_diagnosis(log: Log):
     rough = fit(log, "stage30", solver="direct", loss="none", holdout=HOLDOUT)
     text = fit_page(log, rough)
