@@ -6,8 +6,7 @@ knots, bending penalised. What a curve explains is counted on runs that it was n
 cannot exceed what is there. Its significance rests on signs (`p_values`): without the effect the blocks'
 products with the curve are as often positive as negative, whatever the noise within a block. Blocks count
 alike, however large their residual. Products of a block with itself and with its neighbour in the same run
-are left out, so that correlation in time does not count; so is what residual and coordinate have in common
-because both hold the noise of the references (`measurement_error`).
+are left out, so that correlation in time does not count.
 
 What a curve, or a gain of every run, predicts on runs (or stretches) that it was not fitted on is lack of
 fit, whatever the noise floor is said to be.
@@ -283,7 +282,7 @@ class Curve:
 
 
 class _Over(ABC):
-    """A residual over one coordinate: its `values` and, with more noise in the references, those `there`.
+    """A residual over one coordinate, of given `values`.
 
     `at`: places at which there is an offset. `scale`: of the expected reading, by which gains are stated.
     """
@@ -291,14 +290,12 @@ class _Over(ABC):
     at: np.ndarray
     scale = 1.0
 
-    def __init__(self, r: ResidualTable, coordinate: Coordinate, moved: ResidualTable | None = None) -> None:
-        """Take the residual on some runs; `moved`: the same with more noise in the references."""
+    def __init__(self, r: ResidualTable, coordinate: Coordinate) -> None:
+        """Take the residual on some runs."""
         values = coordinate.values(r)
         if values is None:
             raise ValueError(f"{coordinate.name} does not vary")
         self.r, self.coordinate, self.values = r, coordinate, values
-        self.there = None if moved is None else coordinate.values(moved)
-        self.change = np.zeros(1) if moved is None else moved.residual - r.residual
 
     @abstractmethod
     def predicted(self, coefficients: np.ndarray, r: ResidualTable, x: np.ndarray) -> np.ndarray:
@@ -308,20 +305,15 @@ class _Over(ABC):
 class Smooth(_Over):
     """Smooth curves over one coordinate: what does not depend on the residual is computed once."""
 
-    def __init__(self, r: ResidualTable, coordinate: Coordinate, moved: ResidualTable | None = None) -> None:
-        """Take the residual on some runs; `moved`: the same with more noise in the references."""
-        super().__init__(r, coordinate, moved)
+    def __init__(self, r: ResidualTable, coordinate: Coordinate) -> None:
+        """Take the residual on some runs."""
+        super().__init__(r, coordinate)
         c = coordinate
         self.scale = float(np.sqrt(np.mean(r.sensed**2))) or 1.0
         free = MEMORIES if c.memory else np.arange(len(c.of) * (1.0 + c.gain))
         self.at = knots(self.values) if c.ordered else np.asarray(free)
         self.phi = self._features(r, self.values)
         self.folds, self.blocks = slices(r.fold), slices(r.block)
-        self.shared = [np.zeros((len(self.phi), 1, 1))] * 2
-        if moved is not None and self.there is not None:
-            change = r.precision @ self.change
-            by = (self._features(moved, self.there) - self.phi) * change[:, None, :]
-            self.shared = [sums(by, group).swapaxes(1, 2) for group in (r.fold, r.block)]
         self.own = 1 / r.variance
         self.gram = self.own[:, None, None, None] * np.array(
             [[phi[:, s] @ phi[:, s].T for s in self.folds] for phi in self.phi]
@@ -359,11 +351,8 @@ class Smooth(_Over):
         r = self.r
         level = level_weights(r, residual, r.block)[:, None]
         targets, scores = (
-            [sums(phi * row, group).T - own for phi, row, own in zip(self.phi, rows, shared, strict=True)]
-            for rows, group, shared in (
-                (self.own[:, None] * residual, r.fold, self.shared[0]),
-                (r.precision @ residual, r.block, self.shared[1]),
-            )
+            [sums(phi * row, group).T for phi, row in zip(self.phi, rows, strict=True)]
+            for rows, group in ((self.own[:, None] * residual, r.fold), (r.precision @ residual, r.block))
         )
         out = []
         for bend in BENDS if self.coordinate.ordered else BENDS[:1]:
@@ -391,9 +380,9 @@ class FineMap(_Over):
     twice as many a ripple is predicted no better on runs left out.
     """
 
-    def __init__(self, r: ResidualTable, coordinate: Coordinate, moved: ResidualTable | None = None) -> None:
-        """Take the residual on some runs; `moved`: the same with more noise in the references."""
-        super().__init__(r, coordinate, moved)
+    def __init__(self, r: ResidualTable, coordinate: Coordinate) -> None:
+        """Take the residual on some runs."""
+        super().__init__(r, coordinate)
         self.low, high = np.quantile(_by_sensor(self.values, r), [0.002, 0.998])
         of_places = [s for c, s in r.base.sigma.items() if c.endswith(f"_{coordinate.unit}")]
         width = max(8 * max(of_places, default=0.0), 1e-300)
@@ -403,13 +392,6 @@ class FineMap(_Over):
         self.bin = self._bin(self.values, r)
         self.count = self._sums(np.ones_like(r.residual), r.fold, self.bin)
         self.prior = r.residual.size / max(r.excess, 1e-3 * r.residual.size)
-        self.shared: list[np.ndarray | float] = [0.0, 0.0]
-        if moved is not None and self.there is not None:
-            there = self._bin(self.there, r)
-            self.shared = [
-                self._sums(self.change, group, there) - self._sums(self.change, group, self.bin)
-                for group in (r.fold, r.block)
-            ]
 
     def predicted(self, coefficients: np.ndarray, r: ResidualTable, x: np.ndarray) -> np.ndarray:
         """Return the offsets (K, n) where the coordinate has the values `x`."""
@@ -418,10 +400,7 @@ class FineMap(_Over):
     def curve(self, residual: np.ndarray) -> Curve:
         """Return the map of a residual (K, n)."""
         r, n = self.r, self.count
-        of_folds, of_blocks = (
-            self._sums(residual, group, self.bin) - shared
-            for group, shared in zip((r.fold, r.block), self.shared, strict=True)
-        )
+        of_folds, of_blocks = (self._sums(residual, group, self.bin) for group in (r.fold, r.block))
         N, S = n.sum(axis=0), of_folds.sum(axis=0)
         left = (S - of_folds) / (N - n + self.prior)
         weight = np.diag(r.precision)[:, None]
@@ -443,11 +422,11 @@ class FineMap(_Over):
         return np.bincount(place.ravel(), values.ravel(), int(np.prod(shape))).reshape(shape)
 
 
-def over(r: ResidualTable, c: Coordinate, moved: ResidualTable | None = None) -> Iterator[Smooth | FineMap]:
+def over(r: ResidualTable, c: Coordinate) -> Iterator[Smooth | FineMap]:
     """Yield what fits a residual over a coordinate: nothing where that does not vary."""
     for make in (Smooth, FineMap) if c.fine else (Smooth,):
         if c.values(r) is not None:
-            yield make(r, c, moved)
+            yield make(r, c)
 
 
 def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ from hallsym.diagnosis.report import Confusable, confusable, findings, report
 from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import select
-from hallsym.diagnosis.setup import Setup, floors, prepare
+from hallsym.diagnosis.setup import Setup, prepare
 from hallsym.diagnosis.survey import noise_of_rest
 from hallsym.diagnosis.validation import QUIET, decide, validate
 from hallsym.estimation.calibration import Fit
@@ -105,7 +105,4 @@ def without_events(setup: Setup, base: Base) -> Setup:
         run if run not in stepped else min(free, key=lambda r: (abs(r - run), -r)) for run in setup.holdout
     )
     judging = tuple(dict.fromkeys(instead))
-    runs = [run for run in setup.base.log.runs if run not in judging]
-    floor, fitted = floors(setup.base, setup.floor.uncertain, judging, runs)
-    base = replace(setup.base, holdout=frozenset(judging))
-    return replace(setup, runs=runs, holdout=judging, base=base, floor=floor, floor_fitted=fitted)
+    return replace(setup, holdout=judging, base=replace(setup.base, holdout=frozenset(judging)))

@@ -18,7 +18,6 @@ from hallsym.diagnosis.curves import MEMORIES, Curve, coordinates, over, run_gai
 from hallsym.diagnosis.decoded_errors import DecodedErrors
 from hallsym.diagnosis.facts import change_points
 from hallsym.diagnosis.faults import Fault
-from hallsym.diagnosis.measurement_error import WHITE, with_noise
 from hallsym.diagnosis.p_values import Joint, beyond, beyond_one, of_means, statistic_at
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.record import Band, CurveShape, Size, Sizes, Statement
@@ -30,11 +29,9 @@ from hallsym.diagnosis.residual_table import (
     phase,
     spectrum,
     sums,
-    table_of,
 )
 from hallsym.diagnosis.residuals import Base, pieces
-from hallsym.diagnosis.scores import Score, by_name
-from hallsym.diagnosis.selection import Screened
+from hallsym.diagnosis.scores import Score, Screen, by_name
 from hallsym.diagnosis.words import percent, plain, shown
 from hallsym.estimation.calibration import coverage_factor
 from hallsym.log.core import edges_of
@@ -53,7 +50,7 @@ class Located:
 def located(
     base: Base,
     runs: Sequence[int],
-    screened: Screened | None = None,
+    screened: Screen | None = None,
     faults: Sequence[Fault] = (),
     variance: float = 1.0,
     *,
@@ -73,11 +70,7 @@ def located(
     others = [z for _, each in powers for z in each]
     if screened and screened.top is not None:
         others.append(screened.top)
-    noisier = with_noise(base, screened.colour if screened else WHITE)
-    moved = None if noisier is None else table_of(noisier, frozenset(fitted.run.tolist()))
-    if moved is not None and moved.residual.shape != fitted.residual.shape:
-        moved = None
-    statements, curves, joint = _coordinates(fitted, held, moved, others)
+    statements, curves, joint = _coordinates(fitted, held, others)
     if not statements and not clear(fitted):
         return Located(tuple(steps), tuple(curves))
     told = sum(s.share for s in statements)
@@ -120,19 +113,18 @@ def clear(r: ResidualTable) -> bool:
 def _coordinates(
     r: ResidualTable,
     held: ResidualTable | None,
-    moved: ResidualTable | None,
     others: Sequence[np.ndarray],
 ) -> tuple[list[Statement], list[Curve], Joint]:
     """Coordinates one after the other, each with what it explains beyond those before.
 
     Of those that explain nearly the same the most telling is named. A gain of its own in every run is named
     where no coordinate explains most of what it does. `held`: the residual on held-out runs, of whose excess
-    each curve, as fitted, explains a part too. `moved`: the residual with more noise in the references.
-    `others`: statistics of all that is no coordinate, which p-values are corrected for too. The tests that
-    are returned are those of all coordinates, beside which the rest is tested.
+    each curve, as fitted, explains a part too. `others`: statistics of all that is no coordinate, which
+    p-values are corrected for too. The tests that are returned are those of all coordinates, beside which the
+    rest is tested.
     """
     excess, policy = r.excess, r.base.policy
-    every = [each for c in coordinates(r) for each in over(r, c, moved)]
+    every = [each for c in coordinates(r) for each in over(r, c)]
     statements, curves, joints, left = list[Statement](), list[Curve](), list[Joint](), r.residual
     apart = np.zeros(0) if held is None else held.residual
     while True:

@@ -10,12 +10,11 @@ columns only: an acceleration goes with coloured noise otherwise than with white
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from hallsym.diagnosis.normal_equations import Accumulator, Slopes
+from hallsym.diagnosis.normal_equations import Columns, NormalEquations, stretches
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation.residual_noise import ROOM
 from hallsym.log import Block
@@ -61,81 +60,50 @@ class _Moved:
             yield Block(block.run, data)
 
 
-def with_noise(base: Base, colour: np.ndarray = WHITE) -> Base | None:
-    """Return `base` with its references moved by noise of their size; None where they have none.
-
-    `colour`: autocorrelation of the noise at lags 0, 1, ...
-    """
-    model = base.model
-    columns = (*model.references, *model.state)
-    sizes = {c: s for c in columns if c in base.log.columns and (s := base.sigma.get(c, 0.0)) > 0}
-    if not sizes:
-        return None
-    log = _Moved(base.log, sizes, colour)
-    share_windows(base.log, log)  # type: ignore[arg-type]
-    return replace(base, log=log)  # type: ignore[arg-type]
-
-
 def shared_noise(
     base: Base,
     candidates: Mapping[str, tuple[Model, Sequence[str]]],
+    t: NormalEquations,
     length: int | None,
     colour: np.ndarray = WHITE,
-    slopes: Slopes | None = None,
-) -> dict[tuple[int, int], np.ndarray]:
-    """Return (run, stretch) -> what noise alone makes of the whitened products with the residual, (columns,).
+) -> np.ndarray:
+    """Return what noise alone makes of the whitened products with the residual, (units of `t`, columns).
 
-    Columns are [parameters | candidates]. `length`: samples of a stretch, None for whole runs.
-    `colour`: autocorrelation of the residual at lags 0, 1, ... `slopes`: of the candidates, where known.
+    Columns are [parameters | candidates]. `length`: samples of a stretch, None for whole runs. `colour`:
+    autocorrelation of the residual at lags 0, 1, ... Nothing where no reference has noise.
     """
-    noisy = with_noise(base, colour)
-    work = Accumulator(base, candidates, decoded=False, slopes=slopes)
-    own, column = work.z + work.n, work.slopes.column
-    if noisy is None or not work.slopes.columns:
-        return {}
+    work = Columns(base, candidates)
+    out, own, column = np.zeros((len(t.runs), work.n + work.count)), work.z + work.n, work.column
+    logged = (c for c in (*base.model.references, *base.model.state) if c in base.log.columns)
+    sizes = {c: s for c in logged if (s := base.sigma.get(c, 0.0)) > 0}
+    if not sizes or not work.count:
+        return out
+    log: Any = _Moved(base.log, sizes, colour)
+    share_windows(base.log, log)
     every = max(1, base.log.rows // ROOM)
-    sums: dict[tuple[int, int], np.ndarray] = {}
     seen: dict[int, int] = {}
-    for down, up in zip(work.batches(base.log), work.batches(noisy.log), strict=True):
+    for down, up in zip(work.batches(base.log), work.batches(log), strict=True):
         weights = down.weights(base.keep)
         part = None if weights is None else weights[::every]
         thinned = [_thinned(b, every) for b in (up, down)]
-        products = np.zeros((work.n + work.slopes.columns, len(thinned[0])))
+        products = np.zeros((work.n + work.count, len(thinned[0])))
         for (moved, at), (still, _) in zip(*(b.pieces(work.most) for b in thinned), strict=True):
             own_part = None if part is None else part[at]
             (near, rows), (near2, rows2) = (work.columns(piece, own_part) for piece in (moved, still))
             change = work.precision @ (near[-1] - near2[-1])
             products[: work.n, at] = np.einsum("cks,ks->cs", near[work.z : own] - near2[work.z : own], change)
-            for k, of in enumerate(work.slopes.of_channel):  # a column has one row a channel
+            for k, of in enumerate(work.of_channel):  # a column has one row a channel
                 products[work.n + column[of], at] += (rows[of] - rows2[of]) * change[k]
-        keys, first, counts = _stretches(up, seen, length)
-        low = np.minimum(-(-np.array(first) // every), products.shape[1] - 1)
-        high = np.minimum(-(-(np.array(first) + counts) // every), products.shape[1])
-        parts = np.add.reduceat(products, low, axis=1) * (np.array(counts) / np.maximum(high - low, 1))
+        cut, keys = stretches(up, seen, length)
+        edges = -(-np.array(cut.edges) // every)
+        low, high = (np.minimum(at, products.shape[1] - k) for at, k in ((edges[:-1], 1), (edges[1:], 0)))
+        parts = np.add.reduceat(products, low, axis=1) * (np.diff(cut.edges) / np.maximum(high - low, 1))
         for key, own_part in zip(keys, parts.T, strict=True):
-            sums[key] = sums.get(key, 0.0) + own_part
-    return sums
+            out[t.unit_of[key]] += own_part
+    return out
 
 
 def _thinned(batch: Batch, every: int) -> Batch:
     """Every so many samples of a batch."""
     data = {c: v[::every] for c, v in batch.data.items()}
     return Batch(batch.blocks, data, tuple(-(-edge // every) for edge in batch.edges))
-
-
-def _stretches(
-    batch: Batch, seen: dict[int, int], length: int | None
-) -> tuple[list[tuple[int, int]], list[int], list[int]]:
-    """Return (run, stretch), first sample and number of samples of each stretch of a batch.
-
-    `seen`: samples of each run before the batch; it is brought up to date.
-    """
-    whole = batch if length is None else batch.cut(length, seen.get(batch.blocks[0].run, 0))
-    keys, first, counts = list[tuple[int, int]](), list[int](), list[int]()
-    for block, part in whole.parts():
-        done = seen.get(block.run, 0)
-        keys.append((block.run, done // length if length else 0))
-        first.append(part.start)
-        counts.append(part.stop - part.start)
-        seen[block.run] = done + counts[-1]
-    return keys, first, counts

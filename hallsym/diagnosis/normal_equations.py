@@ -10,7 +10,7 @@ matrices any set of effects can be fitted, cross-validated and judged without re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -35,6 +35,12 @@ class Products(NamedTuple):
     border: np.ndarray
     inner: np.ndarray
 
+    @classmethod
+    def of_zeros(cls, count: int, work: "Columns") -> "Products":
+        """Return so many products of the columns of `work`, offsets not counted, all 0."""
+        shape = len(work.near) - work.z, work.size - work.z
+        return cls(np.zeros((count, *shape)), np.zeros((count, work.pairs.shape[1])))
+
     def of(self, span: slice, place: slice) -> np.ndarray:
         """Return the products (..., p, p) of own columns, those of one candidate, and the residual.
 
@@ -50,39 +56,8 @@ class Products(NamedTuple):
         return out
 
 
-def reading_and_slopes(
-    model: Model, free: Sequence[int]
-) -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
-    """Return `run(p, zeros, pose, state) -> reading, slopes (rows, samples)`, channel and column of each row.
-
-    Columns are the offsets, then the parameters `free`; slopes that are nil everywhere have no row.
-    """
-
-    def made() -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
-        s = model.symbols
-        reading = s.full(s.reading)
-        slope = ca.jacobian(reading, ca.vertcat(s.zeros, s.parameters[list(free)]))
-        channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
-        inputs = [s.parameters, s.zeros, s.pose, s.state]
-        rows = ca.vec(slope.nz[:]) if len(channel) else ca.SX(0, 1)
-        run = on_arrays(ca.Function("base", inputs, [ca.densify(reading), ca.densify(rows)]))
-        return run, channel, column
-
-    found: tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]
-    found = model.remember(("reading, slopes", *free), made)
-    return found
-
-
-class Slope(NamedTuple):
-    """d reading / d parameters where it is not nil: `rows`, each with its channel and column (parameter)."""
-
-    rows: ca.SX
-    channel: np.ndarray
-    column: np.ndarray
-
-
-def slopes_of(models: Sequence[tuple[Model, Sequence[str]]]) -> list[Slope]:
-    """Return d reading / d some parameters of each model, at their nominal values.
+def slopes_of(models: Sequence[tuple[Model, Sequence[str]]]) -> list[ca.SX]:
+    """Return d reading / d some parameters of each model, at their nominal values, without entries of 0.
 
     What models share of their expressions, their slopes share too.
     """
@@ -95,93 +70,52 @@ def slopes_of(models: Sequence[tuple[Model, Sequence[str]]]) -> list[Slope]:
         values = (*map(ca.SX, model.nominal[index].tolist()), *ca.vertsplit(s.derived_as))
         at |= {symbol.element_hash(): (symbol, value) for symbol, value in zip(symbols, values, strict=True)}
     known = [ca.vertcat(*each) for each in zip(*at.values(), strict=True)] or [ca.SX(0, 1)] * 2
-    out = []
-    for slope in map(ca.sparsify, ca.substitute(slopes, known[:1], known[1:])):
-        channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
-        out.append(Slope(ca.vec(slope.nz[:]), channel, column))
-    return out
+    return [ca.sparsify(slope) for slope in ca.substitute(slopes, known[:1], known[1:])]
 
 
-class Slopes:
-    """The rows of all candidates, channel by channel, from one graph: what they share is computed once.
+def entries(slope: ca.SX) -> np.ndarray:
+    """Return channel and column of each entry of a slope that is not nil, (2, entries)."""
+    return np.array(slope.sparsity().get_triplet(), dtype=int)
 
-    `span`: columns of each candidate, `columns` of them in all. `channel`, `column`: (rows,) of each row,
-    rows of one channel together at `of_channel`. `own`: of each candidate, see `OwnRows`. `spoiled`:
-    candidates that were not finite somewhere; their rows are 0 there.
+
+class Graph(NamedTuple):
+    """What computes columns: `run(p, zeros, pose, state)` returns the readings and two lots of slopes.
+
+    `state`: the columns that it reads. `near`: channel and column of the slopes by offsets and parameters,
+    (2, rows), `far`: of those by candidates, channel by channel.
     """
 
-    def __init__(
-        self, model: Model, p: np.ndarray, candidates: Mapping[str, tuple[Model, Sequence[str]]]
-    ) -> None:
-        self.model, self.p, self.keys = model, p, list(candidates)
-        ends = np.cumsum([0, *(len(new) for _, new in candidates.values())]).tolist()
-        self.span = {key: slice(*pair) for key, pair in zip(candidates, pairwise(ends), strict=True)}
-        self.columns = ends[-1]
-        self.spoiled: set[str] = set()
-        wide = [(wide, *new) for wide, new in candidates.values()]
-        self.run, self.state, self.channel, self.column = model.remember(
-            ("slopes", *wide), lambda: _rows_of(model, list(candidates.values()))
-        )
-        self.owner = np.searchsorted(ends, self.column, side="right") - 1
-        limits = np.searchsorted(self.channel, range(len(model.channels) + 1)).tolist()
-        self.of_channel = [slice(*pair) for pair in pairwise(limits)]
-        self.own = [self._own(c, start) for c, start in enumerate(ends[:-1])]
-
-    def _own(self, c: int, start: int) -> "OwnRows":
-        rows = np.flatnonzero(self.owner == c)
-        rows = rows[np.argsort(self.column[rows], kind="stable")]
-        first = np.flatnonzero(np.diff(self.column[rows], prepend=-1))
-        return OwnRows(rows, self.channel[rows], first, self.column[rows][first] - start)
-
-    def rows(self, batch: Batch, zeros: np.ndarray, weights: np.ndarray | None) -> np.ndarray:
-        """Return all rows (rows, samples), times the root of the weights."""
-        if not len(self.owner):
-            return np.zeros((0, len(batch)))
-        pose, state = batch.columns(self.model.references), batch.columns(self.state)
-        values: np.ndarray
-        (values,) = self.run(self.p, zeros, pose, state)
-        spoiled = np.unique(self.owner[~np.isfinite(values).all(axis=1)])
-        if len(spoiled):
-            self.spoiled |= {self.keys[k] for k in spoiled}
-            values[np.isin(self.owner, spoiled)] = 0.0
-        if weights is not None:
-            values *= np.sqrt(weights)
-        return values
+    run: Callable[..., list[np.ndarray]]
+    state: tuple[str, ...]
+    near: np.ndarray
+    far: np.ndarray
 
 
-def _rows_of(
-    model: Model, candidates: Sequence[tuple[Model, Sequence[str]]]
-) -> tuple[Callable[..., list[np.ndarray]], tuple[str, ...], np.ndarray, np.ndarray]:
-    """Return `run(p, zeros, pose, state)` of all rows, the columns `state`, channel and column of each."""
-    each = slopes_of(candidates)
-    starts = np.cumsum([0, *(len(new) for _, new in candidates)])
-    channel = np.concatenate([np.zeros(0, dtype=int), *(s.channel for s in each)])
-    column = np.concatenate(
-        [np.zeros(0, dtype=int), *(s.column + start for s, start in zip(each, starts[:-1], strict=True))]
-    )
-    order = np.lexsort((column, channel))
-    rows = ca.cse(ca.vertcat(*(s.rows for s in each))[order.tolist()]) if len(order) else ca.SX(0, 1)
+def _graph(model: Model, free: Sequence[int], candidates: Sequence[tuple[Model, Sequence[str]]]) -> Graph:
+    """Return what computes the readings of a model and all slopes: what they share is computed once."""
     s = model.symbols
+    reading = s.full(s.reading)
+    own = ca.jacobian(reading, ca.vertcat(s.zeros, s.parameters[list(free)]))
+    each, starts = slopes_of(candidates), np.cumsum([0, *(len(new) for _, new in candidates)])
+    places = (
+        entries(slope) + np.outer([0, 1], start) for slope, start in zip(each, starts[:-1], strict=True)
+    )
+    far = np.concatenate([np.zeros((2, 0), dtype=int), *places], axis=1)
+    order = np.lexsort(far[::-1])
+    rows = [ca.vec(slope.nz[:]) for slope in each if slope.nnz()]
     state = {
         symbol.element_hash(): (name, symbol)
-        for wide, _ in candidates
-        for name, symbol in zip(wide.state, ca.vertsplit(wide.symbols.state), strict=True)
+        for one in (model, *(wide for wide, _ in candidates))
+        for name, symbol in zip(one.state, ca.vertsplit(one.symbols.state), strict=True)
     }
     inputs = [s.parameters, s.zeros, s.pose, ca.vertcat(*(symbol for _, symbol in state.values()))]
-    run = on_arrays(ca.Function("slopes", inputs, [ca.densify(rows)]))
-    return run, tuple(name for name, _ in state.values()), channel[order], column[order]
-
-
-class OwnRows(NamedTuple):
-    """Which rows (r,) a candidate has, column by column, and the channel of each.
-
-    `first`: where each column that is not nil begins among them, `column`: its place in the candidate.
-    """
-
-    rows: np.ndarray
-    channel: np.ndarray
-    first: np.ndarray
-    column: np.ndarray
+    outputs = [
+        reading,
+        ca.vec(own.nz[:]) if own.nnz() else ca.SX(0, 1),
+        ca.cse(ca.vertcat(*rows)[order.tolist()]) if rows else ca.SX(0, 1),
+    ]
+    run = on_arrays(ca.Function("columns", inputs, [ca.densify(one) for one in outputs]))
+    return Graph(run, tuple(name for name, _ in state.values()), entries(own), far[:, order])
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,28 +123,25 @@ class NormalEquations:
     """Products of the columns [parameters | effects | residual], the offsets of each run eliminated.
 
     `whitened`, `decoded`: of each unit, weighted by the noise and mapped to the pose. `count`: (units,)
-    samples. `runs`: the runs of each unit. `span`: columns of each candidate, by its key; the base's
-    parameters are under "". `places`: of its products in `Products.inner`.
+    samples. `runs`: the runs of each unit, `unit_of`: that of each run and stretch of it. `span`: columns of
+    each candidate, by its key; the base's parameters are under "". `places`: of its products in
+    `Products.inner`. `follow`: (runs, offsets, c) how the offsets of a run of `order` follow the other
+    columns; none with candidates. `spoiled`: candidates whose slope is not finite somewhere; their columns
+    are 0. `offsets`: (units, offsets, c) products with the run's own offsets, in units in which these are
+    orthonormal, which over a whole run add up to 0; None where every unit is a whole run.
     """
 
     whitened: Products
     decoded: Products
     count: np.ndarray
     runs: tuple[tuple[int, ...], ...]
+    unit_of: dict[tuple[int, int], int]
     span: dict[str, slice]
     places: dict[str, slice]
     follow: np.ndarray
-    """(runs, offsets, c): how the offsets of a run follow the other columns; none with candidates."""
     order: tuple[int, ...]
-    """The runs of `follow`."""
-    slopes: Slopes
-    """What computes the columns of the candidates."""
-    spoiled: frozenset[str] = frozenset()
-    """Candidates whose slope is not finite somewhere; their columns are 0."""
-    offsets: np.ndarray | None = None
-    """(units, offsets, c): products with the run's own offsets, in units in which these are orthonormal.
-
-    Over a whole run they add up to 0. None where every unit is a whole run."""
+    spoiled: frozenset[str]
+    offsets: np.ndarray | None
 
     @property
     def likelihood(self) -> np.ndarray:
@@ -240,36 +171,6 @@ ENTRIES = 500_000
 """Derivatives of the readings, and products of them, that are held at once: 4 MB each."""
 
 
-class Units(NamedTuple):
-    """Stretches of runs: the `run` of each, samples, sum of their weights, and the products of their columns.
-
-    Shapes (units,); `Products` as a fit weighs them (`white`, `inner`) and in the output.
-    """
-
-    run: np.ndarray
-    samples: np.ndarray
-    weight: np.ndarray
-    white: np.ndarray
-    inner: np.ndarray
-    output: np.ndarray
-    output_inner: np.ndarray
-
-    @classmethod
-    def joined(cls, parts: Sequence["Units"]) -> "Units":
-        """Return units one after the other."""
-        return cls(*map(np.concatenate, zip(*parts, strict=True)))
-
-    def at(self, index: Any) -> "Units":
-        """Return some of them."""
-        return Units(*(values[index] for values in self))
-
-    def summed(self, first: np.ndarray, order: Any = slice(None)) -> "Units":
-        """Return stretches that begin at `first` of those taken in `order` as one unit each."""
-        if len(first) == len(self.run):
-            return self
-        return Units(self.run[order][first], *(np.add.reduceat(v[order], first) for v in self[1:]))
-
-
 def normal_equations(
     base: Base,
     candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None,
@@ -283,10 +184,123 @@ def normal_equations(
     where a run is to be several. `decoded`: with the products mapped to the pose; a step of a fit has no
     need of them, and without them they mean nothing.
     """
-    work = Accumulator(base, candidates, length, decoded=decoded)
-    for batch, weights in work.weighed():
-        work.add(batch, weights)
-    return work.result()
+    work, runs, groups = Columns(base, candidates), base.log.runs, pooled(base)
+    pool = {run: k for k, group in enumerate(groups) for run in group}
+    most = (base.log.rows // length + len(runs),) * 2 if length else (len(runs), len(groups))
+    made = [Products.of_zeros(most[1], work) for _ in range(2)]
+    count, offsets = np.zeros(most[1]), np.zeros((2, most[0], work.z, work.size))
+    parts: dict[tuple[int, int], int] = {}  # which (run, stretch) each row of `offsets` is of
+    seen: dict[int, int] = {}
+    for whole, weights in work.weighed():
+        batch, keys = stretches(whole, seen, length)
+        near, rows = work.columns(batch, weights)
+        D = work.to_pose(batch) if decoded else np.zeros((0, near.shape[1], len(batch)))
+        weight = np.diff(batch.edges) if weights is None else np.add.reduceat(weights, batch.edges[:-1])
+        for first, last in batch.groups(max(1, ENTRIES // (len(near) * work.size))):
+            lay = batch.layout(first, last)
+            both = stacked_products(work, lay(near), lay(rows), lay(D))
+            for k, key in enumerate(keys[first:last]):
+                part = parts.setdefault(key, len(parts))
+                unit = part if length else pool[key[0]]
+                count[unit] += weight[first + k]
+                for M, own, more in zip(made, offsets, both, strict=True):
+                    own[part] += more.border[k, : work.z]
+                    M.border[unit] += more.border[k, work.z :, work.z :]
+                    M.inner[unit] += more.inner[k]
+    run = np.array([number for number, _ in parts])
+    if length:
+        groups = [(number,) for number in run.tolist()]
+    whitened, output = (Products(*(x[: len(groups)] for x in M)) for M in made)
+    units = np.arange(len(run)) if length else np.array([pool[number] for number in run.tolist()])
+    follow, zeros = eliminated(work, (whitened, output), offsets[:, : len(run)], run, units)
+    return NormalEquations(
+        whitened,
+        output,
+        count[: len(groups)],
+        tuple(groups),
+        dict(zip(parts, units.tolist(), strict=True)),
+        work.span,
+        work.places,
+        # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
+        follow[:, :, :0].copy() if work.count else follow,
+        tuple(dict.fromkeys(run.tolist())),
+        frozenset(work.spoiled),
+        zeros,
+    )
+
+
+def pooled(base: Base) -> list[tuple[int, ...]]:
+    """Return the runs in groups: neighbours of the same side together, whenever there are too many."""
+    groups: list[tuple[int, ...]] = []
+    for run in base.log.runs:
+        groups.append((run,))
+        if len(groups) > 2 * UNITS:
+            sides = ([g for g in groups if (g[0] in base.holdout) is held] for held in (True, False))
+            groups = [tuple(chain(*side[k : k + 2])) for side in sides for k in range(0, len(side), 2)]
+    return groups
+
+
+def stretches(batch: Batch, seen: dict[int, int], length: int | None) -> tuple[Batch, list[tuple[int, int]]]:
+    """Return a batch in blocks that end at every `length` samples of a run, and (run, stretch) of each.
+
+    `seen`: samples of each run before the batch; it is brought up to date.
+    """
+    batch = batch.cut(length, seen.get(batch.blocks[0].run, 0)) if length else batch
+    keys = list[tuple[int, int]]()
+    for block, part in batch.parts():
+        done = seen.get(block.run, 0)
+        keys.append((block.run, done // length if length else 0))
+        seen[block.run] = done + part.stop - part.start
+    return batch, keys
+
+
+def eliminated(
+    work: "Columns",
+    made: tuple[Products, Products],
+    offsets: np.ndarray,
+    run: np.ndarray,
+    unit: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Let the offsets of whole runs follow the likelihood, in the output too.
+
+    `made`: products of all other columns, which are changed in place. `offsets`: (2, parts, offsets, columns)
+    products with the offsets; `run`, `unit`: (parts,) of each part of a run. Returns `follow` and `offsets`
+    of `NormalEquations`.
+    """
+    z, near, (i, j) = work.z, work.near[work.z :] - work.z, work.pairs
+    first = np.flatnonzero(np.append(True, run[1:] != run[:-1]))
+    sizes = np.diff([*first, len(run)])
+    of_run, own, inner = np.repeat(np.arange(len(first)), sizes), i == j, made[0].inner
+    group = first if len(inner) == len(run) else np.arange(len(inner))  # units of one run
+    whole = np.add.reduceat(inner[:, own], group)
+    across = np.add.reduceat(offsets[0], first) if len(first) < len(run) else offsets[0]
+    follow = -solve(across[:, :, :z], across[:, :, z:]) if z else across
+    for low in range(0, len(run) if z else 0, UNITS):
+        at = slice(low, low + UNITS)
+        by = follow[of_run[at]]
+        for M, part in zip(made, offsets[:, at], strict=True):
+            half = part[:, :, z:] + 0.5 * part[:, :, :z] @ by
+            more = half[..., near].swapaxes(1, 2) @ by + by[..., near].swapaxes(1, 2) @ half
+            of_pairs = (half[..., i] * by[..., j] + by[..., i] * half[..., j]).sum(axis=1)
+            for k, border, products in zip(unit[at], more, of_pairs, strict=True):
+                M.border[k] += border
+                M.inner[k] += products
+    # a run's offsets leave rounding of some columns, such as a step between runs
+    of, candidate = np.nonzero(np.add.reduceat(inner[:, own], group) <= NIL * whole)
+    nil = np.zeros((len(group), work.size - z), dtype=bool)
+    nil[of, i[own][candidate]] = True
+    nil = np.repeat(nil, np.diff([*group, len(inner)]), axis=0)
+    for M in made if nil.any() else ():
+        M.border[np.broadcast_to(nil[:, None], M.border.shape)] = 0.0
+        M.inner[nil[:, i] | nil[:, j]] = 0.0
+    if not z or len(first) == len(run):
+        return follow, None
+    zeros = offsets[0][:, :, z:] + offsets[0][:, :, :z] @ follow[of_run]
+    zeros[np.broadcast_to(nil[:, None], zeros.shape)] = 0.0
+    root = np.zeros((len(first), z, z))
+    cut = sizes > 1
+    root[cut] = np.linalg.cholesky(pseudo_inverse(across[cut, :, :z])).swapaxes(1, 2)
+    return follow, root[of_run] @ zeros
 
 
 def coefficients(M: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -313,46 +327,48 @@ def within_bounds(M: np.ndarray, lower: np.ndarray, upper: np.ndarray, columns: 
     return out
 
 
-class Accumulator:
-    """Accumulates the products of each run."""
+class Columns:
+    """The columns [offsets | parameters | candidates | residual] of a log, batch by batch.
+
+    `z`, `n`: offsets and parameters. `near`: where offsets, parameters and residual lie among all `size`
+    columns. `span`, `places`: as in `NormalEquations`. `pairs`: the columns, offsets not counted, of each
+    product within a candidate. `channel`, `column`: (rows,) of each row of the `count` columns of candidates,
+    rows of one channel together at `of_channel`. `own`: the rows (r,) of each candidate, column by column,
+    which begin at `ends`. `most`: samples whose columns are held at
+    once. `spoiled`: candidates that were not finite somewhere; their rows are 0 there.
+    """
 
     def __init__(
-        self,
-        base: Base,
-        candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None,
-        length: int | None = None,
-        *,
-        decoded: bool = True,
-        slopes: Slopes | None = None,
+        self, base: Base, candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None
     ) -> None:
-        self.base, self.length, self.decoded = base, length, decoded
-        model = base.model
-        self.read = reading_and_slopes(model, base.free)
+        self.base, model, tried = base, base.model, candidates or {}
+        key = ("columns", base.free, *((wide, *new) for wide, new in tried.values()))
+        self.graph = model.remember(key, lambda: _graph(model, base.free, list(tried.values())))
+        self.models = (base.model, *(wide for wide, _ in tried.values()))
         self.z, self.n = len(base.model.zeros), len(base.free)
-        self.slopes = slopes or Slopes(base.model, base.p, candidates or {})
-        self.models = (base.model, *(model for model, _ in (candidates or {}).values()))
-        own = self.z + self.n
-        self.size = own + self.slopes.columns + 1
+        widths = [len(new) for _, new in tried.values()]
+        self.ends = ends = np.cumsum([0, *widths])
+        self.count, own = int(ends[-1]), self.z + self.n
+        self.size = own + self.count + 1
         self.span = {"": slice(0, self.n)}
-        self.span |= {k: slice(self.n + s.start, self.n + s.stop) for k, s in self.slopes.span.items()}
+        self.span |= {key: slice(*pair) for key, pair in zip(tried, pairwise(self.n + ends), strict=True)}
         self.near = np.array([*range(own), self.size - 1])
-        widths = {k: s.stop - s.start for k, s in self.slopes.span.items()}
-        ends = np.cumsum([0, *(k * k for k in widths.values())]).tolist()
-        self.places = {key: slice(*ends[j : j + 2]) for j, key in enumerate(widths)}
-        pairs = [np.indices((k, k)).reshape(2, -1) + self.span[c].start for c, k in widths.items()]
+        squares = np.cumsum([0, *(k * k for k in widths)]).tolist()
+        self.places = {key: slice(*pair) for key, pair in zip(tried, pairwise(squares), strict=True)}
+        pairs = [
+            np.indices((k, k)).reshape(2, -1) + self.span[c].start for c, k in zip(tried, widths, strict=True)
+        ]
         self.pairs = np.concatenate([np.zeros((2, 0), dtype=int), *pairs], axis=1)
-        rows = max(len(self.near) * len(model.channels), len(self.slopes.column))
-        self.most = max(FEWEST, ENTRIES // rows)
+        self.channel, self.column = self.graph.far
+        self.owner = np.searchsorted(ends, self.column, side="right") - 1
+        limits = np.searchsorted(self.channel, range(len(model.channels) + 1)).tolist()
+        self.of_channel = [slice(*pair) for pair in pairwise(limits)]
+        by_column = np.argsort(self.column, kind="stable")
+        self.own = [by_column[self.owner[by_column] == k] for k in range(len(tried))]
+        self.spoiled: set[str] = set()
+        self.most = max(FEWEST, ENTRIES // max(len(self.near) * len(model.channels), len(self.column)))
         self.precision = np.linalg.inv(base.covariance)
         self.whiten = np.linalg.cholesky(self.precision).T
-        self.run: int | None = None
-        self.seen = 0
-        self.open: Units | None = None
-        self.done: list[Units] = []
-        self.members: list[tuple[int, ...]] = []
-        self.offsets: list[np.ndarray] = []
-        self.order: list[int] = []
-        self.follow: list[np.ndarray] = []
 
     def batches(self, log: Log) -> Iterator[Batch]:
         """Yield a log in batches with all columns that the models read."""
@@ -362,10 +378,6 @@ class Accumulator:
         columns = tuple(dict.fromkeys(c for m in self.models for c in columns_of(m)))
         return batches(extended(log, wide, base.sigma, base.values), columns)
 
-    def columns(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Return the columns of offsets, parameters and residual, and the rows of the candidates."""
-        return self._near(batch, weights), self.slopes.rows(batch, self.base.zeros_of(batch), weights)
-
     def weighed(self) -> Iterator[tuple[Batch, np.ndarray | None]]:
         """Yield the log in batches of at most `most` samples, with the weights of their samples."""
         for batch in self.batches(self.base.log):
@@ -373,160 +385,40 @@ class Accumulator:
             for piece, at in batch.pieces(self.most):
                 yield piece, None if weights is None else weights[at]
 
-    def add(self, batch: Batch, weights: np.ndarray | None) -> None:
-        """Add a batch to the runs that it belongs to."""
-        run = np.array([block.run for block in batch.blocks])
-        if self.length:
-            batch = batch.cut(self.length, self.seen if run[0] == self.run else 0)
-            run = np.array([block.run for block in batch.blocks])
-        samples = np.diff(batch.edges)
-        count = samples if weights is None else np.add.reduceat(weights, batch.edges[:-1])
-        (near, rows), D = self.columns(batch, weights), self._to_pose(batch)
-        for first, last in batch.groups(max(1, ENTRIES // (len(near) * self.size))):
-            lay, at = batch.layout(first, last), slice(first, last)
-            white, out = stacked_products(self, lay(near), lay(rows), lay(D))
-            self._gather(Units(run[at], samples[at], count[at].astype(float), *white, *out))
-
-    def _to_pose(self, batch: Batch) -> np.ndarray:
-        """What turns readings into the decoded pose, rotation as length: (pose, K, samples), or no row."""
-        base, model = self.base, self.base.model
-        if not self.decoded:
-            return np.zeros((0, len(model.channels), len(batch)))
-        spread = base.to_pose(batch.columns(model.references), batch.columns(model.state))
-        return spread * base.pose_weights[:, None, None]
-
-    def _near(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
-        """Columns of offsets, parameters and residual, (own + 1, K, samples)."""
-        base, model = self.base, self.base.model
-        pose, state = batch.columns(model.references), batch.columns(model.state)
-        run, channel, column = self.read
-        reading, slopes = run(base.p, base.zeros_of(batch), pose, state)
+    def columns(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the columns of offsets, parameters and residual, (own + 1, K, samples), and the rows of the
+        candidates, (rows, samples), times the root of the weights."""
+        base, model, graph = self.base, self.base.model, self.graph
+        pose, state = batch.columns(model.references), batch.columns(graph.state)
+        reading, slopes, rows = graph.run(base.p, base.zeros_of(batch), pose, state)
         A = np.zeros((self.z + self.n + 1, len(model.channels), len(batch)))
-        A[column, channel] = slopes
+        A[graph.near[1], graph.near[0]] = slopes
         A[-1] = np.array(batch.columns(model.channels)) - reading
+        spoiled = np.unique(self.owner[~np.isfinite(rows).all(axis=1)])
+        if len(spoiled):
+            self.spoiled |= {list(self.places)[k] for k in spoiled}
+            rows[np.isin(self.owner, spoiled)] = 0.0
         if weights is not None:
             A *= np.sqrt(weights)
-        return A
+            rows *= np.sqrt(weights)
+        return A, rows
 
-    def _gather(self, more: Units) -> None:
-        """Add stretches to the units that they belong to, and close the runs that are complete."""
-        u = more if self.open is None else Units.joined([self.open, more])
-        first = np.flatnonzero(np.append(True, u.run[1:] != u.run[:-1]))
-        begins = np.zeros(len(u.run), dtype=bool)
-        begins[first] = True
-        if self.length:
-            before = np.cumsum(u.samples) - u.samples
-            before -= np.repeat(before[first], np.diff([*first, len(u.run)]))
-            begins |= before % self.length == 0
-        u = u.summed(np.flatnonzero(begins))
-        last = int(np.argmax(u.run == u.run[-1]))
-        self.run, self.open = int(u.run[-1]), u.at(slice(last, None))
-        self.seen = int(self.open.samples.sum())
-        if last:
-            self._close(u.at(slice(last)))
-
-    def _close(self, u: Units) -> None:
-        """Eliminate the offsets of whole runs: they follow the likelihood, in the output too."""
-        z, first = self.z, np.flatnonzero(np.append(True, u.run[1:] != u.run[:-1]))
-        parts = np.diff([*first, len(u.run)])
-        across = np.add.reduceat(u.white[:, :z], first)
-        follow = -solve(across[:, :, :z], across[:, :, z:]) if z else across
-        self.order += u.run[first].tolist()
-        # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
-        self.follow.append(follow[:, :, :0].copy() if self.slopes.columns else follow)
-        by_unit = np.repeat(follow, parts, axis=0)
-        white, inner = self._eliminated(u.white, u.inner, by_unit)
-        output, output_inner = self._eliminated(u.output, u.output_inner, by_unit)
-        i, j = self.pairs
-        own = i == j
-        # a run's zeros leave rounding of some columns, such as a step between runs
-        left, whole = (np.add.reduceat(x[:, own], first) for x in (inner, u.inner))
-        run, candidate = np.nonzero(left <= NIL * whole)
-        nil = np.zeros((len(first), self.size - z), dtype=bool)
-        nil[run, i[own][candidate]] = True
-        nil = np.repeat(nil, parts, axis=0)
-        if len(run):
-            for border, products in ((white, inner), (output, output_inner)):
-                border[np.broadcast_to(nil[:, None], border.shape)] = 0.0
-                products[nil[:, i] | nil[:, j]] = 0.0
-        if self.length:
-            self.offsets.append(self._offsets(u.white[:, :z], across, by_unit, nil, parts))
-        self.done.append(Units(u.run, u.samples, u.weight, white, inner, output, output_inner))
-        self.members += [(run,) for run in u.run.tolist()]
-        if len(self.members) > 2 * UNITS and not self.length:
-            self._pool()
-
-    def _offsets(
-        self, border: np.ndarray, across: np.ndarray, follow: np.ndarray, nil: np.ndarray, parts: np.ndarray
-    ) -> np.ndarray:
-        """Return `NormalEquations.offsets` of the units of some runs; nil of those that are whole runs."""
-        z = self.z
-        out = border[:, :, z:] + border[:, :, :z] @ follow
-        out[np.broadcast_to(nil[:, None], out.shape)] = 0.0
-        root = np.zeros((len(parts), z, z))
-        if z and (cut := parts > 1).any():
-            root[cut] = np.linalg.cholesky(pseudo_inverse(across[cut, :, :z])).swapaxes(1, 2)
-        return np.repeat(root, parts, axis=0) @ out
-
-    def _eliminated(
-        self, border: np.ndarray, inner: np.ndarray, follow: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return products once the offsets follow the other columns as `follow` (units, offsets, c) says."""
-        z, rows = self.z, self.near[self.z :] - self.z
-        half = border[:, :z, z:] + 0.5 * border[:, :z, :z] @ follow
-        left = border[:, z:, z:] + half[..., rows].swapaxes(1, 2) @ follow
-        left += follow[..., rows].swapaxes(1, 2) @ half
-        i, j = self.pairs
-        return left, inner + (half[..., i] * follow[..., j] + follow[..., i] * half[..., j]).sum(axis=1)
-
-    def _pool(self) -> None:
-        """Pool neighbouring units of the same side, whenever there are too many."""
-        new, u = len(self.done[-1].run), Units.joined(self.done)
-        self.done.clear()
-        known = len(u.run) - new
-        groups: list[tuple[int, ...]] = [(k,) for k in range(known)]
-        for k in range(known, len(u.run)):
-            groups.append((k,))
-            if len(groups) > 2 * UNITS:
-                judging = [self.members[group[0]][0] in self.base.holdout for group in groups]
-                sides = (
-                    [g for g, held in zip(groups, judging, strict=True) if held is of] for of in (True, False)
-                )
-                groups = [tuple(chain(*side[k : k + 2])) for side in sides for k in range(0, len(side), 2)]
-        first = np.cumsum([0, *map(len, groups[:-1])])
-        self.done.append(u.summed(first, np.array([*chain(*groups)])))
-        self.members = [tuple(chain(*(self.members[k] for k in group))) for group in groups]
-
-    def result(self) -> NormalEquations:
-        """Return what has been gathered."""
-        if self.open is not None:
-            self._close(self.open)
-        u = Units.joined(self.done)
-        parts = self.z > 0 and len(self.order) < len(u.run) and bool(self.length)
-        return NormalEquations(
-            Products(u.white, u.inner),
-            Products(u.output, u.output_inner),
-            u.weight,
-            tuple(self.members),
-            self.span,
-            self.places,
-            np.concatenate(self.follow),
-            tuple(self.order),
-            self.slopes,
-            frozenset(self.slopes.spoiled),
-            np.concatenate(self.offsets) if parts else None,
-        )
+    def to_pose(self, batch: Batch) -> np.ndarray:
+        """Return what turns readings into the decoded pose, rotation as length: (pose, K, samples)."""
+        base, model = self.base, self.base.model
+        spread = base.to_pose(batch.columns(model.references), batch.columns(model.state))
+        return spread * base.pose_weights[:, None, None]
 
 
 # -- products of a batch -------------------------------------------------------------------------------------
 
 
 def stacked_products(
-    work: Accumulator, near: np.ndarray, rows: np.ndarray, D: np.ndarray
+    work: Columns, near: np.ndarray, rows: np.ndarray, D: np.ndarray
 ) -> tuple[Products, Products]:
     """Return products under the precision of `work`, and mapped to the pose by D; where D is empty no others.
 
-    `work`: the `Accumulator`. `near`: (own, K, blocks, samples) of offsets, parameters and residual, `rows`:
+    `work`: the `Columns`. `near`: (own, K, blocks, samples) of offsets, parameters and residual, `rows`:
     (rows, blocks, samples) of the candidates, `D`: (n_pose, K, blocks, samples).
     """
     first, blocks, precision = work.z + work.n, near.shape[2], work.precision
@@ -540,13 +432,13 @@ def stacked_products(
     metric = np.tensordot(precision, near, axes=(1, 1)).swapaxes(0, 1)
     mapped = np.einsum("ikbs,oibs->okbs", D, decoded)
     for M, columns in zip(out, (metric, mapped), strict=True):
-        for k, at in enumerate(work.slopes.of_channel):
+        for k, at in enumerate(work.of_channel):
             across = columns[:, k].transpose(1, 0, 2) @ rows[at].transpose(1, 2, 0)
-            M.border[:, :, first + work.slopes.column[at]] += across
-    for (key, span), own in zip(work.slopes.span.items(), work.slopes.own, strict=True):
-        if len(own.rows):
-            square = (blocks, *(span.stop - span.start,) * 2)
-            _add_own(work, rows, own, D, *(M.inner[:, work.places[key]].reshape(square) for M in out))
+            M.border[:, :, first + work.column[at]] += across
+    for place, width, own in zip(work.places.values(), np.diff(work.ends), work.own, strict=True):
+        if len(own):
+            square = (blocks, width, width)
+            _add_own(work, rows, own, D, *(M.inner[:, place].reshape(square) for M in out))
     return out
 
 
@@ -565,26 +457,27 @@ def _gram(columns: np.ndarray) -> np.ndarray:
 
 
 def _add_own(
-    work: Accumulator, rows: np.ndarray, own: OwnRows, D: np.ndarray, white: np.ndarray, out: np.ndarray
+    work: Columns, rows: np.ndarray, at: np.ndarray, D: np.ndarray, white: np.ndarray, out: np.ndarray
 ) -> None:
-    """Add the products of the rows of a candidate with each other, (blocks, k, k) twice."""
-    stack, count, K = rows[own.rows].swapaxes(0, 1), len(own.column), len(work.whiten)
-    at = own.column[:, None], own.column
+    """Add the products of the rows `at` of a candidate with each other, (blocks, k, k) twice."""
+    stack, channel, K = rows[at].swapaxes(0, 1), work.channel[at], len(work.whiten)
+    first = np.flatnonzero(np.diff(work.column[at], prepend=-1))
+    place = work.column[at][first] - work.ends[work.owner[at[0]]]
+    block, k = np.ix_(place, place), len(first)
 
     def by_column(values: np.ndarray, axis: int = 1) -> np.ndarray:
         """Sum rows of one column."""
-        return values if count == len(own.rows) else np.add.reduceat(values, own.first, axis=axis)
+        return values if k == len(at) else np.add.reduceat(values, first, axis=axis)
 
-    if len(own.rows) ** 2 <= count * K * (count + K):
-        gram = (stack @ stack.swapaxes(1, 2)) * work.precision[own.channel[:, None], own.channel]
-        white[:, *at] += by_column(by_column(gram), axis=2)
+    if len(at) ** 2 <= k * K * (k + K):
+        gram = (stack @ stack.swapaxes(1, 2)) * work.precision[channel[:, None], channel]
+        white[:, *block] += by_column(by_column(gram), axis=2)
     else:  # most columns have a row in most channels
-        place = np.repeat(np.arange(count), np.diff([*own.first, len(own.rows)]))
-        most = max(1, ENTRIES // (count * K * rows.shape[1]))
-        for part in (rows[own.rows, :, k : k + most] for k in range(0, rows.shape[2], most)):
-            columns = np.zeros((count, K, *part.shape[1:]))
-            columns[place, own.channel] = part
-            white[:, *at] += _gram(np.tensordot(work.whiten, columns, axes=(1, 1)).swapaxes(0, 1))
-    for spread in D[:, own.channel].swapaxes(1, 2):
+        most = max(1, ENTRIES // (k * K * rows.shape[1]))
+        for part in (rows[at, :, low : low + most] for low in range(0, rows.shape[2], most)):
+            columns = np.zeros((k, K, *part.shape[1:]))
+            columns[np.repeat(np.arange(k), np.diff([*first, len(at)])), channel] = part
+            white[:, *block] += _gram(np.tensordot(work.whiten, columns, axes=(1, 1)).swapaxes(0, 1))
+    for spread in D[:, channel].swapaxes(1, 2):
         moved = by_column(spread * stack)
-        out[:, *at] += moved @ moved.swapaxes(1, 2)
+        out[:, *block] += moved @ moved.swapaxes(1, 2)

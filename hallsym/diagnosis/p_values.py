@@ -14,8 +14,7 @@ stretch to the next moves score and scatter of a run alike, so the statistic has
 stretches that are independent (the subcluster wild bootstrap of MacKinnon and Webb 2018).
 """
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -94,17 +93,6 @@ def memory(colour: np.ndarray, policy: Policy) -> float:
     return float(ended[0]) if len(ended) else np.inf
 
 
-def _of_units(t: NormalEquations, noise: Mapping[tuple[int, int], np.ndarray]) -> np.ndarray:
-    """Return what is known by run and stretch for each unit, (units, columns)."""
-    out = np.zeros((len(t.runs), max(span.stop for span in t.span.values())))
-    parts = Counter[int]()
-    for unit, runs in enumerate(t.runs):
-        for run in runs:
-            out[unit] += noise.get((run, parts[run]), 0.0)
-            parts[run] += 1
-    return out
-
-
 @lru_cache(maxsize=4)
 def drawn(units: int) -> np.ndarray:
     """Return signs (1 + FLIPS, units), the observed ones first, all 1; the same for all tests of a log."""
@@ -121,7 +109,7 @@ class SignFlips:
         self,
         t: NormalEquations,
         runs: Sequence[int],
-        noise: Mapping[tuple[int, int], np.ndarray],
+        noise: np.ndarray,
         policy: Policy,
         *,
         memories: float = 0.0,
@@ -129,7 +117,7 @@ class SignFlips:
     ) -> None:
         """Take the products of some runs, the model's own parameters as fitted to them.
 
-        `noise`: what the candidates' columns have in common with the residual by the references' noise.
+        `noise`: (units, columns) what columns have in common with the residual by the references' noise.
         `memories`: of the residual that a unit lasts. `joined`: whether noise goes on from run to
         run, which have no offsets to take it.
         """
@@ -137,7 +125,7 @@ class SignFlips:
         self.t, self.own = t, t.span[""].stop
         n, M = self.own, t.likelihood[self.units]
         total = M.sum(axis=0)
-        self.shared = _of_units(t, noise)[self.units]
+        self.shared = noise[self.units]
         self.JJ = pseudo_inverse(total[:n, :n])
         self.known = M[:, :n, :n]
         self.b = self.JJ @ (total[:n, -1] - self.shared[:, :n].sum(axis=0))

@@ -350,7 +350,7 @@ def findings(setup: Setup, found: Validation) -> tuple[FoundEffect, ...]:
     fit, known = found.fit, np.maximum(np.diag(found.fit.covariance()), 0.0)
     spread = np.sqrt(known * fit.variance(1.0) * found.inflation)  # of the slow averages of what is left
     out = [_effect(found, e, spread) for e in found.effects]
-    scale, before = found.fault_scale, found.before.metric
+    scale, before = found.metric / found.after.metric, found.before.metric
     share = _share(found, (1 - scale**2) * found.after.metric**2)
     out += [_repaired(setup, fault, 1 - scale, share) for fault in found.faults]
     if setup.miswired:

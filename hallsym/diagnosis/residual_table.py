@@ -23,8 +23,6 @@ from hallsym.model.arrays import on_arrays
 
 ROOM = 60_000
 """Samples that are held."""
-TOGETHER = 256
-"""Arrays of a column that are held before they become one: those of short runs are as large as their data."""
 PARTS = 4
 """Stretches of a run at least, so that a gain of its own can be told from noise."""
 
@@ -105,10 +103,7 @@ def table_of(base: Base, runs: frozenset[int]) -> ResidualTable | None:
         data |= {"run": np.full(len(at), piece.run), "place": seen[piece.run] + at}
         seen[piece.run] += len(piece.t)
         for name, values in data.items():
-            own = out.setdefault(name, [])
-            own.append(values)
-            if len(own) > TOGETHER:
-                own[:] = [np.concatenate(own, axis=-1)]
+            out.setdefault(name, []).append(values)
     if not out or sum(len(v) for v in out["run"]) == 0:
         return None
     joined = {c: np.concatenate(out.pop(c), axis=-1) for c in list(out)}  # one column at a time is held twice

@@ -129,11 +129,6 @@ class Piece:
     data: dict[str, np.ndarray]
 
 
-Residual = tuple[np.ndarray, np.ndarray]
-"""Whitened residual of a batch and the rate of the expected reading, (K, samples) each."""
-_KNOWN: WeakKeyDictionary[Base, list[Residual]] = WeakKeyDictionary()
-
-
 def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
     """Yield the whitened residual of some runs beside what it may depend on.
 
@@ -145,13 +140,10 @@ def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
     log = extended(base.log, model.with_columns(*extra), base.sigma, base.values)
     wanted = (*columns_of(model), *(c.name for c in extra), "t_s", "temperature_degc")
     columns = tuple(dict.fromkeys(c for c in wanted if c in log.columns))
-    known, fresh, held = _KNOWN.get(base, []), [], is_held(base.log)
-    evaluate = _residual_of(base)
+    known, evaluate = _kept(base, base.log.runs) if is_held(base.log) else [], _residual_of(base)
     for k, batch in enumerate(batches(log, columns)):
         weights = batch.weights(base.keep)
         residual, speed = known[k] if known else evaluate(batch)
-        if held and not known:
-            fresh.append((residual, speed))
         readings = np.array(batch.columns(model.channels))
         for block, at in batch.parts():
             if block.run in runs:
@@ -160,18 +152,21 @@ def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
                     block.run, block.data["t_s"], residual[:, at], speed[:, at], readings[:, at], used,
                     dict(block.data),
                 )  # fmt: skip
-    if fresh:
-        _KNOWN[base] = fresh
 
 
-def _residual_of(base: Base) -> Callable[[Batch], Residual]:
-    """Return what computes the whitened residual of a batch, and the rate of the expected reading."""
-    model = base.model
+@found_once
+def _kept(base: Base, _: frozenset[int]) -> list[tuple[np.ndarray, np.ndarray]]:
+    model = base.model.with_columns(*map(rate, base.model.references))
+    return list(map(_residual_of(base), base.batches(model)))
+
+
+def _residual_of(base: Base) -> Callable[[Batch], tuple[np.ndarray, np.ndarray]]:
+    """Return what computes the whitened residual of a batch and the rate of the expected reading, (K, n)."""
+    model, whiten = base.model, base.whiten
     run = model.remember("reading and its rate", lambda: _reading_and_rate(model))
     rates = [rate(c).name for c in model.references]
-    whiten = base.whiten
 
-    def evaluate(batch: Batch) -> Residual:
+    def evaluate(batch: Batch) -> tuple[np.ndarray, np.ndarray]:
         pose, state = batch.columns(model.references), batch.columns(model.state)
         expected, moved = run(base.p, base.zeros_of(batch), pose, state, batch.columns(rates))
         return whiten @ (np.array(batch.columns(model.channels)) - expected), whiten @ moved

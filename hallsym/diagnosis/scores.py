@@ -1,7 +1,7 @@
 """Screening: score tests of the whole catalogue, from one pass over the log."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -89,30 +89,15 @@ def _variants(model: Model, effect: Effect, facts: Facts) -> Iterator[Candidate]
         what = "time" if missing[0] == "t_s" else missing[0].rsplit("_", 1)[0]
         raise InputError(f"no {what} logged")
     for variant in effect.variants(model, facts):
-        wide, new = _extended(model, effect, variant)
-        lacking = _lacking(wide, facts)
-        if lacking:
-            raise InputError(f"no {lacking} logged")
+        wide = variant.make(model)
+        new = [p.name for p in wide.parameters if p.name not in model.names]
+        if not new:
+            raise InputError(f"Effect {effect.name} adds no parameter, so there is nothing to test.")
+        known = {c.name for c in wide.computed}.union(facts.columns)
+        for column in (*columns_of(wide), *(c for made in wide.computed for c in made.needs)):
+            if column not in known:
+                raise InputError(f"no {column} logged")
         yield Candidate(effect, variant, wide, new)
-
-
-def _lacking(model: Model, facts: Facts) -> str | None:
-    """Return a column that the model reads and the log does not have."""
-    made = {c.name for c in model.computed}
-    needed = [*columns_of(model), *(c for m in model.computed for c in m.needs)]
-    return next((c for c in needed if c not in made and c not in facts.columns), None)
-
-
-def _extended(model: Model, effect: Effect, variant: Variant) -> tuple[Model, list[str]]:
-    wide = variant.make(model)
-    if not isinstance(wide, Model):
-        raise InputError(
-            f"Effect {effect.name} must return a Model; instead it returned {type(wide).__name__}."
-        )
-    new = [p.name for p in wide.parameters if p.name not in model.names]
-    if not new:
-        raise InputError(f"Effect {effect.name} adds no parameter, so there is nothing to test.")
-    return wide, new
 
 
 class Screen:
@@ -121,8 +106,9 @@ class Screen:
     One pass for all candidates, or for as many as have `PRODUCTS` together. `scores`: best first, by BIC,
     with p-values once they are weighed. `length`: samples of the stretches that are the units of p-values,
     None where runs are; `lasting`: of a unit. `significance`: that any of them is there at all. `tables`: the
-    products of each pass. `top`: the largest statistic of all with each draw of signs, that of the log first.
-    `refits`: models that were fitted to weigh the scores.
+    products of each pass, until they are weighed. `top`: the largest statistic of all with each draw of
+    signs, that of the log first. `refits`: models that were fitted to weigh them. `spoiled`: candidates whose
+    readings are not finite.
     """
 
     def __init__(
@@ -146,32 +132,19 @@ class Screen:
         parts = (
             ({k: (c.model, c.new) for k, c in part.items()}, part) for part in _parts(tried, len(base.free))
         )
-        channels = len(base.model.channels)
         self.tables: list[Table] = []
         for new, part in parts:
             if not self.tables or not over():
-                self.tables.append(Table(normal_equations(base, new, self.length), part, channels))
+                self.tables.append(Table(normal_equations(base, new, self.length), part, self.runs))
         places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in tried.values()))}
-        self.scores = sorted(
-            (
-                Score(
-                    effect=c.effect,
-                    variant=c.variant,
-                    model=c.model,
-                    gain=scored.gain,
-                    size=scored.size,
-                    bic=scored.bic,
-                    ratio=table.ratio(key, self.runs),
-                    p_value=1.0,
-                    absorbed=scored.absorbed,
-                    place=places[c.effect.name],
-                )
-                for table in self.tables
-                for key, scored in table.scored(self.runs)
-                for c in [table.tried[key]]
-            ),
-            key=lambda s: s.bic,
+        scores = (
+            replace(table.score(key), place=places[c.effect.name])
+            for table in self.tables
+            for key, c in table.tried.items()
+            if key not in table.t.spoiled
         )
+        self.scores = sorted(scores, key=lambda s: s.bic)
+        self.spoiled = frozenset(key for table in self.tables for key in table.t.spoiled)
 
     def weigh(
         self,
@@ -218,6 +191,7 @@ class Screen:
         unit = "run" if self.length is None else "stretch"
         least = min((s.p_value for s in out), default=1.0)
         self.significance = Significance(least, least_p(units), units, unit)
+        self.tables = []
 
     def _ratio(self, score: Score, peak: float) -> float:
         """Return the gap metric with a candidate over that without, on the same runs less its optimism.
@@ -228,7 +202,7 @@ class Screen:
             return np.inf
         table = next(t for t in self.tables if score.key in t.tried)
         real = max(0.0, 1 - 2 * score.size * peak / max(score.gain, NIL))
-        squares = 1 - table.in_sample(score.key, self.runs) ** 2
+        squares = 1 - table.fitted.ratio(score.key) ** 2
         return float(np.sqrt(max(1 - squares * real * score.kept, 0.0)))
 
     def _flips(
@@ -237,21 +211,15 @@ class Screen:
         """Yield what flips the signs of each candidate, for noise of the references of these variances."""
         new = {key: (c.model, c.new) for key, c in table.tried.items()}
         base = self.base
-        noise = shared_noise(base, new, self.length, colour, table.t.slopes)
+        noise = shared_noise(base, new, table.t, self.length, colour)
         if remembers is None:
             remembers = 0.0 if base.sliced else memory(colour, base.policy)
         memories = self.lasting / max(remembers, NIL)
-        scaled = ({key: size * v for key, v in noise.items()} for size in sizes)
         flips = [
-            SignFlips(table.t, self.runs, own, base.policy, memories=memories, joined=base.joined)
-            for own in scaled
+            SignFlips(table.t, self.runs, size * noise, base.policy, memories=memories, joined=base.joined)
+            for size in sizes
         ]
         return ((key, flips) for key in new)
-
-    @property
-    def spoiled(self) -> frozenset[str]:
-        """Candidates whose readings are not finite."""
-        return frozenset(key for table in self.tables for key in table.t.spoiled)
 
 
 def _by_noise(score: Score, peak: float, tried: float) -> float:
@@ -279,18 +247,17 @@ def _parts(tried: dict[str, Candidate], own: int) -> Iterator[dict[str, Candidat
     yield part
 
 
-class Training:
-    """Regressions on stacks of units that train, (F, units) of 0 and 1, of the products in a table."""
+class Regressions:
+    """Fits of candidates to stacks of units, (F, units) of 0 and 1, that are judged on other units."""
 
-    def __init__(self, table: "Table", units: np.ndarray) -> None:
-        self.table, self.units, n = table, units.astype(float), table.own
-        own = table.t.likelihood[:, :n, :n]
-        self.inverse = pseudo_inverse(np.tensordot(self.units, own, 1))
+    def __init__(self, table: "Table", training: np.ndarray, judging: np.ndarray) -> None:
+        self.table, self.training, self.judging, n = table, training * 1.0, judging * 1.0, table.own
+        self.inverse = pseudo_inverse(np.tensordot(self.training, table.t.likelihood[:, :n, :n], 1))
 
     def solved(self, key: str | None) -> "Solved":
         """Fit a candidate (None: nothing) and the model's own parameters to each stack of units."""
         table, n = self.table, self.table.own
-        M = np.tensordot(self.units, table.t.of(key), 1)
+        M = np.tensordot(self.training, table.t.of(key), 1)
         through = self.inverse @ M[:, :n, n:]
         left = M[:, n:, n:] - M[:, n:, :n] @ through
         raw, squares = (np.diagonal(x, axis1=1, axis2=2)[:, :-1] for x in (M[:, n:, n:], left))
@@ -298,7 +265,8 @@ class Training:
         inside = left[:, :-1, :-1] * (seen[:, :, None] & seen[:, None, :])
         theta = (pseudo_inverse(inside) @ (left[:, :-1, -1] * seen)[:, :, None])[:, :, 0]
         if key:
-            lower, upper = table.limits(key)
+            c = table.tried[key]
+            lower, upper = (b[[c.model.names.index(name) for name in c.new]] for b in c.model.bounds)
             for f in np.flatnonzero(((theta < lower) | (theta > upper)).any(axis=1)):
                 theta[f] = within_bounds(left[f], lower, upper, np.flatnonzero(seen[f]))
         v = np.ones((len(M), theta.shape[1] + 1))
@@ -306,6 +274,15 @@ class Training:
         by_own = -(through @ v[:, :, None])[:, :, 0]
         squares_left = np.einsum("fi,fij,fj->f", v, left, v)
         return Solved(np.hstack([by_own, v]), left[:, -1, -1], squares_left, ~seen.any(axis=1))
+
+    def ratio(self, key: str) -> float:
+        """Return the gap metric with a candidate over that without, on the units that judge."""
+        M = np.tensordot(self.judging, self.table.t.of(key, decoded=True), 1)
+        pick = np.append(np.arange(self.table.own), M.shape[1] - 1)
+        u, none = self.solved(key).by, self.solved(None).by
+        squares = np.einsum("fi,fij,fj->", u, M, u)
+        plain = np.einsum("fi,fij,fj->", none, M[:, pick[:, None], pick], none)
+        return float(np.sqrt(squares / max(plain, 1e-300)))
 
 
 class Solved(NamedTuple):
@@ -321,73 +298,37 @@ class Solved(NamedTuple):
 
 
 class Table:
-    """Products of candidates and of the model's own parameters, from which any set of runs is scored."""
+    """Products of candidates and of the model's own parameters, from which they are scored on some runs.
 
-    def __init__(self, t: NormalEquations, tried: dict[str, Candidate], channels: int) -> None:
-        self.t, self.tried, self.channels = t, tried, channels
-        self.own = t.span[""].stop
-        self.run = np.array([unit[0] for unit in t.runs])
-        self.known: tuple[tuple[int, ...], Training | None] = ((), None)
+    `fitted`: fits to the runs, judged on the same; `foreseen`: without groups of them in turn, judged on
+    each.
+    """
 
-    def limits(self, key: str) -> tuple[np.ndarray, ...]:
-        """Return the bounds of the parameters of a candidate."""
-        c = self.tried[key]
-        return tuple(b[[c.model.names.index(n) for n in c.new]] for b in c.model.bounds)
+    def __init__(self, t: NormalEquations, tried: dict[str, Candidate], runs: Sequence[int]) -> None:
+        self.t, self.tried, self.own = t, tried, t.span[""].stop
+        run, among = np.array([unit[0] for unit in t.runs]), np.zeros(len(t.runs), dtype=bool)
+        among[t.units(runs)] = True
+        own = list(dict.fromkeys(run[among].tolist()))
+        groups = np.array([among & np.isin(run, own[k::FOLDS]) for k in range(min(FOLDS, len(own)))])
+        self.readings = float(among @ t.count)
+        self.fitted = Regressions(self, among[None], among[None])
+        self.foreseen = Regressions(self, among & ~groups, groups)
 
-    def among(self, runs: Iterable[int]) -> np.ndarray:
-        """Return which units (units,) hold nothing but `runs`."""
-        out = np.zeros(len(self.run), dtype=bool)
-        out[self.t.units(runs)] = True
-        return out
-
-    def folds(self, runs: Sequence[int]) -> np.ndarray:
-        """Return the units (F, units) of groups of runs that are left out in turn."""
-        among = self.among(runs)
-        own = list(dict.fromkeys(self.run[among].tolist()))
-        return np.array([among & np.isin(self.run, own[k::FOLDS]) for k in range(min(FOLDS, len(own)))])
-
-    def ratio(self, key: str, runs: Sequence[int]) -> float:
-        """Return the gap metric with a candidate over that without, cross-validated within some runs."""
-        left_out = self.folds(runs)
-        if self.known[0] != tuple(runs):
-            self.known = tuple(runs), Training(self, self.among(runs) & ~left_out)
-        assert self.known[1] is not None
-        return self._ratio(key, self.known[1], left_out)
-
-    def in_sample(self, key: str, runs: Sequence[int]) -> float:
-        """Return the gap metric with a candidate over that without, on the runs that it is fitted to."""
-        units = self.among(runs)[None]
-        return self._ratio(key, Training(self, units), units)
-
-    def _ratio(self, key: str, training: "Training", judging: np.ndarray) -> float:
-        """Return that ratio on units (F, units) that judge what each stack of `training` gives."""
-        M = np.tensordot(judging.astype(float), self.t.of(key, decoded=True), 1)
-        pick = np.append(np.arange(self.own), M.shape[1] - 1)
-        u, none = training.solved(key).by, training.solved(None).by
-        squares = np.einsum("fi,fij,fj->", u, M, u)
-        plain = np.einsum("fi,fij,fj->", none, M[:, pick[:, None], pick], none)
-        return float(np.sqrt(squares / max(plain, 1e-300)))
-
-    def scored(self, runs: Sequence[int]) -> Iterator[tuple[str, "Scored"]]:
-        """Score every candidate on some runs."""
-        units = self.among(runs)
-        N = float(units @ self.t.count * self.channels)
-        training = Training(self, units[None])
-        for key, c in self.tried.items():
-            if key not in self.t.spoiled:
-                found, size = training.solved(key), len(c.new) + c.variant.shapes
-                criterion = float(bic(found.left[0], N, size, N))
-                gain = max(float(found.plain[0] - found.left[0]), 0.0)
-                yield key, Scored(gain, criterion, size, bool(found.absorbed[0]))
-
-
-class Scored(NamedTuple):
-    """The gain and BIC of a candidate, its size, and whether the model absorbs it."""
-
-    gain: float
-    bic: float
-    size: int
-    absorbed: bool
+    def score(self, key: str) -> Score:
+        """Return the score of a candidate."""
+        c, found = self.tried[key], self.fitted.solved(key)
+        N, size = self.readings * len(c.model.channels), len(c.new) + c.variant.shapes
+        return Score(
+            effect=c.effect,
+            variant=c.variant,
+            model=c.model,
+            gain=max(float(found.plain[0] - found.left[0]), 0.0),
+            size=size,
+            bic=float(bic(found.left[0], N, size, N)),
+            ratio=self.foreseen.ratio(key),
+            p_value=1.0,
+            absorbed=bool(found.absorbed[0]),
+        )
 
 
 def bic(cost: Values, effective: Values, size: int, N: Values) -> np.ndarray:

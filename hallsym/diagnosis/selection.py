@@ -8,7 +8,7 @@ import numpy as np
 
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.faults import faults
-from hallsym.diagnosis.normal_equations import slopes_of
+from hallsym.diagnosis.normal_equations import entries, slopes_of
 from hallsym.diagnosis.p_values import memory
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.record import Significance
@@ -67,7 +67,7 @@ def refitted(
         again = [s for s in scored if s.effect is first.effect and s.gain >= policy.half * first.gain]
         starts = again[: policy.starts] if first.variant.tried > 1 else [first]
         found = [_exact(base, score, runs, screen.refits) for score in starts]
-        possible = [e for e in found if e.score.effect.possible(e.fit.base.values)]
+        possible = (e for e in found if e.score.effect.possible(e.fit.base.values))
         best = min(possible, key=lambda e: e.bic, default=None)
         if best is not None and stands(best):
             out.append(best)
@@ -189,8 +189,9 @@ def cancels(fit: Refitted, names: Sequence[str]) -> bool:
     (slope,) = slopes_of([(model, names)])
     units = {q.name: q.unit for q in model.parameters}
     same: dict[tuple[str, tuple[int, ...]], list[str]] = {}
+    channel, column = entries(slope)
     for k, name in enumerate(names):
-        moved_readings = tuple(slope.channel[slope.column == k].tolist())
+        moved_readings = tuple(channel[column == k].tolist())
         if moved_readings:
             same.setdefault((units[name], moved_readings), []).append(name)
     return any(
@@ -224,21 +225,6 @@ def moved(fit: Refitted, by: np.ndarray) -> float:
     return float(np.sqrt(max(step @ O @ step, 0.0) / max(fit.tangents.count[units].sum(), 1.0)))
 
 
-@dataclass(frozen=True, eq=False)
-class Screened:
-    """The scores of the catalogue beside the model and effects of `at`, best first.
-
-    `significance`: that any of the catalogue is there; `top`: its largest statistic with each draw of signs.
-    `colour`: autocorrelation of the residual.
-    """
-
-    at: Refitted
-    scores: list[Score]
-    significance: Significance
-    top: np.ndarray | None
-    colour: np.ndarray
-
-
 def select(setup: Setup) -> "Selection":
     """Add effects while they lower the gap metric by the threshold; then hold each against the catalogue.
 
@@ -269,7 +255,7 @@ class Selection:
     refits: dict[tuple[Exact, ...], Refitted]
     effects: list[Exact] = field(default_factory=list)
     not_testable: dict[str, str] = field(default_factory=dict)
-    screened: list[Screened] = field(default_factory=list)
+    screened: list[Screen] = field(default_factory=list)
     last: list[Score] = field(default_factory=list)
     of_values: float = 0.0
     """Share of the gap that the values of the readings make, as steps do: no effect can take it away."""
@@ -300,7 +286,7 @@ class Selection:
     @property
     def significance(self) -> Significance:
         """That any effect is there: of one recording, with the others in place."""
-        first = [s.significance for s in self.screened if s.at is self.start][-1]
+        first = [s.significance for s in self.screened if s.base is self.start.base][-1]
         confirmed = self.effects if self.setup.base.sliced else []
         return replace(first, p_value=min((e.score.p_value for e in confirmed), default=first.p_value))
 
@@ -347,6 +333,7 @@ class Selection:
         """Screen the catalogue at `at`; return exact refits, best first, if any effect is `worth` it."""
         screen, facts = self.screen(at)
         exact = refitted(at.base, screen, self.runs, worth, lambda e: self.stands(e, at), self.over)
+        screen.refits.clear()  # their residuals are as large as the log
         if self.setup.base.model.family.pairs:
             exact = plain_pairs_first(exact, self.setup.catalogue, self.runs, facts, self.over)
         return exact
@@ -359,19 +346,18 @@ class Selection:
         self.of_values = sum(f.power for f in told if f.record.of_values)
         tried, trouble = candidates(at.base, self.setup.catalogue, facts)
         screen = Screen(at.base, tried, self.runs, over=self.over)
-        colour = self.weighed(screen, found, remembers)
-        ranked = screen.scores
-        self.screened.append(Screened(at, ranked, screen.significance, screen.top, colour))
+        self.weigh(screen, found, remembers)
+        self.screened.append(screen)
         self.not_testable |= trouble
         not_finite = "its readings are not finite on this log"
         self.not_testable |= {tried[key].effect.name: not_finite for key in screen.spoiled}
         if at is self.start:
             absorbed = "the model's own parameters absorb it on this log"
-            self.not_testable |= {s.effect.name: absorbed for s in by_name(ranked) if s.absorbed}
+            self.not_testable |= {s.effect.name: absorbed for s in by_name(screen.scores) if s.absorbed}
         return screen, facts
 
-    def weighed(self, screen: Screen, found: Survey, remembers: float | None) -> np.ndarray:
-        """Weigh a screen by the noise that the best effect leaves; return its autocorrelation.
+    def weigh(self, screen: Screen, found: Survey, remembers: float | None) -> None:
+        """Weigh a screen by the noise that the best effect leaves.
 
         A slow effect makes a residual that remembers as long as it lasts, a fast one is no noise. So what the
         best effect leaves tells whether stretches depend on each other, whether the noise is louder than
@@ -393,7 +379,6 @@ class Selection:
             if base.joined and not base.sliced:
                 remembers = memory_of_recording(left.base, frozenset(self.runs))
         screen.weigh(colour, remembers, peak, louder)
-        return colour
 
     def stands(self, exact: Exact, at: Refitted) -> bool:
         """Return whether a refit keeps what its score promised, and its parameters do not undo each other.
@@ -465,9 +450,9 @@ class Selection:
                 out += [r.fit for r in e.rivals]
         return out
 
-    def screened_at(self, base: Base) -> Screened | None:
+    def screened_at(self, base: Base) -> Screen | None:
         """Return the last screening of the catalogue at a fit; None where there was none."""
-        return next((s for s in reversed(self.screened) if s.at.base is base), None)
+        return next((s for s in reversed(self.screened) if s.base is base), None)
 
 
 def _selected(exact: Sequence[Exact], without: Refitted) -> Exact:

@@ -4,6 +4,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from time import perf_counter
 from typing import Any
 
@@ -57,25 +58,42 @@ class Setup:
     """What every stage of a diagnosis reads and none changes.
 
     `log`: as it was fitted, with the channels as they were logged. `base`: the fit as the point where
-    tangents are taken, channels assigned. Of a long log both hold every m-th sample. `runs` are fitted,
-    `holdout` judge. `threshold`: relative decrease of the gap metric that counts. `split`: whether the runs
-    are pieces of one recording. `floor`, `floor_fitted`: on the runs that judge and on the fitted ones.
-    `say`: reports progress. `budget`: seconds after which the search ends, None: without limit.
+    tangents are taken, channels assigned. Of a long log both hold every m-th sample. `holdout`: the runs that
+    judge. `threshold`: relative decrease of the gap metric that counts. `split`: whether the runs are pieces
+    of one recording. `say`: reports progress. `budget`: seconds after which the search ends, None: without
+    limit.
     """
 
     log: Log
     fit: Fit
     base: Base
-    runs: list[int]
     holdout: tuple[int, ...]
     threshold: float
     split: bool
-    floor: Floor
-    floor_fitted: Floor
     catalogue: tuple[Effect, ...]
     say: Say
     began: float
     budget: float | None = None
+
+    @cached_property
+    def runs(self) -> list[int]:
+        """The runs that are fitted."""
+        return [run for run in self.base.log.runs if run not in self.holdout]
+
+    @cached_property
+    def floor(self) -> Floor:
+        """What noise alone leaves on the runs that judge."""
+        return self._floor(self.holdout)
+
+    @cached_property
+    def floor_fitted(self) -> Floor:
+        """The same on the fitted runs: of a magnet array, noise moves the pose by more at a wider gap."""
+        return self._floor(self.runs)
+
+    def _floor(self, runs: Iterable[int]) -> Floor:
+        rmse = noise_floor(point_on(self.base, runs))
+        metric = float(np.linalg.norm(self.base.pose_weights * list(rmse.values())))
+        return Floor(rmse, metric, self.fit.goodness.uncertain if self.fit.goodness else 1.0)
 
     @property
     def over(self) -> bool:
@@ -137,23 +155,11 @@ def base_of(log: Log, result: Fit) -> Base:
     )
 
 
-def point_on(base: Base, *sides: Iterable[int]) -> list[Point]:
-    """Return the likelihood of `base` on the runs of each side, at its parameters."""
+def point_on(base: Base, runs: Iterable[int]) -> Point:
+    """Return the likelihood of `base` on some runs, at its parameters."""
     cost = cost_near(base.log, base.model, base.p, base.sigma, base.keep)
-    masks = (np.isin(cost.summary.runs, list(runs)) for runs in sides)
-    return [replace(cost, weights=cost.weights * mask).at(base.p) for mask in masks]
-
-
-def floors(base: Base, uncertain: float, *sides: Iterable[int]) -> list[Floor]:
-    """Return what noise alone leaves on the runs of each side: they may have been at other places.
-
-    Of a magnet array, for example, noise moves the pose by more at a wider gap.
-    """
-    found = [noise_floor(point) for point in point_on(base, *sides)]
-    return [
-        Floor(rmse, float(np.linalg.norm(base.pose_weights * list(rmse.values()))), uncertain)
-        for rmse in found
-    ]
+    among = np.isin(cost.summary.runs, list(runs))
+    return replace(cost, weights=cost.weights * among).at(base.p)
 
 
 def prepare(
@@ -215,18 +221,13 @@ def prepare(
             result = replace(result, notes=(*result.notes, long))
     if arrow := sys.modules.get("pyarrow"):  # it keeps the memory that it read a file with
         arrow.default_memory_pool().release_unused()
-    runs = [r for r in base.log.runs if r not in held]
-    floor, floor_fitted = floors(base, result.goodness.uncertain if result.goodness else 1.0, held, runs)
     return Setup(
         log=log,
         fit=result,
         base=replace(base, model=model.family.direct(base.model), timed=timed, sliced=sliced, policy=policy),
-        runs=runs,
         holdout=held,
         threshold=level,
         split=bool(pieces),
-        floor=floor,
-        floor_fitted=floor_fitted,
         catalogue=(*model.family.catalogue, *effects),
         say=say,
         began=began,

@@ -202,11 +202,6 @@ class Validation:
         """Whether anything is named: an effect, a fault of samples, or a wrong channel assignment."""
         return bool(self.effects or self.faults or self.miswired)
 
-    @property
-    def fault_scale(self) -> float:
-        """Gap without faults of samples over the gap with them."""
-        return self.metric / self.after.metric
-
 
 def validate(setup: Setup, selection: Selection) -> Validation:
     """Judge on the holdout runs what was selected on the others.
@@ -227,8 +222,9 @@ def validate(setup: Setup, selection: Selection) -> Validation:
     rest = lack_of_fit(end, setup.runs)
     if gap <= setup.floor_fitted.least * (1 + setup.policy.negligible):
         found = []
-    if shaped(setup, rest):
-        found = _beyond_shapes(found, rest)
+    if shaped(setup, rest):  # which may look like late samples here and there
+        least = max([rest.tones, *(s.drop for s in rest.shapes)])
+        found = [f for f in found if f.name != "clock_jitter" and cures(f) >= least]
     cured = after
     if any(f.record.rare for f in found):
         fit = refit(replace(end, keep=without_tail(end)), setup.runs)
@@ -312,12 +308,6 @@ def cures(fault: Fault) -> float:
     return 1 - float(np.sqrt(max(1 - fault.power, 0.0)))
 
 
-def _beyond_shapes(found: Sequence[Fault], rest: LackOfFit) -> list[Fault]:
-    """Return the faults that are no part of a shape, which may look like late samples here and there."""
-    least = max([rest.tones, *(s.drop for s in rest.shapes)])
-    return [f for f in found if f.name != "clock_jitter" and cures(f) >= least]
-
-
 # -- the verdict ---------------------------------------------------------------------------------------------
 
 
@@ -384,8 +374,11 @@ def material(setup: Setup, base: Base) -> bool:
     known = setup.fit.goodness
     if known is None or base.model.effects == setup.base.model.effects:
         return known is not None and known.material
-    (point,) = point_on(base, setup.runs)
-    return goodness_of(point, len(base.free)).judged(known.uncertain, setup.threshold).material
+    return (
+        goodness_of(point_on(base, setup.runs), len(base.free))
+        .judged(known.uncertain, setup.threshold)
+        .material
+    )
 
 
 def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, noise: ResidualNoise) -> bool:

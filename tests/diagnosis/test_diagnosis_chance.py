@@ -18,7 +18,7 @@ from test_stacked_products import whitened
 import hallsym
 from hallsym.diagnosis import POLICY, Base
 from hallsym.diagnosis.faults import exceeds, faults, of_samples, wiring_p, wirings
-from hallsym.diagnosis.normal_equations import Accumulator, normal_equations
+from hallsym.diagnosis.normal_equations import Columns, normal_equations
 from hallsym.diagnosis.p_values import as_often
 from hallsym.diagnosis.scores import candidates
 from hallsym.diagnosis.setup import base_of
@@ -102,7 +102,7 @@ def test_products_are_the_sums_over_dense_columns(quiet: Base) -> None:
     tried, _ = candidates(base, [e for e in CATALOGUE if e.name in names], facts)
     plain = {key: (model, new) for key, (_, _, model, new) in tried.items()}
     t = normal_equations(base, plain)
-    work = Accumulator(base, plain)
+    work = Columns(base, plain)
     for batch in batches(base.log, columns_of(base.model)):
         white = whitened(work, batch, None)
         for block, part in batch.parts():

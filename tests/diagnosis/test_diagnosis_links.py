@@ -14,10 +14,8 @@ from hallsym.diagnosis import Base, diagnose
 from hallsym.diagnosis.decoded_errors import decoded_errors
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.localisation import Located, located, sizes
-from hallsym.diagnosis.refit import refit
 from hallsym.diagnosis.residual_table import both, table_of
 from hallsym.diagnosis.scores import Screen, candidates
-from hallsym.diagnosis.selection import Screened
 from hallsym.diagnosis.survey import survey
 from hallsym.errors import InputError
 from hallsym.families import effects
@@ -38,13 +36,13 @@ def fitted_runs(base: Base) -> list[int]:
     return [run for run in base.log.runs if run not in base.holdout]
 
 
-def screened(base: Base, effects: tuple[Effect, ...]) -> Screened:
+def screened(base: Base, effects: tuple[Effect, ...]) -> Screen:
     runs = fitted_runs(base)
     seen = survey(base, frozenset(runs))
     tried, _ = candidates(base, effects, facts_of(base, seen))
     screen = Screen(base, tried, runs)
     screen.weigh(seen.colour)
-    return Screened(refit(base, runs), screen.scores, screen.significance, screen.top, seen.colour)
+    return screen
 
 
 def some() -> tuple[Effect, ...]:

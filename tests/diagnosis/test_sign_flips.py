@@ -74,7 +74,7 @@ def largest(kind, seed, size=0.0, runs=30, samples=40):
     columns[4] *= np.repeat(np.arange(runs) < 2, samples)  # an effect that two runs show
     residual = noise_of(kind, rng, n) + size * columns[6]
     t = products(columns, residual, 4, runs, samples, [(4, 5), (5, 6), (6, 8), (8, 11), (11, 14)])
-    return p_values(SignFlips(t, range(runs), {}, POLICY))
+    return p_values(SignFlips(t, range(runs), np.zeros((len(t.runs), len(columns))), POLICY))
 
 
 @pytest.mark.slow
@@ -98,7 +98,7 @@ def test_noise_that_wanders_over_whole_runs_is_no_effect():
         columns = np.array([np.ones(n), speed, speed**2, rng.standard_normal(n)])
         noise = np.repeat(rng.standard_normal(runs), each * samples) + rng.standard_normal(n)
         t = products(columns, noise, 1, runs * each, samples, [(1, 2), (2, 3), (3, 4)], each)
-        p.append(min(p_values(SignFlips(t, range(runs), {}, POLICY))))
+        p.append(min(p_values(SignFlips(t, range(runs), np.zeros((len(t.runs), len(columns))), POLICY))))
     assert stats.kstest(p, "uniform").pvalue > 1e-3
     assert stats.binomtest(int((np.array(p) <= 0.05).sum()), len(p), 0.05).pvalue > 1e-3
 
@@ -154,7 +154,7 @@ def test_noise_that_columns_share_with_the_residual_is_measured():
     chosen = [e for e in effects(STAGE_FAMILY).values() if e.name == "odd_nonlinearity"]
     tried, _ = candidates(base, chosen, Facts(60.0, log.columns))
     plain = {key: (c.model, c.new) for key, c in tried.items()}
-    found = sum(shared_noise(base, plain, None).values())
+    found = shared_noise(base, plain, normal_equations(base, plain), None).sum(axis=0)
     columns, rng, draws = {c: log.array(c) for c in log.columns}, np.random.default_rng(0), []
     for _ in range(12):
         by = {c: base.sigma[c] * rng.standard_normal(log.rows) for c in names}

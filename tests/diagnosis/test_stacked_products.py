@@ -6,7 +6,7 @@ from scipy.optimize import lsq_linear
 
 import hallsym
 from hallsym import Log, Noise, NoiseModel
-from hallsym.diagnosis.normal_equations import Accumulator, normal_equations, within_bounds
+from hallsym.diagnosis.normal_equations import Columns, normal_equations, within_bounds
 from hallsym.diagnosis.setup import prepare
 from hallsym.estimation.decoding import decoding_gain
 from hallsym.families.halbach.effects import magnets, mechanics, transducer
@@ -16,13 +16,12 @@ from hallsym.log import Batch
 from hallsym.simulation import campaign_from
 
 
-def whitened(work: Accumulator, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
+def whitened(work: Columns, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
     """All columns [zeros | parameters | candidates | residual], whitened, (c, K, samples)."""
-    near = work._near(batch, weights)
+    near, rows = work.columns(batch, weights)
     A = np.zeros((work.size, *near.shape[1:]))
     A[work.near] = near
-    rows = work.slopes.rows(batch, work.base.zeros_of(batch), weights)
-    A[work.z + work.n + work.slopes.column, work.slopes.channel] = rows
+    A[work.z + work.n + work.column, work.channel] = rows
     return work.whiten @ A
 
 
@@ -41,7 +40,7 @@ def test_products_are_those_of_columns_written_out():
         wide = effect(model)
         tried[effect.name] = wide, [n for n in wide.names if n not in model.names]
     found = normal_equations(base, tried)
-    work = Accumulator(base, tried)
+    work = Columns(base, tried)
     assert not model.zeros
     gain, spread = decoding_gain(model), np.linalg.inv(work.whiten)
     squares = np.zeros((2, work.size, work.size))
