@@ -2,7 +2,7 @@
 
 `Problem` says what to minimise; `minimize` searches a box with a population, `ipopt` and `newton` refine one
 point, `hybrid` does both; each returns a `Result`. `gauss_newton` is the loop for costs that are expensive to
-linearise. To add a global method write its equations as a generator
+linearise, `bounded_step` the step inside a box. To add a global method write its equations as a generator
 (see `solvers.problem.Solver`; `solvers/tlbo.py` has short examples) and name it in `solvers.driver.SOLVERS`.
 
 Needs numpy and casadi, nothing else, and nothing of hallsym.
@@ -10,7 +10,7 @@ Needs numpy and casadi, nothing else, and nothing of hallsym.
 
 from solvers.driver import EXPLORERS, SOLVERS, hybrid, minimize, screened_starts
 from solvers.ipopt import ipopt
-from solvers.newton import gauss_newton, newton
+from solvers.newton import bounded_step, gauss_newton, newton
 from solvers.problem import Population, Problem, Result
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "Population",
     "Problem",
     "Result",
+    "bounded_step",
     "gauss_newton",
     "hybrid",
     "ipopt",

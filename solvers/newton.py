@@ -29,26 +29,22 @@ def bounded_step(
 ) -> tuple[FloatArray, float]:
     """Minimise the damped quadratic model within `low <= step <= high`; return the step and its promise.
 
-    `low = lower - x <= 0` and `high = upper - x >= 0`. Variables whose step would leave the box are set
-    on the bound and the rest is solved again. The promise is how much the undamped model says is gained.
+    `low = lower - x <= 0` and `high = upper - x >= 0`. The variable whose step would leave the box by most is
+    set on its bound and the rest is solved again. The promise is how much the undamped model says is gained.
     The Hessian is brought to unit diagonal first, so the units of the variables do not matter.
     """
-    step = np.zeros_like(gradient)
-    free = np.where(gradient > 0.0, low < 0.0, high > 0.0) & (low < high)
-    if free.all():
-        wish = -_solve(hessian, gradient, damping + RIDGE)
-        if ((wish >= low) & (wish <= high)).all():
-            return wish, float(-(wish @ gradient) - 0.5 * (wish @ hessian @ wish))
-    while free.any():
-        inner, numbers = hessian[np.ix_(free, free)], np.flatnonzero(free)
-        wish = -_solve(inner, (gradient + hessian @ step)[free], damping + RIDGE)
-        outside = (wish < low[free]) | (wish > high[free])
-        if not outside.any():
-            step[free] = wish
+    step, numbers = np.zeros_like(gradient), np.flatnonzero(low < high)
+    while len(numbers):
+        inner = hessian[np.ix_(numbers, numbers)]
+        wish = -_solve(inner, (gradient + hessian @ step)[numbers], damping + RIDGE)
+        beyond = np.maximum(np.maximum(low[numbers] - wish, wish - high[numbers]), 0.0)
+        if not beyond.any():
+            step[numbers] = wish
             break
-        pinned = numbers[outside]
-        step[pinned] = np.clip(wish[outside], low[pinned], high[pinned])
-        free[pinned] = False
+        worst = int(np.argmax(np.where(beyond > 0.0, beyond / (high - low)[numbers], -1.0)))
+        k = numbers[worst]
+        step[k] = np.clip(wish[worst], low[k], high[k])
+        numbers = np.delete(numbers, worst)
     return step, float(-(gradient @ step) - 0.5 * (step @ hessian @ step))
 
 

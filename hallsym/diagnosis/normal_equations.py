@@ -308,25 +308,6 @@ def coefficients(M: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return pseudo_inverse(M[np.ix_(columns, columns)]) @ M[columns, -1]
 
 
-def within_bounds(M: np.ndarray, lower: np.ndarray, upper: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return the coefficients (n,) of `columns` that explain the last column inside their bounds.
-
-    What would leave its bounds by most stops there, and the others are solved again beside it.
-    """
-    out, moving = np.zeros(len(lower)), columns
-    while len(moving):
-        left = M.copy()
-        stopped = np.setdiff1d(np.arange(len(out)), moving)
-        left[:, -1] -= M[:, stopped] @ out[stopped]
-        out[moving] = coefficients(left, moving)
-        beyond = np.maximum(lower - out, out - upper)[moving] / np.maximum(upper - lower, 1e-300)[moving]
-        out = np.clip(out, lower, upper)
-        if beyond.max() <= 0:
-            break
-        moving = np.delete(moving, np.argmax(beyond))
-    return out
-
-
 class Columns:
     """The columns [offsets | parameters | candidates | residual] of a log, batch by batch.
 

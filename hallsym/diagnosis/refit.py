@@ -6,14 +6,14 @@ from functools import cached_property
 
 import numpy as np
 
-from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations, within_bounds
+from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.scores import bic
 from hallsym.estimation.covariance import AT_BOUND
 from hallsym.estimation.factors import pseudo_inverse
 from hallsym.estimation.optimum import DROP, PASSES
 from hallsym.model import Model, Variant
-from solvers import gauss_newton
+from solvers import bounded_step, gauss_newton
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,8 +157,7 @@ def seen(base: Base, M: np.ndarray) -> np.ndarray:
 
 
 def inside_bounds(base: Base, M: np.ndarray) -> np.ndarray:
-    """Return the step to the minimum inside the bounds: parameters that would leave stop there."""
-    free = np.array(base.free, dtype=int)
-    lower, upper = (b[free] - base.p[free] for b in base.model.bounds)
-    lower, upper = np.minimum(lower, 0.0), np.maximum(upper, 0.0)
-    return within_bounds(M, lower, upper, np.flatnonzero(seen(base, M)))
+    """Return the step to the minimum inside the bounds; a parameter that would leave them stops there."""
+    free = list(base.free)
+    lower, upper = (np.where(seen(base, M), (b - base.p)[free], 0.0) for b in base.model.bounds)
+    return bounded_step(-M[:-1, -1], M[:-1, :-1], np.minimum(lower, 0.0), np.maximum(upper, 0.0))[0]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from hallsym.diagnosis.measurement_error import shared_noise
-from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations, within_bounds
+from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
 from hallsym.diagnosis.p_values import Joint, SignFlips, least_p, memory, searched, stretch
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.residuals import FOLDS, NIL, Base
@@ -18,6 +18,7 @@ from hallsym.errors import InputError
 from hallsym.estimation.decoding import columns_of
 from hallsym.estimation.factors import pseudo_inverse
 from hallsym.model import Effect, Facts, Model, Variant
+from solvers import bounded_step
 
 Values = float | np.ndarray
 
@@ -268,7 +269,8 @@ class Regressions:
             c = table.tried[key]
             lower, upper = (b[[c.model.names.index(name) for name in c.new]] for b in c.model.bounds)
             for f in np.flatnonzero(((theta < lower) | (theta > upper)).any(axis=1)):
-                theta[f] = within_bounds(left[f], lower, upper, np.flatnonzero(seen[f]))
+                own, (low, high) = left[f][:-1], (np.where(seen[f], b, 0.0) for b in (lower, upper))
+                theta[f] = bounded_step(-own[:, -1], own[:, :-1], low, high)[0]
         v = np.ones((len(M), theta.shape[1] + 1))
         v[:, :-1] = -theta
         by_own = -(through @ v[:, :, None])[:, :, 0]

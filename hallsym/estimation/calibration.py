@@ -79,8 +79,14 @@ class CovarianceRecord(_Record):
     matrix: list[list[float]]
 
 
-class LowerBoundRecord(_Record):
-    """The cost that no parameters can undercut."""
+@dataclass(frozen=True)
+class LowerBound:
+    """Cost of the unconstrained linear fit, at the weights that residuals have at the optimum.
+
+    `ratio`: cost at the optimum over `cost`, 1 or more. `expected`: the ratio that follows from the number of
+    `coefficients` alone, where the formulas of the model hold and no bound is in the way. `near`: whether the
+    optimum costs no more, beyond the expected, than what is worth reporting.
+    """
 
     cost: float
     ratio: float
@@ -100,7 +106,7 @@ class SolverRecord(_Record):
     starts: Count
     share_at_optimum: float
     seed: Count
-    lower_bound: LowerBoundRecord | None = None
+    lower_bound: LowerBound | None = None
 
 
 class LogRecord(_Record):
@@ -135,16 +141,22 @@ class FittedLogRecord(_Record):
     residual_over_noise: float | None = None
 
 
-class ClaimRecord(_Record):
-    """What a fit found wrong with its recording, or with itself."""
+@dataclass(frozen=True)
+class Claim:
+    """What is wrong with a recording, or with what a fit made of it, in a sentence.
+
+    `name`: what `--accept` takes. `columns`, `runs`: where, all runs where empty. `correction`: what undoes
+    it (`--correct`), None where nothing does. `explains`: the share of the excess over the floor that goes
+    with it. `rivals`: other corrections that explain as much.
+    """
 
     name: str
     text: str
-    columns: list[str] = []
-    runs: list[int] = []
+    columns: tuple[str, ...] = ()
+    runs: tuple[int, ...] = ()
     correction: str | None = None
     explains: float | None = None
-    rivals: list[str] = []
+    rivals: tuple[str, ...] = ()
 
 
 class CalibrationRecord(_Record):
@@ -174,7 +186,7 @@ class CalibrationRecord(_Record):
     columns: dict[str, Foreign] = {}
     read_with: dict[str, str] = {}
     corrections: list[str] = []
-    claims: list[ClaimRecord] = []
+    claims: tuple[Claim, ...] = ()
     wiring: list[tuple[str, int]] | None = None
     effects: list[str] = []
     own_effects: list[str] = []
@@ -241,29 +253,6 @@ class Joint:
                 raise InputError(f"No log {log!r} has a parameter {name} of its own; those are {self.names}.")
             gradient[self.names.index(own)] += sign
         return float(gradient @ self.values), float(np.sqrt(max(gradient @ self.covariance @ gradient, 0.0)))
-
-
-@dataclass(frozen=True)
-class Claim:
-    """What is wrong with a recording, or with what a fit made of it, in a sentence.
-
-    `name`: what `--accept` takes. `columns`, `runs`: where, all runs where empty. `correction`: what undoes
-    it (`--correct`), None where nothing does. `explains`: the share of the excess over the floor that goes
-    with it. `rivals`: other corrections that explain as much.
-    """
-
-    name: str
-    text: str
-    columns: tuple[str, ...] = ()
-    runs: tuple[int, ...] = ()
-    correction: str | None = None
-    explains: float | None = None
-    rivals: tuple[str, ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the record of a calibration file."""
-        lists = {k: list(v) for k, v in vars(self).items() if isinstance(v, tuple)}
-        return {**vars(self), **lists}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -398,7 +387,7 @@ class Fit(Shown):
                 for run, d in self.zeros.items()
             },
             "corrections": [one.text for one in self.corrections],
-            "claims": [one.to_dict() for one in self.claims],
+            "claims": plain(self.claims),
             "layout": [dict(part.entry) for part in model.layout],
             "log": {**self.log, "sha256": self.source.sha256 if self.source else self.log["sha256"]},
             **({"columns": mapped} if mapped else {}),
@@ -497,10 +486,7 @@ def load_fit(
             *map(read_correction, record.corrections),
             *as_wired(tuple(record.wiring or ()), model.channels[: len(record.wiring or ())]),
         ),
-        claims=tuple(
-            Claim(c.name, c.text, tuple(c.columns), tuple(c.runs), c.correction, c.explains, tuple(c.rivals))
-            for c in record.claims
-        ),
+        claims=record.claims,
         columns=record.columns,
         read_with=record.read_with,
         logs=tuple(plain(one) for one in record.logs),

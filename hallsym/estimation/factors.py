@@ -19,6 +19,7 @@ A run's offsets appear in no other run, so they are eliminated from its equation
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -104,19 +105,14 @@ class RunStatistics:
             places=tuple(self.places[k] for k in index) if self.places else (),
         )
 
-    @cached_property
-    def projected(self) -> np.ndarray:
-        """Rows of each triangle, the features that carry offsets projected out: (runs, n, n - n_zero)."""
-        k = self.features.n_zero
-        return self.triangles if k == 0 else projected(self.triangles, k)
-
     def merged(self) -> "RunStatistics":
         """Return one run for all, the features that carry offsets projected out.
 
         For constant vertical state within each run this is exactly the cost with the offsets eliminated; for
         moving state it gives up a little information, so it serves starts and global searches, not the fit.
         """
-        rows = self.projected
+        k = self.features.n_zero
+        rows = self.triangles if k == 0 else projected(self.triangles, k)
         share = self.counts / self.counts.sum()
         return RunStatistics(
             features=self.features.without_zeros,
@@ -241,20 +237,24 @@ def _gather(
     slopes *= np.sqrt(weight[pick])
     starts = batch.edges[:-1]
     counts, sums = np.add.reduceat(weight, starts), np.add.reduceat(states * weight, starts, axis=1).T
-    looked = np.add.reduceat(weight[pick], edges[:-1])
+    looked, products = np.add.reduceat(weight[pick], edges[:-1]), _products(slopes, features, edges)
     for k, block in enumerate(batch.blocks):
         run = gathered.setdefault(block.run, _Run(states[:, starts[k]]))
-        here = slice(edges[k], edges[k + 1])
-        run.add(triangles[k], counts[k], sums[k], _products(slopes[:, :, here], features), looked[k])
+        run.add(triangles[k], counts[k], sums[k], products[k], looked[k])
         if model.typical:
-            run.places.append(np.vstack([v[pick[here]] for v in (*pose, *state)]))
+            run.places.append(np.vstack([v[pick[edges[k] : edges[k + 1]]] for v in (*pose, *state)]))
 
 
-def _products(slopes: np.ndarray, features: Features) -> np.ndarray:
-    """Return the sums over samples of the products of slopes (columns, n, samples), (pairs,)."""
-    if features.std is not None:  # of all columns together
-        slopes = np.swapaxes(slopes, 0, 1).reshape(1, slopes.shape[1], -1)
-    return np.asarray((slopes @ np.swapaxes(slopes, 1, 2))[tuple(features.slope_pairs)])
+def _products(slopes: np.ndarray, features: Features, edges: Sequence[int]) -> np.ndarray:
+    """Return the sums over the samples of each block of products of slopes, (blocks, pairs).
+
+    `slopes`: (columns, n, samples); block k lies at `edges[k]` to `edges[k + 1]`.
+    """
+    column, i, j = features.slope_pairs
+    if features.std is None:
+        return np.asarray(np.add.reduceat(slopes[column, i] * slopes[column, j], edges[:-1], axis=1).T)
+    every = (np.swapaxes(slopes[:, :, a:b], 0, 1).reshape(slopes.shape[1], -1) for a, b in pairwise(edges))
+    return np.array([(own @ own.T)[i, j] for own in every])
 
 
 def _sparse(batch: Batch) -> tuple[np.ndarray, list[int]]:

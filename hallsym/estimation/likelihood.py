@@ -181,10 +181,13 @@ class Cost:
         return np.einsum("mkk->m", np.linalg.solve(C, np.swapaxes(A, 1, 2) @ A))
 
     def at(self, p: np.ndarray) -> "Point":
-        """Return everything the cost knows at one parameter vector."""
+        """Return everything the cost knows at one parameter vector; the last one asked for is kept."""
         if self.anchor is not None and np.array_equal(p, self.anchor.p):
             return self.anchor.reweighted(self)
-        return Point(self, np.asarray(p, dtype=float))
+        known: Point | None = self.__dict__.get("_last")
+        if known is None or not np.array_equal(p, known.p):
+            self.__dict__["_last"] = known = Point(self, np.array(p, dtype=float))
+        return known
 
     def information(self, p: np.ndarray, noise_factor: float = 1.0) -> np.ndarray:
         """Return what all runs are expected to tell of the parameters, (n, n); see `Point.information`."""

@@ -150,7 +150,7 @@ class Solution:
 
     def zeros(self) -> dict[int, np.ndarray]:
         """Zero displacements of every run, held-out ones included."""
-        return dict(zip(self.everything.summary.runs, self.everywhere.zeros, strict=True))
+        return zeros_of(self.everything, self.p)
 
 
 def search(
@@ -174,10 +174,12 @@ def search(
     scaled, explored = Scaled(fitted.summary.model, first, free, found.scale[free]), None
     if solver != "direct":
         problem, rng = scaled.problem(merged), np.random.default_rng(seed)
+        # points far from every other start: the evidence that the optimum does not depend on the start
+        elsewhere = solvers.screened_starts(problem, SCREENED, ELSEWHERE, rng).x
         explored = solvers.hybrid(
             problem,
             seed=rng,
-            starts=np.vstack([scaled.to_unit(first), *_elsewhere(problem, rng)]),
+            starts=np.vstack([scaled.to_unit(first), elsewhere]),
             keep=KEEP,
             budget=BUDGET,
             global_solver="shtlbo" if solver == "hybrid" else solver,
@@ -240,11 +242,6 @@ def _message(status: str, ended: solvers.Result, solver: str) -> str:
     if status == "failed":
         return f"the best point found is no optimum; start elsewhere with {elsewhere} ({ended.message})"
     return ended.message
-
-
-def _elsewhere(problem: solvers.Problem, rng: np.random.Generator) -> np.ndarray:
-    """Points far from every other start: the evidence that the optimum does not depend on the start."""
-    return solvers.screened_starts(problem, SCREENED, ELSEWHERE, rng).x
 
 
 def refit(cost: Cost, p: np.ndarray, held: Sequence[int]) -> np.ndarray:

@@ -12,7 +12,7 @@ C. Gourieroux, A. Monfort, E. Renault, J. Appl. Econometrics 8 (1993) S85, doi:1
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -22,7 +22,7 @@ from scipy.special import chdtrc, ndtri, stdtrit
 
 from hallsym.estimation.decoding import columns_of, residual_of
 from hallsym.estimation.goodness_of_fit import CERTAIN, KNOWN, MAD, GoodnessOfFit, limit_of, uncertain
-from hallsym.estimation.likelihood import Point
+from hallsym.estimation.likelihood import Point, zeros_of
 from hallsym.families.mechanisms import stop_operators
 from hallsym.log import Log, Noise
 from hallsym.log.batches import Weigh, batches
@@ -46,6 +46,8 @@ ROUNDING = 1e-9
 """Part of a column's squares, and of the products of columns of unit length, that is rounding."""
 TOGETHER = 8
 """Rows whose products are formed at once: 8000 samples of so many stay in the cache."""
+PIECE = 1024
+"""Samples of all functions that are combined at once."""
 STABLE = 0.995
 """Largest modulus of a root of the autoregression; beyond it noise wanders through the whole of a run."""
 SETTLE = 500
@@ -222,7 +224,10 @@ class _Elimination:
         unit = seen / np.sqrt(np.where(seen, size, 1.0))
         values, axes = np.linalg.eigh(gram * np.outer(unit, unit))
         real = values > ROUNDING * max(int(seen.sum()), 1)
-        self.basis = ((axes[:, real] / np.sqrt(values[real])).T * unit) @ X
+        T = (axes[:, real] / np.sqrt(values[real])).T * unit
+        for first in range(0, n, PIECE):  # in its place: functions are most of the memory
+            X[: len(T), first : first + PIECE] = T @ X[:, first : first + PIECE]
+        self.basis = X[: len(T)]
         self.free = self.count - len(self.starts) - len(self.basis)
         index = np.repeat(np.arange(len(self.runs)), np.diff(self.runs, append=n))
         same = [index[lag:] == index[: n - lag] for lag in range(LAGS + 1)]
@@ -395,8 +400,8 @@ def _noise_of(
     data, values, used = read
     if not log.timed:
         return _noise_of_knots(model, data, values[:, used], covariance, used)
-    columns = np.array([row for row in _columns(model, data, sigma) if np.all(np.isfinite(row))])
-    columns = columns.reshape(-1, len(used))[: int(used.sum()) // SHARE]
+    finite = (row for row in _columns(model, data, sigma) if np.all(np.isfinite(row)))
+    columns = np.array([*islice(finite, int(used.sum()) // SHARE)]).reshape(-1, len(used))
     found = Residual(values, covariance, data["run"], columns, used, bool(model.zeros))
     return residual_noise(found, model.channels)
 
@@ -461,11 +466,7 @@ def noise_at(
 ) -> ResidualNoise | None:
     """Return the noise that a fit leaves on its runs; `point`: of its cost at the optimum."""
     model, covariance = point.cost.summary.model, point.covariance.mean(axis=0)
-    return noise_left(log, model, point.p, _zeros(point), covariance, sigma, keep)
-
-
-def _zeros(point: Point) -> dict[int, np.ndarray]:
-    return dict(zip(point.cost.summary.runs, point.zeros, strict=True))
+    return noise_left(log, model, point.p, zeros_of(point.cost, point.p), covariance, sigma, keep)
 
 
 def with_noise(
@@ -501,7 +502,7 @@ def noise_followed(log: Log, point: Point, noise: Noise, keep: Weigh | None = No
     if not guessed or log.counted:
         return None
     covariance = point.covariance.mean(axis=0)
-    read = _read(log, model, point.p, _zeros(point), sigma, keep)
+    read = _read(log, model, point.p, zeros_of(point.cost, point.p), sigma, keep)
     if read is None or (log.timed and _is_known(read, model, covariance)):
         return None
     if (left := _noise_of(read, log, model, covariance, sigma)) is None:

@@ -21,6 +21,7 @@ Angles are in rad; an electrical angle is P times the mechanical one.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import combinations
 from time import perf_counter
 from typing import Any
 
@@ -28,7 +29,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from hallsym.errors import InputError, counted
+from hallsym.estimation.factors import inverse, solve
 from hallsym.log.phase import wrapped
+from solvers import Problem, newton
 
 TURN = 2 * np.pi
 NONE, CONSTANT, COASTING = REFERENCES = ("none", "constant-speed", "coasting")
@@ -59,16 +62,12 @@ waves per period (data sheets state a linearity of .1 to 1.5 %). Heads that bend
 of the table, and nothing shows it: it is counted in the standard errors."""
 JOINS = 3.0
 """A head sees the field of the first two if its misfit is at most so many times theirs."""
-FAR = 3.0
-"""The same beyond `JOINS` where only its place and gain are fitted yet."""
+FAR, TRIAL = 3.0, 5
+"""The same beyond `JOINS` after so many steps: the field under a head that is farther is another."""
 DEAD = 0.05
 """Share of the largest amplitude below which a head is dead."""
-ROUNDS, SETTLED = 30, 1e-4
-"""Steps of Levenberg and Marquardt at most; share of the cost below which a step ends them."""
-TRIAL = 5
-"""The same of heads that may see different fields."""
-FIRST, LAST = 1e-3, 1e6
-"""Their damping, in units of the scaled normal matrix."""
+ROUNDS, SETTLED = 40, 1e-10
+"""Newton steps of (1) at most; share of the cost below which what a step promises ends them."""
 NEIGHBOURS = 2
 """Waves on either side over which the density of what is not periodic is averaged."""
 
@@ -93,11 +92,6 @@ def phasors(table: np.ndarray) -> np.ndarray:
 def coefficients(c: np.ndarray) -> np.ndarray:
     """Return cosine, then sine coefficients of phasors: the inverse of `phasors`."""
     return np.concatenate([c.real, -c.imag])
-
-
-def rms(values: np.ndarray) -> float:
-    """Return the root mean square about the mean."""
-    return float(np.std(values))
 
 
 # -- decoding -----------------------------------------------------------------------------------------------
@@ -265,11 +259,6 @@ class Closure:
     misfit: float
     noise: float
 
-    def open(self, pairs: int) -> np.ndarray:
-        """Return which waves (waves,) the readings leave open: by their errors, or by their places alone."""
-        weak = seen(np.r_[0.0, self.jig.places], len(self.std)) < OPEN_BELOW
-        return np.asarray(weak | (self.std * pairs > WEAK * PRIOR))
-
 
 def on_grid(parts: Sequence[Stretch], size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Return angles (size,), readings (size, heads) averaged over whole turns, times (turns, size), noise.
@@ -311,27 +300,25 @@ def closure_of(
     amplitude = np.hypot(*plane.shape.T)
     if jig is not None:
         return _closed(grid, x, noise, pairs, count, jig, known=True)
-    alive = np.flatnonzero(amplitude > DEAD * amplitude.max())
-    every = _begin(x, tuple(alive.tolist()), pairs, count)
-    if len(alive) > 2 and noise > 0:  # most machines: all heads see one field
-        whole = _closed(grid, x, noise, pairs, count, every, rounds=TRIAL)
-        if whole.misfit < FAR * JOINS * noise:
-            whole = _closed(grid, x, noise, pairs, count, whole.jig)
-        if whole.misfit < JOINS * noise:
-            return whole
-    begin = _first_pair(x, pairs, count)
-    found = _closed(grid, x, noise, pairs, count, begin)
-    for head in range(x.shape[1]):
-        if head not in found.jig.heads and amplitude[head] > DEAD * amplitude.max():
-            more = _joined(grid, x, found, head, pairs, count)
-            wider = _closed(grid, x, noise, pairs, count, more) if more else None
-            if wider and wider.misfit < JOINS * max(found.misfit, noise if noise > 0 else 0.0):
+    alive = np.flatnonzero(amplitude > DEAD * amplitude.max()).tolist()
+    both, spectra = list(combinations(alive, 2)), _spectra(x, count)
+    alike = [_place(spectra[a], spectra[b], pairs)[1] for a, b in both]
+    found = _closed(grid, x, noise, pairs, count, _begin(spectra, both[int(np.argmax(alike))], pairs))
+    for head in alive:
+        if head not in found.jig.heads:
+            begin = _begin(spectra, sorted((*found.jig.heads, head)), pairs)
+            limit = JOINS * max(found.misfit, noise if noise > 0 else 0.0)
+            wider = _closed(grid, x, noise, pairs, count, begin, rounds=TRIAL)
+            if wider.misfit < FAR * limit:
+                wider = _closed(grid, x, noise, pairs, count, begin)
+            if wider.misfit < limit:
                 found = wider
     return found if found.misfit < DEAD * amplitude.max() else None
 
 
-def _spectrum(x: np.ndarray, count: int) -> np.ndarray:
-    return np.asarray(np.fft.rfft(x, axis=0)[1 : count + 1] * (2 / len(x)))
+def _spectra(x: np.ndarray, count: int) -> np.ndarray:
+    """Return phasors (heads, waves) of readings (samples, heads) over a turn."""
+    return np.asarray(np.fft.rfft(x, axis=0)[1 : count + 1].T * (2 / len(x)))
 
 
 def _place(one: np.ndarray, other: np.ndarray, pairs: int) -> tuple[float, float]:
@@ -350,38 +337,11 @@ def _place(one: np.ndarray, other: np.ndarray, pairs: int) -> tuple[float, float
     return float(places[best]), float(alike[best])
 
 
-def _first_pair(x: np.ndarray, pairs: int, count: int) -> Jig:
-    """The two heads whose fields are most alike."""
-    spectra, heads = _spectrum(x, count), range(x.shape[1])
-    both = [(a, b) for a in heads for b in heads[a + 1 :]]
-    alike = [_place(spectra[:, a], spectra[:, b], pairs)[1] for a, b in both]
-    return _begin(x, both[int(np.argmax(alike))], pairs, count)
-
-
-def _begin(x: np.ndarray, heads: tuple[int, ...], pairs: int, count: int) -> Jig:
-    """Places and gains of heads as their spectra over the decoded angle say."""
-    spectra = _spectrum(x, count)[:, heads]
-    places = [_place(spectra[:, 0], other, pairs)[0] for other in spectra.T[1:]]
-    gains = np.log(np.abs(spectra[pairs - 1, 1:] / spectra[pairs - 1, 0]))
-    return Jig(heads, np.array(places), np.stack([gains, 0 * gains, 0 * gains], axis=1))
-
-
-def _joined(grid: np.ndarray, x: np.ndarray, found: Closure, head: int, pairs: int, count: int) -> Jig | None:
-    """The jig with one head more; None where the field under it, at angles that are known now, is another."""
-    n = np.arange(1, count + 1)
-    at = columns(grid + columns(grid, n) @ coefficients(found.table), n)
-    both = x[:, [found.jig.heads[0], head]]
-    one, other = map(phasors, np.linalg.lstsq(at, both - both.mean(axis=0), rcond=None)[0].T)
-    place, _ = _place(one, other, pairs)
-    gain = np.log(np.abs(other[pairs - 1] / one[pairs - 1]))
-    left = np.linalg.norm(other - one * np.exp(gain + 1j * n * place)) / 2**0.5
-    if left > FAR * JOINS * max(found.misfit, found.noise if found.noise > 0 else 0.0):
-        return None
-    return Jig(
-        (*found.jig.heads, head),
-        np.r_[found.jig.places, place],
-        np.vstack([found.jig.heights, [gain, 0.0, 0.0]]),
-    )
+def _begin(spectra: np.ndarray, heads: Sequence[int], pairs: int) -> Jig:
+    """Places and gains of heads as their spectra (heads, waves) say."""
+    one, *others = spectra[list(heads)]
+    heights = [[np.log(np.abs(other[pairs - 1] / one[pairs - 1])), 0.0, 0.0] for other in others]
+    return Jig(tuple(heads), np.array([_place(one, other, pairs)[0] for other in others]), np.array(heights))
 
 
 def _closed(
@@ -392,95 +352,71 @@ def _closed(
     count: int,
     jig: Jig,
     known: bool = False,
-    rounds: int = 0,
+    rounds: int = ROUNDS,
 ) -> Closure:
-    """Solve (1) by Levenberg-Marquardt steps; with a `known` jig only k0 of k and p is free.
+    """Solve (1) from the places of a jig; of a `known` jig only k0 is free.
 
-    Unknowns in one vector: f and h (2 count each), o (heads), then k0, k1, k2, p of each head but the first.
-    The standard errors hold what a bend of single heads (`NONLINEAR`) would do to the table.
+    f and the o of each head are linear: they are eliminated, as the offsets of a run are. The others are one
+    vector: h (2 waves), then k0, k1, k2, p of each head but the first. The standard errors hold what a bend
+    of single heads (`NONLINEAR`) would do to the table.
     """
-    n, m, heads = np.arange(1, count + 1), len(grid), len(jig.heads)
-    s = (n - pairs) / pairs
+    m, heads, n = len(grid), len(jig.heads), np.arange(1, count + 1)
+    x, basis, s = x[:, list(jig.heads)], columns(grid, n), (n - pairs) / pairs
     powers = np.tile(np.array([s**0, s, s**2]), 2)  # of cosine and sine coefficients
-    bend, x = columns(grid, n), x[:, list(jig.heads)]
-    field_, table = slice(0, 2 * count), slice(2 * count, 4 * count)
-    first = 4 * count + heads
-    size = first + 4 * (heads - 1)
-    own = [slice(first + 4 * k, first + 4 * k + 4) for k in range(heads - 1)]
-    free = np.ones(size, bool)
     sigma = noise if noise > 0 else 1e-3 * float(x.std())
-    held = np.zeros(size)  # one over the variance of what the readings may leave open
-    held[table] = (pairs / PRIOR) ** 2
-    y = np.zeros(size)
-    y[table.stop : first] = x.mean(axis=0)
-    for k, at in enumerate(own):
-        y[at] = [*jig.heights[k], jig.places[k]]
-        held[at] = [0.0, *[(HEIGHT * pairs) ** -2] * 2, 0.0]
-        if known:
-            free[at] = [True, False, False, False]
-            held[at] = 0.0
+    own = np.column_stack([jig.heights, jig.places])
+    begin = np.concatenate([np.zeros(2 * count), own.ravel()])
+    told = (
+        np.zeros(own.shape) if known else np.tile([0.0, *[(HEIGHT * pairs) ** -2] * 2, 0.0], (heads - 1, 1))
+    )
+    precision = np.concatenate([np.full(2 * count, (pairs / PRIOR) ** 2), told.ravel()])
+    free = np.ones(own.shape, bool) & (not known or np.array([True, False, False, False]))
+    free = np.concatenate([np.ones(2 * count, bool), free.ravel()])
 
-    def seen_at(y: np.ndarray) -> list[np.ndarray]:
-        v = grid + bend @ y[table]
-        other = [columns(v + y[at][3], n) * np.exp(y[at][:3] @ powers) for at in own]
-        return [columns(v, n), *other]
-
-    def left_at(y: np.ndarray, seen: list[np.ndarray]) -> np.ndarray:
-        return np.asarray(
-            (x - y[table.stop : first]).T.ravel() - np.concatenate([w @ y[field_] for w in seen])
-        )
-
-    def cost_at(y: np.ndarray, left: np.ndarray) -> float:
-        return float(left @ left / sigma**2 + held @ y**2)
-
-    seen = seen_at(y)
-    fields = np.vstack(seen)
-    y[field_] = np.linalg.solve(fields.T @ fields + 1e-3 * m * np.eye(2 * count), fields.T @ left_at(y, seen))
-    left = left_at(y, seen)
-    cost, damping = cost_at(y, left), FIRST
-    for _ in range(rounds or ROUNDS):
-        f = y[field_]
-        slope = np.concatenate([n * f[count:], -n * f[:count]])  # d f / d v
-        slopes = [w @ slope for w in seen]
-        J = np.zeros((heads * m, size))
-        for k, (w, d) in enumerate(zip(seen, slopes, strict=True)):
-            rows = slice(k * m, (k + 1) * m)
-            J[rows, field_], J[rows, table], J[rows, table.stop + k] = w, d[:, None] * bend, 1.0
+    def tangent(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return residual and slopes (heads * samples, 1 + unknowns) over the noise, f and o eliminated."""
+        angle, own = grid + basis @ y[: 2 * count], np.vstack([np.zeros(4), y[2 * count :].reshape(-1, 4)])
+        fields = [columns(angle + place, n) * np.exp(k @ powers) for *k, place in own]
+        linear = np.hstack([np.vstack(fields), np.kron(np.eye(heads), np.ones((m, 1)))])
+        normal = linear.T @ linear
+        f = solve(normal, linear.T @ x.T.reshape(-1, 1))[: 2 * count, 0]
+        slope = np.concatenate([n * f[count:], -n * f[:count]])  # d f / d angle
+        J = np.zeros((heads, m, 1 + len(y)))
+        J[..., 0] = x.T
+        for k, (mine, field_) in enumerate(zip(J, fields, strict=True)):
+            mine[:, 1 : 1 + 2 * count] = (field_ @ slope)[:, None] * basis
             if k:
-                J[rows, own[k - 1]] = np.column_stack([w @ (f * q) for q in powers] + [d])
-        normal = J.T @ J / sigma**2 + np.diag(held)
-        right = J.T @ left / sigma**2 - held * y
-        scale = np.where(free, np.sqrt(np.diag(normal)) + 1e-300, np.inf)
-        normal, right = normal / np.outer(scale, scale), right / scale
-        normal[~free, ~free] = 1.0
-        while damping < LAST:
-            trial = y + np.linalg.solve(normal + damping * np.eye(size), right) / scale
-            new_seen = seen_at(trial)
-            new_left = left_at(trial, new_seen)
-            new_cost = cost_at(trial, new_left)
-            if new_cost <= cost:
-                break
-            damping *= 10
-        else:
-            break
-        gained, cost = cost - new_cost, new_cost
-        y, seen, left, damping = trial, new_seen, new_left, damping / 30
-        if gained < SETTLED * cost:
-            break
-    misfit = float(np.sqrt(np.mean(left**2)))
-    inverse = np.linalg.inv(normal + FIRST * 1e-6 * np.eye(size))[table]
-    parts = np.diag(inverse[:, table]) / scale[table] ** 2 * max(misfit / sigma, 1.0) ** 2
+                at = 1 + 2 * count + 4 * (k - 1)
+                mine[:, at : at + 4] = field_ @ np.column_stack([*(f * powers), slope])
+        rows = J.reshape(heads * m, -1)
+        rows -= linear @ solve(normal, linear.T @ rows)
+        return rows[:, 0] / sigma, rows[:, 1:] / sigma
+
+    def derivatives(y: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        left, J = tangent(y)
+        gradient = 2 * (precision * y - J.T @ left)
+        return float(left @ left + precision @ y**2), gradient, 2 * (J.T @ J + np.diag(precision))
+
+    upper = np.where(free, np.inf, begin)
+    problem = Problem(lambda points: np.array([derivatives(y)[0] for y in points]),
+                      np.where(free, -np.inf, begin), upper, derivatives)  # fmt: skip
+    y = newton(problem, begin, max_iterations=rounds, tolerance=SETTLED).x
+    left, J = tangent(y)
+    misfit = sigma * float(np.sqrt(np.mean(left**2)))
+    covariance = inverse((J.T @ J + np.diag(precision))[np.ix_(free, free)])[: 2 * count]
+    parts = np.diag(covariance) * max(misfit / sigma, 1.0) ** 2
     bend = np.kron(np.diag(2**0.5 * NONLINEAR * x.std(axis=0)), columns(grid, np.arange(2, 5) * pairs))
-    parts += ((inverse @ (J.T @ bend / scale[:, None]) / sigma**2 / scale[table, None]) ** 2).sum(axis=1)
+    parts += ((covariance @ (J[:, free].T @ bend) / sigma) ** 2).sum(axis=1)
     std = np.sqrt(parts.reshape(2, -1).mean(axis=0))
-    others = np.array([y[at] for at in own])
-    told = Jig(jig.heads, others[:, 3], others[:, :3], jig.orders, jig.ripple, jig.closure_std)
-    return Closure(told, phasors(y[table]), np.minimum(std, PRIOR / pairs), misfit, noise)
+    own = y[2 * count :].reshape(-1, 4)
+    return Closure(
+        replace(jig, places=own[:, 3], heights=own[:, :3]), phasors(y[: 2 * count]),
+        np.minimum(std, PRIOR / pairs), misfit, noise,
+    )  # fmt: skip
 
 
 # -- the motion (2), (3) ------------------------------------------------------------------------------------
 
-CHUNK = 4096
 FEW = {1: 1.8, 2: 1.3}
 """Turns -> by how much more than S(n) / R a table is off: slow wander leaks into few turns (simulated)."""
 SMOOTH = 8
@@ -512,6 +448,12 @@ def slow_of(part: Stretch, time: np.ndarray, reference: str) -> np.ndarray:
     return np.asarray(np.polynomial.legendre.legvander((time - middle) / half, degree))
 
 
+def without_slow(part: Stretch, rows: np.ndarray, reference: str) -> np.ndarray:
+    """Return what is left of rows (samples, ...) of a stretch once their slow part is eliminated."""
+    slow = np.linalg.qr(slow_of(part, part.time, reference))[0]
+    return np.asarray(rows - slow @ (slow.T @ rows))
+
+
 def _speed(part: Stretch, reference: str) -> np.ndarray:
     """Slow speed of the samples [turns per unit of time]."""
     if reference != COASTING:
@@ -534,37 +476,26 @@ def line_of(parts: Sequence[Stretch], count: int, reference: str, jig: Jig | Non
     n = np.arange(1, count + 1)
     speeds = [_speed(part, reference) for part in parts]
     fast = max(float(s.max()) for s in speeds)
-    means = (
-        [1 / p.period for p in parts]
-        if reference != COASTING
-        else [s for v in speeds for s in (v.min(), v.max())]
-    )
-    ratio = max(means) / min(means)
+    ratio = fast / min(float(s.min()) for s in speeds)
     apart = ratio >= SPEEDS
-    q = [(fast / s) ** 2 for s in speeds]
+    shares = [(fast / s) ** 2 for s in speeds]
     width = 2 * count * (1 + apart)
-    slow = [slow_of(part, part.time, reference) for part in parts]
-    total = width + sum(s.shape[1] for s in slow)
-    normal, right, at = np.zeros((total, total)), np.zeros(total), width
-    aims = [rippled(part, jig) - part.u for part in parts]
-    for part, own, share, aim in zip(parts, slow, q, aims, strict=True):
-        take = np.r_[np.arange(width), np.arange(at, at + own.shape[1])]
-        at += own.shape[1]
-        for k in range(0, len(part.u), CHUNK):
-            rows = slice(k, k + CHUNK)
-            table = columns(part.u[rows], n)
-            both = [table, table * share[rows, None]] if apart else [table]
-            block = np.hstack([*both, own[rows]])
-            normal[np.ix_(take, take)] += block.T @ block
-            right[take] += block.T @ aim[rows]
-    found = np.linalg.lstsq(normal, right, rcond=1e-14)[0]
-    power, turns, design, at = np.zeros(count), 0, [], width
-    for part, own, share, aim in zip(parts, slow, q, aims, strict=True):
+
+    def beside_slow(part: Stretch, share: np.ndarray) -> np.ndarray:
+        """Return the columns (samples, width + 1) of table, falling part and what they are to make."""
         table = columns(part.u, n)
-        rest = aim - table @ found[: 2 * count] - own @ found[at : at + own.shape[1]]
-        if apart:
-            rest = rest - (table * share[:, None]) @ found[2 * count : width]
-        at += own.shape[1]
+        both = [table, table * share[:, None]] if apart else [table]
+        return without_slow(part, np.column_stack([*both, rippled(part, jig) - part.u]), reference)
+
+    products = np.zeros((width + 1, width + 1))
+    for part, share in zip(parts, shares, strict=True):
+        rows = beside_slow(part, share)
+        products += rows.T @ rows
+    found = solve(products[:width, :width], products[:width, width:])[:, 0]
+    power, turns, design = np.zeros(count), 0, []
+    for part, share in zip(parts, shares, strict=True):
+        rows = beside_slow(part, share)
+        table, rest = columns(part.u, n), rows[:, width] - rows[:, :width] @ found
         whole = np.abs(part.u - part.u[0]) / TURN
         for j in range(int(part.turns + 0.02)):
             turn = (whole >= j) & (whole < j + 1)
@@ -678,33 +609,26 @@ class SelfCalibration:
 
 
 def decided(
-    line: Line,
-    closure: Closure | None,
-    reference: str,
-    pairs: int,
-    so_far: np.ndarray,
-    jig: Jig | None = None,
-) -> tuple[tuple[Wave, ...], np.ndarray]:
-    """Return each wave with what it belongs to, and what smooth motion adds to the table (waves,).
+    line: Line, unknown: np.ndarray, s_own: np.ndarray, reference: str, so_far: np.ndarray
+) -> tuple[Wave, ...]:
+    """Return each wave with what it belongs to, and as `Wave.sensor` what it adds to the table `so_far`.
 
     `line`: the table of smooth motion over the angle that the readings alone give: it would add the sensor's
-    error of that angle, less the ripple of the motion. `Wave.sensor` is what it adds here to the table
-    `so_far` (waves,).
+    error of that angle, less the ripple of the motion. `unknown`, `s_own`: (waves,) what the readings leave
+    open, and their standard errors. `so_far`: (waves,).
     """
     count = len(line.table)
     level = -np.log(CHANCE / count)
-    closed = ~_unknown(closure, pairs, count, jig)
-    out = [_alone(k, line, reference, level) if not closed[k] else None for k in range(count)]
-    s_own = np.zeros(count) if closure is None else np.array(closure.std)
-    if jig is not None and jig.closure_std is not None:
-        s_own = np.resize(jig.closure_std, count)
     variance = s_own**2 + np.nan_to_num(line.std) ** 2
-    shows = closed & np.isfinite(line.std) & (np.abs(line.table) ** 2 / (2 * variance) > level)
+    shows = ~unknown & np.isfinite(line.std) & (np.abs(line.table) ** 2 / (2 * variance) > level)
     bent = np.zeros(count)  # a ripple of n waves in time is n r^2 / 2 of 2 n waves over the angle
-    for k in np.flatnonzero(shows):
-        if 2 * (k + 1) <= count:
-            bent[2 * (k + 1) - 1] = (k + 1) * abs(line.table[k]) ** 2 / 2
-    for k in np.flatnonzero(closed):
+    r = np.flatnonzero(shows[: count // 2])
+    bent[2 * r + 1] = (r + 1) * np.abs(line.table[r]) ** 2 / 2
+    waves = []
+    for k in range(count):
+        if unknown[k]:
+            waves.append(_alone(k, line, reference, level))
+            continue
         step, s_line = line.table[k], float(line.std[k])
         if reference == NONE or not np.isfinite(s_line):
             value, std = 0j, float(s_own[k])
@@ -712,24 +636,26 @@ def decided(
             # a ripple that shows is no error of chance: the line counts by as much less
             doubt = s_line**2 + bent[k] ** 2 + max(0.0, abs(step) ** 2 / 2 - variance[k])
             share = doubt / (doubt + s_own[k] ** 2)
-            value, std = (1 - share) * step, float(np.sqrt(doubt * s_own[k] ** 2 / (doubt + s_own[k] ** 2)))
+            value, std = (1 - share) * step, float(np.sqrt(share) * s_own[k])
         verdict = MOTION if shows[k] else SENSOR
-        out[k] = Wave(int(k) + 1, complex(value), std, complex(-step), float(np.sqrt(variance[k])), verdict)
-    waves = [w for w in out if w is not None]
-    sizes = [abs(c) if w.verdict == OPEN else abs(w.motion or 0) for w, c in zip(waves, so_far, strict=True)]
-    sizes = [z if w.verdict != SENSOR else 0.0 for z, w in zip(sizes, waves, strict=True)]
-    off = np.array(
-        [max(s, z) if w.verdict == OPEN else s for w, s, z in zip(waves, s_own, sizes, strict=True)]
+        waves.append(Wave(k + 1, complex(value), std, complex(-step), float(np.sqrt(variance[k])), verdict))
+    if reference == NONE:
+        return tuple(waves)
+    falls = line.ratio**2 if line.ratio >= SPEEDS else 1.0  # at the lowest speed
+    sizes, off = np.zeros(count), s_own.copy()
+    for k, (w, c) in enumerate(zip(waves, so_far, strict=True)):
+        if w.verdict == OPEN:
+            sizes[k] = abs(c)
+            off[k] = max(s_own[k], sizes[k])
+        elif w.verdict == MOTION:
+            sizes[k] = falls * abs(w.motion or 0)
+    return tuple(
+        w if w.std is None else replace(w, std=float(np.hypot(w.std, _mixed(k, sizes, off))))
+        for k, w in enumerate(waves)
     )
-    if line.ratio >= SPEEDS:  # at the lowest speed
-        sizes = [z * line.ratio**2 if w.verdict == MOTION else z for z, w in zip(sizes, waves, strict=True)]
-    for i, w in enumerate(waves):
-        if w.std is not None and reference != NONE:
-            waves[i] = replace(w, std=float(np.hypot(w.std, _mixed(i, sizes, off))))
-    return tuple(waves), np.array([w.sensor for w in waves])
 
 
-def _mixed(k: int, sizes: Sequence[float], off: np.ndarray) -> float:
+def _mixed(k: int, sizes: np.ndarray, off: np.ndarray) -> float:
     """What ripples of the motion and errors of the angle at which they are met make of a wave together.
 
     A ripple of n waves of size r, of `sizes` (waves,), has a slope n r; an error of m waves of the angle, of
@@ -744,13 +670,20 @@ def _mixed(k: int, sizes: Sequence[float], off: np.ndarray) -> float:
     return float(np.sqrt(total))
 
 
-def _unknown(closure: Closure | None, pairs: int, count: int, jig: Jig | None) -> np.ndarray:
-    """Which waves (count,) the readings leave open; rings of a fleet tell it by their scatter."""
+def _told_by_readings(
+    closure: Closure | None, pairs: int, count: int, jig: Jig | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return which waves (count,) the readings leave open, and their standard errors.
+
+    Rings of a fleet tell both by their scatter.
+    """
     if closure is None:
-        return np.ones(count, bool)
+        return np.ones(count, bool), np.zeros(count)
     if jig is not None and jig.closure_std is not None:
-        return np.asarray(np.resize(jig.closure_std, count) * pairs > WEAK * PRIOR)
-    return closure.open(pairs)
+        std = np.resize(jig.closure_std, count)
+        return std * pairs > WEAK * PRIOR, std
+    hidden = seen(np.r_[0.0, closure.jig.places], count) < OPEN_BELOW
+    return hidden | (closure.std * pairs > WEAK * PRIOR), closure.std
 
 
 def _alone(k: int, line: Line, reference: str, level: float) -> Wave:
@@ -822,23 +755,23 @@ def self_calibrate(
             "least: sample faster or turn slower."
         )
     count = min(count, most)
-    ahead = [_wider(p, found) for p in train]
+    # a hundredth of a turn more where it goes on: whole turns from every angle
+    ahead = [whole.cut(0, part.turns + 0.01) for part, whole in zip(train, found, strict=True)]
     closure = closure_of(ahead, plane, pairs, count, jig)
     n = np.arange(1, count + 1)
-    unknown = _unknown(closure, pairs, count, jig)
+    unknown, s_own = _told_by_readings(closure, pairs, count, jig)
     whole = np.zeros(count, complex) if closure is None else np.where(unknown, 0j, closure.table)
     for turn in range(2):  # a ripple of the motion mixes with what the angle is off by: once more, nearer
         known = [replace(p, u=p.u + columns(p.u, n) @ coefficients(whole)) for p in train]
         line = line_of(known, count, reference, jig)
-        waves, more = decided(line, closure, reference, pairs, whole, jig)
+        waves = decided(line, unknown, s_own, reference, whole)
+        more = np.array([w.sensor for w in waves])
         whole = _added(whole, more if turn else np.where(unknown, more, 0j))
-    left_out = [w.verdict == OPEN and reference == NONE for w in waves]
     waves = tuple(
-        replace(w, sensor=0j if none else complex(c))
-        for w, c, none in zip(waves, whole, left_out, strict=True)
+        replace(w, sensor=0j if w.verdict == OPEN and reference == NONE else complex(c))
+        for w, c in zip(waves, whole, strict=True)
     )
-    asked = {*orders} or {*n.tolist()}
-    h = coefficients(np.where(np.isin(n, list(asked)), [w.sensor for w in waves], 0j))
+    h = coefficients(np.where(np.isin(n, orders or n), [w.sensor for w in waves], 0j))
     drive = coefficients(np.array([w.motion if w.verdict == MOTION and w.motion else 0j for w in waves]))
     left: dict[str, tuple[float, float]] = {}
     judged = [p.cut(np.floor(p.turns) - 1, np.floor(p.turns)) for p in found if p.turns >= 3]
@@ -850,10 +783,8 @@ def self_calibrate(
             theta = u if table is None else part.u + columns(part.u, n) @ table
             theta = theta * np.sign((theta[-1] - theta[0]) * (part.u[-1] - part.u[0]))
             own = columns(part.u, n) @ drive if jig is None else rippled(part, jig)
-            slow = slow_of(part, part.time, reference)
-            for k, gap in enumerate((theta, theta - own)):
-                rest = gap - slow @ np.linalg.lstsq(slow, gap, rcond=None)[0]
-                sums[k] += pairs**2 * float(np.mean(rest**2)) / len(judged)
+            rest = without_slow(part, np.column_stack([theta, theta - own]), reference)
+            sums += pairs**2 * np.mean(rest**2, axis=0) / len(judged)
         if judged:
             left[name] = (float(np.sqrt(sums[0])), float(np.sqrt(sums[1])))
     return SelfCalibration(
@@ -868,12 +799,6 @@ def plane_of_nominal(plane: Plane, phases: np.ndarray) -> Plane:
     return Plane(plane.offset, shape * np.hypot(*plane.shape.T).mean())
 
 
-def _wider(part: Stretch, found: Sequence[Stretch]) -> Stretch:
-    """The stretch with a hundredth of a turn more where it goes on: whole turns from every angle."""
-    (whole,) = (p for p in found if p.run == part.run)
-    return whole.cut(0, part.turns + 0.01)
-
-
 def _ripple(parts: Sequence[Stretch], closure: Closure | None, pairs: int, count: int) -> np.ndarray:
     """Phasors of the motion beside the readings alone over the angle of the drive, waves 1 to 2 `count`."""
     if closure is None:
@@ -882,8 +807,7 @@ def _ripple(parts: Sequence[Stretch], closure: Closure | None, pairs: int, count
     period = parts[0].period
     ahead = TURN * times.mean(axis=0) / period
     theta = grid + columns(grid, np.arange(1, count + 1)) @ coefficients(closure.table)
-    gap = wrapped(theta - ahead, TURN * 1.0)
-    gap = np.unwrap(gap)
+    gap = np.unwrap(theta - ahead)
     m = np.arange(1, 2 * count + 1)
     return np.asarray(
         2 * np.mean((gap - gap.mean())[:, None] * np.exp(-1j * np.multiply.outer(ahead, m)), axis=0)

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import CombinationEstimate, Fit, Joint
+from hallsym.estimation.calibration import CombinationEstimate, Fit, Joint, LowerBound
 from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.decoding import Errors, ErrorTable
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Sharing, own_name
 from hallsym.estimation.optimum import Solution
-from hallsym.estimation.task import Begun, LowerBound, Solved, fit_of, lower_bound
+from hallsym.estimation.task import Begun, Solved, fit_of, lower_bound
 from hallsym.log import Log, Noise
 from hallsym.log.quality.findings import Fault, name_of
 from hallsym.model import Model
@@ -237,7 +237,7 @@ def _whole(
     solver = {
         **last.solver,
         "cost_per_degree_of_freedom": estimate.cost_per_dof,
-        "lower_bound": None if bound is None else bound.to_dict(),
+        "lower_bound": bound and dict(vars(bound)),
     }
     worst = max(fits, key=lambda fit: fit.goodness.residual_over_noise if fit.goodness else 0.0)
     limits = max((fit.goodness for fit in fits if fit.goodness), key=lambda each: each.limit)

@@ -6,13 +6,12 @@ from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from importlib import metadata
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.estimation import outliers
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation.calibration import Fit, LowerBound
 from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.decoding import (
     Errors,
@@ -334,29 +333,6 @@ COLLINEAR = 1e-8
 of squares that they explain is rounding."""
 
 
-@dataclass(frozen=True)
-class LowerBound:
-    """Cost of the unconstrained linear fit, at the weights that residuals have at the optimum.
-
-    `ratio`: cost at the optimum over `cost`, 1 or more. `expected`: the ratio that follows from the number of
-    `coefficients` alone, where the formulas of the model hold and no bound is in the way.
-    """
-
-    cost: float
-    ratio: float
-    expected: float
-    coefficients: int
-
-    @property
-    def near(self) -> bool:
-        """Whether the optimum costs no more, beyond the expected, than what is worth reporting."""
-        return self.ratio <= self.expected * limit_of(1.0, WORTH_REPORTING) ** 2
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the record of calib.json and `--json`."""
-        return {**vars(self), "near": self.near}
-
-
 def lower_bound(point: Point, estimated: int) -> LowerBound | None:
     """Return the bound for the optimum at `point`, where `estimated` parameters were free.
 
@@ -388,7 +364,9 @@ def lower_bound(point: Point, estimated: int) -> LowerBound | None:
     if over < 1 or not bound > 0:
         return None
     expected = max((readings - estimated - zeros) / over, 1.0)
-    return LowerBound(bound, max(point.value / bound, 1.0), expected, free)
+    ratio = max(point.value / bound, 1.0)
+    near = ratio <= expected * limit_of(1.0, WORTH_REPORTING) ** 2
+    return LowerBound(bound, ratio, expected, free, near)
 
 
 def result_of(solved: Solved, began: float) -> Fit:
@@ -446,7 +424,7 @@ def fit_of(
             "starts": state.search.starts,
             "share_at_optimum": state.search.share,
             "seed": task.asked.seed,
-            "lower_bound": None if bound is None else bound.to_dict(),
+            "lower_bound": bound and dict(vars(bound)),
         },
         log={
             "path": None if task.log.path is None else str(task.log.path),

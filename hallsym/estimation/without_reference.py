@@ -146,16 +146,6 @@ def terms_of(model: Model) -> tuple[int, np.ndarray, tuple[int, ...]]:
     return pairs, phases, tuple(int(n[1:-1]) for n in stated)
 
 
-def self_fit_of(
-    log: Log, model: Model, found: SelfCalibration, runs: Mapping[int, tuple[np.ndarray, np.ndarray]]
-) -> SelfFit:
-    """Return the calibration in the terms of a model."""
-    if TABLE not in model.effects:
-        model = adapted(model, (f"{TABLE}:count={len(found.kept)}",), {})
-    rows = sum(len(x) for _, x in runs.values())
-    return SelfFit(_fit(log, model, found, runs, rows, found.seconds), found)
-
-
 def samples_of(log: Log, model: Model) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     """Return run -> times (samples,), rows without `t_s`, and readings (samples, heads)."""
     log.table.require(model.channels)
@@ -174,10 +164,12 @@ def samples_of(log: Log, model: Model) -> dict[int, tuple[np.ndarray, np.ndarray
     return out
 
 
-def _fit(
-    log: Log, model: Model, found: SelfCalibration, runs: Mapping[int, Any], rows: int, seconds: float
-) -> Fit:
-    """The calibration in the parameters of its model: the table turned over, from decoding to reading."""
+def self_fit_of(
+    log: Log, model: Model, found: SelfCalibration, runs: Mapping[int, tuple[np.ndarray, np.ndarray]]
+) -> SelfFit:
+    """Return the calibration in the parameters of a model, the table turned over from decoding to reading."""
+    if TABLE not in model.effects:
+        model = adapted(model, (f"{TABLE}:count={len(found.kept)}",), {})
     plane, pairs, values = found.plane, found.pairs, model.named(model.nominal)
     std = dict.fromkeys(model.names, 0.0)
     x = np.concatenate([x for _, x in runs.values()])
@@ -211,7 +203,7 @@ def _fit(
         for c in model.channels
     }
     held = (*tuple(p.name for p in model.parameters if p.width == 0), "zero")
-    return Fit(
+    fit = Fit(
         model=model,
         values=np.array([values[n] for n in model.names]),
         std=spread,
@@ -235,10 +227,10 @@ def _fit(
             "seed": 0,
         },
         log={
-            "path": None if log.path is None else str(log.path), "sha256": None, "rows": rows,
+            "path": None if log.path is None else str(log.path), "sha256": None, "rows": len(x),
             "runs": len(runs), "holdout": [], "span": {},
         },
-        seconds=seconds,
+        seconds=found.seconds,
         notes=notes_of(found),
         undetermined_by_log=tuple(n for n in model.names if n in unknown),
         source=log,
@@ -246,6 +238,7 @@ def _fit(
         read_with=dict(log.table.read_with),
         versions=dict(versions_used()),
     )  # fmt: skip
+    return SelfFit(fit, found)
 
 
 def _turned_over(orders: np.ndarray, h: np.ndarray) -> np.ndarray:

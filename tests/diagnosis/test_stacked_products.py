@@ -6,7 +6,7 @@ from scipy.optimize import lsq_linear
 
 import hallsym
 from hallsym import Log, Noise, NoiseModel
-from hallsym.diagnosis.normal_equations import Columns, normal_equations, within_bounds
+from hallsym.diagnosis.normal_equations import Columns, normal_equations
 from hallsym.diagnosis.setup import prepare
 from hallsym.estimation.decoding import decoding_gain
 from hallsym.families.halbach.effects import magnets, mechanics, transducer
@@ -14,6 +14,7 @@ from hallsym.families.halbach.layout import columns
 from hallsym.families.halbach.models import FAMILY, halbach
 from hallsym.log import Batch
 from hallsym.simulation import campaign_from
+from solvers import bounded_step
 
 
 def whitened(work: Columns, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
@@ -68,7 +69,8 @@ def test_what_would_leave_its_bounds_stops_there_and_the_others_follow():
         y = A[:, 0] + 5 * (A[:, 1] - A[:, 0]) / 1e-3 + 0.1 * rng.standard_normal(200)
         columns = np.hstack([A, y[:, None]])
         bound = np.array([2.0, 2.0, 2.0])
-        found = within_bounds(columns.T @ columns, -bound, bound, np.arange(3))
+        M = columns.T @ columns
+        found = bounded_step(-M[:3, 3], M[:3, :3], -bound, bound)[0]
         best = lsq_linear(A, y, (-bound, bound), tol=1e-12).x
         assert np.all(np.abs(found) <= bound)
         assert np.sum((y - A @ found) ** 2) == pytest.approx(np.sum((y - A @ best) ** 2), rel=1e-3)

@@ -41,7 +41,7 @@ def test_the_ellipse_alone_doubles_the_error_of_an_eccentric_magnet() -> None:
     x = np.stack([(1 + 0.05 * np.cos(theta)) * np.cos(theta + p) for p in HALLS], axis=1)
     plane = sc.plane_of(x, PHASES)
     errors = [
-        sc.rms(np.unwrap(at.phase(x)) - theta)
+        np.std(np.unwrap(at.phase(x)) - theta)
         for at in (sc.plane_of_nominal(sc.Plane(x.mean(0), plane.shape), PHASES), plane)
     ]
     assert errors[1] > 1.5 * errors[0]
@@ -89,6 +89,15 @@ def test_stated_errors_cover_the_truth_whatever_ripples() -> None:
         scores += far(*calibrated(seed, "constant-speed"))
     assert np.mean(np.array(scores) < 3.0) >= 0.92  # 95 % stated; three standard errors of so few waves
     assert np.median(scores) > 0.02  # and not because they are wide
+
+
+def test_what_the_readings_tell_is_solved_to_its_optimum(monkeypatch) -> None:
+    tables = []
+    for settled in (sc.SETTLED, 1e-15):
+        monkeypatch.setattr(sc, "SETTLED", settled)
+        closure = calibrated(22, "none")[1].closure
+        tables.append(closure.table)
+    assert np.all(np.abs(tables[0] - tables[1]) < 2e-3 * closure.std)
 
 
 def test_a_constant_motion_shows_no_ripple() -> None:
@@ -150,9 +159,9 @@ def test_a_calibration_decodes_the_ring_that_it_has_not_seen_with_a_reference() 
     near = theta - begin
     decode = on_arrays(model.decoded_near)
     pose = decode(result.fit.values, np.zeros(0), list(x.T), [], np.ones(3), near[None])[0][0]
-    assert 4 * sc.rms(pose - theta) < np.radians(0.3)
+    assert 4 * np.std(pose - theta) < np.radians(0.3)
     plain = result.found.plane.phase(x) / 4
-    assert 4 * sc.rms(np.unwrap(4 * plain) / 4 - theta) > np.radians(0.6)
+    assert 4 * np.std(np.unwrap(4 * plain) / 4 - theta) > np.radians(0.6)
 
 
 @pytest.mark.parametrize(
