@@ -106,4 +106,4 @@ def shared_noise(
 def _thinned(batch: Batch, every: int) -> Batch:
     """Every so many samples of a batch."""
     data = {c: v[::every] for c, v in batch.data.items()}
-    return Batch(batch.blocks, data, tuple(-(-edge // every) for edge in batch.edges))
+    return Batch(batch.runs, data, tuple(-(-edge // every) for edge in batch.edges))

@@ -245,12 +245,12 @@ def stretches(batch: Batch, seen: dict[int, int], length: int | None) -> tuple[B
 
     `seen`: samples of each run before the batch; it is brought up to date.
     """
-    batch = batch.cut(length, seen.get(batch.blocks[0].run, 0)) if length else batch
+    batch = batch.cut(length, seen.get(batch.runs[0], 0)) if length else batch
     keys = list[tuple[int, int]]()
-    for block, part in batch.parts():
-        done = seen.get(block.run, 0)
-        keys.append((block.run, done // length if length else 0))
-        seen[block.run] = done + part.stop - part.start
+    for run, part in batch.parts():
+        done = seen.get(run, 0)
+        keys.append((run, done // length if length else 0))
+        seen[run] = done + part.stop - part.start
     return batch, keys
 
 

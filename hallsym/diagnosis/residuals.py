@@ -79,7 +79,7 @@ class Base:
 
     def zeros_of(self, batch: Batch) -> np.ndarray:
         """Return the zero deviations of every sample of a batch, (offsets, samples)."""
-        own = np.array([self.zeros_in(block.run) for block in batch.blocks])
+        own = np.array([self.zeros_in(run) for run in batch.runs])
         return np.repeat(own, np.diff(batch.edges), axis=0).T
 
     def batches(self, model: Model | None = None) -> Iterator[Batch]:
@@ -145,7 +145,7 @@ def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
         weights = batch.weights(base.keep)
         residual, speed = known[k] if known else evaluate(batch)
         readings = np.array(batch.columns(model.channels))
-        for block, at in batch.parts():
+        for block, (_, at) in zip(batch.blocks, batch.parts(), strict=True):
             if block.run in runs:
                 used = np.ones(at.stop - at.start, bool) if weights is None else weights[at] > 0
                 yield Piece(

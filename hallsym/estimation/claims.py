@@ -54,7 +54,7 @@ def claims_of(fit: Fit, given: Log) -> tuple[Claim, ...]:
     coarse = tuple(coarse_readings(given, fit.model))
     if told is None or not (told.sentence or max(told.by_run.values(), default=1.0) ** 2 > ALONE):
         return coarse
-    return mistakes_of(given, fit.model) or coarse
+    return coarse or mistakes_of(given, fit.model)
 
 
 LOOKED, RUNS_LOOKED = 4096, 8
@@ -183,8 +183,8 @@ def scales(model: Model, columns: Sequence[str]) -> list[tuple[str, float]]:
         return []
     named = {u.factor: u.name for u in UNITS.values() if u.si == unit.si and not u.offset and u.factor > 1e-7}
     factors = dict.fromkeys([*named, *(1 / f for f in named), *FACTORS, *(1 / f for f in FACTORS)])
-    if any(c in model.period for c in columns):  # turns: a larger factor makes noise of them
-        factors = dict.fromkeys([*(f for f in factors if f < 60), *RATIOS, *(1 / n for n in RATIOS)])
+    if any(c in model.period for c in columns):
+        factors |= dict.fromkeys([*RATIOS, *(1 / n for n in RATIOS)])
     return [(named.get(f, ""), f) for f in factors if f != 1.0]
 
 
@@ -225,7 +225,7 @@ class Trials:
 
     def over(self, floor: float) -> Trials:
         """Return the same with `floor` times the variance: an estimate misses what colour a noise has."""
-        sigmas = {n: replace(s, value=s.value * floor**0.5) for n, s in self.noise.sigmas.items()}
+        sigmas = {n: replace(s, value=s.value * floor**0.5) for n, s in self.noise.items()}
         return replace(self, noise=Noise(sigmas))
 
     @cached_property
@@ -295,6 +295,9 @@ class Trials:
         noise = self.noise
         for one in corrections:
             noise = one.noise_of(noise, runs)
+        for c, period in self.model.period.items():
+            if any(c in one.columns for one in corrections) and _median_step(columns[c]) > period / 4:
+                raise InputError(f"Column {c} would turn too far from sample to sample to be followed.")
         if self.model.period:  # turns are counted at the full rate
             whole = Log.from_arrays({RUN: self.run, **columns}, noise, self.given.meta)
             log = continuous(whole, self.model)
@@ -363,6 +366,10 @@ class Trials:
             return Tried(tuple(corrections), self._cost(log, p), p, self.model, log)
         except (InputError, np.linalg.LinAlgError):
             return None
+
+
+def _median_step(x: np.ndarray) -> float:
+    return float(np.median(np.abs(np.diff(x)))) if len(x) > 1 else 0.0
 
 
 def _left_free(begun: Begun) -> float:
@@ -506,7 +513,9 @@ def suspects(trials: Trials) -> list[Found]:
         return out
     most = 1 + SLACK * (1 - EXPLAINS) * base.mean(base.left)
     # free coefficients absorb signs, scales and orders of what readings are polynomials of
-    linear = base.free <= most or bool(trials.model.period)
+    # (but what they leave depends on a stated noise, which is in SI where numbers are not)
+    stated = any(trials.noise[c].source == "given" for c in trials.model.references)
+    linear = base.free <= most or stated or bool(trials.model.period)
 
     def tried(c: Correction) -> Tried | None:  # beside the right number, one explains little yet
         return trials.fitted((c,), most=np.inf if c.kind in STEPS else most)
@@ -601,10 +610,11 @@ def _named(trials: Trials, base: Tried, found: Found) -> Found | None:
         about = [replace(c, numbers=(c.numbers[0] + k,)) for k in (-2, -1, 0, 1, 2) if c.numbers[0] + k]
         tried = {one: after for one in about if (after := trials.fitted((one,))) is not None and after.left}
         c = min(tried, key=lambda one: tried[one].mean(tried[one].deviance), default=c)
-    for one in (*near, c):
-        after = trials.fitted((one,))
-        if after is not None and _explains(base, after):
-            return replace(found, correction=one)
+    for some in (near, [c]):
+        tried = {one: after for one in some if (after := trials.fitted((one,))) and _explains(base, after)}
+        if tried:
+            best = min(tried, key=lambda one: tried[one].mean(tried[one].deviance))
+            return replace(found, correction=best)
     return None
 
 

@@ -251,7 +251,7 @@ def error_tables(
     for batch, decoded in _decoded(log, model, versions, reading_variance, sigma, on_rows, among):
         weights, starts = batch.weights(keep), batch.edges[:-1]
         used = np.ones(len(batch), bool) if weights is None else weights > 0
-        runs += [block.run for block in batch.blocks]
+        runs += batch.runs
         counts.append(np.add.reduceat(used.astype(float), starts))
         for column in (*model.references, *model.state) if counts[-1].any() else ():
             values = batch.data[column] if weights is None else batch.data[column][used]
@@ -264,8 +264,8 @@ def error_tables(
                 size[:, ~used] = 0.0
             peak = np.maximum.reduceat(size, starts, axis=1)
             if not np.isfinite(peak).all():
-                for block, at in batch.parts():
-                    check_decoded(error[:, at][:, used[at]], model, log, block.run)
+                for run, at in batch.parts():
+                    check_decoded(error[:, at][:, used[at]], model, log, run)
             total.append((np.add.reduceat(np.square(size, out=size), starts, axis=1), peak))
     first = np.flatnonzero(np.diff(runs, prepend=runs[0] - 1))  # a run's blocks are consecutive
     count = np.add.reduceat(np.concatenate(counts), first)
@@ -292,11 +292,11 @@ def _decoded(
     wide = extended(log, model, sigma, model.named(versions[-1][0]))
     for whole in batches(wide, columns_of(model), on_rows):
         batch = whole if among is None else whole.of_runs(among)
-        if not batch.blocks:
+        if not batch.runs:
             continue
         errors = []
         for (p, zeros), of in zip(versions, errors_of, strict=True):
-            own = np.array([zeros.get(block.run, none) for block in batch.blocks])
+            own = np.array([zeros.get(run, none) for run in batch.runs])
             alike = bool((own == own[0]).all())
             each = own[0] if alike else np.repeat(own, np.diff(batch.edges), axis=0).T
             errors.append(of(p, each, batch.data))
@@ -321,8 +321,8 @@ def zero_shifts(
     for batch, (error,) in _decoded(log, model, [(p, zeros)], reading_variance, sigma) if own else ():
         for column, period in own.items():
             turn = np.nan_to_num(np.exp(2j * np.pi / period * error[model.references.index(column)]))
-            for block, total in zip(batch.blocks, np.add.reduceat(turn, batch.edges[:-1]), strict=True):
-                sums[column][block.run] = sums[column].get(block.run, 0j) + complex(total)
+            for run, total in zip(batch.runs, np.add.reduceat(turn, batch.edges[:-1]), strict=True):
+                sums[column][run] = sums[column].get(run, 0j) + complex(total)
     return {
         column: {run: float(np.angle(total)) * own[column] / (2 * np.pi) for run, total in runs.items()}
         for column, runs in sums.items()

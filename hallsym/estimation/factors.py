@@ -205,7 +205,7 @@ def summarised(
 
 def _centre(features: Features, batch: Batch) -> np.ndarray:
     """Mean of the first block, for every variable: takes large common offsets out of the monomials."""
-    first, model = batch.blocks[0].data, features.model
+    first, model = next(batch.blocks).data, features.model
     means = [[np.mean(first[c]) for c in columns] for columns in (model.references, model.state)]
     return np.array(features.variables(*means)).ravel()
 
@@ -224,7 +224,7 @@ def _gather(
     if weights is not None:
         columns *= np.sqrt(weights)
     triangles: list[np.ndarray] = []
-    for group in batch.groups(len(batch.blocks)):  # zeros that fill up a block leave its triangle as it is
+    for group in batch.groups(len(batch.runs)):  # zeros that fill up a block leave its triangle as it is
         triangles += [*_triangle(np.transpose(batch.layout(*group)(columns), (1, 2, 0)))]
     weight = np.ones(len(batch)) if weights is None else weights
     states = np.array(state) if state else np.zeros((0, len(batch)))

@@ -180,6 +180,8 @@ def residual_noise(r: Residual, channels: Sequence[str]) -> ResidualNoise | None
     scaled = near / np.sqrt(body_of.covariances(near, 0))
     white = np.random.default_rng(0).standard_normal((DRAWS, left.shape[1] + SETTLE))
     seen = body_of.covariances(scaled, LAGS).mean(axis=0)
+    if not np.isfinite(seen).all():  # nothing, or numbers beyond all range, is left of a reading
+        return None
     phi, kept = _autoregression(body_of, seen[: ORDER + 1], white)
     rho = correlations(phi, LONGEST)
     fewer = 1.0 + 2.0 * float((rho[1:] ** 2).sum())
@@ -557,14 +559,14 @@ def _read(
     parts, counted = [{c: np.zeros(0) for c in ("run", *wanted)}], [np.zeros(0, bool)]
     for batch in batches(extended(log, model, sigma, model.named(p)), tuple(wanted)):
         pick = []
-        for block, at in batch.parts():
+        for block, (_, at) in zip(batch.blocks, batch.parts(), strict=True):
             n = min(left.get(block.run, 0), at.stop - at.start)
             if n:
                 left[block.run] -= n
                 pick.append(slice(at.start, at.start + n))
                 counted.append(np.ones(n, bool) if keep is None else keep(block)[:n] > 0)
         if pick:
-            run = np.repeat([block.run for block in batch.blocks], np.diff(batch.edges))
+            run = np.repeat(batch.runs, np.diff(batch.edges))
             parts += [{c: v[at] for c, v in {"run": run, **batch.data}.items()} for at in pick]
         if not any(left.values()):
             break

@@ -21,7 +21,7 @@ from hallsym.estimation.likelihood import Sharing, own_name
 from hallsym.estimation.optimum import Solution
 from hallsym.estimation.task import Begun, Solved, fit_of, lower_bound
 from hallsym.log import Log, Noise
-from hallsym.log.quality.findings import Fault, name_of
+from hallsym.log.quality.findings import Fault
 from hallsym.model import Model
 from hallsym.units import UNITS
 
@@ -52,7 +52,7 @@ def check_same(logs: Sequence[Log], models: Sequence[Model]) -> None:
     """Raise `InputError` where the models of two logs, or their devices by name, are not the same."""
     first, known = logs[0], models[0]
     for log, model in zip(logs[1:], models[1:], strict=True):
-        both = f"{name_of(first)} and {name_of(log)}"
+        both = f"{first.short_name} and {log.short_name}"
         if (model.name, model.effects, model.channels) != (known.name, known.effects, known.channels):
             raise InputError(
                 f"{both} have different models, {known.name} ({', '.join(known.channels)}) and "
@@ -81,9 +81,9 @@ def check_gains(logs: Sequence[Log], model: Model, begun: Sequence[Begun]) -> No
         for channel, ratio in zip(model.channels, _ratios(own, begun[0]), strict=True):
             if (factor := unit_factor(float(ratio), channel)) is not None:
                 raise InputError(
-                    f"Units differ between files: {channel} of {name_of(log)} is {factor:.4g} times that of "
-                    f"{name_of(logs[0])}, the ratio of two units; correct the unit with --column, or fit "
-                    "each log by itself."
+                    f"Units differ between files: {channel} of {log.short_name} is {factor:.4g} times that "
+                    f"of {logs[0].short_name}, the ratio of two units; correct the unit with --column, or "
+                    "fit each log by itself."
                 )
 
 

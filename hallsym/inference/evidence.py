@@ -44,7 +44,7 @@ def visited(
     for batch in batches(extended(log, model, sigma, values), columns_of(model)):
         pick = slice(offset, None, step)
         parts.append(np.array([c[pick] for c in batch.columns((*model.references, *model.state))]))
-        runs = np.repeat([block.run for block in batch.blocks], np.diff(batch.edges))[pick]
+        runs = np.repeat(batch.runs, np.diff(batch.edges))[pick]
         own += [zeros.get(run, np.zeros(len(model.zeros))) for run in runs.tolist()]
         offset = (offset - len(batch)) % step
     pose, state = np.split(np.hstack(parts), [len(model.references)])

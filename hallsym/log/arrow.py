@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.log.table import Arrays, Source, load
-from hallsym.log.text.cells import split_header
+from hallsym.log.text.cells import stems_of
 from hallsym.units import Array
 
 TIME = "t"
@@ -53,56 +52,6 @@ def said_of_times(name: str, where: str, form: str) -> str:
     return f"Column '{name}' of {where} holds {form}; it is read in seconds from its first sample on."
 
 
-def first_tick(column: Any) -> int | None:
-    """Return the first moment of a column of times in ticks of its type; None without one."""
-    known = column.drop_null()
-    return int(_ticks(known[:1])[0]) if len(known) else None
-
-
-def _ticks(column: Any) -> Array:
-    arrow = load("pyarrow")
-    if arrow.types.is_time32(column.type):
-        column = column.cast(arrow.int32())
-    return array_of(load("pyarrow.compute").fill_null(column.cast(arrow.int64()), 0))
-
-
-class Moments:
-    """Turns chunks of one column of times into seconds, in the order of the file.
-
-    All count from `origin`, a time of day goes on after midnight. A missing one is nan.
-    """
-
-    def __init__(self, kind: Any, origin: int | None) -> None:
-        """Begin; `kind`: an Arrow type, `origin`: `first_tick` of the column."""
-        types = load("pyarrow").types
-        self.tick_s = TICK_S[kind.unit]
-        self.origin = origin or 0
-        self._onward = Onward() if types.is_time(kind) else None
-
-    def __call__(self, column: Any) -> Array:
-        """Return seconds (samples,) of an Arrow array or of several chunks of one."""
-        seconds = (_ticks(column) - self.origin) * self.tick_s
-        if column.null_count:
-            seconds[array_of(column.is_null().cast("int8")).astype(bool)] = np.nan
-        return seconds if self._onward is None else self._onward(seconds)
-
-
-class Onward:
-    """Lets a time of day go on after midnight, chunk by chunk."""
-
-    def __init__(self) -> None:
-        self._last, self._days = 0.0, 0.0
-
-    def __call__(self, seconds: Array) -> Array:
-        """Return seconds (samples,) that never go back by most of a day."""
-        steps = np.diff(seconds, prepend=self._last)
-        days = self._days + DAY_S * np.cumsum(np.nan_to_num(steps) < -DAY_S / 2)
-        good = np.flatnonzero(np.isfinite(seconds))
-        if len(good):
-            self._last, self._days = float(seconds[good[-1]]), float(days[-1])
-        return np.asarray(seconds + days)
-
-
 _CLOCK = r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d{1,9})?"
 _ZONE = r"(?:Z|[+-]\d{2}:?\d{2})"
 _DATES = {
@@ -139,50 +88,62 @@ def time_form(cells: Sequence[str]) -> TimeForm | None:
 
 
 class Seconds:
-    """Turns chunks of one column of times into seconds from its first one, in the order of the file."""
+    """Turns chunks of one column of times into seconds from its first one, in the order of the file.
 
-    def __init__(self, form: TimeForm, what: str) -> None:
-        """Begin; `what` names the column in messages."""
+    A time of day goes on after midnight, a missing one is nan. `epoch`: the first moment in seconds from
+    1970, of a time of day from midnight; None before it was read, and of durations.
+    """
+
+    def __init__(self, form: TimeForm | None = None, what: str = "") -> None:
+        """Begin. `form`: of times as text, in a column that messages call `what`."""
         self.form, self.what = form, what
+        self.epoch: float | None = None
         self._day_first: bool | None = None
         self._first: int | None = None
-        self._onward = Onward()
+        self._last, self._days = 0.0, 0.0
         self._dates: set[str] = set()
 
-    def __call__(self, cells: Any) -> np.ndarray:
-        """Return seconds (samples,) of an Arrow array of strings; a missing cell is nan."""
+    def __call__(self, column: Any) -> Array:
+        """Return seconds (samples,) of an Arrow array or of several chunks of one."""
+        arrow, missing = load("pyarrow"), array_of(column.is_null().cast("int8")).astype(bool)
+        column = self._read(column, self.form) if self.form else column
+        types, kind = arrow.types, column.type
+        if types.is_time32(kind):
+            column = column.cast(arrow.int32())
+        ticks = array_of(load("pyarrow.compute").fill_null(column.cast(arrow.int64()), 0))
+        if self._first is None and not missing.all():
+            self._first = int(ticks[~missing][0])
+            self.epoch = None if types.is_duration(kind) else self._first * TICK_S[kind.unit]
+        seconds = (ticks - (self._first or 0)) * TICK_S[kind.unit]
+        seconds[missing] = np.nan
+        daily = not self.form.date if self.form else types.is_time(kind)
+        return self._onward(seconds) if daily else seconds
+
+    def _onward(self, seconds: Array) -> Array:
+        """Return times of day that never go back by most of a day."""
+        steps = np.diff(seconds, prepend=self._last)
+        days = self._days + DAY_S * np.cumsum(np.nan_to_num(steps) < -DAY_S / 2)
+        good = np.flatnonzero(np.isfinite(seconds))
+        if len(good):
+            self._last, self._days = float(seconds[good[-1]]), float(days[-1])
+        return np.asarray(seconds + days)
+
+    def _read(self, cells: Any, form: TimeForm) -> Any:
+        """Return the times of an Arrow array of strings."""
         arrow, compute = load("pyarrow"), load("pyarrow.compute")
         text = compute.utf8_trim_whitespace(cells.cast(arrow.string()))
         text = compute.replace_substring_regex(text, ",", ".")
-        if self.form.date == "open":
+        if form.date == "open":
             self._decide(text, compute)
-        for pattern, plain in self._steps():
+        for pattern, plain in self._steps(form):
             text = compute.replace_substring_regex(text, pattern, plain)
-        kind = arrow.timestamp("ns", "UTC") if self.form.zoned else arrow.timestamp("ns")
         try:
-            times = text.cast(kind).cast(arrow.int64())
+            return text.cast(arrow.timestamp("ns", "UTC" if form.zoned else None))
         except arrow.ArrowInvalid as error:
             raise InputError(
-                f"{self.what} must hold {self.form.said} written alike in every line; one is not "
+                f"{self.what} must hold {form.said} written alike in every line; one is not "
                 f"({str(error)[:80]}): put it right, or leave the line out."
             ) from error
-        missing = np.asarray(compute.is_null(times))
-        values = np.asarray(compute.fill_null(times, 0), dtype=np.int64)
-        seconds = self._from_first(values, missing)
-        return seconds if self.form.date else self._onward(seconds)
-
-    @property
-    def epoch(self) -> float | None:
-        """The first moment in seconds from 1970, of a time of day from midnight; None before it was read."""
-        return None if self._first is None else self._first * 1e-9
-
-    def _from_first(self, values: np.ndarray, missing: np.ndarray) -> np.ndarray:
-        known = np.flatnonzero(~missing)
-        if self._first is None and len(known):
-            self._first = int(values[known[0]])
-        seconds = (values - (self._first or 0)) * 1e-9
-        seconds[missing] = np.nan
-        return seconds
 
     def _decide(self, text: Any, compute: Any) -> None:
         """Find which number of a date is the day, where that matters: not while all dates are the same."""
@@ -200,7 +161,7 @@ class Seconds:
                 "write the year first, 2026-04-03."
             )
 
-    def _steps(self) -> list[tuple[str, str]]:
+    def _steps(self, form: TimeForm) -> list[tuple[str, str]]:
         """Return the replacements that make ISO 8601 of a time."""
         pad = (r"(^|[-/. T])(\d)([-/.:])", r"\1" + r"0\2\3")
         day, month = (r"\2", r"\1") if not self._day_first else (r"\1", r"\2")
@@ -209,7 +170,7 @@ class Seconds:
             "year first": [(r"^(\d{4})[-/.](\d\d)[-/.](\d\d)", r"\1-\2-\3")],
             "day.month": [(r"^(\d\d)\.(\d\d)\.(\d{4})", r"\3-\2-\1")],
             "open": [(r"^(\d\d)[-/](\d\d)[-/](\d{4})", rf"\3-{month}-{day}")],
-        }[self.form.date]
+        }[form.date]
         return [pad, pad, *swaps, (r"\s+", " "), (r" ?([+-]\d\d):?(\d\d)$", r"\1:\2"), (r" Z$", "Z")]
 
 
@@ -253,34 +214,32 @@ def source_of(data: Any, where: str) -> Arrays:
     A name may state its unit as in a file: `x_ref_um`, `x_ref [um]`. Columns of other things are left out.
     """
     columns, left_out, times = (_of_mapping if isinstance(data, Mapping) else _of_arrow)(data, where)
-    parts = {name: split_header(name) for name in columns}
-    names = list(columns)
-    at = only_time(names, [names.index(name) for name in times])
-    if at is not None and names[at] != f"{TIME}_s":
-        parts[names[at]] = (TIME, "s")
-    stems = Counter(stem for stem, _ in parts.values())
-    short = {name: stem if stems[stem] == 1 else name for name, (stem, _) in parts.items()}
-    source = Arrays({short[name]: values for name, values in columns.items()})
-    source.units = {short[name]: unit for name, (_, unit) in parts.items() if unit}
-    source.aliases = {name: short[name] for name in columns if short[name] != name}
+    found = stems_of(columns)
+    source = Arrays({})
+    source.call(found)
+    name_the_time(source, [k for k, name in enumerate(columns) if name in times])
+    source.columns = dict(zip(source.names, columns.values(), strict=True))
+    source.epochs = {ours: times.get(text) for ours, text in zip(source.names, columns, strict=True)}
+    source.rows = len(next(iter(columns.values()), ()))
     source.left_out = left_out
     source.notes = tuple(said_of_times(name, where, "times") for name in times)
     return source
 
 
-Columns = tuple[dict[str, Array], dict[str, str], list[str]]
-"""Columns, why others are left out, and which of the columns hold times."""
+Columns = tuple[dict[str, Array], dict[str, str], dict[str, float | None]]
+"""Columns, why others are left out, and of the columns of times the moments of their zero."""
 
 
 def _of_mapping(data: Mapping[Any, Any], where: str) -> Columns:
     columns: dict[str, Array] = {}
     left_out: dict[str, str] = {}
-    times: list[str] = []
+    times: dict[str, float | None] = {}
     for name, given in data.items():
         values = np.asarray(given)
         if values.dtype.kind in "mM" and values.ndim == 1:
-            values = _seconds(load("pyarrow").array(values.astype(f"{values.dtype.kind}8[ns]")))
-            times.append(str(name))
+            seconds = Seconds()
+            values = seconds(load("pyarrow").array(values.astype(f"{values.dtype.kind}8[ns]")))
+            times[str(name)] = seconds.epoch
         if values.dtype.kind not in "fiu":
             left_out[str(name)] = "it holds no numbers"
             continue
@@ -293,23 +252,16 @@ def _of_mapping(data: Mapping[Any, Any], where: str) -> Columns:
     return columns, left_out, times
 
 
-def _seconds(column: Any) -> Array:
-    return Moments(column.type, first_tick(column))(column)
-
-
 def _of_arrow(data: Any, where: str) -> Columns:
     arrow = load("pyarrow")
     try:
         table = arrow.RecordBatchReader.from_stream(data).read_all()
     except (arrow.ArrowException, TypeError, ValueError) as error:
         raise InputError(f"{where} must be a table of columns; it is none ({error}).") from error
-    times = [field.name for field in table.schema if is_time(field.type)]
-    numeric = {field.name: is_numeric(field.type) or is_time(field.type) for field in table.schema}
-    if len(numeric) < len(table.schema):
+    if len(set(table.column_names)) < len(table.column_names):
         raise InputError(f"Columns of {where} must have different names; one is there twice.")
-    columns = {
-        name: (_seconds if name in times else array_of)(table.column(name))
-        for name, holds in numeric.items()
-        if holds
-    }
-    return columns, {name: "it holds no numbers" for name, holds in numeric.items() if not holds}, times
+    times = {field.name: Seconds() for field in table.schema if is_time(field.type)}
+    held = [field.name for field in table.schema if field.name in times or is_numeric(field.type)]
+    columns = {name: times.get(name, array_of)(table.column(name)) for name in held}
+    left_out = {name: "it holds no numbers" for name in table.column_names if name not in columns}
+    return columns, left_out, {name: seconds.epoch for name, seconds in times.items()}

@@ -1,7 +1,7 @@
 """Consecutive blocks of a log side by side, so that short runs do not cost a call each."""
 
 from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import overload
 from weakref import WeakKeyDictionary
@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from hallsym.log.core import Block, Log
+from hallsym.log.table import joined
 
 SIZE = 8192
 """Samples handled at once: many short runs or a piece of a long one; the working set stays in cache."""
@@ -22,9 +23,9 @@ Weigh = Callable[[Block], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """`blocks` in order; `data[column]` over all of them; block k lies at `edges[k]` to `edges[k + 1]`."""
+    """Blocks side by side: block k is of run `runs[k]` and lies at `edges[k]` to `edges[k + 1]` of `data`."""
 
-    blocks: tuple[Block, ...]
+    runs: tuple[int, ...]
     data: dict[str, np.ndarray]
     edges: tuple[int, ...]
 
@@ -32,51 +33,49 @@ class Batch:
         """Samples in the batch."""
         return self.edges[-1]
 
-    def parts(self) -> Iterator[tuple[Block, slice]]:
-        """Yield each block with its place in the batch."""
-        for k, block in enumerate(self.blocks):
-            yield block, slice(self.edges[k], self.edges[k + 1])
+    def parts(self) -> Iterator[tuple[int, slice]]:
+        """Yield the run of each block and its place in the batch."""
+        yield from zip(self.runs, (slice(a, b) for a, b in pairwise(self.edges)), strict=True)
+
+    @property
+    def blocks(self) -> Iterator[Block]:
+        """The blocks by themselves."""
+        return (Block(run, {c: v[at] for c, v in self.data.items()}) for run, at in self.parts())
 
     def of_runs(self, runs: Collection[int]) -> "Batch":
         """Return the blocks of some runs."""
-        some = [(block, at) for block, at in self.parts() if block.run in runs]
-        if len(some) == len(self.blocks):
+        some = [(run, at) for run, at in self.parts() if run in runs]
+        if len(some) == len(self.runs):
             return self
         index = np.concatenate([np.arange(at.start, at.stop) for _, at in some] or [np.zeros(0, int)])
         edges = np.cumsum([0, *(at.stop - at.start for _, at in some)]).tolist()
         data = {c: values[index] for c, values in self.data.items()}
-        return Batch(tuple(block for block, _ in some), data, tuple(edges))
+        return Batch(tuple(run for run, _ in some), data, tuple(edges))
 
     def pieces(self, most: int) -> Iterator[tuple["Batch", slice]]:
         """Yield the batch in parts of at most `most` samples, with their place; blocks may be cut."""
-        if len(self) <= most:
-            yield self, slice(0, len(self))
-            return
         for low in range(0, len(self), most):
             part = slice(low, min(low + most, len(self)))
+            cuts = [(r, max(at.start, low) - low, min(at.stop, part.stop) - low) for r, at in self.parts()]
+            inside = [(run, stop) for run, first, stop in cuts if first < stop]
             data = {c: values[part] for c, values in self.data.items()}
-            cuts = [(b, max(at.start, low) - low, min(at.stop, part.stop) - low) for b, at in self.parts()]
-            inside = [(b, first, stop) for b, first, stop in cuts if first < stop]
-            blocks = tuple(Block(b.run, {c: v[i:j] for c, v in data.items()}) for b, i, j in inside)
-            yield Batch(blocks, data, (0, *(stop for *_, stop in inside))), part
+            yield Batch(tuple(r for r, _ in inside), data, (0, *(stop for _, stop in inside))), part
 
     def cut(self, length: int, seen: int = 0) -> "Batch":
         """Return the same samples in blocks that end at every `length` samples of a run.
 
         `seen`: samples of the first block's run that lie before this batch.
         """
-        blocks: list[Block] = []
-        edges, run = [0], None
-        for block, part in self.parts():
-            if block.run != run:
-                seen, run = (seen if run is None else 0), block.run
+        runs, edges = list[int](), [0]
+        for run, part in self.parts():
+            if runs and run != runs[-1]:
+                seen = 0
             n = part.stop - part.start
             stops = [*range(length - seen % length, n, length), n]
-            for low, high in zip([0, *stops], stops, strict=False):
-                blocks.append(Block(run, {c: v[low:high] for c, v in block.data.items()}))
-                edges.append(part.start + high)
+            runs += [run] * len(stops)
+            edges += [part.start + stop for stop in stops]
             seen += n
-        return Batch(tuple(blocks), self.data, tuple(edges))
+        return Batch(tuple(runs), self.data, tuple(edges))
 
     def groups(self, most: int) -> Iterator[tuple[int, int]]:
         """Yield first and last (exclusive) block of groups of at most `most`, all of nearly one length."""
@@ -149,35 +148,9 @@ HELD = 250_000
 """Samples of a log in memory whose batches are kept for the next pass: 2 MB for each column."""
 
 
-@dataclass(eq=False)
-class _Held:
-    """The batches of one log: `runs` and `edges` of each, and each column that was asked for so far."""
-
-    runs: list[tuple[int, ...]] = field(default_factory=list)
-    edges: list[tuple[int, ...]] = field(default_factory=list)
-    columns: dict[Hashable, list[np.ndarray]] = field(default_factory=dict)
-
-    def read(self, log: Log, columns: Sequence[str]) -> None:
-        """Read further columns, in one pass."""
-        # what the blocks hold is let go batch by batch
-        found = [
-            (tuple(b.run for b in batch.blocks), batch.edges, batch.data) for batch in _read(log, columns)
-        ]
-        self.runs, self.edges = [runs for runs, _, _ in found], [edges for _, edges, _ in found]
-        for name in columns:
-            self.columns[log.identity(name)] = [data[name] for _, _, data in found]
-            for values in self.columns[log.identity(name)]:
-                values.flags.writeable = False
-
-    def batch(self, k: int, keys: dict[str, Hashable]) -> Batch:
-        """Return batch k with the asked columns."""
-        data = {name: self.columns[key][k] for name, key in keys.items()}
-        parts = zip(self.runs[k], pairwise(self.edges[k]), strict=True)
-        blocks = tuple(Block(run, {c: v[a:b] for c, v in data.items()}) for run, (a, b) in parts)
-        return Batch(blocks, data, self.edges[k])
-
-
+_Held = dict[Hashable, list[Batch]]
 _HELD: WeakKeyDictionary[Log, _Held] = WeakKeyDictionary()
+"""By log and column the batches of one column each."""
 
 
 def batches(
@@ -205,11 +178,17 @@ def is_held(log: Log) -> bool:
 
 
 def _held(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
-    held = _HELD.setdefault(log.source, _Held())
+    held = _HELD.setdefault(log.source, {})
     keys = {name: log.identity(name) for name in columns}
-    if missing := [name for name, key in keys.items() if key not in held.columns]:
-        held.read(log, missing)
-    yield from (held.batch(k, keys) for k in range(len(held.edges)))
+    if missing := [name for name, key in keys.items() if key not in held]:
+        held |= {keys[name]: [] for name in missing}
+        for batch in _read(log, missing):
+            for name in missing:
+                batch.data[name].flags.writeable = False
+                held[keys[name]].append(Batch(batch.runs, {name: batch.data[name]}, batch.edges))
+    for parts in zip(*(held[key] for key in keys.values()), strict=True):
+        data = {name: next(iter(part.data.values())) for name, part in zip(keys, parts, strict=True)}
+        yield Batch(parts[0].runs, data, parts[0].edges)
 
 
 def _read(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
@@ -227,5 +206,5 @@ def _read(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
 
 def _batch(blocks: list[Block], columns: Sequence[str]) -> Batch:
     lengths = [len(block.data[columns[0]]) for block in blocks]
-    data = {c: np.concatenate([block.data[c] for block in blocks]) for c in columns}
-    return Batch(tuple(blocks), data, tuple(np.cumsum([0, *lengths]).tolist()))
+    data = joined([block.data for block in blocks], columns)
+    return Batch(tuple(block.run for block in blocks), data, tuple(np.cumsum([0, *lengths]).tolist()))

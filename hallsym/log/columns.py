@@ -140,7 +140,7 @@ def counts_in_turn(value: Any, where: str) -> float:
 
 def bind(
     found: Sequence[str],
-    wanted: Mapping[str, str | Foreign],
+    wanted: Mapping[str, Foreign],
     where: str,
     counts_per_turn: float | None = None,
     units: Mapping[str, str] | None = None,
@@ -152,8 +152,7 @@ def bind(
     """
     bindings: dict[str, Binding] = {}
     stated, said = units or {}, []
-    for ours, entry in wanted.items():
-        foreign = Foreign(entry) if isinstance(entry, str) else entry
+    for ours, foreign in wanted.items():
         if ours != RUN and foreign.name not in stated:
             require_unit(ours)
         if foreign.name not in found:
@@ -179,7 +178,7 @@ def bind(
         own = _binding(name, Foreign(column), where, counts_per_turn)
         if own.counts_per_turn:
             own = replace(own, asked=name, foreign=Foreign(column))
-        if own.name in bindings and bindings[own.name].source in _names(wanted):
+        if own.name in bindings and bindings[own.name].source in taken:
             continue  # the mapping, which somebody wrote, wins over the file's own name
         _add(bindings, own, where)
     return bindings, said
@@ -201,7 +200,7 @@ def _named(column: str, unit: str | None, where: str) -> str:
 def still_missing(
     known: Mapping[str, Foreign],
     found: Sequence[str],
-    wanted: Mapping[str, str | Foreign],
+    wanted: Mapping[str, Foreign],
     units: Mapping[str, str],
     where: str,
 ) -> dict[str, Foreign]:
@@ -211,7 +210,7 @@ def still_missing(
     where the file states another unit than the mapping, which was made for another file.
     """
     given = {_stem(ours) for ours in wanted} | {_stem(column) for column in found}
-    used = set(_names(wanted))
+    used = {foreign.name for foreign in wanted.values()}
     again = {
         ours: foreign
         for ours, foreign in known.items()
@@ -239,10 +238,6 @@ def listed(names: Sequence[str], most: int = 20) -> str:
     if not names:
         return "no numeric columns"
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
-def _names(wanted: Mapping[str, str | Foreign]) -> list[str]:
-    return [entry if isinstance(entry, str) else entry.name for entry in wanted.values()]
 
 
 def _binding(ours: str, foreign: Foreign, where: str, counts_per_turn: float | None) -> Binding:
@@ -412,11 +407,6 @@ def is_reference(column: str) -> bool:
 def is_moving(column: str) -> bool:
     """Say whether a column follows the motion sample by sample: readings, references, vertical pose."""
     return is_reading(column) or is_reference(column) or bool(_POSE.fullmatch(column))
-
-
-def tells(column: str, of: str) -> bool:
-    """Say whether a column follows the motion that another one follows, and so tells of it."""
-    return (is_reading(column) and is_reference(of)) or (is_reference(column) and is_reading(of))
 
 
 def has_meaning(column: str) -> bool:

@@ -17,6 +17,9 @@ from hallsym.log.meta import Meta, Noise
 from hallsym.log.table import CHUNK_ROWS, Arrays, Piece, Table, TableLike, View, joined
 from hallsym.units import Array
 
+_LONGEST_NAME = 60
+"""Characters of a log's name that a sentence has room for: with them it stays below 300."""
+
 
 @dataclass(frozen=True, eq=False)
 class Block:
@@ -70,6 +73,11 @@ class Log:
     def name(self) -> str:
         """What to call this log in a message: its path, or what `from_arrays` was told."""
         return self.table.where
+
+    @property
+    def short_name(self) -> str:
+        """What to call it in a sentence; a long path keeps its end."""
+        return self.name if len(self.name) <= _LONGEST_NAME else f"...{self.name[3 - _LONGEST_NAME :]}"
 
     @property
     def timed(self) -> bool:
@@ -224,79 +232,39 @@ class Drop:
         return tuple(dict.fromkeys((RUN, *self.finite, *time)))
 
 
-class Keep:
-    """The filter of one pass: returns the rows of a piece to keep; remembers how far time has come."""
-
-    def __init__(self, drop: Drop) -> None:
-        self.drop = drop
-        self._run: int | None = None
-        self._latest = -np.inf
-        self._row = 0
-
-    def __call__(self, piece: Piece) -> Array:
-        """Return a boolean mask of shape (rows,)."""
-        keep = np.ones(len(piece[RUN]), bool)
-        for name in self.drop.finite:
-            keep &= np.isfinite(piece[name])
-        for start, stop in self.drop.rows:
-            keep[max(0, start - self._row) : max(0, stop - self._row)] = False
-        self._row += len(keep)
-        if self.drop.runs:
-            keep &= ~np.isin(piece[RUN], list(self.drop.runs))
-        if self.drop.forward:
-            keep &= self._advances(piece["t_s"], piece[RUN], keep)
-        return keep
-
-    def _advances(self, t: Array, run: Array, keep: Array) -> Array:
-        """Return where time is later than at every kept sample before, within each run."""
-        usable = np.where(keep & ~np.isnan(t), t, -np.inf)
-        result = np.zeros(len(t), bool)
-        for start, stop in pairwise(edges_of(run)):
-            if stop > start and run[start] != self._run:
-                self._run, self._latest = int(run[start]), -np.inf
-            latest = np.maximum.accumulate(np.r_[self._latest, usable[start:stop]])
-            result[start:stop] = usable[start:stop] > latest[:-1]
-            self._latest = float(latest[-1])
-        return result
-
-
 class Filtered(View):
     """A table without the samples that `drop` names."""
 
     def __init__(self, table: TableLike, drop: Drop) -> None:
         super().__init__(table)
         self.drop = drop
-        self._rows: int | None = None
-        self._mask: Array | None = None
-        self._held: Piece = {}
 
     def count(self) -> int:
         """Return the number of rows that are kept."""
-        if self._rows is None:
-            self._rows = sum(len(piece[RUN]) for piece in self.pieces((RUN,), CHUNK_ROWS))
-        return self._rows
+        return sum(len(piece[RUN]) for piece in self.pieces((RUN,), CHUNK_ROWS))
 
     def pieces(self, columns: Sequence[str], size: int) -> Iterator[Piece]:
         """Yield the kept rows, as `Table.pieces` does."""
-        if self.in_memory:
-            yield self._hold(columns)
-            return
-        keep = Keep(self.drop)
+        row, run, latest = 0, None, -np.inf
         for piece in self.table.pieces(tuple(dict.fromkeys((*columns, *self.drop.columns))), size):
-            mask = keep(piece)
-            if mask.any():
-                yield {name: piece[name] if mask.all() else piece[name][mask] for name in columns}
-
-    def _hold(self, columns: Sequence[str]) -> Piece:
-        """Filter columns of a table in memory, each once."""
-        if self._mask is None:
-            self._mask = Keep(self.drop)(next(iter(self.table.pieces(self.drop.columns, CHUNK_ROWS))))
-        new = [name for name in columns if name not in self._held]
-        for name, values in next(iter(self.table.pieces(new, CHUNK_ROWS))).items():
-            kept = values if self._mask.all() else values[self._mask]
-            kept.flags.writeable = False
-            self._held[name] = kept
-        return {name: self._held[name] for name in columns}
+            keep = np.ones(len(piece[RUN]), bool)
+            for name in self.drop.finite:
+                keep &= np.isfinite(piece[name])
+            for start, stop in self.drop.rows:
+                keep[max(0, start - row) : max(0, stop - row)] = False
+            row += len(keep)
+            if self.drop.runs:
+                keep &= ~np.isin(piece[RUN], list(self.drop.runs))
+            if self.drop.forward:  # later than every kept sample before, within each run
+                time = np.where(keep & ~np.isnan(piece["t_s"]), piece["t_s"], -np.inf)
+                for start, stop in pairwise(edges_of(piece[RUN])):
+                    if stop > start and piece[RUN][start] != run:
+                        run, latest = piece[RUN][start], -np.inf
+                    so_far = np.maximum.accumulate(np.r_[latest, time[start:stop]])
+                    keep[start:stop] &= time[start:stop] > so_far[:-1]
+                    latest = so_far[-1]
+            if keep.any() or self.in_memory:
+                yield {name: piece[name] if keep.all() else piece[name][keep] for name in columns}
 
 
 def without(log: Log, drop: Drop) -> Log:

@@ -14,7 +14,7 @@ from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import Seconds, array_of, name_the_time, said_of_times
 from hallsym.log.table import Source, label, load
 from hallsym.log.text.cells import MISSING, Convention, as_float
-from hallsym.log.text.sniff import END, Dialect, Encoded, end_of, sniffed, whole_lines
+from hallsym.log.text.sniff import END, Dialect, Encoded, sniffed
 from hallsym.output import csv_text
 from hallsym.units import Array
 
@@ -45,8 +45,8 @@ class CsvSource(Source):
         self.path, self.where = path, quoted(path)
         self.file = Encoded.of(file or path)
         self.dialect: Dialect = sniffed(self.file, self.where, delimiter, decimal)
-        self.names, self.units, self.aliases = self.dialect.names, self.dialect.units, self.dialect.aliases
-        self.times = {self.names.index(name): form for name, form in self.dialect.times.items()}
+        self.call(self.dialect.stems)
+        self.times = self.dialect.times
         name_the_time(self, self.times)
         bytes_read = path.stat().st_size * (COMPRESSED if self.file.compressed else 1)
         self.small = file is not None or bytes_read <= IN_MEMORY_BYTES
@@ -56,7 +56,7 @@ class CsvSource(Source):
         ]
         if not self.dialect.usual:
             about.append(f"{self.where} is read as {self.recognised}.")
-        if not (self.dialect.footer or end_of(self.file, 8).endswith(("\n", "\r"))):
+        if self.dialect.torn:
             about.append(_TORN.format(self.where))
         self.notes = tuple(about)
         self._rows: int | None = None
@@ -64,7 +64,7 @@ class CsvSource(Source):
     def count(self) -> int:
         """Return the number of rows; before the first read the lines are counted."""
         if self._rows is None:
-            self._rows = sum(piece.count(b"\n") for piece in self._pieces())
+            self._rows = sum(piece.count("\n") for piece in self._pieces())
         return self._rows
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
@@ -106,17 +106,38 @@ class CsvSource(Source):
                 raise
             raise first_fault(self, indices, error) from error
 
-    def _pieces(self) -> Iterator[bytes]:
+    def _pieces(self) -> Iterator[str]:
         """Yield the clean lines of the table in pieces that end with a newline."""
         clean = cleaning(self.dialect)
-        for piece in _table(self.file, self.dialect, self.where, BLOCK):
+        for piece in self._table():
             if cleaned := clean(piece):
-                yield cleaned + b"\n"
+                yield cleaned + "\n"
+
+    def _table(self) -> Iterator[str]:
+        """Yield the lines from the first sample to the last one."""
+        above, held = self.dialect.first - 1, ""
+        for piece in self.file.pieces(self.where):
+            if above:
+                count = piece.count("\n") + 1
+                if count <= above:
+                    above -= count
+                    continue
+                piece, above = piece.split("\n", above)[above], 0
+            if not self.dialect.footer:
+                yield piece
+                continue
+            held = f"{held}\n{piece}" if held else piece
+            cut = held.rfind("\n", 0, max(0, len(held) - END))  # lines after the table come behind it
+            if cut > 0:
+                yield held[:cut]
+                held = held[cut + 1 :]
+        if held:
+            yield held.rstrip("\n").rsplit("\n", self.dialect.footer)[0]
 
     def _cells(self) -> Iterator[list[str]]:
         """Yield the rows of the table as text."""
         for piece in self._pieces():
-            yield from cells_of(piece.decode("utf-8", "replace").split("\n")[:-1], self.dialect)
+            yield from cells_of(piece.split("\n")[:-1], self.dialect)
 
     def _arrow(self, indices: Sequence[int]) -> Iterator[list[Array]]:
         reader, arrow = load("pyarrow.csv"), load("pyarrow")
@@ -135,7 +156,7 @@ class CsvSource(Source):
                 decimal_point=self.dialect.numbers.decimal,
             ),
         }
-        stream = Stream(self._pieces())
+        stream = io.BufferedReader(Stream(self._pieces()), BLOCK)  # whose reads are not cut short
         seconds = {
             k: Seconds(self.times[k], f"Column '{self.dialect.names[k]}' of {self.where}")
             for k in indices
@@ -180,7 +201,7 @@ def first_fault(source: CsvSource, indices: Sequence[int], error: Exception) -> 
     """Return the error that says where the first bad line or cell of a CSV file is."""
     dialect, clean = source.dialect, cleaning(source.dialect)
     for number, line in enumerate(source.file.lines(source.where), start=1):
-        text = clean(line.encode()).decode() if number >= dialect.first else ""
+        text = clean(line) if number >= dialect.first else ""
         if not text:
             continue
         cells = next(cells_of([text], dialect))
@@ -214,9 +235,9 @@ def _bad_cell(source: CsvSource, number: int, name: str, cell: str) -> InputErro
 
 
 class Stream(io.RawIOBase):
-    """Pieces of bytes as a binary stream."""
+    """Pieces of text as a stream of UTF-8."""
 
-    def __init__(self, pieces: Iterator[bytes]) -> None:
+    def __init__(self, pieces: Iterator[str]) -> None:
         """Start before the first piece."""
         self._pieces, self._rest = pieces, memoryview(b"")
 
@@ -227,33 +248,11 @@ class Stream(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:
         """Fill a buffer; 0 at the end."""
         if not self._rest:
-            self._rest = memoryview(next(self._pieces, b""))
+            self._rest = memoryview(next(self._pieces, "").encode())
         count = min(len(buffer), len(self._rest))
         buffer[:count] = self._rest[:count]
         self._rest = self._rest[count:]
         return count
-
-
-def _table(file: Encoded, dialect: Dialect, where: str, size: int) -> Iterator[bytes]:
-    """Yield the lines from the first sample to the last one."""
-    above, held = dialect.first - 1, b""
-    for piece in whole_lines(file.pieces(size), where):
-        if above:
-            count = piece.count(b"\n") + 1
-            if count <= above:
-                above -= count
-                continue
-            piece, above = piece.split(b"\n", above)[above], 0
-        if not dialect.footer:
-            yield piece
-            continue
-        held = held + b"\n" + piece if held else piece
-        cut = held.rfind(b"\n", 0, max(0, len(held) - END))  # the lines after the table come behind it
-        if cut > 0:
-            yield held[:cut]
-            held = held[cut + 1 :]
-    if held:
-        yield held.rstrip(b"\n").rsplit(b"\n", dialect.footer)[0]
 
 
 # -- lines -----------------------------------------------------------------------------------------------
@@ -261,8 +260,8 @@ def _table(file: Encoded, dialect: Dialect, where: str, size: int) -> Iterator[b
 
 BESIDE = ("", " ")
 """What may stand beside a cell without a value."""
-_EMPTY = re.compile(rb"^[ \t]*(?:\n|\Z)", re.MULTILINE)
-_BLANK = b"\n", b" ", b"\t"
+_EMPTY = re.compile(r"^[ \t]*(?:\n|\Z)", re.MULTILINE)
+_BLANK = "\n", " ", "\t"
 
 
 def cells_of(lines: Sequence[str], dialect: Dialect) -> Iterator[list[str]]:
@@ -278,28 +277,25 @@ def delimiter_of(dialect: Dialect) -> str:
     return "\t" if dialect.delimiter == " " else dialect.delimiter
 
 
-def cleaning(dialect: Dialect) -> Callable[[bytes], bytes]:
+def cleaning(dialect: Dialect) -> Callable[[str], str]:
     r"""Return what takes comments, empty lines, blanks and separators of thousands out of lines.
 
     Lines are separated by \n, and do not end with one; what it returns is empty where nothing is left.
     """
-    marks = [mark.encode() for mark in dialect.comments]
-    comment = re.compile(
-        rb'^[ \t"]*(?:' + b"|".join(map(re.escape, marks)) + rb")[^\n]*(?:\n|\Z)", re.MULTILINE
-    )
+    comment = re.compile(rf'^[ \t"]*(?:{"|".join(map(re.escape, dialect.comments))})[^\n]*(?:\n|\Z)', re.M)
     grouping = dialect.numbers.grouping
-    group = re.compile(rb"(?<=\d)" + re.escape(grouping.encode()) + rb"(?=\d{3}(?!\d))")
+    group = re.compile(rf"(?<=\d){re.escape(grouping)}(?=\d{{3}}(?!\d))", re.A)
 
-    def clean(lines: bytes) -> bytes:
-        if lines.startswith(_BLANK) or any(b"\n" + first in lines for first in _BLANK):
-            lines = _EMPTY.sub(b"", lines)  # looking for one first is ten times as fast
-        if any(mark in lines for mark in marks):
-            lines = comment.sub(b"", lines)
-        lines = lines.removesuffix(b"\n")
+    def clean(lines: str) -> str:
+        if lines.startswith(_BLANK) or any("\n" + first in lines for first in _BLANK):
+            lines = _EMPTY.sub("", lines)  # looking for one first is ten times as fast
+        if any(mark in lines for mark in dialect.comments):
+            lines = comment.sub("", lines)
+        lines = lines.removesuffix("\n")
         if dialect.delimiter == " ":
-            lines = re.sub(rb"[ \t]+", b"\t", re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", lines.replace(b'"', b"")))
+            lines = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", lines.replace('"', "")))
         if grouping and grouping == dialect.delimiter:  # then numbers with it stand between quotes
-            return re.sub(rb'"[^"\n]*"', lambda cell: group.sub(b"", cell[0]), lines)
-        return group.sub(b"", lines) if grouping else lines
+            return re.sub(r'"[^"\n]*"', lambda cell: group.sub("", cell[0]), lines)
+        return group.sub("", lines) if grouping else lines
 
     return clean

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,8 @@ def open_hdf5(path: Path, clock: str | None = None, kind: str = "HDF5", by: str 
     """Open an HDF5 file; `clock`: as `GroupedSource` reads it; `by`: what stands between parts of a name."""
     vectors: dict[str, Vector] = {}
     left_out: dict[str, str] = {}
-    whole = _File(path)
-    with whole.opened() as file:
+    opened = partial(load("h5py").File, path, "r")
+    with opened() as file:
         for name, node in _datasets(file, left_out).items():
             text = {b"char", b"cell"} & {node.attrs.get("MATLAB_class", b"")}
             logical = node.attrs.get("MATLAB_class", b"") == b"logical"
@@ -32,44 +32,19 @@ def open_hdf5(path: Path, clock: str | None = None, kind: str = "HDF5", by: str 
                     f"{name}/{field}" if field else name,
                     node.shape,
                     "b" if logical else kind_of,
-                    whole.reader(name, field),
+                    _reader(name, field),
                     unit_in(node.attrs),
                 )
                 why = why or (_broken_off(node) if found else "")
                 vectors |= {} if why else found
                 left_out |= {name.rpartition("/")[2]: why} if why else {}
     vectors = {name.replace("/", by): vector for name, vector in vectors.items()}
-    return arranged(quoted(path), kind, vectors, left_out, by, clock, whole.opened)
+    return arranged(quoted(path), kind, vectors, left_out, by, clock, opened)
 
 
-class _File:
-    """An HDF5 file that is open while columns of it are read."""
-
-    def __init__(self, path: Path) -> None:
-        self.path, self.users = path, 0
-        self.file: Any = None
-
-    @contextmanager
-    def opened(self) -> Iterator[Any]:
-        """Open the file, or take it as somebody else has opened it."""
-        if not self.users:
-            self.file = load("h5py").File(self.path, "r")
-        self.users += 1
-        try:
-            yield self.file
-        finally:
-            self.users -= 1
-            if not self.users:
-                self.file.close()
-
-    def reader(self, name: str, field: str) -> Callable[[Any], Array]:
-        """Return what reads an index of a dataset, or of a field of it."""
-
-        def read(index: Any) -> Array:
-            with self.opened() as file:
-                return np.asarray(file[name].fields(field)[index] if field else file[name][index])
-
-        return read
+def _reader(name: str, field: str) -> Callable[[Any, Any], Array]:
+    """Return what reads an index of a dataset, or of a field of it."""
+    return lambda file, index: np.asarray(file[name].fields(field)[index] if field else file[name][index])
 
 
 def _datasets(file: Any, left_out: dict[str, str]) -> dict[str, Any]:

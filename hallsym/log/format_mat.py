@@ -50,7 +50,7 @@ def in_memory(
                 f"{name}.{field}" if field else name,
                 part.shape,
                 "b" if name in logical else part.dtype.kind,
-                part.__getitem__,
+                lambda _, index, part=part: part[index],
             )
             vectors |= found
             left_out |= {name.rpartition(".")[2]: why} if why else {}

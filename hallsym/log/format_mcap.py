@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, quoted
-from hallsym.log.groups import TIME, Group, GroupedSource, exact
-from hallsym.log.table import load
-from hallsym.log.text.cells import split_header, unit_of
+from hallsym.log.groups import Group, GroupedSource
+from hallsym.log.table import TIME, Source, load
+from hallsym.log.text.cells import stems_of, unit_of
 from hallsym.units import Array
 
 AT_ONCE = 4096
@@ -49,7 +49,7 @@ def open_mcap(path: Path, clock: str | None = None) -> GroupedSource:
                 )
             elif rows:
                 schema = summary.schemas[channel.schema_id]
-                groups.append(Topic(path, topic, rows, schema, origin, left_out))
+                groups.append(Group(topic, Topic(path, topic, rows, schema, origin, left_out)))
     return GroupedSource(where, "MCAP", groups, left_out, clock)
 
 
@@ -60,11 +60,13 @@ def _opened(path: Path) -> Iterator[Any]:
         yield load("mcap.reader").make_reader(stream, validate_crcs=True, decoder_factories=decoders)
 
 
-class Topic(Group):
+class Topic(Source):
     """Numbers of the messages of one topic, which have one length throughout.
 
     Time is that of the header's stamp, where a message has a header, else that of recording.
     """
+
+    path: Path
 
     def __init__(
         self, path: Path, name: str, rows: int, schema: Any, origin: int, left_out: dict[str, str]
@@ -81,20 +83,17 @@ class Topic(Group):
         self.paths = [key for key in numbers if not key.startswith(f"{_STAMP}.")]
         single = name.rpartition("/")[2] if self.paths == [_SINGLE] else ""
         said = dict(_FIELD.findall(schema.data.decode("utf-8", "replace").split("\n====")[0]))
-        self.own, self.units = {}, {}
-        for key in self.paths:
-            stem, unit = split_header(single or key)
-            self.own[stem] = key
-            unit = unit_of(said.get(re.split(r"[.\[]", key)[0], "")) or unit
-            self.units.update({stem: unit} if unit else {})
-        self.channels = tuple(self.own)
+        texts = {single or key: unit_of(said.get(re.split(r"[.\[]", key)[0], "")) for key in self.paths}
+        self.call(stems_of(texts, texts))
+        self.own = dict(zip(self.names, self.paths, strict=True))
+        self.names, self.units = (*self.names, TIME), {**self.units, TIME: "s"}
         self.since = "the stamps" if stamped else "the recording"
-        self.first, self.last = self._time(*head), self._time(*tail)
+        self.ends = self._time(*head), self._time(*tail)
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
-        """Yield consecutive chunks of exactly `size` rows, the last one of what is left; also of `TIME`."""
+        """Yield consecutive chunks of some rows."""
         rows = 0
-        for piece in exact(self._decoded(names), size, names):
+        for piece in self._decoded(names):
             rows += len(piece[names[0]])
             yield piece
         if rows != self.rows:

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import quoted
-from hallsym.log.groups import TIME, Group, GroupedSource
-from hallsym.log.table import load
-from hallsym.log.text.cells import split_header, unit_of
+from hallsym.log.groups import Group, GroupedSource
+from hallsym.log.table import TIME, Source, load
+from hallsym.log.text.cells import split_header, stems_of, unit_of
 from hallsym.units import Array
 
 
@@ -23,7 +23,8 @@ def open_mdf(path: Path, clock: str | None = None) -> GroupedSource:
         filled = [k for k, g in enumerate(file.groups) if g.channel_group.cycles_nr > 0]
         titles = [_title(file.groups[k], k) for k in filled]
         names = [t if titles.count(t) == 1 else f"{t} {k}" for t, k in zip(titles, filled, strict=True)]
-        groups = [MdfGroup(path, name, k, file, left_out) for name, k in zip(names, filled, strict=True)]
+        sources = [ChannelGroup(path, name, k, file, left_out) for name, k in zip(names, filled, strict=True)]
+    groups = [Group(source.name, source) for source in sources]
     return GroupedSource(quoted(path), "MDF", groups, left_out, clock)
 
 
@@ -40,38 +41,35 @@ def _title(group: Any, index: int) -> str:
     return text.strip() or f"group {index}"
 
 
-class MdfGroup(Group):
-    """One channel group; its master channel is the clock."""
+class ChannelGroup(Source):
+    """One channel group; its master channel is the time."""
+
+    path: Path
 
     def __init__(self, path: Path, name: str, index: int, file: Any, left_out: dict[str, str]) -> None:
         """Look at the first record: which channels hold numbers, and in what unit."""
         self.path, self.name, self.index = path, name, index
-        group = file.groups[index]
+        group, master = file.groups[index], file.masters_db.get(index)
         self.rows = int(group.channel_group.cycles_nr)
-        master = file.masters_db.get(index)
-        self.master = master
-        self.own: dict[str, int] = {}
-        self.units = {}
+        found, stated = dict[str, int](), dict[str, str | None]()
         for k, channel in enumerate(group.channels):
-            if k == master:
-                continue
-            signal = self._read(file, [k], 0, 1)[0]
-            stem, unit = split_header(channel.name)
-            unit = unit_of(signal.unit or "") or unit
-            if signal.samples.dtype.kind not in "fiu" or signal.samples.ndim != 1:
-                left_out[stem] = "it holds no numbers"
-                continue
-            own = stem if stem not in self.own else channel.name
-            self.own[own] = k
-            self.units.update({own: unit} if unit else {})
-        self.channels = tuple(self.own)
-        if master is not None and self.own:
+            signal = None if k == master else self._read(file, [k], 0, 1)[0]
+            if signal is not None and (signal.samples.dtype.kind not in "fiu" or signal.samples.ndim != 1):
+                left_out[split_header(channel.name)[0]] = "it holds no numbers"
+            elif signal is not None and channel.name not in found:
+                found[channel.name], stated[channel.name] = k, unit_of(signal.unit or "")
+        self.call(stems_of(found, stated))
+        self.own = dict(zip(self.names, found.values(), strict=True))
+        if master is not None and found:
             self.since = "the start of the measurement"
-            self.first, self.last = (float(self._times(file, lo, lo + 1)[0]) for lo in (0, self.rows - 1))
+            one = [*self.own.values()][:1]
+            first, last = (self._read(file, one, row, 1)[0].timestamps[0] for row in (0, self.rows - 1))
+            self.ends = float(first), float(last)
+            self.names, self.units = (*self.names, TIME), {**self.units, TIME: "s"}
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
-        """Yield consecutive chunks of exactly `size` rows, the last one of what is left; also of `TIME`."""
-        asked = [self.own[name] for name in names if name != TIME] or [next(iter(self.own.values()))]
+        """Yield consecutive chunks of `size` rows."""
+        asked = [self.own[name] for name in names if name != TIME] or [*self.own.values()][:1]
         with _opened(self.path) as file:
             for lo in range(0, self.rows, size):
                 count = min(size, self.rows - lo)
@@ -79,19 +77,12 @@ class MdfGroup(Group):
                 if any(len(s.samples) != count for s in signals.values()):
                     held = lo + min(len(s.samples) for s in signals.values())
                     raise ValueError(f"group '{self.name}' has {held} of its {self.rows} samples")
-                yield {
-                    name: next(iter(signals.values())).timestamps.astype(np.float64)
-                    if name == TIME
-                    else _valid(signals[self.own[name]])
-                    for name in names
-                }
+                time = next(iter(signals.values())).timestamps.astype(np.float64)
+                yield {n: time if n == TIME else _valid(signals[self.own[n]]) for n in names}
 
     def _read(self, file: Any, channels: Sequence[int], lo: int, count: int) -> list[Any]:
         wanted = [(None, self.index, k) for k in channels]
         return file.select(wanted, record_offset=lo, record_count=count, copy_master=False)
-
-    def _times(self, file: Any, lo: int, hi: int) -> Array:
-        return self._read(file, [next(iter(self.own.values()))], lo, hi - lo)[0].timestamps
 
 
 def _valid(signal: Any) -> Array:

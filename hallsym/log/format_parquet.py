@@ -10,10 +10,8 @@ from typing import Any
 
 from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import (
-    TICK_S,
-    Moments,
+    Seconds,
     array_of,
-    first_tick,
     is_numeric,
     is_time,
     name_the_time,
@@ -35,35 +33,25 @@ class ParquetSource(Source):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.origins: dict[str, int] = {}
         with self._opened() as file:
-            schema = file.schema_arrow
-            own = list(schema.names)
-            self.rows = int(file.metadata.num_rows)
-            kinds = zip(own, schema.types, strict=True)
-            self.moments = {
-                name: TICK_S[kind.unit] for name, kind in kinds if str(kind).startswith("timestamp")
-            }
-            times = [k for k, kind in enumerate(schema.types) if is_time(kind)]
-            for k in times:
-                self._begin(file, own[k])
+            schema, self.rows = file.schema_arrow, int(file.metadata.num_rows)
+        times = [k for k, kind in enumerate(schema.types) if is_time(kind)]
         self.small = self.rows <= IN_MEMORY_ROWS
-        self.notes = tuple(said_of_times(own[k], quoted(path), "times") for k in times)
-        self.names = tuple(own)
+        self.notes = tuple(said_of_times(schema.names[k], quoted(path), "times") for k in times)
+        self.names = tuple(schema.names)
         name_the_time(self, times)
-        self._own = dict(zip(self.names, own, strict=True))
-
-    def _begin(self, file: Any, name: str) -> None:
-        """Keep the first moment of a column of times."""
-        for batch in file.iter_batches(batch_size=_FIRST, columns=[name], use_threads=False):
-            if (first := first_tick(batch.column(name))) is not None:
-                self.origins[name] = first
-                return
+        self._own = dict(zip(self.names, schema.names, strict=True))
 
     def epoch(self, name: str) -> float | None:
         """Return the moment of the first value of a column of times."""
-        own = self._own[name]
-        return self.origins[own] * self.moments[own] if own in self.origins and own in self.moments else None
+        with self._opened() as file:
+            own, seconds = self._own[name], Seconds()
+            times = is_time(file.schema_arrow.field(own).type)
+            for batch in file.iter_batches(batch_size=_FIRST, columns=[own]) if times else ():
+                seconds(batch.column(own))
+                if seconds.epoch is not None:
+                    break
+            return seconds.epoch
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns."""
@@ -101,7 +89,7 @@ class ParquetSource(Source):
             own = self._own[name]
             kind = schema.field(own).type
             if is_time(kind):
-                found[name] = Moments(kind, self.origins.get(own))
+                found[name] = Seconds()
             elif is_numeric(kind):
                 found[name] = array_of
             else:

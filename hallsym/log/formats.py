@@ -36,7 +36,7 @@ from hallsym.log.format_mdf import open_mdf
 from hallsym.log.format_parquet import ParquetSource, open_feather, open_json
 from hallsym.log.format_tdms import open_tdms
 from hallsym.log.format_xlsx import open_workbook
-from hallsym.log.groups import Columns, GroupedSource
+from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.maker_tables import open_table
 from hallsym.log.meta import Meta, Noise, check_misspelt_noise, check_noise_keys
 from hallsym.log.quality.check import clean_log
@@ -386,7 +386,7 @@ def open_source(
     where = quoted(paths[0]) if len(paths) == 1 else " and ".join(quoted(one) for one in paths[:3])
     same = len({file.stem for file in files}) < len(files)
     groups = [
-        Columns(f"{file.parent.name}/{file.name}" if same else file.stem, source, mapped)
+        Group(f"{file.parent.name}/{file.name}" if same else file.stem, source, mapped)
         for file, source in ((file, _open(file, format, stated)) for file in files)
     ]
     odd = next((g for g in groups if set(g.channels) != set(groups[0].channels)), None)

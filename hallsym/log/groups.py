@@ -4,101 +4,58 @@ from __future__ import annotations
 
 import math
 import re
-from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from hallsym.errors import InputError, counted, nearest, quoted
 from hallsym.log.columns import RUN, TIME_WORDS
-from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, Source, joined
+from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, TIME, Source, joined
 from hallsym.units import UNITS, Array, split_unit
 
-TIME = "\0time"
-"""What `Group.chunks` calls the time of its samples, seconds; no channel has this name."""
 OWN_TIME = "t"
 """Name of the column for a time that the format gives and no channel holds."""
-
-
-class Group(ABC):
-    """Channels of a file that were sampled together.
-
-    `name`: as the file has it; `rows`: samples; `channels`: names of the channels of numbers; `units`: what
-    the file states of them; `first`, `last`: time of the first and the last sample in seconds, None without a
-    time base; `since`: from what time counts, which two clocks must have in common; `epoch`: the moment of
-    its zero in seconds, where it is known; `clock`: the channel that is the time base, "" where the format
-    gives it; `timed`: whether time is one of its columns; `by_run`: whether it starts again in each run.
-    """
-
-    name: str
-    rows: int
-    channels: tuple[str, ...]
-    units: dict[str, str]
-    first: float | None = None
-    last: float | None = None
-    since: str = ""
-    clock: str = ""
-    epoch: float | None = None
-    timed: bool = True
-    by_run: bool = False
-
-    @abstractmethod
-    def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
-        """Yield consecutive chunks of exactly `size` rows, the last one of what is left; also of `TIME`."""
-
-    def begin(self) -> None:  # noqa: B027 (most know these times when they are opened)
-        """Find the times of the first and the last sample, where they have to be read."""
-
-    def seconds(self, name: str) -> float:
-        """Return the seconds of a channel's unit, 0 where it has another unit."""
-        unit = UNITS[self.units[name]] if name in self.units else split_unit(name)[1]
-        return unit.factor if unit and unit.si == "s" else 0.0
-
-    @property
-    def rate(self) -> float:
-        """Samples a second on average; 0 where it is not known."""
-        if self.first is None or self.last is None or not self.last > self.first:
-            return 0.0
-        return (self.rows - 1) / (self.last - self.first)
-
-    def said(self) -> str:
-        """Return the group in words: `Hall (4 channels at 10 kHz)`."""
-        rate = f" at {hertz(self.rate)}" if self.rate else ""
-        return f"{self.name} ({counted(len(self.channels), 'channel')}{rate})"
-
-
 RUN_APART = 1e6
 """Seconds that runs are put apart where a clock starts again in each: longer than any run lasts."""
 
 
-class Columns(Group):
-    """Columns of equal length of a source; the one of time, where there is one, is the clock.
+class Group:
+    """Channels that were sampled together: columns of a source, of which that of time is the `clock`.
 
-    `mapped`: our names, with their units, of columns that somebody mapped.
+    `first`, `last`: time of the first and the last sample in seconds, None without a time base; `since`: from
+    what time counts, which two clocks must have in common; `epoch`: the moment of its zero in seconds, where
+    it is known; `timed`: whether time is one of its columns; `by_run`: whether it starts again in each run.
     """
 
     def __init__(self, name: str, source: Source, mapped: Mapping[str, str] | None = None) -> None:
-        self.name, self.source, self.channels = name, source, tuple(source.names)
-        self.shift, self.restarts, self.by_run = 0.0, False, False
+        """Look at the names. `mapped`: our names, with their units, of columns that somebody mapped."""
+        self.name, self.source = name, source
+        self.channels = tuple(c for c in source.names if c != TIME)
+        self.shift, self.timed, self.restarts, self.by_run = 0.0, True, False, False
         ours = {c: mapped[c] for c in self.channels if mapped and c in mapped}
         self.units = {**source.units, **{c: u.name for c, n in ours.items() if (u := split_unit(n)[1])}}
-        named = [c for c in self.channels if split_unit(ours.get(c, c))[0] == OWN_TIME]
+        given = [c for c in source.names if c == TIME]
+        named = given or [c for c in self.channels if split_unit(ours.get(c, c))[0] == OWN_TIME]
         timed = named or [c for c in self.channels if self.seconds(c)]
         timed = timed or [c for c in self.channels if c.lower() in TIME_WORDS and c not in self.units]
         self.clock = timed[0] if len(timed) == 1 else ""
+        self.since = source.since
+        self.first: float | None = source.ends[0] if source.ends else None
+        self.last: float | None = source.ends[1] if source.ends else None
+        self.epoch: float | None = None
 
     @cached_property
-    def rows(self) -> int:  # type: ignore[override]  # a plain number in other groups
+    def rows(self) -> int:
         """Samples; a file of text is counted when that is asked first."""
         return self.source.count()
 
     def begin(self) -> None:
-        """Read the clock once."""
-        if not self.clock:
+        """Read the clock once, where the times of the first and the last sample are not known."""
+        if not self.clock or self.source.ends:
             return
         self.epoch = self.source.epoch(self.clock)
         self.since = "zero" if self.seconds(self.clock) else "zero, in a unit that is not stated"
@@ -121,8 +78,25 @@ class Columns(Group):
         time = piece[self.clock] * (self.seconds(self.clock) or 1.0) + self.shift
         return np.asarray(time + RUN_APART * piece[RUN] if self.by_run else time)
 
+    def seconds(self, name: str) -> float:
+        """Return the seconds of a channel's unit, 0 where it has another unit."""
+        unit = UNITS[self.units[name]] if name in self.units else split_unit(name)[1]
+        return unit.factor if unit and unit.si == "s" else 0.0
 
-def on_one_scale(groups: Sequence[Columns]) -> None:
+    @property
+    def rate(self) -> float:
+        """Samples a second on average; 0 where it is not known."""
+        if self.first is None or self.last is None or not self.last > self.first:
+            return 0.0
+        return (self.rows - 1) / (self.last - self.first)
+
+    def said(self) -> str:
+        """Return the group in words: `Hall (4 channels at 10 kHz)`."""
+        rate = f" at {hertz(self.rate)}" if self.rate else ""
+        return f"{self.name} ({counted(len(self.channels), 'channel')}{rate})"
+
+
+def on_one_scale(groups: Sequence[Group]) -> None:
     """Let clocks that state a moment count from the earliest one, and those that start again run by run."""
     if any(g.restarts for g in groups) and all(RUN in g.channels for g in groups):
         for g in groups:
@@ -140,27 +114,25 @@ def on_one_scale(groups: Sequence[Columns]) -> None:
         g.first, g.last = (g.first or 0.0) + g.shift, (g.last or 0.0) + g.shift
 
 
-@dataclass(frozen=True)
-class Clock:
+class Clock(NamedTuple):
     """Whose samples become the rows, and how other channels are read at them."""
 
     group: str
     method: str
 
-    @staticmethod
-    def read(text: str) -> Clock:
-        """Read `GROUP:METHOD`."""
-        group, colon, method = text.rpartition(":")
-        if not (colon and group) or method not in METHODS:
-            raise InputError(
-                f"Clock must be GROUP:METHOD with method {' or '.join(METHODS)}, such as Hall:linear; instead"
-                f" received {text!r}{nearest(method, list(METHODS))}."
-            )
-        return Clock(group, method)
+
+def read_clock(text: str) -> Clock:
+    """Read `GROUP:METHOD`."""
+    group, colon, method = text.rpartition(":")
+    if not (colon and group) or method not in METHODS:
+        raise InputError(
+            f"Clock must be GROUP:METHOD with method {' or '.join(METHODS)}, such as Hall:linear; instead"
+            f" received {text!r}{nearest(method, list(METHODS))}."
+        )
+    return Clock(group, method)
 
 
-@dataclass(frozen=True)
-class Place:
+class Place(NamedTuple):
     """Where a column is: its group and the name it has there."""
 
     group: Group
@@ -178,7 +150,7 @@ def places(groups: Sequence[Group], by: str = "/") -> tuple[dict[str, Place], di
     clocked: set[tuple[float | None, float | None, int]] = set()
     for g in groups:
         clock = (g.first, g.last, g.rows)
-        if g.timed and g.first is not None and not g.clock and clock not in clocked:
+        if g.timed and g.clock == TIME and clock not in clocked:
             name = f"{g.name}{by}{OWN_TIME}" if OWN_TIME in ends or clocked else OWN_TIME
             places[name] = Place(g, TIME)
             clocked.add(clock)
@@ -295,12 +267,12 @@ class GroupedSource(Source):
             if g not in filled
             for channel in g.channels
         }
-        stated = None if clock is None else Clock.read(clock)
+        stated = None if clock is None else read_clock(clock)
         self.runs = {} if stated else runs(filled, named=not files)
         if not self.runs and len(filled) > 1:
             for g in filled:
                 g.begin()
-            on_one_scale([g for g in filled if isinstance(g, Columns)])
+            on_one_scale(filled)
         self.sets = [[next(iter(self.runs.values()))]] if self.runs else on_one_clock(filled)
         if files and not stated and len(self.sets) > 1 and all(m[0].first is not None for m in self.sets):
             stated = Clock(min((m[0] for m in self.sets), key=lambda g: g.rate).name, METHODS[0])
@@ -308,8 +280,8 @@ class GroupedSource(Source):
         kept = [self.master, *(g for members in self.sets for g in members if g is not self.master)]
         self._leave_others(bool(stated))
         self.places, self.aliases = places(kept, by)
-        own = {n: "s" if p.channel == TIME else p.group.units.get(p.channel) for n, p in self.places.items()}
-        self.units = {name: unit for name, unit in own.items() if unit}
+        found = {name: place.group.units.get(place.channel) for name, place in self.places.items()}
+        self.units = {name: unit for name, unit in found.items() if unit}
         self.numbered = bool(self.runs) and RUN not in self.places
         self.names = (*((RUN,) if self.numbered else ()), *self.places)
         self.rows = sum(g.rows for g in self.runs.values()) or self.master.rows
@@ -428,7 +400,9 @@ class GroupedSource(Source):
         """Yield columns at the samples of the master, those between which all groups were recorded."""
         wanted, (begin, end) = dict(_by_group(self.places, names)), self._shared()
         turns = {name: self._turn(name) for name in names}
-        followers = [Follower(g, wanted[g], turns, size, self.where) for g in self._others() if g in wanted]
+        fastest = max((g.rate for g in self._others()), default=0.0)  # a chunk of it is held beside ours
+        size = max(1, int(size * min(1.0, self.master.rate / fastest))) if fastest else size
+        followers = [Follower(g, wanted[g], turns, self.where) for g in self._others() if g in wanted]
         read = {name for follower in followers for name, _ in follower.wanted}
         own = [name for name in names if name not in read] or [self._own()]
         last = np.empty(0)
@@ -439,7 +413,7 @@ class GroupedSource(Source):
             if inside.any():
                 found = {name: values[inside] for name, values in piece.items()}
                 for follower in followers:
-                    found |= follower.read(time[inside], method)
+                    found |= follower.at(time[inside], method)
                 yield {name: found[name] for name in names}
 
     def _mine(self) -> list[Group]:
@@ -486,7 +460,7 @@ LONGEST_GAP = 4.0
 """Periods of a channel between two of its samples that are bridged: three lost samples in a row. Within a
 longer gap the channel has no value (NaN), so that a pause between runs is no straight line."""
 AT_ONCE = 4096
-"""Samples of a group that are read ahead, at least."""
+"""Samples of a group that are read ahead."""
 FOR_PERIOD = 1000
 """Samples from which the period of a group is taken; a pause between them is not in the median."""
 
@@ -499,30 +473,22 @@ class Follower:
         group: Group,
         wanted: Sequence[tuple[str, str]],
         turns: Mapping[str, float | None],
-        size: int,
         where: str,
     ) -> None:
-        """Begin a pass for columns and their channels, with chunks of about `size` samples.
+        """Begin a pass for columns and their channels.
 
         `turns`: by column a full turn of an angle, 0 for others; None for whole numbers, between which there
         is nothing. Messages call the file `where`.
         """
         self.group, self.wanted, self.turns, self.where = group, list(wanted), turns, where
         self.channels = list(dict.fromkeys(channel for _, channel in wanted))
-        self.size = max(size, AT_ONCE)
-        self._pieces = group.chunks([TIME, *self.channels], self.size)
+        self._pieces = group.chunks([TIME, *self.channels], AT_ONCE)
         self._time = np.empty(0)
         self._held: dict[str, Array] = {}
         self._longest = np.inf
         self._ended = not self._more()
         if len(self._time) > 1:
             self._longest = LONGEST_GAP * float(np.median(np.diff(self._time[:FOR_PERIOD])))
-
-    def read(self, time: Array, method: str) -> dict[str, Array]:
-        """Return the columns at rising times, in steps that hold about as many samples as a chunk."""
-        need = math.ceil((time[-1] - time[0]) * self.group.rate / self.size)
-        parts = [part for part in np.array_split(time, max(1, min(len(time), need))) if len(part)]
-        return joined([self.at(part, method) for part in parts], [column for column, _ in self.wanted])
 
     def at(self, time: Array, method: str) -> dict[str, Array]:
         """Return the columns at rising times, each of shape (times,); NaN where the group has no value."""

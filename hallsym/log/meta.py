@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
@@ -105,11 +105,8 @@ class Sigma:
         return self.within if self.source == "estimated" else 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class Noise(Mapping[str, Sigma]):
-    """Noise by SI channel: `noise["hall_a_m"].value`. A channel that is absent is unknown."""
-
-    sigmas: dict[str, Sigma] = field(default_factory=dict)
+class Noise(dict[str, Sigma]):
+    """Noise by SI channel: `noise["hall_a_m"].value`. One that is absent is unknown, an `InputError`."""
 
     @staticmethod
     def given(values: Mapping[str, float], columns: Sequence[str]) -> Noise:
@@ -126,38 +123,25 @@ class Noise(Mapping[str, Sigma]):
         return Noise(sigmas)
 
     @property
+    def sigmas(self) -> dict[str, Sigma]:
+        """The same, by channel."""
+        return self
+
+    @property
     def std(self) -> dict[str, float]:
         """Standard deviation by channel, in SI."""
-        return {channel: sigma.value for channel, sigma in self.sigmas.items()}
+        return {channel: sigma.value for channel, sigma in self.items()}
 
     def merged(self, other: Noise) -> Noise:
         """Return this noise with what only `other` knows added; what is here already stays."""
-        return Noise({**other.sigmas, **self.sigmas})
+        return Noise({**other, **self})
 
-    def __getitem__(self, channel: str) -> Sigma:
-        """Return the noise of a channel; an unknown one is an `InputError`."""
-        if channel not in self.sigmas:
-            raise InputError(
-                f"Noise of channel '{channel}' is not known{nearest(channel, list(self.sigmas))};"
-                " give it in the column file's [noise] table or in meta.json, or estimate it."
-            )
-        return self.sigmas[channel]
-
-    def __contains__(self, channel: object) -> bool:
-        """Say whether the noise of a channel is known."""
-        return channel in self.sigmas
-
-    def get(self, channel: str, default: Any = None) -> Any:
-        """Return the noise of a channel, or `default` where it is unknown."""
-        return self.sigmas.get(channel, default)
-
-    def __iter__(self) -> Iterator[str]:
-        """Iterate over the channels whose noise is known."""
-        return iter(self.sigmas)
-
-    def __len__(self) -> int:
-        """Return the number of channels whose noise is known."""
-        return len(self.sigmas)
+    def __missing__(self, channel: str) -> Sigma:
+        """Refuse a channel whose noise is unknown."""
+        raise InputError(
+            f"Noise of channel '{channel}' is not known{nearest(channel, list(self))};"
+            " give it in the column file's [noise] table or in meta.json, or estimate it."
+        )
 
 
 def check_noise_keys(values: Mapping[str, float], columns: Sequence[str], where: str) -> None:

@@ -18,6 +18,8 @@ from hallsym.units import Array, split_unit
 IN_MEMORY_ROWS = 2_000_000
 CHUNK_ROWS = 65_536
 
+TIME = "\0time"
+"""What a source calls the time of its samples, in seconds, that its format gives; no column has this name."""
 Piece = dict[str, Array]
 RESTARTED = 0.01
 """Part of the time that has passed within which a clock that starts again is back at its first value; that of
@@ -31,7 +33,8 @@ class Source(ABC):
     name. `aliases`: short names by long name, a path in a struct or a group. `units`: what the file states
     beside a name, by name (`hallsym.units`). `notes`: what has to be said about the file; `recognised`: what
     it is, where that had to be found out. `unstated`: what has to be stated before samples are read together.
-    `read_with`: the options that it was read with, by name. `path`: where the file is on a disk.
+    `read_with`: the options that it was read with, by name. `path`: where the file is on a disk. `ends`: time
+    of the first and the last sample [s] that its format gives, and `since` what it counts from.
     """
 
     names: tuple[str, ...]
@@ -45,6 +48,8 @@ class Source(ABC):
     unstated: str = ""
     read_with: Mapping[str, str] = {}
     path: Path | None = None
+    ends: tuple[float, float] | None = None
+    since: str = ""
 
     def count(self) -> int:
         """Return the number of rows."""
@@ -74,6 +79,12 @@ class Source(ABC):
         """Return a column of names, as text; whole numbers are names too: 7.0 is "7"."""
         return [label(value) for value in self.read([name])[name].tolist()]
 
+    def call(self, columns: Mapping[str, tuple[str, str | None]]) -> None:
+        """Take names of columns, each with the file's own text and the unit (`stems_of`)."""
+        self.names = tuple(columns)
+        self.units = {name: unit for name, (_, unit) in columns.items() if unit}
+        self.aliases = {text: name for name, (text, _) in columns.items() if text != name}
+
     @abstractmethod
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most about `size` rows."""
@@ -98,14 +109,19 @@ def joined(parts: Sequence[Mapping[str, Array]], names: Sequence[str]) -> Piece:
 
 
 class Arrays(Source):
-    """A source that holds its columns already: each of shape (rows,)."""
+    """A source that holds its columns already: each of shape (rows,). `epochs`: of those of times."""
 
     small = True
+    epochs: Mapping[str, float | None] = {}
 
     def __init__(self, columns: Mapping[str, Array]) -> None:
         self.columns = dict(columns)
         self.names = tuple(self.columns)
         self.rows = len(next(iter(self.columns.values()), ()))
+
+    def epoch(self, name: str) -> float | None:
+        """Return the moment of zero of a column of times."""
+        return self.epochs.get(name)
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield everything at once."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.log.columns import RUN_WORDS, TIME_WORDS
-from hallsym.log.groups import Columns, GroupedSource
+from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.table import Arrays, Source
 from hallsym.log.text.cells import split_header, unit_of
 from hallsym.units import UNITS, Array
@@ -22,6 +22,7 @@ MOST_COLUMNS = 100
 
 
 Opened = Callable[[], AbstractContextManager[Any]]
+"""Opens the file that vectors are read from."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Vector:
     """A column of numbers: its length, what reads samples from one on to before another, and its unit."""
 
     rows: int
-    read: Callable[[int, int], Array]
+    read: Callable[[Any, int, int], Array]
     unit: str | None = None
 
 
@@ -43,9 +44,9 @@ class Vectors(Source):
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most `size` rows."""
-        with self.opened():
+        with self.opened() as file:
             for lo in range(0, self.rows, size):
-                yield {name: self.vectors[name].read(lo, min(lo + size, self.rows)) for name in names}
+                yield {name: self.vectors[name].read(file, lo, min(lo + size, self.rows)) for name in names}
 
 
 def columns_of(
@@ -53,8 +54,8 @@ def columns_of(
 ) -> tuple[dict[str, Vector], str]:
     """Return the columns of an array by path, or why there are none ("" for what is no array of numbers).
 
-    `read` takes an index of numpy. A matrix becomes a column for each of its rows or columns, whichever are
-    fewer, `name_0` to `name_k`; a row or column matrix, as MATLAB stores a vector, is one.
+    `read` takes the opened file and an index of numpy. A matrix becomes a column for each of its rows or
+    columns, whichever are fewer, `name_0` to `name_k`; a row or column matrix, MATLAB's vector, is one.
     """
     sizes = [n for n in shape if n != 1] or [1]
     if kind not in "fiub" or (kind == "b" and not shape):
@@ -66,9 +67,9 @@ def columns_of(
     if len(sizes) == 1:
         axis = list(shape).index(sizes[0]) if shape else -1
 
-        def vector(lo: int, hi: int) -> Array:
+        def vector(file: Any, lo: int, hi: int) -> Array:
             index = tuple(slice(lo, hi) if k == axis else 0 for k in range(len(shape)))
-            return np.atleast_1d(read(index))
+            return np.atleast_1d(read(file, index))
 
         return {path: Vector(sizes[0], vector, unit)}, ""
     long = int(np.argmax(sizes))
@@ -77,8 +78,8 @@ def columns_of(
     if own is None and last in UNITS and (len(last) > 1 or last in "msv"):
         stem, own = path.rpartition("_")[0], last
 
-    def column(k: int) -> Callable[[int, int], Array]:
-        return lambda lo, hi: read((slice(lo, hi), k) if long == 0 else (k, slice(lo, hi)))
+    def column(k: int) -> Callable[[Any, int, int], Array]:
+        return lambda file, lo, hi: read(file, (slice(lo, hi), k) if long == 0 else (k, slice(lo, hi)))
 
     return {f"{stem}_{k}": Vector(max(sizes), column(k), unit or own) for k in range(min(sizes))}, ""
 
@@ -137,7 +138,7 @@ def side_by_side(source: Source, where: str) -> Source:
         )
         units = {**{name: name for name in shared}, **columns}
         part.units = {stem: source.units[name] for stem, name in units.items() if name in source.units}
-        groups.append(Columns(f"run{run}", part))
+        groups.append(Group(f"run{run}", part))
     found = GroupedSource(where, "runs side by side", groups, left_out, None, files=True)
     found.notes = (*source.notes, *found.notes)
     return found
@@ -167,5 +168,5 @@ def arranged(
                     f"Columns of group '{run}' of {where} must be equally long; they have"
                     f" {' and '.join(map(str, sizes))} values: the recording of this run broke off."
                 )
-    found = [Columns(group, Vectors(members, opened)) for (group, _), members in groups.items()]
+    found = [Group(group, Vectors(members, opened)) for (group, _), members in groups.items()]
     return GroupedSource(where, kind, found, left_out, clock, by=by)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -44,14 +44,9 @@ class LogWriter:
 
     def __enter__(self) -> LogWriter:
         """Open a temporary file beside the target."""
-        self._target = replacing(self.path)
-        self._temporary = self._target.__enter__()
-        try:
-            with self._reported():
-                self._writer = self._make(self._temporary)
-        except BaseException:
-            self._abandon()
-            raise
+        with ExitStack() as stack:
+            self._writer = self._make(stack.enter_context(replacing(self.path)))
+            self._target = stack.pop_all()
         return self
 
     def append(self, columns: Mapping[str, Array]) -> None:
@@ -79,46 +74,24 @@ class LogWriter:
     ) -> None:
         """Finish and rename, or remove the temporary file."""
         if error is not None:
-            self._abandon()
+            with suppress(Exception):
+                self._writer.close()
+            self._target.__exit__(GeneratorExit, GeneratorExit(), None)  # whatever failed, it says itself
             return
-        try:
+        with self._target, closing(self._writer):
             if self._names is None:
                 raise InputError(
                     f"Nothing was written to {self.path}: a log needs at least one piece of samples."
                 )
             self._drain()
-            with self._reported():
-                self._writer.close()
-        except BaseException:
-            self._abandon()
-            raise
-        self._target.__exit__(None, None, None)
 
     def _drain(self) -> None:
         if self._waiting and self._names:
-            with self._reported():
+            try:
                 self._writer.write(joined(self._waiting, self._names))
+            except OSError as error:
+                raise InputError(f"Cannot write {self.path}: {reason(error)}.") from error
             self._waiting, self._rows = [], 0
-
-    @contextmanager
-    def _reported(self) -> Iterator[None]:
-        """Turn what a format's library raises when it cannot write into one sentence."""
-        try:
-            yield
-        except OSError as error:
-            raise InputError(f"Cannot write {self.path}: {reason(error)}.") from error
-
-    def _abandon(self) -> None:
-        """Close what is open and let `replacing` remove the temporary file."""
-        if hasattr(self, "_writer"):
-            with suppress(Exception):
-                self._writer.close()
-        with suppress(_AbandonedError):
-            self._target.__exit__(_AbandonedError, _AbandonedError(), None)
-
-
-class _AbandonedError(Exception):
-    """Tells `replacing` that the block failed, whatever the reason."""
 
 
 def write_log(log: Log | Mapping[str, Array], path: str | Path) -> None:

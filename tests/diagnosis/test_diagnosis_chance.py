@@ -5,7 +5,6 @@ columns, run by run.
 """
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ from hallsym.estimation.decoding import columns_of
 from hallsym.families import effects
 from hallsym.families.recording import Correction, corrected
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
-from hallsym.log import Batch, Block, Log, batches
+from hallsym.log import Batch, Log, batches
 from hallsym.model import Facts
 
 CATALOGUE = tuple(e for e in effects(STAGE_FAMILY).values() if e.diagnosed)
@@ -105,11 +104,11 @@ def test_products_are_the_sums_over_dense_columns(quiet: Base) -> None:
     work = Columns(base, plain)
     for batch in batches(base.log, columns_of(base.model)):
         white = whitened(work, batch, None)
-        for block, part in batch.parts():
+        for run, part in batch.parts():
             W = white[:, :, part].reshape(len(white), -1)
             z = work.z
             rest = W[z:] - (W[z:] @ np.linalg.pinv(W[:z])) @ W[:z]
-            unit = t.runs.index((block.run,))
+            unit = t.runs.index((run,))
             own = slice(0, t.span[""].stop)
             dense = rest @ rest.T
             size = np.sqrt(np.diag(dense))
@@ -125,8 +124,7 @@ def test_products_are_the_sums_over_dense_columns(quiet: Base) -> None:
 def test_blocks_side_by_side_hold_every_sample_once(lengths: list[int], most: int) -> None:
     edges = np.cumsum([0, *lengths])
     x = np.arange(1.0, edges[-1] + 1)
-    blocks = tuple(Block(k, {"x": x[a:b]}) for k, (a, b) in enumerate(pairwise(edges)))
-    batch = Batch(blocks, {"x": x}, tuple(edges.tolist()))
+    batch = Batch(tuple(range(len(lengths))), {"x": x}, tuple(edges.tolist()))
     seen = []
     for first, last in batch.groups(most):
         assert 1 <= last - first <= most

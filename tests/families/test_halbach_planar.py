@@ -188,11 +188,11 @@ def test_rows_longer_than_the_arrays_are_taken_with_their_ends_and_odd_without()
     p = ended.vector({"a1": 0.62, "a5": -6e-4, "edges": 1.0})
     v = on_arrays(ended.reading)(p, [], [*poses.T], [])[0]
     log = log_of(ended, poses, v, 1e-3)
-    planar.inspect_planar(ended, log)
-    assert re.search(r"goes .* mm beyond sensor", planar.inspect_planar(model, log).notes[0])
+    planar.inspect(ended, log)
+    assert re.search(r"goes .* mm beyond sensor", planar.inspect(model, log).notes[0])
     far = log_of(ended, poses + np.array([0.06, 0, 0, 0, 0, 0]), v, 1e-3)
     few = "has 1 of its 6 sensors under it, where phase and height need 2"
-    assert few in planar.inspect_planar(ended, far).notes[0]
+    assert few in planar.inspect(ended, far).notes[0]
 
 
 def test_a_travel_within_one_wavelength_is_noted(model):

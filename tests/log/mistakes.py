@@ -309,7 +309,7 @@ RECORDING = (
     of_stage(
         "a channel dead in a run",
         lambda a: put("hall_b_m", of_run(4)(a), 1e-4)(a),
-        r"hall_b_m .* never changes in run 4 .*wiring",
+        r"hall_b_m .* run 4,.*wiring",
         "claim",
     ),
     of_stage(
@@ -378,7 +378,7 @@ RECORDING = (
     of_encoder(
         "a plate dead in a run",
         lambda a: put("v_cos_v", of_run(2)(a), 0.0)(a),
-        r"v_cos_v .* in run 2 ",
+        r"v_cos_v .* run 2, 0 V.*dropped",
         "claim",
     ),
     of_encoder(

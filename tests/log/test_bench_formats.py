@@ -154,7 +154,7 @@ def test_pieces_of_any_size_give_the_same(
     found = rng.normal(size=len(other))
 
     parts = {"own": {"t_s": time}, "other": {"t_s": other, "x": found}}
-    joined = [groups.Columns(name, Arrays(columns)) for name, columns in parts.items()]
+    joined = [groups.Group(name, Arrays(columns)) for name, columns in parts.items()]
     source = GroupedSource("log", "arrays", joined, {}, f"own:{method}", files=True)
     pieces = list(source.chunks(["t_s", "x"], size))
     time, values = (np.concatenate([piece[name] for piece in pieces]) for name in ("t_s", "x"))

@@ -9,11 +9,12 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pyarrow.feather import write_feather
 
 import hallsym
 from hallsym import InputError, fit, load_fit, read_log
 from hallsym.cli.main import main
-from hallsym.log.arrow import Moments, Seconds, first_tick, time_form
+from hallsym.log.arrow import Seconds, time_form
 from hallsym.log.format_parquet import ParquetSource
 
 STEPS = np.array([0.0, 0.25, 1.5, 2.0, 3.125])
@@ -176,7 +177,7 @@ def test_a_missing_moment_is_no_number_and_numpy_has_times_too():
     assert read_log({"when": stamps, **columns}).array("t_s") == pytest.approx(0.25 * np.arange(200))
     gone = typed(TYPES["timestamp ns"])["Stamp"].to_pylist()
     column = pa.array([None, *gone[1:100], None, *gone[101:]], pa.timestamp("ns"))
-    seconds = Moments(column.type, first_tick(column))(column)
+    seconds = Seconds()(column)
     assert np.flatnonzero(np.isnan(seconds)).tolist() == [0, 100]
     assert seconds[1] == 0.0
     assert seconds[-1] == pytest.approx(0.25 * 198)
@@ -187,3 +188,17 @@ def test_a_number_for_the_time_stays_the_time_beside_a_typed_one(tmp_path):
     pq.write_table(table, tmp_path / "log.parquet")
     assert read_log(tmp_path / "log.parquet").array("t_s")[1] == pytest.approx(0.1)
     assert read_log(tmp_path / "log.parquet", columns={"t_s": "Stamp"}).array("t_s")[1] == 0.25
+
+
+@pytest.mark.parametrize("suffix", [".feather", ".parquet"])
+def test_moments_put_two_files_on_one_clock(tmp_path: Path, suffix: str) -> None:
+    """The second file begins half a second later."""
+    t = np.arange(0, 3, 0.01)
+    for name, begin in (("hall_a_um", 0.0), ("x_ref_um", 0.5)):
+        ticks = np.round((begin + t) * 1e9).astype("timedelta64[ns]")
+        table = pa.table({"time": np.datetime64("2026-01-01", "ns") + ticks, name: np.sin(begin + t)})
+        write = pq.write_table if suffix == ".parquet" else write_feather
+        write(table, str(tmp_path / f"{name}{suffix}"))
+    log = read_log([tmp_path / f"hall_a_um{suffix}", tmp_path / f"x_ref_um{suffix}"])
+    assert log.rows == 250
+    assert log.array("hall_a_m") == pytest.approx(log.array("x_ref_m"), abs=1e-15)

@@ -25,27 +25,15 @@ LEAST_SEEN = 2
 
 
 def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
-    """Claim what the array of a layout cannot have logged of x and z; note what the log cannot tell."""
-    (array,) = arrays(model.layout).values()
-    pose = _poses(model, log, SAMPLES)
+    """Claim what the arrays of a layout cannot have logged of the pose; note what the log cannot tell."""
+    known, planar = arrays(model.layout), len(model.references) > 2
+    pose = _poses(model, log, SAMPLES // 10 if planar else SAMPLES)
     if pose.shape[1] < FEWEST:
         return Inspection()
-    odd: list[str] = [*_covered(model, array, pose[0], log.name)]
+    odd: list[str] = [*(_under_arrays if planar else _covered)(model, known, pose, log.name)]
     if fitted:
-        odd += _travel(model.references[:1], pose, array.wavelength_m, log.name)
-    return Inspection(tuple(odd))
-
-
-def inspect_planar(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
-    """Claim what the arrays of a layout cannot have logged of six coordinates, as `inspect` does."""
-    pose = _poses(model, log, SAMPLES // 10)
-    if pose.shape[1] < FEWEST:
-        return Inspection()
-    known = arrays(model.layout)
-    places = [in_mover(s, known[s.array], pose) for s in sensors(model.layout)]
-    odd: list[str] = [*_under_arrays(model, known, places, log.name)]
-    if fitted:
-        odd += _travel(model.references[:2], pose, next(iter(known.values())).wavelength_m, log.name)
+        along = model.references[: 2 if planar else 1]
+        odd += _travel(along, pose, next(iter(known.values())).wavelength_m, log.name)
     return Inspection(tuple(odd))
 
 
@@ -76,10 +64,11 @@ def _travel(columns: Sequence[str], pose: np.ndarray, wave: float, name: str) ->
         )
 
 
-def _covered(model: Model, array: Array, x: np.ndarray, name: str) -> Iterator[Fault]:
+def _covered(model: Model, known: dict[str, Array], pose: np.ndarray, name: str) -> Iterator[Fault]:
     """Claim sensors that the array hardly is over, unless the model knows the ends of the array."""
+    (array,) = known.values()
     places = np.array([s.middle[0] for s in sensors(model.layout)])
-    share = np.mean(np.abs(places[:, None] - x) < array.length_m / 2, axis=1)
+    share = np.mean(np.abs(places[:, None] - pose[0]) < array.length_m / 2, axis=1)
     least = int(np.argmin(share))
     if share[least] < COVERED and "edges" not in model.names:
         sensor = sensors(model.layout)[least]
@@ -106,14 +95,13 @@ def in_mover(sensor: Sensor, array: Array, pose: np.ndarray) -> np.ndarray:
     return np.array([m[array.axis], m[1 - array.axis], -z + ry * dx - rx * dy]).swapaxes(0, 1)
 
 
-def _under_arrays(
-    model: Model, known: dict[str, Array], places: Sequence[np.ndarray], name: str
-) -> Iterator[Fault]:
+def _under_arrays(model: Model, known: dict[str, Array], pose: np.ndarray, name: str) -> Iterator[Fault]:
     """Claim poses at which a sensor has left its array: the mover is beyond the grid.
 
     A model that knows the ends of the arrays tells the field of sensors beyond them too: there each array
     must see as many as phase and height need.
     """
+    places = [in_mover(s, known[s.array], pose) for s in sensors(model.layout)]
     if "edges" in model.names:
         yield from _seen(model, known, places, name)
     for sensor, at in zip(sensors(model.layout), places, strict=True):

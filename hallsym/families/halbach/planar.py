@@ -20,7 +20,7 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.families.halbach import links
-from hallsym.families.halbach.checks import inspect_planar
+from hallsym.families.halbach.checks import inspect
 from hallsym.families.halbach.layout import Array, Layout, Sensor, arrays, check_channel, part_of, sensors
 from hallsym.families.halbach.models import FAR, HARMONICS, WAVELENGTH_M
 from hallsym.log import Meta
@@ -74,7 +74,7 @@ def halbach_planar(layout: Layout | None = None) -> Model:
         begin=lambda v, p: begin(v, p, layout),
         onward=onward,
         guess=guess,
-        inspect=inspect_planar,
+        inspect=inspect,
         typical=tuple(map(tuple, _typical(level, wave))),
     )
     return model

@@ -215,9 +215,9 @@ def implausible(fit: Any) -> Iterator[Fault]:
     k = int(np.argmax(np.abs(np.log(sizes))))
     factor = 1 / power if k == int(np.argmax(sizes)) else power
     correction = f"scale {fit.model.channels[k]} {factor:.9g}" if 1 / NEAR < ratio / power < NEAR else None
-    remedy = f"; undo it with --correct '{correction}'" if correction else ""
+    remedy = f" undo it with --correct '{correction}'." if correction else ""
     yield Fault(
         f"The amplitudes of {' and '.join(fit.model.channels)} differ by a factor of {ratio:.3g}, an ellipse "
-        f"that no encoder makes: are both in the same unit?{remedy}.".replace("?;", "?").replace("?.", "?"),
+        f"that no encoder makes: are both in the same unit?{remedy}",
         "scale", fit.model.channels, correction=correction,
     )  # fmt: skip

@@ -10,9 +10,9 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.log.columns import RUN, fastest, is_reference
 from hallsym.log.core import Drop, Log, without
-from hallsym.log.quality.findings import Finding, name_of, others, the
+from hallsym.log.quality.findings import Finding, others, the
 from hallsym.log.quality.scan import FEWEST_SAMPLES, Scan, Spans, scan, ticks, time
-from hallsym.log.quality.values import copied, dead, held
+from hallsym.log.quality.values import copied, stuck
 from hallsym.units import si_symbol
 
 
@@ -36,14 +36,11 @@ def finite(log: Log, seen: Scan, required: Sequence[str]) -> Iterator[Finding]:
 _PASSES = 6
 
 
-def check_log(log: Log, required: Sequence[str] = (), *, drop_bad: bool = False) -> list[str]:
+def check_log(log: Log, required: Sequence[str] = ()) -> list[str]:
     """Return what is worth knowing about a log, one sentence each; refuse one that cannot be read.
 
-    `required` names the columns that will be used (none: all of them); only these are judged. With `drop_bad`
-    samples and runs that can be left out are no reason to refuse; `clean_log` returns the log without them.
+    `required` names the columns that will be used (none: all of them); only these are judged.
     """
-    if drop_bad:
-        return usable(log, required, drop_bad=True)[1]
     found = list(_judge(log, required))
     for finding in found:
         if finding.refuse:
@@ -111,8 +108,11 @@ def _judge(log: Log, required: Sequence[str], *, thinned: bool = False) -> Itera
     seen = scan(log, [name for name in columns if name != RUN])
     if seen.rows == 0:
         raise InputError(f"Log {log.name} has no samples; record it again.")
-    clocked = _clock(log, seen, thinned)
-    for found in (finite(log, seen, required), clocked, short_runs(log, seen), _values(log, seen)):
+    spans = seen.spans()
+    for found in (
+        finite(log, seen, required), _clock(log, seen, thinned), short_runs(log, seen),
+        speeds(log, spans), copied(log, seen, spans), stuck(log, seen, spans),
+    ):  # fmt: skip
         stop = False
         for finding in found:
             yield finding
@@ -129,14 +129,6 @@ def _clock(log: Log, seen: Scan, thinned: bool) -> Iterator[Finding]:
             yield from ticks(log, seen.clock)
 
 
-def _values(log: Log, seen: Scan) -> Iterator[Finding]:
-    spans = seen.spans()
-    yield from speeds(log, seen, spans)
-    yield from dead(log, seen, spans)
-    yield from copied(log, seen, spans)
-    yield from held(log, seen, spans)
-
-
 _CUT_SHORT = 0.1
 """Samples of a run over those of the usual run below which somebody, or something, ended it early."""
 _FEW = 16
@@ -145,7 +137,7 @@ _FEW = 16
 
 def short_runs(log: Log, seen: Scan) -> Iterator[Finding]:
     """A log with too few samples to say anything; runs with far fewer than the others, or all with few."""
-    samples, name = seen.samples, name_of(log)
+    samples, name = seen.samples, log.short_name
     if seen.rows < FEWEST_SAMPLES:
         yield Finding(
             f"{name} must have at least {FEWEST_SAMPLES} samples; it has {seen.rows}",
@@ -185,7 +177,7 @@ def clock_unit(log: Log, seen: Scan) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def speeds(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
+def speeds(log: Log, spans: Spans) -> Iterator[Finding]:
     """References that cross their range within a run faster than any machine."""
     if "t_s" not in spans.overall or log.counted:
         return
@@ -195,8 +187,8 @@ def speeds(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
         for k in np.flatnonzero((lasts > 0) & (covers > fastest(name) * lasts))[:1]:
             run, symbol = list(spans.samples)[k], si_symbol(name)
             yield Finding(
-                f"In run {run} of {name_of(log)} {name} covers {covers[k]:.3g} {symbol} in {lasts[k]:.3g} s, "
-                "faster than any machine",
+                f"In run {run} of {log.short_name} {name} covers {covers[k]:.3g} {symbol} in {lasts[k]:.3g} "
+                "s, faster than any machine",
                 claim="clock_unit", columns=(name, "t_s"), runs=(run,),
                 remedy=f"check the units of {name} and t_s",
             )  # fmt: skip

@@ -8,10 +8,6 @@ from dataclasses import dataclass
 from hallsym.errors import counted
 from hallsym.log.core import Drop, Log
 
-_LONGEST_NAME = 60
-"""Characters of a log's name that a sentence has room for: with them it stays below 300."""
-
-
 UNRELATED, LAYOUT = "unrelated", "layout"
 """Names of the claims that readings do not follow the reference, and that sensors are elsewhere."""
 
@@ -86,14 +82,9 @@ class Finding:
         return f"{self.text}; left out."
 
 
-def name_of(log: Log) -> str:
-    """Return what to call a log in a sentence; a long path keeps its end."""
-    return log.name if len(log.name) <= _LONGEST_NAME else f"...{log.name[3 - _LONGEST_NAME :]}"
-
-
 def the(log: Log, column: str) -> str:
     """Return the beginning of a sentence about a column."""
-    return f"Column {column} of {name_of(log)}"
+    return f"Column {column} of {log.short_name}"
 
 
 def others(things: Collection[object], thing: str = "more run") -> str:

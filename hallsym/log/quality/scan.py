@@ -42,14 +42,6 @@ class Spans:
     by_run: dict[str, Array]
     samples: dict[int, int]
 
-    @cached_property
-    def runs(self) -> dict[int, dict[str, Span]]:
-        """Extents by run and column."""
-        return {
-            run: {name: Span(*extents[:, k].tolist()) for name, extents in self.by_run.items()}
-            for k, run in enumerate(self.samples)
-        }
-
     def rests(self, column: str) -> Array:
         """Return whether a column holds one value all through a run, (runs,) of bool."""
         return self.covers(column) == 0.0
@@ -63,20 +55,18 @@ class Spans:
 class Trace:
     """What one pass saw of one column.
 
-    `parts` holds arrays (segments, 4): min, max, sum, sum of squares; `sums` arrays (segments,) of what the
-    samples' bits times their places come to, whatever pieces they came in: equal for runs that hold the same
-    samples. `held`: whether `HELD_SAMPLES` in a row are equal.
+    `parts` holds arrays (segments, 4): min, max, sum, sum of squares. `held`: whether `HELD_SAMPLES` in a row
+    are equal.
     """
 
     pivot: float | None = None
     parts: list[Array] = field(default_factory=list)
-    sums: list[Array] = field(default_factory=list)
     nonfinite: int = 0
     first_nonfinite: int = -1
     held: bool = False
 
-    def add(self, name: str, values: Array, starts: Array, places: Array, row: int, scratch: Array) -> None:
-        """Take a piece that begins at `row`, with segments from `starts` on and the `places` of its samples.
+    def add(self, name: str, values: Array, starts: Array, row: int, scratch: Array) -> None:
+        """Take a piece that begins at `row`, with segments from `starts` on.
 
         A piece that holds NaN or infinity is only counted.
         """
@@ -101,8 +91,6 @@ class Trace:
                 two = equal[1:] & equal[:-1]
                 four = two[2:] & two[:-2]
                 self.held = bool((four[3:] & four[:-3]).any())
-            # exact in any order, whole numbers modulo 2^64
-            self.sums.append(np.add.reduceat(values.view(np.uint64) * places, starts))
 
 
 @dataclass
@@ -121,13 +109,6 @@ class Scan:
         for run, n in self.segments:
             counts[run] = counts.get(run, 0) + n
         return counts
-
-    def bit_sums(self, column: str) -> list[int]:
-        """Return what the bits of a column come to in each run, modulo 2^64; [] where it is not finite."""
-        trace = self.traces[column]
-        if trace.nonfinite or not trace.sums:
-            return []
-        return np.add.reduceat(np.concatenate(trace.sums), self.starts).tolist()
 
     @cached_property
     def starts(self) -> Array:
@@ -160,26 +141,13 @@ def scan(log: Log, columns: Sequence[str]) -> Scan:
     for piece in _small_pieces(log, columns):
         found = order.segments(piece[RUN])
         starts = np.array([start for _, start, _ in found])
-        places = _places(found, result.segments)
         result.segments += [(run, stop - start) for run, start, stop in found]
         for name, trace in result.traces.items():
-            trace.add(name, piece[name], starts, places, result.rows, scratch)
+            trace.add(name, piece[name], starts, result.rows, scratch)
         if clock is not None:
             clock.add(piece["t_s"], found, result.rows)
         result.rows += len(piece[RUN])
     return result
-
-
-def _places(found: list[tuple[int, int, int]], before: list[tuple[int, int]]) -> Array:
-    """Return the places of a piece's samples in their runs as odd numbers; `before`: segments so far."""
-    first = 0
-    for run, n in reversed(before):
-        if run != found[0][0]:
-            break
-        first += n
-    parts = [np.arange(stop - start, dtype=np.uint64) for _, start, stop in found]
-    parts[0] = parts[0] + np.uint64(first)
-    return np.uint64(2) * np.concatenate(parts) + np.uint64(1)
 
 
 def _small_pieces(log: Log, columns: Sequence[str]) -> Iterator[Piece]:
@@ -325,7 +293,12 @@ def noise_in_codes(x: Array) -> float:
     codes = spread / step
     if codes <= _OF_A_CODE:
         return 0.0
-    return codes if np.mean(steps == 0) < _MORE * equal_by_chance(codes) + _EQUAL else 0.0
+    return codes if by_chance(steps, codes) else 0.0
+
+
+def by_chance(steps: Array, codes: float) -> bool:
+    """Say whether steps are zero no more often than noise of so many codes makes them."""
+    return not len(steps) or bool(np.mean(steps == 0) < _MORE * equal_by_chance(codes) + _EQUAL)
 
 
 def equal_by_chance(codes: float) -> float:

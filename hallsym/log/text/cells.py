@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -172,6 +173,21 @@ def split_header(text: str) -> tuple[str, str | None]:
     if plain and unit_of(plain[2]) in _SURE:
         return plain[1], unit_of(plain[2])
     return text, None
+
+
+def stems_of(
+    texts: Iterable[str], stated: Mapping[str, str | None] | None = None
+) -> dict[str, tuple[str, str | None]]:
+    """Return headers' own texts and units by their names without unit, or by the text where two are alike.
+
+    `stated`: units that the file states elsewhere, by text.
+    """
+    parts = {text: split_header(text) for text in texts}
+    often = Counter(stem for stem, _ in parts.values())
+    return {
+        stem if often[stem] == 1 else text: (text, (stated or {}).get(text) or unit)
+        for text, (stem, unit) in parts.items()
+    }
 
 
 def is_unit_row(cells: list[str]) -> bool:

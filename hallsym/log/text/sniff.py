@@ -11,7 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import IO, cast
@@ -39,30 +39,33 @@ DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", BLANKS: "
 class Dialect:
     """Everything that was recognised of a file. Lines are counted from 1.
 
-    `delimiter`: " " stands for any number of blanks and tabs. `names`: one by cell, `units` those that the
-    header states, by name. `header`: line of the names; `units_line`: of the units, 0 without one.
-    `first`: line the table begins at. `footer`: lines after the table. `quoted`: whether quotes stand around
-    cells.
+    `delimiter`: " " stands for any number of blanks and tabs. `stems`: as `stems_of`, one by cell. `header`:
+    line of the names; `units_line`: of the units, 0 without one. `first`: line the table begins at. `footer`:
+    lines after the table. `quoted`: whether quotes stand around cells. `times`: columns of times as text, and
+    how they are written. `above`: lines before the names that are neither empty nor comments. `torn`: whether
+    the last line does not end.
     """
 
     encoding: str
     compressed: bool
     delimiter: str
-    names: tuple[str, ...]
+    stems: dict[str, tuple[str, str | None]]
     header: int
     first: int
     numbers: Convention = POINT
-    units: dict[str, str] = field(default_factory=dict)
-    aliases: dict[str, str] = field(default_factory=dict)
     units_line: int = 0
     comments: tuple[str, ...] = ("#",)
     quoted: bool = False
     footer: int = 0
     footer_text: str = ""
-    times: dict[str, TimeForm] = field(default_factory=dict)
-    """Columns of times as text, by name, and how they are written."""
+    torn: bool = False
+    times: dict[int, TimeForm] = field(default_factory=dict)
     above: int = 0
-    """Lines before the names that are neither empty nor comments."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns, one by cell."""
+        return tuple(self.stems)
 
     @property
     def usual(self) -> bool:
@@ -254,15 +257,16 @@ def sniffed(file: Encoded, where: str, delimiter: str | None = None, decimal: st
     body = [row for row in rows if len(row) == table.width]
     quotes = _quoted(below)
     numbers = _numbers(body, "" if quotes else table.delimiter, decimal, where)
-    found = Dialect(
-        file.encoding, file.compressed, table.delimiter, tuple(stems), header,
-        lines[first].number if first < len(lines) else lines[-1].number + 1, numbers,
-        {stem: unit for stem, (_, unit) in stems.items() if unit},
-        {text: stem for stem, (text, _) in stems.items() if text != stem},
-        units_line, marks, above=sum(line.number < header and not line.comment for line in lines),
-        quoted=quotes, times=_times(tuple(stems), body),
+    end = file.end()
+    at_end = bool(body) and is_number(body[0][0])  # a first column of words looks like words
+    footer = _footer(end, table.delimiter, len(stems), marks) if at_end else (0, "")
+    return Dialect(
+        file.encoding, file.compressed, table.delimiter, stems, header,
+        lines[first].number if first < len(lines) else lines[-1].number + 1,
+        numbers, units_line, marks, above=sum(line.number < header and not line.comment for line in lines),
+        quoted=quotes, times=_times(body), footer=footer[0], footer_text=footer[1],
+        torn=not footer[0] and not end.endswith("\n"),
     )  # fmt: skip
-    return _with_footer(found, end_of(file), body)
 
 
 # -- the beginning ---------------------------------------------------------------------------------------
@@ -399,41 +403,36 @@ def _quoted(lines: list[Line]) -> bool:
     return any(counts) and not any(count % 2 for count in counts)
 
 
-def _times(names: tuple[str, ...], body: list[list[str]]) -> dict[str, TimeForm]:
+def _times(body: list[list[str]]) -> dict[int, TimeForm]:
     """Return the columns of times as text, and how they are written."""
     found = {}
-    width = min(map(len, body), default=0)
-    for k, name in enumerate(names[:width]):
+    for k in range(min(map(len, body), default=0)):
         cells = [cell for row in body if not is_missing(cell := row[k].strip(' "'))]
         if cells and ":" in cells[0] and (form := time_form(cells)):
-            found[name] = form
+            found[k] = form
     return found
 
 
 # -- the end ---------------------------------------------------------------------------------------------
 
 
-def _with_footer(found: Dialect, end: str, body: list[list[str]]) -> Dialect:
-    """Add the lines of words, and those without any cell, that end the file after its table."""
-    if not body or not is_number(body[0][0]):
-        return found  # a first column of words looks like words
-    texts = end.rstrip("\r\n").replace("\r\n", "\n").replace("\r", "\n").split("\n")[1:]
-    lines = passed = 0
+def _footer(end: str, delimiter: str, width: int, comments: tuple[str, ...]) -> tuple[int, str]:
+    """Return how many lines of words, and without any cell, end a text after its table, and one of words."""
+    lines = 0
     said = ""
-    for text in reversed(texts[-LONGEST_FOOTER:]):
-        passed += 1
-        if text.lstrip(' \t"').startswith(found.comments):
+    for passed, text in enumerate(reversed(end.rstrip("\n").split("\n")[1:][-LONGEST_FOOTER:]), start=1):
+        if text.lstrip(' \t"').startswith(comments):
             continue
-        cells = split(text, found.delimiter) or [""]
-        words = len(cells) != len(found.names) and bool(_WORD.match(cells[0])) and not is_number(cells[0])
+        cells = split(text, delimiter) or [""]
+        words = len(cells) != width and bool(_WORD.match(cells[0])) and not is_number(cells[0])
         if any(cells) and not words:
             break
         lines, said = passed, text.strip() if words else said
-    return replace(found, footer=lines, footer_text=said) if lines else found
+    return lines, said
 
 
-PIECE = 1 << 18
-"""Bytes that are read at once."""
+PIECE = 1 << 16
+"""Bytes that are read at once: they stay in the processor's cache."""
 END = 1 << 16
 """Bytes of the end of a file in which lines after the table are looked for."""
 LONGEST_LINE = 10_000_000
@@ -469,7 +468,7 @@ class Encoded:
             compressed = stream.read(2) == _GZIP
         found = Encoded(open_raw, compressed, "")
         with found.raw() as stream:
-            head = stream.read(PIECE)
+            head = stream.read(SAMPLE)
         return Encoded(open_raw, compressed, _encoding(head))
 
     @contextmanager
@@ -478,64 +477,51 @@ class Encoded:
         with self.open_raw() as stream:
             yield cast(IO[bytes], gzip.GzipFile(fileobj=stream, mode="rb")) if self.compressed else stream
 
-    def pieces(self, size: int = PIECE) -> Iterator[bytes]:
-        """Yield the text as UTF-8 without a mark, in pieces of about `size` bytes."""
+    def text(self) -> Iterator[str]:
+        r"""Yield the text in pieces; \n ends lines, whatever did.
+
+        A bad byte of UTF-8 is judged with the cell it stands in.
+        """
         with self.raw() as stream:
-            if self.encoding.startswith("utf-8"):  # as it is: a bad byte is judged with the cell it stands in
-                if self.encoding == "utf-8-sig":
-                    stream.read(len(codecs.BOM_UTF8))
-                while piece := stream.read(size):
-                    yield piece
-                return
-            reader = io.TextIOWrapper(stream, self.encoding, newline="")
-            while text := reader.read(size):
-                yield text.encode("utf-8", "replace")
+            errors = "replace" if self.encoding.startswith("utf-8") else "strict"
+            reader = io.TextIOWrapper(stream, self.encoding, errors)
+            while text := reader.read(PIECE):
+                yield text
 
-    def lines(self, where: str) -> Iterator[str]:
-        """Yield the lines of text, without what ends them; `where` names the file in messages."""
-        for line in whole_lines(self.pieces(), where):
-            yield from line.decode("utf-8", "replace").split("\n")
+    def pieces(self, where: str) -> Iterator[str]:
+        r"""Yield pieces of whole lines, with \n between them; `where` names the file in messages.
 
-
-def whole_lines(pieces: Iterator[bytes], where: str) -> Iterator[bytes]:
-    r"""Yield pieces of whole lines that are separated by \n, and do not end with one, whatever ended them.
-
-    Raises `InputError` for a line that does not end, before it fills the memory.
-    """
-    rest = b""
-    for piece in pieces:
-        piece = rest + piece
-        end = max(piece.rfind(b"\n"), piece.rfind(b"\r", 0, -1))  # a last \r may belong to a \n
-        if end < 0:
-            rest = piece
+        Raises `InputError` for a line that does not end, before it fills the memory.
+        """
+        rest = ""
+        for text in self.text():
+            lines, end, last = text.rpartition("\n")
+            if end:
+                yield rest + lines
+            rest = last if end else rest + last
             if len(rest) > LONGEST_LINE:
                 raise InputError(
                     f"{where} must be text in lines of at most {LONGEST_LINE} characters; it is no text, so"
                     " the file is damaged or of another format: copy it again, or state its --format."
                 )
-            continue
-        rest = piece[end + 1 :]
-        yield unified(piece[:end].removesuffix(b"\r") if piece[end : end + 1] == b"\n" else piece[:end])
-    if rest:
-        yield unified(rest.removesuffix(b"\n").removesuffix(b"\r"))
+        if rest:
+            yield rest
 
+    def lines(self, where: str) -> Iterator[str]:
+        """Yield the lines, without what ends them."""
+        for piece in self.pieces(where):
+            yield from piece.split("\n")
 
-def unified(lines: bytes) -> bytes:
-    r"""Return lines with \n between them, whatever was."""
-    return lines.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in lines else lines
-
-
-def end_of(file: Encoded, size: int = END) -> str:
-    """Return the last bytes of the text, about `size`; of a compressed file all of it is read."""
-    if file.compressed or file.encoding not in ("utf-8", "utf-8-sig", "latin-1"):
-        last = b""
-        for piece in file.pieces():
-            last = (last + piece)[-size:]
-        return last.decode("utf-8", "replace")
-    with file.raw() as stream:
-        length = stream.seek(0, os.SEEK_END)
-        stream.seek(max(0, length - size))
-        return stream.read().decode("latin-1" if file.encoding == "latin-1" else "utf-8", "replace")
+    def end(self) -> str:
+        """Return the end of the text; all is read where a place in it is none in the file."""
+        last = ""
+        if self.compressed or self.encoding not in ("utf-8", "utf-8-sig", "latin-1"):
+            for text in self.text():
+                last = (last + text)[-END:]
+            return last
+        with self.raw() as stream:
+            stream.seek(max(0, stream.seek(0, os.SEEK_END) - END))
+            return stream.read().decode(self.encoding, "replace").replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _open(path: Path) -> IO[bytes]:
