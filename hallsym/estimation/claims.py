@@ -39,6 +39,10 @@ SETTLING = 3
 """Rounds of settling the offsets of runs where a mistake is tried."""
 READ = 400_000
 """Samples that are read at most: corrections are made at the full rate, before samples are picked."""
+CLOSELY = 1e-6
+"""Share of the cost within which a trial is fitted: less than chance makes of it."""
+STEPS_TRIED = 40
+"""Newton steps of a trial: what needs more is far from right."""
 MOVED = 5.0
 """Standard deviation of a column within a run over its noise from which on it moves."""
 MOST_NOISE = 0.05
@@ -341,7 +345,8 @@ class Trials:
         if free > most:
             return None
         found, first = begin_at(begun.merged, closed_form(begun.merged, begun.linear))
-        p = refit(begun.merged, first, found.held) if len(found.held) < len(first) else first
+        held, count = found.held, len(first)
+        p = refit(begun.merged, first, held, CLOSELY, STEPS_TRIED) if len(held) < count else first
         return Tried(corrections, begun.fitted, p, self.model, log, free)
 
     def _cost(self, log: Log, p: np.ndarray) -> Cost:
@@ -407,6 +412,12 @@ class Tried:
         except np.linalg.LinAlgError:
             return {}
         return dict(zip(self.cost.summary.runs, values.tolist(), strict=True))
+
+    @property
+    def far(self) -> float:
+        """How far the parameters are from their nominal values, in widths of their bounds."""
+        width = np.array([one.width for one in self.model.parameters])
+        return float(np.linalg.norm((self.p - self.model.nominal) / np.where(width > 0, width, 1.0)))
 
     @cached_property
     def deviance(self) -> dict[int, float]:
@@ -751,13 +762,15 @@ def _trimmed(trials: Trials, base: Tried) -> list[list[int]]:
 class Judged:
     """A correction that was tried: the deviance per reading before and after, and the mean square it leaves.
 
-    Before: of the samples that the correction leaves.
+    Before: of the samples that the correction leaves. `far`: how far the parameters are from nominal, in
+    widths of their bounds.
     """
 
     before: float
     after: float
     left: float
     correction: Correction
+    far: float = 0.0
 
     @property
     def gain(self) -> float:
@@ -807,7 +820,7 @@ def _best(
         if found is None or not found.left:
             return np.inf
         same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
-        one = Judged(same, found.mean(found.deviance, runs), found.mean(found.left, runs), c)
+        one = Judged(same, found.mean(found.deviance, runs), found.mean(found.left, runs), c, found.far)
         enough = c.kind not in STEPS or sum(found.counts.values()) > KEEPS * sum(base.counts.values())
         if enough and np.isfinite(one.gain) and one.left > LEAST and _follows(base, found):
             seen.append(one)
@@ -835,7 +848,9 @@ def _best(
         CHANCE * np.sqrt(2 / readings),
     )
     near = sorted((one for one in good if one.after - best.after < close), key=lambda one: one.plain)
-    first = min((one for one in near if _same(one.correction, near[0].correction)), key=lambda one: one.after)
+    alike = [one for one in near if _same(one.correction, near[0].correction) and one.plain == near[0].plain]
+    # of units, whose readings differ by less than parameters can make up for, that of the nominal machine
+    first = min(alike, key=lambda one: one.far if one.correction.unit else one.after)
     rivals = tuple(one.correction for one in near if not _same(one.correction, first.correction))
     return Found(first.correction, min(first.explains, 1.0), first.left, rivals)
 

@@ -167,8 +167,8 @@ def _recording(log: Log, model: Model, asked: Asked, began: float) -> Fit:
         return _claimed(result, (), asked)
     unsaid = {n.name for n in result.notes if isinstance(n, Fault) and n.runs and n.correction is None}
     if unsaid:  # what left samples out and names no remedy: the fit finds one in the samples as they are
-        found = mistakes_of(_as_logged(log, model, asked, result.corrections, unsaid), model)
-        return _claimed(result, found or claims_of(result, given), asked)
+        mistakes = mistakes_of(_as_logged(log, model, asked, result.corrections, unsaid), model)
+        return _claimed(result, mistakes or claims_of(result, given), asked)
     return _claimed(result, claims_of(result, given), asked)
 
 

@@ -244,13 +244,17 @@ def _message(status: str, ended: solvers.Result, solver: str) -> str:
     return ended.message
 
 
-def refit(cost: Cost, p: np.ndarray, held: Sequence[int]) -> np.ndarray:
+def refit(
+    cost: Cost, p: np.ndarray, held: Sequence[int], tolerance: float = 1e-12, iterations: int = 200
+) -> np.ndarray:
     """Return the optimum of a re-weighted cost near `p`: Newton's method on the statistics, no global search.
 
     For bootstrap, cross-validation and diagnosis; parameters with index in `held` stay as in `p`.
     """
     scaled = scaled_around(cost.summary.model, p, held)
-    return scaled.from_unit(solvers.newton(scaled.problem(cost), scaled.to_unit(scaled.base)).x)
+    problem, begin = scaled.problem(cost), scaled.to_unit(scaled.base)
+    found = solvers.newton(problem, begin, tolerance=tolerance, max_iterations=iterations)
+    return scaled.from_unit(found.x)
 
 
 def scaled_around(model: Model, p: np.ndarray, held: Sequence[int]) -> "Scaled":
