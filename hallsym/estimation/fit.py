@@ -182,6 +182,10 @@ def _as_logged(
     ]
 
 
+WHOLLY = 0.99
+"""Share of the excess that a mistake explains where a layout that nobody stated is not in doubt beside it."""
+
+
 def _claimed(result: Fit, mistakes: Sequence[Claim], asked: Asked) -> Fit:
     """Return a fit with its claims: `mistakes` that explain what it leaves, what is odd about the recording.
 
@@ -198,15 +202,22 @@ def _claimed(result: Fit, mistakes: Sequence[Claim], asked: Asked) -> Fit:
         odd = [one for one in odd if one.name != UNRELATED]
     else:
         odd += [one for one in values if one not in assumed]
-    said = {(one.name, one.columns) for one in mistakes}
-    found = [*map(_claim, assumed), *mistakes]
-    found += [_claim(one) for one in odd if (one.name, one.columns) not in said]
+    odd = [one for one in odd if not any(_covers(mistake, one) for mistake in mistakes)]
+    assumed = [] if any((one.explains or 0.0) > WHOLLY for one in mistakes) else assumed
+    found = [*map(_claim, assumed), *mistakes, *map(_claim, odd)]
     notes = [note for note in notes if note not in odd]
     return replace(
         result,
         claims=tuple(one for one in found if one.name not in asked.accept),
         notes=(*notes, *(one.text for one in found if one.name in asked.accept)),
     )
+
+
+def _covers(mistake: Claim, fault: Fault) -> bool:
+    """Return whether a mistake that can be undone is where a fault is."""
+    everywhere = not mistake.runs or (bool(fault.runs) and {*fault.runs} <= {*mistake.runs})
+    columns = {*fault.columns} <= {*mistake.columns}
+    return mistake.correction is not None and bool(fault.columns) and columns and everywhere
 
 
 def _claim(fault: Fault) -> Claim:

@@ -7,6 +7,7 @@ from itertools import permutations, product
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from twins import COLUMNS, HALL, SIGMAS, record, same, six_runs, with_noise
 
 from hallsym.errors import InputError
@@ -27,10 +28,14 @@ def log_of(arrays):
     return Log.from_arrays(arrays, Noise({c: Sigma(s, "given") for c, s in SIGMA.items()}))
 
 
-@pytest.fixture(scope="module")
-def six():
+def simulate_six():
     truth = published.values("table7_estimates")
     return simulate(build("stage31"), truth, six_runs(), NoiseModel(SIGMA), seed=3)
+
+
+@pytest.fixture(scope="module")
+def six():
+    return simulate_six()
 
 
 def found(log, **options):
@@ -216,6 +221,59 @@ def test_a_run_that_no_other_moves_like_is_not_thrown_away_with_its_like():
     wrong = with_noise(columns | {"x_ref_m": np.where(here, -columns["x_ref_m"], columns["x_ref_m"])})
     (claim,) = fit(wrong, "stage31", solver="direct").claims
     assert "sign x_ref_m in 4" in (claim.correction, *claim.rivals)
+    assert claim.runs == (4,)
+
+
+def test_a_unit_is_named_where_positions_of_probes_make_up_for_others():
+    """Positions of probes are lever arms of rz: as free as they are, several scales leave noise."""
+    columns = record(seed=2, samples=30)
+    log = with_noise(columns | {"rz_ref_rad": 1e3 * columns["rz_ref_rad"]})
+    (claim,) = mistakes_of(log, build("stage31"))
+    assert claim.correction == "scale rz_ref_rad mrad"
+
+
+def test_a_number_between_decades_is_found(six):
+    log = log_of(six | {"y_ref_m": six["y_ref_m"] / 3.7e-5})
+    (claim,) = mistakes_of(log, build("stage31"))
+    kind, column, factor = claim.correction.split()
+    assert (kind, column) == ("scale", "y_ref_m")
+    assert float(factor) == pytest.approx(3.7e-5, rel=0.01)
+
+
+def test_stuck_stretches_of_several_runs_are_left_out_and_the_first_is_named(six):
+    """One begins where another run does not, so that no correction undoes both; each that is stated goes."""
+    wrong, at = six["hall_a_m"].copy(), np.flatnonzero(six["run"] == 0)[0]
+    other = np.flatnonzero(six["run"] == 3)[0]
+    wrong[at + 40 : at + 90], wrong[other + 20 : other + 60] = wrong[at + 40], wrong[other + 20]
+    log = log_of(six | {"hall_a_m": wrong})
+    (claim,) = fit(log, "stage31", solver="direct").claims
+    assert claim.correction == "stuck hall_a_m 40 90 in 0"
+    (claim,) = fit(log, "stage31", solver="direct", corrections=[claim.correction]).claims
+    assert claim.correction == "stuck hall_a_m 20 60 in 3"
+
+
+def test_what_is_late_is_not_taken_for_stuck_where_its_first_value_is_repeated(six):
+    """A logger that starts late repeats the first value; the samples of each run show the delay."""
+    wrong = six["hall_a_m"].copy()
+    for run in np.unique(six["run"]):
+        (here,) = np.nonzero(six["run"] == run)
+        wrong[here] = six["hall_a_m"][np.maximum(here - 20, here[0])]
+    claims = fit(log_of(six | {"hall_a_m": wrong}), "stage31", solver="direct").claims
+    assert claims[0].correction == "delay hall_a_m 20"
+
+
+def test_a_delay_is_named_beside_noise_whose_colour_the_estimate_misses(six):
+    """The runs that agree tell the floor: differences of neighbours show a tenth of such a noise."""
+    rng, columns = np.random.default_rng(4), dict(simulate_six())
+    for c in HALL:
+        slow = lfilter([np.sqrt(1 - 0.95**2)], [1, -0.95], rng.standard_normal(len(columns["run"])))
+        columns[c] = columns[c] + 2e-6 * slow
+    here = np.flatnonzero(columns["run"] == 4)
+    for c in ("x_ref_m", "y_ref_m", "rz_ref_rad"):
+        columns[c] = np.r_[columns[c][: here[0]], np.roll(columns[c][here], 8), columns[c][here[-1] + 1 :]]
+    log = Log.from_arrays(columns)
+    (claim,) = mistakes_of(log, build("stage31"))
+    assert claim.name == "delay"
     assert claim.runs == (4,)
 
 

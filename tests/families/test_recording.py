@@ -165,6 +165,15 @@ def test_undoing_a_mistake_gives_the_samples_back(right, text):
         assert log.array(c) == pytest.approx(right[c][stay], rel=1e-12, abs=1e-12), c
 
 
+def test_a_rail_as_a_text_prints_it_takes_the_samples_at_it():
+    """A text has nine digits; the samples at the rail have all of theirs."""
+    low, high = -2.71828182845904e-4, 3.14159265358979e-4
+    x = np.clip(np.linspace(-4e-4, 4e-4, 101), low, high)
+    rail = Correction("clipped", (X,), (low, high))
+    log = corrected(Log.from_arrays({"run": np.zeros(101, int), X: x}), [read_correction(rail.text)])
+    assert log.rows == np.sum((x > low) & (x < high))
+
+
 @pytest.mark.parametrize("samples", [2, 3, 4, 5, 8, 9, 16])
 def test_a_mean_is_undone_where_its_window_is_whole(samples):
     """Of motion that half a wave of which is longer than the mean, to 1.3e-3 of its amplitude."""
