@@ -218,7 +218,10 @@ def exit_code(result: Fit, *, said: bool = True) -> int:
         common.warn(one.text)
     if result.status != "converged":
         common.warn(f"the solver did not converge ({result.status}): {result.message}.")
-        return INTERRUPTED if result.status == "interrupted" else NOT_CONVERGED
+        if result.status == "interrupted":
+            return INTERRUPTED
+        # a mistake that explains what is left is the cause: it is put right first
+        return NOT_DESCRIBED if any(one.explains for one in result.claims) else NOT_CONVERGED
     if result.undetermined_by_log:
         what = ", ".join(result.undetermined_by_log)
         common.warn(

@@ -531,22 +531,32 @@ def suspects(trials: Trials) -> list[Found]:
     def tried(c: Correction) -> Tried | None:  # beside the right number, one explains little yet
         return trials.fitted((c,), most=np.inf if c.kind in STEPS else most)
 
-    best = _best(trials, base, tried, runs, linear=linear) if base.mean(base.left) > EXCESS else None
-    named = best and _named(trials, base, best)
+    def of_all() -> Found | None:
+        best = _best(trials, base, tried, runs, linear=linear)
+        return best and _named(trials, base, best)
+
+    few = base.mean(base.left) < EXCESS  # then it is looked for in single runs first
+    named = None if few else of_all()
     if named and named.left < EXCESS:
         return [*out, named]
-    divided = _divisions(trials, base)
-    found = _likeliest(trials, base, [_in_runs(trials, agreed, odd) for odd, agreed in divided.items()])
-    if not named and not found:
-        floor = min((agreed.mean(agreed.left) for agreed in divided.values()), default=1.0)
-        known = all(trials.noise[c].source == "given" for c in trials.model.channels)
-        again = [] if known or floor < EXCESS else suspects(trials.over(floor))
-        return [*out, *again]
+    found, floor = _of_some_runs(trials, base)
+    named = of_all() if few and not found else named
+    known = all(trials.noise[c].source == "given" for c in trials.model.channels)
+    if not named and not found and not known and floor > EXCESS:
+        louder = trials.over(floor)
+        found = _of_some_runs(louder, again)[0] if (again := louder.fitted()) and again.left else []
     if not named or not found:
         return [*out, *([named] if named else found)]
-    of_all, of_some = (trials.fitted([one.correction for one in some]) for some in ([named], found))
-    better = of_some and of_all and of_some.mean(of_some.left) < (1 - NEAR) * of_all.mean(of_all.left)
+    alike, apart = (trials.fitted([one.correction for one in some]) for some in ([named], found))
+    better = apart and alike and apart.mean(apart.left) < (1 - NEAR) * alike.mean(alike.left)
     return [*out, *(found if better else [named])]
+
+
+def _of_some_runs(trials: Trials, base: Tried) -> tuple[list[Found], float]:
+    """Return the mistakes of runs that others do not foresee, and what the model leaves of those others."""
+    divided = _divisions(trials, base)
+    found = _likeliest(trials, base, [_in_runs(trials, agreed, odd) for odd, agreed in divided.items()])
+    return found, min((agreed.mean(agreed.left) for agreed in divided.values()), default=1.0)
 
 
 def _likeliest(trials: Trials, base: Tried, options: Sequence[Sequence[Found]]) -> list[Found]:
@@ -645,13 +655,15 @@ def _follows(base: Tried, after: Tried) -> bool:
     if all(one.mistake.keeps for one in after.corrections):
         return True
     (before, noise), (left, noise_after) = base.shares, after.shares
-    moved = np.minimum(noise, noise_after) < MOST_NOISE**2
+    moved = np.minimum(noise, noise_after) < AT_REST
     if not moved.any():
         return False
     most = (1 - EXPLAINS) * before[moved].mean() + 2 * noise[moved].mean()
     return bool(left[moved].mean() <= min(most, UNEXPLAINED + 2 * noise_after[moved].mean()))
 
 
+AT_REST = 0.04
+"""Share of a reading's variance that is noise, from which on it does not tell whether it follows."""
 UNEXPLAINED = 0.003
 """Share of the readings' variance that effects may leave beside a mistake, over the noise: a twentieth of the
 stroke."""

@@ -163,7 +163,9 @@ PRINTED = 1e-8
 
 
 def _off_rails(c: Correction, data: Data) -> np.ndarray:
-    low, high = (n + PRINTED * abs(n) * away for n, away in zip(c.numbers, (1, -1), strict=True))
+    low, high = (
+        n * (1 + PRINTED * np.sign(n) * inwards) for n, inwards in zip(c.numbers, (1, -1), strict=True)
+    )
     return np.all([(data[name] > low) & (data[name] < high) for name in c.columns], axis=0)
 
 

@@ -15,6 +15,7 @@ import hallsym
 from hallsym.codegen import generate
 from hallsym.codegen.naming import KEYWORDS, TAKEN, commented, identifier, mapping
 from hallsym.errors import InputError
+from hallsym.log import Noise
 
 STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror", "-ffp-contract=off")
 CORES = {
@@ -53,7 +54,7 @@ def foreign(*channels):
     )
     model = hallsym.families.stage.models.stage31(layout)
     sigmas = {c: fit.noise.sigmas[old] for c, old in zip(channels, fit.model.channels, strict=True)}
-    return replace(fit, model=model, noise=replace(fit.noise, sigmas=sigmas))
+    return replace(fit, model=model, noise=Noise(sigmas))
 
 
 @pytest.mark.parametrize("arithmetic", ["float", "q31"])
