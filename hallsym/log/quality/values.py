@@ -94,8 +94,9 @@ def stuck(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
         runs = tuple(dict.fromkeys(one.run for one in found))
         whole = all(n == seen.samples[one.run] for n, one in zip(lasts, found, strict=True))
         alike = whole or len({(one.start, one.stop) for one in found}) == 1
-        # what is late repeats its first or last value at an end of each run; the fit tells it
+        # what is late repeats its first or last value at an end of every run; the fit tells it
         inner = [one for one in found if one.start > 0 and one.stop < seen.samples[one.run]]
+        inner = inner or (found if len(found) == 1 else [])
         part = max(found, key=lambda one: one.stop) if whole else next(iter(inner), None)
         yield Finding(
             f"{the(log, name)} holds one value for up to {max(lasts)} samples ({where}, first in row"
