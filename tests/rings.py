@@ -5,6 +5,7 @@ The bundled log `data/ring/log.csv` is `bundled()`.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -77,10 +78,10 @@ def motion(
 
 
 def recorded(
-    own: Ring, seed: int, rows: int = 1200, noise: float = 0.002, **kind: float
+    own: Ring, seed: int, rows: int = 1200, noise: float = 0.002, **kind: Any
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return times and readings of a run."""
-    time, theta = motion(rows=rows, **kind)  # type: ignore[arg-type]
+    time, theta = motion(rows=rows, **kind)
     x = own.readings(theta)
     return time, x + noise * np.random.default_rng(1000 + seed).standard_normal(x.shape)
 

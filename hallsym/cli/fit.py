@@ -153,7 +153,7 @@ def _without_reference(options: Namespace, machine: Machine) -> int:
         )
     log = common.open_log(options, machine, path=options.logs[0])
     result = fit_without_reference(
-        log, options.model or "rings3", options.reference, effects=options.effect,
+        log, options.model, options.reference, effects=options.effect,
         parameters=machine.parameters,
     )  # fmt: skip
     wrote: list[str | Path] = []

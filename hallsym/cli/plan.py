@@ -8,7 +8,7 @@ from hallsym.errors import InputError, require
 from hallsym.estimation import fit, load_fit
 from hallsym.estimation.self_calibration import REFERENCES, seen, waves_of
 from hallsym.estimation.task import noise_of
-from hallsym.estimation.without_reference import fit_without_reference, terms_of
+from hallsym.estimation.without_reference import fit_without_reference, terms_of, usual_model
 from hallsym.experiment import CRITERIA, Ranges, paper_ranges, plan, read_ranges
 from hallsym.experiment.turns import TurnPlan
 from hallsym.families.machine_file import Machine, read_machine
@@ -157,10 +157,10 @@ def _turns(options: Namespace) -> int:
             "With --reference the plan is of turns: give --model, --machine, and --after LOG with --accuracy."
         )
     machine, density = read_machine(options.machine), None
-    model = common.built(options.model or "rings3", machine)
+    model = common.built(options.model or usual_model(), machine)
     if options.after:
         log = common.open_log(options, machine, path=options.after)
-        result = fit_without_reference(log, options.model or "rings3", options.reference)
+        result = fit_without_reference(log, options.model, options.reference)
         model, density = result.fit.model, result.found.line.density
     pairs, _, _ = terms_of(model)
     target = None

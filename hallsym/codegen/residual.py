@@ -193,7 +193,8 @@ class _Judgement:
                     for v in (pose, *(a - b for a, b in zip(*(e[1:] for e in ends), strict=True)))
                 ]
             )
-        return tuple(np.array(rows) for rows in zip(*found, strict=True))  # type: ignore[return-value]
+        by_pose, left, factor = (np.array(rows) for rows in zip(*found, strict=True))
+        return by_pose, left, factor
 
     @cached_property
     def seen(self) -> np.ndarray:

@@ -4,7 +4,7 @@ The path is the same for every family: one pass over the log gives run statistic
 give starting points; Newton's method or IPOPT refines them inside the bounds; a second pass tabulates errors.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from time import perf_counter
@@ -16,7 +16,7 @@ from hallsym.errors import InputError, nearest
 from hallsym.estimation import outliers
 from hallsym.estimation.calibration import Claim, Fit
 from hallsym.estimation.claims import claims_of, mistakes_of
-from hallsym.estimation.decoding import Errors, columns_of, logged_columns
+from hallsym.estimation.decoding import Errors, columns_of
 from hallsym.estimation.factors import exact, joined
 from hallsym.estimation.likelihood import Cost, Sharing, cost_of, joint_cost, numbered, run_numbers
 from hallsym.estimation.optimum import SOLVERS, Solution, closed_form, linear_fit, searched
@@ -30,6 +30,7 @@ from hallsym.estimation.task import (
     Progress,
     Solved,
     Task,
+    checked,
     held_out,
     model_of,
     prepared,
@@ -38,8 +39,8 @@ from hallsym.estimation.task import (
     zero_notes,
 )
 from hallsym.families import plain
-from hallsym.families.recording import Correction, corrected, read_correction
-from hallsym.log import LAYOUT, UNRELATED, Fault, Log, as_log, usable
+from hallsym.families.recording import corrected, read_correction
+from hallsym.log import LAYOUT, UNRELATED, Fault, Log, as_log
 from hallsym.log.batches import Weigh, batches, remembered
 from hallsym.log.phase import continuous, nearest_turn
 from hallsym.model import Model
@@ -155,7 +156,7 @@ def _recording(log: Log, model: Model, asked: Asked, began: float) -> Fit:
         if ALL in asked.accept:
             raise
         given = corrected(log, asked.corrections)
-        good, notes = usable(given, logged_columns(model), drop_bad=asked.drop_bad, accept=asked.accept)
+        good, notes = checked(log, model, asked, asked.corrections)
         notes += model.inspect(model, good).notes if model.inspect else ()
         odd = [_claim(note) for note in notes if isinstance(note, Fault)]
         asked.say("looking for a mistake of the recording")  # the samples themselves can be read
@@ -167,19 +168,9 @@ def _recording(log: Log, model: Model, asked: Asked, began: float) -> Fit:
         return _claimed(result, (), asked)
     unsaid = {n.name for n in result.notes if isinstance(n, Fault) and n.runs and n.correction is None}
     if unsaid:  # what left samples out and names no remedy: the fit finds one in the samples as they are
-        mistakes = mistakes_of(_as_logged(log, model, asked, result.corrections, unsaid), model)
-        return _claimed(result, mistakes or claims_of(result, given), asked)
+        whole, _ = checked(log, model, asked, result.corrections, tuple(unsaid))
+        return _claimed(result, mistakes_of(whole, model) or claims_of(result, given), asked)
     return _claimed(result, claims_of(result, given), asked)
-
-
-def _as_logged(
-    log: Log, model: Model, asked: Asked, corrections: Sequence[Correction], claims: Collection[str]
-) -> Log:
-    """Return a log without its mistakes and bad samples, but with those that some claims left out."""
-    accept = (*asked.accept, *claims)
-    return usable(corrected(log, corrections), logged_columns(model), drop_bad=asked.drop_bad, accept=accept)[
-        0
-    ]
 
 
 WHOLLY = 0.99

@@ -75,14 +75,24 @@ class Prepared:
 def prepared(log: Log, model: Model, asked: "Asked") -> Prepared:
     """Check a log, without its mistakes, before it is fitted. Raises `InputError` for one that cannot be."""
     corrections = asked.corrections
-    log, notes = usable(
-        at_rest(corrected(log, corrections), model), logged_columns(model), drop_bad=asked.drop_bad,
-        accept=asked.accept,
-    )  # fmt: skip
+    log, notes = checked(log, model, asked, corrections)
     mounted = model.inspect(model, log) if model.inspect else Inspection()
     turned = (Correction("sign", mounted.inverted),) if mounted.inverted else ()
     given = corrected(log, turned)
     return Prepared(given, continuous(given, model), (*notes, *mounted.notes), (*corrections, *turned))
+
+
+def checked(
+    log: Log, model: Model, asked: "Asked", corrections: Sequence[Correction], accept: Sequence[str] = ()
+) -> tuple[Log, list[str]]:
+    """Return a log without its mistakes and bad samples, and what is worth knowing about it.
+
+    `accept`: claims beside those that the user accepts, whose samples stay.
+    """
+    return usable(
+        at_rest(corrected(log, corrections), model), logged_columns(model), drop_bad=asked.drop_bad,
+        accept=(*asked.accept, *accept),
+    )  # fmt: skip
 
 
 def held_out(log: Log, holdout: Sequence[int]) -> tuple[int, ...]:

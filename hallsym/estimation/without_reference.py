@@ -22,7 +22,7 @@ from hallsym.estimation.self_calibration import (
     self_calibrate,
 )
 from hallsym.estimation.task import model_of, versions_used
-from hallsym.families import adapted
+from hallsym.families import FAMILIES, adapted
 from hallsym.log import Log, Noise, Sigma, as_log, wrapped
 from hallsym.model import Model
 from hallsym.shown import Shown
@@ -109,6 +109,11 @@ def fit_without_reference(
     return self_fit_of(log, model, found, runs)
 
 
+def usual_model() -> str:
+    """Return the model that is taken where none is named: of the family whose models take a table."""
+    return next(f.default for f in FAMILIES if any(e.name == TABLE for e in f.effects))
+
+
 def model_for_table(
     log: Log,
     model: str | Model | None,
@@ -116,11 +121,11 @@ def model_for_table(
     parameters: Mapping[str, Mapping[str, float]] | None = None,
 ) -> Model:
     """Return the model of a log; raises `InputError` for one that cannot be fitted without a reference."""
-    model = model_of(log, model or "rings3", effects, parameters)
+    model = model_of(log, model or usual_model(), effects, parameters)
     if TABLE not in {e.name for e in model.family.effects}:
         raise InputError(
             f"Model {model.name} cannot be calibrated without a reference; encoders of several Halls can: "
-            "--model rings3."
+            f"--model {usual_model()}."
         )
     other = [e for e in model.effects if e != TABLE]
     if other:

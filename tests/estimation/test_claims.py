@@ -262,6 +262,15 @@ def test_what_is_late_is_not_taken_for_stuck_where_its_first_value_is_repeated(s
     assert claims[0].correction == "delay hall_a_m 20"
 
 
+def test_still_samples_in_a_log_without_columns_that_no_reading_follows_are_claimed(six):
+    """What is at rest is filled in where the samples are looked at again, too."""
+    wrong = six["hall_a_m"].copy()
+    wrong[:60], wrong[500:540] = wrong[0], wrong[500]
+    arrays = {c: v for c, v in six.items() if c not in VERTICAL_NOISE} | {"hall_a_m": wrong}
+    claims = fit(log_of(arrays), "stage30", solver="direct").claims
+    assert any(one.name == "stuck" for one in claims)
+
+
 def test_a_delay_is_named_beside_noise_whose_colour_the_estimate_misses(six):
     """The runs that agree tell the floor: differences of neighbours show a tenth of such a noise."""
     rng, columns = np.random.default_rng(4), dict(simulate_six())

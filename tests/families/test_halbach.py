@@ -238,12 +238,15 @@ def test_two_sensors_half_a_wavelength_apart_tell_no_position():
 
 
 def _claimed(column, change):
-    """Names of claims, or the sentence of what nothing can be fitted to."""
-    model = halbach(NINE)
-    log = recorded(model)
+    """Names of claims of a log in which a column is changed."""
+    log = recorded(halbach(NINE))
     data = {c: log.array(c) for c in log.columns} | {column: change(log.array(column))}
+    return _names(Log.from_arrays(data, log.noise))
+
+
+def _names(log):
     try:
-        claims = hallsym.fit(Log.from_arrays(data, log.noise), model, solver="direct").claims
+        claims = hallsym.fit(log, halbach(NINE), solver="direct").claims
     except InputError as error:
         claims = error.claims
     assert all(len(claim.text) <= 400 for claim in claims)
@@ -254,6 +257,10 @@ def test_logs_that_no_array_can_have_made_are_claimed():
     assert _claimed("x_ref_m", lambda x: x + 0.4) == ["beyond"]
     assert _claimed("x_ref_m", lambda x: 1e-2 * x) == ["scale"]
     assert "unrelated" in _claimed("x_ref_m", np.random.default_rng(0).permutation)
+    log = recorded(halbach(NINE))
+    short = np.abs(log.array("x_ref_m") - np.median(log.array("x_ref_m"))) < 1e-3
+    short_log = Log.from_arrays({c: log.array(c)[short] for c in log.columns}, log.noise)
+    assert "short_travel" in _names(short_log)
     assert _claimed("z_ref_m", lambda z: z - z.mean()) == ["gap"]
     assert _claimed("z_ref_m", lambda z: z) == []
 

@@ -74,7 +74,10 @@ def test_options_of_other_fleets_are_refused(capsys) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not REAL.exists(), reason=f"no recorded rings at {REAL}")
+@pytest.mark.skipif(
+    not REAL.exists(),
+    reason="the recordings of 131 rings are not beside this checkout; simulated rings always run",
+)
 def test_recorded_rings_learned_on_two_turns_are_right_on_the_third() -> None:
     """33 of 131 rings: median and 95 % of what is left, electrical deg (no reference: judged by a line)."""
     import pyarrow.parquet as pq

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -84,9 +85,9 @@ class Played:
         return self.t
 
 
-def captured(path: Path, port: Played, columns: list[str], **how: object) -> Lines:
+def captured(path: Path, port: Played, columns: list[str], **how: Any) -> Lines:
     with LogWriter(path) as writer:
-        return capture(port, writer, columns, where="board", now=port.now, **how)  # type: ignore[arg-type]
+        return capture(port, writer, columns, where="board", now=port.now, **how)
 
 
 def test_times_of_arrival_are_spread_over_lines_that_come_together(tmp_path: Path) -> None:

@@ -447,6 +447,7 @@ def _left(found: Rows) -> float:
 
 @dataclass(eq=False)
 class _Assembly(Assembly):
+    # no `Arrays`: the steps that are inherited read what both have, the others are overridden below
     found: Rows  # type: ignore[assignment]
     _normal: dict[str, tuple] = field(default_factory=dict, init=False)
     """By row: sensors times weight, the normal matrix and one over its determinant."""
