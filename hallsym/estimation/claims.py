@@ -429,9 +429,8 @@ class Tried:
         _, size = np.linalg.slogdet(point.covariance)
         values = point.run_values / np.maximum(summary.counts, 1.0) + size
         for one in self.corrections:
-            if one.kind in ("scale", "gain_step"):
-                factor = one.numbers[0] if one.kind == "scale" else 1 / one.numbers[0]
-                values = values - 2 * np.log(abs(factor)) * sum(c in self.model.channels for c in one.columns)
+            readings = sum(c in self.model.channels for c in one.columns)
+            values = values - 2 * np.log(abs(one.mistake.factor(one))) * readings
         return dict(zip(summary.runs, (values / K).tolist(), strict=True))
 
     @cached_property

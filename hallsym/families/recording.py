@@ -107,6 +107,7 @@ class Mistake:
     `numbers`: names of the numbers after the columns; `since`: the second is a sample, after "from", and may
     be absent. `pair`: the text names two columns. `whole_run`: the text names runs in place of columns.
     `by_run`: samples of a run are not undone one by one. `keeps`: no value changes, the noise alone does.
+    `cuts`: its columns tell which samples are left out. `factor`: what undoing it multiplies columns by.
     """
 
     name: str
@@ -119,6 +120,8 @@ class Mistake:
     by_run: bool = False
     noise: Callable[[Correction, Noise], Noise] = lambda c, noise: noise
     keeps: bool = False
+    cuts: bool = False
+    factor: Callable[[Correction], float] = lambda c: 1.0
 
 
 def _negate(c: Correction, data: Data) -> None:
@@ -265,26 +268,27 @@ MISTAKES = {
         Mistake("sign", "the sign of {columns} is inverted", _negate),
         Mistake(
             "scale", "the numbers of {columns} are {scale}", _rescale, ("UNIT or FACTOR",),
-            noise=_scaled_noise,
+            noise=_scaled_noise, factor=lambda c: c.numbers[0],
         ),
         Mistake("exchange", "columns {columns} are exchanged", _swap, pair=True, noise=_swapped_noise),
-        Mistake("delay", "the values of {columns} come {delay}", _earlier, ("SAMPLES",), by_run=True),
+        Mistake("delay", "the values of {columns} come {delay}", _earlier, ("SAMPLES",), by_run=True,
+                cuts=True),
         Mistake(
             "zero_moved", "the zero of {columns} moves by {0:.4g}{since}", _shift_back, ("VALUE", "SAMPLE"),
             since=True, by_run=True,
         ),
         Mistake(
             "gain_step", "the gain of {columns} is {0:.4g} times what it is elsewhere{since}", _gain_back,
-            ("FACTOR", "SAMPLE"), since=True, by_run=True,
+            ("FACTOR", "SAMPLE"), since=True, by_run=True, factor=lambda c: 1 / c.numbers[0],
         ),
-        Mistake("clipped", "the values of {columns} stop at {rails}", _off_rails, ("LOW", "HIGH")),
+        Mistake("clipped", "the values of {columns} stop at {rails}", _off_rails, ("LOW", "HIGH"), cuts=True),
         Mistake(
             "stuck", "the values of {columns} stand still from sample {0:.0f} to {1:.0f}", _without,
-            ("START", "STOP"), by_run=True,
+            ("START", "STOP"), by_run=True, cuts=True,
         ),
         Mistake(
             "averaged", "the values of {columns} are means over {0:.0f} samples", _sharpen,
-            ("SAMPLES",), by_run=True, noise=_sharpened_noise,
+            ("SAMPLES",), by_run=True, noise=_sharpened_noise, cuts=True,
         ),
         Mistake(
             "coarse_steps", "the values of {columns} come in steps of {0:.4g}", _kept, ("STEP",),
@@ -416,7 +420,7 @@ class Corrected(View):
 
     def _pieces(self, columns: Sequence[str], size: int) -> Iterator[Piece]:
         """Yield runs, several at a time where they are short."""
-        partners = [c for one in self.own if set(one.columns) & {*columns} or one.mistake.undo in _CUT
+        partners = [c for one in self.own if set(one.columns) & {*columns} or one.mistake.cuts
                     for c in one.columns]  # fmt: skip
         asked = tuple(c for c in dict.fromkeys((*columns, *partners)) if c != RUN)
         waiting: list[Piece] = []
@@ -432,10 +436,6 @@ class Corrected(View):
                 waiting = []
         if waiting:
             yield joined(waiting, columns)
-
-
-_CUT = (_earlier, _off_rails, _without, _sharpen)
-"""What leaves samples out that a column of the mistake tells."""
 
 
 def corrected_run(block: Block, corrections: Sequence[Correction]) -> tuple[Data, np.ndarray | None]:
