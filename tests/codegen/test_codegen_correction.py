@@ -209,7 +209,8 @@ def test_the_folder_passes_here_and_on_a_cortex_m4f_and_eva_raises_no_alarm(case
     folder = written(code, tmp_path / "fw")
     passes(folder)
     assert ran(folder, "make", "qemu").count("as stated") == 2
-    assert max(instructions(code, folder)) <= {"clipped": 185, "meng angle": 100}[case]
+    # the step also keeps what is left of the readings, by which they are checked against one another
+    assert max(instructions(code, folder)) <= {"clipped": 182, "meng angle": 100}[case]
     ran(folder, "make", "misra")
     proved_by_eva(folder)
 

@@ -215,10 +215,11 @@ def test_it_passes_its_self_test_without_undefined_behaviour(folder):
 
 
 @pytest.mark.slow
-def test_same_bits_and_at_most_195_instructions_on_a_cortex_m4f(folder):
+def test_same_bits_and_at_most_190_instructions_on_a_cortex_m4f(folder):
     need("arm-none-eabi-gcc", "qemu-system-arm", "make")
     assert ran(folder, "make", "qemu").count("as stated") == 2
-    assert max(instructions(made(), folder)) <= 195
+    # the step also keeps what is left of the readings, by which they are checked against one another
+    assert max(instructions(made(), folder)) <= 190
     assert undefined_symbols(folder) == {"decoupler_crc"}  # nothing of libm
 
 
