@@ -18,7 +18,7 @@ h = Re sum_n h_n exp(i n u) the table, R the turns recorded. Three sources tell 
 Angles are in rad; an electrical angle is P times the mechanical one.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
@@ -66,7 +66,7 @@ FAR, TRIAL = 3.0, 5
 """The same beyond `JOINS` after so many steps: the field under a head that is farther is another."""
 DEAD = 0.05
 """Share of the largest amplitude below which a head is dead."""
-ROUNDS, SETTLED = 40, 1e-10
+ROUNDS, SETTLED = 40, 1e-8
 """Newton steps of (1) at most; share of the cost below which what a step promises ends them."""
 NEIGHBOURS = 2
 """Waves on either side over which the density of what is not periodic is averaged."""
@@ -79,8 +79,11 @@ def waves_of(pairs: int) -> int:
 
 def columns(angle: np.ndarray, orders: np.ndarray) -> np.ndarray:
     """Return cosine, then sine columns (samples, 2 waves) of the orders at angles (samples,)."""
-    turned = np.exp(1j * np.multiply.outer(angle, orders))
-    return np.hstack([turned.real, turned.imag])
+    powers = np.exp(1j * angle)[:, None]
+    while powers.shape[1] < orders.max(initial=1):  # exp(i (n + m) u) = exp(i n u) exp(i m u)
+        powers = np.hstack([powers, powers * powers[:, -1:]])
+    waves = powers[:, orders - 1]
+    return np.hstack([waves.real, waves.imag])
 
 
 def phasors(table: np.ndarray) -> np.ndarray:
@@ -373,40 +376,46 @@ def _closed(
     free = np.ones(own.shape, bool) & (not known or np.array([True, False, False, False]))
     free = np.concatenate([np.ones(2 * count, bool), free.ravel()])
 
-    def tangent(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return residual and slopes (heads * samples, 1 + unknowns) over the noise, f and o eliminated."""
+    def tangent(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+        """Return residual and slopes (heads * samples, unknowns) over the noise, f and o fitted, and what
+        gives the products of the slopes, f and o eliminated, with other columns."""
         angle, own = grid + basis @ y[: 2 * count], np.vstack([np.zeros(4), y[2 * count :].reshape(-1, 4)])
         fields = [columns(angle + place, n) * np.exp(k @ powers) for *k, place in own]
         linear = np.hstack([np.vstack(fields), np.kron(np.eye(heads), np.ones((m, 1)))])
         normal = linear.T @ linear
-        f = solve(normal, linear.T @ x.T.reshape(-1, 1))[: 2 * count, 0]
+        read = x.T.ravel()
+        fitted = solve(normal, linear.T @ read[:, None])[:, 0]
+        f = fitted[: 2 * count]
         slope = np.concatenate([n * f[count:], -n * f[:count]])  # d f / d angle
-        J = np.zeros((heads, m, 1 + len(y)))
-        J[..., 0] = x.T
+        J = np.zeros((heads, m, len(y)))
         for k, (mine, field_) in enumerate(zip(J, fields, strict=True)):
-            mine[:, 1 : 1 + 2 * count] = (field_ @ slope)[:, None] * basis
+            np.multiply((field_ @ slope)[:, None] / sigma, basis, out=mine[:, : 2 * count])
             if k:
-                at = 1 + 2 * count + 4 * (k - 1)
-                mine[:, at : at + 4] = field_ @ np.column_stack([*(f * powers), slope])
+                at = 2 * count + 4 * (k - 1)
+                mine[:, at : at + 4] = field_ @ (np.column_stack([*(f * powers), slope]) / sigma)
         rows = J.reshape(heads * m, -1)
-        rows -= linear @ solve(normal, linear.T @ rows)
-        return rows[:, 0] / sigma, rows[:, 1:] / sigma
+        share = solve(normal, linear.T @ rows)
+        return (
+            (read - linear @ fitted) / sigma,
+            rows,
+            lambda other: rows.T @ other - share.T @ (linear.T @ other),
+        )
 
     def derivatives(y: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        left, J = tangent(y)
+        left, J, product = tangent(y)
         gradient = 2 * (precision * y - J.T @ left)
-        return float(left @ left + precision @ y**2), gradient, 2 * (J.T @ J + np.diag(precision))
+        return float(left @ left + precision @ y**2), gradient, 2 * (product(J) + np.diag(precision))
 
     upper = np.where(free, np.inf, begin)
     problem = Problem(lambda points: np.array([derivatives(y)[0] for y in points]),
                       np.where(free, -np.inf, begin), upper, derivatives)  # fmt: skip
     y = newton(problem, begin, max_iterations=rounds, tolerance=SETTLED).x
-    left, J = tangent(y)
+    left, J, product = tangent(y)
     misfit = sigma * float(np.sqrt(np.mean(left**2)))
-    covariance = inverse((J.T @ J + np.diag(precision))[np.ix_(free, free)])[: 2 * count]
+    covariance = inverse((product(J) + np.diag(precision))[np.ix_(free, free)])[: 2 * count]
     parts = np.diag(covariance) * max(misfit / sigma, 1.0) ** 2
     bend = np.kron(np.diag(2**0.5 * NONLINEAR * x.std(axis=0)), columns(grid, np.arange(2, 5) * pairs))
-    parts += ((covariance @ (J[:, free].T @ bend) / sigma) ** 2).sum(axis=1)
+    parts += ((covariance @ product(bend)[free] / sigma) ** 2).sum(axis=1)
     std = np.sqrt(parts.reshape(2, -1).mean(axis=0))
     own = y[2 * count :].reshape(-1, 4)
     return Closure(

@@ -97,7 +97,7 @@ def noticed(folder, name, source):
         return ran.returncode != 0
 
 
-WHOLE, MOST = 260, 120
+WHOLE, MOST = 100, 80
 """Mutants of a case that are all tried; of more, at most so many, evenly over the code."""
 
 CASES = {
