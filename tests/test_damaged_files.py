@@ -2,8 +2,6 @@
 
 import pytest
 from damaged_files import Workshop, targets
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 READERS = {target.name: target for target in targets()}
 
@@ -16,16 +14,8 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
 
 
 @pytest.mark.slow
-@settings(max_examples=60)
-@given(seed=st.integers(0, 10**9), name=st.sampled_from(sorted(READERS)))
-def test_a_damaged_file_is_refused_or_says_what_it_is(workshop: Workshop, seed: int, name: str) -> None:
-    outcome = workshop.case(READERS[name], seed)
-    assert not outcome.fault, outcome
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(READERS))
-def test_hundreds_of_damaged_files_of_each_reader(workshop: Workshop, name: str) -> None:
-    found = [workshop.case(READERS[name], seed) for seed in range(100)]
+def test_a_damaged_file_is_refused_or_says_what_it_is(workshop: Workshop, name: str) -> None:
+    found = [workshop.case(READERS[name], seed) for seed in range(50)]
     assert [outcome for outcome in found if outcome.fault] == []
-    assert sum(outcome.kind in ("refused", "same numbers") for outcome in found) > 40
+    assert sum(outcome.kind in ("refused", "same numbers") for outcome in found) >= 20

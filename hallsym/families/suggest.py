@@ -24,22 +24,25 @@ from hallsym.units import UNITS, Array, quantity, si_name, split_unit
 
 REF, READING, RUN, TIME, ANGLE = "ref", "reading", "run", "t", "angle"
 _SAME: dict[str, tuple[str, ...]] = {
-    REF: ("ref", "reference", "ifm", "interferometer", "interf", "laser", "true", "cnc", "truth", "referenz"),
+    REF: (
+        "ref", "reference", "if", "ifm", "interferometer", "interf", "laser", "true", "cnc", "truth",
+        "actual", "referenz", "ist",
+    ),
     READING: ("hall", "sensor", "probe", "hs", "ch", "channel", "adc", "sonde"),
     RUN: RUN_WORDS,
     TIME: TIME_WORDS,
     ANGLE: ("angle", "theta", "phi", "winkel", "rotation", "rot"),
     "sin": ("sin", "sine", "sinus"),
     "cos": ("cos", "cosine", "cosinus", "kosinus"),
-    "rx": ("rx", "roll", "tiltx"),
-    "ry": ("ry", "pitch", "tilty"),
-    "rz": ("rz", "yaw"),
-    "z": ("z", "height", "gap", "hoehe"),
+    "rx": ("rx", "roll", "tiltx", "wank"),
+    "ry": ("ry", "pitch", "tilty", "nick"),
+    "rz": ("rz", "yaw", "gier"),
+    "z": ("z", "height", "gap", "hoehe", "höhe", "luftspalt"),
     "col": ("col", "column"),
     "temperature": ("temperature", "temp", "temperatur"),
     "current": ("current", "strom"),
     "speed": ("speed", "velocity", "rpm"),
-}
+}  # fmt: skip
 _WORDS = {word: token for token, words in _SAME.items() for word in words}
 _SPLIT = re.compile(r"[A-Z]{2,}(?![a-z])|[A-Z]?[a-zäöü]+|[A-Z]|\d+")
 _IDLE = {"v", "pos", "position", "value", "signal", "raw", "data", "meas", "stage", "out", "val", "the", "of"}

@@ -144,6 +144,21 @@ def side_by_side(source: Source, where: str) -> Source:
     return found
 
 
+def runs_of(paths: Sequence[Sequence[str]]) -> int:
+    """Return how many parts of each path name its run; 0 where groups are no runs.
+
+    Groups of the same vectors whose names end in a number are runs, whatever groups they hold themselves.
+    """
+    for depth in range(1, min(map(len, paths), default=0)):
+        runs: dict[tuple[str, ...], set[tuple[str, ...]]] = {}
+        for path in paths:
+            runs.setdefault(tuple(path[:depth]), set()).add(tuple(path[depth:]))
+        numbered = all(re.search(r"\d$", run[-1]) for run in runs)
+        if numbered and len(runs) > 1 and len(set(map(frozenset, runs.values()))) == 1:
+            return depth
+    return 0
+
+
 def arranged(
     where: str,
     kind: str,
@@ -155,13 +170,13 @@ def arranged(
 ) -> Source:
     """Return the table of vectors by path; `by` stands between the parts of a path."""
     groups: dict[tuple[str, int], dict[str, Vector]] = {}
+    runs = runs_of([path.split(by) for path in vectors])
     for path, vector in vectors.items():
-        group, _, name = path.rpartition(by)
-        groups.setdefault((group, vector.rows), {})[name] = vector
-    runs = {group for group, _ in groups}
-    names = [{path.rpartition(by)[2] for path in vectors if path.rpartition(by)[0] == run} for run in runs]
-    if len(runs) > 1 and all(re.search(r"\d$", run) for run in runs) and all(n == names[0] for n in names):
-        for run in runs:
+        parts = path.split(by)
+        at = runs or len(parts) - 1
+        groups.setdefault((by.join(parts[:at]), vector.rows), {})[by.join(parts[at:])] = vector
+    if runs:
+        for run in {group for group, _ in groups}:
             sizes = sorted(rows for group, rows in groups if group == run)
             if len(sizes) > 1:
                 raise InputError(

@@ -124,6 +124,16 @@ def test_hdf5_with_a_group_per_run(tmp_path: Path) -> None:
     assert log.run(10)["x_ref_m"][0] == pytest.approx(0.01, rel=1e-15)
 
 
+def test_hdf5_with_groups_within_a_group_per_run(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "runs.h5", "w") as file:
+        for run in (3, 1):
+            file[f"day2/run_{run}/laser1/x_ref_m"] = np.full(4, float(run))
+            file[f"day2/run_{run}/hall_a_m"] = np.full(4, run + 0.5)
+    log = read_log(tmp_path / "runs.h5", columns={"x_ref_m": "laser1/x_ref_m"})
+    assert (log.runs, log.rows) == ((1, 3), 8)
+    assert (log.array("hall_a_m") - log.array("x_ref_m")).tolist() == [0.5] * 8
+
+
 def test_vector_of_another_length_is_named_when_needed(tmp_path: Path) -> None:
     savemat(tmp_path / "a.mat", {"x_ref_m": np.zeros(5), "y_ref_m": np.zeros(5), "hall_a_m": np.zeros(7)})
     with pytest.raises(InputError, match=r"no time base and 7 values where the others have 5") as caught:
