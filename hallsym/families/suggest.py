@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import string
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -103,6 +103,8 @@ ROWS = 50_000
 STATED, BY_SIZE = "its unit is stated", "CHECK THE UNIT: assumed from its size"
 MOVES = 0.9
 """Correlation from which a column moves as another one does: the other axes and the noise make the rest."""
+PLACES = 24
+"""Places of the zero of an angle that are tried: between two of them a correlation loses 1 %."""
 NEAR = 3.0
 """Ratio of sizes up to which a unit fits: gains and nominal values are not exact."""
 OTHERS = ("temperature", "current", "speed")
@@ -235,19 +237,9 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
     data = _numbers(source)
     if not data:
         raise InputError("No column of the file holds numbers; nothing can be suggested.")
-    chosen = _model(source, data, model, meta or Meta())
-    named = _by_name(source, data, chosen)
-    known = {g.stem: _si(data[g.theirs], g) for g in named if g.unit and g.stem != RUN}
-    told = any(split_unit(c)[0] in known for c in chosen.references)
-    expected = _readings(chosen, known) if told else {}
-    named = [
-        _with_unit(source, data[g.theirs], replace(g, why="its name"), chosen, expected[g.stem])
-        if g.stem in expected and g.open and not g.raw and np.ptp(expected[g.stem]) > 0
-        else g
-        for g in named
-    ]
-    guesses = [*named, *_by_motion(source, data, chosen, named, expected)]
-    guesses += _left(source, data, chosen, guesses)
+    forms = _models(source, data, model, meta or Meta())
+    tried = [(form, _guesses(source, data, form)) for form in forms]
+    chosen, guesses = max(tried, key=lambda one: _covered(*one))  # the first by name where all do the same
     order = {stem: k for k, stem in enumerate((RUN, TIME, *_stems(chosen), *OTHERS))}
     used = {g.theirs for g in guesses}
     return Suggestion(
@@ -255,6 +247,59 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
         tuple(sorted(guesses, key=lambda g: order[g.stem])),
         tuple(name for name in source.names if name not in used),
     )
+
+
+def _guesses(source: Source, data: Mapping[str, Array], model: Model) -> list[Guess]:
+    """Return the guesses for a model: by name, by what the references let its readings do, what is left."""
+    named = _by_name(source, data, model)
+    references = {split_unit(c)[0] for c in model.references}
+    named += [g for g in _left(source, data, model, named) if g.stem in references]
+    named = _by_readings(data, model, named)
+    expected = _expected(data, model, named)
+    named = [
+        _with_unit(source, data[g.theirs], replace(g, why="its name"), model, expected[g.stem])
+        if g.stem in expected and g.open and not g.raw and np.ptp(expected[g.stem]) > 0
+        else g
+        for g in named
+    ]
+    guesses = [*named, *_by_motion(source, data, model, named, expected)]
+    return [*guesses, *_left(source, data, model, guesses)]
+
+
+def _expected(data: Mapping[str, Array], model: Model, named: Sequence[Guess]) -> dict[str, Array]:
+    """Return what the nominal machine would read where the references say it is; {} where none is known.
+
+    The zero of an angle that goes round is its own: of `PLACES` over the turn the one where most of the
+    columns that are not named move as a reading.
+    """
+    known = {g.stem: _si(data[g.theirs], g) for g in named if g.unit and g.stem != RUN}
+    if not any(split_unit(c)[0] in known for c in model.references):
+        return {}
+    stems = [s for c in model.references if (s := split_unit(c)[0]) in known and _goes_round(c)]
+    free = [x for name, x in data.items() if name not in {g.theirs for g in named} and np.ptp(x) > 0]
+    turned = [
+        _readings(model, {**known, **{s: known[s] + place for s in stems}})
+        for place in (np.arange(PLACES) * 2 * np.pi / PLACES if stems and free else [0.0])
+    ]
+    return max(turned, key=lambda expected: _alike(list(expected.values()), free))
+
+
+def _alike(expected: Sequence[Array], columns: Sequence[Array]) -> float:
+    """Return the sum over readings of the largest correlation with a column."""
+    if not columns:
+        return 0.0
+    r = np.nan_to_num(np.corrcoef(np.vstack([*expected, *columns]))[: len(expected), len(expected) :])
+    return float(r.max(axis=1).sum())
+
+
+def _goes_round(column: str) -> bool:
+    return column.endswith("_rad") and limit_of(column) is None
+
+
+def _covered(model: Model, guesses: Sequence[Guess]) -> float:
+    """Return the share of a model's columns that have a guess."""
+    stems = _stems(model)
+    return len({g.stem for g in guesses} & set(stems)) / len(stems)
 
 
 def _numbers(source: Source) -> dict[str, Array]:
@@ -289,8 +334,8 @@ def _measured(model: Model) -> tuple[str, ...]:
     return tuple(c for c in model.state if c not in computed)
 
 
-def _model(source: Source, data: Mapping[str, Array], name: str | None, meta: Meta) -> Model:
-    """Return the model whose columns the names of a file fit best, in the form in which it is read there."""
+def _models(source: Source, data: Mapping[str, Array], name: str | None, meta: Meta) -> list[Model]:
+    """Return the forms of the family whose columns the names of a file fit best, the best first."""
 
     def fits(model: Model) -> tuple[float, int]:
         stems = _stems(model)
@@ -302,13 +347,12 @@ def _model(source: Source, data: Mapping[str, Array], name: str | None, meta: Me
         like = "_".join([*re.findall(r"\w+", column.lower()), UNITS[_stated(source, column)].si])
         own += [like] if any(re.fullmatch(family.readings, like) for family in FAMILIES) else []
 
-    if stated := name or meta.base_model:
-        return max(_forms(stated, tuple(own), meta), key=fits)
     found: list[Model] = []
-    for family in FAMILIES:
-        with suppress(InputError):  # of a family whose code fails, which nobody has asked for
-            found += _forms(family.default, tuple(own), meta)
-    return max(found, key=fits)
+    for default in [stated] if (stated := name or meta.base_model) else [f.default for f in FAMILIES]:
+        with nullcontext() if stated else suppress(InputError):  # a family that fails and nobody asked for
+            found += _forms(default, tuple(own), meta)
+    found = sorted(found, key=fits, reverse=True)
+    return [model for model in found if model.family is found[0].family]
 
 
 def _forms(name: str, own: tuple[str, ...], meta: Meta) -> list[Model]:
@@ -427,7 +471,7 @@ def _with_unit(
         return guess
     stated, kinds = _stated(source, guess.theirs), _kinds(guess.stem, model)
     whole = guess.stem in _stems(model) and _whole(values) and np.ptp(values) >= COUNTED
-    going_round = "rad" in kinds and limit_of(f"{guess.stem}_rad") is None
+    going_round = "rad" in kinds and _goes_round(f"{guess.stem}_rad")
     if going_round and (stated == "count" or (whole and not stated)):
         said = STATED if stated else "whole numbers"
         return guess.in_units(
@@ -515,6 +559,46 @@ def _by_motion(
         guess = Guess(stem, name, (), f"moves as {stem} should (r = {r:.3f})", 1 if r > 0 else -1)
         found.append(_with_unit(source, data[name], guess, model, expected[stem]))
     return found
+
+
+def _by_readings(data: Mapping[str, Array], model: Model, named: Sequence[Guess]) -> list[Guess]:
+    """Return the guesses with the one unit, or counts per turn, in which the readings follow the reference.
+
+    Only of an angle that goes round: others would be followed in any unit.
+    """
+    found = list(named)
+    for k, guess in enumerate(named):
+        angle = f"{guess.stem}_rad"
+        going_round = angle in model.references and _goes_round(angle)
+        if not going_round or not (guess.open or guess.counts_per_turn):
+            continue
+        if guess.counts_per_turn:
+            tried = [replace(guess, counts_per_turn=1 << bits) for bits in range(6, 25)]
+        else:
+            tried = [replace(guess, units=(u.name,), raw="") for u in UNITS.values() if u.si == "rad"]
+        readings = [values for name, values in data.items() if name != guess.theirs and np.ptp(values) > 0]
+        known = {g.stem: _si(data[g.theirs], g) for g in named if g.unit and g.stem != RUN}
+        followed = [
+            one for one in tried
+            if _follows(_readings(model, {**known, guess.stem: _si(data[guess.theirs], one)}), readings)
+        ]  # fmt: skip
+        if len(followed) == 1:
+            found[k] = replace(
+                followed[0], why=f"{guess.why.partition(';')[0]}; the readings follow it in this unit"
+            )
+    return found
+
+
+def _follows(expected: Mapping[str, Array], columns: Sequence[Array]) -> bool:
+    """Say whether as many columns as there are readings are combinations of what is expected of these."""
+    rows = np.isfinite(list(expected.values())).all(axis=0)
+    basis = np.column_stack([np.ones(rows.sum()), *(e[rows] for e in expected.values())])
+    moved = 0
+    for own in (values[rows] for values in columns):
+        if np.isfinite(own).all() and np.ptp(own) > 0:
+            left = own - basis @ np.linalg.lstsq(basis, own, rcond=None)[0]
+            moved += bool(np.var(left) <= (1 - MOVES**2) * np.var(own))
+    return moved >= len(expected)
 
 
 def _left(source: Source, data: Mapping[str, Array], model: Model, known: Sequence[Guess]) -> list[Guess]:

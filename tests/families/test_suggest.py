@@ -170,3 +170,25 @@ def test_whole_numbers_over_eight_bits_may_be_counts() -> None:
 def test_references_tell_the_unit_of_readings(columns: dict[str, np.ndarray]) -> None:
     made = found(guessed(columns, **{f"hall_{c}_m": (f"Hall{c.upper()}", 1e6) for c in "abc"}))
     assert {made[f"hall_{c}"][1] for c in "abc"} == {"um"}
+
+
+@pytest.mark.parametrize(
+    ("names", "angle", "entry"),
+    [
+        (("ch1", "ch2", "angle"), lambda turns: 360 * turns, "angle_ref_deg"),
+        (("V1", "V2", "theta_ref"), lambda turns: 21600 * turns, "angle_ref_arcmin"),
+        (("A", "B", "position_arcsec"), lambda turns: 1296e3 * turns, "angle_ref_arcsec"),
+        (("sinus", "cosinus", "encoder"), lambda turns: np.round(2**17 * turns), "angle_ref_count"),
+    ],
+    ids=["deg", "arcmin", "arcsec", "counts"],
+)
+def test_readings_tell_the_unit_of_an_angle_and_which_columns_they_are(names, angle, entry) -> None:
+    """Eleven turns with a zero of its own: in any other unit no combination of sine and cosine follows."""
+    turns = np.linspace(0, 11.3, 4000)
+    volts = [np.sin(2 * np.pi * turns + 0.7), np.cos(2 * np.pi * turns + 0.7)]
+    file = dict(zip(names, (*volts, angle(turns)), strict=True))
+    found = suggest(open_source(file).source, "rotary")
+    theirs = {g.ours: g for g in found.guesses}
+    assert (theirs["v_sin_v"].theirs, theirs["v_cos_v"].theirs) == names[:2]
+    assert theirs[entry].theirs == names[2]
+    assert theirs[entry].counts_per_turn in (None, 2**17)

@@ -101,7 +101,8 @@ _WORDS = {
     "kelvin": "k", "rad/s": "rad_s", "°/s": "deg_s", "deg/s": "deg_s", "1/min": "rpm", "u/min": "rpm",
     "min-1": "rpm", "r/min": "rpm", "m/s": "m_s", "mm/s": "mm_s", "counts": "count", "cts": "count",
     "inc": "count", "lsb": "count", "digit": "count", "digits": "count", '"': "arcsec", "″": "arcsec",
-    "''": "arcsec", "arcseconds": "arcsec", "turn": "rev", "turns": "rev", "urad": "urad",
+    "''": "arcsec", "arcseconds": "arcsec", "′": "arcmin", "arcminutes": "arcmin", "turn": "rev",
+    "turns": "rev", "urad": "urad",
 }  # fmt: skip
 _EXACT = {
     "V": "v", "mV": "mv", "uV": "uv", "A": "a", "mA": "ma", "T": "t", "mT": "mt", "uT": "ut", "Hz": "hz",
@@ -126,8 +127,8 @@ _PROGRAMS = {"X_Value": ("t", "s")}
 """Names that a program gives whatever is recorded: LabVIEW's of the time in its measurement files."""
 _PLAIN = re.compile(r"(.*\S)\s+(\S+)")
 _SURE = {
-    "um", "nm", "mm", "urad", "mrad", "nrad", "deg", "mdeg", "arcsec", "ms", "us", "mv", "uv", "mt", "ut",
-    "rpm", "degc",
+    "um", "nm", "mm", "urad", "mrad", "nrad", "deg", "mdeg", "arcmin", "arcsec", "ms", "us", "mv", "uv", "mt",
+    "ut", "rpm", "degc",
 }  # fmt: skip
 """Units that are no words: x um is x in micrometres, Hall A and y min are names."""
 
