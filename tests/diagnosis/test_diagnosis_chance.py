@@ -38,7 +38,7 @@ def p_values(found: Survey) -> dict[str, float]:
 
 
 def fitted(log: Log) -> Base:
-    return base_of(log, hallsym.fit(log, "stage31", solver="direct", loss="none"))
+    return base_of(log, hallsym.fit(log, "stage31", solver="direct", loss="none", accept=["all"]))
 
 
 @pytest.fixture(scope="module")

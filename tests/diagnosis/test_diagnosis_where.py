@@ -27,7 +27,7 @@ HELD = tuple(range(2, 57, 5))
 
 def base_on(log: Log, model: str = "stage31") -> Base:
     held = log.meta.holdout or HELD
-    return base_of(log, hallsym.fit(log, model, solver="direct", holdout=held))
+    return base_of(log, hallsym.fit(log, model, solver="direct", holdout=held, accept=["all"]))
 
 
 @cache

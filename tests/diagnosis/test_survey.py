@@ -35,7 +35,7 @@ def encoder(step_s=STEP_S, runs=RUNS, samples=SAMPLES, seed=1, *, added=nothing,
 
 
 def based(log):
-    return base_of(log, hallsym.fit(log, "ellipse", solver="direct", loss="none"))
+    return base_of(log, hallsym.fit(log, "ellipse", solver="direct", loss="none", accept=["all"]))
 
 
 def surveyed(log) -> Survey:
