@@ -308,11 +308,12 @@ def said(c: Correction) -> str:
     'the numbers of rx_rad are in deg in run 3'
     """
     late = c.numbers[0] if c.kind == "delay" else 0.0
-    factor = 1 / c.numbers[0] if c.kind == "scale" else 1.0  # other numbers may be 0
+    factor = abs(c.numbers[0]) if c.kind == "scale" else 1.0  # other numbers may be 0
+    off = f"{factor:.4g} times too small" if factor > 1 else f"{1 / factor:.4g} times too large"
     words = {
         "columns": listed(c.columns) if 0 < len(c.columns) < 4 else f"{', '.join(c.columns[:2])} and so on",
         "rails": " and ".join(f"{n:.5g}" for n in c.numbers if math.isfinite(n)),
-        "scale": f"in {c.unit}" if c.unit else f"{factor:.4g} times too large",
+        "scale": f"in {c.unit}" if c.unit else off,
         "delay": f"{counted(abs(round(late)), 'sample')} {'late' if late > 0 else 'early'}",
         "since": f" from sample {c.numbers[1]:.0f} on" if c.numbers[1:] else "",
     }
