@@ -1,13 +1,12 @@
 """The devices of a fleet: a folder of logs, several files, or a table of logs."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from hallsym.errors import InputError, quoted
-from hallsym.log.formats import COMPRESSED, FORMATS
+from hallsym.log.formats import COMPRESSED, FORMATS, natural
 
 SUFFIXES = tuple(suffix for entry in FORMATS if entry.found for suffix in entry.suffixes)
 
@@ -54,7 +53,7 @@ def _paths(path: Path) -> list[Path]:
     found = [p for p in path.iterdir() if _is_log(p)]
     if not found:
         raise InputError(f"Folder {quoted(path)} must hold logs, or folders with a log each; it holds none.")
-    return sorted(found, key=_natural)
+    return sorted(found, key=natural)
 
 
 def _is_log(path: Path) -> bool:
@@ -62,11 +61,6 @@ def _is_log(path: Path) -> bool:
         return any((path / f"log{suffix}").is_file() for suffix in SUFFIXES)
     name = path.name.lower().removesuffix(COMPRESSED)
     return path.is_file() and not name.startswith(".") and name.endswith(SUFFIXES)
-
-
-def _natural(path: Path) -> list[tuple[int, int, str]]:
-    parts = re.split(r"(\d+)", str(path))
-    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
 
 
 def _name(path: Path) -> str:

@@ -38,8 +38,8 @@ _IDLE: list[Decoder] = []
 
 def about(source: Source) -> dict[str, Any]:
     """Return what is known of a source before its columns are read."""
-    known = ("names", "rows", "small", "left_out", "aliases", "units", "notes", "recognised", "unstated")
-    return {name: getattr(source, name) for name in known if hasattr(source, name)}
+    known = {name: getattr(source, name, None) for name in Source.__annotations__}
+    return {name: value for name, value in known.items() if value is not None}
 
 
 class Apart(Source):
@@ -50,11 +50,6 @@ class Apart(Source):
         self._file = reader, path.absolute(), tuple(options.items())
         with _decoder() as decoder:
             vars(self).update(decoder.ask("about", self._file))
-
-    def count(self) -> int:
-        """Return the number of rows."""
-        with _decoder() as decoder:
-            return int(decoder.ask("count", self._file))
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most about `size` rows."""
@@ -169,7 +164,7 @@ def serve() -> None:
                     answer: Any = next(pieces, None)
                 else:
                     pieces = iter(())
-                    answer = source.count() if what == "count" else about(source)
+                    answer = about(source)
             except (InputError, MemoryError, OSError) as error:
                 answer = error
             except Exception as error:  # of a class that only the library may know

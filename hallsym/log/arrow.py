@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
+from hallsym.log.columns import T
 from hallsym.log.table import Arrays, Source, load
 from hallsym.log.text.cells import stems_of
 from hallsym.units import Array
 
-TIME = "t"
-"""What a log calls its time."""
 DAY_S = 86_400.0
 TICK_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
@@ -26,25 +25,23 @@ def is_time(kind: Any) -> bool:
     return bool(types.is_timestamp(kind) or types.is_time(kind) or types.is_duration(kind))
 
 
-def only_time(names: Sequence[str], times: Iterable[int]) -> int | None:
-    """Return the place of the only column of times, where no other is the time of the log by its name."""
-    places = list(times)
-    others = [name for k, name in enumerate(names) if k not in places]
-    if len(places) != 1 or any(re.fullmatch("t(_[a-z]+)?", name) for name in others):
-        return None
-    return places[0]
-
-
 def name_the_time(source: Source, times: Iterable[int]) -> None:
-    """Let the only column of times be the time of the log, in seconds from its first sample."""
-    at = only_time(source.names, times)
-    if at is None or source.names[at] == f"{TIME}_s":
+    """Let the only column of times be the time of the log, in seconds from its first sample.
+
+    It is not where another column is that by its name.
+    """
+    places = list(times)
+    others = [name for k, name in enumerate(source.names) if k not in places]
+    if len(places) != 1 or any(re.fullmatch("t(_[a-z]+)?", name) for name in others):
         return
+    (at,) = places
     old = source.names[at]
-    source.names = (*source.names[:at], TIME, *source.names[at + 1 :])
-    source.units = {name: unit for name, unit in source.units.items() if name != old} | {TIME: "s"}
-    longer = {long: TIME if short == old else short for long, short in source.aliases.items()}
-    source.aliases = longer | ({old: TIME} if old != TIME else {})
+    if old == f"{T}_s":
+        return
+    source.names = (*source.names[:at], T, *source.names[at + 1 :])
+    source.units = {name: unit for name, unit in source.units.items() if name != old} | {T: "s"}
+    longer = {long: T if short == old else short for long, short in source.aliases.items()}
+    source.aliases = longer | ({old: T} if old != T else {})
 
 
 def said_of_times(name: str, where: str, form: str) -> str:
@@ -52,38 +49,34 @@ def said_of_times(name: str, where: str, form: str) -> str:
     return f"Column '{name}' of {where} holds {form}; it is read in seconds from its first sample on."
 
 
-_CLOCK = r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d{1,9})?"
-_ZONE = r"(?:Z|[+-]\d{2}:?\d{2})"
-_DATES = {
-    "year first": r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}",
-    "day.month": r"\d{1,2}\.\d{1,2}\.\d{4}",  # dots: everywhere the day stands first
-    "open": r"\d{1,2}[-/]\d{1,2}[-/]\d{4}",
-}
+_CLOCK = r"(?P<hour>\d{1,2}):(?P<min>\d{2}):(?P<sec>\d{2}(?:[.,]\d{1,9})?)"
+_ZONE = r"\s*(?P<zone>Z|[+-]\d{2}:?\d{2})"
+_DATES = (
+    r"(?P<y>\d{4})[-/.](?P<m>\d{1,2})[-/.](?P<d>\d{1,2})[T ]\s*",
+    r"(?P<d>\d{1,2})\.(?P<m>\d{1,2})\.(?P<y>\d{4})[T ]\s*",  # dots: everywhere the day stands first
+    r"(?P<a>\d{1,2})[-/](?P<b>\d{1,2})[-/](?P<y>\d{4})[T ]\s*",
+)
 
 
 @dataclass(frozen=True)
 class TimeForm:
-    """How times are written: `date` as in `_DATES`, "" for a time of day alone; whether a zone is stated."""
+    """How times are written: a pattern with a group for each part; the day may be `a` or `b`."""
 
-    date: str
-    zoned: bool
+    pattern: str
 
     @property
     def said(self) -> str:
         """What the form is called."""
-        return "dates with times" if self.date else "times of day"
+        return "dates with times" if "<y>" in self.pattern else "times of day"
 
 
 def time_form(cells: Sequence[str]) -> TimeForm | None:
     """Return the form that all cells of a column have; None where they are no times."""
-    if not cells:
-        return None
-    for date, pattern in {**_DATES, "": ""}.items():
-        start = rf"{pattern}[T ]\s*" if pattern else ""
-        for zone in ("", rf"\s*{_ZONE}") if date else ("",):
-            whole = re.compile(rf"\s*{start}{_CLOCK}{zone}\s*")
-            if all(whole.fullmatch(cell) for cell in cells):
-                return TimeForm(date, bool(zone))
+    for date in (*_DATES, ""):
+        for zone in ("", _ZONE) if date else ("",):
+            whole = re.compile(rf"^\s*{date}{_CLOCK}{zone}\s*$")
+            if cells and all(whole.fullmatch(cell) for cell in cells):
+                return TimeForm(whole.pattern)
     return None
 
 
@@ -116,7 +109,7 @@ class Seconds:
             self.epoch = None if types.is_duration(kind) else self._first * TICK_S[kind.unit]
         seconds = (ticks - (self._first or 0)) * TICK_S[kind.unit]
         seconds[missing] = np.nan
-        daily = not self.form.date if self.form else types.is_time(kind)
+        daily = "<y>" not in self.form.pattern if self.form else types.is_time(kind)
         return self._onward(seconds) if daily else seconds
 
     def _onward(self, seconds: Array) -> Array:
@@ -131,47 +124,42 @@ class Seconds:
     def _read(self, cells: Any, form: TimeForm) -> Any:
         """Return the times of an Arrow array of strings."""
         arrow, compute = load("pyarrow"), load("pyarrow.compute")
-        text = compute.utf8_trim_whitespace(cells.cast(arrow.string()))
-        text = compute.replace_substring_regex(text, ",", ".")
-        if form.date == "open":
-            self._decide(text, compute)
-        for pattern, plain in self._steps(form):
-            text = compute.replace_substring_regex(text, pattern, plain)
+        text, join = cells.cast(arrow.string()), compute.binary_join_element_wise
+        found = compute.extract_regex(text, form.pattern)
+        odd = text.filter(compute.and_(found.is_null(), text.is_valid())).to_pylist()[:1]
+        part = {name: compute.struct_field(found, name) for name in re.findall(r"\?P<(\w+)>", form.pattern)}
+        if "a" in part:
+            part["d"], part["m"] = (
+                part[k] for k in ("ab" if self._day_stands_first(part, compute) else "ba")
+            )
+        two = {name: compute.utf8_lpad(part[name], 2, "0") for name in ("m", "d", "hour") if name in part}
+        day = join(part["y"], two["m"], two["d"], "-") if "y" in part else "1970-01-01"
+        clock = join(two["hour"], part["min"], compute.replace_substring(part["sec"], ",", "."), ":")
         try:
-            return text.cast(arrow.timestamp("ns", "UTC" if form.zoned else None))
+            if odd:
+                raise arrow.ArrowInvalid(odd[0])
+            whole = join(join(day, clock, " "), part.get("zone", ""), "")
+            return whole.cast(arrow.timestamp("ns", "UTC" if "zone" in part else None))
         except arrow.ArrowInvalid as error:
             raise InputError(
                 f"{self.what} must hold {form.said} written alike in every line; one is not "
                 f"({str(error)[:80]}): put it right, or leave the line out."
             ) from error
 
-    def _decide(self, text: Any, compute: Any) -> None:
-        """Find which number of a date is the day, where that matters: not while all dates are the same."""
-        if self._day_first is not None:
-            return
-        dates = compute.unique(compute.replace_substring_regex(text, r"[-/](\d{4})\s.*$", r"/\1")).to_pylist()
-        pairs = [re.split("[-/]", date)[:2] for date in dates if date]
-        first, second = (max((int(pair[k]) for pair in pairs), default=0) for k in (0, 1))
-        self._dates |= {date for date in dates if date}
-        if max(first, second) > 12 and self._first is None:
-            self._day_first = first > 12
-        elif len(self._dates) > 1:
-            raise InputError(
-                f"{self.what} holds dates such as {min(self._dates)}, whose day may stand first or second: "
-                "write the year first, 2026-04-03."
-            )
-
-    def _steps(self, form: TimeForm) -> list[tuple[str, str]]:
-        """Return the replacements that make ISO 8601 of a time."""
-        pad = (r"(^|[-/. T])(\d)([-/.:])", r"\1" + r"0\2\3")
-        day, month = (r"\2", r"\1") if not self._day_first else (r"\1", r"\2")
-        swaps = {
-            "": [("^", "1970-01-01 ")],
-            "year first": [(r"^(\d{4})[-/.](\d\d)[-/.](\d\d)", r"\1-\2-\3")],
-            "day.month": [(r"^(\d\d)\.(\d\d)\.(\d{4})", r"\3-\2-\1")],
-            "open": [(r"^(\d\d)[-/](\d\d)[-/](\d{4})", rf"\3-{month}-{day}")],
-        }[form.date]
-        return [pad, pad, *swaps, (r"\s+", " "), (r" ?([+-]\d\d):?(\d\d)$", r"\1:\2"), (r" Z$", "Z")]
+    def _day_stands_first(self, part: Mapping[str, Any], compute: Any) -> bool:
+        """Say which number of a date is the day, where that matters: not while all dates are the same."""
+        if self._day_first is None:
+            most = [compute.max(part[k].cast("int64")).as_py() or 0 for k in "ab"]
+            dates = compute.binary_join_element_wise(part["a"], part["b"], part["y"], "/")
+            self._dates |= {date for date in compute.unique(dates).to_pylist() if date}
+            if max(most) > 12 and self._first is None:
+                self._day_first = most[0] > 12
+            elif len(self._dates) > 1:
+                raise InputError(
+                    f"{self.what} holds dates such as {min(self._dates)}, whose day may stand first or "
+                    "second: write the year first, 2026-04-03."
+                )
+        return bool(self._day_first)
 
 
 _FLOATS = {"double": "float64", "float": "float32", "halffloat": "float16"}
@@ -203,56 +191,47 @@ def array_of(column: Any) -> Array:
     return data[column.offset : column.offset + len(column)]
 
 
-def is_table(data: Any) -> bool:
-    """Say whether something is a table in memory and not the name of a file."""
-    return isinstance(data, Mapping) or hasattr(data, "__arrow_c_stream__")
-
-
 def source_of(data: Any, where: str) -> Arrays:
     """Return the columns of numbers of a table: a dict of arrays, or what has `__arrow_c_stream__`.
 
     A name may state its unit as in a file: `x_ref_um`, `x_ref [um]`. Columns of other things are left out.
     """
-    columns, left_out, times = (_of_mapping if isinstance(data, Mapping) else _of_arrow)(data, where)
-    found = stems_of(columns)
-    source = Arrays({})
-    source.call(found)
-    name_the_time(source, [k for k, name in enumerate(columns) if name in times])
-    source.columns = dict(zip(source.names, columns.values(), strict=True))
-    source.epochs = {ours: times.get(text) for ours, text in zip(source.names, columns, strict=True)}
-    source.rows = len(next(iter(columns.values()), ()))
-    source.left_out = left_out
-    source.notes = tuple(said_of_times(name, where, "times") for name in times)
-    return source
-
-
-Columns = tuple[dict[str, Array], dict[str, str], dict[str, float | None]]
-"""Columns, why others are left out, and of the columns of times the moments of their zero."""
-
-
-def _of_mapping(data: Mapping[Any, Any], where: str) -> Columns:
+    if isinstance(data, Mapping):
+        given = {str(name): np.asarray(values) for name, values in data.items()}
+    else:
+        given = _columns_of(data, where)
     columns: dict[str, Array] = {}
     left_out: dict[str, str] = {}
-    times: dict[str, float | None] = {}
-    for name, given in data.items():
-        values = np.asarray(given)
-        if values.dtype.kind in "mM" and values.ndim == 1:
-            seconds = Seconds()
-            values = seconds(load("pyarrow").array(values.astype(f"{values.dtype.kind}8[ns]")))
-            times[str(name)] = seconds.epoch
-        if values.dtype.kind not in "fiu":
-            left_out[str(name)] = "it holds no numbers"
+    clocks: dict[str, Seconds] = {}
+    for name, values in given.items():
+        if isinstance(values, np.ndarray) and values.dtype.kind in "mM" and values.ndim == 1:
+            values = load("pyarrow").array(values.astype(f"{values.dtype.kind}8[ns]"))
+        if not isinstance(values, np.ndarray) and is_time(values.type):
+            clocks[name] = Seconds()
+        if not isinstance(values, np.ndarray) and (name in clocks or is_numeric(values.type)):
+            values = clocks.get(name, array_of)(values)
+        if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
+            left_out[name] = "it holds no numbers"
             continue
-        first = next(iter(columns.values()), values)
-        if values.ndim != 1 or len(values) != len(first):
+        if values.ndim != 1 or len(values) != len(next(iter(columns.values()), values)):
             raise InputError(
                 f"Column {name} of {where} must be a vector as long as the others; it is {values.shape}."
             )
-        columns[str(name)] = values
-    return columns, left_out, times
+        columns[name] = values
+    found = stems_of(columns)
+    source = Arrays({})
+    source.call(found)
+    name_the_time(source, [k for k, name in enumerate(columns) if name in clocks])
+    source.columns = dict(zip(source.names, columns.values(), strict=True))
+    source.clocks = {o: clocks[text] for o, text in zip(source.names, columns, strict=True) if text in clocks}
+    source.rows = len(next(iter(columns.values()), ()))
+    source.left_out = left_out
+    source.notes = tuple(said_of_times(name, where, "times") for name in clocks)
+    return source
 
 
-def _of_arrow(data: Any, where: str) -> Columns:
+def _columns_of(data: Any, where: str) -> dict[str, Any]:
+    """Return the columns of a table of Arrow."""
     arrow = load("pyarrow")
     try:
         table = arrow.RecordBatchReader.from_stream(data).read_all()
@@ -260,8 +239,4 @@ def _of_arrow(data: Any, where: str) -> Columns:
         raise InputError(f"{where} must be a table of columns; it is none ({error}).") from error
     if len(set(table.column_names)) < len(table.column_names):
         raise InputError(f"Columns of {where} must have different names; one is there twice.")
-    times = {field.name: Seconds() for field in table.schema if is_time(field.type)}
-    held = [field.name for field in table.schema if field.name in times or is_numeric(field.type)]
-    columns = {name: times.get(name, array_of)(table.column(name)) for name in held}
-    left_out = {name: "it holds no numbers" for name in table.column_names if name not in columns}
-    return columns, left_out, {name: seconds.epoch for name, seconds in times.items()}
+    return dict(zip(table.column_names, table.columns, strict=True))

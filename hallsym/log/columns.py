@@ -23,6 +23,8 @@ RUN = "run"
 RUN_WORDS = ("run", "pass", "scan", "sweep", "trial", "segment", "lauf", "fahrt", "messung", "measurement")
 TIME_WORDS = ("t", "time", "timestamp", "zeit", "clock", "elapsed", "temps")
 """What people call runs, and the time."""
+T = "t"
+"""What a log calls its time: a column without its unit, and of times that a format gives."""
 _OPEN = re.compile(r"^# (\w+) = ", re.MULTILINE)
 
 

@@ -6,15 +6,16 @@ import hashlib
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.columns import RUN, Binding, bind
+from hallsym.log.arrow import source_of
+from hallsym.log.columns import RUN, bind, listed
 from hallsym.log.meta import Meta, Noise
-from hallsym.log.table import CHUNK_ROWS, Arrays, Piece, Table, TableLike, View, joined
+from hallsym.log.table import CHUNK_ROWS, Piece, Table, TableLike, View, exact, joined
 from hallsym.units import Array
 
 _LONGEST_NAME = 60
@@ -54,15 +55,10 @@ class Log:
         name: str = "The log",
     ) -> Log:
         """Build a log from arrays of equal length; a name such as `hall_a_um` states the unit it is in."""
-        arrays = {key: np.asarray(values) for key, values in columns.items()}
-        for key, values in arrays.items():
-            if values.ndim != 1 or len(values) != len(next(iter(arrays.values()))):
-                raise InputError(
-                    f"Column {key} of {name} must be a vector as long as the others; it is {values.shape}."
-                )
-        table = Table(Arrays(arrays), bind(tuple(arrays), {}, name)[0], name)
+        source = source_of(columns, name)
+        table = Table(source, bind(source.names, {}, name, units=source.units)[0], name)
         known = replace(meta or Meta(), columns=table.columns)
-        return Log(table, noise or Noise(), known, notes=run_notes(table.bindings))
+        return Log(table, noise or Noise(), known, notes=(*table.notes, *source.notes))
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -128,32 +124,25 @@ class Log:
         wanted = self.columns if columns is None else tuple(columns)
         asked = tuple(dict.fromkeys((RUN, *wanted)))
         runs = RunOrder(self.name)
-        waiting: list[Piece] = []
-        count, last = 0, 0
-        for piece in self.table.pieces(asked, size):
-            floats = {name: _float(piece[name]) for name in wanted}
-            for run, start, stop in runs.segments(piece[RUN]):
-                if waiting and run != last:
-                    yield Block(last, joined(waiting, wanted))
-                    waiting, count = [], 0
-                last, lo = run, start
-                while lo < stop:
-                    hi = min(lo + size - count, stop)
-                    waiting.append({name: values[lo:hi] for name, values in floats.items()})
-                    count, lo = count + hi - lo, hi
-                    if count == size:
-                        yield Block(run, joined(waiting, wanted))
-                        waiting, count = [], 0
-        if waiting:
-            yield Block(last, joined(waiting, wanted))
+
+        def stretches() -> Iterator[tuple[int, Piece]]:
+            for piece in self.table.pieces(asked, size):
+                floats = {RUN: piece[RUN], **{name: _float(piece[name]) for name in wanted}}
+                for run, start, stop in runs.segments(piece[RUN]):
+                    yield run, {name: values[start:stop] for name, values in floats.items()}
+
+        for run, parts in groupby(stretches(), key=lambda stretch: stretch[0]):
+            for data in exact((piece for _, piece in parts), size, asked):
+                yield Block(run, {name: data[name] for name in wanted})
 
     def run(self, run: int, columns: Sequence[str] | None = None) -> Piece:
         """Return one run's columns, each float64 of shape (samples of that run,)."""
         wanted = self.columns if columns is None else tuple(columns)
         parts = [block.data for block in self.blocks(wanted) if block.run == run]
         if not parts:
-            known = ", ".join(map(str, self.runs[:12])) + (", ..." if len(self.runs) > 12 else "")
-            raise InputError(f"{self.name} has no run {run}; it has runs {known}.")
+            raise InputError(
+                f"{self.name} has no run {run}; it has runs {listed([*map(str, self.runs)], 12)}."
+            )
         return joined(parts, wanted)
 
     def array(self, column: str) -> Array:
@@ -188,12 +177,6 @@ class RunOrder:
                 )
             self._seen[ident] = None
         return found
-
-
-def run_notes(bindings: Mapping[str, Binding]) -> tuple[str, ...]:
-    """Return what has to be said about runs; a table without time is none."""
-    whole = RUN in bindings or "t_s" not in bindings
-    return () if whole else ("No column 'run': a run begins where t_s starts again, the first is number 0.",)
 
 
 def _float(values: Array) -> Array:

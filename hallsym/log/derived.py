@@ -6,13 +6,14 @@ They are computed from blocks that overlap at their edges, so memory does not gr
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from hallsym.log.core import Block, Log
+from hallsym.log.table import joined
 from hallsym.model import Model
 from hallsym.model.derived import HALVES, Computed, Stretch
 
@@ -52,7 +53,10 @@ class ExtendedLog:
         return (made.name, made.key) if made else column
 
     def blocks(self, columns: Sequence[str] | None = None, size: int = 1 << 16) -> Iterator[Block]:
-        """Yield consecutive blocks of one run each, of at most `size` samples, with `columns` (or all)."""
+        """Yield consecutive blocks of one run each, of at most `size` samples, with `columns` (or all).
+
+        `size`: as many as the context of a block at least.
+        """
         wanted = self.columns if columns is None else tuple(columns)
         made = [self.computed[c] for c in wanted if c in self.computed]
         if not made:
@@ -87,53 +91,24 @@ class ExtendedLog:
 
     def _stretches(self, columns: tuple[str, ...], size: int) -> Iterator[tuple[Stretch, slice]]:
         """Yield blocks with up to HALO samples of context on either side, and where the block itself lies."""
-        held: _Held | None = None
         windows = _HALVES.setdefault(self.log, {})
         sigma = tuple(sorted(self.sigma.items()))
-        for block in self.log.blocks(columns, size):
-            if self._origin is None:
-                self._origin = float(block.data["t_s"][0])
-            if held is not None and held.run != block.run:
-                yield from held.pieces(size, last=True)
-                held = None
-            if held is None:
-                held = _Held(block.run, block.data, self._origin, self.sigma)
+        before: Block | None = None
+        for block, after in pairwise(chain(self.log.blocks(columns, max(size, HALO)), [None])):
+            assert block is not None
+            if before is None or before.run != block.run:
+                before, first, halves = None, float(block.data["t_s"][0]), dict[str, int]()
+                self._origin = origin = first if self._origin is None else self._origin
                 if len(windows) < WINDOWED:  # chosen once, on the same stretch: the first of this size
-                    held.halves = windows.setdefault((block.run, held.first, size, sigma), held.halves)
-            else:
-                held.add(block.data)
-            yield from held.pieces(size, last=False)
-        if held is not None:
-            yield from held.pieces(size, last=True)
-
-
-class _Held:
-    """Samples of one run that wait for their context."""
-
-    def __init__(self, run: int, data: dict[str, np.ndarray], origin: float, sigma: Mapping[str, float]):
-        self.run, self.data, self.origin, self.sigma = run, data, origin, sigma
-        self.first, self.done, self.begun = float(data["t_s"][0]), 0, False
-        self.halves: dict[str, int] = {}
-
-    def add(self, data: dict[str, np.ndarray]) -> None:
-        self.data = {c: np.concatenate([v, data[c]]) for c, v in self.data.items()}
-
-    def pieces(self, size: int, last: bool) -> Iterator[tuple[Stretch, slice]]:
-        while True:
-            total = len(self.data["t_s"])
-            ready = total - self.done - (0 if last else HALO)
-            if ready <= 0 or (ready < size and not last):
-                return
-            stop = self.done + min(ready, size)
-            end = min(total, stop + HALO)
-            data = {c: v[:end] for c, v in self.data.items()}
-            stretch = Stretch(self.run, data, self.first, self.origin, self.sigma, self.halves)
-            whole = self.done == 0 and stop == total and last and not self.begun
-            yield stretch, slice(None) if whole else slice(self.done, stop)
-            self.begun = True
-            cut = max(0, stop - HALO)
-            self.data = {c: v[cut:] for c, v in self.data.items()}
-            self.done = stop - cut
+                    halves = windows.setdefault((block.run, first, size, sigma), halves)
+            after = after if after is not None and after.run == block.run else None
+            parts = [{c: v[-HALO:] for c, v in before.data.items()}] if before else []
+            parts += [block.data, *([{c: v[:HALO] for c, v in after.data.items()}] if after else [])]
+            stretch = Stretch(block.run, joined(parts, columns), first, origin, self.sigma, halves)
+            start = len(parts[0]["t_s"]) if before else 0
+            whole = before is None and after is None
+            yield stretch, slice(None) if whole else slice(start, start + len(block.data["t_s"]))
+            before = block
 
 
 def extended(

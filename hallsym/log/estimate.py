@@ -91,12 +91,8 @@ def _are_even(times: Array) -> Array:
     step = np.diff(times, axis=1)
     if not step.shape[1]:
         return np.zeros(len(times), bool)
-    low, high = step.min(axis=1), step.max(axis=1)
-    even = (low > 0) & (high <= (1 + 0.5 * _UNEVEN) * low)  # then the usual step lies so near to all of them
-    for b in np.flatnonzero(~even):
-        usual = median(step[b])
-        even[b] = usual > 0 and np.abs(step[b] / usual - 1).max() <= _UNEVEN
-    return np.asarray(even)
+    low, high, usual = step.min(axis=1), step.max(axis=1), step.mean(axis=1)
+    return np.asarray((usual > 0) & (np.maximum(high - usual, usual - low) <= _UNEVEN * usual))
 
 
 def _even_spreads(rows: Array) -> Array:
@@ -155,29 +151,19 @@ def _spreads(differences: Array, reach: int) -> Array:
     sigma = middles(ordered) / 0.67449
     coarse = sigma <= 1e-9 * most  # more than half are zero to rounding: the ADC step hides the noise
     sigma[coarse] = np.sqrt(np.mean(size[coarse] ** 2, axis=1))
-    squares, left = np.square(ordered), np.flatnonzero(~coarse)
+    sums, left = np.cumsum(np.square(ordered), axis=1), np.flatnonzero(~coarse)
     for _ in range(_ROUNDS):
         if not len(left):
             break
         before = sigma[left]
         within = np.count_nonzero(ordered[left] <= _CLIP * before[:, None], axis=1)
-        now = np.sqrt(_sums_of_first(squares, left, within) / within)
+        now = np.sqrt(sums[left, within - 1] / within)
         for j in np.flatnonzero(most[left] > _FAR * before):
             clean = _clean(size[left[j]], before[j], reach)
             now[j] = np.sqrt(clean @ clean / len(clean))
         sigma[left] = now / _CLIPPED_STD
         left = left[np.abs(sigma[left] - before) > 3e-3 * before]
     return np.asarray(sigma)
-
-
-def _sums_of_first(rows: Array, some: Array, count: Array) -> Array:
-    """Return the sums of the first `count` (m,) numbers, one at least, of `some` (m,) of the rows (c, n)."""
-    starts = some * rows.shape[1]
-    ends = np.minimum(starts + count, rows.size - 1)
-    sums = np.add.reduceat(rows.ravel(), np.column_stack([starts, ends]).ravel())[::2]
-    if starts[-1] + count[-1] == rows.size:  # the last number of all ends no stretch
-        sums[-1] = rows[-1].sum()
-    return np.asarray(sums)
 
 
 def _clean(size: Array, sigma: float, reach: int) -> Array:
@@ -195,10 +181,7 @@ def _coarse_steps(rows: Array) -> Array:
     step = np.abs(np.diff(rows, axis=1))
     changes = np.count_nonzero(step > 0, axis=1)
     coarse = (changes > 0) & (changes < 0.8 * step.shape[1])
-    out = np.zeros(len(rows))
-    for k in np.flatnonzero(coarse):
-        out[k] = step[k][step[k] > 0].min()
-    return out
+    return np.where(coarse, np.where(step > 0, step, np.inf).min(axis=1, initial=np.inf), 0.0)
 
 
 def _combined(spreads: Array) -> Array:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import Seconds, array_of, name_the_time, said_of_times
 from hallsym.log.table import Source, label, load
 from hallsym.log.text.cells import MISSING, Convention, as_float
-from hallsym.log.text.sniff import END, Dialect, Encoded, sniffed
+from hallsym.log.text.sniff import Dialect, Encoded, sniffed, split
 from hallsym.output import csv_text
 from hallsym.units import Array
 
@@ -23,8 +22,6 @@ COMPRESSED = 8
 """What text of numbers becomes larger by when it is decompressed, at most."""
 BLOCK = 1 << 19
 """Bytes that pyarrow reads at once: it holds some ten of them."""
-BEGINNING = 100
-"""Rows among which the first moment of a column of times is."""
 _TORN = "The last line of {} does not end with a newline: if the file was cut short, its last value is wrong."
 
 
@@ -33,6 +30,8 @@ class CsvSource(Source):
 
     `file`: what to open where it is not the bytes at `path` but those of a `sheet` of a workbook.
     """
+
+    clocks: dict[str, Seconds]
 
     def __init__(
         self,
@@ -59,28 +58,13 @@ class CsvSource(Source):
         if self.dialect.torn:
             about.append(_TORN.format(self.where))
         self.notes = tuple(about)
-        self._rows: int | None = None
+        self.clocks = {}
 
     def count(self) -> int:
-        """Return the number of rows; before the first read the lines are counted."""
-        if self._rows is None:
-            self._rows = sum(piece.count("\n") for piece in self._pieces())
-        return self._rows
-
-    def read(self, names: Sequence[str]) -> Mapping[str, Array]:
-        """Return whole columns."""
-        columns = super().read(names)
-        self._rows = len(next(iter(columns.values()), ())) if names else self._rows
-        return columns
-
-    def epoch(self, name: str) -> float | None:
-        """Return the moment of the first cell of a column of times."""
-        at = self.names.index(name)
-        if at not in self.times:
-            return None
-        seconds = Seconds(self.times[at], f"Column '{name}' of {self.where}")
-        seconds(load("pyarrow").array([row[at] for row in self.head(BEGINNING, at + 1) if len(row) > at]))
-        return seconds.epoch
+        """Return the number of rows: the lines are counted."""
+        if not hasattr(self, "rows"):
+            self.rows = sum(piece.count("\n") for piece in self._pieces())
+        return self.rows
 
     def head(self, count: int, most: int) -> list[list[str]]:
         """Return the first rows as the file writes them."""
@@ -90,7 +74,7 @@ class CsvSource(Source):
         """Return the cells of one column as text, without quotes; numbers as `label` has them."""
         at, found = self.names.index(name), []
         for row in self._cells():
-            cell = row[at].strip("\"'").strip() if len(row) > at else ""
+            cell = row[at] if len(row) > at else ""
             number = as_float(cell, self.dialect.numbers) if "." in cell or "," in cell else None
             found.append("" if cell in MISSING else label(number) if number is not None else cell)
         return found
@@ -107,37 +91,21 @@ class CsvSource(Source):
             raise first_fault(self, indices, error) from error
 
     def _pieces(self) -> Iterator[str]:
-        """Yield the clean lines of the table in pieces that end with a newline."""
-        clean = cleaning(self.dialect)
-        for piece in self._table():
-            if cleaned := clean(piece):
-                yield cleaned + "\n"
-
-    def _table(self) -> Iterator[str]:
-        """Yield the lines from the first sample to the last one."""
-        above, held = self.dialect.first - 1, ""
-        for piece in self.file.pieces(self.where):
-            if above:
-                count = piece.count("\n") + 1
-                if count <= above:
-                    above -= count
-                    continue
-                piece, above = piece.split("\n", above)[above], 0
-            if not self.dialect.footer:
-                yield piece
-                continue
-            held = f"{held}\n{piece}" if held else piece
-            cut = held.rfind("\n", 0, max(0, len(held) - END))  # lines after the table come behind it
-            if cut > 0:
-                yield held[:cut]
-                held = held[cut + 1 :]
-        if held:
-            yield held.rstrip("\n").rsplit("\n", self.dialect.footer)[0]
+        """Yield the clean lines from the first sample to the last one, in pieces."""
+        clean, footer, held = cleaning(self.dialect), self.dialect.footer, ""
+        for piece in self.file.pieces(self.where, self.dialect.first - 1):
+            cleaned = clean(piece)
+            if footer:
+                parts = f"{held}{cleaned}".rsplit("\n", footer + 1)
+                cleaned = f"{parts[0]}\n" if len(parts) > footer + 1 else ""
+                held = "\n".join(parts[1:] if cleaned else parts)
+            if cleaned:
+                yield cleaned
 
     def _cells(self) -> Iterator[list[str]]:
         """Yield the rows of the table as text."""
         for piece in self._pieces():
-            yield from cells_of(piece.split("\n")[:-1], self.dialect)
+            yield from (split(line, delimiter_of(self.dialect)) for line in piece.split("\n")[:-1])
 
     def _arrow(self, indices: Sequence[int]) -> Iterator[list[Array]]:
         reader, arrow = load("pyarrow.csv"), load("pyarrow")
@@ -156,17 +124,14 @@ class CsvSource(Source):
                 decimal_point=self.dialect.numbers.decimal,
             ),
         }
-        stream = io.BufferedReader(Stream(self._pieces()), BLOCK)  # whose reads are not cut short
-        seconds = {
-            k: Seconds(self.times[k], f"Column '{self.dialect.names[k]}' of {self.where}")
-            for k in indices
-            if k in self.times
-        }
+        for k in (k for k in indices if k in self.times):
+            what = f"Column '{self.dialect.names[k]}' of {self.where}"
+            self.clocks[self.names[k]] = Seconds(self.times[k], what)
+        read = [self.clocks.get(self.names[k], array_of) for k in indices]
         try:
-            with reader.open_csv(stream, **options) as batches:
+            with reader.open_csv(Stream(self._pieces()), **options) as batches:
                 for batch in batches:
-                    columns = zip(indices, batch.columns, strict=True)
-                    yield [seconds[k](c) if k in seconds else array_of(c) for k, c in columns]
+                    yield [turn(column) for turn, column in zip(read, batch.columns, strict=True)]
         except arrow.ArrowInvalid as error:
             if "Empty CSV" not in str(error):
                 raise
@@ -201,10 +166,10 @@ def first_fault(source: CsvSource, indices: Sequence[int], error: Exception) -> 
     """Return the error that says where the first bad line or cell of a CSV file is."""
     dialect, clean = source.dialect, cleaning(source.dialect)
     for number, line in enumerate(source.file.lines(source.where), start=1):
-        text = clean(line) if number >= dialect.first else ""
+        text = clean(f"{line}\n")[:-1] if number >= dialect.first else ""
         if not text:
             continue
-        cells = next(cells_of([text], dialect))
+        cells = split(text, delimiter_of(dialect))
         if len(cells) != len(dialect.names):
             decimal = dialect.delimiter == "," and len(cells) == 2 * len(dialect.names)
             why = "the file may be cut short or two lines may have run together"
@@ -234,25 +199,25 @@ def _bad_cell(source: CsvSource, number: int, name: str, cell: str) -> InputErro
     )
 
 
-class Stream(io.RawIOBase):
-    """Pieces of text as a stream of UTF-8."""
+class Stream(io.IOBase):
+    """Pieces of text as a stream of UTF-8, whose reads are only cut short at its end."""
 
     def __init__(self, pieces: Iterator[str]) -> None:
         """Start before the first piece."""
-        self._pieces, self._rest = pieces, memoryview(b"")
+        self._pieces, self._held = pieces, b""
 
     def readable(self) -> bool:
         """Say that it can be read."""
         return True
 
-    def readinto(self, buffer: Any) -> int:
-        """Fill a buffer; 0 at the end."""
-        if not self._rest:
-            self._rest = memoryview(next(self._pieces, "").encode())
-        count = min(len(buffer), len(self._rest))
-        buffer[:count] = self._rest[:count]
-        self._rest = self._rest[count:]
-        return count
+    def read(self, size: int) -> bytes:
+        """Return the next bytes."""
+        parts = [self._held]
+        while sum(map(len, parts)) < size and (piece := next(self._pieces, "")):
+            parts.append(piece.encode())
+        whole = b"".join(parts)
+        self._held = whole[size:]
+        return whole[:size]
 
 
 # -- lines -----------------------------------------------------------------------------------------------
@@ -260,16 +225,8 @@ class Stream(io.RawIOBase):
 
 BESIDE = ("", " ")
 """What may stand beside a cell without a value."""
-_EMPTY = re.compile(r"^[ \t]*(?:\n|\Z)", re.MULTILINE)
+_EMPTY = re.compile(r"^[ \t]*\n", re.MULTILINE)
 _BLANK = "\n", " ", "\t"
-
-
-def cells_of(lines: Sequence[str], dialect: Dialect) -> Iterator[list[str]]:
-    """Yield the cells of clean lines, without blanks around them."""
-    delimiter = delimiter_of(dialect)
-    rows = csv.reader(lines, delimiter=delimiter) if dialect.quoted else (x.split(delimiter) for x in lines)
-    for row in rows:
-        yield [cell.strip() for cell in row]
 
 
 def delimiter_of(dialect: Dialect) -> str:
@@ -280,9 +237,9 @@ def delimiter_of(dialect: Dialect) -> str:
 def cleaning(dialect: Dialect) -> Callable[[str], str]:
     r"""Return what takes comments, empty lines, blanks and separators of thousands out of lines.
 
-    Lines are separated by \n, and do not end with one; what it returns is empty where nothing is left.
+    Each line ends with \n; what it returns is empty where nothing is left.
     """
-    comment = re.compile(rf'^[ \t"]*(?:{"|".join(map(re.escape, dialect.comments))})[^\n]*(?:\n|\Z)', re.M)
+    comment = re.compile(rf'^[ \t"]*(?:{"|".join(map(re.escape, dialect.comments))})[^\n]*\n', re.M)
     grouping = dialect.numbers.grouping
     group = re.compile(rf"(?<=\d){re.escape(grouping)}(?=\d{{3}}(?!\d))", re.A)
 
@@ -291,7 +248,6 @@ def cleaning(dialect: Dialect) -> Callable[[str], str]:
             lines = _EMPTY.sub("", lines)  # looking for one first is ten times as fast
         if any(mark in lines for mark in dialect.comments):
             lines = comment.sub("", lines)
-        lines = lines.removesuffix("\n")
         if dialect.delimiter == " ":
             lines = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", lines.replace('"', "")))
         if grouping and grouping == dialect.delimiter:  # then numbers with it stand between quotes

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import reduce
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +18,6 @@ from hallsym.log.table import TIME, Source, load
 from hallsym.log.text.cells import stems_of, unit_of
 from hallsym.units import Array
 
-AT_ONCE = 4096
-"""Messages that are decoded before they become arrays."""
 _STAMP, _SINGLE = "header", "data"
 """Field with the time of measurement; field of a message that holds nothing else (std_msgs)."""
 _FIELD = re.compile(r"^\s*[\w/<>=\[\]]+\s+(\w+)\s*(?:\S+\s*)?#[^\[\n]*\[([^\]\n]+)\]", re.MULTILINE)
@@ -75,41 +75,35 @@ class Topic(Source):
         self.path, self.name, self.rows, self.origin = path, name, rows, origin
         head, tail = self._end(False), self._end(True)
         leaves = dict(_leaves(head[0]))
-        numbers = {path: v for path, v in leaves.items() if isinstance(v, int | float)}
-        numbers = {path: v for path, v in numbers.items() if not isinstance(v, bool)}
-        left_out.update({key: "it holds no numbers" for key in leaves if key not in numbers})
-        stamped = f"{_STAMP}.stamp.sec" in numbers
-        self.stamped = stamped
-        self.paths = [key for key in numbers if not key.startswith(f"{_STAMP}.")]
-        single = name.rpartition("/")[2] if self.paths == [_SINGLE] else ""
+        numbers = [
+            path for path, v in leaves.items() if isinstance(v, int | float) and not isinstance(v, bool)
+        ]
+        left_out.update({_called(path): "it holds no numbers" for path in leaves if path not in numbers})
+        self.stamped = (_STAMP, "stamp", "sec") in numbers
+        paths = {_called(path): path for path in numbers if path[0] != _STAMP or len(path) == 1}
+        single = name.rpartition("/")[2] if [*paths] == [_SINGLE] else ""
         said = dict(_FIELD.findall(schema.data.decode("utf-8", "replace").split("\n====")[0]))
-        texts = {single or key: unit_of(said.get(re.split(r"[.\[]", key)[0], "")) for key in self.paths}
+        texts = {single or key: unit_of(said.get(str(path[0]), "")) for key, path in paths.items()}
         self.call(stems_of(texts, texts))
-        self.own = dict(zip(self.names, self.paths, strict=True))
+        self.own = dict(zip(self.names, paths.values(), strict=True))
         self.names, self.units = (*self.names, TIME), {**self.units, TIME: "s"}
-        self.since = "the stamps" if stamped else "the recording"
+        self.since = "the stamps" if self.stamped else "the recording"
         self.ends = self._time(*head), self._time(*tail)
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
-        """Yield consecutive chunks of some rows."""
-        rows = 0
-        for piece in self._decoded(names):
-            rows += len(piece[names[0]])
-            yield piece
+        """Yield consecutive chunks of `size` rows."""
+        rows, paths = 0, [self.own.get(name) for name in names]
+        with _opened(self.path) as reader:
+            messages = reader.iter_decoded_messages(topics=[self.name])
+            while held := [
+                [self._time(message, raw) if path is None else _leaf(message, path) for path in paths]
+                for _, _, raw, message in islice(messages, size)
+            ]:
+                rows += len(held)
+                columns = zip(names, zip(*held, strict=True), strict=True)
+                yield {name: np.array(values) for name, values in columns}
         if rows != self.rows:
             raise ValueError(f"topic {self.name} has {rows} of its {self.rows} messages")
-
-    def _decoded(self, names: Sequence[str]) -> Iterator[Mapping[str, Array]]:
-        keys = [_getter(self.own[name]) if name != TIME else None for name in names]
-        held: list[list[float]] = []
-        with _opened(self.path) as reader:
-            for _, _, raw, message in reader.iter_decoded_messages(topics=[self.name]):
-                held.append([self._time(message, raw) if key is None else key(message) for key in keys])
-                if len(held) == AT_ONCE:
-                    yield _columns(names, held)
-                    held = []
-        if held:
-            yield _columns(names, held)
 
     def _time(self, message: Any, raw: Any) -> float:
         """Return the time of a message in seconds since the origin."""
@@ -125,30 +119,23 @@ class Topic(Source):
         raise ValueError(f"topic {self.name} holds none of its {self.rows} messages")
 
 
-def _columns(names: Sequence[str], rows: list[list[float]]) -> Mapping[str, Array]:
-    return {name: np.array(values) for name, values in zip(names, zip(*rows, strict=True), strict=True)}
-
-
-def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield (path, value) of what a message holds: fields of fields, elements of arrays `name[0]`."""
-    fields = getattr(value, "__slots__", None)
-    if fields is not None:
-        for field in fields:
-            yield from _leaves(getattr(value, field), f"{path}.{field}" if path else field)
+def _leaves(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+    """Yield (path, value) of what a message holds: fields of fields, elements of arrays."""
+    if hasattr(value, "__slots__"):
+        for field in value.__slots__:
+            yield from _leaves(getattr(value, field), (*path, field))
     elif isinstance(value, list | tuple | np.ndarray):
         for k, item in enumerate(value):
-            yield from _leaves(item, f"{path}[{k}]")
+            yield from _leaves(item, (*path, k))
     else:
         yield path, value
 
 
-def _getter(path: str) -> Any:
-    """Return what reads a leaf of a message by its path."""
-    steps = [int(step) if step.isdecimal() else step for step in re.findall(r"\w+", path)]
+def _called(path: Sequence[str | int]) -> str:
+    """Return the name of a leaf: `pose.position[0]`."""
+    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path)[1:]
 
-    def get(message: Any) -> Any:
-        for step in steps:
-            message = message[step] if isinstance(step, int) else getattr(message, step)
-        return message
 
-    return get
+def _leaf(message: Any, path: Sequence[str | int]) -> Any:
+    """Return a leaf of a message by its path."""
+    return reduce(lambda m, step: m[step] if isinstance(step, int) else getattr(m, step), path, message)

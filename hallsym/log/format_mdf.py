@@ -21,7 +21,8 @@ def open_mdf(path: Path, clock: str | None = None) -> GroupedSource:
     left_out: dict[str, str] = {}
     with _opened(path) as file:
         filled = [k for k, g in enumerate(file.groups) if g.channel_group.cycles_nr > 0]
-        titles = [_title(file.groups[k], k) for k in filled]
+        stated = [(getattr(file.groups[k].channel_group, "acq_name", "") or "").strip() for k in filled]
+        titles = [title or f"group {k}" for title, k in zip(stated, filled, strict=True)]
         names = [t if titles.count(t) == 1 else f"{t} {k}" for t, k in zip(titles, filled, strict=True)]
         sources = [ChannelGroup(path, name, k, file, left_out) for name, k in zip(names, filled, strict=True)]
     groups = [Group(source.name, source) for source in sources]
@@ -32,13 +33,6 @@ def open_mdf(path: Path, clock: str | None = None) -> GroupedSource:
 def _opened(path: Path) -> Iterator[Any]:
     with open(path, "rb") as stream, closing(load("asammdf").MDF(stream)) as file:
         yield file
-
-
-def _title(group: Any, index: int) -> str:
-    """Return what a channel group is called by its acquisition, its comment or its number."""
-    inner = group.channel_group
-    text = getattr(inner, "acq_name", "") or ""
-    return text.strip() or f"group {index}"
 
 
 class ChannelGroup(Source):

@@ -24,12 +24,12 @@ from hallsym.units import UNITS, Array
 _BUFFER = 1 << 20
 _THREADS = 131_072
 """Rows from which on columns are decoded by several threads: starting them costs more than a shorter file."""
-_FIRST = 1024
-"""Rows in which the first moment of a column is looked for at once."""
 
 
 class ParquetSource(Source):
     """Columns of one Parquet file; a large one is decoded batch by batch. Times are in seconds."""
+
+    clocks: dict[str, Seconds]
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -40,40 +40,29 @@ class ParquetSource(Source):
         self.notes = tuple(said_of_times(schema.names[k], quoted(path), "times") for k in times)
         self.names = tuple(schema.names)
         name_the_time(self, times)
-        self._own = dict(zip(self.names, schema.names, strict=True))
-
-    def epoch(self, name: str) -> float | None:
-        """Return the moment of the first value of a column of times."""
-        with self._opened() as file:
-            own, seconds = self._own[name], Seconds()
-            times = is_time(file.schema_arrow.field(own).type)
-            for batch in file.iter_batches(batch_size=_FIRST, columns=[own]) if times else ():
-                seconds(batch.column(own))
-                if seconds.epoch is not None:
-                    break
-            return seconds.epoch
+        self._own = dict(zip(self.names, schema, strict=True))
+        self.clocks = {}
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns."""
+        asked = self._asked(names)
         with self._opened() as file:
-            columns = [self._own[name] for name in names]
-            table = file.read(columns=columns, use_threads=self.rows >= _THREADS)
-            readers = self._readers(names, table.schema)
-            return {name: readers[name](table.column(self._own[name])) for name in names}
+            table = file.read(columns=[own for own, _ in asked.values()], use_threads=self.rows >= _THREADS)
+            return {name: made(table.column(own)) for name, (own, made) in asked.items()}
 
     def labels(self, name: str) -> list[str]:
         """Return one column of text or numbers as text."""
         with self._opened() as file:
-            own = self._own[name]
+            own = self._own[name].name
             return [label(value) for value in file.read(columns=[own]).column(own).to_pylist()]
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield batches of at most `size` rows."""
+        asked = self._asked(names)
         with self._opened(buffer_size=_BUFFER) as file:
-            readers = self._readers(names, file.schema_arrow)
-            columns = [self._own[name] for name in names]
+            columns = [own for own, _ in asked.values()]
             for batch in file.iter_batches(batch_size=size, columns=columns, use_threads=False):
-                yield {name: readers[name](batch.column(self._own[name])) for name in names}
+                yield {name: made(batch.column(own)) for name, (own, made) in asked.items()}
 
     @contextmanager
     def _opened(self, **options: Any) -> Iterator[Any]:
@@ -82,19 +71,15 @@ class ParquetSource(Source):
         with parquet.ParquetFile(self.path, page_checksum_verification=True, **options) as file:
             yield file
 
-    def _readers(self, names: Sequence[str], schema: Any) -> dict[str, Callable[[Any], Array]]:
-        """Return what turns the chunks of each column into an array, in one pass."""
-        found: dict[str, Callable[[Any], Array]] = {}
-        for name in names:
-            own = self._own[name]
-            kind = schema.field(own).type
-            if is_time(kind):
-                found[name] = Seconds()
-            elif is_numeric(kind):
-                found[name] = array_of
-            else:
-                raise InputError(f"Column '{own}' of {self.path} must hold numbers; it holds {kind}.")
-        return found
+    def _asked(self, names: Sequence[str]) -> dict[str, tuple[str, Callable[[Any], Array]]]:
+        """Return the file's name of each column, and what makes an array of its chunks in one pass."""
+        for field in (self._own[name] for name in names):
+            if not (is_time(field.type) or is_numeric(field.type)):
+                raise InputError(
+                    f"Column '{field.name}' of {self.path} must hold numbers; it holds {field.type}."
+                )
+        self.clocks |= {name: Seconds() for name in names if is_time(self._own[name].type)}
+        return {name: (self._own[name].name, self.clocks.get(name, array_of)) for name in names}
 
 
 def open_feather(path: Path) -> Arrays:

@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, quoted
-from hallsym.log.groups import Group, GroupedSource, exact
-from hallsym.log.table import TIME, Source, load
+from hallsym.log.groups import Group, GroupedSource
+from hallsym.log.table import TIME, Source, exact, load
 from hallsym.log.text.cells import stems_of, unit_of
 from hallsym.units import Array
 
 _STEP, _START, _OFFSET = "wf_increment", "wf_start_time", "wf_start_offset"
 """Properties of a channel that was sampled by a clock: seconds, moment, seconds."""
+_NANOSECOND = np.timedelta64(1, "ns")
 _UNITS = ("unit_string", "NI_UnitDescription")
 """Properties that state a unit, the more usual one first."""
 
@@ -28,14 +29,27 @@ def open_tdms(path: Path, clock: str | None = None) -> GroupedSource:
     with _opened(path) as file:
         if file.file_status.incomplete_final_segment:
             raise InputError(f"Log {where} must be a complete TDMS file; its last segment is cut short.")
-        found: list[Channels] = []
         left_out: dict[str, str] = {}
+        clocks: dict[str, list[Any]] = {}
         for group in file.groups():
-            found += _split(path, group, left_out)
-        origin = min((c.start for c in found if c.start is not None), default=None)
-        for channels in found:
-            channels.count_from(origin, file)
-    return GroupedSource(where, "TDMS", [Group(c.name, c) for c in found], left_out, clock)
+            own: dict[tuple[Any, ...], list[Any]] = {}
+            for channel in group.channels():
+                if len(channel) == 0 or channel.dtype.kind not in "fiuM":
+                    left_out[channel.name] = "it holds no numbers"
+                    continue
+                stated = [str(channel.properties.get(key)) for key in (_STEP, _START, _OFFSET)]
+                own.setdefault((len(channel), *stated), []).append(channel)
+            several = len(own) > 1
+            clocks |= {f"{group.name}/{m[0].name}" if several else group.name: m for m in own.values()}
+        starts = [_start(channels[0]) for channels in clocks.values()]
+        origin = min((start for start in starts if start is not None), default=None)
+        groups = [Group(name, Channels(path, name, members, origin)) for name, members in clocks.items()]
+    return GroupedSource(where, "TDMS", groups, left_out, clock)
+
+
+def _start(channel: Any) -> Any:
+    """Return the moment of a channel's first sample, None where it states none."""
+    return channel.properties.get(_START) if channel.properties.get(_STEP) else None
 
 
 @contextmanager
@@ -51,32 +65,28 @@ class Channels(Source):
 
     path: Path
 
-    def __init__(self, path: Path, name: str, group: str, channels: Sequence[Any]) -> None:
-        """Take the channels of numbers of `group`, which share the clock of the first."""
-        self.path, self.name, self.group = path, name, group
+    def __init__(self, path: Path, name: str, channels: Sequence[Any], origin: Any) -> None:
+        """Take the channels of numbers of a group, which share the clock of the first.
+
+        Time counts from `origin`, a moment; where no channel states one, from its own zero.
+        """
+        self.path, self.name, self.group = path, name, channels[0].group_name
         numbers = {c.name: _unit(c) for c in channels if c.dtype.kind in "fiu"}
         self.call(stems_of(numbers, numbers))
         self.own = dict(zip(self.names, numbers, strict=True))
-        self.rows, properties = len(channels[0]), channels[0].properties
-        self.step = float(properties.get(_STEP) or 0.0)
-        self.offset = float(properties.get(_OFFSET) or 0.0)
-        self.start = properties.get(_START) if self.step else None
-        self.moments = "" if self.step else next((c.name for c in channels if c.dtype.kind == "M"), "")
-        if self.step or self.moments:
-            self.names, self.units = (*self.names, TIME), {**self.units, TIME: "s"}
-
-    def count_from(self, origin: Any, file: Any) -> None:
-        """Let time count from `origin`, a moment; where no channel states one, from its own zero."""
-        self.origin = origin
-        if self.start is not None:
-            self.offset += float((self.start - origin) / np.timedelta64(1, "ns")) * 1e-9
-        self.since = "a moment" if self.start is not None or self.moments else "zero"
+        self.rows, properties, start = len(channels[0]), channels[0].properties, _start(channels[0])
+        self.step, self.offset = (float(properties.get(key) or 0.0) for key in (_STEP, _OFFSET))
+        moments = None if self.step else next((c for c in channels if c.dtype.kind == "M"), None)
+        self.moments = moments.name if moments else ""
+        self.since = "a moment" if start is not None or moments else "zero"
         if self.step:
+            self.offset += 0.0 if start is None else float((start - origin) / _NANOSECOND) * 1e-9
             self.ends = self.offset, self.offset + self.step * (self.rows - 1)
-        elif self.moments:
-            first, last = (file[self.group][self.moments][k] for k in (0, -1))
-            self.origin = first if origin is None else origin
-            self.ends = float(self._seconds(first)), float(self._seconds(last))
+        elif moments:
+            self.origin = moments[0] if origin is None else origin
+            self.ends = float(self._seconds(moments[0])), float(self._seconds(moments[-1]))
+        if self.step or moments:
+            self.names, self.units = (*self.names, TIME), {**self.units, TIME: "s"}
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of `size` rows."""
@@ -100,21 +110,7 @@ class Channels(Source):
             raise ValueError(f"channel '{channel.name}' has {rows} of its {self.rows} values")
 
     def _seconds(self, moments: Any) -> Any:
-        return (moments - self.origin) / np.timedelta64(1, "ns") * 1e-9
-
-
-def _split(path: Path, group: Any, left_out: dict[str, str]) -> list[Channels]:
-    """Return the channels of a TDMS group by clock; a clock is named by the group where it has only one."""
-    clocks: dict[tuple[Any, ...], list[Any]] = {}
-    for channel in group.channels():
-        if len(channel) == 0 or channel.dtype.kind not in "fiuM":
-            left_out[channel.name] = "it holds no numbers"
-            continue
-        properties = channel.properties
-        key = (len(channel), properties.get(_STEP), str(properties.get(_START)), properties.get(_OFFSET))
-        clocks.setdefault(key, []).append(channel)
-    names = [group.name if len(clocks) == 1 else f"{group.name}/{m[0].name}" for m in clocks.values()]
-    return [Channels(path, n, group.name, m) for n, m in zip(names, clocks.values(), strict=True)]
+        return (moments - self.origin) / _NANOSECOND * 1e-9
 
 
 def _unit(channel: Any) -> str | None:

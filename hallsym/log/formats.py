@@ -16,7 +16,7 @@ import numpy as np
 from hallsym.errors import InputError, quoted, require
 from hallsym.files import reading, regular
 from hallsym.log.apart import Apart, about
-from hallsym.log.arrow import is_table, source_of
+from hallsym.log.arrow import source_of
 from hallsym.log.columns import (
     RUN,
     ColumnFile,
@@ -27,7 +27,7 @@ from hallsym.log.columns import (
     read_column_file,
     still_missing,
 )
-from hallsym.log.core import Log, run_notes
+from hallsym.log.core import Log
 from hallsym.log.format_csv import CsvSource
 from hallsym.log.format_hdf5 import open_hdf5
 from hallsym.log.format_mat import open_mat, open_npz
@@ -38,7 +38,7 @@ from hallsym.log.format_tdms import open_tdms
 from hallsym.log.format_xlsx import open_workbook
 from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.maker_tables import open_table
-from hallsym.log.meta import Meta, Noise, check_misspelt_noise, check_noise_keys
+from hallsym.log.meta import Meta, Noise, check_noise_keys
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
 from hallsym.log.text.sniff import stated_delimiter
@@ -113,6 +113,7 @@ class Guarded(Source):
         self.path, self.fault = path, fault
         self.inner: Source = self._asked(open, path)
         vars(self).update(about(self.inner))
+        self._possible(getattr(self.inner, "rows", 0))
         if len(set(self.names)) < len(self.names):
             name = next(name for k, name in enumerate(self.names) if name in self.names[:k])
             raise InputError(f"Columns of {quoted(self.path)} must have different names; '{name}' is twice.")
@@ -127,25 +128,18 @@ class Guarded(Source):
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns, each of shape (rows,)."""
-        self._possible(getattr(self.inner, "rows", 0))
         return self._judged(names, self._asked(self.inner.read, names))
 
     def head(self, count: int, most: int) -> list[list[str]]:
         """Return the first rows as text."""
         return self._asked(self.inner.head, count, most)
 
-    def epoch(self, name: str) -> float | None:
-        """Return the moment of zero of a column of times."""
-        return self._asked(self.inner.epoch, name)
-
     def labels(self, name: str) -> list[str]:
         """Return a column of names, as text."""
-        self._possible(getattr(self.inner, "rows", 0))
         return self._asked(self.inner.labels, name)
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most about `size` rows."""
-        self._possible(getattr(self.inner, "rows", 0))
         pieces = self.inner.chunks(names, size)
         while (piece := self._asked(next, pieces, None)) is not None:
             yield self._judged(names, piece)
@@ -254,7 +248,7 @@ def read_log(
         )
     known = _noise(meta, stated, noise or {}, table)
     meta = replace(meta, columns=table.columns)
-    unused = check_misspelt_noise(meta.noise_1sigma, table.columns, "meta.json")
+    unused = check_noise_keys(meta.noise_1sigma, table.columns, "meta.json", strict=False)
     left = (
         [f"meta.json states the noise of {', '.join(unused)}, which the log does not have."] if unused else []
     )
@@ -263,7 +257,7 @@ def read_log(
     left += [
         f"Column {name} is left out: {why}." for name, why in source.left_out.items() if split_unit(name)[1]
     ]
-    notes = (*run_notes(table.bindings), *said, *source.notes, *left, *changed, *as_before)
+    notes = (*table.notes, *said, *source.notes, *left, *changed, *as_before)
     log = Log(table, known, meta, file, notes)
     return clean_log(log) if drop_bad else log
 
@@ -320,7 +314,7 @@ def files_of(path: str | Path) -> list[Path]:
             f"{quoted(path)} must hold a log named log.parquet, log.csv, log.h5 or log.mat, or files that are"
             " runs; it holds none."
         )
-    return [regular(file, "Log") for file in sorted(found, key=_natural)]
+    return [regular(file, "Log") for file in sorted(found, key=natural)]
 
 
 def _alike(paths: Iterable[Path], suffixes: Sequence[str]) -> list[Path]:
@@ -331,10 +325,10 @@ def _alike(paths: Iterable[Path], suffixes: Sequence[str]) -> list[Path]:
     return [path for path in files if counts[path.suffix] == max(counts.values())]
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
-    return [
-        (int(part or 0), "") if k % 2 else (0, part) for k, part in enumerate(re.split(r"(\d+)", str(path)))
-    ]
+def natural(path: Path) -> list[tuple[int, str]]:
+    """Return a key that sorts paths by the numbers in them: `run_2` comes before `run_10`."""
+    parts = re.split(r"(\d+)", str(path))
+    return [(int(part or 0), "") if k % 2 else (0, part) for k, part in enumerate(parts)]
 
 
 def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> Source:
@@ -370,7 +364,7 @@ def open_source(
 
     `mapped`: our names, with their units, of columns that somebody mapped.
     """
-    if is_table(path):
+    if isinstance(path, Mapping) or hasattr(path, "__arrow_c_stream__"):
         return Opened(None, None, source_of(path, "The table"), "The table")
     paths = path if isinstance(path, list | tuple) else [path]
     if not paths or not all(isinstance(one, str | Path) for one in paths):

@@ -7,18 +7,14 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
 from hallsym.errors import InputError, counted, nearest, quoted
-from hallsym.log.columns import RUN, TIME_WORDS
-from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, TIME, Source, joined
+from hallsym.log.columns import RUN, TIME_WORDS, T
+from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, TIME, Source, exact, joined
 from hallsym.units import UNITS, Array, split_unit
 
-OWN_TIME = "t"
-"""Name of the column for a time that the format gives and no channel holds."""
 RUN_APART = 1e6
 """Seconds that runs are put apart where a clock starts again in each: longer than any run lasts."""
 
@@ -26,9 +22,9 @@ RUN_APART = 1e6
 class Group:
     """Channels that were sampled together: columns of a source, of which that of time is the `clock`.
 
-    `first`, `last`: time of the first and the last sample in seconds, None without a time base; `since`: from
-    what time counts, which two clocks must have in common; `epoch`: the moment of its zero in seconds, where
-    it is known; `timed`: whether time is one of its columns; `by_run`: whether it starts again in each run.
+    `ends`: time of the first and the last sample in seconds, None without a time base; `since`: from what
+    time counts, which two clocks must have in common; `epoch`: the moment of its zero in seconds, where it is
+    known; `timed`: whether time is one of its columns; `by_run`: whether it starts again in each run.
     """
 
     def __init__(self, name: str, source: Source, mapped: Mapping[str, str] | None = None) -> None:
@@ -39,13 +35,11 @@ class Group:
         ours = {c: mapped[c] for c in self.channels if mapped and c in mapped}
         self.units = {**source.units, **{c: u.name for c, n in ours.items() if (u := split_unit(n)[1])}}
         given = [c for c in source.names if c == TIME]
-        named = given or [c for c in self.channels if split_unit(ours.get(c, c))[0] == OWN_TIME]
+        named = given or [c for c in self.channels if split_unit(ours.get(c, c))[0] == T]
         timed = named or [c for c in self.channels if self.seconds(c)]
         timed = timed or [c for c in self.channels if c.lower() in TIME_WORDS and c not in self.units]
         self.clock = timed[0] if len(timed) == 1 else ""
-        self.since = source.since
-        self.first: float | None = source.ends[0] if source.ends else None
-        self.last: float | None = source.ends[1] if source.ends else None
+        self.ends, self.since = source.ends, source.since
         self.epoch: float | None = None
 
     @cached_property
@@ -57,15 +51,16 @@ class Group:
         """Read the clock once, where the times of the first and the last sample are not known."""
         if not self.clock or self.source.ends:
             return
-        self.epoch = self.source.epoch(self.clock)
-        self.since = "zero" if self.seconds(self.clock) else "zero, in a unit that is not stated"
-        self.since = self.since if self.epoch is None else "a moment"
-        last = -np.inf
+        first, last = np.nan, -np.inf
         for piece in self.chunks([TIME], CHUNK_ROWS):
             time = piece[TIME]
             self.restarts |= bool((np.diff(time, prepend=last) < 0).any())
-            self.first = float(time[0]) if last == -np.inf else self.first
-            self.last = last = float(time[-1])
+            first, last = float(time[0]) if last == -np.inf else first, float(time[-1])
+            self.ends = first, last
+        read = self.source.clocks.get(self.clock)
+        self.epoch = read.epoch if read else None
+        self.since = "zero" if self.seconds(self.clock) else "zero, in a unit that is not stated"
+        self.since = self.since if self.epoch is None else "a moment"
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of exactly `size` rows, the last one of what is left; also of `TIME`."""
@@ -86,9 +81,8 @@ class Group:
     @property
     def rate(self) -> float:
         """Samples a second on average; 0 where it is not known."""
-        if self.first is None or self.last is None or not self.last > self.first:
-            return 0.0
-        return (self.rows - 1) / (self.last - self.first)
+        first, last = self.ends or (0.0, 0.0)
+        return (self.rows - 1) / (last - first) if last > first else 0.0
 
     def said(self) -> str:
         """Return the group in words: `Hall (4 channels at 10 kHz)`."""
@@ -107,57 +101,43 @@ def on_one_scale(groups: Sequence[Group]) -> None:
                     f"Time of {g.name} must rise in each run, and the numbers of its runs from run to run, to"
                     " be joined with another file: sort it by run and time."
                 )
-    known = [g for g in groups if g.since == "a moment" and g.epoch is not None and g.first is not None]
-    earliest = min((g.epoch for g in known if g.epoch is not None), default=0.0)
-    for g in known:
-        g.shift = (g.epoch or 0.0) - earliest
-        g.first, g.last = (g.first or 0.0) + g.shift, (g.last or 0.0) + g.shift
+    earliest = min((g.epoch for g in groups if g.epoch is not None), default=0.0)
+    for g in groups:
+        if g.epoch is not None and g.ends:
+            g.shift = g.epoch - earliest
+            g.ends = g.ends[0] + g.shift, g.ends[1] + g.shift
 
 
-class Clock(NamedTuple):
-    """Whose samples become the rows, and how other channels are read at them."""
-
-    group: str
-    method: str
-
-
-def read_clock(text: str) -> Clock:
-    """Read `GROUP:METHOD`."""
+def read_clock(text: str) -> tuple[str, str]:
+    """Read `GROUP:METHOD`: whose samples become the rows, and how other channels are read at them."""
     group, colon, method = text.rpartition(":")
     if not (colon and group) or method not in METHODS:
         raise InputError(
             f"Clock must be GROUP:METHOD with method {' or '.join(METHODS)}, such as Hall:linear; instead"
             f" received {text!r}{nearest(method, list(METHODS))}."
         )
-    return Clock(group, method)
+    return group, method
 
 
-class Place(NamedTuple):
-    """Where a column is: its group and the name it has there."""
-
-    group: Group
-    channel: str
-
-
-def places(groups: Sequence[Group], by: str = "/") -> tuple[dict[str, Place], dict[str, str]]:
+def places(groups: Sequence[Group], by: str = "/") -> tuple[dict[str, tuple[Group, str]], dict[str, str]]:
     """Name channels by themselves where that is unique, else `group/channel`; times that a format gives too.
 
-    `by`: between group and channel. Returns (name -> place, long name -> name).
+    `by`: between group and channel. Returns (name -> group and channel, long name -> name).
     """
     ends = Counter(channel for g in groups for channel in g.channels)
-    places: dict[str, Place] = {}
+    places: dict[str, tuple[Group, str]] = {}
     aliases: dict[str, str] = {}
-    clocked: set[tuple[float | None, float | None, int]] = set()
+    clocked: set[tuple[tuple[float, float] | None, int]] = set()
     for g in groups:
-        clock = (g.first, g.last, g.rows)
+        clock = (g.ends, g.rows)
         if g.timed and g.clock == TIME and clock not in clocked:
-            name = f"{g.name}{by}{OWN_TIME}" if OWN_TIME in ends or clocked else OWN_TIME
-            places[name] = Place(g, TIME)
+            name = f"{g.name}{by}{T}" if T in ends or clocked else T
+            places[name] = g, TIME
             clocked.add(clock)
         for channel in g.channels:
             long = f"{g.name}{by}{channel}" if g.name else channel
             name = channel if ends[channel] == 1 else long
-            places[name] = Place(g, channel)
+            places[name] = g, channel
             if name != long:
                 aliases[long] = name
     return places, aliases
@@ -185,7 +165,7 @@ def number_of(name: str) -> int:
 def on_one_clock(groups: Sequence[Group]) -> list[list[Group]]:
     """Return the groups in sets that were sampled together; without a time base, those of the same length."""
     sets: list[list[Group]] = []
-    for g in [*(g for g in groups if g.first is not None), *(g for g in groups if g.first is None)]:
+    for g in sorted(groups, key=lambda g: not g.ends):
         home = next((members for members in sets if _together(members[0], g)), None)
         if home is None:
             sets.append([g])
@@ -197,9 +177,9 @@ def on_one_clock(groups: Sequence[Group]) -> list[list[Group]]:
 def _together(a: Group, b: Group) -> bool:
     if a.rows != b.rows:
         return False
-    if b.first is None:
+    if not b.ends:
         return True
-    if a.since != b.since or (a.first, a.last) != (b.first, b.last):
+    if a.since != b.since or a.ends != b.ends:
         return False
     both = zip(a.chunks([TIME], CHUNK_ROWS), b.chunks([TIME], CHUNK_ROWS), strict=True)
     return all(np.array_equal(x[TIME], y[TIME]) for x, y in both)
@@ -210,27 +190,6 @@ def hertz(rate: float) -> str:
     if not rate:
         return "without a time base"
     return f"{rate / 1e3:.4g} kHz" if rate >= 1e3 else f"{rate:.4g} Hz"
-
-
-def exact(
-    pieces: Iterator[Mapping[str, Array]], size: int, names: Sequence[str]
-) -> Iterator[Mapping[str, Array]]:
-    """Yield pieces of any length in chunks of exactly `size` rows, the last one of what is left."""
-    held: list[Mapping[str, Array]] = []
-    count = 0
-    for piece in pieces:
-        held.append(piece)
-        count += len(piece[names[0]])
-        if count < size:
-            continue
-        whole = joined(held, names)
-        edges = range(0, count + 1, size)
-        for lo, hi in pairwise(edges):
-            yield {name: whole[name][lo:hi] for name in names}
-        held = [{name: whole[name][edges[-1] :] for name in names}]
-        count -= edges[-1]
-    if count:
-        yield joined(held, names)
 
 
 SHOWN_GROUPS = 4
@@ -274,76 +233,67 @@ class GroupedSource(Source):
                 g.begin()
             on_one_scale(filled)
         self.sets = [[next(iter(self.runs.values()))]] if self.runs else on_one_clock(filled)
-        if files and not stated and len(self.sets) > 1 and all(m[0].first is not None for m in self.sets):
-            stated = Clock(min((m[0] for m in self.sets), key=lambda g: g.rate).name, METHODS[0])
-        self.stated, self.master = stated, self._master(stated)
+        if files and not stated and len(self.sets) > 1 and all(m[0].ends for m in self.sets):
+            stated = min((m[0] for m in self.sets), key=lambda g: g.rate).name, METHODS[0]
+        self.master = self._master(stated[0] if stated else "")
+        mine = next(members for members in self.sets if self.master in members)
+        self.others = [g for members in self.sets if members is not mine for g in members]
+        self.method = stated[1] if stated and self.others else ""
         kept = [self.master, *(g for members in self.sets for g in members if g is not self.master)]
-        self._leave_others(bool(stated))
+        self._leave_others(kept[1:])
         self.places, self.aliases = places(kept, by)
-        found = {name: place.group.units.get(place.channel) for name, place in self.places.items()}
+        found = {name: g.units.get(channel) for name, (g, channel) in self.places.items()}
         self.units = {name: unit for name, unit in found.items() if unit}
         self.numbered = bool(self.runs) and RUN not in self.places
         self.names = (*((RUN,) if self.numbered else ()), *self.places)
-        self.rows = sum(g.rows for g in self.runs.values()) or self.master.rows
-        self.small = self.rows <= IN_MEMORY_ROWS
+        rows = sum(g.rows for g in self.runs.values()) or self.master.rows
+        if not self.method:
+            self.rows = rows
+        self.small = rows <= IN_MEMORY_ROWS
         self.recognised = self._said(kind, filled)
-        told = len(self.sets) > 1 or (files and len(filled) > 1)
+        told = self.others or (files and len(filled) > 1)
         self.notes = (f"{where} is read as {self.recognised}.",) if told else ()
-        self.unstated = "" if stated or len(self.sets) == 1 else self._ask()
-
-    def count(self) -> int:
-        """Return the number of rows."""
-        if not self.stated or len(self.sets) == 1:
-            return self.rows
-        return sum(len(next(iter(piece.values()))) for piece in self.chunks([self._own()], CHUNK_ROWS))
+        self.unstated = self._ask() if self.others and not self.method else ""
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most `size` rows."""
         if self.runs:
             yield from self._chunks_of_runs(names, size)
-        elif self.stated and len(self.sets) > 1:
-            yield from self._resampled(names, size, self.stated.method)
+        elif self.method:
+            yield from self._resampled(names, size)
         else:
             yield from self._joined(names, size)
 
-    def _master(self, stated: Clock | None) -> Group:
+    def _master(self, stated: str) -> Group:
         """Return the group whose samples are the rows; leave out what has no time base and another length."""
         named = {g.name: g for members in self.sets for g in members}
-        if stated and stated.group not in named:
+        if stated and stated not in named:
             raise InputError(
-                f"Log {self.where} has no group '{stated.group}'{nearest(stated.group, list(named))}; it has"
+                f"Log {self.where} has no group '{stated}'{nearest(stated, list(named))}; it has"
                 f" {', '.join(list(named)[:SHOWN_GROUPS])}."
             )
-        timed = [members for members in self.sets if members[0].first is not None]
+        timed = [members for members in self.sets if members[0].ends]
         usual = max(timed or self.sets, key=lambda members: sum(len(g.channels) for g in members))
-        master = named[stated.group] if stated else usual[0]
-        kept: list[list[Group]] = []
-        for members in self.sets:
-            if members[0].first is not None or master in members:
-                kept.append(members)
-                continue
-            why = f"it has no time base and {members[0].rows} values where the others have {master.rows}"
-            self.left_out.update({channel: why for g in members for channel in g.channels})
-        self.sets = kept
-        if stated and master.first is None:
+        master = named[stated] if stated else usual[0]
+        for g in (g for members in self.sets if master not in members for g in members if not g.ends):
+            why = f"it has no time base and {g.rows} values where the others have {master.rows}"
+            self.left_out.update(dict.fromkeys(g.channels, why))
+        self.sets = [members for members in self.sets if members[0].ends or master in members]
+        if stated and not master.ends:
             raise InputError(
                 f"Group {master.name} of {self.where} has no time base; its samples cannot be the clock."
             )
         return master
 
-    def _leave_others(self, clocks: bool) -> None:
-        """Leave out runs and times of other groups that the master has; with `clocks`, of other clocks."""
-        mine = self._mine()
-        for g in (g for members in self.sets for g in members if g is not self.master):
+    def _leave_others(self, groups: Sequence[Group]) -> None:
+        """Leave out runs and times of other `groups` that the master has; where it is stated, all times."""
+        for g in groups:
             dropped = {RUN: "run"} if RUN in self.master.channels else {}
-            if clocks if g not in mine else self.master.clock:
+            if self.method if g in self.others else self.master.clock:
                 dropped[g.clock], g.timed = "time", False
             for name in [c for c in g.channels if c in dropped]:
                 self.left_out[f"{g.name}/{name}"] = f"it is the {dropped[name]} of {g.name}"
             g.channels = tuple(c for c in g.channels if c not in dropped)
-
-    def _own(self) -> str:
-        return next(name for name, place in self.places.items() if place.group is self.master)
 
     def _said(self, kind: str, groups: Sequence[Group]) -> str:
         named = ", ".join(g.said() for g in groups[:SHOWN_GROUPS])
@@ -354,17 +304,15 @@ class GroupedSource(Source):
             each = f"{named}{more}" if counted_from_0 else f"each as {self.sets[0][0].said()}"
             return f"{kind}: {len(self.runs)} runs, {each}"
         text = f"{kind}: {named}{more}"
-        if len(self.sets) == 1:
-            return text
-        if not self.stated:
-            return f"{text} on {len(self.sets)} clocks"
-        how = "the nearest sample" if self.stated.method == "nearest" else "linear between samples"
-        whole = "" if self.stated.method == "nearest" else " (whole numbers: the nearest)"
+        if not self.method:
+            return f"{text} on {len(self.sets)} clocks" if self.others else text
+        linear = "linear between samples (whole numbers: the nearest)"
+        how = "the nearest sample" if self.method == "nearest" else linear
         begin, end = self._shared()
-        cut = (begin, end) != (self.master.first, self.master.last)
+        cut = (begin, end) != self.master.ends
         left = f", from {begin:.6g} to {end:.6g} s, where all were recorded" if cut else ""
         left = ", run by run" if self.master.by_run else left
-        return f"{text}, at the samples of {self.master.name}, other groups {how}{whole}{left}"
+        return f"{text}, at the samples of {self.master.name}, other groups {how}{left}"
 
     def _ask(self) -> str:
         clocks = [members[0] for members in self.sets]
@@ -379,7 +327,7 @@ class GroupedSource(Source):
         """Yield columns of groups that have one clock."""
         wanted = _by_group(self.places, names)
         if sum(any(g in members for g, _ in wanted) for members in self.sets) > 1:
-            raise InputError(self._ask())
+            raise InputError(self.unstated)
         streams = [(g, asked, g.chunks([p for _, p in asked], size)) for g, asked in wanted]
         for pieces in zip(*(stream for _, _, stream in streams), strict=True):
             yield {
@@ -389,22 +337,23 @@ class GroupedSource(Source):
             }
 
     def _chunks_of_runs(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
-        channels = {name: self.places[name].channel for name in names if name in self.places}
+        channels = {name: self.places[name][1] for name in names if name in self.places}
         for run, group in self.runs.items():
             asked = list(channels.values()) or [group.channels[0]]
             for piece in group.chunks(asked, size):
                 rows = len(next(iter(piece.values())))
                 yield {n: piece[channels[n]] if n in channels else np.full(rows, run) for n in names}
 
-    def _resampled(self, names: Sequence[str], size: int, method: str) -> Iterator[Mapping[str, Array]]:
+    def _resampled(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield columns at the samples of the master, those between which all groups were recorded."""
         wanted, (begin, end) = dict(_by_group(self.places, names)), self._shared()
         turns = {name: self._turn(name) for name in names}
-        fastest = max((g.rate for g in self._others()), default=0.0)  # a chunk of it is held beside ours
+        fastest = max(g.rate for g in self.others)  # a chunk of it is held beside ours
         size = max(1, int(size * min(1.0, self.master.rate / fastest))) if fastest else size
-        followers = [Follower(g, wanted[g], turns, self.where) for g in self._others() if g in wanted]
+        followers = [Follower(g, wanted[g], turns, self.where) for g in self.others if g in wanted]
         read = {name for follower in followers for name, _ in follower.wanted}
-        own = [name for name in names if name not in read] or [self._own()]
+        mine = [name for name, (g, _) in self.places.items() if g is self.master]
+        own = [name for name in names if name not in read] or mine[:1]
         last = np.empty(0)
         for piece, times in zip(self._joined(own, size), self.master.chunks([TIME], size), strict=True):
             time = times[TIME]
@@ -413,21 +362,14 @@ class GroupedSource(Source):
             if inside.any():
                 found = {name: values[inside] for name, values in piece.items()}
                 for follower in followers:
-                    found |= follower.at(time[inside], method)
+                    found |= follower.at(time[inside], self.method)
                 yield {name: found[name] for name in names}
-
-    def _mine(self) -> list[Group]:
-        return next(members for members in self.sets if self.master in members)
-
-    def _others(self) -> list[Group]:
-        mine = self._mine()
-        return [g for members in self.sets if members is not mine for g in members]
 
     def _shared(self) -> tuple[float, float]:
         """Return the times between which all groups were recorded."""
-        ends = [(g.first or 0.0, g.last or 0.0) for g in (self.master, *self._others())]
+        ends = [g.ends or (0.0, 0.0) for g in (self.master, *self.others)]
         begin, end = max(first for first, _ in ends), min(last for _, last in ends)
-        for g, (first, last) in zip(self._others(), ends[1:], strict=True):
+        for g, (first, last) in zip(self.others, ends[1:], strict=True):
             if g.since != self.master.since:
                 raise InputError(
                     f"Groups {self.master.name} and {g.name} of {self.where} count time from different starts"
@@ -448,10 +390,12 @@ class GroupedSource(Source):
         return 2 * math.pi / unit.factor if unit and unit.si == "rad" else 0.0
 
 
-def _by_group(places: Mapping[str, Place], names: Sequence[str]) -> list[tuple[Group, list[tuple[str, str]]]]:
+def _by_group(
+    places: Mapping[str, tuple[Group, str]], names: Sequence[str]
+) -> list[tuple[Group, list[tuple[str, str]]]]:
     found: dict[Group, list[tuple[str, str]]] = {}
     for name in names:
-        found.setdefault(places[name].group, []).append((name, places[name].channel))
+        found.setdefault(places[name][0], []).append((name, places[name][1]))
     return list(found.items())
 
 
@@ -481,28 +425,26 @@ class Follower:
         is nothing. Messages call the file `where`.
         """
         self.group, self.wanted, self.turns, self.where = group, list(wanted), turns, where
-        self.channels = list(dict.fromkeys(channel for _, channel in wanted))
-        self._pieces = group.chunks([TIME, *self.channels], AT_ONCE)
-        self._time = np.empty(0)
-        self._held: dict[str, Array] = {}
-        self._longest = np.inf
-        self._ended = not self._more()
-        if len(self._time) > 1:
-            self._longest = LONGEST_GAP * float(np.median(np.diff(self._time[:FOR_PERIOD])))
+        self.names = [TIME, *dict.fromkeys(channel for _, channel in wanted)]
+        self._pieces = iter(group.chunks(self.names, AT_ONCE))
+        self._held = {name: np.empty(0, bool) for name in self.names}  # joined, they keep the type of others
+        self._more()
+        steps = np.diff(self._held[TIME][:FOR_PERIOD])
+        self._longest = LONGEST_GAP * float(np.median(steps)) if len(steps) else np.inf
 
     def at(self, time: Array, method: str) -> dict[str, Array]:
         """Return the columns at rising times, each of shape (times,); NaN where the group has no value."""
-        while not self._ended and not (len(self._time) and self._time[-1] >= time[-1]):
-            self._ended = not self._more()
-        keep = min(int(np.searchsorted(self._time, time[0], "right")) - 1, len(self._time) - 2)
-        keep = max(0, keep)
-        self._time = self._time[keep:]
+        while (not len(self._held[TIME]) or self._held[TIME][-1] < time[-1]) and self._more():
+            pass
+        own = self._held[TIME]
+        keep = max(0, min(int(np.searchsorted(own, time[0], "right")) - 1, len(own) - 2))
         self._held = {name: values[keep:] for name, values in self._held.items()}
-        if len(self._time) < 2:
+        own = self._held[TIME]
+        if len(own) < 2:
             return {column: np.full(len(time), np.nan) for column, _ in self.wanted}
-        after = np.searchsorted(self._time, time, "left").clip(1, len(self._time) - 1)
+        after = np.searchsorted(own, time, "left").clip(1, len(own) - 1)
         before = after - 1
-        left, right = self._time[before], self._time[after]
+        left, right = own[before], own[after]
         inside = (time >= left) & (time <= right) & (right - left <= self._longest)
         known = inside | (time == left) | (time == right)
         share = np.divide(time - left, right - left, out=np.zeros(len(time)), where=right > left)
@@ -521,10 +463,8 @@ class Follower:
         piece = next(self._pieces, None)
         if piece is None:
             return False
-        time = np.concatenate([self._time, piece[TIME]])
-        check_rising(time[max(0, len(self._time) - 1) :], self.group.name, self.where)
-        self._time = time
-        self._held = {c: np.concatenate([self._held.get(c, piece[c][:0]), piece[c]]) for c in self.channels}
+        check_rising(np.r_[self._held[TIME][-1:], piece[TIME]], self.group.name, self.where)
+        self._held = joined([self._held, piece], self.names)
         return True
 
 

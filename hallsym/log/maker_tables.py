@@ -293,18 +293,16 @@ def text_of(table: MakerTable) -> str:
         return csv_text([("angle_rad", "angle_ref_rad"), *rows])
     cells = [f"{value:.{table.decimals}f}" for value in table.values]
     count = len(cells)
-    if table.layout.name == "simplefoc":
-        return f"float calibrationLut[{count}] = {{\n{', '.join(cells)}}};\n"
-    if table.layout.name == "mechaduino":
-        return f"const float lookup[] = {{\n{''.join(f'{cell}, ' for cell in cells)}\n}};\n"
-    if table.layout.name == "mechaduino-knots":
-        return f"const int fullStepReadings[{count}] = {{\n{', '.join(cells)}\n}};\n"
-    if table.layout.name == "klipper":
-        lines = [",".join(cells[k : k + PER_LINE]) for k in range(0, count, PER_LINE)]
-        return "[angle my_angle_sensor]\ncalibrate =\n\t" + ",\n\t".join(lines) + "\n"
+    plain, several = ", ".join(cells), [",".join(cells[k : k + PER_LINE]) for k in range(0, count, PER_LINE)]
     name = "motor_position.sources.0.compensation_"
     entries = "".join(f"{name}table.{k} {cell}\n" for k, cell in enumerate(cells))
-    return f"{entries}{name}scale {table.scale!r}\n"
+    return {
+        "simplefoc": f"float calibrationLut[{count}] = {{\n{plain}}};\n",
+        "mechaduino": f"const float lookup[] = {{\n{plain}, \n}};\n",
+        "mechaduino-knots": f"const int fullStepReadings[{count}] = {{\n{plain}\n}};\n",
+        "klipper": "[angle my_angle_sensor]\ncalibrate =\n\t" + ",\n\t".join(several) + "\n",
+        "moteus": f"{entries}{name}scale {table.scale!r}\n",
+    }[table.layout.name]
 
 
 def read_table(path: str | Path) -> tuple[MakerTable, str]:

@@ -144,25 +144,20 @@ class Noise(dict[str, Sigma]):
         )
 
 
-def check_noise_keys(values: Mapping[str, float], columns: Sequence[str], where: str) -> None:
-    """Refuse a stated noise that belongs to no column, so that a misspelt key is not ignored."""
-    for key in values:
-        if not any(_fits(key, column) for column in columns):
-            raise InputError(
-                f"Noise '{key}' of {where} belongs to no column of the log{nearest(key, list(columns))};"
-                f" the columns are {', '.join(columns)}."
-            )
-
-
-def check_misspelt_noise(values: Mapping[str, float], columns: Sequence[str], where: str) -> list[str]:
-    """Refuse a stated noise whose key is nearly that of a column; return those that no column has."""
+def check_noise_keys(
+    values: Mapping[str, float], columns: Sequence[str], where: str, *, strict: bool = True
+) -> list[str]:
+    """Return stated noise that belongs to no column; refuse it, or, unless `strict`, one that is misspelt."""
     groups = [c for c in ("hall_m", "hall_v", "col_v") if any(_fits(c, column) for column in columns)]
     unused = [key for key in values if not any(_fits(key, column) for column in columns)]
     for key in unused:
         stem, unit = split_unit(key)
         near = get_close_matches(key, [*groups, *columns], n=1, cutoff=_MISSPELT)
-        if near and not (unit and quantity(stem)):
-            check_noise_keys({key: values[key]}, [*groups, *columns], where)
+        if strict or (near and not (unit and quantity(stem))):
+            raise InputError(
+                f"Noise '{key}' of {where} belongs to no column of the log"
+                f"{nearest(key, [*groups, *columns])}; the columns are {', '.join(columns)}."
+            )
     return unused
 
 

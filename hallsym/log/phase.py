@@ -20,7 +20,6 @@ from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.units import readable
 
-CHUNK = 65_536
 LOST = 2.0
 """Where calibration makes what does not repeat smaller by more than this factor, that is no noise: the
 nominal parameters do not decode the readings (their circle does not go round the nominal centre, say)."""
@@ -179,20 +178,17 @@ def homes(log: Log, model: Model) -> dict[str, dict[int, float]]:
     v = ca.SX.sym("v", len(model.channels))
     nominal = {p.name: ca.SX(p.nominal) for p in model.parameters}
     pose = on_arrays(ca.Function("pose", [v], [ca.densify(model.begin(v, nominal))]))
-    sums: dict[str, dict[int, list[np.ndarray]]] = {c: {} for c in columns}
-    for piece in log.table.pieces((RUN, *model.channels, *columns), CHUNK):
-        (read,) = pose([piece[c] for c in model.channels])
+    sums: dict[str, dict[int, tuple[Any, Any]]] = {c: {} for c in columns}
+    for block in log.blocks((*model.channels, *columns)):
+        (read,) = pose([block.data[c] for c in model.channels])
         for column, own in sums.items():
             scale = 2 * np.pi / model.period[column]
             z = np.exp(1j * scale * read[model.references.index(column)])
-            turn = np.exp(1j * scale * piece[column])
-            rows = np.array([np.ones_like(turn), turn, np.conj(turn)])
+            turn = np.exp(1j * scale * block.data[column])
             good = np.isfinite(z) & np.isfinite(turn)
-            for run in np.unique(piece[RUN]).tolist():
-                here = good & (piece[RUN] == run)
-                mine = own.setdefault(int(run), [np.zeros((3, 3), complex), np.zeros(3, complex)])
-                mine[0] = mine[0] + np.conj(rows[:, here]) @ rows[:, here].T
-                mine[1] = mine[1] + np.conj(rows[:, here]) @ z[here]
+            rows = np.array([np.ones_like(turn), turn, np.conj(turn)])[:, good]
+            square, right = own.get(block.run, (0.0, 0.0))
+            own[block.run] = square + np.conj(rows) @ rows.T, right + np.conj(rows) @ z[good]
     return {
         column: {run: _home(*products) * model.period[column] / (2 * np.pi) for run, products in own.items()}
         for column, own in sums.items()
@@ -209,16 +205,10 @@ def _home(square: np.ndarray, right: np.ndarray) -> float:
 def _middle(log: Log, channel: str, along: str, period: float, apart: Mapping[int, float]) -> float:
     """Circular mean of channel - reference over the log."""
     total = 0j
-    for piece in log.table.pieces((channel, along, *((RUN,) if apart else ())), CHUNK):
-        home = _of_runs(apart, piece[RUN]) if apart else 0.0
-        turn = 2j * np.pi / period * (piece[channel] - piece[along] - home)
-        total += np.exp(turn[np.isfinite(turn)]).sum()
+    for block in log.blocks((channel, along)):
+        off = block.data[channel] - block.data[along] - apart.get(block.run, 0.0)
+        total += np.exp(2j * np.pi / period * off[np.isfinite(off)]).sum()
     return float(np.angle(total)) * period / (2 * np.pi)
-
-
-def _of_runs(values: Mapping[int, float], runs: np.ndarray) -> np.ndarray:
-    known, place = np.unique(runs, return_inverse=True)
-    return np.array([values.get(int(run), 0.0) for run in known])[place]
 
 
 @dataclass(frozen=True)
@@ -271,18 +261,17 @@ class _Continuous(View):
     ) -> np.ndarray:
         """Return a reference without jumps of a period, run by run, going on from the piece before."""
         values, run, period = piece[column], piece[RUN], self.references[column]
-        out = np.array(values, dtype=float)
+        out, home = np.array(values, dtype=float), self.apart.get(column, {})
         for start, stop in pairwise(edges_of(run)):
             if stop == start:
                 continue
-            part = unwrapped(out[start:stop], period)
-            if last.get(column, (None, 0.0))[0] == run[start]:
-                before = last[column][1]
+            part, own = unwrapped(out[start:stop], period), int(run[start])
+            known, before = last.get(column, (None, 0.0))
+            if known == own:
                 part = part + (before + wrapped(out[start] - before, period)[()] - out[start])
-            out[start:stop] = part
-        if len(run):
-            last[column] = (int(run[-1]), float(out[-1]))
-        return out + _of_runs(self.apart[column], run) if column in self.apart else out
+            last[column] = own, float(part[-1])
+            out[start:stop] = part + home.get(own, 0.0)
+        return out
 
 
 def unwrapped(x: np.ndarray, period: float) -> np.ndarray:

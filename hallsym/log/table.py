@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,8 @@ class Source(ABC):
     beside a name, by name (`hallsym.units`). `notes`: what has to be said about the file; `recognised`: what
     it is, where that had to be found out. `unstated`: what has to be stated before samples are read together.
     `read_with`: the options that it was read with, by name. `path`: where the file is on a disk. `ends`: time
-    of the first and the last sample [s] that its format gives, and `since` what it counts from.
+    of the first and the last sample [s] that its format gives, and `since` what it counts from. `clocks`:
+    columns of times, and what made seconds of each as it was read.
     """
 
     names: tuple[str, ...]
@@ -50,14 +51,13 @@ class Source(ABC):
     path: Path | None = None
     ends: tuple[float, float] | None = None
     since: str = ""
+    clocks: Mapping[str, Any] = {}
 
     def count(self) -> int:
-        """Return the number of rows."""
+        """Return the number of rows; where it is not known before, all are read."""
+        if not hasattr(self, "rows"):
+            return sum(len(piece[self.names[0]]) for piece in self.chunks(self.names[:1], CHUNK_ROWS))
         return self.rows
-
-    def epoch(self, name: str) -> float | None:
-        """Return the moment of zero of a column of times, in seconds from a fixed day; None if unknown."""
-        return None
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns, each of shape (rows,)."""
@@ -108,20 +108,35 @@ def joined(parts: Sequence[Mapping[str, Array]], names: Sequence[str]) -> Piece:
     return {name: np.concatenate([p[name] for p in parts] or [np.empty(0)]) for name in names}
 
 
+def exact(
+    pieces: Iterable[Mapping[str, Array]], size: int, names: Sequence[str]
+) -> Iterator[Mapping[str, Array]]:
+    """Yield pieces of any length in chunks of exactly `size` rows, the last one of what is left."""
+    held: list[Mapping[str, Array]] = []
+    count = 0
+    for piece in pieces:
+        held.append(piece)
+        count += len(piece[names[0]])
+        if count < size:
+            continue
+        whole = joined(held, names)
+        for lo in range(0, count - size + 1, size):
+            yield {name: whole[name][lo : lo + size] for name in names}
+        count %= size
+        held = [{name: whole[name][-count:] for name in names}] if count else []
+    if count:
+        yield joined(held, names)
+
+
 class Arrays(Source):
-    """A source that holds its columns already: each of shape (rows,). `epochs`: of those of times."""
+    """A source that holds its columns already: each of shape (rows,)."""
 
     small = True
-    epochs: Mapping[str, float | None] = {}
 
     def __init__(self, columns: Mapping[str, Array]) -> None:
         self.columns = dict(columns)
         self.names = tuple(self.columns)
         self.rows = len(next(iter(self.columns.values()), ()))
-
-    def epoch(self, name: str) -> float | None:
-        """Return the moment of zero of a column of times."""
-        return self.epochs.get(name)
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield everything at once."""
@@ -147,13 +162,19 @@ class Table:
         return RUN in self.bindings or "t_s" not in self.bindings
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What has to be said about runs; a table without time is none."""
+        said = "No column 'run': a run begins where t_s starts again, the first is number 0."
+        return () if self.numbered else (said,)
+
+    @property
     def in_memory(self) -> bool:
         """Whether whole columns are kept; otherwise every pass streams the file again."""
         return self.source.small
 
     def count(self) -> int:
         """Return the number of rows."""
-        return self.source.count()
+        return len(next(iter(self._held.values()))) if self._held else self.source.count()
 
     def pieces(self, columns: Sequence[str], size: int) -> Iterator[Piece]:
         """Yield `{column: values}` in consecutive pieces of about `size` rows; in memory it is one."""

@@ -64,23 +64,21 @@ def columns_of(
         return {}, "it holds booleans, not numbers"
     if len(sizes) > 2 or (len(sizes) == 2 and (min(sizes) > MOST_COLUMNS or len(shape) > 2)):
         return {}, f"it is an array of {' x '.join(map(str, shape))}"
-    if len(sizes) == 1:
-        axis = list(shape).index(sizes[0]) if shape else -1
+    axis = int(np.argmax(shape)) if shape else -1
 
-        def vector(file: Any, lo: int, hi: int) -> Array:
-            index = tuple(slice(lo, hi) if k == axis else 0 for k in range(len(shape)))
+    def column(k: int) -> Callable[[Any, int, int], Array]:
+        def values(file: Any, lo: int, hi: int) -> Array:
+            index = tuple(slice(lo, hi) if n == axis else k for n in range(len(shape)))
             return np.atleast_1d(read(file, index))
 
-        return {path: Vector(sizes[0], vector, unit)}, ""
-    long = int(np.argmax(sizes))
+        return values
+
+    if len(sizes) == 1:
+        return {path: Vector(sizes[0], column(0), unit)}, ""
     stem, own = split_header(path)
     last = path.rpartition("_")[2]
     if own is None and last in UNITS and (len(last) > 1 or last in "msv"):
         stem, own = path.rpartition("_")[0], last
-
-    def column(k: int) -> Callable[[Any, int, int], Array]:
-        return lambda file, lo, hi: read(file, (slice(lo, hi), k) if long == 0 else (k, slice(lo, hi)))
-
     return {f"{stem}_{k}": Vector(max(sizes), column(k), unit or own) for k in range(min(sizes))}, ""
 
 
@@ -169,19 +167,21 @@ def arranged(
     opened: Opened = nullcontext,
 ) -> Source:
     """Return the table of vectors by path; `by` stands between the parts of a path."""
-    groups: dict[tuple[str, int], dict[str, Vector]] = {}
     runs = runs_of([path.split(by) for path in vectors])
+    paths: dict[str, dict[str, Vector]] = {}
     for path, vector in vectors.items():
         parts = path.split(by)
         at = runs or len(parts) - 1
-        groups.setdefault((by.join(parts[:at]), vector.rows), {})[by.join(parts[at:])] = vector
-    if runs:
-        for run in {group for group, _ in groups}:
-            sizes = sorted(rows for group, rows in groups if group == run)
-            if len(sizes) > 1:
-                raise InputError(
-                    f"Columns of group '{run}' of {where} must be equally long; they have"
-                    f" {' and '.join(map(str, sizes))} values: the recording of this run broke off."
-                )
-    found = [Group(group, Vectors(members, opened)) for (group, _), members in groups.items()]
+        paths.setdefault(by.join(parts[:at]), {})[by.join(parts[at:])] = vector
+    found = []
+    for group, own in paths.items():
+        sizes = list(dict.fromkeys(vector.rows for vector in own.values()))
+        if len(sizes) > 1 and runs:
+            raise InputError(
+                f"Columns of group '{group}' of {where} must be equally long; they have"
+                f" {' and '.join(map(str, sorted(sizes)))} values: the recording of this run broke off."
+            )
+        for rows in sizes:
+            members = {name: vector for name, vector in own.items() if vector.rows == rows}
+            found.append(Group(group, Vectors(members, opened)))
     return GroupedSource(where, kind, found, left_out, clock, by=by)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 
 import numpy as np
@@ -97,7 +98,7 @@ def test_what_was_recognised_is_said_in_one_line(tmp_path: Path, files: dict[str
     for name, words in {
         "utf-16": ("UTF-16", "semicolons", "decimal comma", "names in line 1 with units in line 2"),
         "lines above the names": ("names in line 4", "2 lines above them not used"),
-        "words below": ("the last 3 lines left out ('End of measurement: 60 s')",),
+        "words below": ("the last 2 lines left out ('End of measurement: 60 s')",),
         "thousands": ("decimal comma and '.' between thousands",),
     }.items():
         file, data = files[name]
@@ -260,3 +261,20 @@ def test_repetitions_are_runs_where_each_has_a_time(tmp_path: Path) -> None:
     assert log.runs == (1, 2)
     (tmp_path / "log.csv").write_text("t_s;Hall #1 [um];Hall #2 [um]\n0;1;3\n1;2;4\n")
     assert read_log(tmp_path / "log.csv").table.source.names == ("t_s", "Hall #1", "Hall #2")
+
+
+def test_a_bad_byte_far_into_a_compressed_file_harms_its_own_cell(tmp_path: Path) -> None:
+    text = "t_s,x_ref_m,note\n" + "".join(f"{k},{k}e-9,as before\n" for k in range(20_000))
+    (tmp_path / "log.csv.gz").write_bytes(gzip.compress(text.encode() + b"20000,1e-3,\xff\n"))
+    log = read_log(tmp_path / "log.csv.gz")
+    assert (log.rows, log.array("x_ref_m")[-1]) == (20_001, 1e-3)
+
+
+def test_lines_after_a_table_are_left_out_wherever_the_text_is_cut(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "log.csv").write_text("t_s,x_ref_m\n0,1\n# pause\n1,2\n\n\nEnd: 2 s\n,\n\n")
+    for piece in (1, 5, 17, 4096):
+        monkeypatch.setattr("hallsym.log.text.sniff.PIECE", piece)
+        log = read_log(tmp_path / "log.csv")
+        assert (log.rows, log.array("x_ref_m").tolist()) == (2, [1.0, 2.0]), piece

@@ -22,33 +22,34 @@ EDGE = 0.02
 
 @dataclass
 class Seen:
-    """Sums over a log. `runs[r][k]`: of exp(i (angle - k reference)) in run r, k = 1, and -1: against it."""
+    """Sums over a log, of angles and references in radians.
 
-    samples: int = 0
-    runs: dict[int, dict[float, complex]] = field(default_factory=dict)
-    counts: dict[int, int] = field(default_factory=dict)
-    reference: np.ndarray = field(default_factory=lambda: np.zeros(BINS, dtype=bool))
-    angle: np.ndarray = field(default_factory=lambda: np.zeros(BINS, dtype=bool))
-    up: float = 0.0
-    down: float = 0.0
+    `runs`: of each run samples and sums of exp(i (angle - reference)) and exp(i (angle + reference)), (3,).
+    `sectors`: which ones of a turn the reference and the angle were in, (2, BINS). `moved`: travel of the
+    reference up and down. `even`: sum of exp(2 i |step|) over its steps: short where they are of all lengths.
+    """
+
+    runs: dict[int, np.ndarray] = field(default_factory=dict)
+    sectors: np.ndarray = field(default_factory=lambda: np.zeros((2, BINS), dtype=bool))
+    moved: np.ndarray = field(default_factory=lambda: np.zeros(2))
     even: complex = 0j
-    """Sum of exp(2 i |step|) over the steps of the reference: short where they are of all lengths."""
+
+    @property
+    def samples(self) -> int:
+        """Samples of the log."""
+        return int(sum(sums[0].real for sums in self.runs.values()))
 
     def add(self, run: int, angle: np.ndarray, reference: np.ndarray) -> None:
         """Take samples of a run, (n,) each [rad]."""
-        self.samples += len(angle)
-        self.counts[run] = self.counts.get(run, 0) + len(angle)
-        own = self.runs.setdefault(run, {})
-        for k in (1.0, -1.0):
-            own[k] = own.get(k, 0j) + complex(np.exp(1j * (angle - k * reference)).sum())
-        for bins, values in ((self.reference, reference), (self.angle, angle)):
+        waves = np.exp(1j * np.array([0 * angle, angle - reference, angle + reference]))
+        self.runs[run] = self.runs.get(run, 0) + waves.sum(axis=1)
+        for bins, values in zip(self.sectors, (reference, angle), strict=True):
             bins[np.floor(values * (BINS / (2 * np.pi))).astype(int) % BINS] = True
-        moved = np.diff(unwrapped(reference, 2 * np.pi))
-        self.even += complex(np.exp(2j * np.abs(moved)).sum())
-        self.up += float(moved[moved > 0].sum())
-        self.down -= float(moved[moved < 0].sum())
+        steps = np.diff(unwrapped(reference, 2 * np.pi))
+        self.even += complex(np.exp(2j * np.abs(steps)).sum())
+        self.moved += np.maximum(steps, 0.0).sum(), np.maximum(-steps, 0.0).sum()
 
-    def follows(self, k: float, *, each: bool) -> float:
+    def follows(self, k: int, *, each: bool) -> float:
         """Return the length of the mean of exp(i (angle - k reference)), of runs by themselves or of all."""
         sums = [own[k] for own in self.runs.values()]
         return float(sum(map(abs, sums)) if each else abs(sum(sums))) / max(self.samples, 1)
@@ -101,8 +102,7 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
     seen, (column,) = seen_of(model, log), model.references
     own = bool(model.zeros)  # each run has a zero of its own
     notes: list[str] = [*_claims(seen, log, model, fitted)]
-    forward = seen.follows(1.0, each=own) >= seen.follows(-1.0, each=own) or bool(notes)
-    sign = 1.0 if forward else -1.0
+    forward = seen.follows(1, each=own) >= seen.follows(-1, each=own) or bool(notes)
     guessed = fitted and "t_s" not in log.columns and column not in log.noise
     if guessed and abs(seen.even) < ORDERED * (seen.samples - len(seen.runs)):
         text = (
@@ -111,7 +111,7 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
         )
         notes.append(Fault(text, "order", (column,)))
     notes += _notes(seen, column, timed="t_s" in log.columns)
-    notes += _homed(seen, column, sign, own)
+    notes += _homed(seen, column, 1 if forward else -1, own)
     if not forward:
         channel = model.channels[0]
         swapped = ", or the two voltages are swapped" if len(model.channels) == 2 else ""
@@ -123,7 +123,7 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
 
 
 def _claims(seen: Seen, log: Any, model: Model, fitted: bool) -> Iterator[Fault]:
-    gap, other, (column,), name = _gap(seen.reference), _gap(seen.angle), model.references, log.name
+    (gap, other), (column,), name = map(_gap, seen.sectors), model.references, log.name
     if fitted and gap > GAP_REFUSE and other > GAP_REFUSE:
         text = (
             f"Column {column} of {name} covers only {360 - gap:.0f} deg of a turn; offset, gain and phase of "
@@ -131,7 +131,7 @@ def _claims(seen: Seen, log: Any, model: Model, fitted: bool) -> Iterator[Fault]
         )
         yield Fault(text, "part_of_a_turn", (column,))
     own = bool(model.zeros)
-    straight, alone = (max(seen.follows(k, each=each) for k in (1.0, -1.0)) for each in (own, True))
+    straight, alone = (max(seen.follows(k, each=each) for k in (1, -1)) for each in (own, True))
     if straight < FOLLOWS < alone and len(seen.runs) > 1:
         text = (
             f"The encoder in {name} follows {column} in each run, but each from another zero: the reference "
@@ -148,12 +148,12 @@ def _claims(seen: Seen, log: Any, model: Model, fitted: bool) -> Iterator[Fault]
 
 
 def _notes(seen: Seen, column: str, *, timed: bool) -> list[str]:
-    notes, gap = [], _gap(seen.reference)
+    notes, gap = [], _gap(seen.sectors[0])
     if gap > GAP_NOTE:
         notes.append(
             f"No sample lies in {gap:.0f} deg of the turn: what is said of that part is extrapolated."
         )
-    if min(seen.up, seen.down) < 0.05 * (seen.up + seen.down):
+    if seen.moved.min() < 0.05 * seen.moved.sum():
         lost = "hysteresis looks like another zero and is not observable; record both directions to tell it."
         if timed:
             lost = (
@@ -164,13 +164,13 @@ def _notes(seen: Seen, column: str, *, timed: bool) -> list[str]:
     return notes
 
 
-def _homed(seen: Seen, column: str, sign: float, own: bool) -> list[str]:
+def _homed(seen: Seen, column: str, sign: int, own: bool) -> list[str]:
     """What to say of zeros of runs that clearly differ, unless each has its `own`."""
     if own or len(seen.runs) < 2:
         return []
     first = next(iter(seen.runs))
     zeros = {run: np.angle(k[sign] / seen.runs[first][sign]) for run, k in seen.runs.items()}
-    length = [abs(k[sign]) / max(seen.counts[run], 1) for run, k in seen.runs.items()]
+    length = [abs(k[sign]) / k[0].real for k in seen.runs.values()]
     spread = float(np.sqrt(max(-2 * np.log(max(np.median(length), 1e-9)), 0.0)))
     far = max(zeros, key=lambda run: abs(zeros[run]))
     if abs(zeros[far]) < max(CLEARLY * spread, np.radians(LEAST_ZERO)):

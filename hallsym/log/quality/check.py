@@ -75,10 +75,10 @@ def usable(
                 before = [f" ({note[:-1]})" for note in notes[len(log.notes) :]]
                 raise InputError(f"{finding.said()[:-1]}{''.join(before[-1:])}.")
             if finding.claim in accept:
-                told.append(finding.plain)
+                told.append(f"{finding.text}.")
             elif finding.drop:
                 drop |= finding.drop
-                notes.append(finding.dropped if drop_bad else finding.said(left_out=True))
+                notes.append(f"{finding.text}; left out." if drop_bad else finding.said(left_out=True))
             else:
                 told.append(finding.said())
         if not drop:

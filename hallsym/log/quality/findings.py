@@ -71,16 +71,6 @@ class Finding:
         text = f"{self.text}{ends}."
         return Fault(text, self.claim, self.columns, self.runs, self.correction) if self.claim else text
 
-    @property
-    def plain(self) -> str:
-        """The whole sentence where the user knows of it."""
-        return f"{self.text}."
-
-    @property
-    def dropped(self) -> str:
-        """The whole sentence where the user asked for a log without the bad samples."""
-        return f"{self.text}; left out."
-
 
 def the(log: Log, column: str) -> str:
     """Return the beginning of a sentence about a column."""

@@ -12,13 +12,12 @@ import numpy as np
 from hallsym.log.columns import RUN, is_moving
 from hallsym.log.core import Drop, Log, RunOrder
 from hallsym.log.quality.findings import Finding, the
-from hallsym.log.table import CHUNK_ROWS, Piece
+from hallsym.log.table import CHUNK_ROWS
 from hallsym.units import Array
 
 FEWEST_SAMPLES = 8
 """Samples of a run below which it says nothing."""
 HELD_SAMPLES = 8
-_CACHE_ROWS = 32_768
 
 
 @dataclass(frozen=True)
@@ -33,10 +32,7 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """Extents of every column: `overall["z_m"]`, and per run `runs[3]["z_m"]`; `samples[3]` counts rows.
-
-    `by_run`: the same extents as arrays (4, runs) by column.
-    """
+    """Extents of every column: `overall["z_m"]`, and by run as arrays (4, runs); `samples[3]` counts rows."""
 
     overall: dict[str, Span]
     by_run: dict[str, Array]
@@ -65,7 +61,7 @@ class Trace:
     first_nonfinite: int = -1
     held: bool = False
 
-    def add(self, name: str, values: Array, starts: Array, row: int, scratch: Array) -> None:
+    def add(self, name: str, values: Array, starts: Array, row: int) -> None:
         """Take a piece that begins at `row`, with segments from `starts` on.
 
         A piece that holds NaN or infinity is only counted.
@@ -81,7 +77,7 @@ class Trace:
                 self.first_nonfinite = row + int(np.argmax(wrong))
             self.nonfinite += int(np.count_nonzero(wrong))
             return
-        shifted = np.subtract(values, self.pivot, out=scratch[: len(values)])
+        shifted = values - self.pivot
         np.add.reduceat(shifted, starts, out=part[:, 2])
         np.add.reduceat(np.square(shifted, out=shifted), starts, out=part[:, 3])
         self.parts.append(part)
@@ -132,30 +128,21 @@ class Scan:
 
 
 def scan(log: Log, columns: Sequence[str]) -> Scan:
-    """Read the columns once and return what was seen; `run` and `t_s` are included where the log has them."""
-    clock = Clock() if "t_s" in log.columns and "t_s" in columns else None
+    """Read the columns once and return what was seen."""
+    clock = Clock() if "t_s" in columns else None
     own = tuple(name for name in columns if name != RUN)
     result = Scan({name: Trace() for name in own}, clock)
     order = RunOrder(log.name)
-    scratch = np.empty(_CACHE_ROWS)
-    for piece in _small_pieces(log, columns):
+    for piece in log.table.pieces((RUN, *own), CHUNK_ROWS):
         found = order.segments(piece[RUN])
-        starts = np.array([start for _, start, _ in found])
+        starts = np.array([start for _, start, _ in found], int)
         result.segments += [(run, stop - start) for run, start, stop in found]
-        for name, trace in result.traces.items():
-            trace.add(name, piece[name], starts, result.rows, scratch)
+        for name, trace in result.traces.items() if found else ():
+            trace.add(name, piece[name], starts, result.rows)
         if clock is not None:
             clock.add(piece["t_s"], found, result.rows)
         result.rows += len(piece[RUN])
     return result
-
-
-def _small_pieces(log: Log, columns: Sequence[str]) -> Iterator[Piece]:
-    """Yield pieces that fit the processor's cache."""
-    asked = tuple(dict.fromkeys((RUN, *columns)))
-    for piece in log.table.pieces(asked, CHUNK_ROWS):
-        for lo in range(0, len(piece[RUN]), _CACHE_ROWS):
-            yield {name: values[lo : lo + _CACHE_ROWS] for name, values in piece.items()}
 
 
 def _extents(table: Array, counts: Array, pivot: float, starts: Sequence[int] | Array) -> Array:
@@ -191,11 +178,9 @@ class Clock:
         """Take a piece of the time column, with its (run, start, stop) stretches and the row it begins at."""
         step = np.diff(t, prepend=self._last)
         for run, start, stop in segments:
-            if run == self._run:
-                self._judge(step[start:stop], t[start:stop], run, row + start)
-            else:
-                self.tick = 0.0
-                self._judge(step[start + 1 : stop], t[start + 1 : stop], run, row + start + 1)
+            first = start + (run != self._run)  # the step to the first sample of a run is none
+            self.tick = self.tick if run == self._run else 0.0
+            self._judge(step[first:stop], t[first:stop], run, row + first)
             self._run = run
         self._last = float(t[-1]) if len(t) else self._last
 

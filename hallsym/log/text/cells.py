@@ -55,11 +55,6 @@ def is_number(cell: str) -> bool:
     return bool(_ANY.fullmatch(cell)) and any(p.fullmatch(cell) for p in _PATTERNS.values())
 
 
-def is_missing(cell: str) -> bool:
-    """Say whether a cell holds no value."""
-    return cell in MISSING
-
-
 def conventions_of(cells: Iterable[str], decimal: str | None = None) -> tuple[list[Convention], str]:
     """Return the conventions that read most of the cells, and a cell that tells them apart ("" if none does).
 

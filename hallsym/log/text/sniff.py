@@ -19,10 +19,10 @@ from typing import IO, cast
 from hallsym.errors import InputError
 from hallsym.log.arrow import TimeForm, time_form
 from hallsym.log.text.cells import (
+    MISSING,
     POINT,
     Convention,
     conventions_of,
-    is_missing,
     is_number,
     is_unit_row,
     split_header,
@@ -174,18 +174,21 @@ def table_under(lines: Sequence[Line], delimiter: str) -> Table:
     width = max(counts, key=lambda n: counts[n], default=0)
     rows = [[] if len(r) != width and line.comment else r for r, line in zip(rows, lines, strict=True)]
     numeric = [sum(map(is_number, row[:LOOKED_AT])) for row in rows]
-    start = _start(rows, numeric, width)
+    data = [len(row) == width and n > 0 for row, n in zip(rows, numeric, strict=True)]
+    start = next(  # of several rows that look like data; where the rows are few, of fewer
+        (k for n in (STEADY, 2, 1) for k in range(len(rows)) if data[k : k + n] == [True] * n), 0
+    )
     top = _top(rows, numeric, width, start)
     if top >= 0 and delimiter == BLANKS and len(rows[top]) > width:
         rows[top] = _glued(rows[top], width)
     if top >= 0 and len(rows[top]) == width + 1 and rows[top][-1].lower() == COMMENT:
         del rows[top][-1]
-    data = top + 1 if top >= 0 else start
-    body = [k for k in range(data, len(rows)) if len(rows[k]) == width]
+    first = top + 1 if top >= 0 else start
+    body = [k for k in range(first, len(rows)) if len(rows[k]) == width]
     cells = sum(min(width, LOOKED_AT) for _ in body)
-    held = sum(numeric[k] + sum(map(is_missing, rows[k][:LOOKED_AT])) for k in body)
-    share = len(body) / max(1, len(rows) - data)
-    return Table(delimiter, rows, width, top, data, share * held / cells if cells else 0.0)
+    held = sum(numeric[k] + sum(cell in MISSING for cell in rows[k][:LOOKED_AT]) for k in body)
+    share = len(body) / max(1, len(rows) - first)
+    return Table(delimiter, rows, width, top, first, share * held / cells if cells else 0.0)
 
 
 def _glued(names: list[str], width: int) -> list[str]:
@@ -197,16 +200,6 @@ def _glued(names: list[str], width: int) -> list[str]:
         else:
             glued.append(name)
     return glued if len(glued) == width else names
-
-
-def _start(rows: list[list[str]], numeric: list[int], width: int) -> int:
-    """Return the first of several rows that look like data; where the rows are few, of fewer."""
-    data = [len(row) == width and n > 0 for row, n in zip(rows, numeric, strict=True)]
-    for steady in (STEADY, 2, 1):
-        for k in range(len(rows) - steady + 1):
-            if all(data[k : k + steady]):
-                return k
-    return 0
 
 
 def _top(rows: list[list[str]], numeric: list[int], width: int, start: int) -> int:
@@ -407,7 +400,7 @@ def _times(body: list[list[str]]) -> dict[int, TimeForm]:
     """Return the columns of times as text, and how they are written."""
     found = {}
     for k in range(min(map(len, body), default=0)):
-        cells = [cell for row in body if not is_missing(cell := row[k].strip(' "'))]
+        cells = [cell for row in body if (cell := row[k].strip(' "')) not in MISSING]
         if cells and ":" in cells[0] and (form := time_form(cells)):
             found[k] = form
     return found
@@ -417,17 +410,19 @@ def _times(body: list[list[str]]) -> dict[int, TimeForm]:
 
 
 def _footer(end: str, delimiter: str, width: int, comments: tuple[str, ...]) -> tuple[int, str]:
-    """Return how many lines of words, and without any cell, end a text after its table, and one of words."""
-    lines = 0
-    said = ""
-    for passed, text in enumerate(reversed(end.rstrip("\n").split("\n")[1:][-LONGEST_FOOTER:]), start=1):
-        if text.lstrip(' \t"').startswith(comments):
+    """Return how many lines of words, or of empty cells, end a text after its table, and one of words.
+
+    Comments and empty lines do not count.
+    """
+    lines, said = 0, ""
+    for text in reversed(end.rstrip("\n").split("\n")[1:][-LONGEST_FOOTER:]):
+        if not text.strip() or text.lstrip(' \t"').startswith(comments):
             continue
-        cells = split(text, delimiter) or [""]
+        cells = split(text, delimiter)
         words = len(cells) != width and bool(_WORD.match(cells[0])) and not is_number(cells[0])
         if any(cells) and not words:
             break
-        lines, said = passed, text.strip() if words else said
+        lines, said = lines + 1, text.strip() if words else said
     return lines, said
 
 
@@ -477,47 +472,42 @@ class Encoded:
         with self.open_raw() as stream:
             yield cast(IO[bytes], gzip.GzipFile(fileobj=stream, mode="rb")) if self.compressed else stream
 
-    def text(self) -> Iterator[str]:
-        r"""Yield the text in pieces; \n ends lines, whatever did.
-
-        A bad byte of UTF-8 is judged with the cell it stands in.
-        """
+    @contextmanager
+    def reader(self) -> Iterator[IO[str]]:
+        """Open the text; a bad byte of UTF-8 is judged with the cell it stands in."""
         with self.raw() as stream:
-            errors = "replace" if self.encoding.startswith("utf-8") else "strict"
-            reader = io.TextIOWrapper(stream, self.encoding, errors)
-            while text := reader.read(PIECE):
-                yield text
+            yield io.TextIOWrapper(stream, self.encoding, "replace" if "utf-8" in self.encoding else "strict")
 
-    def pieces(self, where: str) -> Iterator[str]:
-        r"""Yield pieces of whole lines, with \n between them; `where` names the file in messages.
+    def pieces(self, where: str, above: int = 0) -> Iterator[str]:
+        r"""Yield pieces of whole lines but the first ones `above`; \n ends each line, whatever did.
 
-        Raises `InputError` for a line that does not end, before it fills the memory.
+        `where` names the file in messages. Raises `InputError` for a line that does not end, before it fills
+        the memory.
         """
-        rest = ""
-        for text in self.text():
-            lines, end, last = text.rpartition("\n")
-            if end:
-                yield rest + lines
-            rest = last if end else rest + last
-            if len(rest) > LONGEST_LINE:
-                raise InputError(
-                    f"{where} must be text in lines of at most {LONGEST_LINE} characters; it is no text, so"
-                    " the file is damaged or of another format: copy it again, or state its --format."
-                )
-        if rest:
-            yield rest
+        with self.reader() as reader:
+            for _ in range(above):
+                reader.readline(LONGEST_LINE)
+            while text := reader.read(PIECE):
+                rest = "" if text.endswith("\n") else reader.readline(LONGEST_LINE + 1)
+                if len(rest) > LONGEST_LINE:
+                    raise InputError(
+                        f"{where} must be text in lines of at most {LONGEST_LINE} characters; it is no text,"
+                        " so the file is damaged or of another format: copy it again, or state its --format."
+                    )
+                yield f"{text}{rest}" if (rest or text).endswith("\n") else f"{text}{rest}\n"
 
     def lines(self, where: str) -> Iterator[str]:
         """Yield the lines, without what ends them."""
         for piece in self.pieces(where):
-            yield from piece.split("\n")
+            yield from piece[:-1].split("\n")
 
     def end(self) -> str:
         """Return the end of the text; all is read where a place in it is none in the file."""
-        last = ""
         if self.compressed or self.encoding not in ("utf-8", "utf-8-sig", "latin-1"):
-            for text in self.text():
-                last = (last + text)[-END:]
+            last = ""
+            with self.reader() as reader:
+                while text := reader.read(PIECE):
+                    last = (last + text)[-END:]
             return last
         with self.raw() as stream:
             stream.seek(max(0, stream.seek(0, os.SEEK_END) - END))
