@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 from sphinx_gallery.scrapers import figure_rst
 
-from hallsym.report.figures.style import STYLE
+from hallsym.report.drawing import STYLE
 
 
 def style(settings: dict[str, Any], name: str) -> None:

@@ -10,6 +10,7 @@ import csv
 import io
 import re
 from collections.abc import Iterable, Sequence
+from math import isfinite
 from shutil import get_terminal_size
 from textwrap import fill
 from unicodedata import category
@@ -32,6 +33,11 @@ def printable(text: object, keep: str = "") -> str:
             c if c.isprintable() or c in keep or category(c) == "Zs" else repr(c)[1:-1] for c in shown
         )
     return _CREDENTIALS.sub(r"\1***@", shown) if "@" in shown else shown
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """Return a share in per cent; nothing where it does not exist."""
+    return f"{100 * share:.{digits}f} %" if isfinite(share) else ""
 
 
 def commented(text: str) -> str:

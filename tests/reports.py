@@ -14,7 +14,7 @@ from hallsym.families import build
 from hallsym.inference import Identifiability, Verdict, identify
 from hallsym.report.data.gather import RunSeries, series_of
 from hallsym.report.data.survey import Trace
-from hallsym.report.figures.style import WIDTH
+from hallsym.report.drawing import WIDTH
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 
 
@@ -71,6 +71,7 @@ def run_series(
 
 def inside(figure: Figure, wide: float = WIDTH) -> None:
     """Nothing of a figure, `wide` inches, is beyond its edge."""
+    figure.draw_without_rendering()  # which finds the margins
     drawn, (width, height) = figure.get_tightbbox(), figure.get_size_inches()
     assert width == wide
     assert min(drawn.x0, drawn.y0) >= 0

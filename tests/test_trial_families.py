@@ -166,11 +166,11 @@ def test_the_waves_of_an_error_over_x_are_counted():
 
 
 def test_pictures_of_a_fit_are_drawn(tmp_path):
+    from hallsym.report.drawing import save
     from hallsym.report.figures.campaign import fit_figure
-    from hallsym.report.figures.style import save_figures
 
     log, fit = fitted(ARRAY)
-    written = save_figures({"errors": lambda: fit_figure(log, fit)}, tmp_path)
+    written = save({"errors": lambda: fit_figure(log, fit)}, tmp_path)
     assert all(path.stat().st_size > 1000 for path in written)
 
 

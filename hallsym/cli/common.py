@@ -9,7 +9,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hallsym.cli import COMMANDS, progress
 from hallsym.cli.parser import HelpText
@@ -28,11 +28,9 @@ from hallsym.model import Effect, Model
 from hallsym.output import fitted, printable
 from hallsym.records import named
 from hallsym.report.figures.campaign import fit_figure
+from hallsym.report.picture import Picture
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
 from hallsym.toml import column_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def command(
@@ -63,19 +61,19 @@ def plots_options(parser: Any, what: str = "save pictures") -> None:
 
 
 def pictures(
-    draw: Mapping[str, Callable[[], "Figure"]], folder: str | Path | None, format: str, *named: object
+    draw: Mapping[str, Callable[[], Picture]], folder: str | Path | None, format: str, *named: object
 ) -> list[Path]:
     """Save pictures if a folder is given; `named` on each of them: file and model, those that are known."""
     if folder is None:
         return []
-    from hallsym.report.figures.style import save_figures
+    from hallsym.report.drawing import save
 
     words = [str(name) for name in named if name]
     brief = ["/".join(Path(word).parts[-2:]) if Path(word).exists() else word for word in words]
-    return save_figures(draw, folder, format, ", ".join(brief))
+    return save(draw, folder, format, ", ".join(brief))
 
 
-def plots(options: Namespace, draw: Mapping[str, Callable[[], "Figure"]], *named: object) -> list[Path]:
+def plots(options: Namespace, draw: Mapping[str, Callable[[], Picture]], *named: object) -> list[Path]:
     """Save pictures where `--plots` says, if it is given; `named` as in `pictures`."""
     return pictures(draw, options.plots, options.plot_format, *named)
 

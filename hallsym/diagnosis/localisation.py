@@ -32,10 +32,11 @@ from hallsym.diagnosis.residual_table import (
 )
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.scores import Score, Screen, by_name
-from hallsym.diagnosis.words import percent, plain, shown
+from hallsym.diagnosis.words import plain, shown
 from hallsym.estimation.calibration import coverage_factor
 from hallsym.log.core import edges_of
 from hallsym.model import LINKS
+from hallsym.output import percent
 from hallsym.units import readable
 
 

@@ -9,11 +9,6 @@ SHOWN = 3
 """Names that are listed at most: signals to compute, other effects of a group."""
 
 
-def percent(share: float) -> str:
-    """Return a share in per cent without digits."""
-    return f"{100 * share:.0f} %"
-
-
 def plain(channel: str) -> str:
     """Return the name of a column without its unit."""
     return channel.rpartition("_")[0] or channel

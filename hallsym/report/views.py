@@ -16,15 +16,16 @@ from hallsym.fleets import Fleet, RingFleet
 from hallsym.inference import Identifiability
 from hallsym.log import Log, as_log
 from hallsym.output import fitted
-from hallsym.report.figures.campaign import evaluation_figure, fit_figure, gap
+from hallsym.report.figures.campaign import evaluation_figure, fit_figure
+from hallsym.report.figures.diagnosis import gap
 from hallsym.report.figures.fleet import distributions
 from hallsym.report.figures.plan import coverage
 from hallsym.report.figures.self_calibration import waves_figure
 from hallsym.report.figures.sensitivity import effects
-from hallsym.report.figures.style import STYLE
 from hallsym.report.figures.uncertainty import budget_bars
 from hallsym.report.page.diagnosis_page import diagnosis_page
 from hallsym.report.page.fit_page import fit_page
+from hallsym.report.picture import Picture
 from hallsym.report.text.budget import budget_text
 from hallsym.report.text.diagnosis import diagnosis_text
 from hallsym.report.text.fit import evaluation_head, evaluation_text, fit_head, fit_text
@@ -48,7 +49,7 @@ class View:
 
     summary: Callable[[Any], str]
     table: Callable[[Any], Table]
-    figure: Callable[[Any, Any], Figure]
+    picture: Callable[[Any, Any], Picture]
     head: Callable[[Any], list[str]] | None = None
     """Its first lines, where all of it takes a pass over a log."""
 
@@ -71,11 +72,10 @@ def table(result: Any) -> Table:
 
 
 def figure(result: Any, log: Any = None) -> Figure:
-    """Return the picture of a result, in the style of hallsym's pictures."""
-    from matplotlib import style
+    """Return the picture of a result, drawn."""
+    from hallsym.report.drawing import draw
 
-    with style.context(["default", STYLE]):
-        return _view(result).figure(result, log)
+    return draw(_view(result).picture(result, log))
 
 
 def page_of(result: Any, log: Any = None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Sequence
 
 import numpy as np
@@ -11,7 +12,16 @@ from hallsym.units import readable, scaled, typeset
 LEVEL = 1e-6
 """Vertical positions [m, rad] closer than this are one setting."""
 NOT_DECODED = "the nominal parameters do not decode these readings"
-MINUS = "\N{MINUS SIGN}"
+
+
+def minus(text: str) -> str:
+    """Return a number, or words with numbers, with true minus signs."""
+    return re.sub(r"-(?=\.?\d)", "\N{MINUS SIGN}", text)
+
+
+def micro(text: str) -> str:
+    """Return words with the micro sign in units: `2 um`, `x [urad]`."""
+    return re.sub(r"(\d |\[)u(?=(m|rad|V)\b)", r"\1µ", text)
 
 
 def name(column: str) -> str:
@@ -47,7 +57,7 @@ def setting(
     for column, value, least in zip(columns, point, np.broadcast_to(near, len(columns)), strict=True):
         if abs(value) > least:
             factor, unit, _ = readable(column, turning)
-            number = f"{factor * value:+.{0 if abs(factor * value) >= 10 else 1}f}".replace("-", MINUS)
+            number = minus(f"{factor * value:+.{0 if abs(factor * value) >= 10 else 1}f}")
             parts.append(f"{name(column)} {number}" + (f" {typeset(unit)}" if units else ""))
     return " ".join(parts) or "level"
 
@@ -55,7 +65,7 @@ def setting(
 def amount(column: str, value: float, turning: Collection[str] | None = None) -> str:
     """Return a value of a column in the unit that suits it: `1.36 µm`."""
     factor, unit = scale(column, abs(value), turning)
-    return f"{three(factor * value)} {unit}".replace("-", MINUS)
+    return minus(f"{three(factor * value)} {unit}")
 
 
 def largest(values: np.ndarray) -> float:
@@ -64,11 +74,11 @@ def largest(values: np.ndarray) -> float:
     return float(finite.max()) if finite.size else 0.0
 
 
-def short(value: float) -> str:
-    """Return three significant digits without an exponent, with one where there would be many zeros."""
+def short(value: float, digits: int = 3) -> str:
+    """Return significant digits without an exponent, with one where there would be many zeros."""
     if value == 0 or not np.isfinite(value) or not 1e-4 <= abs(value) < 1e6:
-        return f"{value:.3g}"
-    return np.format_float_positional(float(f"{value:.3g}"), trim="-")
+        return f"{value:.{digits}g}"
+    return np.format_float_positional(float(f"{value:.{digits}g}"), trim="-")
 
 
 def three(value: float) -> str:
@@ -78,9 +88,3 @@ def three(value: float) -> str:
     if 100 <= abs(value) < 1e6:
         return f"{value:.0f}"
     return f"{value:#.3g}" if 1e-4 <= abs(value) < 100 else f"{value:.3g}"
-
-
-def thinned(n: int, most: int) -> Sequence[int]:
-    """Return every k-th of n indices, k from 1, 2, 5, 10, .., at most about `most` of them."""
-    step = next(s * 10**e for e in range(12) for s in (1, 2, 5) if n <= most * s * 10**e)
-    return range(0, n, step)

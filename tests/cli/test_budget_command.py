@@ -9,7 +9,8 @@ from twins import record, with_noise
 
 from hallsym.cli.main import main
 from hallsym.estimation import Fit, fit, load_fit
-from hallsym.report.figures.uncertainty import budget_bars, uncertainty_picture
+from hallsym.report.drawing import draw
+from hallsym.report.figures.uncertainty import PALEST, budget_bars, uncertainty_picture
 from hallsym.uncertainty import Settings, over_log, position_budget, uncertainty_map
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -192,11 +193,12 @@ def test_pictures_are_written(capsys, here, tmp_path):
 
 def test_bars_are_the_shares(here):
     budgets = position_budget(here, {"x_m": 1e-4, "z_m": 2e-4}, Settings(adc_step=1e-7, zero_averaged=9))
-    figure = budget_bars(budgets)
+    figure = draw(budget_bars(budgets))
     assert len(figure.axes) == 3
     for ax, budget in zip(figure.axes, budgets.values(), strict=True):
-        widths = [bar.get_width() for bar in ax.patches]
-        assert sum(widths) == pytest.approx(100.0)
+        ends = [path.get_extents() for bars in ax.collections for path in bars.get_paths()]
+        widths = {round((end.y0 + end.y1) / 2): end.x1 - end.x0 for end in ends}
+        assert sum(widths.values()) == pytest.approx(100.0)
         labels = [t.get_text() for t in figure.axes[0].get_yticklabels()]
         assert widths[labels.index("hall_a noise")] == pytest.approx(
             100 * {s.name: v for s, v in budget.ranked()}["hall_a noise"]
@@ -205,11 +207,11 @@ def test_bars_are_the_shares(here):
 
 def test_the_map_shows_its_values_and_says_units(here):
     grid = uncertainty_map(here, {"x_m": (-1e-4, 1e-4), "y_m": (-2e-4, 2e-4), "z_m": [-1e-4, 1e-4]})
-    figure = uncertainty_picture(grid)
-    shown = [ax for ax in figure.axes if ax.collections and ax.get_label() != "<colorbar>"]
-    maps = [ax for ax in shown if ax.get_xlim() == pytest.approx((-100.0, 100.0))]
+    figure = draw(uncertainty_picture(grid))
+    maps = [ax for ax in figure.axes if ax.get_xlim() == pytest.approx((-100.0, 100.0))]
     assert len(maps) == 3 * 5
-    drawn = np.asarray(maps[0].collections[0].get_array()).reshape(41, 41)
+    (low, *_, high), full = figure.axes[5].get_ylim(), maps[0].collections[0].get_facecolor()[:, 3]
+    drawn = low + (high - low) * (full.reshape(41, 41) - PALEST) / (1 - PALEST)
     assert drawn == pytest.approx(1e6 * grid.expanded[0, :, :, 0].T)
     assert maps[0].get_title("left") == "Z = \N{MINUS SIGN}100 µm"
     labels = {ax.get_ylabel() for ax in figure.axes}
@@ -218,7 +220,7 @@ def test_the_map_shows_its_values_and_says_units(here):
 
 def test_a_map_over_one_axis_is_a_line(here):
     grid = uncertainty_map(here, {"x_m": [-1e-4, 1e-4]})
-    figure = uncertainty_picture(grid)
+    figure = draw(uncertainty_picture(grid))
     assert [ax.get_ylabel() for ax in figure.axes] == ["U x [µm]", "U y [µm]", "U Rz [µrad]"]
     (line,) = figure.axes[0].lines
     assert line.get_ydata() == pytest.approx(1e6 * grid.expanded[0])

@@ -112,7 +112,7 @@ def test_table_page_and_files_for_the_next_batch(broken, tmp_path, capsys):
     assert "dev7: failed" in text
     assert "spread (1 sigma)" in text
     page = files[0].read_text()
-    assert page.count("<svg") == 1
+    assert page.count("<svg") == 2 * len(load_fleet(files[3]).spreads)
     assert "src=" not in page
     assert "<link" not in page
     machine = read_machine(files[1])

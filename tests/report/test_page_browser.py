@@ -126,7 +126,7 @@ def test_the_script_runs_under_its_own_policy(chromium, pages, name):
         for part in ("asked", "errors", "effects", "where", "rest", "maps", "series", "parameters", "origin"):
             assert f'<section id="{part}">' in shown
         assert shown.count('<figure class="shape">') == 1
-        assert shown.count('class="median0"') > 20  # before, under after
+        assert shown.count('stroke="var(--median0)"') > 20  # before, under after
 
 
 @pytest.mark.slow
@@ -137,7 +137,8 @@ def test_a_script_that_is_not_its_own_is_refused_and_the_charts_stay_without_it(
     shown = chromium.dom(changed)
     assert "<title>changed" not in shown
     assert "<button" not in shown
-    assert len(re.findall(r'<path d="m[^"]{300,}" class="line median">', shown)) == 3
+    over_time = shown.partition('<figure class="series"')[2]
+    assert len(re.findall(r'<path d="M[^"]{300,}" fill="none" stroke="var\(--edge\)"', over_time)) == 3
 
 
 @pytest.mark.slow

@@ -116,25 +116,27 @@ def page_of(record: dict[str, Any], **more: Any) -> str:
 
 
 def test_everything_of_a_record_is_said():
-    text = Outline(page_of(a_record(), command="hallsym diagnose log.csv")).text
+    outline = Outline(page_of(a_record(), command="hallsym diagnose log.csv"))
+    text = outline.text
     for words in (
         "Explained. vertical_gain_coupling lowers the rmse by 61 %.",
         "x 1.10 µm, y 1.60 µm, Rz 1.30 µrad; estimated",
         "One number over all outputs: 2.70 µm before, 1.10 µm after, 1.00 µm floor.",
-        "before 3.00 after 1.20 rmse y [µm]",
-        "before 14.4 after 5.76",
         "vertical_gain_coupling field linear 58.0 % (54.0 to 62.0) 93 % < 1e−6",
         "time_skew clock 7.0 % (−1.0 to 12.0) 4 % < 1e−6 lag",
         "time_skew, lag : this log cannot tell them apart (1.20 sigma). Record y at 4 Hz and at 20 Hz.",
         "62 % lies in height Z",
         "a_A −131.2(11) 1/m",
-        "gain_temperature: not testable, no temperature logged",
-        "quantisation: significant, lowers the gap by 1.2 %",
+        "gain_temperature : not testable, no temperature logged",
+        "quantisation : significant, lowers the gap by 1.2 %",
         "A note & more.",
         'a <b>&"c".csv',
         "hallsym diagnose log.csv",
     ):
         assert words in text, words
+    said = [a["aria-label"] for a in outline.all("svg")]
+    assert "rmse of x: before 3.00 µm; after 1.20 µm; noise floor 1.10 µm" in said
+    assert "peak of Rz: before 14.4 µrad; after 5.76 µrad" in said
 
 
 def test_no_gap_needs_no_effects():
@@ -173,7 +175,7 @@ def test_features_that_are_no_line_have_names_and_intervals():
 def test_what_was_not_measured_at_a_place_is_not_drawn():
     page = page_of(a_record())
     shapes = page.partition('class="shape"')[2].partition("</figure>")[0]
-    lines = re.findall(r'<path d="([^"]*)" class="median"', shapes)
+    lines = re.findall(r'<path d="([^"]*)"[^>]* stroke="var\(--edge\)"', shapes)
     assert [line.count("L") for line in lines] == [8, 7, 8]
 
 
@@ -188,7 +190,8 @@ def test_maps_and_series_are_optional_and_shown():
     outline = Outline(page)
     assert {"maps", "series"} <= {a["id"] for a in outline.all("section")}
     assert "3 samples" in page
-    assert page.count('class="line median"') == 3
+    over_time = page.partition('class="series"')[2]
+    assert [over_time.count(f'stroke="var(--{look})"') for look in ("median0", "edge")] == [3, 3]
     assert "nan" not in page.partition("<body>")[2].partition("<script>")[0]
 
 
@@ -198,10 +201,9 @@ HOSTILE = st.text(alphabet="<>&\"'/=;!-scriptonerror \x00\udc80‮", max_size=30
 @settings(max_examples=15)
 @given(text=HOSTILE)
 def test_no_text_of_a_record_becomes_markup(text):
-    plain = Outline(page_of(marked("x")))
     hostile = Outline(page_of(marked(f"x{text}")))
-    assert [name for name, _ in hostile.found] == [name for name, _ in plain.found]
-    assert [sorted(a) for _, a in hostile.found] == [sorted(a) for _, a in plain.found]
+    assert hostile.outside == PLAIN.outside
+    assert {name for name, _ in hostile.found} == {name for name, _ in PLAIN.found}
 
 
 def marked(text: str) -> dict[str, Any]:
@@ -223,3 +225,6 @@ def marked(text: str) -> dict[str, Any]:
     record["where"][0] |= {"by": text, "at": text, "text": text}
     record["separate_by"][0] |= {"group": [text, "lag"], "recording": text}
     return record
+
+
+PLAIN = Outline(page_of(marked("x")))

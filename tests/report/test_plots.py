@@ -1,11 +1,13 @@
 """Pictures: what is drawn is what was measured and fitted, in files that are whole; words are readable."""
 
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import reports
 from twins import SIGMAS, record, with_noise
 
 from hallsym.cli.main import main
@@ -17,8 +19,8 @@ from hallsym.families.recording import Correction
 from hallsym.log import Block, Log
 from hallsym.report.data.gather import version_of
 from hallsym.report.data.survey import COLUMNS, Survey, Trace, held_out, look_over, settings
+from hallsym.report.drawing import DPI, WIDTH, draw, save
 from hallsym.report.figures import campaign as plots
-from hallsym.report.figures.style import DPI, STYLE, WIDTH, save_figures
 from hallsym.report.words import name, scale
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 
@@ -51,7 +53,7 @@ def _legends(figure) -> list[str]:
 
 
 def test_errors_by_setting_shows_every_series(fitted: Fit, survey: Survey) -> None:
-    figure = plots.errors_by_setting(fitted, survey)
+    figure = draw(plots.errors_by_setting(fitted, survey))
     labels = ["nominal", "fitted", "fitted, held-out runs", "noise floor"]
     assert _legends(figure) == labels
     assert [ax.get_ylabel() for ax in figure.axes] == ["rmse x [µm]", "rmse y [µm]", "rmse Rz [µrad]"]
@@ -75,26 +77,18 @@ def test_one_run_without_holdout() -> None:
     result = fit(log, "stage15", solver="direct", loss="none")
     survey = look_over(log, result)
     assert settings(result, survey) == ([("0", [0])], "run")
-    assert len(plots.errors_by_setting(result, survey).axes) == 3
+    assert len(plots.errors_by_setting(result, survey).panels) == 3
 
 
-def test_nothing_is_drawn_beyond_the_edge(log: Log, fitted: Fit, survey: Survey) -> None:
-    """Margins are stated in inches: everything must fit into them."""
-    from matplotlib import style
-
-    with style.context(["default", STYLE]):
-        figure = plots.errors_by_setting(fitted, survey)
-        drawn, (width, height) = figure.get_tightbbox(), figure.get_size_inches()
-        assert min(drawn.x0, drawn.y0) >= 0
-        assert drawn.x1 <= width
-        assert drawn.y1 <= height
+def test_nothing_is_drawn_beyond_the_edge(fitted: Fit, survey: Survey) -> None:
+    reports.inside(draw(plots.errors_by_setting(fitted, survey)))
 
 
 # -- files -----------------------------------------------------------------------------------------------
 
 
 def saved(log: Log, fitted: Fit, folder: Path) -> list[Path]:
-    return save_figures({"errors_by_setting": lambda: plots.fit_figure(log, fitted)}, folder)
+    return save({"errors_by_setting": lambda: plots.fit_figure(log, fitted)}, folder)
 
 
 def test_pictures_are_whole_files_in_their_own_style(log: Log, fitted: Fit, tmp_path: Path) -> None:
@@ -124,10 +118,17 @@ def test_every_kind_of_file_names_its_source_and_is_the_same_every_time(
     for kind, start in (("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")):
         draw = {"errors": lambda: plots.errors_by_setting(fitted, survey)}
         source = "campaign/log.parquet, stage31"
-        first, again = (save_figures(draw, tmp_path, kind, source)[0].read_bytes() for _ in "ab")
+        first, again = (save(draw, tmp_path, kind, source)[0].read_bytes() for _ in "ab")
         assert first.startswith(start)
         assert first == again
         assert kind != "svg" or b"campaign/log.parquet, stage31" in first
+
+
+def test_matplotlib_is_loaded_only_to_draw() -> None:
+    script = "import sys, hallsym.report.views, hallsym.cli.fit, hallsym.cli.diagnose\n"
+    script += "print('matplotlib' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
 
 
 def test_a_folder_that_cannot_be_is_one_sentence(log: Log, fitted: Fit, tmp_path: Path) -> None:

@@ -1,27 +1,18 @@
 """Pictures of what data determine: what is drawn is what the report says, nothing lies on other words."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import reports
-from matplotlib import style
 from matplotlib.axis import Tick
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from hallsym.inference import Identifiability
+from hallsym.report.drawing import draw
 from hallsym.report.figures.sensitivity import LOOKS, correlation, drawable, effects
-from hallsym.report.figures.style import STYLE, broken, text_width
-
-
-@pytest.fixture(autouse=True)
-def _look() -> Iterator[None]:
-    with style.context(["default", STYLE]):
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -39,16 +30,11 @@ def odd() -> Identifiability:
     return reports.odd()
 
 
-def words(figure: Figure) -> list[str]:
-    """Texts of a figure outside of axes and legend, and beside the rows."""
-    return [text.get_text() for place in (figure, *figure.axes) for text in place.texts]
-
-
 # -- correlation -----------------------------------------------------------------------------------------
 
 
 def test_correlation_writes_each_pair_once_and_names_what_is_left_out(full: Identifiability) -> None:
-    figure = correlation(full)
+    figure = draw(correlation(full))
     ax = figure.axes[0]
     names = [label.get_text() for label in ax.get_yticklabels()]
     left_out = {n for n in full.model.names if not np.isfinite(full[n].std or np.nan)}
@@ -61,29 +47,28 @@ def test_correlation_writes_each_pair_once_and_names_what_is_left_out(full: Iden
         index = [full.model.names.index(names[k]) for k in (row, column)]
         shown = float(text.get_text().replace("\N{MINUS SIGN}", "-"))
         assert shown == pytest.approx(full.correlation[index[0], index[1]], abs=0.0051)
-    squares = sum(len(collection.get_paths()) for collection in ax.collections[:2])
-    assert squares == n * (n - 1) // 2
-    caption = " ".join(words(figure)[:2])
-    assert "not determined: H1x, H1y, H2x, H2y, H3x, H3y." in caption
+    assert sum(len(collection.get_paths()) for collection in ax.collections) == n * (n - 1) // 2
+    assert "not determined: H1x, H1y, H2x, H2y, H3x, H3y." in figure.get_supxlabel()
 
 
-def test_area_of_a_square_is_the_correlation_and_negative_ones_are_hollow(full: Identifiability) -> None:
-    names = ("eta_A", "eta_B")
-    k = [full.model.names.index(name) for name in names]
+def test_fullness_of_a_cell_is_the_correlation_and_negative_ones_have_a_dash(full: Identifiability) -> None:
+    k = [full.model.names.index(name) for name in ("eta_A", "eta_B")]
     two = np.full_like(full.correlation, np.nan)
     two[np.ix_(k, k)] = [[1.0, -0.25], [-0.25, 1.0]]
-    positive, negative = correlation(replace(full, correlation=two)).axes[0].collections[:2]
-    assert len(positive.get_paths()) == 0
-    (path,) = negative.get_paths()
-    assert np.ptp(path.vertices[:, 0]) == pytest.approx(0.9 * np.sqrt(0.25))
-    assert to_hex(negative.get_facecolor()[0]) == "#ffffff"
+    ax = draw(correlation(replace(full, correlation=two))).axes[0]
+    (negative,) = ax.collections
+    assert negative.get_label() == "anticorrelated"
+    assert negative.get_facecolor()[:, 3] == pytest.approx([0.25])
+    (dash,) = ax.lines
+    assert dash.get_xdata()[:2] == pytest.approx([0.8, 1.2])
+    assert dash.get_ydata()[:2] == pytest.approx([0.0, 0.0])
 
 
 # -- effects ---------------------------------------------------------------------------------------------
 
 
 def test_bars_of_effects_end_at_what_the_report_says(odd: Identifiability) -> None:
-    figure = effects(odd)
+    figure = draw(effects(odd))
     rows = [e for e in odd.parameters if e.verdict.word != "fixed"]
     assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == [e.name for e in rows]
     for ax, column, unit in zip(figure.axes, odd.model.pose, ("µm", "µm", "µrad"), strict=True):
@@ -96,20 +81,22 @@ def test_bars_of_effects_end_at_what_the_report_says(odd: Identifiability) -> No
                 if change is not None and change.worst[column] > 1e-3 * floor:
                     expected[row, side] = 1e6 * change.worst[column]
         drawn = {}
-        for bar in (b for b in ax.patches if b.get_zorder() > 0):  # but stripes
-            middle = bar.get_y() + bar.get_height() / 2
-            row = round(middle)
-            drawn[row, 1 if middle > row else -1] = bar.get_x() + bar.get_width()
-            if middle < row:
-                color, hatch, *_ = LOOKS[rows[row].verdict.word]
-                assert to_hex(bar.get_facecolor()) == color
-                assert (bar.get_hatch() or "") == hatch
+        for bars in ax.collections:
+            label = bars.get_label()
+            if label.startswith("1 "):
+                for path in bars.get_paths():
+                    (_, bottom), (end, top) = path.get_extents().get_points()
+                    row = round((bottom + top) / 2)
+                    drawn[row, 1 if top > row else -1] = end
+                    word = rows[row].verdict.word
+                    assert top > row or label == f"1 sigma, {word}"
+                    assert top > row or (bars.get_hatch() or "") == LOOKS[word].hatch
         assert drawn == pytest.approx(expected)
         low, high = ax.get_xlim()
         assert low < min(drawn.values()) <= max(drawn.values()) < high
         levels = [line.get_xdata()[0] for line in ax.lines if line.get_ls() == "--"]
         assert levels == pytest.approx([1e6 * floor])
-    assert words(figure) == [e.verdict.word for e in rows]
+    assert [text.get_text() for text in ax.texts] == [e.verdict.word for e in rows]
 
 
 # -- as drawings -----------------------------------------------------------------------------------------
@@ -157,7 +144,7 @@ def labels(tick: Tick) -> tuple[Text, Text]:
 )
 def test_nothing_is_beyond_the_edge_or_on_other_words(picture: str, which: str) -> None:
     report: Identifiability = getattr(reports, which)()
-    figure = PICTURES[picture](report)
+    figure = draw(PICTURES[picture](report))
     FigureCanvasAgg(figure).draw()
     reports.inside(figure)
     apart(figure)
@@ -168,12 +155,3 @@ def test_pictures_that_have_nothing_to_show_are_not_drawn() -> None:
     assert drawable(plan) == [correlation, effects]
     assert drawable(full) == [correlation, effects]
     assert drawable(replace(plan, correlation=np.full((21, 21), np.nan))) == [effects]
-
-
-def test_broken_lines_fit_and_lose_no_word() -> None:
-    text = " ".join(f"parameter_{k}," for k in range(40))
-    lines = broken(text, 3.0)
-    assert len(lines) > 5
-    assert max(map(text_width, lines)) <= 3.0
-    assert " ".join(line.strip() for line in lines) == text
-    assert broken("unbreakablylongword", 0.1) == ["unbreakablylongword"]

@@ -7,7 +7,8 @@ readings.
 """
 
 import hallsym
+from hallsym.report.drawing import draw
 from hallsym.report.figures.sensitivity import correlation
 
 fit = hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct")
-figure = correlation(hallsym.identify(fit))
+figure = draw(correlation(hallsym.identify(fit)))

@@ -7,7 +7,8 @@ noise of one reading.
 """
 
 import hallsym
+from hallsym.report.drawing import draw
 from hallsym.report.figures.sensitivity import effects
 
 fit = hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct")
-figure = effects(hallsym.identify(fit))
+figure = draw(effects(hallsym.identify(fit)))

@@ -7,9 +7,10 @@ calibration itself.
 """
 
 import hallsym
+from hallsym.report.drawing import draw
 from hallsym.report.figures.uncertainty import budget_bars
 from hallsym.uncertainty import Settings, position_budget
 
 fit = hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct")
 settings = Settings(averaged=4, zero_averaged=500, adc_step=60e-9)
-figure = budget_bars(position_budget(fit, {"x_m": 2e-4, "z_m": 2e-4}, settings))
+figure = draw(budget_bars(position_budget(fit, {"x_m": 2e-4, "z_m": 2e-4}, settings)))

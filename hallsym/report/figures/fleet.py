@@ -2,43 +2,32 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.fleets import Fleet, Spread
 from hallsym.fleets.row import VALUE
-from hallsym.report.figures.style import AFTER, BEFORE, BLACK, GREY, SHADE
+from hallsym.report import picture as p
 from hallsym.units import parameter_unit
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 CAPTION = (
     "Left: good devices by their value, and the normal distribution of the spread between devices and the "
     "uncertainty of one fit. Right: their values in the order of the rows, with the mean and two standard "
     "deviations of that distribution; a cross is an outlying device."
 )
-SIZE = 9.0, 2.6
-"""Width and height [inches] of the pictures of one parameter."""
 
 
-def distributions(fleet: Fleet) -> Figure:
-    """Return the histogram of every parameter and its course, a line of a figure each."""
+def distributions(fleet: Fleet) -> p.Picture:
+    """Return the histogram of every parameter and beside it its course."""
     if not fleet.spreads:
         raise InputError("No parameter has a spread to draw: three good devices at least must determine it.")
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(SIZE[0], SIZE[1] * len(fleet.spreads)), layout="constrained")
-    lines = figure.subplots(len(fleet.spreads), 2, squeeze=False)
-    for axes, spread in zip(lines, fleet.spreads, strict=True):
-        _draw(axes, fleet, spread)
-    return figure
+    panels = [panel for spread in fleet.spreads for panel in _of(fleet, spread)]
+    return p.Picture(panels, across=2, words=CAPTION)
 
 
-def _draw(axes: np.ndarray, fleet: Fleet, spread: Spread) -> None:
+def _of(fleet: Fleet, spread: Spread) -> tuple[p.Panel, p.Panel]:
     factor, unit = parameter_unit(spread.unit)
     good = fleet.good
     values, order = factor * fleet.column(VALUE + spread.name)[good], np.flatnonzero(good)
@@ -47,26 +36,25 @@ def _draw(axes: np.ndarray, fleet: Fleet, spread: Spread) -> None:
     values, order = values[known], order[known]
     mean, width = factor * spread.mean, factor * float(np.hypot(spread.std, spread.typical_std))
     what = f"{spread.name} [{unit}]"
-    _histogram(axes[0], values, mean, width)
-    axes[0].set(xlabel=what, ylabel="devices")
-    axes[1].axhspan(mean - 2 * width, mean + 2 * width, color=SHADE, linewidth=0)
-    axes[1].axhline(mean, color=GREY, linewidth=0.8)
-    axes[1].plot(order[~outlying], values[~outlying], ".", markersize=5, color=AFTER)
-    axes[1].plot(order[outlying], values[outlying], "x", markersize=7, color=BEFORE)
-    axes[1].set(xlabel="device", ylabel=what)
-    for each in axes:
-        each.spines[["top", "right"]].set_visible(False)
+    says = f"{spread.name} of {len(values)} devices: {mean:.4g} +- {width:.2g} {unit} (1 sigma)"
+    first, last = -1.0, float(len(fleet.rows))
+    course = [
+        p.boxes(first, last, mean - 2 * width, mean + 2 * width, p.Look(p.GRID, p.GRID, width=0)),
+        p.level(mean, p.GREY),
+        p.points(order[~outlying], values[~outlying], replace(p.AFTER, size=2.5)),
+        p.points(order[outlying], values[outlying], p.Look(p.ORANGE, marker="x", size=7.0)),
+    ]
+    right = p.Panel(p.Axis("device", first, last), p.Axis(what), course, says=says)
+    return _histogram(values, mean, width, what, says), right
 
 
-def _histogram(axes: Axes, values: np.ndarray, mean: float, width: float) -> None:
-    """Draw how many devices have which value, and how many the normal distribution expects."""
-    from matplotlib.ticker import MaxNLocator
-
-    _, edges, _ = axes.hist(values, bins="auto", color=AFTER, alpha=0.45, edgecolor="white", linewidth=0.5)
-    if width > 0:
-        low, high = min(edges[0], mean - 3 * width), max(edges[-1], mean + 3 * width)
-        at = np.linspace(low, high, 200)
-        bell = np.exp(-0.5 * ((at - mean) / width) ** 2) / (width * np.sqrt(2 * np.pi))
-        axes.plot(at, len(values) * (edges[1] - edges[0]) * bell, color=BLACK, linewidth=1.0)
-    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.xaxis.set_major_locator(MaxNLocator(6))
+def _histogram(values: np.ndarray, mean: float, width: float, what: str, says: str) -> p.Panel:
+    """Return how many devices have which value, and how many the normal distribution expects."""
+    count, edges = np.histogram(values, bins="auto")
+    bars = p.boxes(edges[:-1], edges[1:], 0.0, count, p.Look(p.PAPER, p.PALE_BLUE, width=0.5))
+    if not width > 0:
+        return p.Panel(p.Axis(what), p.Axis("devices", low=0.0), [bars], says=says)
+    at = np.linspace(min(edges[0], mean - 3 * width), max(edges[-1], mean + 3 * width), 200)
+    bell = np.exp(-0.5 * ((at - mean) / width) ** 2) / (width * np.sqrt(2 * np.pi))
+    normal = p.line(at, len(values) * (edges[1] - edges[0]) * bell, p.Look(p.INK))
+    return p.Panel(p.Axis(what), p.Axis("devices", low=0.0), [bars, normal], says=says)

@@ -2,53 +2,45 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from hallsym.estimation.self_calibration import MOTION, OPEN, SENSOR, coefficients, columns
 from hallsym.estimation.without_reference import SelfFit
-from hallsym.report.figures.style import AFTER, BEFORE, BLACK, GREY
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from hallsym.report import picture as p
 
 
-def waves_figure(result: SelfFit) -> Figure:
+def waves_figure(result: SelfFit) -> p.Picture:
     """Return the table over the turn with the ripple left out, and the amplitude and verdict of each wave."""
-    from matplotlib.figure import Figure
-
     found = result.found
     degrees = np.degrees(1.0) * found.pairs
     orders, every = (np.array([w.per_turn for w in waves]) for waves in (found.kept, found.waves))
     angle = np.linspace(0, 2 * np.pi, max(720, 8 * int(every.max())))
-    at = columns(angle, orders)
+    table = degrees * columns(angle, orders) @ coefficients(found.table)
+    turn: list[p.Layer] = [p.line(np.degrees(angle), table, p.AFTER, "table")]
     motion = np.array([w.motion if w.verdict == MOTION and w.motion else 0j for w in found.waves])
-    figure = Figure(figsize=(9.0, 5.6), layout="constrained")
-    turn, waves = figure.subplots(2, 1)
-    turn.plot(
-        np.degrees(angle), degrees * at @ coefficients(found.table), color=AFTER, linewidth=1.0, label="table"
-    )
     if motion.any():
         ripple = degrees * columns(angle, every) @ coefficients(motion)
-        turn.plot(np.degrees(angle), ripple, color=BEFORE, linewidth=0.8, label="motion, left out")
-    turn.set(xlabel="mechanical angle [deg]", ylabel="correction [electrical deg]", xlim=(0, 360))
-    turn.set_ylim(*(1.3 * end for end in turn.get_ylim()))
-    turn.legend(ncols=2, frameon=False, loc="upper right")
-    sizes = degrees * np.abs(found.table)
-    waves.bar(orders, sizes, width=0.8, color=AFTER, alpha=0.6, label=f"table ({SENSOR})")
+        turn.append(p.line(np.degrees(angle), ripple, p.BEFORE, "motion, left out"))
     errors = degrees * np.array([np.nan if w.std is None else w.std for w in found.kept])
-    waves.plot(orders, errors, color=GREY, linewidth=1.0, label="standard error")
-    for verdict, mark, color in ((MOTION, "v", BEFORE), (OPEN, "x", BLACK)):
+    size, pale = degrees * np.abs(found.table), p.Look(p.BLUE, p.PALE_BLUE)
+    waves = [
+        p.boxes(orders - 0.4, orders + 0.4, 0.0, size, pale, f"table ({SENSOR})"),
+        p.line(orders, errors, p.GREY, "standard error"),
+    ]
+    for verdict, look in (
+        (MOTION, p.Look(p.ORANGE, p.ORANGE, marker="v", size=6.0)),
+        (OPEN, p.Look(p.INK, marker="x", size=6.0)),
+    ):
         own = found.verdicts(verdict)
         if own:
             size = [degrees * abs((w.motion if verdict == MOTION else w.sensor) or 0) for w in own]
-            waves.plot([w.per_turn for w in own], size, mark, color=color, markersize=6, label=verdict)
-    waves.set(
-        xlabel="waves per mechanical turn", ylabel="amplitude [electrical deg]", xlim=(0, every.max() + 1)
+            waves.append(p.points([w.per_turn for w in own], size, look, verdict))
+    drawn = (
+        (p.Axis("mechanical angle [deg]", 0.0, 360.0, most=8), p.Axis("correction [electrical deg]"), turn),
+        (
+            p.Axis("waves per mechanical turn", 0.0, every.max() + 1.0, most=8),
+            p.Axis("amplitude [electrical deg]", low=0.0),
+            waves,
+        ),
     )
-    waves.set_ylim(0, 1.3 * waves.get_ylim()[1])
-    waves.legend(frameon=False, loc="upper right", ncols=2)
-    for each in (turn, waves):
-        each.spines[["top", "right"]].set_visible(False)
-    return figure
+    return p.Picture([p.Panel(*parts, height=150.0) for parts in drawn], across=1)

@@ -3,54 +3,49 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from itertools import cycle
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hallsym.report.figures import style
+from hallsym.report import picture as p
 from hallsym.report.text.tolerances import span
-from hallsym.report.words import MINUS, largest, name, scale, setting, short, three
+from hallsym.report.words import largest, minus, name, scale, setting, short, three
 from hallsym.units import fitting, typeset
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from hallsym.uncertainty import Budget, ErrorModel, UncertaintyMap
 
 MOST_BARS = 12
 """Sources shown one by one; the others are one bar."""
-COLOURS = "viridis"
-BAR = 0.17  # inches
 
 
-def budget_bars(budgets: Mapping[str, Budget], *, worst: bool = False) -> Figure:
-    """Draw the share of every source in u_c squared: one row per source, one column per quantity.
+def budget_bars(budgets: Mapping[str, Budget], *, worst: bool = False) -> p.Picture:
+    """Return the share of every source in u_c squared: one row per source, one column per quantity.
 
     `worst`: the budgets are those of the worst position of each coordinate, which the picture then says.
     """
     labels, shares = _bars(list(budgets.values()))
-    margin = 0.12 + max(map(style.text_width, labels))
-    figure, axes = style.panels(
-        1, len(budgets), BAR * len(labels) + 0.1, top=2.6 * style.LINE, bottom=0.46, left=margin, right=0.1,
-        gaps=(0.16, 0.12), sharey=True,
-    )  # fmt: skip
+    panels: list[p.Panel] = []
     place = np.arange(len(labels))
-    colours = [style.FAINT if label.startswith("other ") else style.AFTER for label in labels]
-    for ax, percent, budget in zip(axes[0], 100 * shares, budgets.values(), strict=True):
-        ax.barh(place, percent, height=0.72, color=colours)
-        for y, value in zip(place, percent, strict=True):
-            words = three(value) if abs(value) >= 0.1 else "0" if abs(value) < 1e-9 else "<0.1"
-            ax.annotate(words, (max(value, 0), y), (2, 0), textcoords="offset points", va="center")
-        ax.set_yticks(place, labels)
-        ax.tick_params(axis="y", length=0)
-        ax.set(ylim=(len(labels) - 0.4, -0.6), xlim=(min(0.0, percent.min()), 1.3 * max(percent.max(), 1.0)))
+    other = np.array([label.startswith("other ") for label in labels])
+    for percent, budget in zip(100 * shares, budgets.values(), strict=True):
+        words = [three(v) if abs(v) >= 0.1 else "0" if abs(v) < 1e-9 else "<0.1" for v in percent]
+        low, high = min(0.0, percent.min()), 1.3 * max(percent.max(), 1.0)
         factor, unit = fitting(budget.unit, budget.expanded, turns=budget.turns)
         what = name(budget.quantity) if budget.value is not None else budget.quantity
         size = f"U = {three(budget.expanded * factor)} {typeset(unit)} (k = {budget.factor:.3g})"
+        layers = [
+            p.boxes(0.0, np.where(own, percent, np.nan), place - 0.36, place + 0.36, look)
+            for own, look in ((~other, p.AFTER), (other, p.OTHER))
+        ]
+        layers.append(p.text(words, np.maximum(percent, 0.0) + 0.02 * (high - low), place))
+        x = p.Axis("share of u_c² [%]", low, high)
+        y = p.Axis(low=len(labels) - 0.4, high=-0.6, names=() if panels else labels)
         title = f"{what}{', worst position' if worst else ''}\n{size}"
-        ax.set_title(title, loc="left", linespacing=1.4)
-        style.label_x(ax, "share of $u_c^2$ [%]", 0.26)
-    return figure
+        panels.append(p.Panel(x, y, layers, title, height=12.2 * len(labels) + 7))
+    return p.Picture(panels, across=len(panels))
 
 
 def _bars(budgets: Sequence[Budget]) -> tuple[list[str], np.ndarray]:
@@ -69,94 +64,100 @@ def _bars(budgets: Sequence[Budget]) -> tuple[list[str], np.ndarray]:
     return [*names[:kept], f"other {len(names) - kept} sources"], np.hstack([shares[:, :kept], rest])
 
 
-def uncertainty_picture(grid: UncertaintyMap) -> Figure:
-    """Draw U over the axes of `grid`: a line over one axis; else maps over the first two.
+# -- U over the workspace ----------------------------------------------------------------------------------
+
+
+def uncertainty_picture(grid: UncertaintyMap) -> p.Picture:
+    """Return U over the axes of `grid`: a line over one axis; else maps over the first two.
 
     Maps have a row per pose coordinate and a column per value of the third axis.
     """
-    column, values = next(iter(grid.axes.items()))
-    if len(grid.axes) == 1:
-        across, shown = scale(column, largest(values), grid.turning)
-        label = f"{name(column)} [{shown}]"
-        figure = _lines(grid.pose, grid.expanded, across * values, label, grid.turning, top=1.7 * style.LINE)
-    else:
-        figure = _maps(grid)
     fixed = setting(
         list(grid.fixed), np.array(list(grid.fixed.values())), 0.0, units=True, turning=grid.turning
     )
     level, coverage = grid.settings.level, grid.settings.coverage
-    figure.text(
-        0.03 / style.WIDTH, 1 - 0.05 / figure.get_size_inches()[1],
+    words = (
         f"Expanded uncertainty U ({f'k = {coverage:g}' if level is None else f'{100 * level:g} %'}) of the "
-        "decoded position" + (f" at {fixed}" if fixed != "level" else ""),
-        va="top",
-    )  # fmt: skip
-    return figure
+    )
+    words += "decoded position" + (f" at {fixed}" if fixed != "level" else "") + "."
+    if len(grid.axes) > 1:
+        panels = _maps(grid)
+        return p.Picture(panels, across=len(panels) // len(grid.pose), words=words)
+    column, values = next(iter(grid.axes.items()))
+    across, shown = scale(column, largest(values), grid.turning)
+    panels = []
+    for k, (coordinate, own) in enumerate(zip(grid.pose, grid.expanded, strict=True)):
+        factor, unit = scale(coordinate, largest(own), grid.turning)
+        x = p.Axis(f"{name(column)} [{shown}]", across * values[0], across * values[-1], most=8)
+        y = p.Axis(f"U {name(coordinate)} [{unit}]", 0.0, 1.15 * factor * own.max())
+        panels.append(
+            p.Panel(_outer(x, k == len(grid.pose) - 1), y, [p.line(across * values, factor * own, p.AFTER)])
+        )
+    return p.Picture(panels, across=1, words=words)
 
 
-def _lines(
-    pose: Sequence[str], U: np.ndarray, place: np.ndarray, label: str, turning: Collection[str], top: float
-) -> Figure:
-    figure, axes = style.panels(len(pose), 1, 1.4, top=top, bottom=0.44, right=0.14, sharex=True)
-    for ax, coordinate, own in zip(axes[:, 0], pose, U, strict=True):
-        factor, unit = scale(coordinate, largest(own), turning)
-        ax.plot(place, factor * own, color=style.AFTER)
-        ax.set_ylim(0.0, 1.15 * factor * own.max())
-        style.label_y(ax, f"U {name(coordinate)} [{unit}]")
-    style.label_x(axes[-1, 0], label, 0.3)
-    return figure
+def _outer(axis: p.Axis, outer: bool) -> p.Axis:
+    """Return an axis that has its title and numbers only where it is the outer one of several equal ones."""
+    return axis if outer else replace(axis, title="", names=())
 
 
-def _maps(grid: UncertaintyMap) -> Figure:
+def _maps(grid: UncertaintyMap) -> list[p.Panel]:
     (across, up), third = list(grid.axes)[:2], next(iter(list(grid.axes)[2:]), None)
     slices = grid.axes[third] if third else np.zeros(1)
     values = grid.expanded.reshape(len(grid.pose), *grid.expanded.shape[1:3], -1)
-    scales = [scale(c, largest(grid.axes[c]), grid.turning) for c in (across, up)]
-    x, y = (factor * grid.axes[c] for c, (factor, _) in zip((across, up), scales, strict=True))
-    bar, gap = 0.75, 0.1
-    width = (style.WIDTH - 0.64 - bar - gap * (len(slices) - 1)) / len(slices)
-    spread = [float(np.ptp(grid.axes[c])) for c in (across, up)]
-    height = float(np.clip(width * spread[1] / spread[0] if spread[0] else width, 0.8, 1.8))
-    figure, axes = style.panels(
-        len(grid.pose), len(slices), height, top=2.3 * style.LINE, bottom=0.44, right=bar, gaps=(gap, 0.16),
-        sharex=True, sharey=True,
-    )  # fmt: skip
-    for row, coordinate, U in zip(axes, grid.pose, values, strict=True):
+    axes = []
+    for c in (across, up):
+        factor, unit = scale(c, largest(grid.axes[c]), grid.turning)
+        places, edges = factor * grid.axes[c], factor * _edges(grid.axes[c])
+        low, high = (places if len(places) > 1 else edges)[[0, -1]]
+        axes.append((edges, p.Axis(f"{name(c)} [{unit}]", low, high, most=3)))
+    (x, x_axis), (y, y_axis) = axes
+    panels = []
+    for coordinate, U in zip(grid.pose, values, strict=True):
         factor, unit = scale(coordinate, float(U.max()), grid.turning)
-        _row(figure, row, (x, y), factor * U, f"U {name(coordinate)} [{unit}]")
-        style.label_y(row[0], f"{name(up)} [{scales[1][1]}]")
-    for first, last, value in zip(axes[0], axes[-1], slices, strict=True):
-        first.set_title(_slice_words(third, value, largest(slices), grid.turning), loc="left")
-        style.label_x(last, f"{name(across)} [{scales[0][1]}]", 0.3)
-    return figure
-
-
-def _row(
-    figure: Figure, axes: np.ndarray, plane: tuple[np.ndarray, np.ndarray], shown: np.ndarray, label: str
-) -> None:
-    """Draw one pose coordinate: the same colours in every slice, contour lines that need no colour."""
-    from matplotlib.ticker import MaxNLocator
-
-    low, high = float(shown.min()), float(shown.max())
-    if high - low < 1e-3 * high:  # flat: no colours made of rounding
-        low, high = 0.98 * low, 1.02 * high
-    picture: Any = None
-    for j, ax in enumerate(axes):
-        U = shown[:, :, j].T
-        picture = ax.pcolormesh(
-            *plane, U, shading="gouraud", cmap=COLOURS, vmin=low, vmax=high, rasterized=True
+        low, high = factor * U.min(), factor * U.max()
+        if high - low < 1e-3 * high:  # flat: no colours made of rounding
+            low, high = 0.98 * low, 1.02 * high
+        last = coordinate == grid.pose[-1]
+        for j, value in enumerate(slices):
+            layers = p.tiles(x, y, _full(factor * U[:, :, j].T, low, high), 1.0)
+            title = _slice_words(third, value, largest(slices), grid.turning)
+            panels.append(
+                p.Panel(
+                    _outer(x_axis, last), _outer(y_axis, j == 0), layers,
+                    title if coordinate == grid.pose[0] else "", height=115.0, grid=False,
+                )
+            )  # fmt: skip
+        steps = np.linspace(low, high, 24)
+        key = p.tiles([0.0, 1.0], steps, _full(0.5 * (steps[1:] + steps[:-1]), low, high)[:, None], 1.0)
+        title = f"U {name(coordinate)} [{unit}]"
+        panels.append(
+            p.Panel(
+                p.Axis(low=0.0, high=1.0, names=()),
+                p.Axis(title, low, high),
+                key,
+                height=115.0,
+                share=0.08,
+                grid=False,
+            )
         )
-        levels = np.linspace(low, high, 7)[1:-1]
-        if np.any((levels > U.min()) & (levels < U.max())):
-            ax.contour(*plane, U, levels=levels, colors="white", linewidths=0.5)
-        ax.xaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]))
-        ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
-    box = axes[-1].get_position()
-    beside = figure.add_axes((box.x1 + 0.08 / style.WIDTH, box.y0, 0.1 / style.WIDTH, box.height))
-    colours = figure.colorbar(picture, cax=beside)
-    colours.set_label(label, labelpad=2)
-    colours.ax.yaxis.set_major_formatter(lambda v, _: short(v))
-    colours.outline.set_linewidth(0.6)
+    return panels
+
+
+PALEST = 0.06
+"""Strength of the colour of the least value of a map."""
+
+
+def _full(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    return PALEST + (1 - PALEST) * (values - low) / (high - low)
+
+
+def _edges(places: np.ndarray) -> np.ndarray:
+    """Return the edges of cells around places: the middles between them, and as far beyond the outer ones."""
+    if len(places) < 2:
+        return np.array([places[0] - 0.5, places[0] + 0.5])
+    middle = 0.5 * (places[1:] + places[:-1])
+    return np.array([2 * places[0] - middle[0], *middle, 2 * places[-1] - middle[-1]])
 
 
 def _slice_words(column: str | None, value: float, most: float, turning: Collection[str]) -> str:
@@ -165,37 +166,36 @@ def _slice_words(column: str | None, value: float, most: float, turning: Collect
         return ""
     factor, unit = scale(column, most or 1e-4, turning)
     step = 10.0 ** np.floor(np.log10(factor * (most or 1e-4)) - 2)
-    return f"{name(column)} = {short(round(factor * value / step) * step)} {unit}".replace("-", MINUS)
+    return minus(f"{name(column)} = {short(round(factor * value / step) * step)} {unit}")
 
 
 # -- errors along a coordinate -----------------------------------------------------------------------------
 
 
-PANEL, COLUMNS = 1.25, 3  # inches; entries of the legend in a line
+COLOURS = (p.BLUE, p.ORANGE, p.GREEN, p.PINK, p.INK, p.YELLOW, p.SKY)
+DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
+"""Of causes; not equally many, so that pairs repeat late."""
 
 
-def errors_along(found: ErrorModel) -> Figure:
-    """Draw the error of each coordinate of the pose over the one that moves, a line per cause."""
+def errors_along(found: ErrorModel) -> p.Picture:
+    """Return the error of each coordinate of the pose over the one that moves, a line per cause."""
     pose, causes = found.model.pose, found.causes
-    lines = -(-len(causes) // COLUMNS)
-    figure, axes = style.panels(len(pose), 1, PANEL, top=0.1 + lines * style.LINE, bottom=0.42, sharex=True)
-    looks = [
-        {"color": style.BLACK, "ls": "-", "lw": 1.4}
-        if k and k == len(causes) - 1
-        else {"color": style.SERIES[k % len(style.SERIES)], "ls": style.DASHES[k % len(style.DASHES)]}
-        for k in range(len(causes))
-    ]
+    looks = [p.Look(c, dash=dash) for (c, dash), _ in zip(zip(cycle(COLOURS), cycle(DASHES)), causes)]  # noqa: B905
+    if len(causes) > 1:
+        looks[-1] = p.Look(p.INK, width=1.4)  # all together
     *_, factor, unit, moving = span(found)
-    for k, (ax, column) in enumerate(zip(axes[:, 0], pose, strict=True)):
+    panels = []
+    for k, column in enumerate(pose):
         y_factor, y_unit = scale(
             column, largest(np.array([e.error[k] for *_, e in causes])), found.model.period
         )
-        ax.axhline(0, color=style.FAINT, lw=0.6, zorder=0)
-        for (*_, e), look in zip(causes, looks, strict=True):
-            ax.plot(factor * e.at, y_factor * e.error[k], **look)
-        ax.margins(x=0)
-        style.label_y(ax, f"error of {name(column)} [{y_unit}]")
-    style.label_x(axes[-1, 0], f"{moving} [{typeset(unit)}]")
-    keys = [style.key(cause, **look) for (cause, *_), look in zip(causes, looks, strict=True)]
-    style.legend(figure, keys, "upper left", ncols=COLUMNS)
-    return figure
+        layers: list[p.Layer] = [p.level(0.0, p.Look(p.FAINT, width=0.6))]
+        layers += [
+            p.line(factor * e.at, y_factor * e.error[k], look, cause)
+            for (cause, *_, e), look in zip(causes, looks, strict=True)
+        ]
+        at = factor * causes[0][-1].at
+        x = p.Axis(f"{moving} [{typeset(unit)}]", at.min(), at.max(), most=8)
+        y = p.Axis(f"error of {name(column)} [{y_unit}]")
+        panels.append(p.Panel(_outer(x, k == len(pose) - 1), y, layers))
+    return p.Picture(panels, across=1)

@@ -15,7 +15,8 @@ from markupsafe import Markup
 
 from hallsym.files import json_text
 from hallsym.output import printable
-from hallsym.report.page.charts import Chart
+from hallsym.report.picture import Panel
+from hallsym.report.words import micro, minus
 
 # -- templates: what escapes in them, and the policy that forbids every request --------------------------
 
@@ -27,6 +28,8 @@ def render(template: str, **values: Any) -> str:
 
 @cache
 def _environment() -> Environment:
+    from hallsym.report.drawing import svg
+
     found = Environment(
         loader=PackageLoader("hallsym.report.page"),
         autoescape=True,
@@ -40,11 +43,13 @@ def _environment() -> Environment:
     script = part("page.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     found.globals |= {
+        "svg": svg,
+        "minus": lambda value: minus(str(value)),
+        "micro": lambda value: micro(str(value)),
         "style": Markup(part("page.css")),
         "script": Markup(script),
         "policy": f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{digest}'",
     }
-    found.tests["chart"] = lambda value: isinstance(value, Chart)
     return found
 
 
@@ -84,7 +89,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text, numbers as text, and charts. The first `left` columns and `wordy` hold text.
+    """Rows of text, and numbers as text. The first `left` columns and `wordy` hold text.
 
     `sortable`: by every column, with JavaScript.
     """
@@ -122,29 +127,26 @@ class Facts:
 
 
 @dataclass(frozen=True)
-class Item:
-    """A line of a list, which may begin with a `name`."""
-
-    words: str
-    name: str = ""
-
-
-@dataclass(frozen=True)
 class Items:
-    """A list."""
+    """A list of lines, each a name, which may be empty, and words."""
 
     kind: ClassVar[str] = "items"
-    lines: Sequence[Item]
+    lines: Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True)
 class Figure:
-    """Charts, or pictures as markup, with a caption, side by side; `look`: "two" in a row."""
+    """Panels with a caption, side by side: three in a row, or with the `look` "two" two wider ones."""
 
     kind: ClassVar[str] = "figure"
-    charts: Sequence[Chart | Markup]
+    charts: Sequence[Panel]
     caption: str = ""
     look: str = ""
+
+    @property
+    def width(self) -> float:
+        """The px of a panel."""
+        return 360.0 if self.look == "two" else 240.0
 
 
 @dataclass(frozen=True)
@@ -154,7 +156,7 @@ class Runs:
     kind: ClassVar[str] = "runs"
     title: str
     note: str
-    charts: Sequence[Chart]
+    charts: Sequence[Panel]
     key: str
     data: Any
 
@@ -170,7 +172,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Headline:
-    """The card at the top: verdict, sizes against the noise floor, next command.
+    """The card at the top: verdict, next command, sizes against the noise floor.
 
     `state`: good, open or bad. `word`: the verdict in a few words, `sentence` the rest. `why`: what the next
     command does.
@@ -179,9 +181,9 @@ class Headline:
     state: str
     word: str
     sentence: str
-    sizes: Table | None = None
     why: str = ""
     command: str = ""
+    sizes: Figure | None = None
 
 
 def document(title: str, headline: Headline, sections: Sequence[Section], footer: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -12,27 +11,37 @@ from typing import Any
 from hallsym.diagnosis import Diagnosis, Statement, noise_text
 from hallsym.estimation import Fit
 from hallsym.families import added_effects, plain
+from hallsym.output import percent
 from hallsym.report.data.gather import Cells, RunSeries
-from hallsym.report.page import pictures, shared
+from hallsym.report.figures.diagnosis import changed, curves, gap, shares
+from hallsym.report.page import shared
 from hallsym.report.page.content import (
     Facts,
     Figure,
     Heading,
     Headline,
-    Item,
     Items,
     Section,
     Table,
     Words,
     document,
 )
-from hallsym.report.page.shared import Gap
+from hallsym.report.picture import BEFORE
 from hallsym.report.tables import concise
-from hallsym.report.text.diagnosis import noise_name, p_text, shrinks_text, significance_text, units_of
-from hallsym.report.words import MINUS, NOT_DECODED, amount, scale, three
+from hallsym.report.text.diagnosis import (
+    noise_name,
+    p_text,
+    shrinkage_text,
+    shrinks_text,
+    significance_text,
+    size_rows,
+    units_of,
+    wave_rows,
+)  # fmt: skip
+from hallsym.report.words import NOT_DECODED, amount, micro, three
 from hallsym.report.words import name as named_column
-from hallsym.units import readable
 
+JUDGED = "On runs that took part in neither the fit nor the choice of effects. Dashed line: noise floor."
 STATES = {"no gap": "good", "explained": "good"}
 """Verdicts after which there is nothing left to find; every other one is open."""
 
@@ -73,7 +82,6 @@ def diagnosis_page(
 
 def _headline(d: Diagnosis, fit: Fit | None, reading: Sequence[str]) -> Headline:
     word = f"{d.verdict.capitalize()}."
-    rows = gaps(d)
     next_command, why = "", ""
     if d.next_step:
         next_command = shlex.join(["hallsym", "fit", d.log.path or "LOG", *d.next_step, *reading])
@@ -86,10 +94,10 @@ def _headline(d: Diagnosis, fit: Fit | None, reading: Sequence[str]) -> Headline
     return Headline(
         STATES.get(d.verdict, "open"),
         word,
-        typeset(d.sentence.removeprefix(f"{word} ")),
-        shared.sizes_table(rows, d.noise_floor.outputs) if next(iter(rows.values()))["rmse"] else None,
+        micro(d.sentence.removeprefix(f"{word} ")),
         why,
         next_command,
+        Figure(gap(d).panels, JUDGED),
     )
 
 
@@ -115,79 +123,33 @@ def _parameters(d: Diagnosis, fit: Fit | None) -> list[Any]:
         for name, p in e.parameters.items():
             factor, unit = angle if angle[1] == "deg" and p.unit == "rad" else (1.0, p.unit)
             std = None if p.std is None else factor * p.std
-            rows.append([e.name, name, concise(factor * p.value, std).replace("-", MINUS), unit, e.cost])
+            rows.append([e.name, name, concise(factor * p.value, std), unit, e.cost])
     head = ["effect", "parameter", "value (1 sigma)", "unit", "adds to the model"]
     added = Table(head, rows, "parameters of the effects", left=2, wordy=(3, 4), sortable=changed(d))
     own = [Heading(f"Of {fit.model.name}"), *shared.parameters_of(fit)] if fit else []
     return [added, *own]
 
 
-def _notes(d: Diagnosis) -> list[Item]:
+def _notes(d: Diagnosis) -> list[tuple[str, str]]:
     said = "significant, lowers the gap by {}, less than the threshold"
-    smaller = [f"{f.name}: {said.format(percent(f.shrinkage))}" for f in d.smaller_findings]
-    untested = [f"{name}: not testable, {reason}" for name, reason in d.not_testable.items()]
-    return [Item(words) for words in (*smaller, *untested, *d.notes)]
-
-
-# -- numbers ---------------------------------------------------------------------------------------------
-
-
-def changed(d: Diagnosis) -> bool:
-    """Return whether there is an after that differs from before."""
-    return bool(d.effects or d.ranked)
-
-
-def percent(value: float, digits: int = 1) -> str:
-    """Return a share in per cent; nothing where it does not exist."""
-    return "" if not math.isfinite(value) else f"{100 * value:.{digits}f} %".replace("-", MINUS)
-
-
-def with_interval(value: float, interval: tuple[float, float] | None) -> str:
-    """Return a share and its interval in per cent: `61.0 % (57.0 to 64.0)`; of each what exists."""
-    if interval is None or not all(map(math.isfinite, (value, *interval))):
-        return percent(value)
-    return f"{100 * value:.1f} % ({100 * interval[0]:.1f} to {100 * interval[1]:.1f})".replace("-", MINUS)
-
-
-def p_cell(value: float | None) -> str:
-    """Return a p-value as a cell of a table, empty where there is none."""
-    return "" if value is None or math.isnan(value) else p_text(value).replace("-", MINUS)
-
-
-def typeset(text: str) -> str:
-    """Return words with the micro sign in units."""
-    return re.sub(r"(?<=\d )u(?=(m|rad)\b)", "µ", text)
+    smaller = [(f.name, said.format(percent(f.shrinkage, 1))) for f in d.smaller_findings]
+    untested = [(name, f"not testable, {reason}") for name, reason in d.not_testable.items()]
+    return [*smaller, *untested, *(("", note) for note in d.notes)]
 
 
 # -- errors: before and after, per output, sensor and harmonic -------------------------------------------
 
 
 def errors_section(d: Diagnosis) -> Section:
-    """Return errors on the holdout runs beside the noise floor, as picture and tables."""
-    drawn = {when: ("after" if when == "holdout" else when, gap) for when, gap in gaps(d).items()}
-    floor = d.noise_floor
-    note = "On runs that took part in neither the fit nor the choice of effects. Dashed line: noise floor."
+    """Return how far the error falls, and its size on fitted and holdout runs and by harmonic."""
     content: list[Any] = [
         Words(f"{shrinks_text(d) if changed(d) else ''} {_metric(d)}".strip()),
-        Words(note, note=True),
-        Figure(pictures.against_floor(drawn, floor.outputs)),
         *_sizes(d),
     ]
     for coordinate in dict.fromkeys(w.coordinate for w in d.waves):
         content += _waves(d, coordinate)
     title = f"{'Before and after' if changed(d) else 'Errors'}, against the noise floor"
     return Section("errors", title, content)
-
-
-def gaps(d: Diagnosis) -> dict[str, Gap]:
-    """Return the errors before and after, or on the holdout runs, without outputs that have no number."""
-    every = {"before": asdict(d.gap_before), "after": asdict(d.gap_after)}
-    parts = [part for gap in every.values() for part in gap.values()]
-    known = [c for c in parts[0] if all(math.isfinite(part.get(c, math.nan)) for part in parts)]
-    found: dict[str, Gap] = {
-        when: {what: {c: part[c] for c in known} for what, part in gap.items()} for when, gap in every.items()
-    }
-    return found if changed(d) else {"holdout": found["before"]}
 
 
 def _metric(d: Diagnosis) -> str:
@@ -201,46 +163,23 @@ def _metric(d: Diagnosis) -> str:
 
 
 def _waves(d: Diagnosis, coordinate: str) -> list[Any]:
-    factor, unit, name = readable(coordinate or next(iter(d.noise_floor.outputs)))
-    per = f"period of {name}" if coordinate else "turn"
-    rows: list[list[object]] = []
-    for w in (w for w in d.waves if w.coordinate == coordinate):
-        sizes = ["" if a is None else three(factor * a) for a in (w.designed, w.model, w.after)]
-        found = [e.name for e in d.effects if e.name in w.causes]
-        rows.append([w.per_turn, *sizes, ", ".join(found), ", ".join(w.causes)])
-    head = [
-        f"waves per {per}", f"nominal [{unit}]", f"model [{unit}]", f"with the effects [{unit}]",
-        "effects found", "causes",
-    ]  # fmt: skip
+    head, *rows = wave_rows(d, coordinate)
     lost = any(w.designed is None for w in d.waves if w.coordinate == coordinate)
     caption = (
         f"amplitude of the error over all runs: of the nominal sensor with only its zeros fitted"
         f"{f' (none: {NOT_DECODED})' if lost else ''}, of the model, and with the effects found"
     )
-    return [Heading(f"By waves per {per}"), Table(head, rows, caption, wordy=(4, 5))]
+    return [Heading(f"By {head[0].partition(' [')[0]}"), Table(head, rows, caption, wordy=(4, 5))]
 
 
 def _sizes(d: Diagnosis) -> list[Any]:
-    rows: list[list[object]] = []
-    for column, sides in d.size.rows.items():
-        factor, unit = scale(column, max(side.rms for side in sides.values()))
-        row: list[object] = [named_column(column), unit]
-        for when in ("fitted", "held_out"):
-            side = sides.get(when)
-            row += [three(factor * v) for v in (side.rms, side.noise, side.above)] if side else [""] * 3
-            row.append(percent(side.share, 0) if side and side.share is not None else "")
-        rows.append(row)
-    if not rows:
-        return []
-    head = ["of the model", "unit"]
-    for when in ("fitted", "holdout"):
-        head += [f"{what}, {when}" for what in ("rms", "noise", "above", "share")]
     caption = (
         f"residual error on fitted and holdout runs: rms, noise floor ({d.noise_floor.source}), the excess "
         "above it, and its share of the excess of all outputs, or of all sensors, where the whole excess is "
         "more than chance"
     )
-    return [Heading("Per output and per sensor"), Table(head, rows, caption, left=2)]
+    found = size_rows(d)
+    return [Heading("Per output and per sensor"), Table(found[0], found[1:], caption)] if found else []
 
 
 # -- effects: ranked, with what the log cannot tell apart ------------------------------------------------
@@ -252,9 +191,9 @@ def effects_section(d: Diagnosis) -> Section:
         none = "None. No effect of the catalogue lowers the gap by what is worth reporting."
         return Section("effects", "Which effects", [Words(none)])
     rows = [(e.name, e.shrinkage, e.interval) for e in d.effects if math.isfinite(e.shrinkage)]
-    drawn = [pictures.shares(rows, "decrease of the gap [%]", 1)] if rows else []
+    drawn = [shares(rows, "decrease of the gap [%]", 1)] if rows else []
     ranking = Figure(drawn, "With the 95 % interval of each effect", look="two")
-    notes = Items([Item(e.note, e.name) for e in d.effects if e.note])
+    notes = Items([(e.name, e.note) for e in d.effects if e.note])
     return Section("effects", "Which effects", [ranking, _ranked(d), notes, *_groups(d)])
 
 
@@ -263,8 +202,8 @@ def _ranked(d: Diagnosis) -> Table:
         "effect", "link", "form", "shrinks the gap by (95 %)", "share of the excess", "p",
         "not told apart from",
     ]  # fmt: skip
-    known = {e.name: [e.link, e.variant, with_interval(e.shrinkage, e.interval), percent(e.share, 0),
-                      p_cell(e.p_value)] for e in d.effects}  # fmt: skip
+    known = {e.name: [e.link, e.variant, shrinkage_text(e.shrinkage, e.interval), percent(e.share),
+                      p_text(e.p_value)] for e in d.effects}  # fmt: skip
     rows: list[list[Any]] = []
     for name in dict.fromkeys([*known, *d.ranked]):
         others = dict.fromkeys(other for g in d.groups if name in g for other in g if other != name)
@@ -277,7 +216,7 @@ def _groups(d: Diagnosis) -> list[Any]:
     for s in d.separate_by:
         now = f"this log cannot tell them apart ({three(s.sigma_now)} sigma)"
         lines[s.group] = f"{now}. Record {s.recording}."
-    items = Items([Item(line, ", ".join(group)) for group, line in lines.items()])
+    items = Items([(", ".join(group), line) for group, line in lines.items()])
     return [Heading("Confusable effects"), items] if lines else []
 
 
@@ -301,7 +240,7 @@ def rest_section(d: Diagnosis) -> Section:
     rest = d.unexplained
     said: list[Any] = []
     if rest:
-        share = percent(rest.share, 0)
+        share = percent(rest.share)
         said.append(Words(f"{share} of the excess above the noise floor has no known cause."))
     if d.remaining and d.remaining != d.where:
         said += _statements(d.remaining, "share of the unexplained excess [%]")
@@ -310,18 +249,18 @@ def rest_section(d: Diagnosis) -> Section:
     elif rest:
         said.append(Words("It goes with no sensor, coordinate, frequency or run above chance."))
     if rest and rest.curve:
-        how, charts = pictures.curves(rest.curve)
-        said.append(Figure(charts, how, look="shape"))
+        how, panels = curves(rest.curve)
+        said.append(Figure(panels, how, look="shape"))
     return Section("rest", "What no effect explains", said)
 
 
 def _statements(statements: Sequence[Statement], title: str) -> list[Any]:
     drawn = [(_place(s), s.share, None) for s in statements if math.isfinite(s.share)][:MOST]
     rows = [
-        [typeset(s.text), "" if s.held_out is None else percent(max(s.held_out, 0.0), 0), p_cell(s.p_value)]
+        [s.text, "" if s.held_out is None else percent(max(s.held_out, 0.0)), p_text(s.p_value)]
         for s in statements
     ]
-    chart = [pictures.shares(drawn, title, look="before")] if drawn else []
+    chart = [shares(drawn, title, look=BEFORE)] if drawn else []
     head = ["statement (fitted runs)", "on holdout runs", "p"]
     return [Figure(chart, look="two"), Table(head, rows, "statements on the places")] if statements else []
 

@@ -6,7 +6,6 @@ import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -21,16 +20,14 @@ from hallsym.families.recording import as_read
 from hallsym.log import Log, Weigh
 from hallsym.report.data.gather import Gathered, gather
 from hallsym.report.data.survey import Decoder
+from hallsym.report.figures.errors import Sizes, against_floor
 from hallsym.report.page import shared
-from hallsym.report.page.content import Facts, Figure, Headline, Item, Items, Section, Words, document
-from hallsym.report.page.pictures import against_floor
-from hallsym.report.page.shared import Gap
+from hallsym.report.page.content import Facts, Figure, Headline, Items, Section, document
 from hallsym.report.text.fit import circumstances
 from hallsym.report.words import name
 
 NEAR = 1.1
 """An rmse up to this many noise floors is called at the floor."""
-LOOKS = {"nominal": "before", "fitted": "after", "held out": "apart", "this log": "after"}
 
 
 def fit_page(log: Log, fit: Fit, *, command: str = "", calibration: str = "calib.json") -> str:
@@ -58,29 +55,29 @@ def fit_page(log: Log, fit: Fit, *, command: str = "", calibration: str = "calib
     origin = {"path": log.path and str(log.path), "sha256": log.sha256}
     sections = [
         Section("input", "Input", [_input(log, fit, found, same)]),
-        Section("errors", "Errors against the noise floor", _errors(shown, fit, same)),
         shared.maps_section({"fitted": found.maps}, fit.noise_floor),
         shared.runs_section(found.series),
         Section("parameters", "Parameters", shared.parameters_of(fit)),
-        Section("notes", "Evidence and notes", [Items([Item(note) for note in notes])]),
+        Section("notes", "Evidence and notes", [Items([("", note) for note in notes])]),
         shared.origin_section(origin, fit.versions, command),
     ]
     title = f"Calibration of {fit.model.name}: {shared.called(log.path)}"
-    headline = _headline(fit, shown, calibration)
+    headline = _headline(fit, shown, calibration, same)
     return document(title, headline, sections, f"hallsym {fit.versions.get('hallsym', '')}")
 
 
-def _headline(fit: Fit, rows: Mapping[str, Gap], calibration: str) -> Headline:
-    where, gap = _judged(rows)
-    ratio = _ratios(fit, gap)
+def _headline(fit: Fit, rows: Mapping[str, Sizes], calibration: str, same: bool) -> Headline:
+    ratio = _ratios(fit, _judged(rows)[1])
     above = max(ratio.values(), default=0.0) > NEAR or bool(_amiss(fit))
     state = "bad" if above or _unfinished(fit) else "good" if ratio else "open"
     words = {"bad": "Not at the noise floor.", "good": "At the noise floor."}
     word = words.get(state, "No noise floor is known.")
-    sizes = {"before": rows["nominal"]} if "nominal" in rows and where != "nominal" else {}
-    table = shared.sizes_table({**sizes, "after" if sizes else where: gap}, fit.noise_floor, fit.model.period)
-    why, command = _next(fit, above, calibration)
-    return Headline(state, word, verdict(fit, rows), table, why, command)
+    none = ", no zero deviations" if fit.model.zeros else ""
+    note = "Dashed line: noise floor. "
+    note += f"Nominal: every parameter at its nominal value{none}. " if same else ""
+    note += "Where values lie far apart the scale is logarithmic and dots stand for bars."
+    sizes = Figure(against_floor(rows, fit.noise_floor, fit.model.period), note)
+    return Headline(state, word, verdict(fit, rows), *_next(fit, above, calibration), sizes)
 
 
 def _next(fit: Fit, above: bool, calibration: str) -> tuple[str, str]:
@@ -95,7 +92,7 @@ def _next(fit: Fit, above: bool, calibration: str) -> tuple[str, str]:
     return "Next, write the decoder for the controller:", shlex.join(words)
 
 
-def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
+def verdict(fit: Fit, rows: Mapping[str, Sizes]) -> str:
     """Return what the fit leaves and which parameters are not identifiable, worst news first."""
     where, gap = _judged(rows)
     on = {"held out": "on runs that were held out", "fitted": "on the runs that were fitted"}
@@ -116,11 +113,11 @@ def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
     return " ".join(filter(None, (_amiss(fit), _unfinished(fit), text, _identifiable(fit))))
 
 
-def _ratios(fit: Fit, gap: Gap) -> dict[str, float]:
+def _ratios(fit: Fit, gap: Sizes) -> dict[str, float]:
     return {c: v / fit.noise_floor[c] for c, v in gap["rmse"].items() if fit.noise_floor.get(c)}
 
 
-def _judged(rows: Mapping[str, Gap]) -> tuple[str, Gap]:
+def _judged(rows: Mapping[str, Sizes]) -> tuple[str, Sizes]:
     """Return the rows to judge by: held-out runs where there are any."""
     key = next(k for k in ("held out", "this log", "fitted", "nominal") if k in rows)
     return key, rows[key]
@@ -151,7 +148,7 @@ def _identifiable(fit: Fit) -> str:
     return " ".join(said)
 
 
-def _rows(fit: Fit, found: Gathered) -> dict[str, Gap | None]:
+def _rows(fit: Fit, found: Gathered) -> dict[str, Sizes | None]:
     """Errors as the fit recorded them: without the outliers that it left out."""
     rows = fit.error_rows or {"designed": found.survey.nominal.over(), "fitted": found.survey.fitted.over()}
     return {"nominal": rows["designed"], "fitted": rows["fitted"], "held out": rows.get("holdout")}
@@ -176,16 +173,6 @@ def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Facts:
         ("noise floor", f"{floor}: what the noise of readings and reference alone leaves"),
     ]
     return Facts(pairs, frozenset({"log", "calibrated on"}))
-
-
-def _errors(rows: Mapping[str, Gap], fit: Fit, same: bool) -> list[Any]:
-    drawn = {label: (LOOKS[label], gap) for label, gap in rows.items()}
-    note = "Dashed line: noise floor. "
-    none = ", no zero deviations" if fit.model.zeros else ""
-    note += f"Nominal: every parameter at its nominal value{none}. " if same else ""
-    note += "Where values lie far apart the scale is logarithmic and dots stand for bars."
-    floor, turning = fit.noise_floor, fit.model.period
-    return [Words(note, note=True), Figure(against_floor(drawn, floor, turning))]
 
 
 def _notes(log: Log, fit: Fit, found: Gathered, same: bool) -> list[str]:

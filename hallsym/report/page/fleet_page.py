@@ -1,14 +1,11 @@
 """The page of a fleet: tables, and a histogram and a course of every parameter."""
 
-import io
 from typing import Any
-
-from markupsafe import Markup
 
 from hallsym.errors import counted
 from hallsym.fleets import Fleet
 from hallsym.fleets.row import VERDICTS
-from hallsym.report.figures.fleet import CAPTION, distributions
+from hallsym.report.figures.fleet import distributions
 from hallsym.report.page.content import Figure, Headline, Section, Table, Words, document
 from hallsym.report.text.fleet import SPREAD, spread_rows
 
@@ -30,10 +27,8 @@ def page_of(fleet: Fleet) -> str:
     outlying = list(fleet.outlying.items())[:MOST_LISTED]
     drawn: list[Any] = []
     if fleet.spreads:
-        stream = io.StringIO()
-        distributions(fleet).savefig(stream, format="svg", metadata={"Date": None})
-        svg = stream.getvalue()
-        drawn = [Words(CAPTION), Figure([Markup(svg[svg.index("<svg") :])], look="picture")]
+        picture = distributions(fleet)
+        drawn = [Words(picture.words), Figure(picture.panels, look="two")]
     heads = ["verdict", "devices", "meaning"], ["device", "why"], ["diagnosis", "devices", "which"]
     sections = [
         Section("verdicts", "Verdicts", [Table(heads[0], verdicts, "devices by verdict", wordy=(2,))]),

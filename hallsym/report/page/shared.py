@@ -1,7 +1,8 @@
-"""What the pages share: sizes against the noise floor, maps, runs, parameters, origin."""
+"""What the pages share: maps, runs, parameters, origin."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,21 +11,21 @@ from hallsym.estimation import Fit
 from hallsym.log.columns import in_a_row
 from hallsym.report.data.fit import ParameterRow, parameter_rows
 from hallsym.report.data.gather import Cells, RunSeries
-from hallsym.report.page import pictures
-from hallsym.report.page.content import Facts, Figure, Heading, Section, Table, Words
+from hallsym.report.figures.errors import in_bounds, over_time, plane, profiles, script_data
+from hallsym.report.page.content import Facts, Figure, Heading, Runs, Section, Table, Words
 from hallsym.report.tables import concise
-from hallsym.report.words import MINUS, amount, name, scale, three
-
-Gap = Mapping[str, Mapping[str, float]]
-"""`{"rmse": {x_m: ..}, "peak": {..}}`."""
+from hallsym.report.words import amount, name
 
 COLOURS = "The fuller the colour the larger the error; a dash marks a negative one; no cell: no samples."
 BANDS = "Line: median; band: plus and minus the rms."
 OVER = BANDS + " Pale with a light line: before; darker, drawn over it: after."
 VALUES = (
     "Values with the standard uncertainty in parentheses, on the last two digits; a value in parentheses is "
-    "not identifiable. In its bounds: dot and line are the value with two standard uncertainties, the small "
-    "stroke the nominal value; a hollow dot is not identifiable."
+    "not identifiable."
+)
+BOUNDS = (
+    "Dot and line: the value with two standard uncertainties; a hollow dot is not identifiable; stroke: the "
+    "nominal value."
 )
 
 
@@ -42,22 +43,6 @@ def called(path: object) -> str:
 def each(values: Mapping[str, float], turning: Collection[str] | None = None) -> str:
     """Return `x 1.36 µm, y 1.54 µm, Rz 2.34 µrad`; `turning` as in `hallsym.units.readable`."""
     return ", ".join(f"{name(c)} {amount(c, v, turning)}" for c, v in values.items())
-
-
-def sizes_table(
-    rows: Mapping[str, Gap], floor: Mapping[str, float], turning: Collection[str] | None = None
-) -> Table:
-    """Return the rmse of each output, a column for each of `rows`, beside the noise floor."""
-    *_, last = rows.values()
-    body = []
-    for c in last["rmse"]:
-        level = floor.get(c) or 0.0
-        factor, unit = scale(c, max(level, *(gap["rmse"][c] for gap in rows.values())), turning)
-        row = [f"{name(c)} [{unit}]", *(three(factor * gap["rmse"][c]) for gap in rows.values())]
-        ratio = f"{three(last['rmse'][c] / level)} ×" if level else ""
-        body.append([*row, three(factor * level) if level else "", ratio])
-    head = ["rmse", *rows, "noise floor", "times floor"]
-    return Table(head, body, "size of the error against the noise floor")
 
 
 # -- where, when, and how the error is distributed ---------------------------------------------------------
@@ -83,7 +68,7 @@ def _planes(versions: Mapping[str, Sequence[Cells]], floor: Mapping[str, float])
     flat = {version: m for version, maps in versions.items() for m in maps if m.up}
     figures = [
         Figure(
-            [pictures.plane(m, [*flat.values()], what, k, floor.get(c) or 0.0) for k, c in enumerate(m.pose)],
+            [plane(m, [*flat.values()], what, k, floor.get(c) or 0.0) for k, c in enumerate(m.pose)],
             f"{what}{f', {version}' if len(versions) > 1 else ''}",
         )
         for what in ("median", "rms")
@@ -110,13 +95,17 @@ def _profiles(
 
 
 def _charts(m: Cells, a: Cells | None, floor: Mapping[str, float]) -> list[Any]:
-    return [c for k, name_ in enumerate(m.pose) for c in pictures.profiles(m, k, floor.get(name_) or 0.0, a)]
+    return [c for k, name_ in enumerate(m.pose) for c in profiles(m, k, floor.get(name_) or 0.0, a)]
 
 
 def runs_section(found: Sequence[RunSeries]) -> Section:
     """Return the errors over time of the worst run, with those of others for the script."""
-    shown = pictures.runs(found)
-    return Section("series", "Decoded minus reference over time", [shown] if shown else [])
+    if not found:
+        return Section("series", "Decoded minus reference over time", [])
+    first, data = found[0], script_data(found)
+    key = "; light: " + "; dark, drawn over it: ".join(first.lines) if len(first.lines) > 1 else ""
+    shown = Runs(first.title, data["runs"][0]["note"], over_time(first), key, data)
+    return Section("series", "Decoded minus reference over time", [shown])
 
 
 # -- parameters ---------------------------------------------------------------------------------------------
@@ -124,12 +113,16 @@ def runs_section(found: Sequence[RunSeries]) -> Section:
 
 def parameters_of(fit: Fit) -> list[Any]:
     """Return the parameters, and what the data determine in place of some."""
-    head = ["parameter", "value (std)", "unit", "nominal", "bounds", "in its bounds", "meaning", "verdict"]
-    rows = [_parameter(row) for row in parameter_rows(fit)]
-    table = Table(head, rows, f"parameters of {fit.model.name}", wordy=(6, 7), sortable=True)
+    head = ["parameter", "value (std)", "unit", "nominal", "bounds", "meaning", "verdict"]
+    found = parameter_rows(fit)
+    rows = [_parameter(row) for row in found]
+    table = Table(head, rows, f"parameters of {fit.model.name}", wordy=(5, 6), sortable=True)
     content: list[Any] = [Words(VALUES, note=True), table]
+    inside = [row for row in found if math.isfinite(row.upper - row.lower) and not row.fixed]
+    if inside:
+        content += [Words(BOUNDS, note=True), Figure([in_bounds(inside)], look="two")]
     if fit.combinations:
-        rows = [[c.expression, concise(c.value, c.std).replace("-", MINUS), c.unit] for c in fit.combinations]
+        rows = [[c.expression, concise(c.value, c.std), c.unit] for c in fit.combinations]
         content.append(Heading("Identifiable combinations"))
         content.append(Table(["combination", "value", "unit"], rows, "identifiable combinations", wordy=(2,)))
     return content
@@ -138,10 +131,8 @@ def parameters_of(fit: Fit) -> list[Any]:
 def _parameter(p: ParameterRow) -> list[Any]:
     shown = concise(p.value, p.std) if p.determined else f"({p.value:.4g})"
     bounds = "fixed" if p.fixed else f"{p.lower:.4g} to {p.upper:.4g}"
-    mark = pictures.in_bounds(p.value, p.std, p.lower, p.upper, p.nominal)
-    numbers_ = [n.replace("-", MINUS) for n in (shown, p.unit, f"{p.nominal:.4g}", bounds)]
     verdict = "fixed" if p.fixed else p.remark.replace("see below", "combined below") or "identifiable"
-    return [p.name, *numbers_, mark or "", p.meaning, verdict]
+    return [p.name, shown, p.unit, f"{p.nominal:.4g}", bounds, p.meaning, verdict]
 
 
 def origin_section(log: Mapping[str, Any], found: Mapping[str, Any], command: str) -> Section:

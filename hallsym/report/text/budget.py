@@ -5,6 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from hallsym.report.tables import grid
+from hallsym.report.words import short
 from hallsym.trajectory import Curve
 from hallsym.uncertainty import Budget, Comparison, Recorded, Source
 from hallsym.units import UNITS, fitting, readable, reading_unit
@@ -32,7 +33,7 @@ def budget_text(budget: Budget, shown: str | None = None) -> str:
     value = ""
     if budget.value is not None:
         size, name = fitting(budget.unit, budget.value or budget.expanded, turns=budget.turns)
-        value = f" = {_three(budget.value * size)} {name}"
+        value = f" = {short(budget.value * size)} {name}"
     return "\n".join(
         [
             f"{budget.quantity}{value}",
@@ -47,14 +48,14 @@ def budget_text(budget: Budget, shown: str | None = None) -> str:
 def _row(source: Source, share: float, result: str, factor: float, unit: str) -> list[str]:
     own, name = fitting("1", source.std) if source.unit == "1" else reading_unit(source.unit)
     own, name = (factor, unit) if source.unit == result else (own, name)
-    slope = _three(source.sensitivity * factor / own)
+    slope = short(source.sensitivity * factor / own)
     per = "" if name == unit else f" {unit}/{f'({name})' if '/' in name else name}"
     return [
         source.name,
         source.distribution,
-        f"{_three(source.std * own)} {name}",
+        f"{short(source.std * own)} {name}",
         slope + per,
-        _three(abs(source.contribution) * factor),
+        short(abs(source.contribution) * factor),
         f"{100 * share:.2f}" if abs(share) < 0.01 else f"{100 * share:.1f}",
     ]
 
@@ -69,9 +70,9 @@ def comparison_text(comparisons: Sequence[Comparison]) -> str:
         half = c.linear.expanded * factor
         rows.append(
             [
-                c.linear.quantity, _three(c.linear.std * factor), _three(c.std * factor), unit,
-                f"-{_three(half)} .. {_three(half)}", f"{_three(low)} .. {_three(high)}",
-                _three(c.tolerance * factor), c.verdict,
+                c.linear.quantity, short(c.linear.std * factor), short(c.std * factor), unit,
+                f"-{short(half)} .. {short(half)}", f"{short(low)} .. {short(high)}",
+                short(c.tolerance * factor), c.verdict,
             ]
         )  # fmt: skip
     return grid(rows)
@@ -82,7 +83,7 @@ def recorded_text(recorded: Recorded, title: str) -> str:
     rows = [[title, "unit", "rms", "worst", "at"]]
     for column, worst in recorded.worst.items():
         factor, unit, _ = readable(column, recorded.turning)
-        sizes = (_three(v * factor) for v in (recorded.rms[column], worst))
+        sizes = (short(v * factor) for v in (recorded.rms[column], worst))
         rows.append([column, unit, *sizes, position_words(recorded.where[column], recorded.turning)])
     return grid(rows, left=2)
 
@@ -105,7 +106,7 @@ def _length(value: float) -> str:
     if 0 < abs(value) < 1e-12:
         return "<0.001 nm"
     factor, unit = fitting("m", value)
-    return f"{_three(value * factor)} {unit}"
+    return f"{short(value * factor)} {unit}"
 
 
 def position_words(at: Mapping[str, float], turning: Collection[str] | None = None) -> str:
@@ -115,9 +116,5 @@ def position_words(at: Mapping[str, float], turning: Collection[str] | None = No
     for column, value in at.items():
         factor, unit, name = readable(column, turning)
         if abs(value) > least:
-            parts.append(f"{name} {_three(value * factor)} {unit}")
+            parts.append(f"{name} {short(value * factor)} {unit}")
     return ", ".join(parts) or "rest"
-
-
-def _three(value: float) -> str:
-    return "0" if value == 0 else f"{value:.3g}" if abs(value) < 1e3 else f"{value:.4g}"

@@ -3,14 +3,15 @@
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from math import isfinite, isnan
 from textwrap import fill
 
 from hallsym.diagnosis import QUIET, Diagnosis, Estimate, FoundEffect, Significance, Statement, noise_text
 from hallsym.errors import counted
-from hallsym.output import prose_width
+from hallsym.output import percent, prose_width
 from hallsym.report.tables import concise, error_rows, grid
-from hallsym.report.words import NOT_DECODED
-from hallsym.units import parameter_unit, readable
+from hallsym.report.words import NOT_DECODED, name, three
+from hallsym.units import parameter_unit, readable, scaled
 
 MOST = 10
 """Statements on where a gap lies that are printed at most."""
@@ -28,7 +29,9 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
 
     `reading`: the words of the command line that say how the log is read, for the next step.
     """
-    parts = [_wrapped(d.sentence), "", _wrapped(_basis(d), "  "), "", _errors(d), *_sizes(d), *_waves(d)]
+    parts = [_wrapped(d.sentence), "", _wrapped(_basis(d), "  "), "", _errors(d)]
+    sizes = size_rows(d)
+    parts += [*(["", grid(sizes)] if sizes else []), *_waves(d)]
     if d.noise is not None:
         noise = noise_text(d.noise, d.noise_floor.source == "stated")
         parts += ["", _wrapped(f"{noise_name(d)}: {noise}", "  ")]
@@ -47,7 +50,7 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
     if d.remaining != d.where:
         parts += _statements("where the unexplained rest lies", d.remaining, d.held_out)
     if d.smaller_findings:
-        smaller = ", ".join(f"{f.name} {100 * f.shrinkage:.1f} %" for f in d.smaller_findings)
+        smaller = ", ".join(f"{f.name} {percent(f.shrinkage, 1)}" for f in d.smaller_findings)
         said = f"smaller findings (significant, but below the threshold): {smaller}"
         parts += ["", _wrapped(said, "  ")]
     parts += _untested(d.not_testable)
@@ -62,7 +65,7 @@ def noise_name(d: Diagnosis) -> str:
 
 def p_text(p: float | None) -> str:
     """Return a p-value for reading: never 0, never more digits than it is worth."""
-    if p is None:
+    if p is None or isnan(p):
         return ""
     return f"< {LEAST_P:.0e}".replace("e-0", "e-") if p < LEAST_P else f"{p:.1g}"
 
@@ -105,18 +108,40 @@ def _errors(d: Diagnosis) -> str:
     return error_rows(tuple(d.noise_floor.outputs), rows, d.noise_floor.outputs, d.noise_floor.source)
 
 
-def _sizes(d: Diagnosis) -> list[str]:
-    head = ["rms error", "fitted", "holdout", "noise", "above it: fitted", "holdout", "share", "holdout"]
+def size_rows(d: Diagnosis) -> list[list[str]]:
+    """Return head and rows of the residual error by output and sensor; nothing where none is known."""
+    head = [
+        "residual error", "rms, fitted", "rms, holdout", "noise", "above, fitted",
+        "above, holdout", "share, fitted", "share, holdout",
+    ]  # fmt: skip
     rows = []
     for column, sides in d.size.rows.items():
-        factor, unit, name = readable(column)
+        factor, unit = scaled(column, max(side.rms for side in sides.values()))
         both = [sides.get(side) for side in ("fitted", "held_out")]
-        noise = next((f"{factor * s.noise:.3g}" for s in both if s), "")
-        rms = [f"{factor * s.rms:.3g}" if s else "" for s in both]
-        above = [f"{factor * s.above:.3g}" if s else "" for s in both]
-        share = ["" if s is None or s.share is None else f"{100 * s.share:.0f} %" for s in both]
-        rows.append([f"{name} [{unit}]", *rms, noise, *above, *share])
-    return ["", grid([head, *rows])] if rows else []
+        noise = next((three(factor * s.noise) for s in both if s), "")
+        rms = [three(factor * s.rms) if s else "" for s in both]
+        above = [three(factor * s.above) if s else "" for s in both]
+        share = ["" if s is None or s.share is None else percent(s.share) for s in both]
+        rows.append([f"{name(column)} [{unit}]", *rms, noise, *above, *share])
+    return [head, *rows] if rows else []
+
+
+def wave_rows(d: Diagnosis, coordinate: str) -> list[list[str]]:
+    """Return head and rows of the harmonics of the error over a periodic coordinate, and their causes."""
+    factor, unit, per = _period(d, coordinate)
+    head = [f"waves per {per} [{unit}]", "nominal", "model", "with the effects", "effects found", "causes"]
+    rows = []
+    for w in (w for w in d.waves if w.coordinate == coordinate):
+        found = [e.name for e in d.effects if e.name in w.causes]
+        sizes = ["" if a is None else three(factor * a) for a in (w.designed, w.model, w.after)]
+        rows.append([str(w.per_turn), *sizes, ", ".join(found), ", ".join(w.causes)])
+    return [head, *rows]
+
+
+def _period(d: Diagnosis, coordinate: str) -> tuple[float, str, str]:
+    """Return factor and unit of the error over a periodic coordinate, and what its period is called."""
+    factor, unit, name = readable(coordinate or next(iter(d.noise_floor.outputs)))
+    return factor, unit, f"period of {name}" if coordinate else "turn"
 
 
 def _waves(d: Diagnosis) -> list[str]:
@@ -124,18 +149,12 @@ def _waves(d: Diagnosis) -> list[str]:
     lines = []
     for coordinate in dict.fromkeys(w.coordinate for w in d.waves):
         mine = [w for w in d.waves if w.coordinate == coordinate]
-        factor, unit, name = readable(coordinate or next(iter(d.noise_floor.outputs)))
-        per = f"period of {name}" if coordinate else "turn"
-        rows = [[f"waves per {per} [{unit}]", "nominal", "model", "with the effects", "effects found"]]
-        for w in mine:
-            found = [e.name for e in d.effects if e.name in w.causes]
-            sizes = ["" if a is None else f"{factor * a:.2g}" for a in (w.designed, w.model, w.after)]
-            rows.append([str(w.per_turn), *sizes, ", ".join(found)])
-        lines += ["", grid(rows, left=1)]
+        lines += ["", grid([row[:-1] for row in wave_rows(d, coordinate)])]
         if any(w.designed is None for w in mine):
             lines.append(_wrapped(f"No nominal waves: {NOT_DECODED}."))
         most = max(mine, key=lambda w: w.designed or 0.0)
         if most.designed and most.absorbed and most.causes:
+            factor, unit, per = _period(d, coordinate)
             size = f"{factor * most.designed:.2g} {unit}"
             said = f"The largest harmonic is {most.per_turn} per {per} ({size}). The model's own parameters "
             lines.append(_wrapped(f"{said}absorb it, whichever causes it: {' or '.join(most.causes)}."))
@@ -146,9 +165,16 @@ def effect_text(effects: tuple[FoundEffect, ...]) -> str:
     """Return the table of effects, best first."""
     rows = [["effect", "link", "gap shrinks by (95 %)", "share of excess", "p"]]
     for e in effects:
-        shrinks = f"{100 * e.shrinkage:.1f} %" + ("" if e.interval is None else f" ({_ends(e.interval)})")
-        rows.append([e.name, e.link, shrinks, f"{100 * e.share:.0f} %", p_text(e.p_value)])
+        rows.append(
+            [e.name, e.link, shrinkage_text(e.shrinkage, e.interval), percent(e.share), p_text(e.p_value)]
+        )
     return grid(rows, left=2)
+
+
+def shrinkage_text(value: float, interval: tuple[float, float] | None) -> str:
+    """Return a decrease with its interval in per cent: `61.0 % (57.0 to 64.0)`; of each what exists."""
+    known = interval is not None and all(map(isfinite, (value, *interval)))
+    return percent(value, 1) + (f" ({_ends(interval)})" if interval and known else "")
 
 
 def units_of(d: Diagnosis) -> Mapping[str, tuple[float, str]]:
@@ -178,15 +204,15 @@ def shrinks_text(d: Diagnosis) -> str:
     """
     s, piece, judges = d.shrinkage, piece_of(d), len(d.validation_runs)
     held = d.held_out if judges == 1 else counted(judges, d.held_out)
-    fall = f"falls by {_percent(1 - d.metric.after / d.metric.before)}" if d.metric.before > 0 else "is 0"
+    fall = f"falls by {percent(1 - d.metric.after / d.metric.before, 1)}" if d.metric.before > 0 else "is 0"
     more = counted(s.parameters_added, "parameter")
     alone = (
-        f"On the {held} alone the error {fall}: {100 * s.share_closed:.0f} % of its excess above the noise "
+        f"On the {held} alone the error {fall}: {percent(s.share_closed)} of its excess above the noise "
         f"floor is closed, with {more} more."
     )
     if s.judges <= judges:
         known = "" if s.interval is None else f" (95 % of recordings like it: {_ends(s.interval)} %)"
-        return f"The gap shrinks by {_percent(s.value)}{known}. {alone}" if known else alone
+        return f"The gap shrinks by {percent(s.value, 1)}{known}. {alone}" if known else alone
     known = (
         f"no 95 % interval: it needs at least {s.fewest} {piece}s"
         if s.interval is None
@@ -194,12 +220,8 @@ def shrinks_text(d: Diagnosis) -> str:
     )
     return (
         f"Over {counted(s.judges, piece)}, each judged by a fit that left it out (nested cross-validation), "
-        f"the gap shrinks by {_percent(s.value)} ({known}). {alone}"
+        f"the gap shrinks by {percent(s.value, 1)} ({known}). {alone}"
     )
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %"
 
 
 def _ends(interval: tuple[float, float]) -> str:
@@ -220,7 +242,7 @@ def _statements(title: str, statements: tuple[Statement, ...], held_out: str) ->
 def _untested(reasons: Mapping[str, str]) -> list[str]:
     """Return what could not be tested, names with the same reason together."""
     together: dict[str, list[str]] = {}
-    for name, reason in reasons.items():
-        together.setdefault(reason, []).append(name)
+    for effect, reason in reasons.items():
+        together.setdefault(reason, []).append(effect)
     lines = [_wrapped(f"not testable: {', '.join(n)}: {reason}", "  ") for reason, n in together.items()]
     return ["", *lines] if lines else []

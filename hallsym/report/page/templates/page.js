@@ -43,11 +43,17 @@
     if (title) put(g, "text", { x: (from + to) / 2, y: at + 29, "text-anchor": "middle", class: "soft" }, title);
   }
 
-  function panel(svg, k) {
-    const [view, across, up] = [".view", ".across", ".up"].map((part) => svg.querySelector(part));
-    const height = Number(view.getAttribute("height")), title = across.querySelector(".soft")?.textContent;
-    const p = { svg, width: 0, name: svg.querySelector(".title").textContent.replace(/^error in | \[.*$/g, "") };
-    p.load = (run) => {
+  function panel(drawn, output, lines, title) {  // in the place of a drawing that does not move
+    const svg = document.createElementNS(NS, "svg"), height = 90, tall = TOP + height + (title ? 34 : 20);
+    for (const name of ["role", "aria-label"]) svg.setAttribute(name, drawn.getAttribute(name));
+    svg.setAttribute("class", "panel");
+    put(svg, "text", { x: LEFT, y: 12, "font-weight": 600 }, `error in ${output.name} [${output.unit}]`);
+    const [up, across] = ["up", "across"].map((name) => put(svg, "g", { class: name }));
+    const view = put(svg, "svg", { class: "view", x: LEFT, y: TOP, height, preserveAspectRatio: "none" });
+    for (let j = 0; j < lines; j++) put(view, "path", { class: `line ${j === lines - 1 ? "last" : "first"}` });
+    drawn.replaceWith(svg);
+    const p = { svg, width: 0, name: output.name, unit: output.unit };
+    p.load = (run, k) => {
       p.reach = run.reach[k];
       p.span = [run.from, run.to];
       p.lines = all(view, "path").map((path, j) => {
@@ -61,7 +67,7 @@
     p.show = (a, b) => {
       const room = printed ? 740 : svg.parentElement.clientWidth || 740, wide = Math.max(300, Math.min(740, room));
       p.width = wide - LEFT - RIM;
-      svg.setAttribute("viewBox", `0 0 ${wide} ${svg.viewBox.baseVal.height}`);
+      svg.setAttribute("viewBox", `0 0 ${wide} ${tall}`);
       view.setAttribute("width", p.width);
       const seen = p.lines.flat().filter(([x]) => x >= a && x <= b).map(([, y]) => y);
       const whole = b - a >= ACROSS || !seen.length;
@@ -90,7 +96,9 @@
     return p;
   }
   function series(figure) {
-    const data = JSON.parse(figure.querySelector("script").textContent), panels = all(figure, "svg.panel").map(panel);
+    const data = JSON.parse(figure.querySelector("script").textContent), drawn = all(figure, ".scroll svg");
+    const name = (k) => (k === drawn.length - 1 ? data.what : "");
+    const panels = drawn.map((svg, k) => panel(svg, data.outputs[k], data.runs[0].lines.length, name(k)));
     const output = make("output", {}), readout = make("span", { className: "readout" });
     let from = 0, to = ACROSS, run = data.runs[0];
     const time = (x) => Number((run.from + (x / ACROSS) * (run.to - run.from)).toPrecision(4));
@@ -104,12 +112,12 @@
     function hover(part) {
       for (const p of panels) p.cursor(part);
       const at = from + part * (to - from);
-      const values = () => panels.map((p) => `${p.name} ${p.read(at)} ${p.svg.dataset.unit}`).join("; ");
+      const values = () => panels.map((p) => `${p.name} ${p.read(at)} ${p.unit}`).join("; ");
       readout.textContent = part === null ? "" : `at ${time(at)} ${data.unit}: ${values()}`;
     }
     function load(next) {
       run = next;
-      for (const p of panels) p.load(run);
+      panels.forEach((p, k) => p.load(run, k));
       figure.querySelector(".run").textContent = run.title;
       figure.querySelector(".columns").textContent = run.note && `; ${run.note}`;
       hover(null);

@@ -1,0 +1,271 @@
+"""Panels of errors: by output, along a coordinate, by group of runs, over two coordinates, over time.
+
+Bars carry their names and numbers, so that nothing is told by colour alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hallsym.report import picture as p
+from hallsym.report.data.fit import ParameterRow
+from hallsym.report.data.gather import Cells, RunSeries
+from hallsym.report.words import largest, minus, name, scale, short, three
+
+# -- bars ------------------------------------------------------------------------------------------------
+
+
+FAR = 12.0
+"""Bars that differ by more than this factor are drawn on a logarithmic scale, as dots."""
+LOOKS = {"before": p.BEFORE, "nominal": p.BEFORE, "held out": p.APART}
+"""Of the errors that are not those after; every other one is `AFTER`."""
+
+Sizes = Mapping[str, Mapping[str, float]]
+"""`{"rmse": {x_m: ..}, "peak": {..}}`."""
+
+
+def against_floor(
+    found: Mapping[str, Sizes], floor: Mapping[str, float], turning: Collection[str] | None = None
+) -> list[p.Panel]:
+    """Return rmse and peak of every output: one row per entry of `found`, the noise floor dashed.
+
+    `turning`: outputs that go round, see `hallsym.units.readable`.
+    """
+    first = next(iter(found.values()))
+    places = {
+        (what, c): [gap[what][c] for gap in found.values()] for what in ("rmse", "peak") for c in first[what]
+    }
+    far = any(max(sizes) > FAR * min(v for v in sizes if v > 0) for sizes in places.values() if any(sizes))
+    panels = []
+    for (what, output), sizes in places.items():
+        least = floor.get(output, 0.0) if what == "rmse" else 0.0
+        factor, unit = scale(output, max(*sizes, least), turning)
+        entries = [
+            p.Row(label, factor * v, three(factor * v), look=LOOKS.get(label, p.AFTER))
+            for label, v in zip(found, sizes, strict=True)
+        ]
+        positive = [factor * v for v in (*sizes, least) if v > 0]
+        log = far and len(set(positive)) > 1
+        x = p.Axis(low=min(positive) / 1.6 if log else 0.0, high=1.1 * max(positive, default=1.0), log=log)
+        said = "; ".join(f"{row.name} {row.shown} {unit}" for row in entries)
+        said += f"; noise floor {three(factor * least)} {unit}" if least > 0 else ""
+        title = f"{what} {name(output)} [{unit}]"
+        panels.append(p.rows(title, f"{what} of {name(output)}: {said}", x, entries, floor=factor * least))
+    return panels
+
+
+def in_bounds(found: Sequence[ParameterRow]) -> p.Panel:
+    """Return where values lie between their bounds, with two standard uncertainties, and nominal values."""
+    entries, nominal = [], []
+    for own in found:
+        ends = (own.value, own.value - 2 * own.std, own.value + 2 * own.std, own.nominal)
+        part, low, high, usual = (100 * (v - own.lower) / (own.upper - own.lower) for v in ends)
+        span = (max(low, 0.0), min(high, 100.0)) if own.determined else (part, part)
+        entries.append(p.Row(own.name, part, f"{part:.0f} %", span, p.AFTER if own.determined else p.APART))
+        nominal.append(usual)
+    said = "; ".join(f"{row.name} {row.shown}" for row in entries)
+    title = "from lower to upper bound [%]"
+    panel = p.rows(title, f"{title}: {said}", p.Axis(low=0.0, high=100.0), entries)
+    mark = p.points(nominal, range(len(nominal)), p.Look(p.INK, marker="|", size=9.0))
+    return replace(panel, layers=[*panel.layers, mark])
+
+
+# -- errors by cell: along a coordinate, by group of runs, over two coordinates --------------------------
+
+
+MOST = 12
+"""Cells with names in one panel."""
+
+
+def profiles(cells: Cells, output: int, floor: float = 0.0, after: Cells | None = None) -> list[p.Panel]:
+    """Return median (line) and rms (band to both sides) of one output by cell; `floor` [SI] is dashed.
+
+    `after`: the same cells of another version, drawn over it on the same scale. Cells with names are drawn
+    in two panels where they are more than `MOST`, so that they can be read on a phone.
+    """
+    both, n = [cells] if after is None else [cells, after], len(cells.count)
+    reach = max(floor, *(largest(v[output]) for c in both for v in (c.rms, c.median)))
+    step = -(-n // 2) if cells.labels and n > MOST else n
+    return [_profile(both, output, floor, reach, range(k, min(k + step, n))) for k in range(0, n, step)]
+
+
+def _profile(both: Sequence[Cells], output: int, floor: float, reach: float, part: range) -> p.Panel:
+    cells, what = both[0], name(both[0].pose[output])
+    names = cells.labels[part.start : part.stop]
+    factor, unit = scale(cells.pose[output], reach, cells.turning)
+    half = min(0.4, 0.04 * len(part))  # few bars are no broader than many
+    middle = np.arange(len(part))
+    left, right = (middle - half, middle + half) if names else (cells.edges[:-1], cells.edges[1:])
+    bands: list[p.Layer] = []
+    medians: list[p.Layer] = []
+    said: dict[int, str] = {}
+    for c, band, look in zip(both, p.BANDS[-len(both) :], p.MEDIANS[-len(both) :], strict=True):
+        rms, median = (factor * v[output, part] for v in (c.rms, c.median))
+        said = {}
+        for k, a, b in zip(part, median, rms, strict=True):
+            where = c.labels[k] if names else _span(c.edges, k)
+            said[k] = f"{where}: median {minus(short(a))}, rms {short(b)} {unit}, {c.count[k]:d} samples"
+        bands.append(p.boxes(left, right, -rms, rms, band, said=[*said.values()]))
+        if names:  # a stroke for each
+            x, y = np.column_stack([left, right, np.full(len(left), np.nan)]), np.repeat(median, 3)
+        else:
+            x, y = 0.5 * (np.asarray(left) + right), median
+        medians.append(p.line(np.ravel(x), y, look))
+    marked = [k - part.start for k in cells.marked if k in part]
+    levels = [p.level(factor * v) for v in (floor, -floor) if v]
+    worst = max(part, key=lambda k: np.nan_to_num(both[-1].rms[output, k]))
+    high = 1.08 * factor * reach or 1.0
+    return p.Panel(
+        p.Axis("", -0.6, len(part) - 0.4, names=names) if names else p.Axis(cells.by, left[0], right[-1]),
+        p.Axis(low=-high, high=high),
+        [
+            *bands,
+            *medians,
+            *levels,
+            p.text(["h"] * len(marked), marked, [0.93 * high] * len(marked), "center"),
+        ],
+        f"{what} [{unit}]",
+        f"{what} by {cells.by}: largest rms {said[worst]}",
+    )
+
+
+def plane(cells: Cells, both: Sequence[Cells], what: str, output: int, floor: float) -> p.Panel:
+    """Return one output over two coordinates, as `tiles` draws it.
+
+    `what`: median or rms. `both`: all versions of the map; the fullest colour is their largest value, or the
+    noise floor where that is more, so that mere noise stays pale.
+    """
+    quantity, most = name(cells.pose[output]), max(floor, *(largest(m.rms[output]) for m in both))
+    factor, unit = scale(cells.pose[output], most, cells.turning)
+    values, n = factor * getattr(cells, what)[output], len(cells.edges) - 1
+    full = factor * max(floor, *(largest(getattr(m, what)[output]) for m in both)) or 1e-12
+    x, y = cells.edges, cells.across
+    said = [
+        f"{_span(x, k % n)}, {_span(y, k // n)}: {minus(short(v))} {unit}, {count} samples"
+        for k, (v, count) in enumerate(zip(values, cells.count, strict=True))
+    ]
+    return p.Panel(
+        p.Axis(cells.by, x[0], x[-1]),
+        p.Axis(cells.up, y[0], y[-1]),
+        p.tiles(x, y, values.reshape(-1, n), full, said),
+        f"{what} {quantity}, full: {three(full)} {unit}",
+        f"{what} error of {quantity} over {cells.by} and {cells.up}: {short(largest(values))} {unit} at most",
+        height=172.0,
+        grid=False,
+    )
+
+
+def _span(edges: Sequence[float] | np.ndarray, k: int) -> str:
+    return f"{minus(short(edges[k]))} to {minus(short(edges[k + 1]))}"
+
+
+# -- errors of a run over time, in whose place a script shows other runs ---------------------------------
+
+
+ACROSS, UP = 20_000, 5_000
+"""A path's own units: time runs from 0 to `ACROSS`, values from -`UP` to `UP`."""
+FEWEST = 200
+"""Columns that are shown at least: fewer would pass for samples."""
+
+
+def over_time(series: RunSeries) -> list[p.Panel]:
+    """Return the errors of a run over time, a panel per output; the last version is drawn over others."""
+    panels = []
+    for k, column in enumerate(series.pose):
+        reach = _reach(series, k)
+        factor, unit = scale(column, reach, series.turning)
+        worst = {n: factor * largest(np.array([low[k], high[k]])) for n, (low, high) in series.lines.items()}
+        said = ", ".join(f"{n} up to {v:.3g} {unit}" for n, v in worst.items())
+        versions = zip(series.lines.values(), p.MEDIANS[-len(series.lines) :], strict=True)
+        lines = [
+            p.line(*_zigzag(series.time, factor * low[k], factor * high[k]), look)
+            for (low, high), look in versions
+        ]
+        high = 1.05 * factor * reach
+        panels.append(
+            p.Panel(
+                p.Axis(_when(series) if k == len(series.pose) - 1 else "", *_span_of(series), most=7),
+                p.Axis(low=-high, high=high),
+                lines,
+                f"error in {name(column)} [{unit}]",
+                f"error in {name(column)} over time, {series.title}: {said}",
+            )
+        )
+    return panels
+
+
+def script_data(series: Sequence[RunSeries]) -> dict[str, Any]:
+    """Return what the script of a page draws of each run in place of the first.
+
+    Of each run: title, span of time, least width of a zoom, reach of each output [in its unit] and paths
+    `lines[line][output]`. `outputs`: name and unit, which all runs share.
+    """
+    first, outputs = series[0], range(len(series[0].pose))
+    reach = [[_reach(s, k) for k in outputs] for s in series]
+    scales = [scale(first.pose[k], max(r[k] for r in reach), first.turning) for k in outputs]
+    named = [{"name": name(c), "unit": unit} for c, (_, unit) in zip(first.pose, scales, strict=True)]
+    runs = [_run(s, r, scales) for s, r in zip(series, reach, strict=True)]
+    return {
+        "unit": "s" if first.timed else "samples", "what": _when(first), "outputs": named, "runs": runs,
+    }  # fmt: skip
+
+
+def _when(series: RunSeries) -> str:
+    return "time in the run [s]" if series.timed else "sample of the run"
+
+
+def _reach(series: RunSeries, k: int) -> float:
+    return largest(np.array([bounds[k] for pair in series.lines.values() for bounds in pair])) or 1e-12
+
+
+def _span_of(series: RunSeries) -> tuple[float, float]:
+    end = float(series.time[-1])
+    return (0.0, end) if end > 0.0 else (-0.5, 0.5)
+
+
+def _run(series: RunSeries, reach: Sequence[float], scales: Sequence[tuple[float, str]]) -> dict[str, Any]:
+    (start, end), per = _span_of(series), series.per_column
+    return {
+        "title": series.title,
+        "note": f"a column of a line holds {per} samples, least to greatest" if per > 1 else "",
+        "from": float(f"{start:.9g}"),
+        "to": float(f"{end:.9g}"),
+        "least": round(min(ACROSS, ACROSS * (FEWEST if per > 1 else 4) / len(series.time))),
+        "reach": [float(f"{f * r:.6g}") for r, (f, _) in zip(reach, scales, strict=True)],
+        "lines": [
+            [
+                _path((series.time - start) / (end - start), low[k] / r, high[k] / r)
+                for k, r in enumerate(reach)
+            ]
+            for low, high in series.lines.values()
+        ],
+    }
+
+
+def _zigzag(time: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a line through least and greatest value: up in one column, down in the next, no sawtooth."""
+    if np.array_equal(low, high, equal_nan=True):
+        return time, low
+    even = np.arange(len(low)) % 2 == 0
+    return np.repeat(time, 2), np.column_stack([np.where(even, low, high), np.where(even, high, low)]).ravel()
+
+
+def _path(time: np.ndarray, low: np.ndarray, high: np.ndarray) -> str:
+    """Return a path in whole numbers, each point relative to the one before, interrupted at nan.
+
+    `time`: from 0 to 1, `low` and `high`: from -1 to 1.
+    """
+    x, y = _zigzag(np.rint(time * ACROSS), low, high)
+    good = np.isfinite(y)
+    points = np.column_stack([x, np.rint(-UP * np.where(good, y, 0.0))]).astype(np.int64)[good]
+    starts = np.diff(np.flatnonzero(good), prepend=-2) > 1
+    steps = np.diff(points, axis=0, prepend=np.zeros((1, 2), dtype=np.int64))
+    words = []
+    for k, (dx, dy) in enumerate(steps.tolist()):
+        command = "m" if starts[k] else "l" if k and starts[k - 1] else " "
+        words.append(f"{command}{dx}{'' if dy < 0 else ' '}{dy}")
+    return "".join(words)
