@@ -333,7 +333,12 @@ class Smooth(_Over):
             middle = old.mean(axis=1, keepdims=True) if c.gain else 0.0
             phi = ((new - middle) / np.maximum(old.std(axis=1, keepdims=True), 1e-300))[None]
         phi = np.broadcast_to(phi, (len(r.residual), *phi.shape[1:]))
-        return np.concatenate([phi, phi * (r.sensed / self.scale)[:, None, :]], axis=1) if c.gain else phi
+        if not c.gain:
+            return phi
+        both = np.empty((len(phi), 2, *phi.shape[1:]))  # filled in place: they are most of the memory
+        both[:, 0] = phi
+        np.multiply(phi, (r.sensed / self.scale)[:, None, :], out=both[:, 1])
+        return both.reshape(len(phi), -1, phi.shape[2])
 
     def predicted(self, coefficients: np.ndarray, r: ResidualTable, x: np.ndarray) -> np.ndarray:
         """Return the residual (K, n) where the coordinate has the values `x`."""

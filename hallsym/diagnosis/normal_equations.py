@@ -274,7 +274,8 @@ def eliminated(
     group = first if len(inner) == len(run) else np.arange(len(inner))  # units of one run
     whole = np.add.reduceat(inner[:, own], group)
     across = np.add.reduceat(offsets[0], first) if len(first) < len(run) else offsets[0]
-    follow = -solve(across[:, :, :z], across[:, :, z:]) if z else across
+    follow = solve(across[:, :, :z], across[:, :, z:]) if z else across
+    np.negative(follow, out=follow)
     for low in range(0, len(run) if z else 0, UNITS):
         at = slice(low, low + UNITS)
         by = follow[of_run[at]]

@@ -79,8 +79,7 @@ class Base:
 
     def zeros_of(self, batch: Batch) -> np.ndarray:
         """Return the zero deviations of every sample of a batch, (offsets, samples)."""
-        own = np.array([self.zeros_in(run) for run in batch.runs])
-        return np.repeat(own, np.diff(batch.edges), axis=0).T
+        return batch.offsets(self.zeros, len(self.model.zeros))
 
     def batches(self, model: Model | None = None) -> Iterator[Batch]:
         """Return the log in batches with all columns that the model, or an extended one, reads."""

@@ -111,26 +111,14 @@ def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
 
 
 def gain_at(model: Model) -> Callable[..., list[np.ndarray]]:
-    """Return the same of any pose, (K * n_pose, samples), whatever the model says of typical ones."""
-    if len(model.channels) > len(model.pose) > WRITTEN_OUT:
-        return model.remember("gain of many readings", lambda: _gain_of_many(model))
-    return model.remember("gain at any pose, on arrays", lambda: on_arrays(model.noise_gain_at))
+    """Return the same of any pose, (K * n_pose, samples), whatever the model says of typical ones.
 
-
-WRITTEN_OUT = 3
-"""Coordinates whose equations are solved in the expression itself, by Cramer's rule; of more, in numbers."""
-
-
-def _gain_of_many(model: Model) -> Callable[..., list[np.ndarray]]:
-    """Return the same for more readings than coordinates: least squares in numbers, not in expressions.
-
-    Written out, the solution of six equations and its products with all readings are most of the graph.
+    Solved in numbers: written out, the solution of six equations is most of the graph.
     """
     slope = slopes_by_column(model)
 
     def gain(p: np.ndarray, pose: list, state: list, weight: np.ndarray) -> list[np.ndarray]:
-        (flat,) = slope(p, pose, state)
-        each = flat.reshape(len(model.pose) + len(model.state), len(model.channels), -1)
+        each = slope(p, pose, state)[0].reshape(-1, len(model.channels), np.size(pose[0]))
         J = each[: len(model.pose)].transpose(2, 0, 1)  # (samples, pose, K)
         weighted = J * weight
         normal = weighted @ J.swapaxes(1, 2)
@@ -178,7 +166,8 @@ def pose_errors(model: Model, reading_variance: np.ndarray) -> PoseErrors:
         def decoded(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
             readings, states = ([data[c] for c in names] for names in (model.channels, model.state))
             reference = np.array([data[c] for c in model.references])
-            return decode(p, zeros, readings, states, reference) - reference
+            found = decode(p, zeros, readings, states, reference)
+            return np.subtract(found, reference, out=found)
 
         return decoded
     read, spread = on_arrays(model.reading), decoding_gain(model)
@@ -259,7 +248,7 @@ def error_tables(
             least, most = float(np.minimum.reduce(values)), float(np.maximum.reduce(values))
             span[column] = (min(low, least), max(high, most))
         for error, total in zip(decoded, sums, strict=True):
-            size = np.abs(error)
+            size = np.abs(error, out=error)
             if weights is not None:
                 size[:, ~used] = 0.0
             peak = np.maximum.reduceat(size, starts, axis=1)
@@ -288,19 +277,19 @@ def _decoded(
 ) -> Iterator[tuple[Batch, list[np.ndarray]]]:
     """Yield the log in batches, each with the errors (n_pose, samples) of every version."""
     variances = np.broadcast_to(reading_variance, (len(versions), len(model.channels)))
-    errors_of, none = [pose_errors(model, v) for v in variances], np.zeros(len(model.zeros))
+    errors_of, count = [pose_errors(model, v) for v in variances], len(model.zeros)
     wide = extended(log, model, sigma, model.named(versions[-1][0]))
     for whole in batches(wide, columns_of(model), on_rows):
         batch = whole if among is None else whole.of_runs(among)
         if not batch.runs:
             continue
-        errors = []
-        for (p, zeros), of in zip(versions, errors_of, strict=True):
-            own = np.array([zeros.get(run, none) for run in batch.runs])
-            alike = bool((own == own[0]).all())
-            each = own[0] if alike else np.repeat(own, np.diff(batch.edges), axis=0).T
-            errors.append(of(p, each, batch.data))
-        yield batch, errors
+        yield (
+            batch,
+            [
+                of(p, batch.offsets(zeros, count) if zeros else np.zeros(count), batch.data)
+                for (p, zeros), of in zip(versions, errors_of, strict=True)
+            ],
+        )
 
 
 def zero_shifts(

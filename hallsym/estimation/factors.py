@@ -16,7 +16,7 @@ each step (Gauss-Newton, `hallsym.estimation.optimum`) is that of the exact cost
 A run's offsets appear in no other run, so they are eliminated from its equations before the runs are summed.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -44,6 +44,9 @@ SLOPE_SAMPLES = 64
 """Samples per block that estimate how reference noise enters; a weight needs no more."""
 MOST_PLACES = 512
 """Samples of a run whose pose is kept where the direction of the reference's noise goes round."""
+
+BY_RUN = ("triangles", "slopes", "counts", "first_state", "mean_state")
+"""Arrays of run statistics, one row per run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,16 +97,9 @@ class RunStatistics:
         """Return the statistics of some of the runs, in the order given."""
         place = {run: k for k, run in enumerate(self.runs)}
         index = [place[run] for run in runs]
-        return replace(
-            self,
-            runs=tuple(self.runs[k] for k in index),
-            triangles=self.triangles[index],
-            slopes=self.slopes[index],
-            counts=self.counts[index],
-            first_state=self.first_state[index],
-            mean_state=self.mean_state[index],
-            places=tuple(self.places[k] for k in index) if self.places else (),
-        )
+        places = tuple(self.places[k] for k in index) if self.places else ()
+        arrays: dict[str, Any] = {name: getattr(self, name)[index] for name in BY_RUN}
+        return replace(self, runs=tuple(self.runs[k] for k in index), places=places, **arrays)
 
     def merged(self) -> "RunStatistics":
         """Return one run for all, the features that carry offsets projected out.
@@ -138,8 +134,7 @@ def joined(parts: Sequence[RunStatistics]) -> RunStatistics:
         raise ValueError("run statistics are joined where they have one centre")
     if len(set(runs := [run for part in parts for run in part.runs])) != len(runs):
         raise ValueError("run statistics are joined where each run stands in one of them")
-    names = ("triangles", "slopes", "counts", "first_state", "mean_state")
-    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    arrays: dict[str, Any] = {n: np.concatenate([getattr(part, n) for part in parts]) for n in BY_RUN}
     places = tuple(place for part in parts for place in part.places)
     return replace(first, runs=tuple(runs), places=places, **arrays)
 
@@ -181,25 +176,38 @@ def summarised(
 
     `place(batch)`: what the features are taken at: one centre (n_variables,) for all, or zeros (z, samples).
     """
-    model = features.model
+    model, states = features.model, len(features.model.state)
     centre = np.zeros(0)
-    gathered: dict[int, _Run] = {}
+    runs: list[int] = []
+    triangles: list[np.ndarray] = []
+    totals: list[np.ndarray] = []
+    first_state: list[np.ndarray] = []
+    places: list[list[np.ndarray]] = []
     for batch in batches(log, columns_of(model), on_rows):
         at = place(batch)
         centre = at if at.ndim == 1 else centre
-        _gather(gathered, features, at, batch, batch.weights(weigh))
-    runs = list(gathered.values())
-    counts, states, slopes, looked = ([run.sums[k] for run in runs] for k in range(4))
+        for run, triangle, sums, begin, some in _blocks(features, at, batch, batch.weights(weigh)):
+            if runs and run == runs[-1]:
+                triangles[-1] = _r(np.vstack([triangles[-1], triangle]))
+                totals[-1] = totals[-1] + sums
+                places[-1] += some
+            else:
+                runs.append(run)
+                triangles.append(triangle)
+                totals.append(sums)
+                first_state.append(begin)
+                places.append(some)
+    counts, looked, state, slopes = np.split(np.array(totals), [1, 2, 2 + states], axis=1)
     return RunStatistics(
         features=features,
         centre=centre,
-        runs=tuple(gathered),
-        triangles=np.array([r.triangle for r in runs]),
-        slopes=np.array(slopes) / np.maximum(looked, 1.0)[:, None],
-        counts=np.array(counts),
-        first_state=np.array([r.first_state for r in runs]),
-        mean_state=np.array(states) / np.maximum(counts, 1e-300)[:, None],
-        places=tuple(_thinned(np.hstack(r.places)) for r in runs) if model.typical else (),
+        runs=tuple(runs),
+        triangles=np.array(triangles),
+        slopes=slopes / np.maximum(looked, 1.0),
+        counts=counts[:, 0].copy(),
+        first_state=np.array(first_state),
+        mean_state=state / np.maximum(counts, 1e-300),
+        places=tuple(_thinned(np.hstack(own)) for own in places) if model.typical else (),
     )
 
 
@@ -210,17 +218,19 @@ def _centre(features: Features, batch: Batch) -> np.ndarray:
     return np.array(features.variables(*means)).ravel()
 
 
-def _gather(
-    gathered: "dict[int, _Run]",
-    features: Features,
-    at: np.ndarray,
-    batch: Batch,
-    weights: np.ndarray | None,
-) -> None:
-    """Add a batch to the runs it belongs to."""
+def _blocks(
+    features: Features, at: np.ndarray, batch: Batch, weights: np.ndarray | None
+) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]]:
+    """Yield of each block its run, triangle, sums, first state, and some places where the model needs them.
+
+    The sums are those of weights, of weights of the samples whose slopes are taken, of states and of products
+    of slopes.
+    """
     model, n = features.model, features.size
     pose, state = batch.columns(model.references), batch.columns(model.state)
-    columns = np.concatenate([features.values(pose, state, at)[0], batch.columns(model.channels)])
+    columns = np.empty((n + len(model.channels), len(batch)))
+    columns[n:] = batch.columns(model.channels)
+    features.values(pose, state, at, out=[columns[:n]])
     if weights is not None:
         columns *= np.sqrt(weights)
     triangles: list[np.ndarray] = []
@@ -231,29 +241,29 @@ def _gather(
     pick, edges = _sparse(batch)
     there = at if at.ndim == 1 else at[:, pick]
     slopes = features.slopes([v[pick] for v in pose], [v[pick] for v in state], there)[0]
-    slopes = slopes.reshape(len(pose) + len(state), n, -1)
-    if features.std is not None:
-        slopes *= features.std[:, None, None]
     slopes *= np.sqrt(weight[pick])
     starts = batch.edges[:-1]
-    counts, sums = np.add.reduceat(weight, starts), np.add.reduceat(states * weight, starts, axis=1).T
-    looked, products = np.add.reduceat(weight[pick], edges[:-1]), _products(slopes, features, edges)
-    for k, block in enumerate(batch.blocks):
-        run = gathered.setdefault(block.run, _Run(states[:, starts[k]]))
-        run.add(triangles[k], counts[k], sums[k], products[k], looked[k])
-        if model.typical:
-            run.places.append(np.vstack([v[pick[edges[k] : edges[k + 1]]] for v in (*pose, *state)]))
+    weighed = np.add.reduceat(np.vstack([weight, states * weight]), starts, axis=1).T
+    looked = np.add.reduceat(weight[pick], edges[:-1])[:, None]
+    sums = np.hstack([weighed[:, :1], looked, weighed[:, 1:], _products(slopes, features, edges)])
+    places: list[list[np.ndarray]] = [[] for _ in batch.runs]
+    if model.typical:
+        seen = np.vstack([v[pick] for v in (*pose, *state)])
+        places = [[seen[:, a:b]] for a, b in pairwise(edges)]
+    yield from zip(batch.runs, triangles, sums, states[:, starts].T, places, strict=True)
 
 
 def _products(slopes: np.ndarray, features: Features, edges: Sequence[int]) -> np.ndarray:
     """Return the sums over the samples of each block of products of slopes, (blocks, pairs).
 
-    `slopes`: (columns, n, samples); block k lies at `edges[k]` to `edges[k + 1]`.
+    `slopes`: (entries, samples); block k lies at `edges[k]` to `edges[k + 1]`.
     """
-    column, i, j = features.slope_pairs
     if features.std is None:
-        return np.asarray(np.add.reduceat(slopes[column, i] * slopes[column, j], edges[:-1], axis=1).T)
-    every = (np.swapaxes(slopes[:, :, a:b], 0, 1).reshape(slopes.shape[1], -1) for a, b in pairwise(edges))
+        first, second = features.entry_pairs
+        return np.add.reduceat(slopes[first] * slopes[second], edges[:-1], axis=1).T
+    slopes = slopes.reshape(len(features.std), features.size, -1) * features.std[:, None, None]
+    every = (np.swapaxes(slopes[:, :, a:b], 0, 1).reshape(features.size, -1) for a, b in pairwise(edges))
+    _, i, j = features.slope_pairs
     return np.array([(own @ own.T)[i, j] for own in every])
 
 
@@ -269,27 +279,14 @@ def _thinned(places: np.ndarray) -> np.ndarray:
     return places[:, :: -(-places.shape[1] // MOST_PLACES)]
 
 
-class _Run:
-    """Accumulates one run, block by block."""
-
-    def __init__(self, first_state: np.ndarray) -> None:
-        self.first_state = first_state.copy()
-        self.triangle: np.ndarray | None = None
-        self.sums: list = [0.0] * 4
-        self.places: list[np.ndarray] = []
-
-    def add(self, triangle: np.ndarray, *sums: Any) -> None:
-        self.triangle = triangle if self.triangle is None else _r(np.vstack([self.triangle, triangle]))
-        self.sums = [known + new for known, new in zip(self.sums, sums, strict=True)]
-
-
 def _triangle(rows: np.ndarray) -> np.ndarray:
     """R factor of each of several blocks (b, rows, n), padded to squares; tall ones are reduced in pieces."""
     b, _, n = rows.shape
     piece = max(PIECE // n, 4 * n)
-    while (whole := rows.shape[1] // piece) and rows.shape[1] > piece:
-        pieces = _r(rows[:, : whole * piece].reshape(b * whole, piece, n)).reshape(b, whole * n, n)
-        rows = np.concatenate([pieces, rows[:, whole * piece :]], axis=1)
+    while (count := -(-rows.shape[1] // piece)) > 1:
+        even = rows.shape[1] // count * count
+        pieces = _r(rows[:, :even].reshape(b, count, -1, n)).reshape(b, count * n, n)
+        rows = np.concatenate([pieces, rows[:, even:]], axis=1)
     if (few := n - rows.shape[1]) > 0:
         rows = np.concatenate([rows, np.zeros((b, few, n))], axis=1)
     return _r(rows)
@@ -412,11 +409,11 @@ class TangentFeatures(Features):
     def values(self) -> Callable[..., list[np.ndarray]]:
         """`(pose, state, zeros) -> [features]` on arrays of samples; `zeros`: (z, samples)."""
         run = program(self.model).values
-        return lambda pose, state, zeros: run(self.at, zeros, pose, state)
+        return lambda pose, state, zeros, **more: run(self.at, zeros, pose, state, **more)
 
     @cached_property
     def slopes(self) -> Callable[..., list[np.ndarray]]:
-        """`(pose, state, zeros) -> [d feature / d column]`, (n_columns * n_features, samples).
+        """`(pose, state, zeros) -> [d feature / d column]`, all of them, (n_columns * n_features, samples).
 
         Taken at zeros of 0: the weight of a residual does not depend on the zeros.
         """
@@ -478,13 +475,8 @@ def summarise_at(
     features = TangentFeatures(
         model, np.zeros((size, 1), dtype=int), len(parts.zero_entries), np.array(p), noise
     )
-    none = np.zeros(len(model.zeros))
-
-    def place(batch: Batch) -> np.ndarray:
-        own = np.array([zeros.get(block.run, none) for block in batch.blocks])
-        return np.repeat(own, np.diff(batch.edges), axis=0).T
-
-    return summarised(extended(log, model, sigma, model.named(p)), features, place, weigh)
+    wide = extended(log, model, sigma, model.named(p))
+    return summarised(wide, features, lambda batch: batch.offsets(zeros, len(model.zeros)), weigh)
 
 
 # -- normal equations ----------------------------------------------------------------------------------------

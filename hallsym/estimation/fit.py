@@ -310,9 +310,10 @@ def _opened(logs: Sequence[Log], model: Model, fitted: int, asked: Asked) -> lis
     """Return every log checked, summarised about the centre of the first, and judged."""
     out: list[Opened] = []
     centre: np.ndarray | None = None
-    known = {run for log in logs[:fitted] for run in log.runs}
-    if fitted > 1 and (lost := [run for run in asked.holdout or () if run not in known]):
-        raise InputError(f"Held-out run {lost[0]} is in none of the {fitted} logs.")
+    if fitted > 1 and asked.holdout:
+        known = {run for log in logs[:fitted] for run in log.runs}
+        if lost := [run for run in asked.holdout if run not in known]:
+            raise InputError(f"Held-out run {lost[0]} is in none of the {fitted} logs.")
     for k, log in enumerate(logs):
         asked.say(f"checking {log.name}")
         ready = prepared(log, model, asked)

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 import scipy
 
-from hallsym.estimation.likelihood import Coefficients, Cost, Point
+from hallsym.estimation.likelihood import Coefficients, Cost
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.features import Features
@@ -54,29 +54,23 @@ def scales(model: Model) -> np.ndarray:
     return np.where(np.isfinite(width) & (width > 0), width, 1.0)
 
 
-def determine(cost: Cost, p: np.ndarray) -> Determination:
-    """Find the undetermined directions of `cost` at `p` and choose what to hold."""
-    return determine_at(cost.at(p))
-
-
-def determine_at(point: Point) -> Determination:
-    """Find the undetermined directions of a cost at a point and choose what to hold.
+def determine(cost: Cost, p: np.ndarray, held: tuple[int, ...] | None = None) -> Determination:
+    """Find the undetermined directions of a cost at `p` and choose what to hold, unless `held` says.
 
     A motion no larger than the noise of its reference does not count (`information(2)`).
     """
-    cost, p, model = point.cost, point.p, point.cost.summary.model
+    model = cost.summary.model
     scale, (lower, upper) = scales(model), model.bounds
     open_ = lower < upper
     always, rest = structural_directions(cost, p)
-    information = point.total_information(2.0) * np.outer(scale, scale)
+    information = cost.information(p, 2.0) * np.outer(scale, scale)
     values, vectors = np.linalg.eigh(rest.T @ information @ rest)
     null = np.hstack([always, rest @ vectors[:, values < least_information(values)]])
-    inside = (lower <= model.nominal) & (model.nominal <= upper)
-    held = {*_hold(null, inside), *(int(k) for k in np.flatnonzero(~open_))}
+    if held is None:
+        inside = (lower <= model.nominal) & (model.nominal <= upper)
+        held = tuple(sorted({*_hold(null, inside), *(int(k) for k in np.flatnonzero(~open_))}))
     moving = np.flatnonzero(np.linalg.norm(always, axis=1) > MOVING)
-    return Determination(
-        scale, null, tuple(model.names[k] for k in moving), tuple(sorted(held)), always.shape[1]
-    )
+    return Determination(scale, null, tuple(model.names[k] for k in moving), held, always.shape[1])
 
 
 def least_information(values: np.ndarray) -> np.ndarray:

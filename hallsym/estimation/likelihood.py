@@ -42,11 +42,6 @@ class Coefficients:
     features: Features
     centre: np.ndarray
 
-    @property
-    def n_zeros(self) -> int:
-        """Zeros of a run that these features carry: all of the model's, or none once projected out."""
-        return self.features.n_zeros
-
     @cached_property
     def population(self) -> Callable[[np.ndarray], np.ndarray]:
         """`(m, n) parameter vectors -> (m, n_features, n_channels)` coefficients c at zero deviation."""
@@ -64,7 +59,7 @@ class Coefficients:
     def first(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the coefficients and their slopes, the latter (1 + n_zeros, n_features, n, n_channels)."""
         model = self.features.model
-        shape = (1 + self.n_zeros, len(model.channels), self.features.size)
+        shape = (1 + self.features.n_zeros, len(model.channels), self.features.size)
         value, slope = self.features.expansion[0](p, self.centre)
         return (
             np.ascontiguousarray(np.swapaxes(value.T.reshape(shape), 1, 2)),

@@ -14,7 +14,8 @@ import numpy as np
 
 import solvers
 from hallsym.estimation.factors import summarise_at
-from hallsym.estimation.identifiable import Determination, determine, determine_at, scales
+from hallsym.estimation.goodness_of_fit import noise_floor
+from hallsym.estimation.identifiable import Determination, determine, scales
 from hallsym.estimation.likelihood import Cost, Point, Zeros, cost_near, cost_of, zeros_of
 from hallsym.log import UNRELATED, Fault, Log
 from hallsym.log.batches import Weigh
@@ -139,6 +140,11 @@ class Solution:
         return self.fitted.at(self.p)
 
     @cached_property
+    def noise_floor(self) -> dict[str, float]:
+        """The error that noise alone would leave, by pose coordinate."""
+        return noise_floor(self.point)
+
+    @cached_property
     def everywhere(self) -> Point:
         """The cost of all runs at the optimum."""
         return self.point if self.everything is self.fitted else self.everything.at(self.p)
@@ -146,7 +152,7 @@ class Solution:
     @cached_property
     def determined(self) -> Determination:
         """What the fitted runs determine at the optimum, for what was held on the way there."""
-        return replace(determine_at(self.point), held=self.determination.held)
+        return determine(self.fitted, self.p, self.determination.held)
 
     def zeros(self) -> dict[int, np.ndarray]:
         """Zero displacements of every run, held-out ones included."""

@@ -28,7 +28,6 @@ from hallsym.estimation.goodness_of_fit import (
     diagnose_command,
     goodness_of,
     limit_of,
-    noise_floor,
     uncertain,
 )
 from hallsym.estimation.identifiable import Determination
@@ -97,11 +96,13 @@ def checked(
 
 def held_out(log: Log, holdout: Sequence[int]) -> tuple[int, ...]:
     """Return held-out runs, all of them in the log and not all of the log. Raises `InputError` for others."""
+    if not holdout:
+        return ()
     runs = log.runs
     if unknown := [run for run in holdout if run not in runs]:
         known = ", ".join(map(str, runs)) if len(runs) <= 8 else f"{runs[0]}, {runs[1]}, ... {runs[-1]}"
         raise InputError(f"Held-out run {unknown[0]} is not in the log; its runs are {known}.")
-    if holdout and set(log.runs) <= set(holdout):
+    if set(runs) <= set(holdout):
         raise InputError("Every run is held out; leave at least one to fit.")
     return tuple(holdout)
 
@@ -326,7 +327,7 @@ class Task:
 
     def suspicious(self, state: Solution, errors: Errors) -> bool:
         """Return whether some error is too large for the noise floor."""
-        floor = np.array(list(noise_floor(state.point).values()))
+        floor = np.array(list(state.noise_floor.values()))
         return bool(np.any(errors.fitted.peak.max(axis=0) > SUSPECT * floor))
 
     def weigh(self, state: Solution, suspects: Weigh) -> outliers.Filter:
@@ -422,7 +423,7 @@ def fit_of(
         combinations=estimate.combinations,
         zeros=zeros,
         noise=task.noise,
-        noise_floor=noise_floor(state.point),
+        noise_floor=state.noise_floor,
         status=state.search.status,
         message=state.search.message,
         solver={

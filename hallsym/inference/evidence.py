@@ -11,7 +11,7 @@ from hallsym.errors import InputError
 from hallsym.estimation import Fit, fit
 from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.decoding import columns_of
-from hallsym.estimation.identifiable import Determination, determine_at
+from hallsym.estimation.identifiable import Determination, determine
 from hallsym.estimation.likelihood import Cost, Point, cost_near
 from hallsym.families import same_layout
 from hallsym.families.recording import as_read
@@ -44,11 +44,10 @@ def visited(
     for batch in batches(extended(log, model, sigma, values), columns_of(model)):
         pick = slice(offset, None, step)
         parts.append(np.array([c[pick] for c in batch.columns((*model.references, *model.state))]))
-        runs = np.repeat(batch.runs, np.diff(batch.edges))[pick]
-        own += [zeros.get(run, np.zeros(len(model.zeros))) for run in runs.tolist()]
+        own.append(batch.offsets(zeros, len(model.zeros))[:, pick])
         offset = (offset - len(batch)) % step
     pose, state = np.split(np.hstack(parts), [len(model.references)])
-    return np.array(own).T, pose, state
+    return np.hstack(own), pose, state
 
 
 MOVED = 5.0
@@ -135,7 +134,7 @@ def from_plan(
     if missing:
         raise InputError(f"A plan needs the noise of every channel; {missing[0]} has none: state it.")
     point = replace(cost_near(log, model, p, noise), planned=True).at(p)
-    planned = _at(point, determine_at(point), log, name)
+    planned = _at(point, determine(point.cost, p), log, name)
     reason = "a plan: white noise of the stated size is taken for granted"
     return replace(planned, uncertainty=replace(planned.uncertainty, method="likelihood", reason=reason))
 

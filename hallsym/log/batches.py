@@ -1,6 +1,6 @@
 """Consecutive blocks of a log side by side, so that short runs do not cost a call each."""
 
-from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import overload
@@ -8,7 +8,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from hallsym.log.core import Block, Log
+from hallsym.log.columns import RUN
+from hallsym.log.core import Block, Log, RunOrder
 from hallsym.log.table import joined
 
 SIZE = 8192
@@ -110,6 +111,11 @@ class Batch:
         """Return several columns, each of shape (samples,)."""
         return [self.data[name] for name in names]
 
+    def offsets(self, by_run: Mapping[int, np.ndarray], count: int) -> np.ndarray:
+        """Return the `count` offsets of each sample's run, 0 where it has none, (count, samples)."""
+        own = np.array([by_run.get(run, np.zeros(count)) for run in self.runs])
+        return np.repeat(own.reshape(len(self.runs), count).T, np.diff(self.edges), axis=1)
+
     def weights(self, weigh: Weigh | None) -> np.ndarray | None:
         """Return the weight of every sample, or None where all count fully."""
         return None if weigh is None else np.concatenate([weigh(block) for block in self.blocks])
@@ -192,6 +198,9 @@ def _held(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
 
 
 def _read(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
+    if isinstance(log, Log) and log.table.in_memory:
+        yield from _parts(log, columns)
+        return
     waiting: list[Block] = []
     count = 0
     for block in log.blocks(columns, size=SIZE):
@@ -202,6 +211,21 @@ def _read(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
             waiting, count = [], 0
     if waiting:
         yield _batch(waiting, columns)
+
+
+def _parts(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
+    """Yield the same batches of a log in memory as parts of its columns, which are not copied."""
+    (piece,) = log.table.pieces(tuple(dict.fromkeys((RUN, *columns))), SIZE)
+    data = {name: piece[name].astype(float, copy=False) for name in columns}
+    runs, edges = list[int](), [0]
+    for run, start, stop in RunOrder(log.name).segments(piece[RUN]):
+        for end in (*range(start + SIZE, stop, SIZE), stop):
+            runs.append(run)
+            edges.append(end)
+            if end - edges[0] >= SIZE or end == len(piece[RUN]):
+                own = {name: values[edges[0] : end] for name, values in data.items()}
+                yield Batch(tuple(runs), own, tuple(edge - edges[0] for edge in edges))
+                runs, edges = [], [end]
 
 
 def _batch(blocks: list[Block], columns: Sequence[str]) -> Batch:

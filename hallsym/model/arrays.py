@@ -76,7 +76,8 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
     Each input of `function`, a column of length n, is given as a sequence of n entries, scalars or arrays
     that broadcast together. Each output comes back as one array of shape `(rows, *samples)` (entries that
     depend on no sample are broadcast). Matrix outputs are flattened column by column, as CasADi stores them.
-    What is not finite comes back so, without a warning, as CasADi's own evaluation returns it.
+    What is not finite comes back so, without a warning, as CasADi's own evaluation returns it. `out`: arrays
+    for the outputs, of that shape, where the caller has some.
     `real`: type of the constants in the graph, for samples of another type than double.
 
     Raises `NotImplementedError` at once when the graph holds an operation without an array form.
@@ -103,12 +104,12 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
 
     most = max(FEWEST, WORK // max(1, function.sz_w() + sum(rows)))
 
-    def run(*inputs: Sequence) -> list[np.ndarray]:
+    def run(*inputs: Sequence, out: list[np.ndarray] | None = None) -> list[np.ndarray]:
         kinds = {kind for column in inputs for kind in _kinds(column)}
         shape = np.broadcast_shapes(*(of for of, _ in kinds))
         # a long double stays one: ranks are decided in extended precision
         real = np.longdouble if any(type_ == np.longdouble for _, type_ in kinds) else float
-        out = [np.zeros((n, *shape), dtype=real) for n in rows]
+        out = [np.empty((n, *shape), dtype=real) for n in rows] if out is None else out
         if len(shape) != 1 or shape[0] <= most:
             evaluate(inputs, out)
             return out

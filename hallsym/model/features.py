@@ -71,27 +71,44 @@ class Features:
 
     @cached_property
     def slopes(self) -> Callable[..., list[np.ndarray]]:
-        """`(pose, state, centre) -> [d feature / d column]`, (n_columns * n_features, samples)."""
-        s, centre = self.model.symbols, self._variables[1]
-        jacobian = ca.jacobian(self._monomials, ca.vertcat(s.pose, s.state))
-        return on_arrays(ca.Function("slopes", [s.pose, s.state, centre], [ca.densify(jacobian)]))
+        """`(pose, state, centre) -> [d feature / d column]` on arrays of samples, (entries, samples)."""
+        s, centre, (columns, rows) = self.model.symbols, self._variables[1], self.slope_entries
+        each = (self._jacobian[int(i), int(k)] for i, k in zip(rows, columns, strict=True))
+        moved = ca.vertcat(ca.SX(0, 1), *each)
+        return on_arrays(ca.Function("slopes", [s.pose, s.state, centre], [ca.densify(moved)]))
 
     @cached_property
-    def slope_pairs(self) -> np.ndarray:
-        """Where products of two slopes with one column are not always 0: (column, i, j), i <= j, (3, pairs).
+    def _jacobian(self) -> ca.SX:
+        return ca.jacobian(self._monomials, ca.vertcat(self.model.symbols.pose, self.model.symbols.state))
+
+    @cached_property
+    def slope_entries(self) -> np.ndarray:
+        """Slopes that are not always 0: (column, feature), (2, entries).
 
         Features that carry zeros are left out: their slope with the state is a second-order weight, and
         without it the weight of a residual does not depend on the zeros.
         """
-        s = self.model.symbols
-        slopes = ca.jacobian(self._monomials, ca.vertcat(s.pose, s.state))
-        rows, columns = (np.array(k, dtype=int) for k in slopes.sparsity().get_triplet())
-        parts = []
+        rows, columns = np.array(self._jacobian.sparsity().get_triplet(), dtype=int)
+        moved = rows >= self.n_zero
+        return np.array([columns[moved], rows[moved]])
+
+    @cached_property
+    def slope_pairs(self) -> np.ndarray:
+        """Pairs of these with one column: (column, i, j), i <= j features, (3, pairs)."""
+        columns, rows = self.slope_entries
+        first, second = self.entry_pairs
+        return np.array([columns[first], rows[first], rows[second]])
+
+    @cached_property
+    def entry_pairs(self) -> np.ndarray:
+        """The same pairs as numbers of their entries, (2, pairs)."""
+        columns, rows = self.slope_entries
+        parts = [np.zeros((2, 0), dtype=int)]
         for column in np.unique(columns):
-            moved = np.sort(rows[(columns == column) & (rows >= self.n_zero)])
-            i, j = np.triu_indices(len(moved))
-            parts.append([np.full(len(i), column), moved[i], moved[j]])
-        return np.hstack(parts) if parts else np.zeros((3, 0), dtype=int)
+            own = np.flatnonzero(columns == column)
+            own = own[np.argsort(rows[own])]
+            parts.append(own[np.array(np.triu_indices(len(own)))])
+        return np.hstack(parts)
 
     @cached_property
     def variables(self) -> ca.Function:

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError, nearest
-from hallsym.model.arrays import on_arrays
+from hallsym.model.arrays import on_arrays, on_vectors
 from hallsym.model.derived import Computed
 from hallsym.model.family import Family
 
@@ -358,9 +358,9 @@ class Model:
         """Decoupled form `(parameters, zeros, reading, state, weight) -> pose`.
 
         Newton's method on the forward form from `begin` or the zero pose: one step where a reading is linear
-        in the pose (small angles: then this *is* Eq. (31)), three more where it is not. With more
-        channels than coordinates each step is the weighted least-squares one; `weight` is 1/variance per
-        channel.
+        in the pose (small angles: then this *is* Eq. (31)), three more where it is not. As in Eq. (31) each
+        reading is divided by its gain, so that the matrix hardly depends on the state. With more channels
+        than coordinates each step is the weighted least-squares one; `weight` is 1/variance per channel.
         """
         return self._decoder("decoded", None)
 
@@ -377,6 +377,9 @@ class Model:
         reading = s.full(s.reading)
         jacobian = ca.jacobian(reading, s.pose)
         linear = not any(ca.which_depends(ca.vec(jacobian), s.pose, 1, False))
+        gain = ca.SX.ones(len(self.channels))
+        if len(self.channels) == len(self.pose):
+            gain = gain * s.full(s.gain)
         measured = ca.SX.sym("reading", len(self.channels))
         weight = ca.SX.sym("weight", len(self.channels))
         pose: ca.SX = ca.SX.zeros(len(self.pose))
@@ -385,9 +388,9 @@ class Model:
         if near is not None:
             pose = near + self._within_half(pose - near, self.pose)
         for _ in range(1 if linear else 4):
-            residual, slope = ca.substitute([measured - reading, jacobian], [s.pose], [pose])
+            residual, slope, by = ca.substitute([measured - reading, jacobian, gain], [s.pose], [pose])
             residual = residual if near is None else self._within_half(residual, self.channels)
-            pose = pose + _solve(slope, residual, weight)
+            pose = pose + _solve(slope / ca.repmat(by, 1, slope.size2()), residual / by, weight)
         branch = [] if near is None else [near]
         return ca.Function(
             name,
@@ -511,6 +514,10 @@ class Quantity:
         return ca.Function("first", [self.symbol], [ca.densify(self.expression), ca.densify(gradient)])
 
     @cached_property
+    def _at(self) -> Callable[..., list[np.ndarray]]:
+        return on_vectors(self._first)
+
+    @cached_property
     def _hessian(self) -> ca.Function:
         hessian, _ = ca.hessian(self.expression, self.symbol)
         return ca.Function("hessian", [self.symbol], [ca.densify(hessian)])
@@ -522,8 +529,8 @@ class Quantity:
 
     def first(self, p: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the value and the gradient (n,) at `p` (n,)."""
-        value, gradient = self._first(p)
-        return float(value), np.asarray(gradient).ravel()
+        value, gradient = self._at(p)
+        return float(value[0, 0]), gradient.ravel()
 
     def at(self, p: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Return the value, the gradient (n,) and the Hessian (n, n) at `p` (n,)."""

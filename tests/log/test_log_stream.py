@@ -24,6 +24,7 @@ from hallsym.log import (
     write_log,
 )
 from hallsym.log.apart import Apart
+from hallsym.log.batches import batches
 
 
 def nothing_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,6 +58,23 @@ def test_streamed_blocks_equal_the_arrays(tmp_path: Path, suffix: str, size: int
     assert (log.rows, log.runs) == (1600, (0, 1, 2, 3))
     assert np.array_equal(log.array("z_m"), arrays["z_m"])
     assert np.array_equal(log.run(3)["z_m"], arrays["z_m"][1200:])
+
+
+def test_batches_of_a_streamed_log_are_those_of_one_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arrays, columns = stage_arrays(), ("x_ref_m", "hall_a_m")
+    arrays["run"] = np.repeat([0, 4, 5, 9, 10], [1, 299, 700, 550, 50])
+    save(arrays, tmp_path / "log.parquet")
+    monkeypatch.setattr(sys.modules["hallsym.log.batches"], "SIZE", 250)
+    held = list(batches(read_log(tmp_path), columns))
+    assert any(len(batch.runs) > 1 for batch in held)
+    nothing_in_memory(monkeypatch)
+    log = read_log(tmp_path)
+    assert not log.table.in_memory
+    for one, other in zip(held, batches(log, columns), strict=True):
+        assert (one.runs, one.edges) == (other.runs, other.edges)
+        assert all(np.array_equal(one.data[name], other.data[name]) for name in columns)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

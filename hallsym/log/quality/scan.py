@@ -177,10 +177,17 @@ class Clock:
     def add(self, t: Array, segments: list[tuple[int, int, int]], row: int) -> None:
         """Take a piece of the time column, with its (run, start, stop) stretches and the row it begins at."""
         step = np.diff(t, prepend=self._last)
-        for run, start, stop in segments:
-            first = start + (run != self._run)  # the step to the first sample of a run is none
+        # what lies between two runs is no step
+        firsts = [start + (run != self._run or k > 0) for k, (run, start, _) in enumerate(segments)]
+        edges = [edge for first, (_, _, stop) in zip(firsts, segments, strict=True) for edge in (first, stop)]
+        padded = np.append(step, np.nan)
+        lows, highs = (by.reduceat(padded, edges)[::2].tolist() for by in (np.minimum, np.maximum))
+        for (run, _, stop), first, low, high in zip(segments, firsts, lows, highs, strict=True):
             self.tick = self.tick if run == self._run else 0.0
-            self._judge(step[first:stop], t[first:stop], run, row + first)
+            if first < stop and low > 0 and high <= _LATE * (self.tick or low) < np.inf:  # as nearly always
+                self.steps, self.tick = self.steps + stop - first, self.tick or float(step[first])
+            else:
+                self._judge(step[first:stop], t[first:stop], run, row + first)
             self._run = run
         self._last = float(t[-1]) if len(t) else self._last
 

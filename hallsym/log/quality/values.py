@@ -170,7 +170,7 @@ def _same(log: Log, spans: Spans) -> Pairs:
         extents, groups = spans.by_run[name], dict[tuple[float, ...], list[int]]()
         for k in np.flatnonzero(~spans.rests(name)).tolist():
             groups.setdefault((*extents[:2, k], spans.samples[runs[k]]), []).append(k)
-        for alike in map(np.array, groups.values()):
+        for alike in (np.array(group) for group in groups.values() if len(group) > 1):
             while len(alike) > 1:
                 first, later = alike[0], alike[1:]
                 off = np.abs(extents[2:, later] - extents[2:, [first]]).max(axis=0)
