@@ -6,8 +6,8 @@ over the noise floor decides. Mistakes of single runs are tried at the parameter
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import combinations, islice, permutations, product
 
@@ -17,26 +17,25 @@ from scipy.optimize import minimize_scalar
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Claim, Fit
 from hallsym.estimation.decoding import logged_columns, residuals
-from hallsym.estimation.factors import exact, summarise, summarise_at
-from hallsym.estimation.likelihood import Cost, cost_of, zeros_of
-from hallsym.estimation.optimum import begin_at, closed_form, refit
-from hallsym.estimation.task import Asked, Begun, Task, noise_of
+from hallsym.estimation.factors import RunStatistics, exact, summarise
+from hallsym.estimation.identifiable import determine
+from hallsym.estimation.likelihood import Cost, cost_near, cost_of
+from hallsym.estimation.optimum import SETTLING, LinearFit, closed_form, linear_fit, refit
+from hallsym.estimation.task import Asked, Task, noise_of
 from hallsym.families.recording import Correction, as_wired, said
 from hallsym.log import Log, Noise
 from hallsym.log.columns import RUN, is_moving
 from hallsym.log.core import Block, Drop, without
 from hallsym.log.derived import extended
-from hallsym.log.phase import continuous
+from hallsym.log.phase import as_continuous, continuous
 from hallsym.log.table import joined
 from hallsym.model import Model
 from hallsym.units import UNITS, si_unit, split_unit
 
 SAMPLES = 8_000
 """Samples that a mistake is tried on: enough for parameters to a part in a hundred, and quickly fitted."""
-FEW = 400
-"""The same of a model without run statistics, each pass over which costs as much as a fit of others."""
-SETTLING = 3
-"""Rounds of settling the offsets of runs where a mistake is tried."""
+FEW = 4_000
+"""Readings of a model without run statistics, each pass over which costs as much as a fit of others."""
 READ = 400_000
 """Samples that are read at most: corrections are made at the full rate, before samples are picked."""
 CLOSELY = 1e-6
@@ -54,11 +53,14 @@ def claims_of(fit: Fit, given: Log) -> tuple[Claim, ...]:
 
     Nothing is looked for where the model describes every run.
     """
-    told = fit.goodness
     coarse = tuple(coarse_readings(given, fit.model))
-    if told is None or not (told.sentence or max(told.by_run.values(), default=1.0) ** 2 > ALONE):
-        return coarse
-    return coarse or mistakes_of(given, fit.model)
+    return coarse or (() if described(fit) else mistakes_of(given, fit.model))
+
+
+def described(fit: Fit) -> bool:
+    """Return whether the model describes every run."""
+    told = fit.goodness
+    return told is None or not (told.sentence or max(told.by_run.values(), default=1.0) ** 2 > ALONE)
 
 
 LOOKED, RUNS_LOOKED = 4096, 8
@@ -139,8 +141,13 @@ def claim(found: Found) -> Claim:
     c, rivals = found.correction, tuple(other.text for other in found.rivals)
     share = f"explains {100 * found.explains:.0f} % of what the model leaves"
     also = f"; {_listed(rivals)} would do as well" if rivals else ""
-    text = f"{said(c)[0].upper()}{said(c)[1:]}: that {share}{also}; undo it with --correct '{c.text}'."
-    return Claim(c.kind, text, c.columns, c.runs, c.text, found.explains, rivals)
+    remedy, known = f"undo it with --correct '{c.text}'", found.vague <= KNOWN
+    if not known:
+        remedy += (
+            f" and the factor that the recorder states: the log tells it to {100 * found.vague:.2g} % only"
+        )
+    text = f"{said(c)[0].upper()}{said(c)[1:]}: that {share}{also}; {remedy}."
+    return Claim(c.kind, text, c.columns, c.runs, c.text if known else None, found.explains, rivals)
 
 
 def _listed(texts: Sequence[str]) -> str:
@@ -222,6 +229,7 @@ class Trials:
     given: Log
     model: Model
     noise: Noise
+    _last: dict[object, Log] = field(default_factory=dict, init=False)
 
     def without(self, runs: Sequence[int]) -> Trials:
         """Return the same of all other runs."""
@@ -231,6 +239,11 @@ class Trials:
         """Return the same with `floor` times the variance: an estimate misses what colour a noise has."""
         sigmas = {n: replace(s, value=s.value * floor**0.5) for n, s in self.noise.items()}
         return replace(self, noise=Noise(sigmas))
+
+    @property
+    def stated(self) -> bool:
+        """Whether the noise of all readings is stated."""
+        return all(self.noise[c].source == "given" for c in self.model.channels)
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
@@ -270,14 +283,20 @@ class Trials:
         """The run of each sample."""
         return np.concatenate([np.full(at.stop - at.start, run) for run, at in self.spans])
 
-    def corrected(self, corrections: Sequence[Correction]) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
-        """Return the columns without mistakes, and which samples stay."""
-        columns, keep = dict(self.full), None
+    def corrected(
+        self, corrections: Sequence[Correction], spans: Sequence[tuple[int, slice]]
+    ) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Return the columns of some runs without mistakes, run by run, and which samples stay."""
+        columns = {c: np.concatenate([v[at] for _, at in spans]) for c, v in self.full.items()}
+        ends = np.cumsum([0, *(at.stop - at.start for _, at in spans)]).tolist()
+        keep = np.ones(ends[-1], dtype=bool)
         for one in corrections:
-            spans = self.spans if one.runs or one.mistake.by_run else [(-1, slice(0, len(self.run)))]
+            parts = [(run, slice(*ends[k : k + 2])) for k, (run, _) in enumerate(spans)]
+            if not one.runs and not one.mistake.by_run:
+                parts = [(-1, slice(0, ends[-1]))]
             before = {c: columns[c] for c in one.touched(self.columns)}
             columns |= {c: v.copy() for c, v in before.items()}
-            for run, at in spans:
+            for run, at in parts:
                 if one.runs and run not in one.runs:
                     continue
                 data = {c: v[at] for c, v in before.items()}
@@ -285,7 +304,6 @@ class Trials:
                 for c, v in data.items():
                     columns[c][at] = v
                 if stays is not None:
-                    keep = np.ones(len(self.run), dtype=bool) if keep is None else keep
                     keep[at] &= stays
         return columns, keep
 
@@ -294,8 +312,19 @@ class Trials:
         corrections: Sequence[Correction] = (),
         runs: Sequence[int] | None = None,
     ) -> Log:
-        """Return the samples that are tried, of some runs, without mistakes."""
-        columns, keep = self.corrected(corrections)
+        """Return the samples that are tried, of some runs, without mistakes; the last are kept."""
+        key = tuple(corrections), runs and tuple(runs)
+        if key not in self._last:
+            log = self._log(corrections, runs)
+            self._last.clear()
+            self._last[key] = log
+        return self._last[key]
+
+    def _log(self, corrections: Sequence[Correction], runs: Sequence[int] | None) -> Log:
+        own = runs is not None and not {*self.model.period} & {*self.model.channels}
+        spans = [(r, at) for r, at in self.spans if r in runs] if own and runs else self.spans
+        columns, keep = self.corrected(corrections, spans)
+        run = np.concatenate([self.run[at] for _, at in spans])
         noise = self.noise
         for one in corrections:
             noise = one.noise_of(noise, runs)
@@ -303,61 +332,97 @@ class Trials:
             if any(c in one.columns for one in corrections) and _median_step(columns[c]) > period / 4:
                 raise InputError(f"Column {c} would turn too far from sample to sample to be followed.")
         if self.model.period:  # turns are counted at the full rate
-            whole = Log.from_arrays({RUN: self.run, **columns}, noise, self.given.meta)
-            log = continuous(whole, self.model)
+            log = continuous(Log.from_arrays({RUN: run, **columns}, noise, self.given.meta), self.model)
             columns = {c: log.array(c) for c in self.columns}
         for c in {c for one in corrections for c in one.columns if c in noise}:
-            reach = min(float(np.ptp(columns[c])), self.model.period.get(c, np.inf))
-            if noise[c].value > MOST_NOISE * reach:
+            reach = max(float(np.ptp(columns[c])), float(np.ptp(self.full[c])) if own else 0.0)
+            if noise[c].value > MOST_NOISE * min(reach, self.model.period.get(c, np.inf)):
                 raise InputError(f"Column {c} would hold noise alone; leave that correction out.")
-        wanted = np.ones(len(self.run), dtype=bool) if runs is None else np.isin(self.run, list(runs))
-        wanted = wanted if keep is None else wanted & keep
-        every = max(1, int(wanted.sum()) // (SAMPLES if exact(self.model) else FEW))
+        wanted = keep if runs is None else keep & np.isin(run, list(runs))
+        few = SAMPLES if exact(self.model) else max(FEW // len(self.model.channels), 1)
+        every = max(1, int(wanted.sum()) // few)
         if not wanted.any():
             raise InputError("No sample would be left; leave that correction out.")
         pick = np.flatnonzero(wanted)[::every]
-        arrays = {RUN: self.run[pick], **{c: v[pick] for c, v in columns.items()}}
-        return continuous(Log.from_arrays(arrays, noise, self.given.meta), self.model)
+        arrays = {RUN: run[pick], **{c: v[pick] for c, v in columns.items()}}
+        return as_continuous(Log.from_arrays(arrays, noise, self.given.meta))
+
+    @cached_property
+    def whole(self) -> Read:
+        """What is read of all runs as they were logged, for a model with run statistics."""
+        return self._read((), None)
+
+    def read(self, corrections: Sequence[Correction], runs: Sequence[int] | None) -> Read:
+        """Return what is read of some runs without mistakes, for a model with run statistics.
+
+        Where each sample is put right by itself, by a factor, the statistics are; the log is not read again.
+        """
+        found = self.whole
+        for one in corrections:
+            sources = one.mistake.sources(one)
+            of_all = not one.runs or (runs is not None and {*runs} <= {*one.runs})
+            if not sources or not of_all or {*self.model.period} & {*sources}:
+                return self._read(corrections, runs)
+            if (changed := found.corrected(one, sources, runs)) is None:
+                return self._read(corrections, runs)
+            found = changed
+        return found if runs is None else found.of(runs)
+
+    @cached_property
+    def held(self) -> tuple[int, ...]:
+        """The parameters that all runs together do not tell: what few of them tell of others matters."""
+        merged = cost_of(self.whole.summary.merged(), self.whole.noise.std)
+        return determine(merged, closed_form(merged, linear_fit(merged))).held
+
+    def _read(self, corrections: Sequence[Correction], runs: Sequence[int] | None) -> Read:
+        log = self.log(corrections, runs)
+        return Read(summarise(log, self.model), log.noise, _within(log, self.model.channels), log)
 
     def fitted(
         self,
         corrections: Sequence[Correction] = (),
         runs: Sequence[int] | None = None,
         most: float = np.inf,
+        *,
+        closely: bool = True,
     ) -> Tried | None:
         """Fit the log without mistakes; None where that fails.
 
         Also None where free coefficients already leave more than `most` (mean square over the noise): no
-        parameters leave less.
+        parameters leave less. Not `closely`: where the fit begins, all runs as one.
         """
+        # of runs that are noisier than others by a mistake, the others tell the parameters
+        known = [replace(c, kind="other_device", columns=(), numbers=()) if c.runs and c.mistake.keeps else c
+                 for c in corrections]  # fmt: skip
         try:
-            return self._fitted(tuple(corrections), self.log(corrections, runs), most)
+            return self._fitted(tuple(known), runs, most, closely)
         except (InputError, np.linalg.LinAlgError):
             return None
 
-    def _fitted(self, corrections: tuple[Correction, ...], log: Log, most: float) -> Tried | None:
-        task = Task(log, self.model, (), Asked())
+    def _fitted(
+        self, corrections: tuple[Correction, ...], runs: Sequence[int] | None, most: float, closely: bool
+    ) -> Tried | None:
         if not exact(self.model):
+            log = self.log(corrections, runs)
+            task = Task(log, self.model, (), Asked())
             state = task.passes(self.begin(log), None)
-            return Tried(corrections, state.fitted, state.p, self.model, task.log)
-        begun = task.begin(task.summary())
-        free = _left_free(begun)
+            within = _within(log, self.model.channels)
+            return Tried(corrections, state.fitted, state.p, self.model, within, log)
+        read = self.read(corrections, runs)
+        merged = cost_of(read.summary.merged(), read.noise.std)
+        linear = linear_fit(merged)
+        free = _left_free(merged, linear)
         if free > most:
             return None
-        found, first = begin_at(begun.merged, closed_form(begun.merged, begun.linear))
-        held, count = found.held, len(first)
-        p = refit(begun.merged, first, held, CLOSELY, STEPS_TRIED) if len(held) < count else first
-        return Tried(corrections, begun.fitted, p, self.model, log, free)
-
-    def _cost(self, log: Log, p: np.ndarray) -> Cost:
-        """Return the likelihood near `p`, offsets that a reading is not linear in nearly settled."""
-        if exact(self.model):
-            return cost_of(summarise(log, self.model), log.noise.std)
-        zeros: Mapping[int, np.ndarray] = {}
-        for _ in range(SETTLING if self.model.zeros else 1):
-            cost = cost_of(summarise_at(log, self.model, p, zeros, log.noise.std), log.noise.std)
-            zeros = zeros_of(cost, p)
-        return cost
+        first = np.clip(closed_form(merged, linear), *self.model.bounds)
+        if not closely:
+            within = read.summary.counts[None] @ read.within / merged.summary.counts[0]
+            return Tried(corrections, merged, first, self.model, within, read.log, free)
+        held = list(determine(merged, first).held if runs is None else self.held)
+        first[held] = np.clip(self.model.nominal, *self.model.bounds)[held]
+        p = refit(merged, first, held, CLOSELY, STEPS_TRIED) if len(held) < len(first) else first
+        cost = cost_of(read.summary, read.noise.std)
+        return Tried(corrections, cost, p, self.model, read.within, read.log, free)
 
     def begin(self, log: Log) -> np.ndarray:
         """Return where a fit without run statistics begins, (n,)."""
@@ -367,19 +432,73 @@ class Trials:
     def at(self, corrections: Sequence[Correction], p: np.ndarray, runs: Sequence[int]) -> Tried | None:
         """Judge some runs without mistakes at parameters (n,)."""
         try:
+            if exact(self.model):
+                read = self.read(corrections, runs)
+                cost = cost_of(read.summary, read.noise.std)
+                return Tried(tuple(corrections), cost, p, self.model, read.within, read.log)
             log = self.log(corrections, runs)
-            return Tried(tuple(corrections), self._cost(log, p), p, self.model, log)
+            cost = cost_near(log, self.model, p, log.noise.std, rounds=SETTLING if self.model.zeros else 1)
+            return Tried(tuple(corrections), cost, p, self.model, _within(log, self.model.channels), log)
         except (InputError, np.linalg.LinAlgError):
             return None
+
+
+@dataclass(frozen=True, eq=False)
+class Read:
+    """Runs as a model with run statistics reads them.
+
+    `within`: variance of each reading within each run, (runs, readings). `log`: the samples themselves.
+    """
+
+    summary: RunStatistics
+    noise: Noise
+    within: np.ndarray
+    log: Log
+
+    def of(self, runs: Sequence[int]) -> Read:
+        """Return some of the runs; the log stays whole."""
+        some = [run for run in self.summary.runs if run in runs]
+        if not some:
+            raise InputError("No sample would be left; leave that correction out.")
+        return replace(
+            self, summary=self.summary.select(some), within=self.within[np.isin(self.summary.runs, some)]
+        )
+
+    def corrected(
+        self, one: Correction, sources: Mapping[str, tuple[str, float]], runs: Sequence[int] | None
+    ) -> Read | None:
+        """Return the same without a mistake; None where the statistics do not follow it."""
+        summary = self.summary.from_sources(sources)
+        if summary is None:
+            return None
+        noise = one.noise_of(self.noise, runs)
+        for c in one.columns:
+            source, factor = sources[c]
+            x = self.log.array(source)
+            if c in noise and noise[c].value > MOST_NOISE * abs(factor) * float(np.ptp(x)):
+                raise InputError(f"Column {c} would hold noise alone; leave that correction out.")
+        channels = self.summary.model.channels
+        held = [sources.get(c, (c, 1.0)) for c in channels]
+        within = self.within[:, [channels.index(c) for c, _ in held]] * [f**2 for _, f in held]
+        return replace(self, summary=summary, noise=noise, within=within)
+
+
+def _within(log: Log, channels: Sequence[str]) -> np.ndarray:
+    """Return the variance of readings within each run, (runs, readings)."""
+    run = log.array(RUN)
+    starts = np.flatnonzero(np.diff(run, prepend=np.nan))
+    counts = np.diff([*starts, len(run)])[:, None]
+    x = np.stack([log.array(c) for c in channels], axis=1)
+    x = x - np.repeat(np.add.reduceat(x, starts) / counts, counts[:, 0], axis=0)
+    return np.asarray(np.add.reduceat(x**2, starts) / counts)
 
 
 def _median_step(x: np.ndarray) -> float:
     return float(np.median(np.abs(np.diff(x)))) if len(x) > 1 else 0.0
 
 
-def _left_free(begun: Begun) -> float:
+def _left_free(cost: Cost, linear: LinearFit) -> float:
     """Return the mean square over the noise that free linear coefficients leave; 0 if some did not move."""
-    cost, linear = begun.merged, begun.linear
     if not linear.moved.all():
         return 0.0
     R_f, R_m = (part[0] for part in cost.triangles)
@@ -393,6 +512,7 @@ def _left_free(begun: Begun) -> float:
 class Tried:
     """A log without mistakes, and the parameters that it was judged by.
 
+    `within`: variance of each reading within each run, (runs, readings). `log`: with these runs, or more.
     `free`: mean square over the noise that free linear coefficients leave; 0 where that is not known.
     """
 
@@ -400,6 +520,7 @@ class Tried:
     cost: Cost
     p: np.ndarray
     model: Model
+    within: np.ndarray
     log: Log
     free: float = 0.0
 
@@ -433,17 +554,28 @@ class Tried:
             values = values - 2 * np.log(abs(one.mistake.factor(one))) * readings
         return dict(zip(summary.runs, (values / K).tolist(), strict=True))
 
+    def rest(self, after: Tried | None) -> float:
+        """Return the share of what is left that is left after a correction.
+
+        Of the squares over the noise; of a scale, which scales an estimated noise too, of the variance. All
+        of it where a delay or a mean keeps few samples.
+        """
+        if after is None or not after.left:
+            return np.inf
+        few = sum(after.counts.values()) <= KEEPS * sum(self.counts.values())
+        if few and any(one.kind in STEPS for one in after.corrections):
+            return np.inf
+        if any(one.kind == "scale" for one in after.corrections):
+            return float(after.shares[0].mean() / self.shares[0].mean())
+        return after.mean(after.left) / max(self.mean(self.left), 1e-300)
+
     @cached_property
     def shares(self) -> np.ndarray:
         """Shares of a reading's variance within a run: what is left, what is noise, (2, readings).
 
         Mean over runs; of one in which a reading is at rest, its variance in the others counts.
         """
-        within = np.zeros((len(self.cost.summary.runs), len(self.model.channels)))
-        row = {run: i for i, run in enumerate(self.cost.summary.runs)}
-        for block in self.log.blocks(self.model.channels):
-            within[row[block.run]] += [np.var(v) * len(v) for v in block.data.values()]
-        counts = self.cost.summary.counts[:, None]
+        counts, within = self.cost.summary.counts[:, None], self.within * self.cost.summary.counts[:, None]
         usual = counts * within.sum(axis=0) / max(float(counts.sum()), 1.0)
         total = np.maximum(np.maximum(within, usual), 1e-300)
         point = self.cost.at(self.p)
@@ -472,6 +604,30 @@ class Tried:
         return float(weights @ np.array([of[r] for r in some]) / max(weights.sum(), 1.0))
 
 
+def _screen(trials: Trials, base: Tried, most: float) -> Callable[[Correction], float]:
+    """Return what tells the share of what is left that a correction leaves, without a fit.
+
+    Where a fit begins; of a model without run statistics the optimum of its tangent there, and where the log
+    as it is was fitted. `most`: mean square that free coefficients may leave.
+    """
+    if exact(trials.model):  # beside the right number, one explains little yet
+        return lambda c: base.rest(
+            trials.fitted((c,), most=np.inf if c.kind in STEPS else most, closely=False)
+        )
+    runs, readings = list(base.left), {*trials.model.channels}
+    points = (base.p, trials.begin(base.log))
+
+    def tangent(c: Correction, p: np.ndarray) -> Tried | None:
+        found = trials.at((c,), p, runs)
+        return found and replace(found, p=refit(found.cost, p, (), CLOSELY, SETTLING))
+
+    def screened(c: Correction) -> float:
+        some = points[:1] if {*c.columns} <= readings else points  # readings move no parameters far
+        return min(base.rest(tangent(c, p)) for p in some)
+
+    return screened
+
+
 # -- what is found -----------------------------------------------------------------------------------------
 
 EXPLAINS = 0.9
@@ -481,7 +637,7 @@ EXCESS = 1.5
 """Mean square of the residual over the noise from which on a mistake is looked for: a noise that is stated
 20 % too small is none."""
 LEAST = 0.5
-"""Mean square below which the noise of a correction hides what it should explain."""
+"""Mean square below which the noise that a correction adds hides what it should explain."""
 ALONE = 3.0
 """Mean square over that of the other runs from which on a run is looked at by itself."""
 FEWEST = 4
@@ -490,6 +646,8 @@ ROUNDS = 8
 """Of finding the runs that agree, and of finding the size of a step, at most."""
 RIVAL = 20.0
 """Difference of the deviance, of all readings, up to which two corrections explain as much."""
+SURE = 2.0
+"""Standard deviations by which a number must be told from another."""
 NEAR = 0.02
 """The same of each reading, over what is left: where effects are left too, chance is not all that decides."""
 KEEPS = 0.6
@@ -502,12 +660,16 @@ DIFFERENT = 3
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A correction, what it explains of the excess, and those that explain as much."""
+    """A correction, what it explains of the excess, and those that explain as much.
+
+    `vague`: part of its number by which that may be off, of a factor that was searched.
+    """
 
     correction: Correction
     explains: float
     left: float
     rivals: tuple[Correction, ...] = ()
+    vague: float = 0.0
 
 
 def suspects(trials: Trials) -> list[Found]:
@@ -519,7 +681,7 @@ def suspects(trials: Trials) -> list[Found]:
     if base is None or not base.left:
         return out
     runs = list(base.left)
-    if base.mean(base.left) < EXCESS and max(base.left.values()) < ALONE:
+    if max(base.left.values()) < EXCESS:
         return out
     most = 1 + SLACK * (1 - EXPLAINS) * base.mean(base.left)
     # free coefficients absorb signs, scales and orders of what readings are polynomials of
@@ -527,11 +689,8 @@ def suspects(trials: Trials) -> list[Found]:
     stated = any(trials.noise[c].source == "given" for c in trials.model.references)
     linear = base.free <= most or stated or bool(trials.model.period)
 
-    def tried(c: Correction) -> Tried | None:  # beside the right number, one explains little yet
-        return trials.fitted((c,), most=np.inf if c.kind in STEPS else most)
-
     def of_all() -> Found | None:
-        best = _best(trials, base, tried, runs, linear=linear)
+        best = _best(trials, base, lambda c: trials.fitted((c,)), _screen(trials, base, most), runs, linear)
         return best and _named(trials, base, best)
 
     few = base.mean(base.left) < EXCESS  # then it is looked for in single runs first
@@ -540,8 +699,7 @@ def suspects(trials: Trials) -> list[Found]:
         return [*out, named]
     found, floor = _of_some_runs(trials, base)
     named = of_all() if few and not found else named
-    known = all(trials.noise[c].source == "given" for c in trials.model.channels)
-    if not named and not found and not known and floor > EXCESS:
+    if not named and not found and not trials.stated and floor > EXCESS:
         louder = trials.over(floor)
         found = _of_some_runs(louder, again)[0] if (again := louder.fitted()) and again.left else []
     if not named or not found:
@@ -554,19 +712,23 @@ def suspects(trials: Trials) -> list[Found]:
 def _of_some_runs(trials: Trials, base: Tried) -> tuple[list[Found], float]:
     """Return the mistakes of runs that others do not foresee, and what the model leaves of those others."""
     divided = _divisions(trials, base)
-    found = _likeliest(trials, base, [_in_runs(trials, agreed, odd) for odd, agreed in divided.items()])
-    return found, min((agreed.mean(agreed.left) for agreed in divided.values()), default=1.0)
+    floor = min((agreed.mean(agreed.left) for agreed in divided.values()), default=1.0)
+    options = [_in_runs(trials, agreed, odd) for odd, agreed in divided.items()]
+    most = 1.0 if trials.stated else EXCESS  # what an estimated noise may lack
+    return _likeliest(trials, base, options, float(np.clip(floor, 1.0, most))), floor
 
 
-def _likeliest(trials: Trials, base: Tried, options: Sequence[Sequence[Found]]) -> list[Found]:
+def _likeliest(trials: Trials, base: Tried, options: Sequence[Sequence[Found]], floor: float) -> list[Found]:
     """Return the mistakes that explain a log, of several ways to divide its runs.
+
+    `floor`: mean square that the runs without a mistake leave.
 
     The likeliest; of those that chance does not tell apart the one that assumes least, with the others' as
     its rivals.
     """
     explained: list[tuple[float, list[Found]]] = []
     for option in options:
-        some = _needed(trials, base, option)
+        some = _needed(trials, base, option, floor)
         after = trials.fitted([one.correction for one in some]) if some else None
         if after is not None and after.left:
             explained.append((after.mean(after.deviance), some))
@@ -592,7 +754,7 @@ def _extent(found: Sequence[Found]) -> tuple[bool, int, float]:
     )
 
 
-def _needed(trials: Trials, base: Tried, found: Sequence[Found]) -> list[Found]:
+def _needed(trials: Trials, base: Tried, found: Sequence[Found], floor: float) -> list[Found]:
     """Return those of several mistakes without which a log is not explained.
 
     None where all of them do not explain it.
@@ -600,12 +762,12 @@ def _needed(trials: Trials, base: Tried, found: Sequence[Found]) -> list[Found]:
 
     def enough(some: Sequence[Found]) -> bool:
         after = trials.fitted([one.correction for one in some]) if some else None
-        return after is not None and _explains(base, after)
+        return after is not None and _explains(base, after, floor)
 
     left = list(found)
     if not enough(left):
         return []
-    if len(left) == 1 and (named := _named(trials, base, left[0])):
+    if len(left) == 1 and (named := _named(trials, base, left[0], floor)):
         return [named]
     for one in found:
         others = [other for other in left if other is not one]
@@ -613,7 +775,7 @@ def _needed(trials: Trials, base: Tried, found: Sequence[Found]) -> list[Found]:
     return left
 
 
-def _named(trials: Trials, base: Tried, found: Found) -> Found | None:
+def _named(trials: Trials, base: Tried, found: Found, floor: float = 1.0) -> Found | None:
     """Return a mistake that a fit without it confirms, its factor that of a unit if one is as near.
 
     None where the fit does not confirm it.
@@ -629,9 +791,14 @@ def _named(trials: Trials, base: Tried, found: Found) -> Found | None:
     if c.kind in STEPS:  # at the parameters of other runs a number is found to a sample or two
         about = [replace(c, numbers=(c.numbers[0] + k,)) for k in (-2, -1, 0, 1, 2) if c.numbers[0] + k]
         tried = {one: after for one in about if (after := trials.fitted((one,))) is not None and after.left}
-        c = min(tried, key=lambda one: tried[one].mean(tried[one].deviance), default=c)
+        value = {one: after.mean(after.deviance) for one, after in tried.items()}
+        c = min(value, key=value.__getitem__, default=c)
+        close = value.get(c, 0.0) + _close(base, list(base.counts), 1.0)
+        others = tuple(one for one in value if one != c and value[one] < close)
+        found = replace(found, rivals=(*others, *found.rivals))
     for some in (near, [c]):
-        tried = {one: after for one in some if (after := trials.fitted((one,))) and _explains(base, after)}
+        fits = {one: trials.fitted((one,)) for one in some}
+        tried = {one: after for one, after in fits.items() if after and _explains(base, after, floor)}
         if tried:
             best = min(tried, key=lambda one: tried[one].mean(tried[one].deviance))
             return replace(found, correction=best)
@@ -642,10 +809,13 @@ UNIT_NEAR = 1.2
 """Factor within which a scale may be that of a unit: parameters of few runs are not better known."""
 
 
-def _explains(base: Tried, after: Tried) -> bool:
-    """Return whether a log without mistakes, fitted again, shows that they were what was wrong."""
+def _explains(base: Tried, after: Tried, floor: float = 1.0) -> bool:
+    """Return whether a log without mistakes, fitted again, shows that they were what was wrong.
+
+    `floor`: mean square that is left without a mistake.
+    """
     gain = base.mean(base.deviance) - after.mean(after.deviance)
-    over = after.mean(after.left) - 1
+    over = after.mean(after.left) - floor
     return gain >= EXPLAINS * (gain + max(over, 0.0)) and _follows(base, after)
 
 
@@ -654,9 +824,11 @@ def _follows(base: Tried, after: Tried) -> bool:
     if all(one.mistake.keeps for one in after.corrections):
         return True
     (before, noise), (left, noise_after) = base.shares, after.shares
-    moved = np.minimum(noise, noise_after) < AT_REST
+    # what scales nothing down may make a reading that only jumped one at rest
+    plain = all(one.mistake.factor(one) == 1.0 and not one.mistake.sources(one) for one in after.corrections)
+    moved = (np.maximum if plain else np.minimum)(noise, noise_after) < AT_REST
     if not moved.any():
-        return False
+        return plain
     most = (1 - EXPLAINS) * before[moved].mean() + 2 * noise[moved].mean()
     return bool(left[moved].mean() <= min(most, UNEXPLAINED + 2 * noise_after[moved].mean()))
 
@@ -718,12 +890,17 @@ def _agreeing(trials: Trials, base: Tried) -> list[list[int]]:
     out += [some for order in (runs, runs[::-1]) if (some := _longest(trials, order)) and some not in out]
     if out and all(len(runs) - len(some) > 1 for some in out):
         return out
-    for one in runs if len(runs) <= SINGLY else ():
+
+    def without_one(run: int) -> float:  # about, from the statistics as they are
+        rest = base.cost.without([run])
+        return rest.at(refit(rest, base.p, (), CLOSELY, ROUNDS)).value
+
+    for one in sorted(runs, key=without_one)[:SEARCHED]:
         others = [r for r in runs if r != one]
         without = trials.fitted((), others)
         if without is not None and without.left and without.mean(without.left) < EXCESS and others not in out:
             out.append(others)
-    return out[:SEARCHED] or _trimmed(trials, base)
+    return out or _trimmed(trials, base)
 
 
 def _longest(trials: Trials, runs: Sequence[int]) -> list[int]:
@@ -740,10 +917,6 @@ def _longest(trials: Trials, runs: Sequence[int]) -> list[int]:
             too_many = now
         now = (enough + too_many) // 2
     return sorted(runs[:enough])
-
-
-SINGLY = 64
-"""Runs each of which is left out alone, at most."""
 
 
 def _trimmed(trials: Trials, base: Tried) -> list[list[int]]:
@@ -805,65 +978,79 @@ def _best(
     trials: Trials,
     base: Tried,
     tried: Callable[[Correction], Tried | None],
+    screened: Callable[[Correction], float],
     runs: Sequence[int],
     linear: bool = True,
 ) -> Found | None:
     """Return the mistake that explains the excess of `base` in some runs best; None where none does.
 
-    Not `linear`: free coefficients leave an excess too, so that no sign, scale or order explains it.
+    `screened`: the share of what is left that a correction leaves about; the best are `tried`. Not `linear`:
+    free coefficients leave an excess too, so that no sign, scale or order explains it.
     """
     before = base.mean(base.deviance, runs)
     seen: list[Judged] = []
     shares: dict[Correction, float] = {}
 
+    def deviance(c: Correction) -> float:
+        found = tried(c)
+        return found.mean(found.deviance, runs) if found is not None and found.left else np.inf
+
     @cache
     def without_ends(c: Correction) -> float:
         """Return the deviance of the samples that a delay or a mean leaves, as they are."""
+        value = deviance(c)
+        return value if np.isfinite(value) else before
+
+    def judge(c: Correction) -> None:
+        """Try a correction."""
         found = tried(c)
-        return found.mean(found.deviance, runs) if found is not None and found.left else before
-
-    def judge(c: Correction) -> float:
-        """Try a correction; return the share that it leaves of what was left.
-
-        Of the squares over the noise; of a scale, which scales an estimated noise too, of the variance.
-        """
-        found, shares[c] = tried(c), np.inf
         if found is None or not found.left:
-            return np.inf
+            return
         same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
         one = Judged(same, found.mean(found.deviance, runs), found.mean(found.left, runs), c, found.far)
-        enough = c.kind not in STEPS or sum(found.counts.values()) > KEEPS * sum(base.counts.values())
-        if enough and np.isfinite(one.gain) and one.left > LEAST and _follows(base, found):
+        known = np.isfinite(base.rest(found)) and np.isfinite(one.gain)
+        hides = one.left < LEAST and c.mistake.noise(c, trials.noise) != trials.noise
+        if known and not hides and _follows(base, found):
             seen.append(one)
-        of_noise = found.mean(found.left, runs) / base.mean(base.left, runs)
-        of_variance = float(found.shares[0].mean() / base.shares[0].mean())
-        shares[c] = of_variance if c.kind == "scale" else of_noise
-        return shares[c]
 
     plain = hypotheses(trials.model, trials.columns, base.worst(runs), trials.moved(runs))
-    some = [*(c for c in plain if linear or c.kind in STEPS), *of_samples(trials, base)]
-    more = some if exact(trials.model) else _likely(trials, base, some, runs)
+    more = [*(c for c in plain if linear or c.kind in STEPS), *of_samples(trials, base)]
     while more:
-        for c in more:
-            judge(c)
+        shares |= {c: screened(c) for c in more}
         more = _closer(shares)
-    _refined(trials.model, shares, seen, judge)
+    for c in sorted((c for c in shares if shares[c] < 1), key=shares.__getitem__)[:CLOSEST]:
+        judge(c)
+    _refined(trials.model, shares, seen, screened, deviance, judge)
     good = [*filter(_good, seen)]
     if not good:
         return None
     best = min(good, key=lambda one: one.after)
-    readings = max(sum(base.counts[r] for r in runs), 1.0) * len(trials.model.channels)
-    close = max(
-        RIVAL / readings * len(trials.model.channels),
-        NEAR * max(best.left, 1.0),
-        CHANCE * np.sqrt(2 / readings),
-    )
-    near = sorted((one for one in good if one.after - best.after < close), key=lambda one: one.plain)
-    alike = [one for one in near if _same(one.correction, near[0].correction) and one.plain == near[0].plain]
+    samples, close = sum(base.counts[r] for r in runs), _close(base, runs, best.left)
+
+    def assumes(one: Judged) -> tuple[bool, tuple[int, int]]:  # a factor that was searched assumes most
+        return one.correction.kind == "scale" and one.correction not in shares, one.plain
+
+    near = sorted((one for one in good if one.after - best.after < close), key=assumes)
+    alike = [
+        one for one in near
+        if _same(one.correction, near[0].correction) and assumes(one) == assumes(near[0])
+    ]  # fmt: skip
     # of units, whose readings differ by less than parameters can make up for, that of the nominal machine
     first = min(alike, key=lambda one: one.far if one.correction.unit else one.after)
     rivals = tuple(one.correction for one in near if not _same(one.correction, first.correction))
-    return Found(first.correction, min(first.explains, 1.0), first.left, rivals)
+    c, vague = first.correction, 0.0
+    if assumes(first)[0]:
+        beside = [replace(c, numbers=(c.numbers[0] * (1 + by),)) for by in (-KNOWN, KNOWN)]
+        loses = samples * len(trials.model.channels) * (min(map(deviance, beside)) - first.after)
+        vague = KNOWN * SURE / max(loses, 1e-3) ** 0.5
+    return Found(c, min(first.explains, 1.0), first.left, rivals, vague)
+
+
+def _close(base: Tried, runs: Sequence[int], left: float) -> float:
+    """Return by how much deviances of a reading may differ between corrections that do as well."""
+    samples = max(sum(base.counts[r] for r in runs), 1.0)
+    chance = CHANCE * np.sqrt(2 / (samples * len(base.model.channels)))
+    return float(max(RIVAL / samples, NEAR * max(left, 1.0), chance))
 
 
 def _good(one: Judged) -> bool:
@@ -879,13 +1066,14 @@ def _same(a: Correction, b: Correction) -> bool:
 def _closer(shares: Mapping[Correction, float]) -> list[Correction]:
     """Return the delays and means beside the best of each group of columns that were not tried yet.
 
+    Beside the best delay either way: at constant speed what is early by a part of a turn is late by the rest.
     `shares`: what was tried, and the share that it leaves of what was left.
     """
-    best: dict[tuple[str, tuple[str, ...]], Correction] = {}
+    best: dict[tuple[str, tuple[str, ...], bool], Correction] = {}
     for c, share in shares.items():
-        known = best.get((c.kind, c.columns))
-        if c.kind in STEPS and share < PART and (known is None or share < shares[known]):
-            best[c.kind, c.columns] = c
+        if c.kind in STEPS and share < PART:
+            key = c.kind, c.columns, c.numbers[0] > 0
+            best[key] = min(best.get(key, c), c, key=shares.__getitem__)
     out = []
     for c in best.values():
         steps, n = STEPS[c.kind], int(c.numbers[0])
@@ -895,51 +1083,65 @@ def _closer(shares: Mapping[Correction, float]) -> list[Correction]:
     return [c for c in out if c not in shares]
 
 
+CLOSEST = 16
+"""Corrections that are tried, the best of those that were screened."""
 PART = 0.7
 """Share of what is left that a number may leave to be looked at more closely."""
 
 
 ALTERED = 2.0
 """Factor below which a scale that is none of a unit may be the machine's own: a reference's, a wavelength."""
-REACH = 1.6
-"""Logarithm of the factors that are tried about the best scale, either way."""
+REACH, CLOSE = 1.6, 0.2
+"""Logarithm of the factors that are tried about the best scale, either way, before and after it is found."""
+KNOWN = 0.01
+"""Part of a factor within which it must be known to be stated."""
 
 
 def _refined(
     model: Model,
     shares: Mapping[Correction, float],
     seen: list[Judged],
-    judge: Callable[[Correction], float],
+    screened: Callable[[Correction], float],
+    deviance: Callable[[Correction], float],
+    judge: Callable[[Correction], None],
 ) -> None:
     """Try other factors about the best scale: where one is clearly better, no unit explains it.
 
-    `shares`: what was tried, and the share that it leaves of what was left.
+    `shares`: what was screened, and the share that it leaves of what was left.
     """
     named = min(filter(_good, seen), key=lambda one: one.after, default=None)
     if named and (named.correction.kind == "scale" or named.left < EXCESS):
         best = [named.correction] if named.correction.kind == "scale" else []
     else:
-        scaled = [c for c, share in shares.items() if c.kind == "scale" and share < PART]
-        scaled = sorted(scaled, key=shares.__getitem__, reverse=True)
+        scaled = sorted((c for c in shares if c.kind == "scale"), key=shares.__getitem__, reverse=True)
         best = sorted({c.columns: c for c in scaled}.values(), key=shares.__getitem__)[:DIFFERENT]
     for about in best:
         if any(c in model.period for c in about.columns):
             continue
-        count, factor = len(seen), about.numbers[0]
-
-        def cost(log_factor: float, about: Correction = about, factor: float = factor) -> float:
-            share = judge(replace(about, numbers=(factor * float(np.exp(log_factor)),), unit=""))
-            return float(np.log(share)) if 0 < share < np.inf else 1e3
-
-        at = minimize_scalar(
-            cost, bounds=(-REACH, REACH), method="bounded", options={"maxiter": 20, "xatol": 1e-3}
-        )
-        found = abs(float(np.log(abs(factor))) + float(at.x))
+        count = len(seen)
+        closer = _least(about, lambda c: float(np.log(max(screened(c), 1e-300))), REACH, 1e-3)
+        by = float(np.log(closer.numbers[0] / about.numbers[0]))
         # beyond what is tried, or near enough to 1 for a wavelength or a scale of the machine
-        if abs(float(at.x)) > 0.9 * REACH or found < np.log(ALTERED):
-            del seen[count:]
-        elif any(map(_good, seen[count:])):
-            return
+        if abs(by) > 0.9 * REACH or abs(np.log(abs(closer.numbers[0]))) < np.log(ALTERED):
+            continue
+        if screened(closer) < 1 - EXPLAINS:
+            judge(_least(closer, deviance, CLOSE, 1e-5))
+            if any(map(_good, seen[count:])):
+                return
+
+
+def _least(about: Correction, cost: Callable[[Correction], float], reach: float, near: float) -> Correction:
+    """Return the factor that costs least within `reach` of one, to `near`; both logarithms."""
+
+    def times(by: float) -> Correction:
+        return replace(about, numbers=(about.numbers[0] * float(np.exp(by)),), unit="")
+
+    def finite(by: float) -> float:
+        value = cost(times(by))
+        return value if np.isfinite(value) else 1e9
+
+    options = {"maxiter": 20, "xatol": near}
+    return times(float(minimize_scalar(finite, bounds=(-reach, reach), method="bounded", options=options).x))
 
 
 def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
@@ -953,7 +1155,8 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
         now = trials.at((), p, runs)
         if now is None or not now.left:
             return None
-        found = _best(trials, now, lambda c: trials.at((_of(c, runs),), p, runs), runs)
+        tried = cache(lambda c: trials.at((_of(c, runs),), p, runs))
+        found = _best(trials, now, tried, lambda c: now.rest(tried(c)), runs)
         after = found and trials.at((_of(found.correction, runs),), p, runs)
         if not found or not after:
             return None
@@ -1215,28 +1418,3 @@ def _along(
     if within and since is None:
         return best[1], best[2]
     return (num / den if den > 0 else np.nan), since or 0
-
-
-# -- models without run statistics ---------------------------------------------------------------------------
-
-
-def _likely(
-    trials: Trials, base: Tried, every: Iterable[Correction], runs: Sequence[int]
-) -> list[Correction]:
-    """Return the corrections that are worth a fit where that takes seconds, the best first.
-
-    Those that halve the squared residual at the parameters of the log as it is, or where a fit begins.
-    """
-    points, readings = (base.p, trials.begin(base.log)), {*trials.model.channels}
-
-    def left(c: tuple[Correction, ...], p: np.ndarray) -> float:
-        found = trials.at(c, p, runs)
-        return found.mean(found.left) if found is not None and found.left else np.inf
-
-    before = [left((), p) for p in points]
-    share = {
-        c: min(left((c,), p) / max(b, 1e-300) for p, b in zip(points, before, strict=True)
-               if p is base.p or not {*c.columns} <= readings)  # one reading of many moves no parameters far
-        for c in every
-    }  # fmt: skip
-    return sorted((c for c in share if share[c] < 0.5), key=share.__getitem__)[:SEARCHED]

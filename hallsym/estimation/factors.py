@@ -101,6 +101,48 @@ class RunStatistics:
         arrays: dict[str, Any] = {name: getattr(self, name)[index] for name in BY_RUN}
         return replace(self, runs=tuple(self.runs[k] for k in index), places=places, **arrays)
 
+    def from_sources(self, sources: Mapping[str, tuple[str, float]]) -> "RunStatistics | None":
+        """Return the statistics of the same samples whose columns hold those of others, times a factor.
+
+        None where the features are no monomials of these columns, or one is no feature then.
+        """
+        model, powers, columns = self.model, self.features.exponents, self.logged
+        taken = [sources.get(c, (c, 1.0)) for c in columns]
+        held = [sources.get(c, (c, 1.0)) for c in model.channels]
+        if {*columns} & {*sources} and (powers.shape[1] > len(columns) or self.places):
+            return None
+        if any(c not in columns for c, _ in taken) or any(c not in model.channels for c, _ in held):
+            return None
+        origin = np.arange(powers.shape[1])
+        origin[: len(columns)] = [columns.index(c) for c, _ in taken]
+        factor = np.array([f for _, f in taken] + [1.0] * (powers.shape[1] - len(columns)))
+        known = {tuple(row): j for j, row in enumerate(powers[:, origin].tolist())}
+        place = [known.get(tuple(row), -1) for row in powers.tolist()]
+        refs, k = len(model.references), self.features.n_zero
+        if min(place) < 0 or max(place[:k], default=-1) >= k or (origin[refs : len(columns)] < refs).any():
+            return None
+        size = np.prod(factor**powers, axis=1)
+        readings = [self.features.size + model.channels.index(c) for c, _ in held]
+        column, i, j = self.features.slope_pairs
+        at = np.array(place)
+        pairs = {tuple(pair): n for n, pair in enumerate(np.transpose([column, i, j]).tolist())}
+        low, high = np.minimum(at[i], at[j]), np.maximum(at[i], at[j])
+        here = [pairs[tuple(pair)] for pair in np.transpose([origin[column], low, high]).tolist()]
+        state = origin[refs : len(columns)] - refs, factor[refs : len(columns)]
+        return replace(
+            self,
+            centre=factor * self.centre[origin],
+            triangles=self.triangles[:, :, [*place, *readings]] * [*size, *(f for _, f in held)],
+            slopes=self.slopes[:, here] * (size[i] * size[j] / factor[column] ** 2),
+            first_state=self.first_state[:, state[0]] * state[1],
+            mean_state=self.mean_state[:, state[0]] * state[1],
+        )
+
+    @property
+    def logged(self) -> tuple[str, ...]:
+        """The columns that the features are made of."""
+        return (*self.model.references, *self.model.state)
+
     def merged(self) -> "RunStatistics":
         """Return one run for all, the features that carry offsets projected out.
 
@@ -440,6 +482,11 @@ class TangentFeatures(Features):
         """Parameters of the tangent, (n,)."""
         return self.at
 
+    @property
+    def everywhere(self) -> Features:
+        """The tangent at the nominal parameters."""
+        return _nominal_tangent(self.model)
+
     def slope_rows(self, p: np.ndarray) -> np.ndarray:
         """Return d reading / d parameters, (rows, n), at random poses and states of all sizes up to 1.
 
@@ -455,6 +502,12 @@ class TangentFeatures(Features):
         wide = [np.asarray(v).astype(p.dtype) for v in (p, zeros, pose, state)]
         (rows,) = program(model).by_parameter(*wide)
         return np.moveaxis(rows.reshape(len(model.names), -1), 0, 1)
+
+
+@lru_cache(maxsize=32)
+def _nominal_tangent(model: Model) -> TangentFeatures:
+    logged = len(model.references) + len(model.state)
+    return TangentFeatures(model, np.zeros((0, 1), dtype=int), 0, model.nominal, np.zeros(logged))
 
 
 def summarise_at(

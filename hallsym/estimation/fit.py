@@ -15,7 +15,7 @@ import numpy as np
 from hallsym.errors import InputError, nearest
 from hallsym.estimation import outliers
 from hallsym.estimation.calibration import Claim, Fit
-from hallsym.estimation.claims import claims_of, mistakes_of
+from hallsym.estimation.claims import claims_of, described, mistakes_of
 from hallsym.estimation.decoding import Errors, columns_of
 from hallsym.estimation.factors import exact, joined
 from hallsym.estimation.likelihood import Cost, Sharing, cost_of, joint_cost, numbered, run_numbers
@@ -166,9 +166,10 @@ def _recording(log: Log, model: Model, asked: Asked, began: float) -> Fit:
         raise
     if ALL in asked.accept:
         return _claimed(result, (), asked)
-    unsaid = {n.name for n in result.notes if isinstance(n, Fault) and n.runs and n.correction is None}
-    if unsaid:  # what left samples out and names no remedy: the fit finds one in the samples as they are
-        whole, _ = checked(log, model, asked, result.corrections, tuple(unsaid))
+    faults = [n for n in result.notes if isinstance(n, Fault) and n.runs]
+    doubted = {n.name for n in faults if n.correction is None or not described(result)}
+    if doubted:  # what left samples out may be part of more: the fit looks at the samples as they are
+        whole, _ = checked(log, model, asked, result.corrections, tuple(doubted))
         return _claimed(result, mistakes_of(whole, model) or claims_of(result, given), asked)
     return _claimed(result, claims_of(result, given), asked)
 

@@ -170,25 +170,37 @@ def _random_points(model: Model) -> np.ndarray:
     return rng.uniform(lower, upper, (POINTS, len(scale)))
 
 
-@lru_cache(maxsize=64)
 def structural_rank(features: Features, open_: tuple[bool, ...]) -> tuple[int, np.ndarray]:
     """Rank of d coefficients / d parameters, the largest at random points, and the pivots that decided it.
 
     A tangent is asked at its own point too: at a random one a rail may cut off all of a reading, or nothing.
+    """
+    found = _rank_at_random(features.everywhere, open_)
+    if features.point is None or found[0] == sum(open_):
+        return found
+    own = _rank_at(features, features.point[None], open_)
+    return own if own[0] > found[0] else found
+
+
+@lru_cache(maxsize=64)
+def _rank_at_random(features: Features, open_: tuple[bool, ...]) -> tuple[int, np.ndarray]:
+    return _rank_at(features, _random_points(features.model), open_)
+
+
+def _rank_at(features: Features, at: np.ndarray, open_: tuple[bool, ...]) -> tuple[int, np.ndarray]:
+    """Return the largest rank at points (m, n), and its pivots.
+
     Gaussian elimination with full pivoting in extended precision (where the machine has it), every row scaled
     to 1: a pivot that is zero comes out as rounding, some 16 decades below those that are not.
     """
-    model = features.model
-    at = _random_points(model)
-    at = at if features.point is None else np.vstack([at, features.point])
-    at = at.astype(np.longdouble)
+    model, at = features.model, at.astype(np.longdouble)
     sampled = [rows for point in at if (rows := features.slope_rows(point)) is not None]
     if sampled:
         rows = np.array(sampled) * scales(model)
     else:
         slope = on_arrays(features.expressions[0])(at.T, np.zeros(features.exponents.shape[1]))[1]
-        shape = (len(model.names), 1 + features.n_zeros, len(model.channels), features.size, POINTS)
-        rows = slope.reshape(shape)[:, 0].reshape(len(model.names), -1, POINTS).T * scales(model)
+        shape = (len(model.names), 1 + features.n_zeros, len(model.channels), features.size, len(at))
+        rows = slope.reshape(shape)[:, 0].reshape(len(model.names), -1, len(at)).T * scales(model)
     tried = [_pivots(jacobian[:, np.array(open_)]) for jacobian in rows]
     ranks = [_rank(pivots, rows.shape[1]) for pivots in tried]
     best = int(np.argmax(ranks))

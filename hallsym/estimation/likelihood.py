@@ -646,13 +646,21 @@ Zeros = Mapping[int, np.ndarray]
 
 
 def cost_near(
-    log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float], weigh: Weigh | None = None
+    log: Log,
+    model: Model,
+    p: np.ndarray,
+    noise: Mapping[str, float],
+    weigh: Weigh | None = None,
+    rounds: int = MOST,
 ) -> Cost:
-    """Return the likelihood of a log near `p`, the offsets of each run settled at `p`; exact at `p`."""
+    """Return the likelihood of a log near `p`, the offsets of each run settled at `p`; exact at `p`.
+
+    `rounds`: of settling, at most.
+    """
     if exact(model):
         return cost_of(summarise(log, model, weigh), noise)
     zeros: Zeros = {}
-    for _ in range(MOST):
+    for _ in range(rounds):
         cost = cost_of(summarise_at(log, model, p, zeros, noise, weigh), noise)
         before, zeros = zeros, zeros_of(cost, p)
         if all(np.abs(z - before.get(run, 0.0)).max(initial=0.0) < SETTLED for run, z in zeros.items()):

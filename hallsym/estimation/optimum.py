@@ -327,7 +327,9 @@ class Scaled:
         )
 
 
-PASSES = 40
+PASSES, SETTLING = 40, 5
+"""Passes over a log, and those before that settle the offsets of runs where the fit begins: a log that the
+model describes needs no more, and each pass settles them further."""
 DROP = 1e-3
 """Decrease of the cost, per unit of what a degree of freedom leaves, that is not worth another pass: it moves
 no parameter by more than 0.03 standard uncertainties."""
@@ -409,7 +411,7 @@ def optimum(
         return now.cost - now.target.cost <= DROP * max(now.cost / readings, 1e-300)
 
     first = np.clip(np.asarray(start, dtype=float), *model.bounds)
-    zeros = zeros_of(cost_near(log, model, first, noise, weigh), first) if model.zeros else {}
+    zeros = zeros_of(cost_near(log, model, first, noise, weigh, SETTLING), first) if model.zeros else {}
     best, outcome = solvers.gauss_newton(linearise, (first, zeros), converged, PASSES)
     found = replace(best.target, evaluations=evaluations)
     if outcome != "converged":

@@ -36,6 +36,8 @@ from hallsym.units import UNITS, split_unit
 
 Data = dict[str, np.ndarray]
 """Columns of one run, each (samples,)."""
+Sources = dict[str, tuple[str, float]]
+"""By column: the one that holds its values, and the factor to multiply these by."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,7 @@ class Mistake:
     be absent. `pair`: the text names two columns. `whole_run`: the text names runs in place of columns.
     `by_run`: samples of a run are not undone one by one. `keeps`: no value changes, the noise alone does.
     `cuts`: its columns tell which samples are left out. `factor`: what undoing it multiplies columns by.
+    `sources`: where the right values stand, of a mistake that each sample is put right by alone, by a factor.
     """
 
     name: str
@@ -122,21 +125,24 @@ class Mistake:
     keeps: bool = False
     cuts: bool = False
     factor: Callable[[Correction], float] = lambda c: 1.0
+    sources: Callable[[Correction], Sources] = lambda c: {}
 
 
-def _negate(c: Correction, data: Data) -> None:
-    for name in c.columns:
-        data[name] = -data[name]
+def _opposite(c: Correction) -> Sources:
+    return {name: (name, -1.0) for name in c.columns}
 
 
-def _rescale(c: Correction, data: Data) -> None:
-    for name in c.columns:
-        data[name] = c.numbers[0] * data[name]
+def _rescaled(c: Correction) -> Sources:
+    return {name: (name, c.numbers[0]) for name in c.columns}
 
 
-def _swap(c: Correction, data: Data) -> None:
+def _swapped(c: Correction) -> Sources:
     a, b = c.columns
-    data[a], data[b] = data[b], data[a]
+    return {a: (b, 1.0), b: (a, 1.0)}
+
+
+def _from_sources(c: Correction, data: Data) -> None:
+    data |= {name: factor * data[source] for name, (source, factor) in c.mistake.sources(c).items()}
 
 
 def _earlier(c: Correction, data: Data) -> np.ndarray:
@@ -265,12 +271,15 @@ def _sharpened_noise(c: Correction, noise: Noise) -> Noise:
 MISTAKES = {
     m.name: m
     for m in (
-        Mistake("sign", "the sign of {columns} is inverted", _negate),
+        Mistake("sign", "the sign of {columns} is inverted", _from_sources, sources=_opposite),
         Mistake(
-            "scale", "the numbers of {columns} are {scale}", _rescale, ("UNIT or FACTOR",),
-            noise=_scaled_noise, factor=lambda c: c.numbers[0],
+            "scale", "the numbers of {columns} are {scale}", _from_sources, ("UNIT or FACTOR",),
+            noise=_scaled_noise, factor=lambda c: c.numbers[0], sources=_rescaled,
         ),
-        Mistake("exchange", "columns {columns} are exchanged", _swap, pair=True, noise=_swapped_noise),
+        Mistake(
+            "exchange", "columns {columns} are exchanged", _from_sources, pair=True, noise=_swapped_noise,
+            sources=_swapped,
+        ),
         Mistake("delay", "the values of {columns} come {delay}", _earlier, ("SAMPLES",), by_run=True,
                 cuts=True),
         Mistake(

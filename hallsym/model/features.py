@@ -172,6 +172,11 @@ class Features:
         """Parameters (n,) that the features were taken at, if they depend on them."""
         return None
 
+    @property
+    def everywhere(self) -> "Features":
+        """The features that have the same slopes at any point, one for all points of a tangent."""
+        return self
+
     def linear(self, p: np.ndarray) -> tuple[np.ndarray, Rows] | None:
         """Return coefficients and slopes where coefficients are linear in the parameters, and most are nil.
 

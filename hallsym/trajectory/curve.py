@@ -286,6 +286,6 @@ def _form_from_dict(raw: Mapping[str, Any]) -> Form:
     if kind != "spline":
         return FgForm(BASES[kind], control)
     knots, degree = np.array(raw["knots"], float), int(raw["degree"])
-    if degree < 1 or len(knots) != len(control) + degree + 1 or (np.diff(knots) < 0).any():
-        raise ValueError("knots must increase and be as many as control points + degree + 1")
+    if degree < 1 or len(knots) != len(control) + degree + 1 or not (np.diff(knots) >= 0).all():
+        raise ValueError("knots must be numbers that increase, as many as control points + degree + 1")
     return SplineForm(knots, degree, control)

@@ -63,6 +63,8 @@ def test_files_that_are_no_curves(tmp_path):
         "{", "[]", '{"format": "other"}', json.dumps(good | {"form": {"kind": "bernstein"}}),
         json.dumps(good | {"start": 3, "stop": 1}), json.dumps(good | {"coordinates": ["x_m"]}),
         json.dumps(good | {"form": {"kind": "spline", "degree": 3, "knots": [0, 1], "control": [[0, 0]]}}),
+        json.dumps(good | {"form": {"kind": "spline", "degree": 1, "knots": [0, 0, None, 1],
+                                    "control": [[0, 0], [1, 1]]}}),
         json.dumps(good | {"form": {"kind": "fourier", "control": [[0, 0]]}}), json.dumps({"format": FORMAT}),
     ):  # fmt: skip
         path.write_text(broken, encoding="utf-8")
