@@ -16,6 +16,6 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(READERS))
 def test_a_damaged_file_is_refused_or_says_what_it_is(workshop: Workshop, name: str) -> None:
-    found = [workshop.case(READERS[name], seed) for seed in range(50)]
+    found = [workshop.case(READERS[name], seed) for seed in range(30)]
     assert [outcome for outcome in found if outcome.fault] == []
-    assert sum(outcome.kind in ("refused", "same numbers") for outcome in found) >= 20
+    assert sum(outcome.kind in ("refused", "same numbers") for outcome in found) >= 12

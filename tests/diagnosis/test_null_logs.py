@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 from bench_diagnosis_nulls import settings, tried
 
-LOGS, FIRST, LEVEL, SELDOM = 80, 50_000, 0.05, 1e-3
+LOGS, FIRST, LEVEL, SELDOM = 64, 50_000, 0.05, 1e-3
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def test_noise_of_one_recording_is_no_gap(kind, stated, seed):
 @pytest.mark.slow
 def test_one_in_twenty_recordings_has_a_p_value_below_five_per_cent():
     kinds = ("white", "ar3", "ar10", "t3", "vibration")
-    p = [tried(*setting)["p"] for setting in settings(40, 70_000, kinds, (1,))]
+    p = [tried(*setting)["p"] for setting in settings(32, 70_000, kinds, (1,))]
     assert binomtest(sum(x < LEVEL for x in p), len(p), LEVEL).pvalue > SELDOM
     assert kstest(p, "uniform").pvalue > SELDOM
 

@@ -291,15 +291,15 @@ def test_zero_deviations_beyond_their_bounds_are_reported_not_clipped(columns):
 
 @pytest.mark.slow
 def test_gross_outliers_do_no_harm_over_many_seeds():
-    """10 % of every reading and reference off by up to 1 mm or 1 mrad; all of 30 fits stay right."""
+    """10 % of every reading and reference off by up to 1 mm or 1 mrad; all of 15 fits stay right."""
     model, truth = build("stage31"), values("table7_estimates")
     sigma, p = table8_noise(model).sigma, build("stage31").vector(values("table7_estimates"))
     noise = Noise.given(sigma, tuple(sigma))
     right = 0
-    for seed in range(30):
+    for seed in range(15):
         spoilt = simulate(
             model, truth, paper_campaign(step_s=0.01), NoiseModel(sigma, outlier_share=0.1), seed=seed
         )
         found = fit(Log.from_arrays(spoilt, noise=noise), model, solver="direct")
         right += np.nanmax(np.abs((found.values - p) / found.std)) < 5
-    assert right == 30
+    assert right == 15

@@ -66,13 +66,13 @@ def known() -> hallsym.Fit:
 def test_the_limits_hold_their_rate_of_false_alarms(how: dict[str, float]) -> None:
     """Every ten logs have a calibration of their own, so that its errors are averaged."""
     found = []
-    for first in range(0, 300, 10):
+    for first in range(0, 200, 10):
         own = calibration(first, **how)
         found += [judged(own, log_of(first + k, **how)) for k in range(10)]
-    assert sum(not one.belongs for one in found) <= stats.binom.ppf(0.995, 300, FALSE_ALARM)
+    assert sum(not one.belongs for one in found) <= stats.binom.ppf(0.995, 200, FALSE_ALARM)
     least = np.array([len(one.tests) * min(test.p_value for test in one.tests) for one in found])
-    assert (least < 0.05).sum() <= stats.binom.ppf(0.995, 300, 0.05)
-    assert (least < 0.8).sum() >= stats.binom.ppf(0.001, 300, 0.35)  # and they are not all far inside
+    assert (least < 0.05).sum() <= stats.binom.ppf(0.995, 200, 0.05)
+    assert (least < 0.8).sum() >= stats.binom.ppf(0.001, 200, 0.35)  # and they are not all far inside
 
 
 def test_every_parameter_that_moved_is_noticed_and_named(known: hallsym.Fit) -> None:
