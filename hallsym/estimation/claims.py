@@ -1144,12 +1144,17 @@ def _least(about: Correction, cost: Callable[[Correction], float], reach: float,
     return times(float(minimize_scalar(finite, bounds=(-reach, reach), method="bounded", options=options).x))
 
 
+SWEPT = 0.8
+"""Share of its range by which a run that is one sweep ends away from its beginning: the rest is noise."""
+
+
 def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
     """Return the mistakes of runs that do not go with the others: of all alike, else of each by itself.
 
     `base`: what the others agree on.
     """
     p, out = base.p, list[Found]()
+    one_way = _one_way(trials, odd)
 
     def look(runs: list[int]) -> Found | None:
         now = trials.at((), p, runs)
@@ -1168,7 +1173,7 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
         over = found.left - min(found.left, 1.0)
         own = _other_device(trials, now, good) if over > EXCESS - 1 else []
         if own and own[0].left - 1 < (1 - EXPLAINS) * over:
-            return own[0]
+            return None if one_way else own[0]
         return replace(found, correction=_of(found.correction, good), rivals=rivals)
 
     left = list(odd)
@@ -1179,10 +1184,26 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
         apart = [found for r in left[:SEARCHED] if (found := look([r]))]
         out += apart
         left = [r for r in left if all(r not in found.correction.runs for found in apart)]
-    if left:  # what no mistake explains in some of them may be another device in all
+    if left and not one_way:  # what no mistake explains in some of them may be another device in all
         now = trials.at((), p, odd)
         out = (_other_device(trials, now, odd) if now and now.left else []) or out
     return [replace(f, correction=_everywhere(trials, f.correction)) for f in out]
+
+
+def _one_way(trials: Trials, odd: Sequence[int]) -> bool:
+    """Return whether these runs sweep one way along a reference and all others sweep it back.
+
+    Then play or hysteresis would make them differ too, and the log does not tell it from another device.
+    """
+    for reference in trials.model.references:
+        ways: tuple[set[float], set[float]] = set(), set()
+        for run, at in trials.spans:
+            x = trials.full[reference][at]
+            swept = abs(x[-1] - x[0]) > SWEPT * np.ptp(x)
+            ways[run in odd].add(float(np.sign(x[-1] - x[0])) if swept else 0.0)
+        if ways in (({1.0}, {-1.0}), ({-1.0}, {1.0})):
+            return True
+    return False
 
 
 def _everywhere(trials: Trials, c: Correction) -> Correction:

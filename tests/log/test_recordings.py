@@ -58,6 +58,11 @@ def test_rates_of_mistakes() -> None:
     assert found.wrong <= 0.08 * found.felt, found
 
 
+def test_sweeps_there_and_back_with_hysteresis_are_not_of_two_devices() -> None:
+    """Every second run goes back: parameters of its own describe it, and so does play."""
+    assert judged("hysteresis", "rotary", "10.0").claims == []
+
+
 @pytest.mark.slow
 def test_no_claim_of_a_mistake_in_healthy_logs() -> None:
     drawn = [case for case in healthy_cases(SEED) if case[1] in QUICK][::4]
