@@ -91,7 +91,7 @@ def noticed(folder, name, source):
             if subprocess.run(command, cwd=folder, input=source, capture_output=True).returncode:
                 return True
         try:
-            ran = subprocess.run([program], cwd=folder, capture_output=True, timeout=60)
+            ran = subprocess.run([program], cwd=folder, capture_output=True, timeout=10)
         except subprocess.TimeoutExpired:
             return True
         return ran.returncode != 0

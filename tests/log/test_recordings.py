@@ -14,7 +14,7 @@ SMALL = Size(16, 100, 4e-3)
 """Enough to tell mistakes, and quick to fit."""
 QUICK = tuple(family for family in FAMILIES if family != "planar")
 """A fit of the planar mover takes a second or more."""
-EVERY = 17
+EVERY = 23
 """One of so many cases is taken: no divisor of the number of families."""
 
 
