@@ -103,6 +103,8 @@ ROWS = 50_000
 STATED, BY_SIZE = "its unit is stated", "CHECK THE UNIT: assumed from its size"
 MOVES = 0.9
 """Correlation from which a column moves as another one does: the other axes and the noise make the rest."""
+BITS = range(6, 25)
+"""Bits of an encoder's turn that are tried."""
 PLACES = 24
 """Places of the zero of an angle that are tried: between two of them a correlation loses 1 %."""
 NEAR = 3.0
@@ -272,24 +274,28 @@ def _expected(data: Mapping[str, Array], model: Model, named: Sequence[Guess]) -
     The zero of an angle that goes round is its own: of `PLACES` over the turn the one where most of the
     columns that are not named move as a reading.
     """
-    known = {g.stem: _si(data[g.theirs], g) for g in named if g.unit and g.stem != RUN}
+    known = _known(data, named)
     if not any(split_unit(c)[0] in known for c in model.references):
         return {}
-    stems = [s for c in model.references if (s := split_unit(c)[0]) in known and _goes_round(c)]
+    angles = [s for c in model.references if (s := split_unit(c)[0]) in known and _goes_round(c)]
     free = [x for name, x in data.items() if name not in {g.theirs for g in named} and np.ptp(x) > 0]
-    turned = [
-        _readings(model, {**known, **{s: known[s] + place for s in stems}})
-        for place in (np.arange(PLACES) * 2 * np.pi / PLACES if stems and free else [0.0])
-    ]
-    return max(turned, key=lambda expected: _alike(list(expected.values()), free))
+    if not angles or not free:
+        return _readings(model, known)
+    zeros = np.arange(PLACES) * 2 * np.pi / PLACES
+    tried = [_readings(model, {**known, **{s: known[s] + zero for s in angles}}) for zero in zeros]
+    return max(tried, key=lambda expected: _correlation(list(expected.values()), free))
 
 
-def _alike(expected: Sequence[Array], columns: Sequence[Array]) -> float:
-    """Return the sum over readings of the largest correlation with a column."""
-    if not columns:
-        return 0.0
-    r = np.nan_to_num(np.corrcoef(np.vstack([*expected, *columns]))[: len(expected), len(expected) :])
-    return float(r.max(axis=1).sum())
+def _known(data: Mapping[str, Array], named: Sequence[Guess]) -> dict[str, Array]:
+    """Return the columns of the file that have a unit, in SI units by our stems."""
+    return {g.stem: _si(data[g.theirs], g) for g in named if g.unit and g.stem != RUN}
+
+
+def _correlation(expected: Sequence[Array], columns: Sequence[Array]) -> float:
+    """Return the sum over readings of the largest correlation with a column; of one that rests it is none."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        r = np.corrcoef(np.vstack([*expected, *columns]))[: len(expected), len(expected) :]
+    return float(np.nan_to_num(r).max(axis=1).sum())
 
 
 def _goes_round(column: str) -> bool:
@@ -573,15 +579,14 @@ def _by_readings(data: Mapping[str, Array], model: Model, named: Sequence[Guess]
         if not going_round or not (guess.open or guess.counts_per_turn):
             continue
         if guess.counts_per_turn:
-            tried = [replace(guess, counts_per_turn=1 << bits) for bits in range(6, 25)]
+            tried = [replace(guess, counts_per_turn=1 << bits) for bits in BITS]
         else:
             tried = [replace(guess, units=(u.name,), raw="") for u in UNITS.values() if u.si == "rad"]
         readings = [values for name, values in data.items() if name != guess.theirs and np.ptp(values) > 0]
-        known = {g.stem: _si(data[g.theirs], g) for g in named if g.unit and g.stem != RUN}
+        others = [g for g in named if g is not guess]
         followed = [
-            one for one in tried
-            if _follows(_readings(model, {**known, guess.stem: _si(data[guess.theirs], one)}), readings)
-        ]  # fmt: skip
+            one for one in tried if _follows(_readings(model, _known(data, [*others, one])), readings)
+        ]
         if len(followed) == 1:
             found[k] = replace(
                 followed[0], why=f"{guess.why.partition(';')[0]}; the readings follow it in this unit"

@@ -68,8 +68,8 @@ def curves(shape: CurveShape) -> tuple[str, list[p.Panel]]:
     draw = _line if shape.line else _dots
     panels = []
     for channel, r in shape.readings.items():
-        value, low, top = (np.clip(factor * np.array(part), -high, high) for part in (r.value, r.low, r.high))
-        panels.append(draw(shape, name(channel), value, low, top, unit, high))
+        band = np.clip(factor * np.array([r.value, r.low, r.high]), -high, high)
+        panels.append(draw(shape, name(channel), band, unit, high))
     what = "relative change of the gain" if gain else "error of the reading"
     how = f"{what} against {shape.coordinate}: line with its 95 % band, from runs left out in turn"
     if not shape.line:
@@ -77,15 +77,9 @@ def curves(shape: CurveShape) -> tuple[str, list[p.Panel]]:
     return how, panels
 
 
-def _line(
-    shape: CurveShape,
-    sensor: str,
-    value: np.ndarray,
-    low: np.ndarray,
-    top: np.ndarray,
-    unit: str,
-    high: float,
-) -> p.Panel:
+def _line(shape: CurveShape, sensor: str, band: np.ndarray, unit: str, high: float) -> p.Panel:
+    """Return the panel of a sensor; `band` (3, places): values, and the ends of their intervals."""
+    value, low, top = band
     across, shown = degrees_of(shape.unit, shape.column) or _scale_of(shape.unit, max(map(abs, shape.grid)))
     grid = across * np.array(shape.grid)
     known = top > low  # no band: no samples there
@@ -98,17 +92,10 @@ def _line(
     return p.Panel(x, y, layers, f"{sensor} [{unit}]", says, height=100.0)
 
 
-def _dots(
-    shape: CurveShape,
-    sensor: str,
-    value: np.ndarray,
-    low: np.ndarray,
-    top: np.ndarray,
-    unit: str,
-    high: float,
-) -> p.Panel:
+def _dots(shape: CurveShape, sensor: str, band: np.ndarray, unit: str, high: float) -> p.Panel:
+    """Return the same where places are no line."""
     labels = shape.labels or [str(k + 1) for k in range(len(shape.grid))]
-    entries = [p.Row(w, v, three(v), (a, b)) for w, v, a, b in zip(labels, value, low, top, strict=True)]
+    entries = [p.Row(w, v, three(v), (a, b)) for w, v, a, b in zip(labels, *band, strict=True)]
     said = ", ".join(f"{row.name} {row.shown} {unit}" for row in entries)
     return p.rows(f"{sensor} [{unit}]", f"{sensor}: {said}", p.Axis(low=-high, high=high, most=3), entries)
 

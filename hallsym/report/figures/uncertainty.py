@@ -180,7 +180,8 @@ DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
 def errors_along(found: ErrorModel) -> p.Picture:
     """Return the error of each coordinate of the pose over the one that moves, a line per cause."""
     pose, causes = found.model.pose, found.causes
-    looks = [p.Look(c, dash=dash) for (c, dash), _ in zip(zip(cycle(COLOURS), cycle(DASHES)), causes)]  # noqa: B905
+    styles = zip(cycle(COLOURS), cycle(DASHES), causes, strict=False)
+    looks = [p.Look(c, dash=dash) for c, dash, _ in styles]
     if len(causes) > 1:
         looks[-1] = p.Look(p.INK, width=1.4)  # all together
     *_, factor, unit, moving = span(found)
