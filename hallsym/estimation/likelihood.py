@@ -281,19 +281,6 @@ class Point:
             out[part.here, chosen] = part.gradients
         return out
 
-    @property
-    def run_hessians(self) -> np.ndarray:
-        """Exact Hessian of each run's own F with its offsets eliminated, shape (r, n, n)."""
-        out = np.zeros((len(self.run_values), *2 * self.p.shape))
-        for k, (part, chosen) in enumerate(self._of_parts()):
-            _, hessians = self._kept[k] if self._kept else part.derivatives()
-            bends = [
-                part.cost.coefficients.curvature(self.p[chosen], load[:, None, None] * G)
-                for load, G in zip(part.loads, part.G, strict=True)
-            ]
-            out[part.here, chosen[:, None], chosen] = hessians + np.array(bends)
-        return 0.5 * (out + np.swapaxes(out, 1, 2))
-
     def information(self, noise_factor: float = 1.0, free: np.ndarray | None = None) -> np.ndarray:
         """Expected information of each run, shape (r, n, n), the zeros eliminated; of the parameters `free`.
 

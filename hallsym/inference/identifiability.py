@@ -439,6 +439,7 @@ class Identifiability(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record that `hallsym sensitivity --json` prints."""
+        told = self.evidence.uncertainty
         return {
             "format": FORMAT,
             "model": self.model.name,
@@ -451,7 +452,7 @@ class Identifiability(Shown):
             "further": plain(self.further),
             "outputs": plain(self.outputs),
             "nuisance": self.offsets.to_dict(),
-            "uncertainty": {"method": self.intervals.method, "reason": self.intervals.reason},
+            "uncertainty": {"method": told.method, "reason": told.reason},
             "profiles": [p.to_dict() for p in self.intervals.profiles],
             "notes": list(self.evidence.notes),
             "partial": list(self.partial),
@@ -484,8 +485,7 @@ def identify(
     intervals = intervals_of(evidence, profiles=profiles, say=say)
     say("looking for null directions")
     told, names = evidence.uncertainty, evidence.model.names
-    stated = [replace(c, std=intervals.std[c.expression]) for c in told.combinations]
-    spaces = null_spaces(evidence, stated)
+    spaces = null_spaces(evidence, told.combinations)
     std = np.sqrt(np.where(told.determined, np.diag(told.covariance), np.nan))
     correlation = told.covariance / np.outer(std, std)
     parameters = []
@@ -498,7 +498,7 @@ def identify(
         parameters=tuple(parameters),
         combinations=tuple(
             CombinationReport(c.expression, c.value, c.unit, c.std, intervals.of[c.expression])
-            for c in stated
+            for c in told.combinations
         ),
         structural=spaces[0],
         practical=spaces[1],
@@ -537,7 +537,8 @@ def _parameter(
     verdict: Verdict,
 ) -> ParameterReport:
     parameter, value = evidence.model.parameters[k], float(evidence.p[k])
-    std, interval = intervals.std.get(parameter.name), intervals.of.get(parameter.name)
+    told, interval = evidence.uncertainty, intervals.of.get(parameter.name)
+    std = float(told.std[k]) if told.determined[k] else None
     share = None
     if interval is not None and np.isfinite(parameter.width):
         share = float((interval.high - interval.low) / parameter.width)
@@ -547,7 +548,7 @@ def _parameter(
         value=value,
         unit=parameter.unit,
         std=std,
-        degrees_of_freedom=float(evidence.uncertainty.degrees_of_freedom[k]),
+        degrees_of_freedom=float(told.degrees_of_freedom[k]),
         interval=interval,
         share=share,
         correlated_with=correlated,

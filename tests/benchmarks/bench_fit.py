@@ -28,7 +28,6 @@ from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.optimum import closed_form, linear_fit, refit
 from hallsym.families import build, published
 from hallsym.inference import identify
-from hallsym.inference.bootstrap import bootstrap
 from hallsym.inference.profiles import profile, tangent
 from hallsym.log import Log, Noise
 from hallsym.model.model import combination, parameter
@@ -239,7 +238,6 @@ def uncertainty(found: Fit, hybrid: float, turns: int) -> None:
     seconds, ours = least(turns, profiles)
     rows = [
         ("identify without profiles", least(turns, lambda: identify(found, profiles="none"))[0]),
-        ("1000 refits", least(turns, lambda: bootstrap(cost, p, held, replicates=1000, seed=1))[0]),
         (f"profiles of {len(stated)} quantities", seconds),
     ]
     print("\n| | s | x a default fit |\n|---|---|---|")

@@ -171,14 +171,15 @@ def test_zero_deviations_scatter_as_much_as_their_uncertainty_says():
 
 
 @pytest.mark.slow
-def test_correlated_noise_is_met_by_resampling_runs():
+def test_correlated_noise_is_met_by_the_scatter_between_runs():
     log = with_noise(record(seed=6, correlation_s=0.1))
     found = identify(fit(log, true_model(), solver="direct"), profiles="none")
-    assert found.intervals.method.startswith("block bootstrap")
-    assert "scores of the 57 runs" in found.intervals.reason
-    assert all(e.interval.how == "block bootstrap" for e in found.parameters if e.std is not None)
+    told = found.evidence.uncertainty
+    assert told.method == "runs as blocks"
+    assert "scores of the 57 runs" in told.reason
+    assert all(e.interval.how == "student" for e in found.parameters if e.std is not None)
     white = identify(fit(with_noise(record(seed=6)), true_model(), solver="direct"), profiles="none")
-    assert white.intervals.method == "likelihood"
+    assert white.evidence.uncertainty.method == "likelihood"
 
 
 # -- no family in it -------------------------------------------------------------------------------------

@@ -40,7 +40,8 @@ def report_text(report: Identifiability) -> str:
     parts += ["", further_text(report)] if report.further else []
     parts += ["", effects_text(report)]
     parts += ["", outputs_text(report), "", *offsets_text(report.offsets)]
-    parts += [f"uncertainty: {report.intervals.method} ({report.intervals.reason})"]
+    told = report.evidence.uncertainty
+    parts += [f"uncertainty: {told.method} ({told.reason})"]
     parts += [f"not computed: {sentence}" for sentence in report.partial]
     parts += [f"note: {note}" for note in report.evidence.notes if note != amiss]
     return "\n".join(parts)
@@ -72,7 +73,7 @@ def _interval(entry: ParameterReport | CombinationReport, factor: float) -> str:
         return ""
     digits = max(1, 2 - int(np.floor(np.log10(max(entry.std * factor, 1e-300)))))
     ends = (f"{v * factor:.{min(digits, 9)}f}" for v in (entry.interval.low, entry.interval.high))
-    mark = {"normal": "", "student": " t", "profile": " p", "block bootstrap": " b"}[entry.interval.how]
+    mark = {"normal": "", "student": " t", "profile": " p"}[entry.interval.how]
     return " .. ".join(ends) + mark
 
 
