@@ -12,7 +12,6 @@ What a curve, or a gain of every run, predicts on runs (or stretches) that it wa
 fit, whatever the noise floor is said to be.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -90,15 +89,9 @@ def others(parts: np.ndarray) -> np.ndarray:
     """Sum of all parts but one, for each; a difference to the total would leave rounding where nothing is."""
     if len(parts) < 2:
         return parts[:0]
-    out = np.empty_like(parts)
-    out[-2] = parts[-1]
-    for k in range(len(parts) - 3, -1, -1):
-        out[k] = out[k + 1] + parts[k + 1]
-    before = parts[0].copy()
-    for k in range(1, len(parts) - 1):
-        out[k] += before
-        before += parts[k]
-    out[-1] = before
+    out = np.zeros_like(parts)
+    np.cumsum(parts[:0:-1], axis=0, out=out[-2::-1])
+    out[1:] += np.cumsum(parts[:-1], axis=0)
     return out
 
 
@@ -236,7 +229,7 @@ class Curve:
     with random signs, that of the log first.
     """
 
-    over: "_Over"
+    over: "Smooth | FineMap"
     beta: np.ndarray
     left: np.ndarray
     foreseen: np.ndarray
@@ -281,34 +274,15 @@ class Curve:
         return self.over.predicted(self.beta, self.over.r, self.over.values)
 
 
-class _Over(ABC):
-    """A residual over one coordinate, of given `values`.
+class Smooth:
+    """Smooth curves over one coordinate: what does not depend on the residual is computed once.
 
     `at`: places at which there is an offset. `scale`: of the expected reading, by which gains are stated.
     """
 
-    at: np.ndarray
-    scale = 1.0
-
-    def __init__(self, r: ResidualTable, coordinate: Coordinate) -> None:
-        """Take the residual on some runs."""
-        values = coordinate.values(r)
-        if values is None:
-            raise ValueError(f"{coordinate.name} does not vary")
-        self.r, self.coordinate, self.values = r, coordinate, values
-
-    @abstractmethod
-    def predicted(self, coefficients: np.ndarray, r: ResidualTable, x: np.ndarray) -> np.ndarray:
-        """Return what coefficients (K, features) predict where the coordinate has the values `x`."""
-
-
-class Smooth(_Over):
-    """Smooth curves over one coordinate: what does not depend on the residual is computed once."""
-
-    def __init__(self, r: ResidualTable, coordinate: Coordinate) -> None:
-        """Take the residual on some runs."""
-        super().__init__(r, coordinate)
-        c = coordinate
+    def __init__(self, r: ResidualTable, coordinate: Coordinate, values: np.ndarray) -> None:
+        """Take the residual on some runs, where the coordinate has the `values`."""
+        self.r, self.coordinate, self.values, c = r, coordinate, values, coordinate
         self.scale = float(np.sqrt(np.mean(r.sensed**2))) or 1.0
         free = MEMORIES if c.memory else np.arange(len(c.of) * (1.0 + c.gain))
         self.at = knots(self.values) if c.ordered else np.asarray(free)
@@ -378,16 +352,18 @@ class Smooth(_Over):
         return out
 
 
-class FineMap(_Over):
+class FineMap:
     """Offsets in many narrow bins of a coordinate, each drawn towards 0 by what its samples can tell.
 
     No bin is narrower than 8 sigma of what places it, which is in the residual. There are up to 96: with
     twice as many a ripple is predicted no better on runs left out.
     """
 
-    def __init__(self, r: ResidualTable, coordinate: Coordinate) -> None:
-        """Take the residual on some runs."""
-        super().__init__(r, coordinate)
+    scale = 1.0
+
+    def __init__(self, r: ResidualTable, coordinate: Coordinate, values: np.ndarray) -> None:
+        """Take the residual on some runs, where the coordinate has the `values`."""
+        self.r, self.coordinate, self.values = r, coordinate, values
         self.low, high = np.quantile(_by_sensor(self.values, r), [0.002, 0.998])
         of_places = [s for c, s in r.base.sigma.items() if c.endswith(f"_{coordinate.unit}")]
         width = max(8 * max(of_places, default=0.0), 1e-300)
@@ -429,9 +405,11 @@ class FineMap(_Over):
 
 def over(r: ResidualTable, c: Coordinate) -> Iterator[Smooth | FineMap]:
     """Yield what fits a residual over a coordinate: nothing where that does not vary."""
-    for make in (Smooth, FineMap) if c.fine else (Smooth,):
-        if c.values(r) is not None:
-            yield make(r, c)
+    values = c.values(r)
+    if values is not None:
+        yield Smooth(r, c, values)
+        if c.fine:
+            yield FineMap(r, c, values)
 
 
 def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:

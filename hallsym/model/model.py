@@ -509,13 +509,10 @@ class Quantity:
     expression: ca.SX
 
     @cached_property
-    def _first(self) -> ca.Function:
-        gradient = ca.gradient(self.expression, self.symbol)
-        return ca.Function("first", [self.symbol], [ca.densify(self.expression), ca.densify(gradient)])
-
-    @cached_property
     def _at(self) -> Callable[..., list[np.ndarray]]:
-        return on_vectors(self._first)
+        gradient = ca.gradient(self.expression, self.symbol)
+        outputs = [ca.densify(self.expression), ca.densify(gradient)]
+        return on_vectors(ca.Function("first", [self.symbol], outputs))
 
     @cached_property
     def _hessian(self) -> ca.Function:
@@ -536,11 +533,6 @@ class Quantity:
         """Return the value, the gradient (n,) and the Hessian (n, n) at `p` (n,)."""
         hessian = np.zeros((len(p), len(p))) if self.linear else np.asarray(self._hessian(p))
         return *self.first(p), hessian
-
-    def values(self, points: np.ndarray) -> np.ndarray:
-        """Return the values at many points, (m, n) -> (m,)."""
-        value, _ = self._first(np.ascontiguousarray(points.T))
-        return np.asarray(value).ravel() if len(points) else np.zeros(0)
 
 
 @lru_cache(maxsize=256)

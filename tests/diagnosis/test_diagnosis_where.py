@@ -177,7 +177,7 @@ def test_a_smooth_curve_is_found_with_a_band_that_holds_it() -> None:
     x = rng.uniform(-1, 1, 30_000)
     truth = np.cos(2 * x)
     r = made_up((truth + rng.standard_normal(30_000))[None], x)
-    curve = Smooth(r, Z).curve(r.residual)
+    curve = Smooth(r, Z, Z.values(r)).curve(r.residual)
     assert curve is not None
     assert curve.p_value == LEAST
     assert curve.explained == pytest.approx((truth**2).sum(), rel=0.05)
@@ -185,7 +185,7 @@ def test_a_smooth_curve_is_found_with_a_band_that_holds_it() -> None:
     band = data.readings["m_m"]
     assert data.value_unit == "m"
     of_encoder = made_up(r.residual, x, channels=("v_sin_v",))
-    assert shape(Smooth(of_encoder, Z).curve(r.residual)).value_unit == "v"
+    assert shape(Smooth(of_encoder, Z, Z.values(of_encoder)).curve(r.residual)).value_unit == "v"
     inside = np.abs(np.array(data.grid)) < 0.95
     value, low, high = (np.array(v)[inside] for v in (band.value, band.low, band.high))
     expected = np.cos(2 * np.array(data.grid))[inside]
@@ -208,7 +208,7 @@ def test_a_curve_bends_as_stiffly_as_predicts_other_runs_best(truth, size: int, 
         rng = np.random.default_rng(seed)
         x = rng.uniform(-1, 1, size)
         r = made_up((truth(x) + rng.standard_normal(size))[None], x)
-        explained.append(Smooth(r, Z).curve(r.residual).explained / (truth(x) ** 2).sum())
+        explained.append(Smooth(r, Z, Z.values(r)).curve(r.residual).explained / (truth(x) ** 2).sum())
     assert np.mean(explained) > least
 
 
@@ -253,7 +253,7 @@ def test_p_values_of_noise_are_spread_evenly(make) -> None:
     for _ in range(300):
         slow = np.repeat(rng.standard_normal(240), 5) * rng.choice([0.3, 1.0, 4.0], 30).repeat(40)
         r = made_up(slow[None], x)
-        p.append(make(r, Z).curve(r.residual).p_value)
+        p.append(make(r, Z, Z.values(r)).curve(r.residual).p_value)
     assert 0.15 < np.mean(np.array(p) < 0.5) < 0.6
     assert np.mean(np.array(p) < 0.1) < 0.16
     assert np.mean(np.array(p) < 0.01) < 0.04

@@ -68,7 +68,6 @@ def test_quantities_have_exact_derivatives():
     assert np.allclose(gradient, slopes, rtol=0, atol=1e-9)
     assert np.allclose(hessian, bends, rtol=0, atol=1e-9)
     assert not arm.linear
-    assert arm.values(np.array([p, MODEL.nominal])) == pytest.approx([value, arm.first(MODEL.nominal)[0]])
 
 
 # -- profiles --------------------------------------------------------------------------------------------
