@@ -2,9 +2,8 @@
 
 The fitted model is the simulated machine, the recorded motion its motion, and the noise is that of the log as
 it is: its size whatever was stated, its colour, in the reference too. Each effect of the catalogue and each
-fault of samples is injected at sizes whose noise-free gap is a given multiple of the noise floor, beside an
-imperfection that the model does not hold and that is too small to report. Each simulated log is diagnosed as
-the real one would be, many times.
+fault of samples is injected at sizes whose noise-free gap is a given multiple of the noise floor. Each
+simulated log is diagnosed as the real one would be, many times.
 """
 
 from collections.abc import Callable, Sequence
@@ -42,10 +41,9 @@ class Trial:
     """One injection and what the blind diagnosis said.
 
     `ratio`: gap over noise floor that was asked for, None where nothing can be scaled; `gap_m`: noise-free
-    gap metric that was reached. `size`: parameter -> (value in SI, unit). `imperfection`: the effect that is
-    present beside it, too small to report. `outcome`: "found" (named first), "group" (in one group with the
-    first), "listed" (named, not first), "other", "unexplained", "no gap", or "refused" (the diagnosis would
-    not take the log).
+    gap metric that was reached. `size`: parameter -> (value in SI, unit). `outcome`: "found" (named first),
+    "group" (in one group with the first), "listed" (named, not first), "other", "unexplained", "no gap", or
+    "refused" (the diagnosis would not take the log).
     """
 
     name: str
@@ -53,7 +51,6 @@ class Trial:
     repeat: int
     gap_m: float
     size: dict[str, tuple[float, str]]
-    imperfection: str
     outcome: str
     verdict: str
     named: tuple[str, ...]
@@ -179,7 +176,6 @@ class Bench:
         self.truth = machine_of(base, setup.floor.metric * self.noise.ratio, stated)
         self.reasons: dict[str, str] = {}
         self.injections = lru_cache(1)(self._injections)
-        self.imperfections = lru_cache(1)(self._imperfections)
 
     def _injections(self, repeat: int) -> dict[str, Injection]:
         clean = self.truth.recording.clean
@@ -190,32 +186,19 @@ class Bench:
         self.reasons |= reasons
         return {NO_EFFECT: nothing, **made}
 
-    def _imperfections(self, repeat: int) -> list[tuple[str, np.ndarray]]:
-        """Return two effects, each too small for a smaller finding, and what they add to the readings."""
-        made, policy, found = self.injections(repeat), self.setup.policy, list[tuple[str, np.ndarray]]()
-        known = [n for n, i in made.items() if i.sized and n not in FAULTS]
-        for name in generator(self.seed, "imperfection", repeat).permutation(known).tolist():
-            size = sized(self.truth, made[name], 1 + policy.minor * self.setup.threshold, anywhere=True)
-            if not isinstance(size, str):
-                found.append((name, made[name].make(size[0], 0.0) - self.truth.recording.clean))
-            if len(found) == 2:  # one of them is another than the effect that is injected
-                break
-        return found
-
     def trial(self, name: str, ratio: float, repeat: int) -> Trial | None:
         """Inject an effect, diagnose blind and return the trial; None, with a reason, where it cannot be."""
         began, truth, injection = perf_counter(), self.truth, self.injections(repeat).get(name)
         if injection is None:
             return None
-        beside, small = next((i for i in self.imperfections(repeat) if i[0] != name), ("", 0.0))
-        size = sized(truth, injection, ratio, small) if injection.sized else (1.0, 0.0)
+        size = sized(truth, injection, ratio) if injection.sized else (1.0, 0.0)
         if isinstance(size, str):
             self.reasons.setdefault(name, size)
             return None
         amount, gap_m = size
         rng = generator(self.seed, "noise", name, str(ratio), repeat)
         noise, reference = self.noise.draw(truth.recording.run, rng)
-        log = truth.log(injection.make(amount, noise + small), reference)
+        log = truth.log(injection.make(amount, noise), reference)
         outcome, verdict, named = self.diagnosed(log, name)
         return Trial(
             name=name,
@@ -223,7 +206,6 @@ class Bench:
             repeat=repeat,
             gap_m=gap_m,
             size=injection.size(amount),
-            imperfection=beside,
             outcome=outcome,
             verdict=verdict,
             named=named,
@@ -320,8 +302,8 @@ def detection_power(
     quiet = tuple(t for t in trials if t.name == NO_EFFECT)
     alarms = [t.noticed for t in quiet]
     not_tested = (
-        "The fitted model, with an imperfection too small to report, is the simulated machine and the "
-        "recorded motion its motion: a gap that this log has is not part of the test."
+        "The fitted model is the simulated machine and the recorded motion its motion: a gap that this log "
+        "has is not part of the test."
     )
     return DetectionPower(
         effects=tuple(_findable(bench, name, [t for t in trials if t.name == name]) for name in wanted),

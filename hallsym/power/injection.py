@@ -20,18 +20,10 @@ from hallsym.model.arguments import example_facts
 from hallsym.power.simulated_machine import SimulatedMachine, readings_of
 
 
-def sized(
-    truth: SimulatedMachine,
-    injection: Injection,
-    ratio: float,
-    beside: Noisy = 0.0,
-    *,
-    anywhere: bool = False,
-) -> tuple[float, float] | str:
+def sized(truth: SimulatedMachine, injection: Injection, ratio: float) -> tuple[float, float] | str:
     """Return the amount whose noise-free gap with the floor is `ratio` times the floor, and its gap metric.
 
-    Or why there is none. `beside`: an imperfection of the readings, (K, rows), whose gap is part of it. On
-    the held-out runs; `anywhere`: on the fitted runs, or in the readings, where it is larger there.
+    Or why there is none.
     """
     wanted, near = truth.floor_m * float(np.sqrt(ratio**2 - 1)), truth.base.policy.negligible
     tiny, seen = np.finfo(float).eps, dict[float, tuple[float, float]]()
@@ -39,9 +31,9 @@ def sized(
     def over(level: float) -> float:
         """Logarithm of the gap over what is wanted; `level`: logarithm of the amount."""
         if level not in seen:
-            readings = injection.make(float(np.exp(level)), beside)
+            readings = injection.make(float(np.exp(level)), 0.0)
             finite = bool(np.isfinite(readings).all())
-            seen[level] = truth.gap(readings, anywhere=anywhere) if finite else (np.inf, np.inf)
+            seen[level] = truth.gap(readings) if finite else (np.inf, np.inf)
         return float(np.log(np.clip(seen[level][0] / wanted, tiny, 1 / tiny)))
 
     def absorbed(level: float) -> bool:
@@ -69,8 +61,6 @@ def sized(
         reason = f"at the bounds of its parameters it {makes}"
     elif abs(over(best)) > -np.log(truth.base.policy.half):
         reason = f"it comes in steps, the nearest of which {makes}"
-    if reason and np.any(beside):  # what it makes by itself
-        return sized(truth, injection, ratio, anywhere=anywhere)
     return reason or (float(np.exp(best)), gap)
 
 

@@ -53,23 +53,14 @@ class SimulatedMachine:
         log = Log.from_arrays({**self.columns, **rows}, noise, meta, "a simulated log")
         return of_recording(log) if base.sliced else log
 
-    def gap(self, readings: np.ndarray, *, anywhere: bool = False) -> tuple[float, float]:
-        """Gap metric [m] of noise-free readings on the held-out runs: with the model fitted, and before.
-
-        `anywhere`: on the fitted runs, or in the readings in shares of the noise floor, where it is larger
-        there. A drift may pass zero in the held-out run, or move all readings in a way that is no pose.
-        """
+    def gap(self, readings: np.ndarray) -> tuple[float, float]:
+        """Gap metric [m] of noise-free readings on the held-out runs: with the model fitted, and before."""
         t = normal_equations(replace(self.base, log=self.log(readings)))
         known, judged = t.units(self.runs), t.units(tuple(self.base.holdout))
         theta = coefficients(t.likelihood[known].sum(axis=0), np.arange(len(self.base.free)))
         v = np.append(-theta, 1.0)
-        size = self.floor_m**2 / len(self.base.model.channels)
-        found = []
-        for units in (judged, known) if anywhere else (judged,):
-            for products, by in ((t.output, 1.0), (t.likelihood, size))[: 1 + anywhere]:
-                M = by * products[units].sum(axis=0) / max(t.count[units].sum(), 1.0)
-                found.append((float(np.sqrt(max(v @ M @ v, 0.0))), float(np.sqrt(max(M[-1, -1], 0.0)))))
-        return max(found)
+        M = t.output[judged].sum(axis=0) / max(t.count[judged].sum(), 1.0)
+        return float(np.sqrt(max(v @ M @ v, 0.0))), float(np.sqrt(max(M[-1, -1], 0.0)))
 
 
 def decimated(base: Base, rows: int) -> tuple[Log, str]:

@@ -59,20 +59,6 @@ def test_the_gap_of_an_injection_is_what_a_fit_of_the_noise_free_log_leaves(name
     assert gap_m == pytest.approx(FLOOR * np.sqrt(1.3**2 - 1), rel=0.03)
 
 
-def test_an_imperfection_is_part_of_the_gap_that_was_asked_for() -> None:
-    truth, made, _ = bench()
-    effect = made["odd_nonlinearity"]
-    beside = made["even_nonlinearity"].make(0.1, 0.0) - truth.recording.clean
-    own, _ = truth.gap(truth.recording.clean + beside)
-    amount, gap_m = sized(truth, effect, 1.3, beside)
-    assert truth.gap(effect.make(amount, beside))[0] == pytest.approx(gap_m)
-    assert gap_m == pytest.approx(FLOOR * np.sqrt(1.3**2 - 1), rel=0.03)
-    alone, _ = truth.gap(effect.make(amount, 0.0))
-    assert abs(alone - gap_m) > 0.1 * own
-    absorbed = made["reference_scale_error"]
-    assert sized(truth, absorbed, 1.07, beside) == sized(truth, absorbed, 1.07)
-
-
 def test_a_fault_that_comes_in_large_steps_has_no_size_between_them() -> None:
     truth, made, _ = bench()
     clean = truth.recording.clean
@@ -193,7 +179,6 @@ def test_a_curve_counts_trials_and_nine_in_ten_are_found(monkeypatch) -> None:
     assert s.false_alarms == 0  # larger noise is no gap
     assert "interval of the rate: 0 to 17 %" in power_text(s)
     assert "90 % (55-100)" in power_text(s)
-    assert all(t.imperfection not in ("", "odd_nonlinearity") for t in s.effect("odd_nonlinearity").trials)
 
 
 def test_an_interrupt_keeps_what_was_done(monkeypatch) -> None:
