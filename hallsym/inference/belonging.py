@@ -21,7 +21,7 @@ from hallsym.estimation.calibration import coverage_factor
 from hallsym.estimation.covariance import BY_RUNS
 from hallsym.estimation.factors import SINGULAR, pseudo_inverse, unit_scale
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit
-from hallsym.estimation.residual_noise import noise_at
+from hallsym.estimation.residual_noise import ResidualNoise, noise_at
 from hallsym.log import Noise, Sigma
 
 FALSE_ALARM = 1 / 500
@@ -142,20 +142,6 @@ class Belonging:
         return {**asdict(self), "tests": tests, "belongs": self.belongs, "sentence": self.sentence}
 
 
-@dataclass(frozen=True)
-class _Colour:
-    """What the noise of a log is beside white Gaussian noise; that of its calibration is taken to be alike.
-
-    `inflation`: variance of a mean square over that of white Gaussian noise: samples over independent ones.
-    `memory`: variance of a slow average over that of white noise, by which an uncertainty from the likelihood
-    is too small; 1 where the noise may be white. `correlation`: of neighbouring samples.
-    """
-
-    inflation: float = 1.0
-    memory: float = 1.0
-    correlation: float = 0.0
-
-
 def check_false_alarm(chance: float) -> None:
     """Refuse a probability that the tests cannot hold."""
     known = LEAST_FALSE_ALARM <= chance <= MOST_FALSE_ALARM
@@ -183,15 +169,18 @@ def belonging(seen: Evaluation, *, false_alarm: float = FALSE_ALARM) -> Belongin
         start=known.values,
     )
     assert after.goodness is not None
-    colour = _colour_of(after)
-    factors = [1.0 if f.covariance_method == BY_RUNS else colour.memory for f in (known, after)]
+    left = None  # too short to tell; the noise of the calibration is taken to have the same correlation
+    if after.likelihood is not None and after.source is not None:
+        left = noise_at(after.source, after.likelihood.at(after.values), after.noise.std, after.keep)
+    memory = 1.0 if left is None or left.white else left.memory
+    factors = [1.0 if f.covariance_method == BY_RUNS else memory for f in (known, after)]
     one, two = (_estimates(f, factor) for f, factor in zip((known, after), factors, strict=True))
     units = {p.name: p.unit for p in known.model.parameters}
     units |= {c.expression: c.unit for c in known.combinations}
     names = [name for name in one if name in two]
     single = [name for name in names if name in known.model.names]
     level = 1 - (1 - false_alarm) ** (1 / (len(names) + 1 + (len(single) > 1)))
-    tests = [_residual(known, after.goodness, _independent(after, after.goodness, colour), colour, level)]
+    tests = [_residual(known, after, left, level)]
     if len(single) > 1:
         tests += _together(known, after, factors, single, level)
     changes = []
@@ -203,23 +192,11 @@ def belonging(seen: Evaluation, *, false_alarm: float = FALSE_ALARM) -> Belongin
     floor = 1.0 if known.goodness is None else known.goodness.residual_over_noise
     return Belonging(
         false_alarm, after.goodness.residual_over_noise, floor, tuple(tests), tuple(changes),
-        _not_identified(known, after), _notes(known, colour),
+        _not_identified(known, after), _notes(known, left),
     )  # fmt: skip
 
 
-def _colour_of(found: Fit) -> _Colour:
-    """Return the colour of the noise that a fit leaves; white where the log is too short to tell."""
-    if found.likelihood is None or found.source is None:
-        return _Colour()
-    left = noise_at(found.source, found.likelihood.at(found.values), found.noise.std, found.keep)
-    if left is None:
-        return _Colour()
-    error = 2 * np.log(left.interval[1] / left.ratio) / coverage_factor(np.inf)  # relative, of the square
-    inflation = 0.5 * error**2 * left.samples * len(found.model.channels)
-    return _Colour(max(1.0, float(inflation)), 1.0 if left.white else left.memory, left.correlation)
-
-
-def _notes(known: Fit, colour: _Colour) -> tuple[str, ...]:
+def _notes(known: Fit, left: ResidualNoise | None) -> tuple[str, ...]:
     """Return what weakens the comparison."""
     notes = []
     if known.goodness is None:
@@ -229,9 +206,9 @@ def _notes(known: Fit, colour: _Colour) -> tuple[str, ...]:
         )
     elif known.log["runs"] - len(known.log["holdout"]) == 1:
         notes.append("The calibration is of one run, which cannot show whether its noise is white.")
-    if colour.memory > 1:
+    if left is not None and not left.white and left.memory > 1:
         notes.append(
-            f"Noise of neighbouring samples is correlated ({colour.correlation:.2f}); the tests allow for it."
+            f"Noise of neighbouring samples is correlated ({left.correlation:.2f}); the tests allow for it."
         )
     return tuple(notes)
 
@@ -267,13 +244,15 @@ def _not_identified(known: Fit, after: Fit) -> dict[str, str]:
     return left
 
 
-def _residual(known: Fit, new: GoodnessOfFit, dof: float, colour: _Colour, level: float) -> BelongingTest:
+def _residual(known: Fit, after: Fit, left: ResidualNoise | None, level: float) -> BelongingTest:
     """Test whether the log leaves more than the calibration left: the ratio of two variances."""
-    if known.goodness is None:
+    new, old = after.goodness, known.goodness
+    assert new is not None
+    dof = _independent(after, new, left)
+    if old is None:
         return _test(RESIDUAL, float(chdtrc(dof, new.cost_per_degree_of_freedom * dof)), level)
-    old = known.goodness
     ratio = new.cost_per_degree_of_freedom / max(old.cost_per_degree_of_freedom, SMALLEST)
-    return _test(RESIDUAL, float(fdtrc(dof, _independent(known, old, colour), ratio)), level)
+    return _test(RESIDUAL, float(fdtrc(dof, _independent(known, old, left), ratio)), level)
 
 
 def chance_of(difference: float, stds: tuple[float, float], dofs: tuple[float, float]) -> float:
@@ -294,14 +273,18 @@ def welch(stds: tuple[float, float], dofs: tuple[float, float]) -> float:
     return float(np.hypot(*stds) ** 4 / share) if share > 0 else float("inf")
 
 
-def _independent(found: Fit, left: GoodnessOfFit, colour: _Colour) -> float:
-    """Return the degrees of freedom of what a fit leaves: by its runs, or by the colour if those are fewer.
+def _independent(found: Fit, goodness: GoodnessOfFit, left: ResidualNoise | None) -> float:
+    """Return the degrees of freedom of what a fit leaves: by its runs, or by how its noise scatters if fewer.
 
-    A few runs cannot show how a mean square scatters.
+    A few runs cannot show how a mean square scatters: that of coloured noise, or of heavy tails, scatters by
+    more than that of as many independent Gaussian readings.
     """
-    fitted = 1 - len(found.log["holdout"]) / max(found.log["runs"], 1)
-    readings = fitted * found.log["rows"] * len(found.model.channels)
-    return max(1.0, min(left.degrees_of_freedom, readings / colour.inflation))
+    fitted, K = 1 - len(found.log["holdout"]) / max(found.log["runs"], 1), len(found.model.channels)
+    inflation = 1.0
+    if left is not None:
+        error = 2 * np.log(left.interval[1] / left.ratio) / coverage_factor(np.inf)  # relative, of the square
+        inflation = max(1.0, float(0.5 * error**2 * left.samples * K))
+    return max(1.0, min(goodness.degrees_of_freedom, fitted * found.log["rows"] * K / inflation))
 
 
 def _together(

@@ -1,7 +1,7 @@
 """`identify`: what the data determine, parameter by parameter, and what they do not."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, listed
 from hallsym.estimation import Fit
 from hallsym.estimation.calibration import CombinationEstimate, coverage_factor
 from hallsym.estimation.decoding import logged_columns
@@ -160,16 +160,14 @@ def verdict_on(
     return Verdict("determined")
 
 
-def strongest(
-    correlation: np.ndarray, names: Sequence[str], k: int, most: int = 3
-) -> tuple[tuple[str, float], ...]:
-    """Return the parameters whose estimates are most correlated with parameter k, largest first.
+def strongest(correlation: np.ndarray, names: Sequence[str], k: int) -> tuple[tuple[str, float], ...]:
+    """Return the three parameters whose estimates are most correlated with parameter k, largest first.
 
     `correlation`: (n,) with parameter k, nan where there is none.
     """
     size = np.abs(np.where(np.isfinite(correlation), correlation, 0.0))
     size[k] = 0.0
-    order = [int(j) for j in np.argsort(-size, kind="stable") if size[j] > 0][:most]
+    order = [int(j) for j in np.argsort(-size, kind="stable") if size[j] > 0][:3]
     return tuple((names[j], float(correlation[j])) for j in order)
 
 
@@ -182,14 +180,10 @@ def _instead(name: str, *directions: NullDirection, cause: str = "by any recordi
     every = [text for d in directions for text in d.determined]
     told = [text for text in every if mentions(text, (name,))] or every
     if told:
-        return f"{cause}; only {_listed(dict.fromkeys(told))} determined"
+        only = list(dict.fromkeys(told))
+        return f"{cause}; only {listed(only)} {'are' if len(only) > 1 else 'is'} determined"
     alone = all(len(d.parameters) == 1 for d in directions)
     return cause if alone else f"{cause}, nor a combination of it"
-
-
-def _listed(expressions: Iterable[str]) -> str:
-    *first, last = expressions
-    return f"{', '.join(first)} and {last} are" if first else f"{last} is"
 
 
 # -- what a further recording would determine --------------------------------------------------------------
