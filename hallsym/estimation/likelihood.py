@@ -95,7 +95,7 @@ class Cost:
 
     `reading_variance`: (n_channels,) variance of each channel. `column_variance`: (n_columns,) variance of
     each pose and state column. `weights`: (runs,) weight of each run (1; other values re-weight runs in
-    bootstrap and cross-validation without touching a sample).
+    cross-validation without touching a sample).
     """
 
     summary: RunStatistics

@@ -255,7 +255,7 @@ def refit(
 ) -> np.ndarray:
     """Return the optimum of a re-weighted cost near `p`: Newton's method on the statistics, no global search.
 
-    For bootstrap, cross-validation and diagnosis; parameters with index in `held` stay as in `p`.
+    For cross-validation and re-weighted runs; parameters with index in `held` stay as in `p`.
     """
     scaled = scaled_around(cost.summary.model, p, held)
     problem, begin = scaled.problem(cost), scaled.to_unit(scaled.base)
