@@ -36,7 +36,7 @@ def log() -> Log:
 
 @cache
 def fitted(name: str = "stage31") -> Fit:
-    return fit(log(), name, solver="direct", loss="none")
+    return fit(log(), name, solver="direct", loss="none", accept=["all"])
 
 
 def columns(at: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
