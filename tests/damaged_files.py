@@ -16,10 +16,12 @@ import re
 import resource
 import shutil
 import signal
+import sqlite3
 import sys
 import tempfile
 import time
 import warnings
+import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -252,6 +254,9 @@ def targets() -> tuple[Target, ...]:
         Target("TDMS log", "log.tdms", ("info", "{FILE}", *log), m.BYTES),
         Target("MCAP log", "log.mcap", ("info", "{FILE}", *log), m.BYTES),
         Target("compressed log", "packed.csv.gz", ("info", "{FILE}", *log), m.BYTES, True),
+        Target("archive", "runs.zip", ("info", "{FILE}", *log), m.BYTES),
+        Target("database", "log.sqlite", ("info", "{FILE}", *log), m.BYTES),
+        Target("workbook", "runs.xlsx", ("info", "{FILE}", *log), m.BYTES),
         Target("CSV log, as text", "log.csv", ("info", "{FILE}"), m.TEXT),
         Target("column file, suggested", "log.csv", ("info", "{FILE}", "--suggest", "out.csv"), m.TEXT),
         Target("sensors, sort", "sensors.csv", ("sort", "{FILE}", "--field", "0mT,475mT", "--json"), m.TEXT),
@@ -336,6 +341,7 @@ def make_files(folder: Path) -> None:
             for name, values in columns.items():
                 if name != "run":
                     file[f"run_{run}/{name}"] = values[columns["run"] == run]
+    make_containers(folder, columns)
     (folder / "folder").mkdir()
     hallsym.write_log(columns, folder / "folder" / "log.parquet")
     meta = {
@@ -376,6 +382,29 @@ def make_files(folder: Path) -> None:
             assert main(fleet) in (0, 3)
         assert main(["codegen", "calib.json", "-o", "c", UNDETERMINED]) in (0, 3)
     (folder / "diagnosis.json").write_text(json.dumps(DIAGNOSIS, indent=1), encoding="utf-8")
+
+
+def make_containers(folder: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Write an archive and a workbook of runs, and a database of all of them."""
+    import xlsxwriter
+
+    with (
+        zipfile.ZipFile(folder / "runs.zip", "w") as archive,
+        xlsxwriter.Workbook(folder / "runs.xlsx") as book,
+    ):
+        for run in np.unique(columns["run"]):
+            part = {name: values[columns["run"] == run] for name, values in columns.items()}
+            text = io.BytesIO()
+            _csv(part, text)
+            archive.writestr(f"run_{run}.csv", text.getvalue())
+            sheet = book.add_worksheet(f"run {run}")
+            for k, (name, values) in enumerate(part.items()):
+                sheet.write_column(0, k, [name, *values.tolist()])
+    with contextlib.closing(sqlite3.connect(folder / "log.sqlite")) as base:
+        base.execute(f"create table log ({', '.join(f'{name} real' for name in columns)})")
+        rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+        base.executemany(f"insert into log values ({', '.join('?' * len(columns))})", rows)
+        base.commit()
 
 
 def _sensors() -> str:

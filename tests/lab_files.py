@@ -18,8 +18,10 @@ import json
 import os
 import re
 import shlex
+import sqlite3
 import sys
 import tempfile
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -759,6 +761,95 @@ def open_document(path: Path, data: Columns) -> Written:
     return Written([str(path / "mixed.xlsx")], known)
 
 
+def sheets_of_runs(path: Path, data: Columns) -> Written:
+    """A sheet of a workbook for each run, behind one of remarks."""
+    import xlsxwriter
+
+    columns, known = theirs({c: x for c, x in data.items() if c != "run"})
+    with xlsxwriter.Workbook(str(path / "runs.xlsx")) as book:
+        book.add_worksheet("Notes").write_column(0, 0, ["Stage 4", "warmed up for 2 h"])
+        for run in np.unique(data["run"]):
+            sheet = book.add_worksheet(f"Pass {int(run) + 1}")
+            for k, (name, values) in enumerate(columns.items()):
+                sheet.write_column(0, k, [name, *values[data["run"] == run].tolist()])
+    return Written([str(path / "runs.xlsx")], known)
+
+
+def archive(path: Path, data: Columns) -> Written:
+    """A folder of runs as a zip archive."""
+    columns, known = theirs({c: x for c, x in data.items() if c != "run"})
+    with zipfile.ZipFile(path / "runs.zip", "w", zipfile.ZIP_DEFLATED) as out:
+        for run in np.unique(data["run"]):
+            own = {name: values[data["run"] == run] for name, values in columns.items()}
+            file = table(path / "part.csv", own)
+            out.write(file, f"export/run_{int(run)}.csv")
+            Path(file).unlink()
+    return Written([str(path / "runs.zip")], known)
+
+
+def database(path: Path, data: Columns) -> Written:
+    """A table of an SQLite database."""
+    names = {c: NAMES[c].replace(" ", "_") for c in NAMES}
+    columns, known = theirs(data, "{name}_{unit}", names)
+    with contextlib.closing(sqlite3.connect(path / "log.sqlite")) as base:
+        fields = ", ".join(f'"{name}" real' for name in columns)
+        base.execute(f"create table samples ({fields})")
+        rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+        base.executemany(f"insert into samples values ({','.join('?' * len(columns))})", rows)
+        base.commit()
+    return Written([str(path / "log.sqlite")], known)
+
+
+def fortran(path: Path, data: Columns) -> Written:
+    """Columns of a fixed width whose exponents have a D."""
+    names = {c: NAMES[c].replace(" ", "_") for c in NAMES}
+    columns, known = theirs(data, "{name}_{unit}", names)
+    rows = [
+        "  ".join(f"{x:20.12E}".replace("E", "D") for x in row) for row in zip(*columns.values(), strict=True)
+    ]
+    head = "  ".join(f"{name.replace('µ', 'u'):>20}" for name in columns)
+    (path / "out.dat").write_text("\n".join([head, *rows, ""]), encoding="utf-8")
+    return Written([str(path / "out.dat")], known)
+
+
+def units_in_cells(path: Path, data: Columns) -> Written:
+    """A unit behind each number."""
+    columns = {
+        NAMES[c]: [
+            f"{x:.10g} {SYMBOL.get(UNIT[c], UNIT[c])}" if c in UNIT else f"{x:g}"
+            for x in within(v, UNIT.get(c, ""))
+        ]
+        for c, v in data.items()
+    }
+    known = {c: Known(NAMES[c], UNIT.get(c, "")) for c in data}
+    return Written([table(path / "cells.csv", columns, number=str)], known)
+
+
+def one_behind_another(path: Path, data: Columns) -> Written:
+    """Files of runs that were put one behind another, names and all."""
+    columns, known = theirs({c: x for c, x in data.items() if c != "run"})
+    lines = []
+    for part in runs_of(data):
+        lines.append(",".join(columns))
+        values = zip(*(within(x, UNIT[c]) for c, x in part.items()), strict=True)
+        lines += [",".join(f"{x:.10g}" for x in row) for row in values]
+    (path / "all.csv").write_text("\n".join([*lines, ""]), encoding="utf-8")
+    return Written([str(path / "all.csv")], known)
+
+
+def row_per_value(path: Path, data: Columns) -> Written:
+    """Time, name and value in each row, as databases of time series export them."""
+    names = {c: NAMES[c].replace(" ", "_").lower() for c in NAMES}
+    columns, known = theirs({c: x for c, x in data.items() if c != "t_s"}, "{name}_{unit}", names)
+    rows = [
+        f"{t:.9g},{name.replace('µ', 'u')},{values[k]:.10g}"
+        for k, t in enumerate(data["t_s"])
+        for name, values in columns.items()
+    ]
+    (path / "series.csv").write_text("\n".join(["time_s,channel,value", *rows, ""]), encoding="utf-8")
+    return Written([str(path / "series.csv")], {**known, "t_s": Known("time_s")})
+
+
 # -- what no program can know --------------------------------------------------------------------------------
 
 
@@ -831,6 +922,13 @@ FILES: dict[str, LabFile] = {
     "MATLAB 7.3": LabFile(matlab_73),
     "structured array": LabFile(structured_array),
     "a sheet with two tables": LabFile(open_document),
+    "a sheet for each run": LabFile(sheets_of_runs),
+    "zip": LabFile(archive),
+    "SQLite": LabFile(database),
+    "a row per value": LabFile(row_per_value),
+    "exponents with D": LabFile(fortran),
+    "units in cells": LabFile(units_in_cells),
+    "names come again": LabFile(one_behind_another),
     "a column of words, lost samples": LabFile(status_column, says=("--drop-bad",)),
     "two columns of one name": LabFile(same_names, says=("twice", "different names")),
     "no names": LabFile(no_names, says=("column names", "names")),

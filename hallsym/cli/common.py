@@ -120,8 +120,7 @@ def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
     )  # fmt: skip
     group.add_argument(
         "--format", metavar="FORMAT",
-        help="parquet, csv, mat, hdf5, npz, feather, json, xlsx, tdms, mdf, mcap, table (of firmware); by "
-        "the suffix if not given",
+        help="csv, parquet and others that 'hallsym info --help' lists; by the ending if not given",
     )  # fmt: skip
     group.add_argument(
         "--delimiter", help="of a text file: ';', tab, blank; recognised where it is not given"
@@ -129,7 +128,7 @@ def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
     group.add_argument(
         "--decimal", metavar="SIGN", help="of its numbers: . or , where both would be possible"
     )
-    group.add_argument("--sheet", help="of a workbook that has several")
+    group.add_argument("--sheet", help="of a workbook or a database that has several")
     return group
 
 

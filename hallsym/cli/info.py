@@ -26,7 +26,7 @@ from hallsym.families import build, effects, family_called, models, recording
 from hallsym.files import atomic_write
 from hallsym.log import Log, Meta, check_log, estimate_noise, open_source, spans
 from hallsym.log.columns import is_moving
-from hallsym.log.formats import Opened
+from hallsym.log.formats import FORMATS, Opened
 from hallsym.log.table import Source
 from hallsym.output import PROSE, fitted
 from hallsym.output import columns as columns_of_line
@@ -51,6 +51,8 @@ def add(sub: Any) -> None:
         "models, effects and solvers there are.\n\n"
         "examples:\n  hallsym info campaign.parquet\n  hallsym info stage31\n  hallsym info hysteresis\n"
         "  hallsym info lab.csv --write columns.toml\n  hallsym info 'runs/*.csv' --write columns.toml",
+        "endings of logs, by --format:\n"
+        + "\n".join(f"  {entry.name:9}{' '.join(entry.suffixes)}" for entry in FORMATS),
     )  # fmt: skip
     parser.add_argument(
         "files", metavar="FILE_OR_NAME", nargs="*",

@@ -464,7 +464,7 @@ def fit_of(
         corrections=solved.ready.corrections,
         turned=bool(solved.ready.corrections) and not task.asked.corrections,
         columns=dict(task.log.table.mapping),
-        read_with=dict(task.log.table.read_with),
+        read_with=dict(task.log.table.source.read_with),
         versions=dict(versions_used()),
         error_rows=errors.rows() if errors else {},
     )

@@ -240,7 +240,7 @@ def self_fit_of(
         undetermined_by_log=tuple(n for n in model.names if n in unknown),
         source=log,
         columns=dict(log.table.mapping),
-        read_with=dict(log.table.read_with),
+        read_with=dict(log.table.source.read_with),
         versions=dict(versions_used()),
     )  # fmt: skip
     return SelfFit(fit, found)

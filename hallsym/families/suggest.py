@@ -26,7 +26,7 @@ REF, READING, RUN, TIME, ANGLE = "ref", "reading", "run", "t", "angle"
 _SAME: dict[str, tuple[str, ...]] = {
     REF: (
         "ref", "reference", "if", "ifm", "interferometer", "interf", "laser", "true", "cnc", "truth",
-        "actual", "referenz", "ist",
+        "actual", "referenz", "ist", "autocollimator",
     ),
     READING: ("hall", "sensor", "probe", "hs", "ch", "channel", "adc", "sonde"),
     RUN: RUN_WORDS,
@@ -60,7 +60,7 @@ def words_of(name: str, *, unit: bool = False) -> frozenset[str]:
     >>> sorted(words_of("IFM_X")), sorted(words_of("HallA_um", unit=True)), sorted(words_of("ThetaZ"))
     (['ref', 'x'], ['a', 'reading'], ['rz'])
     """
-    found = [part.lower() for part in _SPLIT.findall(name)]
+    found = [word for part in _SPLIT.findall(name) for word in _apart(part.lower())]
     if unit and len(found) > 1 and found[-1] in UNITS and len(found[-1]) > 1:
         found = found[:-1]
     words = {_WORDS.get(word, word) for word in found} - _IDLE
@@ -68,6 +68,32 @@ def words_of(name: str, *, unit: bool = False) -> frozenset[str]:
         if {ANGLE, axis} <= words:
             words = words - {ANGLE, axis} | {f"r{axis}"}
     return frozenset(words)
+
+
+def _apart(word: str) -> tuple[str, ...]:
+    """Return the words of one that is written with the letter of its axis or channel: xlaser, halla."""
+    for letter, rest in ((word[:1], word[1:]), (word[-1:], word[:-1])):
+        if letter in "abcxyz" and word not in _WORDS and _WORDS.get(rest) in (REF, READING) and len(rest) > 2:
+            return letter, rest
+    return (word,)
+
+
+def series_of(names: Iterable[str]) -> dict[str, int]:
+    """Return names that differ in a number alone, with their place among these, where there is one such set.
+
+    >>> series_of(["S1", "S2", "S3", "t", "x_ref"])
+    {'S1': 0, 'S2': 1, 'S3': 2}
+    """
+    found: dict[str, dict[int, str]] = {}
+    for name in names:
+        numbers = re.findall(r"\d+", name)
+        words = words_of(name, unit=True) - set(numbers)
+        if len(numbers) == 1 and not words & (set(_WORDS.values()) - {READING, "col"}):
+            found.setdefault(re.sub(r"\d+", "#", name), {})[int(numbers[0])] = name
+    several = [each for each in found.values() if 1 < len(each) == max(each) - min(each) + 1]
+    if len(several) != 1:
+        return {}
+    return {several[0][number]: place for place, number in enumerate(sorted(several[0]))}
 
 
 def likeness(ours: str, theirs: str, numbers: tuple[int, ...] = ()) -> float:
@@ -352,20 +378,25 @@ def _models(source: Source, data: Mapping[str, Array], name: str | None, meta: M
     for column in (n for n in source.names if not _own(n) and _stated(source, n)):
         like = "_".join([*re.findall(r"\w+", column.lower()), UNITS[_stated(source, column)].si])
         own += [like] if any(re.fullmatch(family.readings, like) for family in FAMILIES) else []
+    count = len(series_of(data))
 
     found: list[Model] = []
     for default in [stated] if (stated := name or meta.base_model) else [f.default for f in FAMILIES]:
         with nullcontext() if stated else suppress(InputError):  # a family that fails and nobody asked for
-            found += _forms(default, tuple(own), meta)
+            found += _forms(default, tuple(own), count, meta)
     found = sorted(found, key=fits, reverse=True)
     return [model for model in found if model.family is found[0].family]
 
 
-def _forms(name: str, own: tuple[str, ...], meta: Meta) -> list[Model]:
-    """Return a model as it is read by its channels, as its pose is read, and as columns of ours say."""
+def _forms(name: str, own: tuple[str, ...], count: int, meta: Meta) -> list[Model]:
+    """Return a model as it is read by its channels, as its pose is read, and as columns of ours say.
+
+    `count`: numbered readings of the file, where the model may have so many.
+    """
     usual = build(name)
-    found = [usual]
-    for columns in ((*usual.pose, *usual.references), own):
+    found, first = [usual], usual.channels[0]
+    numbered = [re.sub(r"\d+", str(k), first) for k in range(count)] if re.search(r"\d", first) else []
+    for columns in ((*usual.pose, *usual.references), own, *([tuple(numbered)] if numbered else [])):
         try:
             found.append(build(name, meta=replace(meta, columns=columns)))
         except InputError:
@@ -388,6 +419,9 @@ def _likeliest(pairs: Iterable[tuple[float, str, str]]) -> list[tuple[float, str
 def _matched(source: Source, data: Mapping[str, Array], model: Model) -> list[tuple[float, str, str]]:
     """Return how well our stems and the file's names go together (score, stem, name), each once."""
     numbers, own, stems = numbers_of(source.names), {name: _own(name) for name in data}, _stems(model)
+    series, channels = series_of(data), [split_unit(c)[0] for c in model.channels]
+    if len(series) != len(channels) or len({re.sub(r"(?<![a-z])[a-z]$|\d+", "", c) for c in channels}) > 1:
+        series = {}  # of sine and cosine the first is not known
     pairs = []
     for stem in (RUN, TIME, *stems, *OTHERS):
         for name, values in data.items():
@@ -396,11 +430,14 @@ def _matched(source: Source, data: Mapping[str, Array], model: Model) -> list[tu
             if stem in (RUN, TIME) and not _behaves(stem, values):
                 continue
             like, fits = likeness(stem, name, numbers), _unit_fits(source, name, stem, model)
+            if name in series and stem in channels:
+                like = NUMBERED if channels[series[name]] == stem else 0.0
             if fits or (like > BARE and stem in stems):  # in V or counts it lacks a scale
                 pairs.append((like if fits else like / 2, stem, name))
             by_unit = not words_of(name, unit=True) and _stated(source, name) and stem not in (RUN, TIME)
             by_unit = by_unit or (stem == TIME and _stated(source, name) == name.lower())
-            by_data = stem == RUN or (stem == TIME and not _whole(values))  # an index is no time
+            # an index is no time
+            by_data = stem == RUN or (stem == TIME and (not _whole(values) or bool(_stated(source, name))))
             if fits and (by_unit or by_data):
                 pairs.append((BARE / 2, stem, name))
     return _likeliest(pair for pair in pairs if pair[0] > 0)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,28 +25,37 @@ def is_time(kind: Any) -> bool:
     return bool(types.is_timestamp(kind) or types.is_time(kind) or types.is_duration(kind))
 
 
-def name_the_time(source: Source, times: Iterable[int]) -> None:
-    """Let the only column of times be the time of the log, in seconds from its first sample.
+class Timed(Source):
+    """Columns as Arrow gives them, some of which are times: they are read in seconds from the first one."""
 
-    It is not where another column is that by its name.
-    """
-    places = list(times)
-    others = [name for k, name in enumerate(source.names) if k not in places]
-    if len(places) != 1 or any(re.fullmatch("t(_[a-z]+)?", name) for name in others):
-        return
-    (at,) = places
-    old = source.names[at]
-    if old == f"{T}_s":
-        return
-    source.names = (*source.names[:at], T, *source.names[at + 1 :])
-    source.units = {name: unit for name, unit in source.units.items() if name != old} | {T: "s"}
-    longer = {long: T if short == old else short for long, short in source.aliases.items()}
-    source.aliases = longer | ({old: T} if old != T else {})
+    def take(
+        self, columns: Mapping[str, tuple[str, str | None]], times: Mapping[int, str], where: str
+    ) -> None:
+        """Take names (`stems_of`), and which columns are times: as text (`time_form`), or by their type ("").
 
+        The only one is the time of the log, where no other column is that by its name.
+        """
+        names = list(columns)
+        others = [name for k, name in enumerate(names) if k not in times]
+        said = {k: f"Column '{names[k]}' of {where}" for k in times}
+        if len(times) == 1 and not any(re.fullmatch("t(_[a-z]+)?", name) for name in others):
+            (at,) = times
+            names[at] = names[at] if names[at] == f"{T}_s" else T
+        found = zip(names, columns.values(), strict=True)
+        self.call({name: (text, "s" if name == T else unit) for name, (text, unit) in found})
+        self.clocks: dict[str, Seconds] = {}
+        self.forms = {names[k]: (form, said[k]) for k, form in times.items()}
+        self.notes = tuple(
+            f"{what} holds {_called(form)}; it is read in seconds from its first sample on."
+            for form, what in self.forms.values()
+        )
 
-def said_of_times(name: str, where: str, form: str) -> str:
-    """Return the note on a column of times."""
-    return f"Column '{name}' of {where} holds {form}; it is read in seconds from its first sample on."
+    def reader(self, name: str) -> Callable[[Any], Array]:
+        """Return what makes arrays of the chunks of a column in one pass."""
+        if name not in self.forms:
+            return array_of
+        self.clocks[name] = Seconds(*self.forms[name])
+        return self.clocks[name]
 
 
 _CLOCK = r"(?P<hour>\d{1,2}):(?P<min>\d{2}):(?P<sec>\d{2}(?:[.,]\d{1,9})?)"
@@ -58,26 +67,22 @@ _DATES = (
 )
 
 
-@dataclass(frozen=True)
-class TimeForm:
-    """How times are written: a pattern with a group for each part; the day may be `a` or `b`."""
+def time_form(cells: Sequence[str]) -> str | None:
+    """Return how all cells of a column are written: a pattern with a group for each part of a time.
 
-    pattern: str
-
-    @property
-    def said(self) -> str:
-        """What the form is called."""
-        return "dates with times" if "<y>" in self.pattern else "times of day"
-
-
-def time_form(cells: Sequence[str]) -> TimeForm | None:
-    """Return the form that all cells of a column have; None where they are no times."""
+    The day may be `a` or `b`. None where they are no times.
+    """
     for date in (*_DATES, ""):
         for zone in ("", _ZONE) if date else ("",):
             whole = re.compile(rf"^\s*{date}{_CLOCK}{zone}\s*$")
             if cells and all(whole.fullmatch(cell) for cell in cells):
-                return TimeForm(whole.pattern)
+                return whole.pattern
     return None
+
+
+def _called(form: str) -> str:
+    """Return what a form (`time_form`) is called; "" is that of a column whose type says it."""
+    return "times" if not form else "dates with times" if "<y>" in form else "times of day"
 
 
 class Seconds:
@@ -87,7 +92,7 @@ class Seconds:
     1970, of a time of day from midnight; None before it was read, and of durations.
     """
 
-    def __init__(self, form: TimeForm | None = None, what: str = "") -> None:
+    def __init__(self, form: str = "", what: str = "") -> None:
         """Begin. `form`: of times as text, in a column that messages call `what`."""
         self.form, self.what = form, what
         self.epoch: float | None = None
@@ -99,7 +104,7 @@ class Seconds:
     def __call__(self, column: Any) -> Array:
         """Return seconds (samples,) of an Arrow array or of several chunks of one."""
         arrow, missing = load("pyarrow"), array_of(column.is_null().cast("int8")).astype(bool)
-        column = self._read(column, self.form) if self.form else column
+        column = self._read(column) if self.form else column
         types, kind = arrow.types, column.type
         if types.is_time32(kind):
             column = column.cast(arrow.int32())
@@ -109,7 +114,7 @@ class Seconds:
             self.epoch = None if types.is_duration(kind) else self._first * TICK_S[kind.unit]
         seconds = (ticks - (self._first or 0)) * TICK_S[kind.unit]
         seconds[missing] = np.nan
-        daily = "<y>" not in self.form.pattern if self.form else types.is_time(kind)
+        daily = "<y>" not in self.form if self.form else types.is_time(kind)
         return self._onward(seconds) if daily else seconds
 
     def _onward(self, seconds: Array) -> Array:
@@ -121,13 +126,13 @@ class Seconds:
             self._last, self._days = float(seconds[good[-1]]), float(days[-1])
         return np.asarray(seconds + days)
 
-    def _read(self, cells: Any, form: TimeForm) -> Any:
+    def _read(self, cells: Any) -> Any:
         """Return the times of an Arrow array of strings."""
         arrow, compute = load("pyarrow"), load("pyarrow.compute")
         text, join = cells.cast(arrow.string()), compute.binary_join_element_wise
-        found = compute.extract_regex(text, form.pattern)
+        found = compute.extract_regex(text, self.form)
         odd = text.filter(compute.and_(found.is_null(), text.is_valid())).to_pylist()[:1]
-        part = {name: compute.struct_field(found, name) for name in re.findall(r"\?P<(\w+)>", form.pattern)}
+        part = {name: compute.struct_field(found, name) for name in re.findall(r"\?P<(\w+)>", self.form)}
         if "a" in part:
             part["d"], part["m"] = (
                 part[k] for k in ("ab" if self._day_stands_first(part, compute) else "ba")
@@ -142,7 +147,7 @@ class Seconds:
             return whole.cast(arrow.timestamp("ns", "UTC" if "zone" in part else None))
         except arrow.ArrowInvalid as error:
             raise InputError(
-                f"{self.what} must hold {form.said} written alike in every line; one is not "
+                f"{self.what} must hold {_called(self.form)} written alike in every line; one is not "
                 f"({str(error)[:80]}): put it right, or leave the line out."
             ) from error
 
@@ -191,52 +196,54 @@ def array_of(column: Any) -> Array:
     return data[column.offset : column.offset + len(column)]
 
 
-def source_of(data: Any, where: str) -> Arrays:
+class Memory(Arrays, Timed):
+    """A table in memory."""
+
+
+def source_of(data: Any, where: str) -> Memory:
     """Return the columns of numbers of a table: a dict of arrays, or what has `__arrow_c_stream__`.
 
     A name may state its unit as in a file: `x_ref_um`, `x_ref [um]`. Columns of other things are left out.
     """
-    if isinstance(data, Mapping):
-        given = {str(name): np.asarray(values) for name, values in data.items()}
-    else:
-        given = _columns_of(data, where)
-    columns: dict[str, Array] = {}
-    left_out: dict[str, str] = {}
-    clocks: dict[str, Seconds] = {}
-    for name, values in given.items():
-        if isinstance(values, np.ndarray) and values.dtype.kind in "mM" and values.ndim == 1:
-            values = load("pyarrow").array(values.astype(f"{values.dtype.kind}8[ns]"))
-        if not isinstance(values, np.ndarray) and is_time(values.type):
-            clocks[name] = Seconds()
-        if not isinstance(values, np.ndarray) and (name in clocks or is_numeric(values.type)):
-            values = clocks.get(name, array_of)(values)
-        if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
-            left_out[name] = "it holds no numbers"
-            continue
-        if values.ndim != 1 or len(values) != len(next(iter(columns.values()), values)):
+    given: dict[str, Any] = {}
+    for name, values in data.items() if isinstance(data, Mapping) else _columns_of(data, where):
+        array = np.asarray(values) if isinstance(data, Mapping) else values
+        if isinstance(array, np.ndarray) and array.dtype.kind in "mM" and array.ndim == 1:
+            array = load("pyarrow").array(array.astype(f"{array.dtype.kind}8[ns]"))
+        given[str(name)] = array
+    typed = {name: values.type for name, values in given.items() if not isinstance(values, np.ndarray)}
+    timed = {name for name, kind in typed.items() if is_time(kind)}
+    kept = [
+        name
+        for name, values in given.items()
+        if (is_numeric(typed[name]) or name in timed if name in typed else values.dtype.kind in "fiu")
+    ]
+    source = Memory({})
+    source.take(stems_of(kept), {k: "" for k, name in enumerate(kept) if name in timed}, where)
+    for name, text in zip(source.names, kept, strict=True):
+        values = source.reader(name)(given[text]) if text in typed else given[text]
+        if values.ndim != 1 or len(values) != len(next(iter(source.columns.values()), values)):
             raise InputError(
-                f"Column {name} of {where} must be a vector as long as the others; it is {values.shape}."
+                f"Column {text} of {where} must be a vector as long as the others; it is {values.shape}."
             )
-        columns[name] = values
-    found = stems_of(columns)
-    source = Arrays({})
-    source.call(found)
-    name_the_time(source, [k for k, name in enumerate(columns) if name in clocks])
-    source.columns = dict(zip(source.names, columns.values(), strict=True))
-    source.clocks = {o: clocks[text] for o, text in zip(source.names, columns, strict=True) if text in clocks}
-    source.rows = len(next(iter(columns.values()), ()))
-    source.left_out = left_out
-    source.notes = tuple(said_of_times(name, where, "times") for name in clocks)
+        source.columns[name] = values
+    source.rows = len(next(iter(source.columns.values()), ()))
+    source.left_out = {name: "it holds no numbers" for name in given if name not in kept}
     return source
 
 
-def _columns_of(data: Any, where: str) -> dict[str, Any]:
+def _columns_of(data: Any, where: str) -> Iterator[tuple[str, Any]]:
     """Return the columns of a table of Arrow."""
     arrow = load("pyarrow")
     try:
         table = arrow.RecordBatchReader.from_stream(data).read_all()
     except (arrow.ArrowException, TypeError, ValueError) as error:
         raise InputError(f"{where} must be a table of columns; it is none ({error}).") from error
-    if len(set(table.column_names)) < len(table.column_names):
-        raise InputError(f"Columns of {where} must have different names; one is there twice.")
-    return dict(zip(table.column_names, table.columns, strict=True))
+    return zip(distinct(table.column_names, where), table.columns, strict=True)
+
+
+def distinct(names: Sequence[str], where: str) -> Sequence[str]:
+    """Return names of columns; refuse one that is there twice."""
+    if twice := next((name for name, times in Counter(names).items() if times > 1), None):
+        raise InputError(f"Columns of {where} must have different names; '{twice}' is twice.")
+    return names

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
+from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
+from msgspec import structs
 
 from hallsym.errors import InputError, nearest, quoted, require
 from hallsym.files import MOST_NUMBER
@@ -32,9 +34,8 @@ Turn = Annotated[float, msgspec.Meta(ge=2, le=MOST_NUMBER)]
 """Counts that make a turn."""
 
 
-@dataclass(frozen=True)
-class Foreign:
-    """A column under another program's name; its values are `scale * file + offset`, in the unit we name.
+class Foreign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """A column of another program: values are `sign * scale * file + offset`, in the unit that we name.
 
     `counts_per_turn`: of an angle in counts.
     """
@@ -43,10 +44,11 @@ class Foreign:
     scale: float = 1.0
     offset: float = 0.0
     counts_per_turn: Turn | None = None
+    sign: Literal[1, -1] = 1
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record, as a column file has it."""
-        return {k: v for k, v in vars(self).items() if v != Foreign.__dataclass_fields__[k].default}
+        return dict(msgspec.to_builtins(self))
 
     @property
     def option(self) -> str:
@@ -57,7 +59,7 @@ class Foreign:
 
 @dataclass(frozen=True)
 class Binding:
-    """SI column `name` is `factor * file[source] + offset`; `counts_per_turn`: of an angle in counts.
+    """SI column `name` is `factor * file[source] + offset`.
 
     `asked`: our name with its unit, as somebody mapped it, "" for the file's own; `foreign`: what was mapped.
     """
@@ -66,9 +68,13 @@ class Binding:
     source: str
     factor: float = 1.0
     offset: float = 0.0
-    counts_per_turn: float | None = None
     asked: str = ""
     foreign: Foreign | None = None
+
+    @property
+    def counts_per_turn(self) -> float | None:
+        """Counts of the file that make a turn, for an angle in counts."""
+        return self.foreign.counts_per_turn if self.foreign else None
 
     def si(self, raw: Array) -> Array:
         """Return SI values (float64; the run column as integers) of raw values of shape (rows,)."""
@@ -93,7 +99,7 @@ class ColumnFile:
     open: tuple[str, ...] = ()
 
 
-_NUMBERS = re.compile(r"((?:,\s*(?:scale|offset|counts_per_turn)=[^,]*)+)$")
+_NUMBERS = re.compile(r"((?:,\s*(?:scale|offset|counts_per_turn|sign)=[^,]*)+)$")
 
 
 def parse_column_option(text: str) -> tuple[str, Foreign]:
@@ -109,7 +115,7 @@ def parse_column_option(text: str) -> tuple[str, Foreign]:
     for part in numbers[1].split(",")[1:] if numbers else ():
         key, _, value = part.strip().partition("=")
         try:
-            entry[key] = float(value)
+            entry[key] = int(value) if key == "sign" else float(value)
         except ValueError:
             said = f"Option --column {ours} must give {key} as a number; instead received {value!r}."
             raise InputError(said) from None
@@ -123,12 +129,11 @@ def read_column_file(path: str | Path) -> ColumnFile:
     """
     file = Table.read(path, "Column file", ("columns", "noise", "counts_per_turn"))
     columns, noise = file.table("columns"), file.table("noise")
-    counts = file.raw.get("counts_per_turn")
     where = f"column file {quoted(path)}"
     return ColumnFile(
         {ours: _foreign(ours, entry, where) for ours, entry in columns.raw.items()},
         {key: noise.positive(key) for key in noise.raw},
-        None if counts is None else counts_in_turn(counts, f"Column file {quoted(path)}"),
+        file.raw.get("counts_per_turn"),
         tuple(_OPEN.findall(Path(path).read_text(encoding="utf-8"))),
     )
 
@@ -170,19 +175,15 @@ def bind(
                 f"Column '{foreign.name}' is read in {require_unit(ours).name} as stated; its header says"
                 f" {unit}."
             )
-        binding = replace(_binding(ours, foreign, where, counts_per_turn), asked=asked, foreign=foreign)
-        _add(bindings, binding, where)
+        _add(bindings, _binding(ours, foreign, where, counts_per_turn, asked), where)
     taken = {b.source for b in bindings.values()}
-    for column in found:
-        name = column if column in taken else _named(column, stated.get(column), where)
-        if column in taken or not (name == RUN or split_unit(name)[1]):
-            continue
-        own = _binding(name, Foreign(column), where, counts_per_turn)
-        if own.counts_per_turn:
-            own = replace(own, asked=name, foreign=Foreign(column))
-        if own.name in bindings and bindings[own.name].source in taken:
-            continue  # the mapping, which somebody wrote, wins over the file's own name
-        _add(bindings, own, where)
+    mapped = set(bindings)
+    for column in (c for c in found if c not in taken):
+        name = _named(column, stated.get(column), where)
+        if name == RUN or split_unit(name)[1]:
+            own = _binding(name, Foreign(column), where, counts_per_turn)
+            if own.name not in mapped:  # what somebody wrote wins over the file's own name
+                _add(bindings, own, where)
     return bindings, said
 
 
@@ -242,10 +243,13 @@ def listed(names: Sequence[str], most: int = 20) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
-def _binding(ours: str, foreign: Foreign, where: str, counts_per_turn: float | None) -> Binding:
+def _binding(
+    ours: str, foreign: Foreign, where: str, counts_per_turn: float | None, asked: str = ""
+) -> Binding:
     if ours == RUN:
-        return Binding(RUN, foreign.name)
-    unit, (stem, _) = require_unit(ours), split_unit(ours)
+        return Binding(RUN, foreign.name, asked=asked, foreign=foreign)
+    unit, (stem, _), counts = require_unit(ours), split_unit(ours), None
+    name, factor, zero = si_name(ours), unit.factor, unit.offset
     if unit.si == "count" and "rad" in quantity(stem):
         counts = foreign.counts_per_turn or counts_per_turn
         if counts is None:
@@ -253,10 +257,10 @@ def _binding(ours: str, foreign: Foreign, where: str, counts_per_turn: float | N
                 f"Column '{foreign.name}' of {where} is an angle in counts; say how many make a turn with "
                 "--counts-per-turn 16384 (14 bits), or as counts_per_turn in the column file or meta.json."
             )
-        per = 2 * math.pi / counts
-        return Binding(f"{stem}_rad", foreign.name, per * foreign.scale, per * foreign.offset, counts)
-    offset = unit.factor * foreign.offset + unit.offset
-    return Binding(si_name(ours), foreign.name, unit.factor * foreign.scale, offset)
+        name, factor, asked = f"{stem}_rad", 2 * math.pi / counts, asked or ours
+    scale, offset = factor * (foreign.sign * foreign.scale), factor * foreign.offset + zero
+    kept = structs.replace(foreign, counts_per_turn=counts)
+    return Binding(name, foreign.name, scale, offset, asked, kept)
 
 
 def _add(bindings: dict[str, Binding], new: Binding, where: str) -> None:
@@ -268,16 +272,6 @@ def _add(bindings: dict[str, Binding], new: Binding, where: str) -> None:
     bindings[new.name] = new
 
 
-class _Entry(msgspec.Struct, forbid_unknown_fields=True):
-    """A column of a column file."""
-
-    name: str
-    sign: Literal[1, -1] = 1
-    scale: float = 1.0
-    offset: float = 0.0
-    counts_per_turn: Turn | None = None
-
-
 _FORM = 'write it as "Name" or {name = "Name", sign = -1, scale = 1.0, offset = 0.0}'
 
 
@@ -285,12 +279,12 @@ def _foreign(ours: str, entry: Any, where: str) -> Foreign:
     if ours != RUN and not (quantity(ours) and split_unit(ours)[1] is None):  # the file may state the unit
         require_unit(ours)
     entry = {"name": entry} if isinstance(entry, str) else entry
-    found = structured(entry, _Entry, f"entry {ours} of {where}", _FORM)
+    found = structured(entry, Foreign, f"entry {ours} of {where}", _FORM)
     if not (0 < abs(found.scale) <= MOST_NUMBER and abs(found.offset) <= MOST_NUMBER):
         raise InputError(
             f"Entry {ours} of {where} must have a finite scale other than zero, and a finite offset; {_FORM}."
         )
-    return Foreign(found.name, found.sign * found.scale, found.offset, found.counts_per_turn)
+    return found
 
 
 def _whole(raw: Array, source: str) -> Array:
@@ -338,12 +332,8 @@ def in_a_row(runs: Sequence[int]) -> list[list[int]]:
     >>> in_a_row([3, 5, 9, 8])
     [[3], [5], [8, 9]]
     """
-    parts: list[list[int]] = []
-    for run in sorted(runs):
-        if not parts or run != parts[-1][-1] + 1:
-            parts.append([])
-        parts[-1].append(run)
-    return parts
+    numbered = groupby(enumerate(sorted(runs)), key=lambda entry: entry[1] - entry[0])
+    return [[run for _, run in group] for _, group in numbered]
 
 
 def run_list(runs: Sequence[int]) -> str:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import IO
 
 from hallsym.errors import InputError, quoted
-from hallsym.log.arrow import Seconds, array_of, name_the_time, said_of_times
-from hallsym.log.table import Source, label, load
+from hallsym.log.arrow import Timed
+from hallsym.log.table import load
 from hallsym.log.text.cells import MISSING, Convention, as_float
 from hallsym.log.text.sniff import Dialect, Encoded, sniffed, split
 from hallsym.output import csv_text
@@ -20,45 +18,34 @@ from hallsym.units import Array
 IN_MEMORY_BYTES = 250_000_000
 COMPRESSED = 8
 """What text of numbers becomes larger by when it is decompressed, at most."""
-BLOCK = 1 << 19
-"""Bytes that pyarrow reads at once: it holds some ten of them."""
+AT_ONCE = 16
+"""Pieces of text that pyarrow reads at once."""
 _TORN = "The last line of {} does not end with a newline: if the file was cut short, its last value is wrong."
 
 
-class CsvSource(Source):
+class CsvSource(Timed):
     """Columns of one table of text; an empty cell is NaN.
 
-    `file`: what to open where it is not the bytes at `path` but those of a `sheet` of a workbook.
+    `data`: the text of a `sheet` of a workbook, in the place of that at `path`.
     """
-
-    clocks: dict[str, Seconds]
 
     def __init__(
         self,
         path: Path,
         delimiter: str | None = None,
         decimal: str | None = None,
-        file: Callable[[], IO[bytes]] | None = None,
+        data: bytes | None = None,
         sheet: str = "",
     ) -> None:
         self.path, self.where = path, quoted(path)
-        self.file = Encoded.of(file or path)
-        self.dialect: Dialect = sniffed(self.file, self.where, delimiter, decimal)
-        self.call(self.dialect.stems)
-        self.times = self.dialect.times
-        name_the_time(self, self.times)
-        bytes_read = path.stat().st_size * (COMPRESSED if self.file.compressed else 1)
-        self.small = file is not None or bytes_read <= IN_MEMORY_BYTES
-        self.recognised = self.dialect.said(sheet)
-        about = [
-            said_of_times(self.dialect.names[at], self.where, form.said) for at, form in self.times.items()
-        ]
-        if not self.dialect.usual:
-            about.append(f"{self.where} is read as {self.recognised}.")
-        if self.dialect.torn:
-            about.append(_TORN.format(self.where))
-        self.notes = tuple(about)
-        self.clocks = {}
+        self.text = Encoded(path if data is None else data)
+        self.dialect = dialect = sniffed(self.text, self.where, delimiter, decimal, sheet)
+        self.take(dialect.stems, dialect.times, self.where)
+        bytes_read = path.stat().st_size * (COMPRESSED if self.text.compressed else 1)
+        self.small = data is not None or bytes_read <= IN_MEMORY_BYTES
+        self.recognised = dialect.said
+        odd = [] if dialect.usual else [f"{self.where} is read as {self.recognised}."]
+        self.notes += (*odd, *([_TORN.format(self.where)] if dialect.torn else []))
 
     def count(self) -> int:
         """Return the number of rows: the lines are counted."""
@@ -70,30 +57,39 @@ class CsvSource(Source):
         """Return the first rows as the file writes them."""
         return [row[:most] for row in islice(self._cells(), count)]
 
-    def labels(self, name: str) -> list[str]:
-        """Return the cells of one column as text, without quotes; numbers as `label` has them."""
-        at, found = self.names.index(name), []
-        for row in self._cells():
-            cell = row[at] if len(row) > at else ""
-            number = as_float(cell, self.dialect.numbers) if "." in cell or "," in cell else None
-            found.append("" if cell in MISSING else label(number) if number is not None else cell)
-        return found
+    def texts(self, name: str) -> list[str]:
+        """Return the cells of one column, without quotes."""
+        at = self.names.index(name)
+        cells = (row[at] if len(row) > at else "" for row in self._cells())
+        return ["" if cell in MISSING else cell for cell in cells]
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks."""
-        indices = [self.names.index(name) for name in names]
-        try:
-            for columns in self._arrow(indices):
-                yield dict(zip(names, columns, strict=True))
-        except ValueError as error:  # pyarrow's ArrowInvalid is one too
-            if isinstance(error, InputError | UnicodeDecodeError):
-                raise
-            raise first_fault(self, indices, error) from error
+        csv, arrow, dialect = load("pyarrow.csv"), load("pyarrow"), self.dialect
+        places, labels = [str(self.names.index(name)) for name in names], [*map(str, range(len(self.names)))]
+        parse = csv.ParseOptions(delimiter=delimiter_of(dialect), quote_char='"' if dialect.quoted else False)
+        convert = csv.ConvertOptions(
+            column_types=dict.fromkeys(labels, arrow.float64())
+            | {str(k): arrow.string() for k in dialect.times},
+            strings_can_be_null=True,
+            include_columns=places,
+            null_values=[f"{before}{m}{after}" for m in MISSING for before in BESIDE for after in BESIDE],
+            decimal_point=dialect.numbers.decimal,
+        )
+        readers, pieces = [self.reader(name) for name in names], self._pieces()
+        while text := "".join(islice(pieces, AT_ONCE)).encode():
+            whole = csv.ReadOptions(column_names=labels, block_size=len(text), use_threads=False)
+            try:
+                table = csv.read_csv(arrow.BufferReader(text), whole, parse, convert)
+            except arrow.ArrowInvalid as error:
+                raise first_fault(self, [*map(int, places)], error) from error
+            columns = zip(names, readers, table.columns, strict=True)
+            yield {name: array(column) for name, array, column in columns}
 
     def _pieces(self) -> Iterator[str]:
         """Yield the clean lines from the first sample to the last one, in pieces."""
         clean, footer, held = cleaning(self.dialect), self.dialect.footer, ""
-        for piece in self.file.pieces(self.where, self.dialect.first - 1):
+        for piece in self.text.pieces(self.where, self.dialect.first - 1):
             cleaned = clean(piece)
             if footer:
                 parts = f"{held}{cleaned}".rsplit("\n", footer + 1)
@@ -106,35 +102,6 @@ class CsvSource(Source):
         """Yield the rows of the table as text."""
         for piece in self._pieces():
             yield from (split(line, delimiter_of(self.dialect)) for line in piece.split("\n")[:-1])
-
-    def _arrow(self, indices: Sequence[int]) -> Iterator[list[Array]]:
-        reader, arrow = load("pyarrow.csv"), load("pyarrow")
-        labels = [str(k) for k in range(len(self.names))]
-        options = {
-            "read_options": reader.ReadOptions(column_names=labels, block_size=max(BLOCK, 100 * len(labels))),
-            "parse_options": reader.ParseOptions(
-                delimiter=delimiter_of(self.dialect), quote_char='"' if self.dialect.quoted else False
-            ),
-            "convert_options": reader.ConvertOptions(
-                column_types=dict.fromkeys(labels, arrow.float64())
-                | {str(k): arrow.string() for k in self.times},
-                strings_can_be_null=True,
-                include_columns=[str(k) for k in indices],
-                null_values=[f"{before}{m}{after}" for m in MISSING for before in BESIDE for after in BESIDE],
-                decimal_point=self.dialect.numbers.decimal,
-            ),
-        }
-        for k in (k for k in indices if k in self.times):
-            what = f"Column '{self.dialect.names[k]}' of {self.where}"
-            self.clocks[self.names[k]] = Seconds(self.times[k], what)
-        read = [self.clocks.get(self.names[k], array_of) for k in indices]
-        try:
-            with reader.open_csv(Stream(self._pieces()), **options) as batches:
-                for batch in batches:
-                    yield [turn(column) for turn, column in zip(read, batch.columns, strict=True)]
-        except arrow.ArrowInvalid as error:
-            if "Empty CSV" not in str(error):
-                raise
 
 
 class CsvWriter:
@@ -165,22 +132,22 @@ class CsvWriter:
 def first_fault(source: CsvSource, indices: Sequence[int], error: Exception) -> InputError:
     """Return the error that says where the first bad line or cell of a CSV file is."""
     dialect, clean = source.dialect, cleaning(source.dialect)
-    for number, line in enumerate(source.file.lines(source.where), start=1):
+    for number, line in enumerate(source.text.lines(source.where), start=1):
         text = clean(f"{line}\n")[:-1] if number >= dialect.first else ""
         if not text:
             continue
         cells = split(text, delimiter_of(dialect))
-        if len(cells) != len(dialect.names):
-            decimal = dialect.delimiter == "," and len(cells) == 2 * len(dialect.names)
+        if len(cells) != len(source.names):
+            decimal = dialect.delimiter == "," and len(cells) == 2 * len(source.names)
             why = "the file may be cut short or two lines may have run together"
             why = "commas may be decimal signs too: export it with another delimiter" if decimal else why
             return InputError(
-                f"Line {number} of {source.where} must have {len(dialect.names)} cells as the header has;"
+                f"Line {number} of {source.where} must have {len(source.names)} cells as the header has;"
                 f" it has {len(cells)}, so {why}."
             )
-        for index in (k for k in indices if k not in source.times):
+        for index in (k for k in indices if k not in dialect.times):
             if as_float(cells[index], Convention(dialect.numbers.decimal)) is None:
-                return _bad_cell(source, number, dialect.names[index], cells[index])
+                return _bad_cell(source, number, list(dialect.stems)[index], cells[index])
     return InputError(f"{source.where} cannot be read as CSV ({' '.join(str(error).split())[:120]}).")
 
 
@@ -199,33 +166,11 @@ def _bad_cell(source: CsvSource, number: int, name: str, cell: str) -> InputErro
     )
 
 
-class Stream(io.IOBase):
-    """Pieces of text as a stream of UTF-8, whose reads are only cut short at its end."""
-
-    def __init__(self, pieces: Iterator[str]) -> None:
-        """Start before the first piece."""
-        self._pieces, self._held = pieces, b""
-
-    def readable(self) -> bool:
-        """Say that it can be read."""
-        return True
-
-    def read(self, size: int) -> bytes:
-        """Return the next bytes."""
-        parts = [self._held]
-        while sum(map(len, parts)) < size and (piece := next(self._pieces, "")):
-            parts.append(piece.encode())
-        whole = b"".join(parts)
-        self._held = whole[size:]
-        return whole[:size]
-
-
 # -- lines -----------------------------------------------------------------------------------------------
 
 
 BESIDE = ("", " ")
 """What may stand beside a cell without a value."""
-_EMPTY = re.compile(r"^[ \t]*\n", re.MULTILINE)
 _BLANK = "\n", " ", "\t"
 
 
@@ -235,19 +180,33 @@ def delimiter_of(dialect: Dialect) -> str:
 
 
 def cleaning(dialect: Dialect) -> Callable[[str], str]:
-    r"""Return what takes comments, empty lines, blanks and separators of thousands out of lines.
+    r"""Return what takes comments, empty lines, blanks, names that come again and separators out of lines.
 
-    Each line ends with \n; what it returns is empty where nothing is left.
+    Numbers that are written otherwise become usual ones. Each line ends with \n; what it returns is empty
+    where nothing is left.
     """
+    empty = re.compile(rf"^[ \t{re.escape(dialect.delimiter)}]*\n", re.M)  # also a line of empty cells
+    starts = (*_BLANK, dialect.delimiter)
     comment = re.compile(rf'^[ \t"]*(?:{"|".join(map(re.escape, dialect.comments))})[^\n]*\n', re.M)
     grouping = dialect.numbers.grouping
     group = re.compile(rf"(?<=\d){re.escape(grouping)}(?=\d{{3}}(?!\d))", re.A)
 
+    sign = delimiter_of(dialect)
+    beside = re.compile(rf'"[ ]*{re.escape(sign)}[ ]*"')
+
     def clean(lines: str) -> str:
-        if lines.startswith(_BLANK) or any("\n" + first in lines for first in _BLANK):
-            lines = _EMPTY.sub("", lines)  # looking for one first is ten times as fast
+        if lines.startswith(starts) or any("\n" + first in lines for first in starts):
+            lines = empty.sub("", lines)  # looking for one first is ten times as fast
         if any(mark in lines for mark in dialect.comments):
             lines = comment.sub("", lines)
+        if any(head in lines for head in dialect.repeated):
+            lines = "".join(
+                line for line in lines.splitlines(True) if line.rstrip("\n") not in dialect.repeated
+            )
+        for spelling in dialect.spelled:
+            lines = spelling(lines)
+        if dialect.quoted and (f'{sign} "' in lines or f'" {sign}' in lines):
+            lines = beside.sub(f'"{sign}"', lines)
         if dialect.delimiter == " ":
             lines = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", lines.replace('"', "")))
         if grouping and grouping == dialect.delimiter:  # then numbers with it stand between quotes

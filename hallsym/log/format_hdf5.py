@@ -12,70 +12,55 @@ import numpy as np
 
 from hallsym.errors import quoted
 from hallsym.log.table import Source, load
-from hallsym.log.vectors import Vector, arranged, columns_of, unit_in
-from hallsym.units import Array
+from hallsym.log.vectors import Stored, arranged, unit_in
 
 
 def open_hdf5(path: Path, clock: str | None = None, kind: str = "HDF5", by: str = "/") -> Source:
     """Open an HDF5 file; `clock`: as `GroupedSource` reads it; `by`: what stands between parts of a name."""
-    vectors: dict[str, Vector] = {}
     left_out: dict[str, str] = {}
     opened = partial(load("h5py").File, path, "r")
     with opened() as file:
-        for name, node in _datasets(file, left_out).items():
-            text = {b"char", b"cell"} & {node.attrs.get("MATLAB_class", b"")}
-            logical = node.attrs.get("MATLAB_class", b"") == b"logical"
-            fields = node.dtype.names or ("",)
-            for field in fields if node.shape is not None and not text else ():
-                kind_of = (node.dtype[field] if field else node.dtype).kind
-                found, why = columns_of(
-                    f"{name}/{field}" if field else name,
-                    node.shape,
-                    "b" if logical else kind_of,
-                    _reader(name, field),
-                    unit_in(node.attrs),
-                )
-                why = why or (_broken_off(node) if found else "")
-                vectors |= {} if why else found
-                left_out |= {name.rpartition("/")[2]: why} if why else {}
-    vectors = {name.replace("/", by): vector for name, vector in vectors.items()}
-    return arranged(quoted(path), kind, vectors, left_out, by, clock, opened)
+        arrays = {
+            name: Stored(node.shape, _type(node), _finder(node.name), unit_in(node.attrs), _fault(node))
+            for name, node in _datasets(file, left_out, by).items()
+            if node.shape is not None
+        }
+    return arranged(quoted(path), kind, arrays, left_out, by, clock, opened)
 
 
-def _reader(name: str, field: str) -> Callable[[Any, Any], Array]:
-    """Return what reads an index of a dataset, or of a field of it."""
-    return lambda file, index: np.asarray(file[name].fields(field)[index] if field else file[name][index])
+def _type(node: Any) -> np.dtype:
+    """Return the type of a dataset; text and booleans of MATLAB are stored as numbers."""
+    stated = {b"char": np.dtype(object), b"cell": np.dtype(object), b"logical": np.dtype(bool)}
+    return stated.get(node.attrs.get("MATLAB_class", b""), node.dtype)
 
 
-def _datasets(file: Any, left_out: dict[str, str]) -> dict[str, Any]:
+def _finder(name: str) -> Callable[[Any, str], Any]:
+    return lambda file, field: file[name].fields(field) if field else file[name]
+
+
+def _datasets(file: Any, left_out: dict[str, str], by: str) -> dict[str, Any]:
     """Return the datasets of a file by their path, and say which links lead to none.
 
     Soft links to datasets are followed; those to groups are other names for what is found anyway.
     """
     h5py = load("h5py")
     found: dict[str, Any] = {}
-    seen: set[Any] = set()  # groups: a hard link may lead back to one that holds it
 
-    def walk(group: Any, path: str) -> None:
-        seen.add(group)
-        for key in group:
-            link, node = group.get(key, getlink=True), group.get(key)
-            if key.startswith("#"):
-                continue
-            if isinstance(link, h5py.ExternalLink) or node is None:
-                where = "another file" if isinstance(link, h5py.ExternalLink) else "nothing"
-                left_out[key] = f"it is a link to {where}"
-            elif isinstance(node, h5py.Group):
-                if isinstance(link, h5py.HardLink) and node not in seen:
-                    walk(node, f"{path}{key}/")
-            elif isinstance(node, h5py.Dataset):
-                found[f"{path}{key}"] = node
+    def visit(name: str, link: Any) -> None:
+        if "/#" in f"/{name}":
+            return
+        away = isinstance(link, h5py.ExternalLink)
+        node = None if away else file.get(name)
+        if node is None:
+            left_out[name.rpartition("/")[2]] = f"it is a link to {'another file' if away else 'nothing'}"
+        elif isinstance(node, h5py.Dataset):
+            found[name.replace("/", by)] = node
 
-    walk(file, "")
+    file.visititems_links(visit)
     return found
 
 
-def _broken_off(node: Any) -> str:
+def _fault(node: Any) -> str:
     """Say how many blocks of a dataset were not written; "" where all were."""
     if node.chunks:
         need = math.prod(-(-n // c) for n, c in zip(node.shape, node.chunks, strict=True))

@@ -14,7 +14,7 @@ import numpy as np
 from hallsym.errors import quoted
 from hallsym.log.format_hdf5 import open_hdf5
 from hallsym.log.table import Source
-from hallsym.log.vectors import Vector, arranged, columns_of
+from hallsym.log.vectors import Stored, arranged
 from hallsym.units import Array
 
 
@@ -22,72 +22,57 @@ def open_mat(path: Path, clock: str | None = None) -> Source:
     """Open a MATLAB file of either kind; `clock`: as `GroupedSource` reads it."""
     from scipy.io import loadmat, whosmat
 
-    if _is_v73(path):
+    if _is_hdf5(path):
         return open_hdf5(path, clock, "MATLAB", ".")
     _check_compressed(path)
     logical = {name for name, _, kind in whosmat(path) if kind == "logical"}
     content = loadmat(path, simplify_cells=True)
     arrays = {k: np.asarray(v) for k, v in _flatten({k: v for k, v in content.items() if k[:2] != "__"}, "")}
-    return in_memory(path, "MATLAB", arrays, clock, logical)
+    return _table(path, "MATLAB", arrays, clock, logical)
 
 
-def open_npz(path: Path, clock: str | None = None) -> Source:
-    """Open arrays that numpy saved (.npz); `clock`: as `GroupedSource` reads it."""
-    with np.load(path, allow_pickle=False) as content:
-        return in_memory(path, "NumPy", {name: content[name] for name in content.files}, clock)
+def open_numpy(path: Path, clock: str | None = None) -> Source:
+    """Open arrays that numpy saved (.npz, or one .npy); `clock`: as `GroupedSource` reads it."""
+    content = np.load(path, allow_pickle=False)
+    if isinstance(content, np.ndarray):
+        return _table(path, "NumPy", {"column": content}, clock)
+    with content:
+        return _table(path, "NumPy", dict(content.items()), clock)
 
 
-def in_memory(
+def _table(
     path: Path, kind: str, arrays: Mapping[str, Array], clock: str | None, logical: Collection[str] = ()
 ) -> Source:
     """Return the table of arrays by name, `logical` of which hold booleans."""
-    vectors: dict[str, Vector] = {}
-    left_out: dict[str, str] = {}
-    for name, array in arrays.items():
-        for field in array.dtype.names or ("",):
-            part = array[field] if field else array
-            found, why = columns_of(
-                f"{name}.{field}" if field else name,
-                part.shape,
-                "b" if name in logical else part.dtype.kind,
-                lambda _, index, part=part: part[index],
-            )
-            vectors |= found
-            left_out |= {name.rpartition(".")[2]: why} if why else {}
-    return arranged(quoted(path), kind, vectors, left_out, ".", clock)
+
+    def stored(name: str, array: Array) -> Stored:
+        kind = np.dtype(bool) if name in logical else array.dtype
+        return Stored(array.shape, kind, lambda _, field: array[field] if field else array)
+
+    return arranged(quoted(path), kind, {n: stored(n, a) for n, a in arrays.items()}, {}, ".", clock)
 
 
-def _is_v73(path: Path) -> bool:
-    """A v7.3 file has MATLAB's text header, then HDF5's signature at byte 512; or it is plain HDF5."""
-    signature = b"\x89HDF\r\n\x1a\n"
+def _is_hdf5(path: Path) -> bool:
+    """Say whether a file is of MATLAB v7.3: HDF5, behind a header of 512 bytes or not."""
     with open(path, "rb") as stream:
         head = stream.read(520)
-    return head.startswith(signature) or head[512:520] == signature
+    return b"\x89HDF\r\n\x1a\n" in (head[:8], head[512:])
 
 
 _COMPRESSED = 15
 _HEADER_BYTES = 128
-_AT_ONCE = 1 << 20
 
 
 def _check_compressed(path: Path) -> None:
     """Raise `zlib.error` where the checksum of a compressed variable is wrong; scipy does not look."""
     with open(path, "rb") as stream:
-        order = stream.read(_HEADER_BYTES)[-2:]
-        layout = "<II" if order == b"IM" else ">II"
+        layout = "<II" if stream.read(_HEADER_BYTES)[-2:] == b"IM" else ">II"
         while len(tag := stream.read(8)) == 8:
             kind, size = struct.unpack(layout, tag)
-            if kind != _COMPRESSED:
+            if kind == _COMPRESSED:
+                zlib.decompress(stream.read(size))
+            else:
                 stream.seek(size, os.SEEK_CUR)
-                continue
-            inflate = zlib.decompressobj()
-            while size > 0 and (part := stream.read(min(size, _AT_ONCE))):
-                size -= len(part)
-                while part:
-                    inflate.decompress(part, _AT_ONCE)
-                    part = inflate.unconsumed_tail
-            if not inflate.eof:
-                raise zlib.error("a compressed variable is cut short")
 
 
 def _flatten(value: Any, path: str) -> Iterator[tuple[str, Any]]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import reduce
+from functools import partial, reduce
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,9 @@ import numpy as np
 
 from hallsym.errors import InputError, quoted
 from hallsym.log.groups import Group, GroupedSource
-from hallsym.log.table import TIME, Source, load
-from hallsym.log.text.cells import stems_of, unit_of
+from hallsym.log.table import TIME, load
+from hallsym.log.text.cells import unit_of
+from hallsym.log.vectors import Vectors
 from hallsym.units import Array
 
 _STAMP, _SINGLE = "header", "data"
@@ -49,7 +50,7 @@ def open_mcap(path: Path, clock: str | None = None) -> GroupedSource:
                 )
             elif rows:
                 schema = summary.schemas[channel.schema_id]
-                groups.append(Group(topic, Topic(path, topic, rows, schema, origin, left_out)))
+                groups.append(Group(topic, _topic(path, topic, rows, schema, origin, left_out)))
     return GroupedSource(where, "MCAP", groups, left_out, clock)
 
 
@@ -60,63 +61,47 @@ def _opened(path: Path) -> Iterator[Any]:
         yield load("mcap.reader").make_reader(stream, validate_crcs=True, decoder_factories=decoders)
 
 
-class Topic(Source):
-    """Numbers of the messages of one topic, which have one length throughout.
+@contextmanager
+def _messages(path: Path, topic: str, reverse: bool = False) -> Iterator[Any]:
+    """Open a topic: its messages, each with what was recorded of it, in the order of their times."""
+    with _opened(path) as reader:
+        found = reader.iter_decoded_messages(topics=[topic], reverse=reverse)
+        yield ((message, raw) for _, _, raw, message in found)
 
-    Time is that of the header's stamp, where a message has a header, else that of recording.
+
+def _topic(path: Path, name: str, rows: int, schema: Any, origin: int, left_out: dict[str, str]) -> Vectors:
+    """Return the numbers of the messages of a topic, which have one length throughout.
+
+    Time is that of the header's stamp, where a message has a header, else that of recording, in seconds from
+    `origin`, which is in nanoseconds.
     """
+    ends = []
+    for reverse in (False, True):
+        with _messages(path, name, reverse) as messages:
+            ends.append(next(messages))
+    leaves = dict(_leaves(ends[0][0]))
+    numbers = [path for path, v in leaves.items() if isinstance(v, int | float) and not isinstance(v, bool)]
+    left_out.update({_called(path): "it holds no numbers" for path in leaves if path not in numbers})
+    stamped = (_STAMP, "stamp", "sec") in numbers
+    paths = {_called(path): path for path in numbers if path[0] != _STAMP or len(path) == 1}
+    paths = {name.rpartition("/")[2]: path for path in paths.values()} if [*paths] == [_SINGLE] else paths
+    said = dict(_FIELD.findall(schema.data.decode("utf-8", "replace").split("\n====")[0]))
+    units = {key: unit_of(said.get(str(path[0]), "")) for key, path in paths.items()}
 
-    path: Path
+    def time(message: Any, raw: Any) -> float:
+        stamp = message.header.stamp if stamped else None
+        return ((stamp.sec * 1_000_000_000 + stamp.nanosec if stamp else raw.log_time) - origin) * 1e-9
 
-    def __init__(
-        self, path: Path, name: str, rows: int, schema: Any, origin: int, left_out: dict[str, str]
-    ) -> None:
-        """Look at the first and the last message; `origin`: nanoseconds that count as zero."""
-        self.path, self.name, self.rows, self.origin = path, name, rows, origin
-        head, tail = self._end(False), self._end(True)
-        leaves = dict(_leaves(head[0]))
-        numbers = [
-            path for path, v in leaves.items() if isinstance(v, int | float) and not isinstance(v, bool)
+    def read(messages: Iterator[Any], names: Sequence[str], lo: int, hi: int) -> list[Array]:
+        held = [
+            [time(message, raw) if n == TIME else _leaf(message, paths[n]) for n in names]
+            for message, raw in islice(messages, hi - lo)
         ]
-        left_out.update({_called(path): "it holds no numbers" for path in leaves if path not in numbers})
-        self.stamped = (_STAMP, "stamp", "sec") in numbers
-        paths = {_called(path): path for path in numbers if path[0] != _STAMP or len(path) == 1}
-        single = name.rpartition("/")[2] if [*paths] == [_SINGLE] else ""
-        said = dict(_FIELD.findall(schema.data.decode("utf-8", "replace").split("\n====")[0]))
-        texts = {single or key: unit_of(said.get(str(path[0]), "")) for key, path in paths.items()}
-        self.call(stems_of(texts, texts))
-        self.own = dict(zip(self.names, paths.values(), strict=True))
-        self.names, self.units = (*self.names, TIME), {**self.units, TIME: "s"}
-        self.since = "the stamps" if self.stamped else "the recording"
-        self.ends = self._time(*head), self._time(*tail)
+        return [np.array([row[k] for row in held]) for k in range(len(names))]
 
-    def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
-        """Yield consecutive chunks of `size` rows."""
-        rows, paths = 0, [self.own.get(name) for name in names]
-        with _opened(self.path) as reader:
-            messages = reader.iter_decoded_messages(topics=[self.name])
-            while held := [
-                [self._time(message, raw) if path is None else _leaf(message, path) for path in paths]
-                for _, _, raw, message in islice(messages, size)
-            ]:
-                rows += len(held)
-                columns = zip(names, zip(*held, strict=True), strict=True)
-                yield {name: np.array(values) for name, values in columns}
-        if rows != self.rows:
-            raise ValueError(f"topic {self.name} has {rows} of its {self.rows} messages")
-
-    def _time(self, message: Any, raw: Any) -> float:
-        """Return the time of a message in seconds since the origin."""
-        if not self.stamped:
-            return (raw.log_time - self.origin) * 1e-9
-        stamp = message.header.stamp
-        return (stamp.sec * 1_000_000_000 + stamp.nanosec - self.origin) * 1e-9
-
-    def _end(self, last: bool) -> tuple[Any, Any]:
-        with _opened(self.path) as reader:
-            for _, _, raw, message in reader.iter_decoded_messages(topics=[self.name], reverse=last):
-                return message, raw
-        raise ValueError(f"topic {self.name} holds none of its {self.rows} messages")
+    since = "the stamps" if stamped else "the recording"
+    first, last = (time(*end) for end in ends)
+    return Vectors({**units, TIME: "s"}, rows, read, partial(_messages, path, name), (first, last), since)
 
 
 def _leaves(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,9 @@ import numpy as np
 
 from hallsym.errors import quoted
 from hallsym.log.groups import Group, GroupedSource
-from hallsym.log.table import TIME, Source, load
-from hallsym.log.text.cells import split_header, stems_of, unit_of
+from hallsym.log.table import TIME, load
+from hallsym.log.text.cells import split_header, unit_of
+from hallsym.log.vectors import Vectors
 from hallsym.units import Array
 
 
@@ -24,8 +26,8 @@ def open_mdf(path: Path, clock: str | None = None) -> GroupedSource:
         stated = [(getattr(file.groups[k].channel_group, "acq_name", "") or "").strip() for k in filled]
         titles = [title or f"group {k}" for title, k in zip(stated, filled, strict=True)]
         names = [t if titles.count(t) == 1 else f"{t} {k}" for t, k in zip(titles, filled, strict=True)]
-        sources = [ChannelGroup(path, name, k, file, left_out) for name, k in zip(names, filled, strict=True)]
-    groups = [Group(source.name, source) for source in sources]
+        sources = [_channels(path, k, file, left_out) for k in filled]
+    groups = [Group(name, source) for name, source in zip(names, sources, strict=True)]
     return GroupedSource(quoted(path), "MDF", groups, left_out, clock)
 
 
@@ -35,48 +37,34 @@ def _opened(path: Path) -> Iterator[Any]:
         yield file
 
 
-class ChannelGroup(Source):
-    """One channel group; its master channel is the time."""
+def _channels(path: Path, index: int, file: Any, left_out: dict[str, str]) -> Vectors:
+    """Return one channel group; its master channel is the time. What holds numbers shows the first record."""
 
-    path: Path
+    def read(file: Any, names: Sequence[str], lo: int, hi: int) -> list[Array]:
+        signals = select(file, [places[name] for name in names], lo, hi - lo)
+        return [
+            np.asarray(s.timestamps, float) if name == TIME else _valid(s)
+            for name, s in zip(names, signals, strict=True)
+        ]
 
-    def __init__(self, path: Path, name: str, index: int, file: Any, left_out: dict[str, str]) -> None:
-        """Look at the first record: which channels hold numbers, and in what unit."""
-        self.path, self.name, self.index = path, name, index
-        group, master = file.groups[index], file.masters_db.get(index)
-        self.rows = int(group.channel_group.cycles_nr)
-        found, stated = dict[str, int](), dict[str, str | None]()
-        for k, channel in enumerate(group.channels):
-            signal = None if k == master else self._read(file, [k], 0, 1)[0]
-            if signal is not None and (signal.samples.dtype.kind not in "fiu" or signal.samples.ndim != 1):
-                left_out[split_header(channel.name)[0]] = "it holds no numbers"
-            elif signal is not None and channel.name not in found:
-                found[channel.name], stated[channel.name] = k, unit_of(signal.unit or "")
-        self.call(stems_of(found, stated))
-        self.own = dict(zip(self.names, found.values(), strict=True))
-        if master is not None and found:
-            self.since = "the start of the measurement"
-            one = [*self.own.values()][:1]
-            first, last = (self._read(file, one, row, 1)[0].timestamps[0] for row in (0, self.rows - 1))
-            self.ends = float(first), float(last)
-            self.names, self.units = (*self.names, TIME), {**self.units, TIME: "s"}
-
-    def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
-        """Yield consecutive chunks of `size` rows."""
-        asked = [self.own[name] for name in names if name != TIME] or [*self.own.values()][:1]
-        with _opened(self.path) as file:
-            for lo in range(0, self.rows, size):
-                count = min(size, self.rows - lo)
-                signals = dict(zip(asked, self._read(file, asked, lo, count), strict=True))
-                if any(len(s.samples) != count for s in signals.values()):
-                    held = lo + min(len(s.samples) for s in signals.values())
-                    raise ValueError(f"group '{self.name}' has {held} of its {self.rows} samples")
-                time = next(iter(signals.values())).timestamps.astype(np.float64)
-                yield {n: time if n == TIME else _valid(signals[self.own[n]]) for n in names}
-
-    def _read(self, file: Any, channels: Sequence[int], lo: int, count: int) -> list[Any]:
-        wanted = [(None, self.index, k) for k in channels]
+    def select(file: Any, channels: Sequence[int], lo: int, count: int) -> list[Any]:
+        wanted = [(None, index, k) for k in channels]
         return file.select(wanted, record_offset=lo, record_count=count, copy_master=False)
+
+    group, master = file.groups[index], file.masters_db.get(index)
+    places, units = dict[str, int](), dict[str, str | None]()
+    for k, channel in enumerate(group.channels):
+        signal = None if k == master else select(file, [k], 0, 1)[0]
+        if signal is not None and (signal.samples.dtype.kind not in "fiu" or signal.samples.ndim != 1):
+            left_out[split_header(channel.name)[0]] = "it holds no numbers"
+        elif signal is not None and channel.name not in places:
+            places[channel.name], units[channel.name] = k, unit_of(signal.unit or "")
+    rows, ends = int(group.channel_group.cycles_nr), None
+    if master is not None and places:
+        places[TIME], units[TIME] = next(iter(places.values())), "s"
+        first, last = (float(read(file, [TIME], at, at + 1)[0][0]) for at in (0, rows - 1))
+        ends = first, last
+    return Vectors(units, rows, read, partial(_opened, path), ends, "the start of the measurement")
 
 
 def _valid(signal: Any) -> Array:

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from hallsym.errors import InputError, quoted
-from hallsym.log.arrow import (
-    Seconds,
-    array_of,
-    is_numeric,
-    is_time,
-    name_the_time,
-    said_of_times,
-    source_of,
-)
-from hallsym.log.table import IN_MEMORY_ROWS, Arrays, Source, label, load
+from hallsym.log.arrow import Memory, Timed, distinct, is_numeric, is_time, source_of
+from hallsym.log.table import IN_MEMORY_ROWS, load
+from hallsym.log.text.cells import stems_of
+from hallsym.log.vectors import MOST_COLUMNS
 from hallsym.units import UNITS, Array
 
 _BUFFER = 1 << 20
@@ -26,43 +20,39 @@ _THREADS = 131_072
 """Rows from which on columns are decoded by several threads: starting them costs more than a shorter file."""
 
 
-class ParquetSource(Source):
-    """Columns of one Parquet file; a large one is decoded batch by batch. Times are in seconds."""
-
-    clocks: dict[str, Seconds]
+class ParquetSource(Timed):
+    """Columns of one Parquet file; a large one is decoded batch by batch."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         with self._opened() as file:
             schema, self.rows = file.schema_arrow, int(file.metadata.num_rows)
-        times = [k for k, kind in enumerate(schema.types) if is_time(kind)]
         self.small = self.rows <= IN_MEMORY_ROWS
-        self.notes = tuple(said_of_times(schema.names[k], quoted(path), "times") for k in times)
-        self.names = tuple(schema.names)
-        name_the_time(self, times)
+        times = {k: "" for k, kind in enumerate(schema.types) if is_time(kind)}
+        self.take(stems_of(distinct(schema.names, quoted(path))), times, quoted(path))
         self._own = dict(zip(self.names, schema, strict=True))
-        self.clocks = {}
 
-    def read(self, names: Sequence[str]) -> Mapping[str, Array]:
-        """Return whole columns."""
-        asked = self._asked(names)
+    def texts(self, name: str) -> list[object]:
+        """Return the cells of one column."""
         with self._opened() as file:
-            table = file.read(columns=[own for own, _ in asked.values()], use_threads=self.rows >= _THREADS)
-            return {name: made(table.column(own)) for name, (own, made) in asked.items()}
-
-    def labels(self, name: str) -> list[str]:
-        """Return one column of text or numbers as text."""
-        with self._opened() as file:
-            own = self._own[name].name
-            return [label(value) for value in file.read(columns=[own]).column(own).to_pylist()]
+            return list(file.read([self._own[name].name]).column(0).to_pylist())
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
-        """Yield batches of at most `size` rows."""
-        asked = self._asked(names)
-        with self._opened(buffer_size=_BUFFER) as file:
-            columns = [own for own, _ in asked.values()]
-            for batch in file.iter_batches(batch_size=size, columns=columns, use_threads=False):
-                yield {name: made(batch.column(own)) for name, (own, made) in asked.items()}
+        """Yield batches of at most `size` rows; of a small file everything at once."""
+        fields = [self._own[name] for name in names]
+        for field in fields:
+            if not (is_time(field.type) or is_numeric(field.type)):
+                raise InputError(
+                    f"Column '{field.name}' of {self.path} must hold numbers; it holds {field.type}."
+                )
+        readers, own = [self.reader(name) for name in names], [field.name for field in fields]
+        with self._opened(buffer_size=0 if self.small else _BUFFER) as file:
+            batches = [file.read(own, use_threads=self.rows >= _THREADS)] if self.small else None
+            for batch in batches or file.iter_batches(size, columns=own, use_threads=False):
+                yield {
+                    name: array(batch.column(column))
+                    for name, array, column in zip(names, readers, own, strict=True)
+                }
 
     @contextmanager
     def _opened(self, **options: Any) -> Iterator[Any]:
@@ -71,18 +61,8 @@ class ParquetSource(Source):
         with parquet.ParquetFile(self.path, page_checksum_verification=True, **options) as file:
             yield file
 
-    def _asked(self, names: Sequence[str]) -> dict[str, tuple[str, Callable[[Any], Array]]]:
-        """Return the file's name of each column, and what makes an array of its chunks in one pass."""
-        for field in (self._own[name] for name in names):
-            if not (is_time(field.type) or is_numeric(field.type)):
-                raise InputError(
-                    f"Column '{field.name}' of {self.path} must hold numbers; it holds {field.type}."
-                )
-        self.clocks |= {name: Seconds() for name in names if is_time(self._own[name].type)}
-        return {name: (self._own[name].name, self.clocks.get(name, array_of)) for name in names}
 
-
-def open_feather(path: Path) -> Arrays:
+def open_feather(path: Path) -> Memory:
     """Open a file or a stream of Arrow (Feather)."""
     arrow = load("pyarrow")
     stream = arrow.memory_map(str(path))
@@ -94,35 +74,44 @@ def open_feather(path: Path) -> Arrays:
     return source_of(table, quoted(path))
 
 
-def open_json(path: Path) -> Arrays:
+def open_json(path: Path) -> Memory:
     """Open lines of JSON objects with the same keys, a list of them, or one object of lists.
 
-    Of an object in an object each entry is a column. A unit behind the name of an object is that of its
-    columns: {"hall_um": {"a": 1.5}} is `hall_a_um`.
+    Of an object, or a list, in an object each entry is a column. A unit behind its name is that of its
+    columns: {"hall_um": {"a": 1.5}} is `hall_a_um`, {"hall_um": [1.5]} is `hall_0_um`. What one object holds
+    at any depth are columns, those that are as long as the longest.
     """
     arrow = load("pyarrow")
     try:
         whole = json.loads(path.read_bytes())
+        table = arrow.Table.from_pylist(whole if isinstance(whole, list) else [whole])
     except json.JSONDecodeError:  # several objects
         table = load("pyarrow.json").read_json(path)
-    else:
-        lists = {k: v for k, v in whole.items() if isinstance(v, list)} if isinstance(whole, dict) else {}
-        rows = whole if isinstance(whole, list) else [whole]
-        table = arrow.table(lists) if lists else arrow.Table.from_pylist(rows)
-    names = list(table.column_names)
-    while any(arrow.types.is_struct(kind) for kind in table.schema.types):
-        names = [name for k, column in enumerate(names) for name in _within(column, table.schema.types[k])]
-        table = table.flatten()
-    return source_of(table.rename_columns(names), quoted(path))
+    one = table.num_rows == 1
+    named = zip(table.column_names, table.columns, strict=True)
+    parts = [part for name, column in named for part in _parts(name, column, one)]
+    rows = max((len(column) for _, column in parts), default=0)
+    parts = [(name, column) for name, column in parts if len(column) == rows]
+    return source_of(arrow.table([c for _, c in parts], [name for name, _ in parts]), quoted(path))
 
 
-def _within(name: str, kind: Any) -> list[str]:
-    """Return the names of the columns that an object holds; of a column, its own."""
-    if not load("pyarrow").types.is_struct(kind):
-        return [name]
+def _parts(name: str, column: Any, one: bool) -> Iterator[tuple[str, Any]]:
+    """Yield the columns that a column of objects or lists holds, by name; of one object by their own."""
+    types, compute, kind = load("pyarrow").types, load("pyarrow.compute"), column.type
     stem, _, last = name.rpartition("_")
-    unit = f"_{last}" if stem and last in UNITS else ""
-    return [f"{stem if unit else name}_{field.name}{unit}" for field in kind]
+    stem, unit = (stem, f"_{last}") if stem and last in UNITS else (name, "")
+    sizes = compute.min_max(compute.list_value_length(column)).as_py() if types.is_list(kind) else {}
+    if types.is_list(kind) and one:
+        yield from _parts(name, compute.list_flatten(column), one)
+    elif types.is_struct(kind):
+        for k, field in enumerate(kind):
+            under = field.name if one else f"{stem}_{field.name}{unit}"
+            yield from _parts(under, compute.struct_field(column, k), one)
+    elif sizes.get("max") and sizes["min"] == sizes["max"] <= MOST_COLUMNS:
+        for k in range(sizes["max"]):
+            yield from _parts(f"{stem}_{k}{unit}", compute.list_element(column, k), one)
+    else:
+        yield name, column
 
 
 class ParquetWriter:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,21 +13,21 @@ import numpy as np
 
 from hallsym.errors import InputError, quoted
 from hallsym.log.groups import Group, GroupedSource
-from hallsym.log.table import TIME, Source, exact, load
-from hallsym.log.text.cells import stems_of, unit_of
+from hallsym.log.table import TIME, load
+from hallsym.log.text.cells import unit_of
+from hallsym.log.vectors import Opened, Vectors
 from hallsym.units import Array
 
 _STEP, _START, _OFFSET = "wf_increment", "wf_start_time", "wf_start_offset"
 """Properties of a channel that was sampled by a clock: seconds, moment, seconds."""
-_NANOSECOND = np.timedelta64(1, "ns")
 _UNITS = ("unit_string", "NI_UnitDescription")
 """Properties that state a unit, the more usual one first."""
 
 
 def open_tdms(path: Path, clock: str | None = None) -> GroupedSource:
     """Open a TDMS file; `clock`: as `GroupedSource` reads it."""
-    where = quoted(path)
-    with _opened(path) as file:
+    where, opened = quoted(path), partial(_opened, path)
+    with opened() as file:
         if file.file_status.incomplete_final_segment:
             raise InputError(f"Log {where} must be a complete TDMS file; its last segment is cut short.")
         left_out: dict[str, str] = {}
@@ -43,7 +44,7 @@ def open_tdms(path: Path, clock: str | None = None) -> GroupedSource:
             clocks |= {f"{group.name}/{m[0].name}" if several else group.name: m for m in own.values()}
         starts = [_start(channels[0]) for channels in clocks.values()]
         origin = min((start for start in starts if start is not None), default=None)
-        groups = [Group(name, Channels(path, name, members, origin)) for name, members in clocks.items()]
+        groups = [Group(name, _channels(own, origin, opened, file)) for name, own in clocks.items()]
     return GroupedSource(where, "TDMS", groups, left_out, clock)
 
 
@@ -60,57 +61,35 @@ def _opened(path: Path) -> Iterator[Any]:
         yield file
 
 
-class Channels(Source):
-    """Channels of one TDMS group with one clock: increment, start and length; or a channel of moments."""
+def _channels(channels: Sequence[Any], origin: Any, opened: Opened, file: Any) -> Vectors:
+    """Return channels of a group that share the clock of the first: its increment and start, or moments.
 
-    path: Path
+    Time counts from `origin`, a moment; where no channel states one, from its own zero.
+    """
+    first, group, start = channels[0], channels[0].group_name, _start(channels[0])
+    step, offset = (float(first.properties.get(key) or 0.0) for key in (_STEP, _OFFSET))
+    offset += 0.0 if start is None else _seconds(start, origin)
+    units = {c.name: _unit(c) for c in channels if c.dtype.kind in "fiu"}
+    moments = None if step else next((c for c in channels if c.dtype.kind == "M"), None)
+    clock = moments.name if moments else ""
+    zero = moments[0] if moments and origin is None else origin
 
-    def __init__(self, path: Path, name: str, channels: Sequence[Any], origin: Any) -> None:
-        """Take the channels of numbers of a group, which share the clock of the first.
+    def read(file: Any, names: Sequence[str], lo: int, hi: int) -> list[Array]:
+        return [time(file, lo, hi) if n == TIME else np.asarray(file[group][n][lo:hi]) for n in names]
 
-        Time counts from `origin`, a moment; where no channel states one, from its own zero.
-        """
-        self.path, self.name, self.group = path, name, channels[0].group_name
-        numbers = {c.name: _unit(c) for c in channels if c.dtype.kind in "fiu"}
-        self.call(stems_of(numbers, numbers))
-        self.own = dict(zip(self.names, numbers, strict=True))
-        self.rows, properties, start = len(channels[0]), channels[0].properties, _start(channels[0])
-        self.step, self.offset = (float(properties.get(key) or 0.0) for key in (_STEP, _OFFSET))
-        moments = None if self.step else next((c for c in channels if c.dtype.kind == "M"), None)
-        self.moments = moments.name if moments else ""
-        self.since = "a moment" if start is not None or moments else "zero"
-        if self.step:
-            self.offset += 0.0 if start is None else float((start - origin) / _NANOSECOND) * 1e-9
-            self.ends = self.offset, self.offset + self.step * (self.rows - 1)
-        elif moments:
-            self.origin = moments[0] if origin is None else origin
-            self.ends = float(self._seconds(moments[0])), float(self._seconds(moments[-1]))
-        if self.step or moments:
-            self.names, self.units = (*self.names, TIME), {**self.units, TIME: "s"}
+    def time(file: Any, lo: int, hi: int) -> Array:
+        return offset + step * np.arange(lo, hi) if step else _seconds(file[group][clock][lo:hi], zero)
 
-    def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
-        """Yield consecutive chunks of `size` rows."""
-        with _opened(self.path) as file:
-            pieces = {name: exact(self._pieces(file, name, size), size, [name]) for name in names}
-            for parts in zip(*pieces.values(), strict=True):
-                yield {name: part[name] for name, part in zip(pieces, parts, strict=True)}
+    ends = None
+    if step or moments:
+        units[TIME] = "s"
+        ends = float(time(file, 0, 1)[0]), float(time(file, len(first) - 1, len(first))[0])
+    since = "a moment" if start is not None or moments else "zero"
+    return Vectors(units, len(first), read, opened, ends, since)
 
-    def _pieces(self, file: Any, name: str, size: int) -> Iterator[Mapping[str, Array]]:
-        """Yield a channel in the chunks of the file; `size`: of those of a time that is none."""
-        if name == TIME and self.step:
-            for lo in range(0, self.rows, size):
-                yield {name: self.offset + self.step * np.arange(lo, min(lo + size, self.rows))}
-            return
-        rows, channel = 0, file[self.group][self.moments if name == TIME else self.own[name]]
-        for chunk in channel.data_chunks():
-            values = np.asarray(chunk[:])
-            rows += len(values)
-            yield {name: self._seconds(values) if name == TIME else values}
-        if rows != self.rows:
-            raise ValueError(f"channel '{channel.name}' has {rows} of its {self.rows} values")
 
-    def _seconds(self, moments: Any) -> Any:
-        return (moments - self.origin) / _NANOSECOND * 1e-9
+def _seconds(moments: Any, zero: Any) -> Any:
+    return (moments - zero) / np.timedelta64(1, "ns") * 1e-9
 
 
 def _unit(channel: Any) -> str | None:

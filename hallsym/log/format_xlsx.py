@@ -2,43 +2,34 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
-from hallsym.errors import InputError, nearest, quoted
+from hallsym.errors import InputError, quoted
+from hallsym.log.containers import one_of
 from hallsym.log.format_csv import CsvSource
 from hallsym.log.table import Source, load
 
 
 def open_workbook(path: Path, sheet: str | None = None, decimal: str | None = None) -> Source:
-    """Open one sheet of a workbook: the one that holds cells, or the one that is named.
+    """Open one sheet of a workbook, or several as runs (`one_of`).
 
-    Its cells are a table as one of text is, with one row a line: lines above it, a row of units and words
+    Cells are a table as one of text is, with one row a line: lines above it, a row of units and words
     below it are recognised in the same way.
     """
     book = load("python_calamine").CalamineWorkbook.from_path(str(path))
     filled = {name: rows for name in book.sheet_names if (rows := _rows(book, name))}
-    if sheet is not None and sheet not in filled:
-        raise InputError(
-            f"{quoted(path)} has no sheet '{sheet}' with cells{nearest(sheet, list(filled))}; it has "
-            f"{', '.join(filled) or 'none'}."
-        )
-    if not filled:
-        raise InputError(
-            f"{quoted(path)} is empty: it must hold a row of column names and one row per sample."
-        )
-    if sheet is None and len(filled) > 1:
-        raise InputError(
-            f"{quoted(path)} has {len(filled)} sheets with cells ({', '.join(filled)}): say which one holds"
-            f" the log with --sheet {quoted(next(iter(filled)))} (in Python sheet=...)."
-        )
-    chosen = sheet or next(iter(filled))
-    text = "\n".join("\t".join(map(_text, row)) for row in filled[chosen]) + "\n"
-    data = text.encode()
-    return CsvSource(path, "\t", decimal, lambda: io.BytesIO(data), chosen)
+    tables: dict[str, Source] = {}
+    for name, rows in filled.items():
+        text = "\n".join("\t".join(map(_text, row)) for row in rows) + "\n"
+        try:
+            tables[name] = CsvSource(path, "\t", decimal, text.encode(), name)
+        except InputError:  # a sheet of remarks, unless it is the one
+            if name == sheet or len(filled) == 1:
+                raise
+    return one_of(quoted(path), "sheet", tables, sheet)
 
 
 def _rows(book: Any, name: str) -> list[list[Any]]:

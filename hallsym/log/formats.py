@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec import structs
 
-from hallsym.errors import InputError, quoted, require
+from hallsym.errors import InputError, nearest, quoted, require
 from hallsym.files import reading, regular
 from hallsym.log.apart import Apart, about
 from hallsym.log.arrow import source_of
@@ -27,10 +28,11 @@ from hallsym.log.columns import (
     read_column_file,
     still_missing,
 )
+from hallsym.log.containers import by_signal, open_sqlite, unpacked
 from hallsym.log.core import Log
 from hallsym.log.format_csv import CsvSource
 from hallsym.log.format_hdf5 import open_hdf5
-from hallsym.log.format_mat import open_mat, open_npz
+from hallsym.log.format_mat import open_mat, open_numpy
 from hallsym.log.format_mcap import open_mcap
 from hallsym.log.format_mdf import open_mdf
 from hallsym.log.format_parquet import ParquetSource, open_feather, open_json
@@ -69,10 +71,12 @@ FORMATS = (
     ),
     Format("feather", (".feather", ".arrow", ".arrows"), open_feather, "Feather"),
     Format("json", (".jsonl", ".ndjson"), open_json, "JSON lines"),
+    Format("json", (".json",), open_json, "JSON", found=False),  # beside a log it says what that is
     Format("hdf5", (".h5", ".hdf5"), partial(Apart, open_hdf5), "HDF5", ("clock",)),
     Format("mat", (".mat",), partial(Apart, open_mat), "MATLAB", ("clock",)),
-    Format("npz", (".npz",), open_npz, "NumPy", ("clock",)),
+    Format("npz", (".npz", ".npy"), open_numpy, "NumPy", ("clock",)),
     Format("xlsx", (".xlsx", ".xlsm", ".xls", ".ods"), open_workbook, "workbook", ("sheet", "decimal")),
+    Format("sqlite", (".sqlite", ".sqlite3", ".db"), open_sqlite, "SQLite", ("sheet",)),
     Format("tdms", (".tdms",), open_tdms, "TDMS", ("clock",)),
     Format("mdf", (".mf4", ".mdf"), partial(Apart, open_mdf), "MDF", ("clock",)),
     Format("mcap", (".mcap",), partial(Apart, open_mcap), "MCAP", ("clock",)),
@@ -80,7 +84,7 @@ FORMATS = (
 )
 
 
-COMPRESSED = ".gz"
+COMPRESSED, ARCHIVE = ".gz", ".zip"
 
 
 def format_of(path: Path, name: str | None = None) -> Format:
@@ -93,9 +97,10 @@ def format_of(path: Path, name: str | None = None) -> Format:
             return entry
     known = [entry.name for entry in FORMATS]
     require(name is None, "Format", f"one of {', '.join(known)}", name, known)
-    suffixes = ", ".join(suffix for entry in FORMATS for suffix in entry.suffixes)
+    near = nearest(suffix, [ending for entry in FORMATS for ending in entry.suffixes])
     raise InputError(
-        f"File {path} must end with one of {suffixes}, or its format must be stated; it ends '{path.suffix}'."
+        f"File {quoted(path)} cannot be read by its ending '{path.suffix}'{near}; give its --format, or"
+        " export it as .csv: 'hallsym info --help' lists the endings."
     )
 
 
@@ -114,9 +119,6 @@ class Guarded(Source):
         self.inner: Source = self._asked(open, path)
         vars(self).update(about(self.inner))
         self._possible(getattr(self.inner, "rows", 0))
-        if len(set(self.names)) < len(self.names):
-            name = next(name for k, name in enumerate(self.names) if name in self.names[:k])
-            raise InputError(f"Columns of {quoted(self.path)} must have different names; '{name}' is twice.")
         if RUN in self.left_out:
             raise InputError(
                 f"Column run of {quoted(self.path)} cannot be used: {self.left_out[RUN]}; write it again."
@@ -126,17 +128,13 @@ class Guarded(Source):
         """Return the number of rows."""
         return self._possible(self._asked(self.inner.count))
 
-    def read(self, names: Sequence[str]) -> Mapping[str, Array]:
-        """Return whole columns, each of shape (rows,)."""
-        return self._judged(names, self._asked(self.inner.read, names))
-
     def head(self, count: int, most: int) -> list[list[str]]:
         """Return the first rows as text."""
         return self._asked(self.inner.head, count, most)
 
-    def labels(self, name: str) -> list[str]:
-        """Return a column of names, as text."""
-        return self._asked(self.inner.labels, name)
+    def texts(self, name: str) -> Sequence[object] | None:
+        """Return the cells of a column."""
+        return self._asked(self.inner.texts, name)
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most about `size` rows."""
@@ -159,19 +157,16 @@ class Guarded(Source):
 
     def _judged(self, names: Sequence[str], columns: Mapping[str, Array]) -> Mapping[str, Array]:
         """Return columns of numbers of one length; refuse others, which would be cut or taken for numbers."""
-        rows = None
+        where = quoted(self.path)
         for name in names:
-            values = np.asarray(columns[name])
+            values, first = np.asarray(columns[name]), np.shape(columns[names[0]])
             if values.dtype.kind not in "fiu":
                 what = "booleans" if values.dtype.kind == "b" else "other values"
+                raise InputError(f"Column '{name}' of {where} must hold numbers; it holds {what}.")
+            if values.ndim != 1 or values.shape != first:
                 raise InputError(
-                    f"Column '{name}' of {quoted(self.path)} must hold numbers; it holds {what}."
-                )
-            rows = values.shape if rows is None else rows
-            if values.ndim != 1 or values.shape != rows:
-                raise InputError(
-                    f"Columns of {quoted(self.path)} must be equally long; '{name}' has {values.shape} "
-                    f"values, '{names[0]}' {rows}."
+                    f"Columns of {where} must be equally long; '{name}' has {values.shape} values, "
+                    f"'{names[0]}' {first}."
                 )
         return columns
 
@@ -231,9 +226,8 @@ def read_log(
     wanted = _resolve(mapped, source)
     again = still_missing(_resolve(remembered or {}, source), source.names, wanted, source.units, where)
     wanted |= again
-    counts = stated.counts_per_turn or meta.raw.get("counts_per_turn")
-    counts = counts if counts_per_turn is None else counts_per_turn
-    turn = None if counts is None else counts_in_turn(counts, where)
+    given_turn = (counts_per_turn, stated.counts_per_turn, meta.raw.get("counts_per_turn"))
+    turn = next((counts_in_turn(counts, where) for counts in given_turn if counts is not None), None)
     bindings, changed = bind(source.names, wanted, where, turn, source.units)
     table = Table(source, bindings, where)
     table.open = stated.open
@@ -249,16 +243,14 @@ def read_log(
     known = _noise(meta, stated, noise or {}, table)
     meta = replace(meta, columns=table.columns)
     unused = check_noise_keys(meta.noise_1sigma, table.columns, "meta.json", strict=False)
-    left = (
-        [f"meta.json states the noise of {', '.join(unused)}, which the log does not have."] if unused else []
-    )
-    renamed = ", ".join(f"{ours} is '{theirs.name}'" for ours, theirs in again.items() if ours != theirs.name)
-    as_before = [f"Columns are named as in the calibration: {renamed}."] if renamed else []
-    left += [
-        f"Column {name} is left out: {why}." for name, why in source.left_out.items() if split_unit(name)[1]
-    ]
-    notes = (*table.notes, *said, *source.notes, *left, *changed, *as_before)
-    log = Log(table, known, meta, file, notes)
+    notes = [*table.notes, *said, *source.notes]
+    if unused:
+        notes.append(f"meta.json states the noise of {', '.join(unused)}, which the log does not have.")
+    left_out = {name: why for name, why in source.left_out.items() if split_unit(name)[1]}
+    notes += [f"Column {name} is left out: {why}." for name, why in left_out.items()] + changed
+    if renamed := [f"{ours} is '{theirs.name}'" for ours, theirs in again.items() if ours != theirs.name]:
+        notes.append(f"Columns are named as in the calibration: {', '.join(renamed)}.")
+    log = Log(table, known, meta, file, tuple(notes))
     return clean_log(log) if drop_bad else log
 
 
@@ -276,22 +268,19 @@ def _answered(
 ) -> tuple[Opened, tuple[str, ...]]:
     """Open a file as `open_source` does; where it leaves something open, as an earlier one was read."""
     known = {name: text for name, text in read_with.items() if name in given and given[name] is None}
-    plain, helped = dict(given), {**given, **known}
-    refused: dict[bool, InputError] = {}
+    words = ", ".join(f"{name} {text!r}" for name, text in known.items())
+    tried = [(given, ()), ({**given, **known}, (f"The file is read as the calibration's log was: {words}.",))]
+    errors = []
     # a delimiter was stated because another one was recognised; the rest because it was asked for
-    for options in (helped, plain) if "delimiter" in known else (plain, helped):
+    for options, notes in tried[:: -1 if "delimiter" in known else 1] if known else tried[:1]:
         try:
             opened = open_source(path, **options)
-            if opened.source.unstated:
-                raise InputError(opened.source.unstated)
+            if not opened.source.unstated:
+                return opened, notes
+            errors.append(InputError(opened.source.unstated))
         except InputError as error:
-            refused[options is plain] = error
-            continue
-        if options is plain or not known:
-            return opened, ()
-        words = ", ".join(f"{name} {text!r}" for name, text in known.items())
-        return opened, (f"The file is read as the calibration's log was: {words}.",)
-    raise refused[True]  # without the help of an earlier one
+            errors.append(error)
+    raise errors["delimiter" in known]  # without the help of an earlier one
 
 
 def files_of(path: str | Path) -> list[Path]:
@@ -302,6 +291,10 @@ def files_of(path: str | Path) -> list[Path]:
     """
     path = Path(path)
     suffixes = [suffix for entry in FORMATS if entry.found for suffix in entry.suffixes]
+    if path.suffix.lower() == ARCHIVE and path.is_file():
+        regular(path, "Log")
+        with reading(path, "Log", "must be a complete archive; it is cut short or damaged"):
+            path = unpacked(path, suffixes)
     if path.is_dir():
         logs = [path / f"log{suffix}" for suffix in suffixes if (path / f"log{suffix}").is_file()]
         found = logs[:1] or _alike(path.iterdir(), suffixes) or _alike(path.glob("*/*"), suffixes)
@@ -347,7 +340,7 @@ def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> S
         options["delimiter"] = stated_delimiter(options["delimiter"])
     fault = f"must be a complete {entry.kind} file; it is cut short or damaged"
     source = Guarded(file, partial(entry.open, **options), fault)
-    found = side_by_side(source, quoted(file))
+    found = by_signal(side_by_side(source, quoted(file)), quoted(file))
     found.read_with = {**({"format": format} if format else {}), **options}
     return found
 
@@ -400,7 +393,7 @@ def open_source(
 def _resolve(wanted: Mapping[str, str | Foreign], source: Source) -> dict[str, Foreign]:
     """Let a mapping use a column's long name (`log.HallA`) as well as its short one."""
     entries = {ours: Foreign(e) if isinstance(e, str) else e for ours, e in wanted.items()}
-    return {ours: replace(e, name=source.aliases.get(e.name, e.name)) for ours, e in entries.items()}
+    return {ours: structs.replace(e, name=source.aliases.get(e.name, e.name)) for ours, e in entries.items()}
 
 
 def _noise(meta: Meta, stated: ColumnFile, given: Mapping[str, float], table: Table) -> Noise:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +76,16 @@ class Source(ABC):
 
     def labels(self, name: str) -> list[str]:
         """Return a column of names, as text; whole numbers are names too: 7.0 is "7"."""
-        return [label(value) for value in self.read([name])[name].tolist()]
+        try:
+            return [label(value) for value in self.read([name])[name].tolist()]
+        except InputError:
+            if (texts := self.texts(name)) is None:
+                raise
+            return list(map(label, texts))
+
+    def texts(self, name: str) -> Sequence[object] | None:
+        """Return the cells of a column that holds no numbers; None where a format has no such column."""
+        return None
 
     def call(self, columns: Mapping[str, tuple[str, str | None]]) -> None:
         """Take names of columns, each with the file's own text and the unit (`stems_of`)."""
@@ -215,16 +223,7 @@ class Table:
     @property
     def mapping(self) -> dict[str, Foreign]:
         """The columns that somebody mapped: our name, with the unit where it was stated, and the file's."""
-        return {
-            b.asked: replace(b.foreign, counts_per_turn=b.counts_per_turn)
-            for b in self.bindings.values()
-            if b.foreign
-        }
-
-    @property
-    def read_with(self) -> Mapping[str, str]:
-        """The options that the file was read with."""
-        return self.source.read_with
+        return {b.asked: b.foreign for b in self.bindings.values() if b.asked and b.foreign}
 
     def counts_per_turn(self, column: str) -> float | None:
         """Return how many counts of the file make a turn, for an angle in counts."""

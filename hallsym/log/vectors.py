@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from hallsym.errors import InputError
 from hallsym.log.columns import RUN_WORDS, TIME_WORDS
 from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.table import Arrays, Source
-from hallsym.log.text.cells import split_header, unit_of
+from hallsym.log.text.cells import split_header, stems_of, unit_of
 from hallsym.units import UNITS, Array
 
 MOST_COLUMNS = 100
@@ -25,38 +25,68 @@ Opened = Callable[[], AbstractContextManager[Any]]
 """Opens the file that vectors are read from."""
 
 
-@dataclass(frozen=True)
-class Vector:
+class Stored(NamedTuple):
+    """An array in a file, with named fields perhaps: its shape and type, and the unit that the file states.
+
+    `find` takes the opened file and a field, "" without one, and returns what indices of numpy read. `fault`:
+    why it cannot be used.
+    """
+
+    shape: tuple[int, ...]
+    dtype: Any
+    find: Callable[[Any, str], Any]
+    unit: str | None = None
+    fault: str = ""
+
+
+class Vector(NamedTuple):
     """A column of numbers: its length, what reads samples from one on to before another, and its unit."""
 
     rows: int
     read: Callable[[Any, int, int], Array]
-    unit: str | None = None
+    unit: str | None
 
 
 class Vectors(Source):
-    """Vectors of one length, which are read while `opened`."""
+    """Vectors of one length, by name with their units, that `read` takes from a file while it is `opened`."""
 
-    def __init__(self, vectors: Mapping[str, Vector], opened: Opened = nullcontext) -> None:
-        self.vectors, self.names, self.opened = dict(vectors), tuple(vectors), opened
-        self.rows = next(iter(vectors.values())).rows
-        self.units = {name: vector.unit for name, vector in vectors.items() if vector.unit}
+    def __init__(
+        self,
+        units: Mapping[str, str | None],
+        rows: int,
+        read: Callable[[Any, Sequence[str], int, int], Sequence[Array]],
+        opened: Opened = nullcontext,
+        ends: tuple[float, float] | None = None,
+        since: str = "",
+    ) -> None:
+        """Take the names. `read` returns samples from one on to before another, asked for in their order.
+
+        `TIME` may be one of the names, of a time that the format gives, with its `ends` and what it counts
+        from, `since`.
+        """
+        self.call(stems_of([*units], [*units.values()]))
+        self.own = dict(zip(self.names, units, strict=True))
+        self.rows, self.take, self.opened, self.ends, self.since = rows, read, opened, ends, since
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most `size` rows."""
         with self.opened() as file:
             for lo in range(0, self.rows, size):
-                yield {name: self.vectors[name].read(file, lo, min(lo + size, self.rows)) for name in names}
+                hi = min(lo + size, self.rows)
+                part = dict(zip(names, self.take(file, [self.own[n] for n in names], lo, hi), strict=True))
+                if short := next((name for name, values in part.items() if len(values) < hi - lo), None):
+                    held = lo + len(part[short])
+                    raise ValueError(f"channel '{short}' has {held} of its {self.rows} values")
+                yield part
 
 
-def columns_of(
-    path: str, shape: Sequence[int], kind: str, read: Callable[..., Array], unit: str | None = None
-) -> tuple[dict[str, Vector], str]:
-    """Return the columns of an array by path, or why there are none ("" for what is no array of numbers).
+def columns_of(path: str, array: Stored, field: str) -> tuple[dict[str, Vector], str]:
+    """Return the columns of a field of an array by path, or why there are none ("": it is none of numbers).
 
-    `read` takes the opened file and an index of numpy. A matrix becomes a column for each of its rows or
-    columns, whichever are fewer, `name_0` to `name_k`; a row or column matrix, MATLAB's vector, is one.
+    A matrix becomes a column for each of its rows or columns, whichever are fewer, `name_0` to `name_k`; a
+    row or column matrix, MATLAB's vector, is one.
     """
+    shape, kind = array.shape, (array.dtype[field] if field else array.dtype).kind
     sizes = [n for n in shape if n != 1] or [1]
     if kind not in "fiub" or (kind == "b" and not shape):
         return {}, ""
@@ -64,22 +94,24 @@ def columns_of(
         return {}, "it holds booleans, not numbers"
     if len(sizes) > 2 or (len(sizes) == 2 and (min(sizes) > MOST_COLUMNS or len(shape) > 2)):
         return {}, f"it is an array of {' x '.join(map(str, shape))}"
+    if array.fault:
+        return {}, array.fault
     axis = int(np.argmax(shape)) if shape else -1
 
-    def column(k: int) -> Callable[[Any, int, int], Array]:
-        def values(file: Any, lo: int, hi: int) -> Array:
+    def column(k: int, unit: str | None) -> Vector:
+        def read(file: Any, lo: int, hi: int) -> Array:
             index = tuple(slice(lo, hi) if n == axis else k for n in range(len(shape)))
-            return np.atleast_1d(read(file, index))
+            return np.atleast_1d(array.find(file, field)[index])
 
-        return values
+        return Vector(max(sizes), read, unit)
 
     if len(sizes) == 1:
-        return {path: Vector(sizes[0], column(0), unit)}, ""
+        return {path: column(0, array.unit)}, ""
     stem, own = split_header(path)
     last = path.rpartition("_")[2]
     if own is None and last in UNITS and (len(last) > 1 or last in "msv"):
         stem, own = path.rpartition("_")[0], last
-    return {f"{stem}_{k}": Vector(max(sizes), column(k), unit or own) for k in range(min(sizes))}, ""
+    return {f"{stem}_{k}": column(k, array.unit or own) for k in range(min(sizes))}, ""
 
 
 def unit_in(attributes: Mapping[str, object]) -> str | None:
@@ -157,16 +189,26 @@ def runs_of(paths: Sequence[Sequence[str]]) -> int:
     return 0
 
 
+def _each(own: Mapping[str, Vector], file: Any, names: Sequence[str], lo: int, hi: int) -> list[Array]:
+    return [own[name].read(file, lo, hi) for name in names]
+
+
 def arranged(
     where: str,
     kind: str,
-    vectors: Mapping[str, Vector],
+    arrays: Mapping[str, Stored],
     left_out: Mapping[str, str],
     by: str,
     clock: str | None,
     opened: Opened = nullcontext,
 ) -> Source:
-    """Return the table of vectors by path; `by` stands between the parts of a path."""
+    """Return the table of arrays by path; `by` stands between the parts of a path."""
+    vectors, left_out = dict[str, Vector](), dict(left_out)
+    for path, array in arrays.items():
+        for field in array.dtype.names or ("",):
+            columns, why = columns_of(f"{path}{by}{field}" if field else path, array, field)
+            vectors |= columns
+            left_out |= {path.rpartition(by)[2]: why} if why else {}
     runs = runs_of([path.split(by) for path in vectors])
     paths: dict[str, dict[str, Vector]] = {}
     for path, vector in vectors.items():
@@ -182,6 +224,6 @@ def arranged(
                 f" {' and '.join(map(str, sorted(sizes)))} values: the recording of this run broke off."
             )
         for rows in sizes:
-            members = {name: vector for name, vector in own.items() if vector.rows == rows}
-            found.append(Group(group, Vectors(members, opened)))
+            units = {name: vector.unit for name, vector in own.items() if vector.rows == rows}
+            found.append(Group(group, Vectors(units, rows, partial(_each, own), opened)))
     return GroupedSource(where, kind, found, left_out, clock, by=by)

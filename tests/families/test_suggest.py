@@ -65,6 +65,24 @@ def test_readings_without_a_name_are_found_by_what_they_move_with(columns: dict[
     assert made["hall_c"] == ("U5", "mm", 1)
 
 
+def test_numbered_readings_of_any_name_are_the_channels_in_order(columns: dict[str, np.ndarray]) -> None:
+    """Also names written with the letter of their axis, and a time of which only the unit tells."""
+    names = {f"hall_{c}_m": (f"S{k} [um]", 1e6) for k, c in enumerate("abc")}
+    names |= {"x_ref_m": ("Xlaser [um]", 1e6), "y_ref_m": ("laserY [um]", 1e6), "t_s": ("ts [ms]", 1e3)}
+    made = found(guessed(columns, **names))
+    assert [made[stem][0] for stem in ("hall_a", "hall_b", "hall_c", "x_ref", "y_ref", "t")] == [
+        "S0", "S1", "S2", "Xlaser", "laserY", "ts",
+    ]  # fmt: skip
+
+
+def test_numbered_sums_are_as_many_columns_of_an_array() -> None:
+    x, z = np.linspace(0, 0.06, 500), np.full(500, 6e-3)
+    waves = {f"H{k:02d} [mV]": 500 * np.sin(2 * np.pi * (x / 0.03 - k / 3)) for k in range(1, 6)}
+    made = suggest(open_source({"X_laser_um": 1e6 * x, "gap_um": 1e6 * z, **waves})[2])
+    assert made.model.name == "halbach"
+    assert [found(made)[f"col_{k}"] for k in range(5)] == [(f"H{k + 1:02d}", "mv", 1) for k in range(5)]
+
+
 def test_an_angle_in_counts() -> None:
     t = np.arange(4000) * 1e-3
     angle = 2 * np.pi * 0.5 * t
@@ -83,7 +101,7 @@ def test_the_column_file_that_is_written_is_read(columns: dict[str, np.ndarray],
     path = tmp_path / "columns.toml"
     path.write_text(guessed(columns, hall_b_m=("U2", -1e6)).to_toml("lab.csv"), encoding="utf-8")
     stated = read_column_file(path)
-    assert stated.columns["hall_b_um"].scale == -1.0
+    assert stated.columns["hall_b_um"].sign == -1
     table = {LAB[c][0]: v * LAB[c][1] for c, v in columns.items()} | {"U2": -1e6 * columns["hall_b_m"]}
     log = read_log(table, column_file=path)
     assert np.allclose(log.array("hall_b_m"), columns["hall_b_m"], rtol=1e-12)

@@ -60,7 +60,9 @@ def test_damaged_parquet_page(tmp_path: Path) -> None:
 def test_unknown_suffix_and_format(tmp_path: Path) -> None:
     path = tmp_path / "log.xyz"
     path.write_text("x_ref_m\n1\n")
-    refused(path, "must end with one of .parquet")
+    (tmp_path / "log.parqet").touch()
+    refused(path, r"cannot be read by its ending '.xyz'.*--format.*'hallsym info --help' lists")
+    refused(tmp_path / "log.parqet", r"ending '.parqet' \(did you mean '.parquet'\?\)")
     with pytest.raises(InputError, match=r"Format must be one of.*did you mean 'csv'"):
         read_log(path, format="cvs")
     assert read_log(path, format="csv").rows == 1

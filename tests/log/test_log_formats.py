@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import tempfile
 from pathlib import Path
 
@@ -62,6 +63,50 @@ def test_csv_with_comments_empty_lines_and_missing_values(tmp_path: Path) -> Non
     assert log.columns == ("run", "t_s", "hall_a_m", "x_ref_m")
     assert log.rows == 4
     assert np.array_equal(log.array("hall_a_m"), [1e-6, np.nan, -np.inf, 1e-7], equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("cells", "said"),
+    [
+        (("{x:.3E}", "{x:.3E}"), None),
+        (("{x:.3E}", "{x:.3E}"), "exponents written with D"),
+        (("{x:g} mV", "{x:g}"), "units behind numbers"),
+        (("{x:g}µV", "{x:g} deg"), "units behind numbers"),
+        (("0x{x:02X}", "{x:d}"), "hexadecimal numbers"),
+    ],
+)
+def test_numbers_that_are_written_otherwise(tmp_path: Path, cells: tuple[str, str], said: str | None) -> None:
+    values = list(range(40, 52)) if said == "hexadecimal numbers" else [1.5 * k - 3.25 for k in range(12)]
+    rows = [";".join(cell.format(x=x) for cell in cells) for x in values]
+    rows = [row.replace("E", "D") for row in rows] if said == "exponents written with D" else rows
+    (tmp_path / "log.csv").write_text("\n".join(["v_sin;angle 2d3", *rows, ""]), encoding="utf-8")
+    unit = {"{x:g} mV": "_mv", "{x:g}µV": "_uv"}.get(cells[0], "_v")
+    mapped = {f"v_sin{unit}": "v_sin", f"angle_ref_{'deg' if 'deg' in cells[1] else 'rad'}": "angle 2d3"}
+    log = read_log(tmp_path / "log.csv", columns=mapped)
+    factor = {"_mv": 1e-3, "_uv": 1e-6, "_v": 1.0}[unit]
+    assert log.array("v_sin_v") == pytest.approx(factor * np.array(values), rel=1e-3)
+    assert log.array("angle_ref_rad") == pytest.approx(
+        np.array(values) * (np.pi / 180 if "deg" in cells[1] else 1.0), rel=1e-3
+    )
+    assert said is None or any(said in note for note in log.notes)
+
+
+def test_a_table_without_numbers_keeps_its_words(tmp_path: Path) -> None:
+    """A unit behind a number in one line is a word: `5 mm` of a column of remarks."""
+    rows = [f"{k},{0.5 * k},{'5 mm' if k == 7 else 'ok'}" for k in range(9)]
+    (tmp_path / "log.csv").write_text("\n".join(["t_s,x_ref_m,state", *rows, ""]))
+    log = read_log(tmp_path / "log.csv")
+    assert log.columns == ("run", "t_s", "x_ref_m")
+    assert not any("units behind" in note for note in log.notes)
+
+
+def test_names_that_come_again_are_left_out(tmp_path: Path) -> None:
+    """Files put one behind another: a run begins where time starts again."""
+    part = "t_s,x_ref\ns,um\n0,1\n0.1,2\n0.2,4\n"
+    (tmp_path / "log.csv").write_text(2 * part + ",\n , \n" + part)
+    log = read_log(tmp_path / "log.csv", columns={"x_ref_um": "x_ref"})
+    assert log.runs == (0, 1, 2)
+    assert log.array("x_ref_m").tolist() == [1e-6, 2e-6, 4e-6] * 3
 
 
 def test_csv_with_byte_order_mark_crlf_and_text_column(tmp_path: Path) -> None:
@@ -175,8 +220,33 @@ def test_a_matrix_is_columns_and_a_picture_is_none(tmp_path: Path) -> None:
     assert dict(source.left_out) == {
         "map": "it is an array of 101 x 102", "ok": "it holds booleans, not numbers"
     }  # fmt: skip
+    np.save(tmp_path / "b.npy", halls)
+    log = read_log(tmp_path / "b.npy", columns={"hall_c_um": "column_2"})
+    assert np.allclose(log.array("hall_c_m"), halls[:, 2] * 1e-6, rtol=1e-15, atol=0)
     log = read_log(tmp_path / "a.npz", columns={"hall_c": "hall_2"})
     assert np.allclose(log.array("hall_c_m"), halls[:, 2] * 1e-6, rtol=1e-15, atol=0)
+
+
+def test_a_table_of_a_database_is_a_log(tmp_path: Path) -> None:
+    import sqlite3
+
+    with contextlib.closing(sqlite3.connect(tmp_path / "log.sqlite")) as base:
+        base.execute("CREATE TABLE samples (t_s REAL, x_ref_um REAL, note TEXT)")
+        base.executemany("INSERT INTO samples VALUES (?, ?, 'ok')", [(0.1 * k, k) for k in range(50)])
+        base.commit()
+        log = read_log(tmp_path / "log.sqlite")
+        assert np.allclose(log.array("x_ref_m"), 1e-6 * np.arange(50), rtol=1e-15, atol=0)
+        base.execute("CREATE TABLE notes (text TEXT)")
+        base.commit()
+        assert read_log(tmp_path / "log.sqlite").rows == 50
+        base.execute("CREATE TABLE gains (gain REAL)")
+        base.execute("INSERT INTO gains VALUES (1.5)")
+        base.commit()
+    with pytest.raises(
+        InputError, match=r"2 tables with cells \(samples, gains\): say which .* --sheet samples"
+    ):
+        read_log(tmp_path / "log.sqlite")
+    assert read_log(tmp_path / "log.sqlite", sheet="samples").rows == 50
 
 
 def test_compound_datasets_are_columns(tmp_path: Path) -> None:

@@ -80,13 +80,17 @@ def test_a_workbook_is_the_same_log(
     assert same(fit(log, "stage31", solver="direct"), usual)
 
 
-def test_a_workbook_with_several_tables_asks_which(tmp_path: Path) -> None:
+def test_sheets_of_the_same_columns_are_runs_and_of_others_it_asks_which(tmp_path: Path) -> None:
     import xlsxwriter
 
-    book = xlsxwriter.Workbook(str(tmp_path / "log.xlsx"))
-    for name in ("Monday", "Tuesday"):
-        book.add_worksheet(name).write_column(0, 0, ["x_ref_m", 1, 2])
-    book.close()
+    for file, second in (("log.xlsx", "y_ref_m"), ("runs.xlsx", "x_ref_m")):
+        with xlsxwriter.Workbook(str(tmp_path / file)) as book:
+            book.add_worksheet("Monday").write_column(0, 0, ["x_ref_m", 1, 2])
+            book.add_worksheet("Tuesday").write_column(0, 0, [second, 3, 4])
+            book.add_worksheet("Remarks").write_column(0, 0, ["cold", "warm"])
+    log = read_log(tmp_path / "runs.xlsx")
+    assert log.run(1)["x_ref_m"].tolist() == [3.0, 4.0]
+    assert any("Remarks is not read" in note for note in log.notes)
     with pytest.raises(InputError, match=r"2 sheets with cells .*--sheet Monday"):
         read_log(tmp_path / "log.xlsx")
     assert read_log(tmp_path / "log.xlsx", sheet="Tuesday").rows == 2
@@ -98,7 +102,7 @@ def test_what_was_recognised_is_said_in_one_line(tmp_path: Path, files: dict[str
     for name, words in {
         "utf-16": ("UTF-16", "semicolons", "decimal comma", "names in line 1 with units in line 2"),
         "lines above the names": ("names in line 4", "2 lines above them not used"),
-        "words below": ("the last 2 lines left out ('End of measurement: 60 s')",),
+        "words below": ("the last line left out ('End of measurement: 60 s')",),
         "thousands": ("decimal comma and '.' between thousands",),
     }.items():
         file, data = files[name]
@@ -201,6 +205,7 @@ COUNTED = [f"{k};{k},5" for k in range(30)]
         (["t (s)   x_ref (um)"], [f"  {k}    {k}.5" for k in range(30)]),
         (["t_s;x_ref_um"], [*COUNTED[:-1], "29;29,5", "", "Messung beendet", ""]),
         (["t_s,x_ref_um"], [f'{k},"{k},5"' for k in range(30)]),
+        (['"t_s" ; "x_ref_um"'], [f'"{k}" ; "{k},5"' for k in range(30)]),
         (["t_s;x_ref_mm"], [f"{k};0,{k:03d}5" for k in range(30)]),
     ],
 )
@@ -217,7 +222,7 @@ def test_what_programs_write(tmp_path: Path, head: list[str], body: list[str]) -
     [
         ("".join(f"{k};{k},5\n" for k in range(30)), "must hold column names"),
         ("t_s,x_ref_mm\n" + "".join(f"{k},0,{k},5\n" for k in range(30)), "commas may be decimal signs too"),
-        ("t_s,x_um\n" + "".join(f"{k},{k}\n" for k in range(9)) * 2 + "t_s,x_um\n", "Line 20, column"),
+        ("t_s,x_um\n" + "".join(f"{k},{k}\n" for k in range(9)) * 2 + "x_um,t_s\n", "Line 20, column"),
         ("t_s,x_ref\n" + "".join(f"{k},{k},{k}\n" for k in range(30)), "Line 2 of .* must have 2 cells"),
         ("t;x_ref_um\n0;1\n" + "".join(f"{k};{k % 900},5\n" for k in range(40000)) + "1;1.234,5\n",
          "Line 40003.*if a point separates thousands, state --decimal ,"),
@@ -244,6 +249,8 @@ def test_columns_of_one_name_are_numbered_and_answer_to_their_own(tmp_path: Path
     [
         '{"t_ms": [0, 1], "x_ref_um": [1.5, 2]}',
         '[{"t_ms": 0, "x_ref_um": 1.5}, {"t_ms": 1, "x_ref_um": 2}]',
+        '{"rig": {"rate": 1000}, "log": {"t_ms": [0, 1], "ref": {"x_ref_um": [1.5, 2]}}}',
+        '{"rig": "A", "log": [{"t_ms": 0, "x_ref_um": 1.5}, {"t_ms": 1, "x_ref_um": 2}]}',
         '{"t_ms": 0, "ref": {"um": {"x": 1.5}}, "x_ref_um": 1.5}\n{"t_ms": 1, "x_ref_um": 2}\n',
     ],
 )
@@ -252,6 +259,13 @@ def test_json_of_lists_and_lists_of_json(tmp_path: Path, text: str) -> None:
     log = read_log(tmp_path / "log.jsonl")
     assert log.array("t_s").tolist() == [0.0, 1e-3]
     assert log.array("x_ref_m") == pytest.approx([1.5e-6, 2e-6])
+
+
+def test_a_list_in_each_sample_of_json_is_columns(tmp_path: Path) -> None:
+    (tmp_path / "log.jsonl").write_text('{"t_s": 0, "hall_um": [1, 2.5]}\n{"t_s": 1, "hall_um": [3, 4]}\n')
+    source = read_log(tmp_path / "log.jsonl").table.source
+    assert source.names == ("t_s", "hall_0_um", "hall_1_um")
+    assert source.read(["hall_1_um"])["hall_1_um"].tolist() == [2.5, 4.0]
 
 
 def test_repetitions_are_runs_where_each_has_a_time(tmp_path: Path) -> None:

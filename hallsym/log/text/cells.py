@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
-from hallsym.units import UNITS
+from hallsym.errors import InputError
+from hallsym.units import UNITS, split_unit
 
 MISSING = (
     "", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "-", "--", "---",
@@ -171,19 +173,99 @@ def split_header(text: str) -> tuple[str, str | None]:
     return text, None
 
 
+_AGAIN = re.compile(r"(.+)\.\d+")
+"""A name that pandas has numbered, since another column has it too."""
+
+
 def stems_of(
-    texts: Iterable[str], stated: Mapping[str, str | None] | None = None
+    texts: Sequence[str], stated: Sequence[str | None] = (), where: str = ""
 ) -> dict[str, tuple[str, str | None]]:
     """Return headers' own texts and units by their names without unit, or by the text where two are alike.
 
-    `stated`: units that the file states elsewhere, by text.
+    `stated`: units that the file states elsewhere. Columns of one name are numbered. `where`: a file whose
+    names may be wrong: refuse a column of ours that is there twice, and a column with two units.
     """
-    parts = {text: split_header(text) for text in texts}
-    often = Counter(stem for stem, _ in parts.values())
+    texts = [text or f"(column {k})" for k, text in enumerate(texts, 1)]
+    same = Counter(texts)
+    bare = [m[1] if (m := _AGAIN.fullmatch(text)) and m[1] in texts else text for text in texts]
+    groups, times, seen = Counter(text.rpartition("/")[0] for text in bare), Counter(bare), Counter[str]()
+    parts = []
+    for k, text in enumerate(bare):
+        before, _, last = text.rpartition("/")
+        group = f"{before}/" if before and groups[before] > 1 else ""  # then it is a group of channels
+        stem, unit = split_header(last if group else text)
+        if where and times[text] > 1 and (text == "run" or split_unit(text)[1]):
+            raise InputError(f"Column names of {where} must differ; '{text}' stands there twice: rename one.")
+        seen[text] += 1
+        number = f" {seen[text]}" if times[text] > 1 else ""
+        texts[k] = f"{text}{number}" if same[texts[k]] > 1 else texts[k]
+        other = stated[k] if k < len(stated) else None
+        if where and unit and other and unit != other:
+            raise InputError(
+                f"The unit of column '{group}{stem}' of {where} must be one; the names say {unit}, the line"
+                f" below {other}."
+            )
+        parts.append((f"{group}{stem}{number}", other or unit))
+    often = Counter(stem for stem, _ in parts)
     return {
-        stem if often[stem] == 1 else text: (text, (stated or {}).get(text) or unit)
-        for text, (stem, unit) in parts.items()
+        stem if often[stem] == 1 else text: (text, unit)
+        for text, (stem, unit) in zip(texts, parts, strict=True)
     }
+
+
+class Spelling(NamedTuple):
+    """Another way to write numbers: what it is called, what is found in or behind one, what that becomes."""
+
+    said: str
+    pattern: re.Pattern[str]
+    plain: str | Callable[[re.Match[str]], str]
+
+    def __call__(self, text: str) -> str:
+        """Return lines with usual numbers."""
+        return self.pattern.sub(self.plain, text)
+
+
+_NAMES_OF_UNITS = "|".join(
+    re.escape(unit)
+    for unit in sorted({*_WORDS, *_EXACT, *_ANY_CASE}, key=len, reverse=True)
+    if unit[0] not in "\"'"  # which may stand around a cell
+)
+_ENDS = r'(?=\s*(?:[;,\t|"\n]|$))'
+SPELLINGS = (
+    Spelling("exponents written with D", re.compile(r"(?<=[\d.])[dD](?=[-+]?\d+(?:\W|$))"), "e"),
+    Spelling(
+        "hexadecimal numbers",
+        re.compile(r"(?<![\w.])0[xX]([\dA-Fa-f]+)(?!\w)"),
+        lambda found: str(int(found[1], 16)),
+    ),
+    Spelling(
+        "units behind numbers", re.compile(rf"(?<=\d)[ \xa0]?(?:[µμ]\w+|{_NAMES_OF_UNITS}){_ENDS}", re.I), ""
+    ),
+)
+LEAST = 5
+"""Lines in a row that show how numbers are written."""
+
+
+def spellings_of(lines: Sequence[str]) -> dict[Spelling, int]:
+    """Return the spellings that the last lines of a text have without a break, and from which line on."""
+    found = {}
+    for spelling in SPELLINGS:
+        first = len(lines)
+        while first > 1 and spelling.pattern.search(lines[first - 1]):  # the first one holds names
+            first -= 1
+        if len(lines) - first >= min(LEAST, max(len(lines) - 1, 1)):
+            found[spelling] = first
+    return found
+
+
+def unit_behind(cell: str) -> str | None:
+    """Return the unit that stands behind the number in a cell.
+
+    >>> unit_behind("12.5 µm"), unit_behind("3mV"), unit_behind("7")
+    ('um', 'mv', None)
+    """
+    match = re.fullmatch(r"[-+\d.,eE]*\d[ \xa0]?(\D+)", cell)
+    return unit_of(match[1]) if match else None
 
 
 def is_unit_row(cells: list[str]) -> bool:

@@ -10,25 +10,26 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
-from typing import IO, cast
+from typing import IO, NamedTuple, cast
 
 from hallsym.errors import InputError
-from hallsym.log.arrow import TimeForm, time_form
+from hallsym.log.arrow import time_form
 from hallsym.log.text.cells import (
     MISSING,
     POINT,
     Convention,
+    Spelling,
     conventions_of,
     is_number,
     is_unit_row,
-    split_header,
+    spellings_of,
+    stems_of,
+    unit_behind,
     unit_of,
 )
-from hallsym.units import split_unit
 
 BLANKS = " "
 DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", BLANKS: "blank"}
@@ -37,62 +38,58 @@ DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", BLANKS: "
 
 @dataclass(frozen=True)
 class Dialect:
-    """Everything that was recognised of a file. Lines are counted from 1.
+    """What was recognised of a text, as it is read.
 
-    `delimiter`: " " stands for any number of blanks and tabs. `stems`: as `stems_of`, one by cell. `header`:
-    line of the names; `units_line`: of the units, 0 without one. `first`: line the table begins at. `footer`:
-    lines after the table. `quoted`: whether quotes stand around cells. `times`: columns of times as text, and
-    how they are written. `above`: lines before the names that are neither empty nor comments. `torn`: whether
-    the last line does not end.
+    `delimiter`: " " stands for any number of blanks and tabs. `stems`: as `stems_of`, one by cell. `first`:
+    line the table begins at, from 1. `footer`: lines after the table. `quoted`: whether quotes stand around
+    cells. `times`: columns of times as text, and how they are written (`time_form`). `torn`: whether the last
+    line does not end. `spelled`: how numbers are written otherwise. `repeated`: the lines of names and units,
+    which come again where files were put one behind another. `said`: one line on all of it; `usual`: whether
+    it needs no word.
     """
 
-    encoding: str
-    compressed: bool
     delimiter: str
     stems: dict[str, tuple[str, str | None]]
-    header: int
     first: int
-    numbers: Convention = POINT
-    units_line: int = 0
-    comments: tuple[str, ...] = ("#",)
-    quoted: bool = False
-    footer: int = 0
-    footer_text: str = ""
-    torn: bool = False
-    times: dict[int, TimeForm] = field(default_factory=dict)
-    above: int = 0
+    numbers: Convention
+    comments: tuple[str, ...]
+    quoted: bool
+    footer: int
+    torn: bool
+    times: dict[int, str]
+    spelled: tuple[Spelling, ...]
+    repeated: frozenset[str]
+    said: str
+    usual: bool
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the columns, one by cell."""
-        return tuple(self.stems)
 
-    @property
-    def usual(self) -> bool:
-        """Whether the file is what needs no word: UTF-8, commas or tabs, decimal point, names first."""
-        plain = self.encoding in ("utf-8", "utf-8-sig") and self.numbers == POINT
-        bare = not (self.units_line or self.footer or self.above)
-        return plain and bare and self.delimiter in ",\t"
-
-    def said(self, sheet: str = "") -> str:
-        """Return one line that says what was recognised; `sheet`: of a workbook."""
-        coding = {"utf-8": "UTF-8", "utf-8-sig": "UTF-8 with a byte order mark"}.get(
-            self.encoding, self.encoding.upper().replace("LATIN", "Latin")
+def stated_delimiter(text: str) -> str:
+    """Return the delimiter of an option: one character, or the word for it."""
+    known = {word: delimiter for delimiter, word in DELIMITERS.items()} | {"\\t": "\t", "space": BLANKS}
+    delimiter = known.get(text.lower().removesuffix("s"), text)
+    if len(delimiter) != 1 or not delimiter.isascii() or delimiter.isalnum() or delimiter in '"\r\n.+-':
+        raise InputError(
+            f"Delimiter must be one character such as ';', or 'tab' or 'blank'; instead received {text!r}."
         )
-        by = f"{DELIMITERS[self.delimiter]}s" if self.delimiter in DELIMITERS else repr(self.delimiter)
-        columns = f"columns separated by {by}" if len(self.names) > 1 else "one column"
-        text = f"{coding}{', gzip' if self.compressed else ''}, {columns}"
-        words = [f"sheet '{sheet}'" if sheet else text]
-        group = f" and {self.numbers.grouping!r} between thousands" if self.numbers.grouping else ""
-        words.append(f"decimal {'comma' if self.numbers.decimal == ',' else 'point'}{group}")
-        units = f" with units in line {self.units_line}" if self.units_line else ""
-        words.append(f"names in line {self.header}{units}")
-        if self.above:
-            words.append(f"{self.above} {'line' if self.above == 1 else 'lines'} above them not used")
-        if self.footer:
-            what = "the last line" if self.footer == 1 else f"the last {self.footer} lines"
-            words.append(f"{what} left out ({repr(self.footer_text[:40]) if self.footer_text else 'empty'})")
-        return ", ".join(words)
+    return delimiter
+
+
+_QUOTED = re.compile(r'"[^"\n]*"')
+_BETWEEN_BLANKS = re.compile(r"\w\S*(?:\s+[(\[{<]\S*)?|\S+")
+"""A cell between blanks; a unit in brackets belongs to the name before it: `Time (s)` is one cell."""
+
+
+def split(text: str, delimiter: str) -> list[str]:
+    """Return the cells of a line, without blanks and quotes around them."""
+    if delimiter == BLANKS:
+        return [cell.strip("\"'") for cell in _BETWEEN_BLANKS.findall(text)]
+    cells = text.split(delimiter)
+    if '"' in text and _QUOTED.search(text):
+        cells = next(csv.reader([text], delimiter=delimiter, skipinitialspace=True), cells)
+    return [cell.strip().strip("\"'").strip() for cell in cells]
+
+
+# -- where the table is ----------------------------------------------------------------------------------
 
 
 LOOKED_AT = 200
@@ -101,13 +98,9 @@ STEADY = 5
 """Rows of numbers in a row that show where a table begins, above which there may be words."""
 COMMENT = "comment"
 """Last name of LabVIEW's measurement files, under which rows without a comment have no cell."""
-_AGAIN = re.compile(r"(.+)\.\d+")
-"""A name that pandas has numbered, since another column has it too."""
-_QUOTED = re.compile(r'"[^"\n]*"')
 
 
-@dataclass(frozen=True)
-class Line:
+class Line(NamedTuple):
     """A line that is not empty, with its number in the file; of a comment, what stands behind its mark."""
 
     number: int
@@ -115,106 +108,84 @@ class Line:
     comment: bool = False
 
 
-@dataclass(frozen=True)
-class Table:
-    """Where the table is under one delimiter: the cells of each line; `top`: index of the names, -1 for none.
+class Split:
+    """Lines split by one delimiter, and the table in them.
 
-    `width`: cells that most rows have. `quality`: share of numbers, in [0, 1], in the rows under the names.
+    `rows`: the cells of each line; `width`: how many most rows have. `top`: index of the names, -1 for none;
+    `data`: of the first row under them. `quality`: share of numbers, in [0, 1], in the rows from there on.
+    `trailing`: whether every one of them ends with a delimiter.
     """
 
-    delimiter: str
-    rows: list[list[str]]
-    width: int
-    top: int
-    data: int
-    quality: float
+    def __init__(self, lines: Sequence[Line], delimiter: str) -> None:
+        self.delimiter = delimiter
+        rows = [split(line.text, delimiter) for line in lines]
+        counts = Counter(len(row) for row, line in zip(rows, lines, strict=True) if not line.comment)
+        self.width = max(counts, key=lambda n: counts[n], default=0)
+        self.rows = [
+            [] if line.comment and len(r) != self.width else r for r, line in zip(rows, lines, strict=True)
+        ]
+        numeric = [sum(map(is_number, row[:LOOKED_AT])) for row in self.rows]
+        self.top = self._top(numeric)
+        if self.top >= 0 and len(self.names) == self.width + 1 and self.names[-1].lower() == COMMENT:
+            del self.names[-1]
+        self.data = self.top + 1
+        below = [k for k in range(self.data, len(rows)) if len(self.rows[k]) == self.width]
+        self.trailing = self.width > 1 and bool(below) and not any(self.rows[k][-1] for k in below)
+        self.trailing &= len(below) == len(rows) - self.data
+        held = sum(numeric[k] + sum(cell in MISSING for cell in self.rows[k][:LOOKED_AT]) for k in below)
+        cells = min(self.width, LOOKED_AT) * (len(rows) - self.data)
+        self.quality = held / cells if cells else 0.0
 
-    @property
-    def fits(self) -> bool:
-        """Whether there are names, as many as the rows have cells."""
-        return self.top >= 0 and len(self.rows[self.top]) in (self.width, self.width - self.trailing)
+    def _top(self, numeric: Sequence[int]) -> int:
+        """Return the index of the names: the last row of words above the data, or the one above its units.
 
-    @property
-    def trailing(self) -> int:
-        """1 where every row ends with a delimiter."""
-        body = self.rows[self.data :]
-        return int(self.width > 1 and bool(body) and all(len(r) == self.width and not r[-1] for r in body))
-
-
-def stated_delimiter(text: str) -> str:
-    """Return the delimiter of an option: one character, or the word for it."""
-    known = {word: delimiter for delimiter, word in DELIMITERS.items()} | {"\\t": "\t", "space": BLANKS}
-    if (word := text.lower()) in known or word.removesuffix("s") in known:
-        return known.get(word) or known[word.removesuffix("s")]
-    if len(text) != 1 or not text.isascii() or text.isalnum() or text in '"\r\n.+-':
-        raise InputError(
-            f"Delimiter must be one character such as ';', or 'tab' or 'blank'; instead received {text!r}."
+        Damaged rows may stand between names and data.
+        """
+        count, width = len(self.rows), self.width
+        data = [len(row) == width and n > 0 for row, n in zip(self.rows, numeric, strict=True)]
+        start = next(  # of several rows that look like data; where the rows are few, of fewer
+            (k for n in (STEADY, 2, 1) for k in range(count) if data[k : k + n] == [True] * n), 0
         )
-    return text
+        words = [k for k in range(start) if self.rows[k] and not numeric[k]]
+        words = [k for k in words if abs(len(self.rows[k]) - width) <= 1] or words
+        if words:
+            last = words[-1]
+            above = last - 1 in words and len(self.rows[last - 1]) == len(self.rows[last])
+            return last - 1 if above and is_unit_row(self.rows[last]) else last
+        first = next((k for k, row in enumerate(self.rows) if row), -1)
+        return -1 if first < 0 or numeric[first] >= min(len(self.rows[first]), LOOKED_AT) else first
 
+    @property
+    def names(self) -> list[str]:
+        """The cells of the line of names."""
+        return self.rows[self.top] if self.top >= 0 else []
 
-def split(text: str, delimiter: str) -> list[str]:
-    """Return the cells of a line, without blanks and quotes around them."""
-    if delimiter == BLANKS:
-        return [cell.strip("\"'") for cell in text.split()]
-    if '"' in text and _QUOTED.search(text):
-        try:
-            cells = next(csv.reader([text], delimiter=delimiter, skipinitialspace=True))
-        except (csv.Error, StopIteration):
-            cells = text.split(delimiter)
-    else:
-        cells = text.split(delimiter)
-    return [cell.strip().strip("\"'").strip() for cell in cells]
+    @property
+    def said(self) -> str:
+        """The delimiter in words."""
+        by = f"{DELIMITERS.get(self.delimiter, repr(self.delimiter))}s"
+        return f"columns separated by {by}" if self.width > 1 else "one column"
 
+    @property
+    def fit(self) -> tuple[bool, bool, float, int]:
+        """How well the delimiter fits, best where names and rows have as many cells, which are numbers.
 
-def table_under(lines: Sequence[Line], delimiter: str) -> Table:
-    """Return where a table would be in `lines` if `delimiter` separates its columns."""
-    rows = [split(line.text, delimiter) for line in lines]
-    counts = Counter(len(row) for row, line in zip(rows, lines, strict=True) if not line.comment)
-    width = max(counts, key=lambda n: counts[n], default=0)
-    rows = [[] if len(r) != width and line.comment else r for r, line in zip(rows, lines, strict=True)]
-    numeric = [sum(map(is_number, row[:LOOKED_AT])) for row in rows]
-    data = [len(row) == width and n > 0 for row, n in zip(rows, numeric, strict=True)]
-    start = next(  # of several rows that look like data; where the rows are few, of fewer
-        (k for n in (STEADY, 2, 1) for k in range(len(rows)) if data[k : k + n] == [True] * n), 0
-    )
-    top = _top(rows, numeric, width, start)
-    if top >= 0 and delimiter == BLANKS and len(rows[top]) > width:
-        rows[top] = _glued(rows[top], width)
-    if top >= 0 and len(rows[top]) == width + 1 and rows[top][-1].lower() == COMMENT:
-        del rows[top][-1]
-    first = top + 1 if top >= 0 else start
-    body = [k for k in range(first, len(rows)) if len(rows[k]) == width]
-    cells = sum(min(width, LOOKED_AT) for _ in body)
-    held = sum(numeric[k] + sum(cell in MISSING for cell in rows[k][:LOOKED_AT]) for k in body)
-    share = len(body) / max(1, len(rows) - first)
-    return Table(delimiter, rows, width, top, first, share * held / cells if cells else 0.0)
+        Several columns go before one: 0,5 is a number too.
+        """
+        fits = len(self.names) == self.width and self.quality > 0
+        several = self.width > 1 and self.quality >= 0.5
+        return fits or self.top < 0, several, round(self.quality, 2), self.width
 
-
-def _glued(names: list[str], width: int) -> list[str]:
-    """Return names with the units that stand in brackets behind them: `Time (s)` was two cells."""
-    glued: list[str] = []
-    for name in names:
-        if glued and name[:1] in "([{<":
-            glued[-1] += f" {name}"
-        else:
-            glued.append(name)
-    return glued if len(glued) == width else names
-
-
-def _top(rows: list[list[str]], numeric: list[int], width: int, start: int) -> int:
-    """Return the index of the names: the last row of words above the data, or the one above its units.
-
-    Damaged rows may stand between names and data. -1: there is no row of words.
-    """
-    words = [k for k in range(start) if not numeric[k] and abs(len(rows[k]) - width) <= 1]
-    words = words or [k for k in range(start) if rows[k] and not numeric[k]]
-    if words:
-        last = words[-1]
-        above = last - 1 in words and len(rows[last - 1]) == len(rows[last])
-        return last - 1 if above and is_unit_row(rows[last]) else last
-    first = next((k for k, row in enumerate(rows) if row), -1)
-    return -1 if first < 0 or numeric[first] >= min(len(rows[first]), LOOKED_AT) else first
+    def units(self, lines: Sequence[Line]) -> tuple[int, int, list[str]]:
+        """Return the first row of data, the line of the units (0 without one) and the units' cells."""
+        below = self.rows[self.data] if self.data < len(self.rows) else []
+        if len(below) == len(self.names) and is_unit_row(below):
+            return self.data + 1, lines[self.data].number, below
+        for k in range(self.top - 1, -1, -1):  # a row of a header: its name, then units
+            units = [cell for cell in self.rows[k][1:] if cell]
+            if 2 * len(units) >= self.width > 1 and all(map(unit_of, units)):
+                return self.data, lines[k].number, ["", *self.rows[k][1:]]
+        return self.data, 0, []
 
 
 SAMPLE = 1 << 18
@@ -230,151 +201,105 @@ _SEP = re.compile(r"sep=(.)", re.IGNORECASE)
 _WORD = re.compile(r"[^\W\d_]{2,}")
 
 
-def sniffed(file: Encoded, where: str, delimiter: str | None = None, decimal: str | None = None) -> Dialect:
-    """Recognise a file. `where` names it in messages; `delimiter` and `decimal` are what somebody stated.
+def sniffed(
+    text: Encoded, where: str, delimiter: str | None = None, decimal: str | None = None, sheet: str = ""
+) -> Dialect:
+    """Recognise a text. `where` names it in messages; `delimiter` and `decimal` are what somebody stated.
 
-    Raises `InputError` for what is no table with names, and for numbers that can be read in two ways.
+    `sheet`: of a workbook. Raises `InputError` for what is no table with names, and for numbers that can be
+    read in two ways.
     """
-    lines, marks = _sample(file, where)
+    lines, marks = _sample(text, where)
     if lines and (stated := _SEP.fullmatch(lines[0].text.strip())):
         lines, delimiter = lines[1:], delimiter or stated[1]
     if all(line.comment for line in lines):
         raise InputError(
             f"{where} is empty: it must hold a header line with column names and one line per sample."
         )
-    table, names, header = _table(lines[:MOST], delimiter, where)
-    first, units_line, units = _units(table, lines)
-    stems = _stems(names, units, where)
-    below = lines[min(first, len(lines)) :]
-    rows = (split(line.text, table.delimiter) for line in below)
-    body = [row for row in rows if len(row) == table.width]
-    quotes = _quoted(below)
-    numbers = _numbers(body, "" if quotes else table.delimiter, decimal, where)
-    end = file.end()
+    spelled, written = spellings_of([line.text for line in lines]), lines
+    for spelling, at in spelled.items():
+        lines = [*lines[:at], *(line._replace(text=spelling(line.text)) for line in lines[at:])]
+    table = _table(lines[:MOST], delimiter, where)
+    first, units_line, units = table.units(lines)
+    if not units and first < len(lines):
+        units = [unit_behind(cell) or "" for cell in split(written[first].text, table.delimiter)]
+    names = [*table.names, *[""] * (table.width - len(table.names) == 1 and table.trailing)]
+    stems = stems_of(names, list(map(unit_of, units)), where)
+    header, repeated = lines[table.top].number, frozenset(line.text for line in lines[table.top : first])
+    below = [line for line in lines[first:] if line.text not in repeated]
+    body = [row for line in below if len(row := split(line.text, table.delimiter)) == table.width]
+    counts = [line.text.count('"') for line in below]
+    quoted = any(counts) and not any(count % 2 for count in counts)  # quotes around cells are two in a line
+    numbers = _numbers(body, "" if quoted else table.delimiter, decimal, where)
     at_end = bool(body) and is_number(body[0][0])  # a first column of words looks like words
-    footer = _footer(end, table.delimiter, len(stems), marks) if at_end else (0, "")
+    footer, words = _footer(text.end, table.delimiter, len(stems), marks) if at_end else (0, "")
+    above = sum(line.number < header and not line.comment for line in lines)
+    group = f" and {numbers.grouping!r} between thousands" if numbers.grouping else ""
+    said = [
+        f"sheet '{sheet}'" if sheet else f"{text.said}, {table.said}",
+        f"decimal {'comma' if numbers.decimal == ',' else 'point'}{group}",
+        *(spelling.said for spelling in spelled),
+        f"names in line {header}{f' with units in line {units_line}' if units_line else ''}",
+        *([f"{above} {'line' if above == 1 else 'lines'} above them not used"] if above else ()),
+    ]
+    if footer:
+        what = "the last line" if footer == 1 else f"the last {footer} lines"
+        said.append(f"{what} left out ({words[:40]!r})")
+    plain = text.encoding == "utf-8" and numbers == POINT and table.delimiter in ",\t"
     return Dialect(
-        file.encoding, file.compressed, table.delimiter, stems, header,
-        lines[first].number if first < len(lines) else lines[-1].number + 1,
-        numbers, units_line, marks, above=sum(line.number < header and not line.comment for line in lines),
-        quoted=quotes, times=_times(body), footer=footer[0], footer_text=footer[1],
-        torn=not footer[0] and not end.endswith("\n"),
+        table.delimiter, stems, below[0].number if below else lines[-1].number + 1, numbers, marks, quoted,
+        footer, not footer and not text.end.endswith("\n"), _times(body), tuple(spelled), repeated,
+        ", ".join(said), usual=plain and not (units_line or footer or above or spelled),
     )  # fmt: skip
 
 
-# -- the beginning ---------------------------------------------------------------------------------------
-
-
-def _sample(file: Encoded, where: str) -> tuple[list[Line], tuple[str, ...]]:
+def _sample(text: Encoded, where: str) -> tuple[list[Line], tuple[str, ...]]:
     """Return the first lines, with comments only above the others, and the marks of comments that are used.
 
     Refuses what is no text.
     """
     lines: list[Line] = []
     marks, length, filled, opened = {"#"}, 0, 0, ""
-    for number, text in enumerate(file.lines(where), start=1):
-        text = f"{opened} {text}" if opened else text
-        opened = text if text.count('"') % 2 and number <= FEW else ""
+    for number, line in enumerate(text.lines(where), start=1):
+        line = f"{opened} {line}" if opened else line
+        opened = line if line.count('"') % 2 and number <= FEW else ""
         if opened:
             continue  # a name with a line break within its quotes
-        if "\0" in text and number <= FEW:
+        if "\0" in line and number <= FEW:
             raise InputError(
                 f"Line {number} of {where} must hold column names; it is no text, so the file is damaged or "
                 "of another format: copy it again, or state its --format."
             )
-        length += len(text)
-        bare = text.lstrip(' \t"')
+        length += len(line)
+        bare = line.lstrip(' \t"')
         if mark := next((mark for mark in _COMMENTS if bare.startswith(mark)), ""):
             marks.add(mark)
             lines += [] if filled else [Line(number, bare.lstrip("#%/! \t"), True)]
-        elif text.strip():
+        elif line.strip():
             filled += 1
-            lines.append(Line(number, text))
+            lines.append(Line(number, line))
         if (length > SAMPLE and filled >= FEW) or filled >= NUMBERS:
             break
     return lines, tuple(mark for mark in _COMMENTS if mark in marks)
 
 
-def _table(lines: list[Line], delimiter: str | None, where: str) -> tuple[Table, list[str], int]:
-    """Return the table under the delimiter that makes most of the lines numbers, its names and their line."""
-    tables = [table_under(lines, d) for d in ((delimiter,) if delimiter else DELIMITERS)]
-    several = [t for t in tables if t.fits and t.width > 1 and t.quality > 0]
-    single = [t for t in tables if t.fits and t.width == 1 and t.quality > 0.5]
-    best = max(several, key=lambda t: (round(t.quality, 2), t.width)) if several else None
-    if best is None or (single and best.quality < 0.5):
-        best = single[0] if single else best
-    if any(t.top < 0 and t.width > 1 and t.quality > (best.quality if best else 0.5) for t in tables):
-        best = None  # numbers from the first line on
-    chosen = best or max(tables, key=lambda t: (round(t.quality, 2), t.top >= 0, t.width))
-    if chosen.top < 0:
+def _table(lines: Sequence[Line], delimiter: str | None, where: str) -> Split:
+    """Return the table under the delimiter that fits best."""
+    table = max((Split(lines, d) for d in ((delimiter,) if delimiter else DELIMITERS)), key=lambda t: t.fit)
+    if table.top < 0:
         raise InputError(
-            f"Line {lines[chosen.data].number} of {where} must hold column names such as hall_a_m; it holds"
+            f"Line {lines[0].number} of {where} must hold column names such as hall_a_m; it holds"
             " numbers: write a line of names above them."
         )
-    names, number = chosen.rows[chosen.top], lines[chosen.top].number
-    text = lines[chosen.top].text
+    number, text = lines[table.top].number, lines[table.top].text
     other = next((d for d in DELIMITERS if d not in (delimiter, BLANKS) and d in text), None)
-    if delimiter and chosen.width == 1 and other:  # one column of a line that another one would split
+    if delimiter and table.width == 1 and other:  # one column of a line that another one would split
         raise InputError(
             f"Columns of {where} must be separated by {DELIMITERS.get(delimiter, repr(delimiter))}s; line"
             f" {number} looks separated by {DELIMITERS[other]}s: leave --delimiter out, or say"
-            f" --delimiter {DELIMITERS[other]} (in Python delimiter={other!r})."
+            f" --delimiter {DELIMITERS[other]}."
         )
-    names = [*names, ""] if len(names) == chosen.width - 1 and chosen.trailing else names
-    return chosen, names, number
-
-
-# -- names and units -------------------------------------------------------------------------------------
-
-
-def _units(table: Table, lines: list[Line]) -> tuple[int, int, list[str]]:
-    """Return the first row of data, the line of the units (0 without one) and the units' cells."""
-    first = table.data
-    if table.top < 0 or first >= len(table.rows):
-        return first, 0, []
-    row = table.rows[first]
-    if len(row) == len(table.rows[table.top]) and is_unit_row(row):
-        return first + 1, lines[first].number, row
-    for k in range(table.top - 1, -1, -1):  # a row of a header: its name, then units
-        units = [cell for cell in table.rows[k][1:] if cell]
-        if 2 * len(units) >= table.width > 1 and all(map(unit_of, units)):
-            return first, lines[k].number, ["", *table.rows[k][1:]]
-    return first, 0, []
-
-
-def _stems(names: list[str], units: list[str], where: str) -> dict[str, tuple[str, str | None]]:
-    """Return the header's own text and the unit of each column, by its name without the unit."""
-    texts = [text or f"(column {k + 1})" for k, text in enumerate(names)]
-    bare = [m[1] if (m := _AGAIN.fullmatch(text)) and m[1] in texts else text for text in texts]
-    times, same, seen = Counter(bare), Counter(texts), Counter[str]()
-    twice = next((name for name in times if times[name] > 1 and (name == "run" or split_unit(name)[1])), None)
-    if twice:
-        raise InputError(f"Column names of {where} must differ; '{twice}' stands there twice: rename one.")
-    paths = [text.rpartition("/") for text in bare]
-    groups = Counter(before for before, _, _ in paths if before)
-    parts = [split_header(text) for text in bare]
-    for k, (before, _, last) in enumerate(paths):
-        if groups[before] > 1:  # what several columns have before a slash is a group of channels
-            parts[k] = (f"{before}/{split_header(last)[0]}", split_header(last)[1])
-        seen[bare[k]] += 1
-        if times[bare[k]] > 1:  # columns of one name are numbered
-            numbered = f"{bare[k]} {seen[bare[k]]}"
-            parts[k] = (f"{parts[k][0]} {seen[bare[k]]}", parts[k][1])
-            texts[k] = texts[k] if same[texts[k]] == 1 else numbered
-    stems = Counter(stem for stem, _ in parts)
-    found: dict[str, tuple[str, str | None]] = {}
-    for k, (text, (stem, unit)) in enumerate(zip(texts, parts, strict=True)):
-        under = unit_of(units[k]) if k < len(units) else None
-        if unit and under and unit != under:
-            raise InputError(
-                f"The unit of column '{stem}' of {where} must be one; the names say {unit}, the line below"
-                f" {under}."
-            )
-        found[stem if stems[stem] == 1 else text] = (text, unit or under)
-    return found
-
-
-# -- numbers ---------------------------------------------------------------------------------------------
+    return table
 
 
 def _numbers(body: list[list[str]], delimiter: str, decimal: str | None, where: str) -> Convention:
@@ -383,36 +308,27 @@ def _numbers(body: list[list[str]], delimiter: str, decimal: str | None, where: 
     if len(found) > 1:
         raise InputError(
             f"Numbers such as '{cell}' of {where} can be read in two ways: say --decimal , if the comma is"
-            " the decimal sign, or --decimal . if it separates thousands (in Python decimal=',' or '.')."
+            " the decimal sign, or --decimal . if it separates thousands."
         )
     other = "," if decimal == "." else "."
     stated = decimal and not found[0].grouping and other != delimiter
     return Convention(found[0].decimal, other) if stated else found[0]
 
 
-def _quoted(lines: list[Line]) -> bool:
-    """Return whether quotes stand around cells: always two in a line."""
-    counts = [line.text.count('"') for line in lines]
-    return any(counts) and not any(count % 2 for count in counts)
-
-
-def _times(body: list[list[str]]) -> dict[int, TimeForm]:
+def _times(body: list[list[str]]) -> dict[int, str]:
     """Return the columns of times as text, and how they are written."""
     found = {}
-    for k in range(min(map(len, body), default=0)):
-        cells = [cell for row in body if (cell := row[k].strip(' "')) not in MISSING]
+    for k, column in enumerate(zip(*body, strict=True)):
+        cells = [cell for cell in column if cell not in MISSING]
         if cells and ":" in cells[0] and (form := time_form(cells)):
             found[k] = form
     return found
 
 
-# -- the end ---------------------------------------------------------------------------------------------
-
-
 def _footer(end: str, delimiter: str, width: int, comments: tuple[str, ...]) -> tuple[int, str]:
-    """Return how many lines of words, or of empty cells, end a text after its table, and one of words.
+    """Return how many lines of words end a text after its table, and the first of them.
 
-    Comments and empty lines do not count.
+    Comments, empty lines and lines of empty cells do not count.
     """
     lines, said = 0, ""
     for text in reversed(end.rstrip("\n").split("\n")[1:][-LONGEST_FOOTER:]):
@@ -420,10 +336,15 @@ def _footer(end: str, delimiter: str, width: int, comments: tuple[str, ...]) -> 
             continue
         cells = split(text, delimiter)
         words = len(cells) != width and bool(_WORD.match(cells[0])) and not is_number(cells[0])
-        if any(cells) and not words:
+        if not any(cells):
+            continue
+        if not words:
             break
-        lines, said = lines + 1, text.strip() if words else said
+        lines, said = lines + 1, text.strip()
     return lines, said
+
+
+# -- bytes -----------------------------------------------------------------------------------------------
 
 
 PIECE = 1 << 16
@@ -433,58 +354,40 @@ END = 1 << 16
 LONGEST_LINE = 10_000_000
 """Characters of a line: 100,000 columns with long names."""
 _GZIP = b"\x1f\x8b"
-_MARKS = (
-    (codecs.BOM_UTF32_LE, "utf-32"),
-    (codecs.BOM_UTF32_BE, "utf-32"),
-    (codecs.BOM_UTF16_LE, "utf-16"),
-    (codecs.BOM_UTF16_BE, "utf-16"),
-    (codecs.BOM_UTF8, "utf-8-sig"),
-)
+_MARK = "\ufeff"
 _WIDE, _NARROW = 0.6, 0.1
-"""Share of null bytes at even (odd) places from which on text without a mark is UTF-16; nearly all are."""
+"""Share of null bytes at even (odd) places from which on text is UTF-16; nearly all are."""
 
 
-@dataclass(frozen=True)
 class Encoded:
-    """A file of text: its coding, as Python names it, and whether it is compressed.
+    """A text as bytes, on a disk or in memory: its coding, as Python names it, and whether it is compressed.
 
-    `open_raw` opens its bytes; of a file in memory it is not a path that is opened.
+    `raw` opens its bytes, decompressed.
     """
 
-    open_raw: Callable[[], IO[bytes]]
-    compressed: bool
-    encoding: str
-
-    @staticmethod
-    def of(source: Path | Callable[[], IO[bytes]]) -> Encoded:
-        """Recognise compression and coding by the beginning of the file."""
-        open_raw = partial(_open, source) if isinstance(source, Path) else source
-        with open_raw() as stream:
-            compressed = stream.read(2) == _GZIP
-        found = Encoded(open_raw, compressed, "")
-        with found.raw() as stream:
-            head = stream.read(SAMPLE)
-        return Encoded(open_raw, compressed, _encoding(head))
-
-    @contextmanager
-    def raw(self) -> Iterator[IO[bytes]]:
-        """Open the bytes, decompressed."""
-        with self.open_raw() as stream:
-            yield cast(IO[bytes], gzip.GzipFile(fileobj=stream, mode="rb")) if self.compressed else stream
-
-    @contextmanager
-    def reader(self) -> Iterator[IO[str]]:
-        """Open the text; a bad byte of UTF-8 is judged with the cell it stands in."""
+    def __init__(self, source: Path | bytes) -> None:
+        """Recognise compression and coding by the beginning."""
+        self.raw: Callable[[], IO[bytes]] = partial(_opened, source, open)
         with self.raw() as stream:
-            yield io.TextIOWrapper(stream, self.encoding, "replace" if "utf-8" in self.encoding else "strict")
+            self.compressed = stream.read(2) == _GZIP
+        if self.compressed:
+            self.raw = partial(_opened, source, cast(Callable[..., IO[bytes]], gzip.open))
+        with self.raw() as stream:
+            self.encoding = _encoding(stream.read(SAMPLE))
+
+    @property
+    def said(self) -> str:
+        """The coding in words."""
+        return f"{self.encoding.upper().replace('LATIN', 'Latin')}{', gzip' * self.compressed}"
 
     def pieces(self, where: str, above: int = 0) -> Iterator[str]:
         r"""Yield pieces of whole lines but the first ones `above`; \n ends each line, whatever did.
 
-        `where` names the file in messages. Raises `InputError` for a line that does not end, before it fills
-        the memory.
+        A bad byte of UTF-8 is judged with the cell it stands in. `where` names the file in messages. Raises
+        `InputError` for a line that does not end, before it fills the memory.
         """
-        with self.reader() as reader:
+        errors = "replace" if self.encoding == "utf-8" else "strict"
+        with io.TextIOWrapper(self.raw(), self.encoding, errors) as reader:
             for _ in range(above):
                 reader.readline(LONGEST_LINE)
             while text := reader.read(PIECE):
@@ -497,37 +400,30 @@ class Encoded:
                 yield f"{text}{rest}" if (rest or text).endswith("\n") else f"{text}{rest}\n"
 
     def lines(self, where: str) -> Iterator[str]:
-        """Yield the lines, without what ends them."""
+        """Yield the lines, without what ends them and a byte order mark."""
         for piece in self.pieces(where):
-            yield from piece[:-1].split("\n")
+            yield from piece[:-1].removeprefix(_MARK).split("\n")
 
+    @cached_property
     def end(self) -> str:
-        """Return the end of the text; all is read where a place in it is none in the file."""
-        if self.compressed or self.encoding not in ("utf-8", "utf-8-sig", "latin-1"):
-            last = ""
-            with self.reader() as reader:
-                while text := reader.read(PIECE):
-                    last = (last + text)[-END:]
-            return last
+        """The end of the text."""
         with self.raw() as stream:
             stream.seek(max(0, stream.seek(0, os.SEEK_END) - END))
-            return stream.read().decode(self.encoding, "replace").replace("\r\n", "\n").replace("\r", "\n")
+            text = stream.read().decode(self.encoding, "replace")
+        return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _open(path: Path) -> IO[bytes]:
-    return open(path, "rb")
+def _opened(source: Path | bytes, open: Callable[..., IO[bytes]]) -> IO[bytes]:
+    return io.BytesIO(source) if isinstance(source, bytes) else open(source, "rb")
 
 
 def _encoding(head: bytes) -> str:
-    for mark, name in _MARKS:
-        if head.startswith(mark):
-            return name
     half = max(1, len(head) // 2)
     for first, name in ((1, "utf-16-le"), (0, "utf-16-be")):
         if head[first::2].count(0) > _WIDE * half and head[1 - first :: 2].count(0) < _NARROW * half:
             return name
     try:
-        codecs.getincrementaldecoder("utf-8")("strict").decode(head)
+        codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:
         return "latin-1"
     return "utf-8"

@@ -1,0 +1,166 @@
+"""Files that hold several tables: sheets, tables of a database, files of an archive, signals by name."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import tempfile
+import zipfile
+from collections import defaultdict
+from collections.abc import Collection, Mapping
+from contextlib import closing
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from hallsym.errors import InputError, nearest, quoted
+from hallsym.log.arrow import source_of
+from hallsym.log.columns import RUN_WORDS, TIME_WORDS, listed
+from hallsym.log.groups import Group, GroupedSource
+from hallsym.log.table import Arrays, Source, load
+from hallsym.log.text.cells import is_number, split_header, stems_of
+from hallsym.units import split_unit
+
+
+def one_of(where: str, kind: str, tables: Mapping[str, Source], chosen: str | None = None) -> Source:
+    """Return the table that is `chosen`, the only one with numbers, or those of the same columns as runs.
+
+    `kind`: what a table is called, "sheet". Raises `InputError` where one has to be chosen.
+    """
+    if chosen is not None:
+        if chosen not in tables:
+            raise InputError(
+                f"{where} has no {kind} '{chosen}' with cells{nearest(chosen, list(tables))}; it has "
+                f"{', '.join(tables) or 'none'}."
+            )
+        return tables[chosen]
+    filled = {name: source for name, source in tables.items() if _holds_numbers(source)} or tables
+    if not filled:
+        raise InputError(f"{where} is empty: it must hold a row of column names and one row per sample.")
+    if len(filled) == 1:
+        return next(iter(filled.values()))
+    same = defaultdict[frozenset[str], list[str]](list)
+    for name, source in filled.items():
+        same[frozenset(source.names)].append(name)
+    runs = max(same.values(), key=len)
+    if len(runs) == 1:
+        raise InputError(
+            f"{where} has {len(filled)} {kind}s with cells ({listed(list(filled))}): say which one holds the "
+            f"log with --sheet {quoted(runs[0])}."
+        )
+    found = GroupedSource(
+        where, f"{kind}s", [Group(name, filled[name]) for name in runs], {}, None, files=True
+    )
+    others = [name for name in tables if name not in runs]
+    left = (f"Of {where} {kind} {listed(others)} is not read.",) if others else ()
+    found.notes = (*found.notes, *left)
+    return found
+
+
+def _holds_numbers(source: Source) -> bool:
+    return any(is_number(cell) for row in source.head(_FEW, 100) for cell in row)
+
+
+_FEW = 5
+"""Rows that are looked at for numbers."""
+
+
+def open_sqlite(path: Path, sheet: str | None = None) -> Source:
+    """Open the tables of an SQLite database, as sheets of a workbook are."""
+    arrow = load("pyarrow")
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as base:
+        asked = "select name from sqlite_master where type in ('table', 'view') and name not like 'sqlite_%'"
+        found = {}
+        for (name,) in base.execute(asked).fetchall():
+            rows = base.execute(f'select * from "{name}"')
+            names = [column[0] for column in rows.description]
+            values = zip(*rows.fetchall(), strict=True)
+            columns = dict(zip(names, map(list, values), strict=False))
+            if columns:
+                found[name] = source_of(arrow.table(columns), quoted(path))
+    return one_of(quoted(path), "table", found, sheet)
+
+
+# -- an archive --------------------------------------------------------------------------------------------
+
+MOST_BYTES = 10_000_000_000
+"""What an archive may hold: more is unpacked by who knows where there is room for it."""
+
+
+def unpacked(path: Path, suffixes: Collection[str]) -> Path:
+    """Return a folder, which ends with the process, of the files of a zip archive that have a suffix."""
+    return _unpacked(path, tuple(suffixes), path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=16)
+def _unpacked(path: Path, suffixes: tuple[str, ...], written: int) -> Path:
+    with zipfile.ZipFile(path) as archive:
+        members = [
+            member for member in archive.infolist()
+            if Path(member.filename).suffix.lower() in suffixes and Path(member.filename).name[0] != "."
+        ]  # fmt: skip
+        size = sum(member.file_size for member in members)
+        if not members:
+            raise InputError(f"Archive {quoted(path)} must hold a log or files that are runs; it holds none.")
+        if size > MOST_BYTES:
+            raise InputError(f"Archive {quoted(path)} holds {size / 1e9:.0f} GB; unpack it first.")
+        held = tempfile.TemporaryDirectory(prefix="hallsym-")
+        _UNPACKED.append(held)
+        folder = Path(held.name) / path.name
+        for member in members:
+            target = folder / Path(member.filename).name if len(members) == 1 else folder / member.filename
+            if not target.resolve().is_relative_to(folder.resolve()):
+                raise InputError(f"Archive {quoted(path)} names a file outside itself; it is not unpacked.")
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with archive.open(member) as source, target.open("wb") as copy:
+                shutil.copyfileobj(source, copy)
+    return folder
+
+
+_UNPACKED: list[tempfile.TemporaryDirectory[str]] = []
+
+
+# -- a row per value ---------------------------------------------------------------------------------------
+
+MOST_NAMES = 6
+"""Columns of a table with a row per value at most: time, run, name, value, and what is kept beside them."""
+LOOKED_AT = 1000
+"""Rows that are looked at to see whether names come again."""
+
+
+def by_signal(source: Source, where: str) -> Source:
+    """Return the signals of a table with a row per value (time, name, value) as columns.
+
+    Any other table is returned as it is: one with more than one column of words, or of numbers beside time
+    and run, or whose values have a unit, which several quantities cannot share.
+    """
+    if not 3 <= len(source.names) <= MOST_NAMES:
+        return source
+    head = source.head(LOOKED_AT, MOST_NAMES)
+    columns = dict(zip(source.names, zip(*head, strict=True), strict=False))
+    words = [name for name, cells in columns.items() if not any(map(is_number, cells))]
+    stems = {name: split_unit(split_header(name)[0])[0].lower().strip("_") for name in source.names}
+    stamps = [name for name in columns if stems[name] in TIME_WORDS]
+    names = [name for name in words if name not in stamps]
+    numbers = [n for n in columns if n not in words and n not in stamps and stems[n] not in RUN_WORDS]
+    if len(names) != 1 or len(numbers) != 1 or numbers[0] in source.units or split_unit(numbers[0])[1]:
+        return source
+    labels = np.array(source.labels(names[0]))
+    signals = list(dict.fromkeys(labels))
+    if not 2 <= len(signals) <= len(labels) / 2:
+        return source
+    beside = [name for name in source.names if name not in (names[0], numbers[0])]
+    data, parts = source.read([*beside, numbers[0]]), stems_of(signals, [None] * len(signals), where)
+    groups = []
+    for stem, (label, unit) in parts.items():
+        mine = labels == label
+        part = Arrays({stem: data[numbers[0]][mine], **{name: data[name][mine] for name in beside}})
+        part.units = {
+            **{n: u for n, u in source.units.items() if n in beside},
+            **({stem: unit} if unit else {}),
+        }
+        groups.append(Group(stem, part))
+    found = GroupedSource(where, "a row per value", groups, source.left_out, None, files=True)
+    found.notes = (*source.notes, *found.notes)
+    return found
