@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.codegen.decoupler import Decoupler, Entry, Step, Whole, computed, of_step, short
-from hallsym.codegen.intervals import TINY, Enclosure, constant, enclose
+from hallsym.codegen.intervals import EXACT, TINY, Enclosure, constant, enclose
 from hallsym.codegen.operations import Graph, Operation, graph
 
 LEAST_GAIN = 0.1
@@ -113,9 +113,6 @@ class PoseByPose:
         ends = (values.min(axis=1), values.max(axis=1), ROOM * errors.max(axis=1))
         return {c: Enclosure(*map(float, e)) for c, *e in zip(self.pose, *ends, strict=True)}
 
-
-EXACT = ("assign", "neg", "twice", "fabs", "lt", "le", "not", "if_else_zero")
-"""Operations that do not round."""
 
 Numbers = dict[str, Any]
 

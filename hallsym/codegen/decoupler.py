@@ -412,6 +412,8 @@ class Collected:
     steps: list[Step] = field(default_factory=list)
     named: set[str] = field(default_factory=set)
     """Names of the entries."""
+    graphs: dict[str, Graph] = field(default_factory=dict)
+    """Graphs of the steps that were run."""
 
     def begin(self, model: Model, inputs: Sequence[str]) -> None:
         """Add the symbols of inputs and zeros."""
@@ -525,3 +527,32 @@ def of_step(step: Step, found: Graph, made: Sequence[Any], real: type = float) -
         entries: np.ndarray = np.array(step.array.values, dtype=real)
         return entries[(value.astype(np.int64) + step.ahead) % len(entries)]
     return _whole(step, value, np.floor)
+
+
+class Trial:
+    """Values of the steps of a decoupler in double at trial inputs, while steps are added.
+
+    `inputs`: values (s,) by column; zeros are 0.
+    """
+
+    def __init__(self, made: Collected, inputs: Mapping[str, np.ndarray]) -> None:
+        self.made, self.done = made, 0
+        self.values: dict[str, Any] = {made.symbols[c].name(): v for c, v in inputs.items()}
+        self.values |= {name: 0.0 for name in made.symbols if name.startswith("zero_")}
+
+    def __call__(self, names: Sequence[str]) -> np.ndarray:
+        """Return the values (names, s) of some steps."""
+        made = self.made
+        self.values |= {e.name: e.value for e in made.table}
+        with np.errstate(all="ignore"):
+            for step in made.steps[self.done :]:
+                if step.name not in made.graphs:
+                    made.graphs[step.name] = graph([step.expression])
+                own = made.graphs[step.name]
+                self.values[step.name] = of_step(step, own, computed(own, self.values))
+        self.done = len(made.steps)
+        return np.array(np.broadcast_arrays(*(self.values[n] for n in names)))
+
+    def only(self, some: np.ndarray) -> None:
+        """Keep some samples (s,) alone."""
+        self.values = {n: v[some] if np.ndim(v) else v for n, v in self.values.items()}

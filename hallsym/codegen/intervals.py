@@ -129,14 +129,14 @@ def _enclosed(op: str, args: list[Enclosure], digits: int | None) -> Enclosure:
     if op not in _RANGES or (digits and op not in _ERRORS):
         raise InputError(f"Operation {op} of the model has no C without libm.")
     low, high = _RANGES[op](*args)
-    if op not in _EXACT:
+    if op not in EXACT:
         unknown = np.isnan(low) | np.isnan(high)
         low = np.where(unknown, -np.inf, low - (ULPS * np.abs(low) + 1e-300))
         high = np.where(unknown, np.inf, high + (ULPS * np.abs(high) + 1e-300))
     if not digits:
         return Enclosure(low, high)
     error = _ERRORS[op](*args)
-    if op not in _EXACT:
+    if op not in EXACT:
         most = np.maximum(np.abs(low), np.abs(high)) + error
         error = np.where(np.isfinite(most), error + most * 2.0**-digits + TINY[digits], np.inf)
     return Enclosure(low, high, error)
@@ -263,7 +263,7 @@ _RANGES: dict[str, Callable[..., Range]] = {
     "constpow": _power,
     "pow": _power,
 }
-_EXACT = ("assign", "neg", "twice", "fabs", "sign", "fmin", "fmax", *TESTS, "not", "if_else_zero")
+EXACT = ("assign", "neg", "twice", "fabs", "sign", "fmin", "fmax", *TESTS, "not", "if_else_zero")
 """Operations that do not round."""
 
 

@@ -10,6 +10,7 @@ a step.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import combinations_with_replacement as combined
 from math import pi, tan
 
 import casadi as ca
@@ -24,11 +25,22 @@ from hallsym.codegen.decoupler import (
     Flag,
     Margin,
     Redundancy,
+    Trial,
     short,
     unit,
 )
 from hallsym.codegen.lowering import wave_steps
-from hallsym.codegen.lowering.arrays_fit import KINDS, NEGLIGIBLE, Arrays, groups_of
+from hallsym.codegen.lowering.arrays_fit import (
+    BATCH,
+    KINDS,
+    NEGLIGIBLE,
+    SAMPLES,
+    Arrays,
+    Term,
+    fewest,
+    groups_of,
+    turning_of,
+)
 from hallsym.codegen.lowering.odd_series import Odd, odd, shortest
 from hallsym.codegen.lowering.remainders import Seen, contradictions
 from hallsym.codegen.lowering.wave_steps import Pair, Wave
@@ -41,6 +53,8 @@ ENOUGH = 1e-6
 NEAR = 0.3
 """Share of a period by which what says the period may be off, and trials let it be."""
 TRIALS = 20_000
+STEP = 1e-6
+"""Step [m, rad] of the slopes of phasors."""
 FIELD = "an array's field beyond the calibrated heights: too near, too far, or no array"
 TILTED = "rotations beyond the calibrated box"
 
@@ -90,9 +104,25 @@ class Assembly:
     _unwrapped: dict[int, bool] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
-        """Name the arrays: x_1, x_2, y_1, y_2."""
+        """Name the arrays: x_1, x_2, y_1, y_2; begin the steps, and their trial over poses of the box."""
         pose = self.found.model.pose
         self.names = [f"{short(pose[a])}_{k + 1}" for a, m in self.found.axes.items() for k in range(len(m))]
+        self.nears = tuple(f"{short(pose[axis])}_near_m" for axis in (0, 1) if self.wide(axis))
+        self.inputs = (*self.found.model.channels, *self.nears)
+        self.made.begin(self.found.model, self.inputs)
+        self.poses, readings = self.found.trials(1, SAMPLES)
+        self.tried = self.trial(readings, self.poses)
+
+    def trial(self, readings: np.ndarray, near: np.ndarray) -> Trial:
+        """Return the trial of readings (n, s); `near` (2, s): places that say the period."""
+        nears = dict(zip(self.nears, (near[axis] for axis in (0, 1) if self.wide(axis)), strict=True))
+        return Trial(self.made, {**dict(zip(self.found.model.channels, readings, strict=True)), **nears})
+
+    def decoded(self, readings: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """Return the poses (n_pose, s) of readings (n, s) by all steps."""
+        names = [short(c) for c in self.found.model.pose]
+        parts = (slice(k, k + BATCH) for k in range(0, readings.shape[1], BATCH))
+        return np.hstack([self.trial(readings[:, part], near[:, part])(names) for part in parts])
 
     def turn(self, first: int, k: int, vectors: Sequence[Pair]) -> ca.SX:
         """Angle of one phasor from the first of its axis: small, so one polynomial without quadrants."""
@@ -170,7 +200,7 @@ class Assembly:
             found, first = self.found, self.found.axes[axis][0]
             phasors = found.phasors(found.readings(found.poses(np.random.default_rng(2), 2000)))
             far = np.abs(np.angle(phasors[first])).max() < WITHIN * pi
-            far = far and abs(found.at_middle[first, 0]) < LOST
+            far = far and abs(np.angle(found.at_middle[first])) * found.groups[first].phasor.lc < LOST
             self._unwrapped[axis] = bool(far and not self.wide(axis))
         return self._unwrapped[axis]
 
@@ -189,8 +219,7 @@ class Assembly:
         """Heights from those in the middle of the box, over lc and without sign: logarithms."""
         out = []
         for k, (group, seen) in enumerate(zip(self.found.groups, logs, strict=True)):
-            at = float(self.found.at_middle[len(logs) + k, 0])
-            value = group.phasor.rising * (at - group.phasor.middle) / group.phasor.lc
+            value = float(np.log(np.abs(self.found.at_middle[k])))
             if abs(value) * group.phasor.lc >= LOST:
                 about = "logarithm in the middle of the box"
                 seen = seen - self.made.entry(f"log_{self.names[k]}_middle", value, "1", about)
@@ -219,7 +248,8 @@ class Assembly:
     def _in_period(self, axis: int, name: str, place: ca.SX, lc: float) -> ca.SX:
         """The place from the middle of the box, in the period that is meant."""
         made, column = self.made, short(self.found.model.pose[axis])
-        at = float(self.found.at_middle[self.found.axes[axis], 0].mean())
+        u = self.found.at_middle[self.found.axes[axis]]
+        at = lc * float(np.angle(u[0]) + np.angle(u * u[0].conj()).mean())
         whole = made.entry(f"wavelength_{name}", 2 * pi * lc, "m", "wavelength", "sign")
         from_middle = place
         if abs(at) > LOST:
@@ -248,23 +278,34 @@ class Assembly:
             out += [f"along_{self.names[members[0]]}", *(f"turn_{self.names[k]}" for k in members[1:])]
         return [*out, *(f"deep_{n}" for n in self.names)]
 
-    @property
+    @cached_property
     def matrix(self) -> np.ndarray:
-        """Pose per label (6, labels), from the inverse per place and height."""
-        groups, n = self.found.groups, len(self.found.groups)
-        back = np.zeros((2 * n, 2 * n))  # places and heights per label
-        row = 0
-        for members in self.found.axes.values():
-            back[members, row] = 1.0
-            for j, k in enumerate(members[1:], 1):
-                lc = groups[k].phasor.lc
-                if not self.unwrapped(groups[members[0]].axis):
-                    back[members, row + j] = -lc / len(members)
-                back[k, row + j] += lc
-            row += len(members)
-        for k, group in enumerate(groups):
-            back[n + k, n + k] = group.phasor.rising * group.phasor.lc
-        return np.asarray(self.found.inverse @ back)
+        """Pose per label (n_pose, labels): least squares about the middle, weighted with what noise makes of
+        the phasors."""
+        found, moves = self.found, STEP * np.eye(len(self.found.middle))
+        ends = found.middle[:, None] + np.hstack([moves, -moves])
+        up, down = np.hsplit(np.array(found.phasors(found.readings(ends))), 2)
+        turned = np.log(up / down) / (2 * STEP)
+        slopes = np.vstack([turned.imag, turned.real])
+        variance = [(g.phasor.weights**2 / found.weight[list(g.channels)]).sum() for g in found.groups]
+        scaled = slopes.T / np.array([*variance, *variance])
+        return np.asarray(np.linalg.solve(scaled @ slopes, scaled) @ np.linalg.inv(self.by_array))
+
+    @cached_property
+    def by_array(self) -> np.ndarray:
+        """Labels per phase and logarithm of each array, (labels, 2 arrays)."""
+        out = np.eye(2 * len(self.found.groups))
+        for axis, (first, *others) in self.found.axes.items():
+            mean = 0.0 if self.unwrapped(axis) else 1.0 / (1 + len(others))
+            out[first, [first, *others]] = [1.0 - len(others) * mean, *[mean] * len(others)]
+            out[first] *= self.found.groups[first].phasor.lc
+            out[others, first] = -1.0
+        return out
+
+    def spread_of(self, labels: Sequence[str]) -> np.ndarray:
+        """Return how far labels are from their mean over poses of the box."""
+        seen = self.tried(labels)
+        return np.asarray(np.abs(seen - seen.mean(axis=1, keepdims=True)).max(axis=1))
 
     @cached_property
     def _rows(self) -> dict[int, dict[str, float]]:
@@ -273,9 +314,7 @@ class Assembly:
         A displacement is the mean place of its axis less what rotations move it by: fewer entries than all
         labels.
         """
-        found, matrix, labels = self.found, self.matrix, self.labels
-        _, _, seen = found.sample
-        spread = np.abs(np.linalg.pinv(matrix) @ (found.inverse @ (seen - found.at_middle))).max(axis=1)
+        found, matrix, labels, spread = self.found, self.matrix, self.labels, self.spread
         out: dict[int, dict[str, float]] = {}
         for i, column in enumerate(found.model.pose):
             row, turns = matrix[i], np.zeros(len(found.turns))
@@ -307,31 +346,57 @@ class Assembly:
             terms.append(entry * values[label])
         return sum(terms[1:], start=terms[0])
 
+    def _tilts(self, vectors: Sequence[Pair]) -> list[dict[Term, float]]:
+        """Return what a tilt adds to phase and logarithm of each array, (2 arrays): factors by term."""
+        found, seen = self.found, self.tried(self.labels)
+        inside = np.abs(self.matrix @ seen + found.middle[:, None] - self.poses)[:2].max(axis=0)
+        inside = inside < found.groups[0].phasor.lc  # no place wraps
+        self.tried.only(inside)
+        self.poses, seen = self.poses[:, inside], seen[:, inside]
+        smooth = np.array([
+            np.prod(((self.poses - found.middle[:, None]) / found.half[:, None])[list(c)], axis=0)
+            for degree in range(4)
+            for c in combined(range(6), degree)
+        ])  # fmt: skip
+        basis, _ = np.linalg.qr(smooth.T)
+        terms = [
+            (kind, c, part)
+            for kind in KINDS
+            for degree in (0, 1, 2)
+            for c in combined(range(3), degree)
+            for part in (0, 1)
+        ]
+        rotations, own, out = self.matrix[3:] @ seen, np.linalg.solve(self.by_array, seen), []
+        # what a phase or logarithm adds to the coordinates, over what they may be off by
+        share = (np.abs(self.matrix @ self.by_array) / found.accuracy[:, None]).max(axis=0)
+        for row, target in enumerate(own):
+            re, im = self.tried([v.name() for v in vectors[row % len(found.groups)]])
+            columns = np.array([turning_of(re + 1j * im, rotations, term) for term in terms])
+            free, rest = (v - (v @ basis) @ basis.T for v in (columns, target))
+            out.append(fewest(terms, free, rest, 1 / (2 * share[row])))
+        return out
+
     def turning(self, vectors: Sequence[Pair]) -> dict[str, ca.SX]:
         """Add what tilt adds to each label."""
         found, made = self.found, self.made
-        terms = found.turning
-        if not any(t.terms for t in terms):
+        self.tilts = self._tilts(vectors)
+        if not any(self.tilts):
             return {}
-        used = {c for t in terms for _, turns, _ in t.terms for c in turns}
+        used = {c for part in self.tilts for _, turns, _ in part for c in turns}
         rotations = {}
         for k in sorted(used):
             name = f"first_{short(found.model.pose[3 + k])}"
             rotations[k] = made.step(name, self.total(3 + k, made.symbols), "[rad] first estimate")
         sums: list[ca.SX] = []
         n = len(found.groups)
-        for row_, part in enumerate(terms):
-            k = row_ % n
+        for row, part in enumerate(self.tilts):
+            k, what = row % n, "place" if row < n else "log"
             total = ca.SX(0)
-            for j, ((kind, turns, side), factor) in enumerate(zip(part.terms, part.factors, strict=True)):
+            for j, ((kind, turns, side), factor) in enumerate(part.items(), 1):
                 value = self._kind(k, kind, vectors)[side]
                 product = self._product(value, kind, side, turns, k, rotations)
-                scale = found.groups[k].phasor.lc * (1.0 if row_ < n else found.groups[k].phasor.rising)
-                name = f"tilt_{'place' if row_ < n else 'log'}_{self.names[k]}_{j + 1}"
-                entry = made.entry(
-                    name, factor / scale, "1", f"tilt in {name.split('_')[1]} of {self.names[k]}"
-                )
-                total = total + entry * product
+                about = f"tilt in {what} of {self.names[k]}"
+                total = total + made.entry(f"tilt_{what}_{self.names[k]}_{j}", factor, "1", about) * product
             sums.append(total)
         return self._by_label(sums)
 
@@ -423,13 +488,27 @@ class Assembly:
         made.step("turns", -(out[3] * out[3] + out[4] * out[4] + out[5] * out[5]))
         return out
 
+    def _bends(self, linear: Sequence[ca.SX]) -> list[dict[tuple[int, ...], float]]:
+        """Return products of displacements (their numbers) that are added to each coordinate, with factors.
+
+        Rotations make them: none without.
+        """
+        found, v = self.found, self.tried([value.name() for value in linear])
+        if not found.turns or not np.isfinite(v).all():
+            return [{}] * len(linear)
+        off = self.poses - found.middle[:, None] - v
+        terms = [c for degree in range(4) for c in combined(range(6), degree)]
+        columns = np.array([np.prod(v[list(c)], axis=0) for c in terms])
+        return [fewest(terms, columns, row, most / 2) for row, most in zip(off, found.accuracy, strict=True)]
+
     def bent(self, linear: Sequence[ca.SX]) -> list[ca.SX]:
         """Add the middle of the box and products of displacements."""
         made, found, out = self.made, self.found, []
         of = dict(enumerate(linear))
-        for i, bend in enumerate(found.bends):
+        self.bends = self._bends(linear)
+        for i, bend in enumerate(self.bends):
             column, constant, total = found.model.pose[i], float(found.middle[i]), linear[i]
-            for numbers, factor in zip(bend.terms, bend.factors, strict=True):
+            for numbers, factor in bend.items():
                 if not numbers:
                     constant += factor
                     continue
@@ -447,19 +526,22 @@ class Assembly:
 
     # -- the whole -----------------------------------------------------------------------------------------
 
+    def steps(self) -> list[ca.SX]:
+        """Add the steps from the inputs to the pose; returns displacements from the middle, linear."""
+        made, pose = self.made, self.found.model.pose
+        linear = self.linear()
+        for column, value in zip(pose, self.bent(linear), strict=True):
+            made.step(short(column), made.symbols[f"zero_{short(column)}"] + value, f"[{unit(column)}]")
+        return linear
+
     def make(self) -> Decoupler:
         """Return the decoupler."""
-        made, model = self.made, self.found.model
-        near = [c for c, a in (("x", 0), ("y", 1)) if self.wide(a)]
-        nears = tuple(f"{short(model.pose['xy'.index(c)])}_near_m" for c in near)
-        inputs = (*model.channels, *nears)
-        made.begin(model, inputs)
-        ends = self._ends(nears)
-        linear = self.linear(nears)
+        made, model, inputs = self.made, self.found.model, self.inputs
+        ends = self._ends()
+        linear = self.steps()
+        pose = made.steps[-len(model.pose) :]
         redundancy = self.redundancy(linear)
-        pose = self.bent(linear)
-        for column, value in zip(model.pose, pose, strict=True):
-            made.step(short(column), made.symbols[f"zero_{short(column)}"] + value, f"[{unit(column)}]")
+        made.steps = [*(s for s in made.steps if s not in pose), *pose]
         flags = (*self.flags, *((residual.flag(),) if redundancy else ()))
         left = redundancy.steps if redundancy else ()
         made.keep((*(short(c) for c in model.pose), *(flag.step for flag in flags), *left))
@@ -471,7 +553,7 @@ class Assembly:
             said=self.said(leaves), evident=False,
         )  # fmt: skip
 
-    def linear(self, nears: Sequence[str]) -> list[ca.SX]:
+    def linear(self) -> list[ca.SX]:
         """Add the steps from the readings to the linear pose; returns its displacements from the middle."""
         vectors: list[Pair] = []
         for wave, group, name in zip(self.waves, self.found.groups, self.names, strict=True):
@@ -485,13 +567,14 @@ class Assembly:
         wave_steps.least_inside(self.made, self.waves)
         self.least()
         seen = [*self.places(vectors), *self.heights(logs)]
+        self.spread = self.spread_of(self.labels)
         return self.pose(seen, self.turning(vectors))
 
     def redundancy(self, linear: Sequence[ca.SX]) -> Redundancy | None:
         """Add what is left of the readings of each array."""
         found, made = self.found, self.made
-        pose, phasors, _ = found.sample
-        read, tilted, waves = found.readings(pose), pose[3:] - found.middle[3:, None], []
+        read, tilted, waves = found.readings(self.poses), self.poses[3:] - found.middle[3:, None], []
+        phasors = found.phasors(read)
         for group, wave, u, name in zip(found.groups, self.waves, phasors, self.names, strict=True):
             readings = {
                 short(found.model.channels[k]): made.symbols[found.model.channels[k]] for k in group.channels
@@ -516,7 +599,7 @@ class Assembly:
 
     # -- ranges, trials, what is said ----------------------------------------------------------------------
 
-    def _ends(self, nears: Sequence[str]) -> Box:
+    def _ends(self) -> Box:
         """Ranges of readings over poses of the box, and of what says the period."""
         found = self.found
         _, seen = found.trials(4, 4000)
@@ -525,7 +608,7 @@ class Assembly:
             middle, swing = (row.max() + row.min()) / 2, (row.max() - row.min()) / 2
             end = float(f"{abs(middle) + swing * (1 + wave_steps.SWING):.3g}")
             ends[c] = self.given.ends.get(c, (-end, end))
-        for c in nears:
+        for c in self.nears:
             axis = 0 if short(found.model.pose[0]) == c.removesuffix("_near_m") else 1
             most = float(np.abs(found.middle[axis]) + found.half[axis] + NEAR * found.wave_of(axis))
             ends[c] = (-most, most)
@@ -542,22 +625,14 @@ class Assembly:
         """Return the poses (6, s) of inputs (n, s) by the reference decoder."""
         n, given = len(self.found.model.channels), np.asarray(inputs, dtype=float)
         rows, middle = list(given[n:]), np.broadcast_to(self.found.middle[:2, None], (2, given.shape[1]))
-        near = [rows.pop(0) if self.wide(axis) else middle[axis] for axis in (0, 1)]  # what says the period
-        return self.found.solved(given[:n], np.array(near))
+        near = np.array([rows.pop(0) if self.wide(axis) else middle[axis] for axis in (0, 1)])
+        return self.found.solved(given[:n], self.decoded(given[:n], near))
 
     def leaves(self) -> dict[str, float]:
-        """What is left of each coordinate: met over trial poses by exact functions, and what these leave."""
-        found = self.found
-        pose = found.poses(np.random.default_rng(5), TRIALS)
-        met = np.abs(found.decoded(found.readings(pose), pose[:2]) - pose).max(axis=1)
-        n = len(found.groups)
-        each = np.array([w.error * w.phasor.lc for w in self.waves])
-        turned = np.zeros(n)
-        for first, *others in found.axes.values():
-            for k in others:
-                turned[k] = self.series(first, k).error * found.groups[k].phasor.lc
-        functions = np.abs(found.inverse) @ np.concatenate([each + turned, each]) * wave_steps.SAFE
-        return named(found.model.pose, wave_steps.SAFE * met + functions) if n else {}
+        """What is left of each coordinate: met over trial poses."""
+        pose = self.found.poses(np.random.default_rng(5), TRIALS)
+        met = np.abs(self.decoded(self.found.readings(pose), pose[:2]) - pose).max(axis=1)
+        return named(self.found.model.pose, wave_steps.SAFE * met)
 
     def said(self, leaves: dict[str, float]) -> tuple[str, ...]:
         """Return sentences for header and report."""
@@ -566,7 +641,7 @@ class Assembly:
             f"{n} from {counted(len(g.channels), 'reading')}"
             for n, g in zip(self.names, found.groups, strict=True)
         )
-        turning, bends = (sum(len(t.terms) for t in terms) for terms in (found.turning, found.bends))
+        turning, bends = (sum(map(len, terms)) for terms in (self.tilts, self.bends))
         return (
             f"Arrays: {sizes}. Six coordinates by weighted least squares of their places and heights, "
             f"{counted(turning, 'term')} of tilt and {counted(bends, 'product')} of coordinates.",

@@ -14,6 +14,7 @@ import numpy as np
 
 from hallsym.codegen import residual
 from hallsym.codegen.decoupler import Collected, Redundancy, Watched
+from hallsym.codegen.lowering.arrays_fit import fewest
 from hallsym.codegen.lowering.phasors import Phasor
 from hallsym.codegen.lowering.wave_steps import Pair, Powers
 
@@ -132,7 +133,8 @@ class _Left:
         terms = [(n, c, part) for n in orders for c in turns if n > 1 or c for part in (0, 1)]
         if terms:
             columns = np.array([self._column(*term) for term in terms])
-            for k, ((n, c, part), factor) in enumerate(fewest(terms, columns, target, LEAVE * self.unit)):
+            few = fewest(terms, columns, target, LEAVE * self.unit, rms)
+            for k, ((n, c, part), factor) in enumerate(few.items()):
                 about = f"{name} per power {n} of the phasor{''.join(f' and rotation {j + 1}' for j in c)}"
                 total = total - self._entry(f"{name}_{k + 1}", factor, about) * self._symbol(n, c, part)
         self.made.step(name, total, "[V] that the decoded field leaves")
@@ -152,17 +154,6 @@ class _Left:
         return value
 
 
-def fewest(
-    terms: Sequence[tuple], columns: np.ndarray, target: np.ndarray, enough: float
-) -> list[tuple[tuple, float]]:
-    """Return terms and factors whose sum leaves `enough` of a target (s,), rms: what explains most first."""
-    unit = columns / (np.linalg.norm(columns, axis=1, keepdims=True) + 1e-300)
-    chosen: list[int] = []
-    factors, rest = np.zeros(0), target
-    while len(chosen) < len(terms) and np.sqrt(np.mean(rest**2)) > enough:
-        gain = np.abs(unit @ rest)
-        gain[chosen] = -1.0
-        chosen.append(int(gain.argmax()))
-        factors, *_ = np.linalg.lstsq(columns[chosen].T, target, rcond=None)
-        rest = target - factors @ columns[chosen]
-    return [(terms[k], float(f)) for k, f in zip(chosen, factors, strict=True)]
+def rms(values: np.ndarray) -> float:
+    """Return the root of the mean square."""
+    return float(np.sqrt(np.mean(values**2)))

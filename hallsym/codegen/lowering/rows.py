@@ -10,7 +10,7 @@ Of one row the place is absolute: the middle of what it reads, squared, says the
 reaches beyond the row, the middle of the rest and the end of the row say it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -23,14 +23,13 @@ from hallsym.codegen import residual
 from hallsym.codegen.decoupler import Box, Collected, Decoupler, Flag, Redundancy, Watched, short
 from hallsym.codegen.lowering import wave_steps
 from hallsym.codegen.lowering.arrays import LOST, NEAR, TRIALS, Assembly, ends_and_leaves
-from hallsym.codegen.lowering.arrays_fit import APART, SAMPLES, Reference, check_along, together
+from hallsym.codegen.lowering.arrays_fit import APART, Reference, check_along, together
 from hallsym.codegen.lowering.passing import NeverEnds, passes, readings
 from hallsym.codegen.lowering.phasors import HARMONICS, PLACES, TURN, WIDE, Phasor, Sample
 from hallsym.codegen.lowering.remainders import UNKNOWNS
 from hallsym.codegen.lowering.wave_steps import Pair, wave_of
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
-from hallsym.records import named
 
 COUNTS = 1.0
 """Change of a place, over a micrometre, above which a higher harmonic counts."""
@@ -39,11 +38,8 @@ TINY = 1e-12
 """Added to the energy of all sensors [V2]: it may be zero."""
 RAMP = 0.5
 """Wavelengths over which the weight of a sensor goes from 0 to 1."""
-NO_COVER = 1e-9
-"""Determinant of the normal matrix [V4] of no sensors."""
 COVER = 0.5
 """Share of the least cover of the box below which the flag is set."""
-COVERS_SEEN = 2000
 COVERED = "too few sensors see an array: it is at an end of the board or beyond"
 FAR = 30
 """Wavelengths away at which it is seen whether the arrays end: more than arrays have, and some mrad do not
@@ -155,99 +151,6 @@ class Rows(Reference):
         low, high = float(place[0]) + half, float(place[-1]) - half
         return (low, high) if low <= high else ((low + high) / 2,) * 2
 
-    def middle_seen(self, r: np.ndarray) -> np.ndarray:
-        """Return the middle (s,) of what one row reads, squared; at its ends of all the array."""
-        (row,), (low, high) = self.rows, self.whole
-        energy = r[list(row.channels)] ** 2
-        at = (energy * row.place[:, None]).sum(axis=0) / (energy.sum(axis=0) + TINY)
-        return np.minimum(np.maximum(at, 2 * at - high), 2 * at - low) if low < high else np.asarray(at)
-
-    def first(self, r: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """Return places (axes, s) from all sensors of an axis alike, in the period of `near` (2, s)."""
-        out = []
-        for axis, members in self.axes.items():
-            rows = [self.rows[k] for k in members]
-            alike = sum((row.factor[:, :1].conj() * r[list(row.channels)]).sum(axis=0) for row in rows)
-            at = self.middle_seen(r) if self.absolute else near[axis]
-            out.append(next_to(self.lc, at, np.asarray(alike)))
-        return np.array(out)
-
-    def weights(self, row: Row, x: np.ndarray) -> np.ndarray:
-        """Return the weight (n, s) of each sensor of a row for an array at x (s,): 0 beyond the ends."""
-        away = np.abs(row.place[:, None] - x)
-        inside = (row.length / 2 - self.margin * self.wavelength - away) / (RAMP * self.wavelength)
-        inside = np.clip(inside, 0.0, 1.0)
-        return np.asarray(inside * inside * (3 - 2 * inside))
-
-    def least_cover(self, row: Row) -> float:
-        """Return the determinant of the normal matrix [V4] below which the flag is set."""
-        w = self.weights(row, self.poses(np.random.default_rng(3), COVERS_SEEN)[row.axis])
-        c, s = row.design()
-        cc, cs, ss = ((p[:, None] * w).sum(axis=0) for p in (c * c, c * s, s * s))
-        return COVER * float((cc * ss - cs * cs).min())
-
-    def seen(
-        self, r: np.ndarray, at: np.ndarray, before: tuple[np.ndarray, Sequence[np.ndarray]] | None = None
-    ) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Return place and height of each row (2 rows, s), and its phasor.
-
-        `at` (axes, s): places that weights are taken at; `before`: rotations (n_rotations, s) and phasors, to
-        be taken out.
-        """
-        out, heights, phasors, first = [], [], [], dict(enumerate(at))
-        for k, row in enumerate(self.rows):
-            w, v = self.weights(row, at[row.axis]), r[list(row.channels)]
-            lifted = np.ones_like(w)
-            if before is not None:
-                if self.turns:
-                    turn = before[0][self.tilt_of(row) - 3] * self.lift_of(row)
-                    lifted = exponential(turn * (at[row.axis] - row.place[:, None]))
-                for n in self.harmonics:
-                    v = v - (row.factor[:, n - 1 : n] * before[1][k] ** n).real * lifted**n
-            rows = row.design()[:, :, None] * lifted
-            normal = np.einsum("iks,jks,ks->sij", rows, rows, w)
-            low = np.linalg.det(normal) < NO_COVER
-            both = np.einsum("iks,ks,ks->si", rows, w, v)
-            re, im = np.einsum("sij,sj->is", np.linalg.inv(normal + np.eye(2) * low[:, None, None]), both)
-            u = re + 1j * im
-            out.append(next_to(self.lc, first[row.axis], u))
-            heights.append(self.rising * self.lc * np.log(np.abs(u)))
-            phasors.append(u)
-        return np.array([*out, *heights]), phasors
-
-    def straight(self, readings: np.ndarray, near: np.ndarray | None) -> np.ndarray:
-        """Return displacements (n_pose, s) from the middle, linear in places and heights without tilt."""
-        r = self.without_offset(readings)
-        shape = (2, r.shape[1])
-        at = self.first(r, np.broadcast_to(self.middle[:2, None], shape) if near is None else near)
-        with np.errstate(all="ignore"):
-            seen, phasors = self.seen(r, at)
-            for _ in range(self.rounds):
-                turns = self.inverse[3:] @ (seen - self.at_middle)
-                seen, phasors = self.seen(r, at, (turns, phasors))
-        return np.asarray(self.inverse @ (seen - self.at_middle))
-
-    def without_offset(self, readings: np.ndarray) -> np.ndarray:
-        """Return readings (n, s) less what each sensor reads with no array over it."""
-        r = np.array(readings, dtype=float)
-        for row in self.rows:
-            r[list(row.channels)] -= row.offset[:, None]
-        return r
-
-    @property
-    def at_middle(self) -> np.ndarray:
-        """Places and heights (2 rows, 1) in the middle of the box."""
-        n = len(self.rows)
-        return np.array([self.middle[row.axis] for row in self.rows] + n * [0.0])[:, None]
-
-    @cached_property
-    def sample(self) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
-        """Poses of the box, their phasors, places and heights."""
-        pose, readings = self.trials(1, SAMPLES)
-        r = self.without_offset(readings)
-        seen, phasors = self.seen(r, self.first(r, pose[:2]))
-        return pose, phasors, seen
-
     def wave_of(self, axis: int) -> float:
         """Wavelength along a coordinate [m]."""
         return self.wavelength
@@ -258,21 +161,6 @@ class Rows(Reference):
             np.abs(row.place - self.middle[row.axis]).max() + self.half[row.axis] > row.length / 2
             for row in self.rows
         )
-
-    def _bent(self) -> tuple[np.ndarray, np.ndarray]:
-        pose, readings = self.trials(1, SAMPLES)
-        return pose, self.straight(readings, pose[:2])
-
-
-def exponential(v: np.ndarray) -> np.ndarray:
-    """Return exp of small numbers as the code computes it."""
-    return np.asarray(1 + v * (1 + v * (0.5 + v * (1 / 6))))
-
-
-def next_to(lc: float, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Return the place of the phase of u in the period next to x."""
-    place, wave = lc * np.angle(u), 2 * pi * lc
-    return np.asarray(place + wave * np.floor((x - place) / wave + 0.5))
 
 
 # -- found from the model ------------------------------------------------------------------------------------
@@ -402,13 +290,16 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box, accurac
         raise
     if several and not found.travels():
         return None
-    found = _best(found)
     tilted = float(np.abs(np.array([row.lever for row in found.rows])).max(axis=0) @ half[3:])
     wave = wave_of(found.plain, (low - tilted, high + tilted), float(leaves[0]))
-    return _Assembly(found, (wave,) * len(found.rows), box).make()
+
+    def assembly(found: Rows) -> _Assembly:
+        return _Assembly(found, (wave,) * len(found.rows), box)
+
+    return assembly(_best(found, assembly)).make()
 
 
-def _best(found: Rows) -> Rows:
+def _best(found: Rows, assembly: "Callable[[Rows], _Assembly]") -> Rows:
     """Return the rows with the margin that leaves least of ends and noise, and rounds that are worth it."""
     tried: list[tuple[float, int, Rows]] = []
     least = 1 if found.turns else 0
@@ -416,11 +307,11 @@ def _best(found: Rows) -> Rows:
         one = replace(found, margin=margin, rounds=least, plainly=True)
         if 2 * margin * one.wavelength >= min(r.length for r in one.rows) - one.wavelength:
             continue
-        size, price = _left(one), 1.0
+        size, price = _left(assembly(one)), 1.0
         tried.append((size, len(tried), one))
         for rounds in range(1, MOST_ROUNDS + 1):
             one = replace(found, margin=margin, rounds=rounds)
-            before, size, price = size, _left(one), price * HARDLY
+            before, size, price = size, _left(assembly(one)), price * HARDLY
             if not size * HARDLY < before:
                 break
             tried.append((size * price, len(tried), one))
@@ -434,15 +325,16 @@ def _best(found: Rows) -> Rows:
     return best
 
 
-def _left(found: Rows) -> float:
+def _left(made: "_Assembly") -> float:
     """What is left, rms, of coordinates over their accuracy, with the noise of the calibration."""
+    found = made.found
     pose, readings = found.trials(7, TRIED)
     noise = np.random.default_rng(8).standard_normal(readings.shape) / np.sqrt(found.weight)[:, None]
-    with np.errstate(all="ignore"):  # where no sensor counts there is no pose
-        off = found.decoded(readings + noise, pose[:2]) - pose
-        size = float(np.sqrt(((off / found.accuracy[:, None]) ** 2).mean()))
-    resolved = np.isfinite(off).all() and np.abs(off[list(found.axes)]).max() < found.wavelength / 4
-    return size if resolved else np.inf
+    made.steps()
+    off = made.decoded(readings + noise, pose[:2]) - pose
+    if not np.isfinite(off).all() or np.abs(off[list(found.axes)]).max() >= found.wavelength / 4:
+        return np.inf  # where no sensor counts there is no pose
+    return float(np.sqrt(((off / found.accuracy[:, None]) ** 2).mean()))
 
 
 @dataclass(eq=False)
@@ -472,6 +364,7 @@ class _Assembly(Assembly):
             self._weights(row, name)
         tags = [*(f"_{k}" for k in range(found.rounds)), ""]
         seen = self._solved(tags[0])
+        self.spread = self.spread_of([value.name() for value in seen.values()])
         self._covered(tags[0])
         for before, tag in pairwise(tags):
             tilts = sorted({found.tilt_of(row) for row in found.rows}) if found.turns else ()
@@ -611,7 +504,7 @@ class _Assembly(Assembly):
         """One over the determinant of a normal matrix, no less than where the flag is set."""
         made, (cc, cs, ss) = self.made, normal
         cover = made.step(f"cover_{name}{tag}", cc * ss - cs * cs, "[V4] cosine told from sine")
-        value = self.found.least_cover(row)
+        value = COVER * float(self.tried([cover.name()]).min())
         least = made.entry(f"least_cover_{name}", value, "V4", "share of the least of the box", "sign")
         held = made.step(f"held_cover_{name}{tag}", ca.if_else(cover > least, cover, least))
         return made.step(f"per_cover_{name}{tag}", 1.0 / held)
@@ -676,7 +569,7 @@ class _Assembly(Assembly):
         made.step("cover", first)
         made.entry("least_cover", 0.0, "V4", "what each row must have more than its least", "value")
 
-    def linear(self, nears: Sequence[str]) -> list[ca.SX]:
+    def linear(self) -> list[ca.SX]:
         """Add the steps from the readings to the linear pose; returns its displacements from the middle."""
         seen = self.rows()
         self.least()
@@ -709,14 +602,6 @@ class _Assembly(Assembly):
     def flags(self) -> tuple[Flag, ...]:
         """Status bits beyond the ranges."""
         return (*super().flags, Flag("COVER", "cover", "least_cover", COVERED))
-
-    def leaves(self) -> dict[str, float]:
-        """What is left of each coordinate: met over trial poses by exact functions, and what these leave."""
-        found = self.found
-        pose, readings = found.trials(5, TRIALS)
-        met = np.abs(found.decoded(readings, pose[:2]) - pose).max(axis=1)
-        each = np.full(2 * len(found.rows), self.waves[0].error * found.lc)
-        return named(found.model.pose, wave_steps.SAFE * (met + np.abs(found.inverse) @ each))
 
     def said(self, leaves: dict[str, float]) -> tuple[str, ...]:
         """Return sentences for header and report."""

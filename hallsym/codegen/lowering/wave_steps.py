@@ -178,8 +178,8 @@ def measured(met: str, leaves: Mapping[str, float], trials: int, of: str = "") -
     """Return the sentences on what a decoder `leaves` of each coordinate, met over trial poses."""
     listed = ", ".join(f"{c} {v:.2g} {unit(c)}" for c, v in leaves.items())
     return (
-        f"{met} leaves at most {listed}{of}: {SAFE:g} times what {trials} poses of the box met, and what "
-        "polynomials leave (measured, not proved for every pose).",
+        f"{met} leaves at most {listed}{of}: {SAFE:g} times what {trials} poses of the box met "
+        "(measured, not proved for every pose).",
         "Only readings of a pose in the box have that error: others give a finite pose, mostly a flag.",
     )
 
