@@ -78,7 +78,8 @@ class Lines:
         if len(row) == self.width and self._counted(row):
             self.good += 1
             return row
-        self.other[len(row)] += bool(row)
+        if row:
+            self.other[len(row)] += 1
         self.bad += self.good > 0
         if not self.example or row:
             self.example = line.decode("ascii", "replace").strip()[:60]
@@ -178,8 +179,8 @@ def capture(
             arrived = last - begin + (at - last) * np.arange(1, len(found) + 1) / len(found)
             waiting.append(np.column_stack([np.array(found), arrived]))
             last = at
-        elif not reader.good:
-            _refuse(reader, where, came, at - begin > patience_s)
+        elif not reader.good and (at - begin > patience_s or max(reader.other.values(), default=0) >= ALIKE):
+            break
         if at - handed >= PIECE_S:
             hand()
             handed, faults = at, f", {reader.bad} bad" if reader.bad else ""
@@ -190,27 +191,23 @@ def capture(
         if stopped():
             raise KeyboardInterrupt
         require(not reader.fault, f"Port {where}", "there until a line comes", reader.fault)
-        _refuse(reader, where, came, True)
+        raise InputError(_none(reader, where, came))
     hand()
     return reader
 
 
-def _refuse(reader: Lines, where: str, came: bytes, late: bool) -> None:
-    """Say why no line has been taken: another number of columns at once, all else when it is `late`."""
-    width, often = (reader.other.most_common(1) or [(0, 0)])[0]
-    if often >= ALIKE or (late and often):
-        raise InputError(
-            f"Lines from {where} have {width} numbers, such as {reader.example!r}, but --columns names "
-            f"{reader.width}; name each, 'skip' for those that are not wanted."
+def _none(reader: Lines, where: str, came: bytes) -> str:
+    """Return why no line has been taken of what `came`."""
+    if reader.other:
+        return (
+            f"Lines from {where} have {reader.other.most_common(1)[0][0]} numbers, such as "
+            f"{reader.example!r}, but --columns names {reader.width}; name each, 'skip' for those that are "
+            "not wanted."
         )
-    if late and not came:
-        raise InputError(
+    if not came:
+        return (
             f"Nothing came from {where}: look at the cable, at --baud, and whether the board prints at all; "
             "--wait gives it more seconds."
         )
-    if late:
-        shown = reader.example or came[:40].decode("ascii", "replace")
-        raise InputError(
-            f"What comes from {where} are no lines of numbers, such as {shown!r}: --baud may be another than "
-            "the board's."
-        )
+    shown = reader.example or came[:40].decode("ascii", "replace")
+    return f"What comes from {where} are no lines of numbers, such as {shown!r}: --baud may be another one."

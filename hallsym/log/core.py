@@ -208,12 +208,6 @@ class Drop:
         """Say whether anything is left out."""
         return bool(self.finite or self.forward or self.runs or self.rows)
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns that decide."""
-        time = ("t_s",) if self.forward else ()
-        return tuple(dict.fromkeys((RUN, *self.finite, *time)))
-
 
 class Filtered(View):
     """A table without the samples that `drop` names."""
@@ -229,7 +223,8 @@ class Filtered(View):
     def pieces(self, columns: Sequence[str], size: int) -> Iterator[Piece]:
         """Yield the kept rows, as `Table.pieces` does."""
         row, run, latest = 0, None, -np.inf
-        for piece in self.table.pieces(tuple(dict.fromkeys((*columns, *self.drop.columns))), size):
+        deciding = (RUN, *self.drop.finite, *(["t_s"] if self.drop.forward else []))
+        for piece in self.table.pieces(tuple(dict.fromkeys((*columns, *deciding))), size):
             keep = np.ones(len(piece[RUN]), bool)
             for name in self.drop.finite:
                 keep &= np.isfinite(piece[name])

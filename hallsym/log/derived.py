@@ -19,9 +19,8 @@ from hallsym.model.derived import HALVES, Computed, Stretch
 
 HALO = 4 * HALVES[-1]
 """Samples of context on either side of a block."""
-WINDOWED = 20_000
-"""Runs whose smoothing windows are kept for the next pass over the same log."""
 _HALVES: WeakKeyDictionary[Log, dict[tuple, dict[str, int]]] = WeakKeyDictionary()
+"""Smoothing windows by log and run: chosen once, on the first stretch of a size."""
 
 
 class ExtendedLog:
@@ -86,7 +85,11 @@ class ExtendedLog:
 
     def _data(self, stretch: Stretch, columns: Sequence[str]) -> dict[str, np.ndarray]:
         """Return logged and computed columns of a stretch."""
-        made = {c: _finite(self.computed[c].rule(stretch)) for c in columns if c in self.computed}
+        made = {
+            c: np.nan_to_num(np.asarray(self.computed[c].rule(stretch), float), posinf=0.0, neginf=0.0)
+            for c in columns
+            if c in self.computed
+        }
         return {c: made[c] if c in made else stretch.data[c] for c in columns}
 
     def _stretches(self, columns: tuple[str, ...], size: int) -> Iterator[tuple[Stretch, slice]]:
@@ -97,10 +100,9 @@ class ExtendedLog:
         for block, after in pairwise(chain(self.log.blocks(columns, max(size, HALO)), [None])):
             assert block is not None
             if before is None or before.run != block.run:
-                before, first, halves = None, float(block.data["t_s"][0]), dict[str, int]()
+                before, first = None, float(block.data["t_s"][0])
                 self._origin = origin = first if self._origin is None else self._origin
-                if len(windows) < WINDOWED:  # chosen once, on the same stretch: the first of this size
-                    halves = windows.setdefault((block.run, first, size, sigma), halves)
+                halves = windows.setdefault((block.run, first, size, sigma), {})
             after = after if after is not None and after.run == block.run else None
             parts = [{c: v[-HALO:] for c, v in before.data.items()}] if before else []
             parts += [block.data, *([{c: v[:HALO] for c, v in after.data.items()}] if after else [])]
@@ -131,8 +133,3 @@ def extended(
 def share_windows(log: Log, other: Log) -> None:
     """Smooth the columns of `other`, the same log with other noise, with the windows of `log`."""
     _HALVES[other] = _HALVES.setdefault(log, {})
-
-
-def _finite(values: np.ndarray) -> np.ndarray:
-    values = np.asarray(values, dtype=float)
-    return values if np.isfinite(values).all() else np.nan_to_num(values, posinf=0.0, neginf=0.0)

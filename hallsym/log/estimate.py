@@ -22,7 +22,6 @@ _RUNS = 128  # at most, spread over the log
 _FEWEST = 8  # differences that an order needs in a run
 _CLIP = 2.5
 _CLIPPED_STD = 0.95460  # standard deviation of a unit normal cut off at +-2.5
-_FAR = 4.5
 _ROUNDS = 8
 _UNEVEN = 0.01  # relative deviation of a time step from the usual one
 _GAP = 5.0  # usual steps
@@ -71,8 +70,10 @@ def estimate_noise(log: Log, channels: Sequence[str]) -> Noise:
             rows[b, k] = unwrapped(rows[b, k], _TURN)
         steps.append(_coarse_steps(rows.reshape(-1, rows.shape[2])).reshape(len(blocks), -1))
         even = _are_even(times)
-        spreads += [_even_spreads(rows[even])] if even.any() else []
-        spreads += [_uneven_spreads(times[b], rows[b])[None] for b in np.flatnonzero(~even)]
+        if even.any():
+            stacked = _by_order(rows[even].reshape(-1, rows.shape[2]))
+            spreads.append(stacked.reshape(-1, len(channels), len(_ORDERS)))
+        spreads += [_by_order(rows[b], times[b])[None] for b in np.flatnonzero(~even)]
     combined = _combined(np.concatenate(spreads))
     for name in (n for n, spread in zip(channels, combined, strict=True) if np.isnan(spread)):
         raise InputError(
@@ -91,62 +92,46 @@ def _are_even(times: Array) -> Array:
     step = np.diff(times, axis=1)
     if not step.shape[1]:
         return np.zeros(len(times), bool)
-    low, high, usual = step.min(axis=1), step.max(axis=1), step.mean(axis=1)
-    return np.asarray((usual > 0) & (np.maximum(high - usual, usual - low) <= _UNEVEN * usual))
+    usual = step.mean(axis=1)
+    return np.asarray((usual > 0) & (np.abs(step - usual[:, None]).max(axis=1) <= _UNEVEN * usual))
 
 
-def _even_spreads(rows: Array) -> Array:
-    """Return the spread of the differences of rows (blocks, channels, n), (blocks, channels, orders)."""
-    stacked = rows.reshape(-1, rows.shape[2])
-    difference, out = stacked - stacked[:, :1], np.full((len(stacked), len(_ORDERS)), np.nan)
-    done = 0
-    for i, k in enumerate(_ORDERS):
-        if difference.shape[1] <= k - done:
-            break
-        difference, done = np.diff(difference, n=k - done, axis=1), k
-        out[:, i] = _spreads(difference / np.sqrt(comb(2 * k, k)), (k + 1) // 2)
-    return out.reshape(len(rows), -1, len(_ORDERS))
-
-
-def _uneven_spreads(t: Array, rows: Array) -> Array:
-    """Return the same of one block, by divided differences: (channels, orders)."""
-    step = np.diff(t)
-    filters = [_divided(t, step, median(step) if len(step) else 0.0, k) for k in _ORDERS]
-    found, origin = [], rows - rows[:, :1]
-    for k, (weights, usable) in zip(_ORDERS, filters, strict=True):
-        differences = np.empty((len(rows), 0))
-        if len(usable):
-            windows = np.lib.stride_tricks.sliding_window_view(origin, k + 1, axis=1)
-            differences = np.einsum("cij,ij->ci", windows[:, usable], weights[usable])
-        found.append(_spreads(differences, (k + 1) // 2))
+def _by_order(rows: Array, t: Array | None = None) -> Array:
+    """Return the spread of the differences of rows (c, n), (c, orders); `t`: (n,) times of uneven samples."""
+    origin, found = rows - rows[:, :1], []
+    difference = np.diff(origin, axis=1)
+    for k in _ORDERS:
+        difference = np.diff(difference, axis=1)
+        of_noise = difference / np.sqrt(comb(2 * k, k)) if t is None else _divided(origin, t, k)
+        found.append(_spreads(of_noise))
     return np.transpose(found)
 
 
-def _divided(t: Array, step: Array, usual: float, k: int) -> tuple[Array, Array]:
-    """Return (weights, usable windows), weights (windows, k + 1) of unit norm.
+def _divided(rows: Array, t: Array, k: int) -> Array:
+    """Return divided differences of rows (c, n) at times t (n,), of unit norm, where none spans a gap.
 
     1 / prod(t_j - t_m) annihilates polynomials of degree k - 1 on any spacing.
     """
+    step = np.diff(t)
+    usual = median(step) if len(step) else 0.0
     if len(t) <= k or usual <= 0:
-        return np.zeros((0, k + 1)), np.zeros(0, bool)
-    windows = np.lib.stride_tricks.sliding_window_view(t / usual, k + 1)
-    forward = np.lib.stride_tricks.sliding_window_view((step > 0) & (step < _GAP * usual), k)
-    usable: Array = np.asarray(forward.all(axis=1))
-    apart = windows[:, :, None] - windows[:, None, :] + np.eye(k + 1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        weights = 1.0 / apart.prod(axis=2)
-        weights /= np.linalg.norm(weights, axis=1, keepdims=True)
-    return weights, usable
+        return np.empty((len(rows), 0))
+    view = np.lib.stride_tricks.sliding_window_view
+    usable = view((step > 0) & (step < _GAP * usual), k).all(axis=1)
+    windows = view(t / usual, k + 1)[usable]
+    weights = 1.0 / (windows[:, :, None] - windows[:, None, :] + np.eye(k + 1)).prod(axis=2)
+    weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+    return np.asarray(np.einsum("cij,ij->ci", view(rows, k + 1, axis=1)[:, usable], weights))
 
 
-def _spreads(differences: Array, reach: int) -> Array:
+def _spreads(differences: Array) -> Array:
     """Return the standard deviation of each row (rows, n) without its outliers; nan where n is too small."""
     size = np.abs(differences)
     if size.shape[1] < _FEWEST:
         return np.full(len(size), np.nan)
     most = size.max(axis=1)
     if not np.isfinite(most).all():
-        return np.array([_spreads(row[np.isfinite(row)][None], reach)[0] for row in differences])
+        return np.array([_spreads(row[np.isfinite(row)][None])[0] for row in differences])
     ordered = np.sort(size, axis=1)
     sigma = middles(ordered) / 0.67449
     coarse = sigma <= 1e-9 * most  # more than half are zero to rounding: the ADC step hides the noise
@@ -157,23 +142,9 @@ def _spreads(differences: Array, reach: int) -> Array:
             break
         before = sigma[left]
         within = np.count_nonzero(ordered[left] <= _CLIP * before[:, None], axis=1)
-        now = np.sqrt(sums[left, within - 1] / within)
-        for j in np.flatnonzero(most[left] > _FAR * before):
-            clean = _clean(size[left[j]], before[j], reach)
-            now[j] = np.sqrt(clean @ clean / len(clean))
-        sigma[left] = now / _CLIPPED_STD
+        sigma[left] = np.sqrt(sums[left, within - 1] / within) / _CLIPPED_STD
         left = left[np.abs(sigma[left] - before) > 3e-3 * before]
     return np.asarray(sigma)
-
-
-def _clean(size: Array, sigma: float, reach: int) -> Array:
-    """Return what lies within the clip and not within `reach` of a difference that only an outlier makes."""
-    within = size <= _CLIP * sigma
-    far = size > _FAR * sigma
-    if far.any():
-        apart = within & ~np.convolve(far, np.ones(2 * reach + 1, bool), mode="same")[: len(size)]
-        within = apart if np.count_nonzero(apart) >= _FEWEST else within
-    return size[within]
 
 
 def _coarse_steps(rows: Array) -> Array:

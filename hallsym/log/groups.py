@@ -149,7 +149,7 @@ def runs(groups: Sequence[Group], named: bool = True) -> dict[int, Group]:
     `named`: only groups whose names end in different numbers are runs; others are counted from 0.
     """
     same = len({(*sorted(g.channels), *sorted(g.units.items())) for g in groups}) == 1 and len(groups) > 1
-    numbers = [number_of(g.name) if re.search(r"\d$", g.name) else -1 for g in groups]
+    numbers = [number_of(g.name) for g in groups]
     if -1 in numbers or len(set(numbers)) < len(numbers):
         numbers = [] if named else list(range(len(groups)))
     found = dict(zip(numbers, groups, strict=True)) if same and numbers else {}
@@ -157,32 +157,25 @@ def runs(groups: Sequence[Group], named: bool = True) -> dict[int, Group]:
 
 
 def number_of(name: str) -> int:
-    """Return the number that a name ends in."""
+    """Return the number that a name ends in; -1 where there is none."""
     found = re.search(r"(\d+)$", name)
-    return int(found[1]) if found else 0
+    return int(found[1]) if found else -1
 
 
 def on_one_clock(groups: Sequence[Group]) -> list[list[Group]]:
-    """Return the groups in sets that were sampled together; without a time base, those of the same length."""
+    """Return the groups in sets that were sampled together: as many samples from one time to another.
+
+    Without a time base, those of the same length.
+    """
     sets: list[list[Group]] = []
     for g in sorted(groups, key=lambda g: not g.ends):
-        home = next((members for members in sets if _together(members[0], g)), None)
-        if home is None:
+        own = (g.ends, g.since) if g.ends else None
+        same = (s for s in sets if s[0].rows == g.rows and own in (None, (s[0].ends, s[0].since)))
+        if (home := next(same, None)) is None:
             sets.append([g])
         else:
             home.append(g)
     return sets
-
-
-def _together(a: Group, b: Group) -> bool:
-    if a.rows != b.rows:
-        return False
-    if not b.ends:
-        return True
-    if a.since != b.since or a.ends != b.ends:
-        return False
-    both = zip(a.chunks([TIME], CHUNK_ROWS), b.chunks([TIME], CHUNK_ROWS), strict=True)
-    return all(np.array_equal(x[TIME], y[TIME]) for x, y in both)
 
 
 def hertz(rate: float) -> str:

@@ -24,8 +24,7 @@ ODrive has no table: it keeps four coefficients whose sign and unit no public so
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import pi
 from pathlib import Path
 from typing import NamedTuple
@@ -53,6 +52,8 @@ PER_LINE = 8
 """Entries of a line of Klipper's `calibrate`."""
 FULL = 127
 """Largest entry of moteus, which means the whole of `compensation_scale`."""
+FACTS = rf"\bfloat\s+\w*(zero_electric_angle)\w*\s*=\s*({NUMBER})|\bDirection\s+\w+\s*=\s*(Direction)::(\w+)"
+"""Electrical zero and direction of the motor, which stand beside a table of SimpleFOC."""
 SOURCE = r"motor_position\.sources\.(?P<source>\d)\."
 
 
@@ -131,8 +132,7 @@ class MakerTable:
     """A table: entries (n,) in the unit of the file, and what the firmware holds beside it.
 
     `scale`: turns that the largest entry of moteus means. The place of an entry is (reading + `shift`)
-    `sign`, the reading as the chip gives it [rad]. `facts`: electrical zero and direction, as the file writes
-    them. `decimals`: digits after the point.
+    `sign`, the reading as the chip gives it [rad]. `decimals`: digits after the point.
     """
 
     layout: Layout
@@ -141,7 +141,6 @@ class MakerTable:
     scale: float = 1.0
     sign: int = 1
     shift: float = 0.0
-    facts: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def unit(self) -> float:
@@ -229,19 +228,9 @@ def found_in(text: str) -> Found | None:
         wanted = stated if stated.isdecimal() else f"in multiples of {layout.multiple}"
         whole = len(cells) == int(stated) if stated.isdecimal() else len(cells) % layout.multiple == 0
         require(whole, f"Entries of {what}", f"{wanted} in a file that is not cut short", len(cells))
-        table = MakerTable(layout, values, decimals, facts=_facts(plain, layout))
-        found = Found(table, [m.span("value") for m in numbers])
+        found = Found(MakerTable(layout, values, decimals), [m.span("value") for m in numbers])
         return _configured(found, text, match["source"]) if "source" in match.re.groupindex else found
     return None
-
-
-def _facts(text: str, layout: Layout) -> dict[str, str]:
-    """Return the electrical zero and the direction that stand beside a table of SimpleFOC."""
-    if layout.name != "simplefoc":
-        return {}
-    zero = re.search(rf"\bfloat\s+\w*zero_electric_angle\w*\s*=\s*({NUMBER})", text)
-    sense = re.search(r"\bDirection\s+\w+\s*=\s*(Direction::\w+)", text)
-    return {"zero_electric_angle": zero[1] if zero else "", "sensor_direction": sense[1] if sense else ""}
 
 
 def _configured(found: Found, text: str, source: str) -> Found:
@@ -371,11 +360,11 @@ def measured(table: MakerTable) -> tuple[Array, Array, str]:
 
 def open_table(path: Path) -> Arrays:
     """Open a table as a log: the readings that it was made of beside the position of the drive."""
-    table, _ = read_table(path)
+    table, text = read_table(path)
     reading, angle, said = measured(table)
     raw = table.sign * reading - table.shift
     source = Arrays({"angle_rad": np.mod(raw, TURN), "angle_ref_rad": np.mod(angle, TURN)})
-    kept = ", ".join(f"{name} {text}" for name, text in table.facts.items() if text)
+    kept = ", ".join(" ".join(filter(None, fact)) for fact in re.findall(FACTS, masked(text)))
     source.recognised = f"table of {table.layout.about}"
     source.notes = (
         f"{quoted(path)} is a table of {table.layout.about}: {said}; each is a reading beside the position "

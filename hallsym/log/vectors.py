@@ -135,25 +135,23 @@ def side_by_side(source: Source, where: str) -> Source:
     of which most columns are of no run, is returned as it is. Columns without a run belong to all of them;
     the empty cells that end the columns of a shorter run are left out.
     """
+    marked = {name: match for name in source.names if (match := _OF_RUN.search(name))}
     runs: dict[int, dict[str, str]] = {}
-    for name in source.names:
-        if match := _OF_RUN.search(name):
-            stem = name[: match.start()] + name[match.end() :]
-            runs.setdefault(int(match[1]), {})[stem.lstrip("_ ./-")] = name
-    of_runs = sum(map(len, runs.values()))
-    if len(runs) < 2 or "" in next(iter(runs.values())) or 2 * of_runs <= len(source.names):
-        return source
+    for name, match in marked.items():
+        stem = name[: match.start()] + name[match.end() :]
+        runs.setdefault(int(match[1]), {})[stem.lstrip("_ ./-")] = name
     stems = {stem for columns in runs.values() for stem in columns}
-    marks = [m[0].strip("_ ./-") for name in source.names if (m := _OF_RUN.search(name))]
+    if len(runs) < 2 or "" in stems or 2 * len(marked) <= len(source.names):
+        return source
     timed = any(split_header(stem)[0].lower() in TIME_WORDS for stem in stems)
-    if not timed and any(mark[0] == "#" for mark in marks):
+    if not timed and any(match[0].strip("_ ./-")[0] == "#" for match in marked.values()):
         return source
     for run, columns in runs.items():
         if lacking := sorted(stems - set(columns)):
             raise InputError(f"Run {run} of {where} must have a column for {lacking[0]} as the others have.")
     left_out, shared = dict(source.left_out), dict[str, Array]()
     for name in source.names:
-        if not _OF_RUN.search(name):
+        if name not in marked:
             try:
                 shared |= source.read([name])
             except InputError:

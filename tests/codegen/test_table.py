@@ -231,7 +231,7 @@ def test_a_table_goes_through_fit_and_back(tmp_path: Path, capsys, monkeypatch) 
     record = json.loads(capsys.readouterr().out)
     assert record["after"]["rms"] < record["old"]["rms"] < record["before"]["rms"]
     assert record["old"]["rms"] > 20 * record["after"]["rms"]  # a staircase, beside lines
-    assert read_table("new.h")[0].facts["zero_electric_angle"] == "2.417306"
+    assert "zero_electric_angle = 2.417306;" in read_table("new.h")[1]
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,6 @@ from hallsym.model import Inspection, Model
 
 SAMPLES = 4000
 """Samples of a log that are looked at, evenly over all runs; of six coordinates a tenth."""
-FEWEST = 10
-"""Of them that must be finite to say anything."""
 LEAST_TRAVEL = 0.25
 """Travel, in wavelengths, that a fit needs: less tells amplitude and phase of a harmonic hardly apart."""
 WHOLE = 0.99
@@ -27,22 +25,13 @@ LEAST_SEEN = 2
 def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
     """Claim what the arrays of a layout cannot have logged of the pose; note what the log cannot tell."""
     known, planar = arrays(model.layout), len(model.references) > 2
-    pose = _poses(model, log, SAMPLES // 10 if planar else SAMPLES)
-    if pose.shape[1] < FEWEST:
-        return Inspection()
+    pick = np.unique(np.linspace(0, log.rows - 1, SAMPLES // 10 if planar else SAMPLES).astype(int))
+    pose = np.array([log.array(c)[pick] for c in model.references])
     odd: list[str] = [*(_under_arrays if planar else _covered)(model, known, pose, log.name)]
     if fitted:
         along = model.references[: 2 if planar else 1]
         odd += _travel(along, pose, next(iter(known.values())).wavelength_m, log.name)
     return Inspection(tuple(odd))
-
-
-def _poses(model: Model, log: Any, samples: int) -> np.ndarray:
-    """Return finite poses (n_pose, n) of about so many samples."""
-    log.table.require((*model.references, *model.channels))
-    pick = np.unique(np.linspace(0, log.rows - 1, samples).astype(int))
-    pose = np.array([log.array(c)[pick] for c in model.references])
-    return pose[:, np.isfinite(pose).all(axis=0)]
 
 
 def _travel(columns: Sequence[str], pose: np.ndarray, wave: float, name: str) -> Iterator[str]:
@@ -101,37 +90,30 @@ def _under_arrays(model: Model, known: dict[str, Array], pose: np.ndarray, name:
     A model that knows the ends of the arrays tells the field of sensors beyond them too: there each array
     must see as many as phase and height need.
     """
-    places = [in_mover(s, known[s.array], pose) for s in sensors(model.layout)]
-    if "edges" in model.names:
-        yield from _seen(model, known, places, name)
-    for sensor, at in zip(sensors(model.layout), places, strict=True):
+    all_sensors, ended = sensors(model.layout), "edges" in model.names
+    places = [in_mover(s, known[s.array], pose) for s in all_sensors]
+    for array in known.values() if ended else ():
+        own = [at for s, at in zip(all_sensors, places, strict=True) if s.array == array.name]
+        least = int(np.min(sum(np.abs(at[:, 0].mean(axis=0)) <= array.length_m / 2 for at in own)))
+        if least < LEAST_SEEN:
+            text = (
+                f"The mover of {name} goes so far that array {array.name} ({1e3 * array.length_m:g} mm long) "
+                f"has {least} of its {len(own)} sensors under it, where phase and height need {LEAST_SEEN}; "
+                "check zero and unit of the reference, or leave out those poses."
+            )
+            yield Fault(text, "beyond")
+    for sensor, at in zip(all_sensors, places, strict=True):
         array = known[sensor.array]
-        reach = np.inf if "edges" in model.names else array.length_m / 2
+        reach = np.inf if ended else array.length_m / 2
         beyond = np.array([np.abs(at[:, 0]) - reach, np.abs(at[:, 1]) - array.width_m / 2]).max()
         if beyond > 0:
-            size = f"{1e3 * array.length_m:g} x {1e3 * array.width_m:g} mm"
-            yield Fault(
-                f"The mover of {name} goes {1e3 * beyond:.3g} mm beyond sensor {sensor.channel}, "
-                f"which array {array.name} ({size}) then no longer "
-                "covers; check zero and unit of the reference, leave out those poses, or the sensor.",
-                "beyond",
-                (sensor.channel,),
+            text = (
+                f"The mover of {name} goes {1e3 * beyond:.3g} mm beyond sensor {sensor.channel}, which array "
+                f"{array.name} ({1e3 * array.length_m:g} x {1e3 * array.width_m:g} mm) then does not cover; "
+                "check zero and unit of the reference, leave out those poses, or the sensor."
             )
+            yield Fault(text, "beyond", (sensor.channel,))
             return
-
-
-def _seen(model: Model, known: dict[str, Array], places: Sequence[np.ndarray], name: str) -> Iterator[Fault]:
-    """Claim poses at which an array has fewer sensors under it than phase and height need."""
-    for array in known.values():
-        own = [at for s, at in zip(sensors(model.layout), places, strict=True) if s.array == array.name]
-        under = sum(np.abs(at[:, 0].mean(axis=0)) <= array.length_m / 2 for at in own)
-        if np.min(under) < LEAST_SEEN:
-            yield Fault(
-                f"The mover of {name} goes so far that array {array.name} ({1e3 * array.length_m:g} mm long) "
-                f"has {int(np.min(under))} of its {len(own)} sensors under it, where phase and height need "
-                f"{LEAST_SEEN}; check zero and unit of the reference, or leave out those poses.",
-                "beyond",
-            )
 
 
 def implausible(fit: Any) -> Iterator[Fault]:

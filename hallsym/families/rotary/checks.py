@@ -60,13 +60,11 @@ def seen_of(model: Model, log: Any) -> Seen:
     scales = _scales(model, log) if len(model.channels) == 2 else []
     seen, (column,) = Seen(), model.references
     for block in log.blocks((*model.channels, column)):
-        values, reference = np.array([block.data[c] for c in model.channels]), block.data[column]
-        good = np.isfinite(values.sum(axis=0) + reference)
+        values = np.array([block.data[c] for c in model.channels])
         if scales:
             y, x = ((v - middle) / half for v, (middle, half) in zip(values, scales, strict=True))
             values = np.arctan2(y, x)[None]
-        if good.any():
-            seen.add(block.run, values[0][good], reference[good])
+        seen.add(block.run, values[0], block.data[column])
     return seen
 
 
@@ -75,7 +73,7 @@ def _scales(model: Model, log: Any) -> list[tuple[float, float]]:
     every, found = max(1, log.rows // MANY), []
     for block in log.blocks(model.channels):
         found.append(np.array([block.data[c][::every] for c in model.channels]))
-    low, high = np.nanquantile(np.concatenate(found, axis=1), [EDGE, 1 - EDGE], axis=1)
+    low, high = np.quantile(np.concatenate(found, axis=1), [EDGE, 1 - EDGE], axis=1)
     return [(float(a + b) / 2, float(b - a) / 2 or 1.0) for a, b in zip(low, high, strict=True)]
 
 
@@ -101,8 +99,22 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
     """
     seen, (column,) = seen_of(model, log), model.references
     own = bool(model.zeros)  # each run has a zero of its own
-    notes: list[str] = [*_claims(seen, log, model, fitted)]
-    forward = seen.follows(1, each=own) >= seen.follows(-1, each=own) or bool(notes)
+    straight, alone = (max(seen.follows(k, each=each) for k in (1, -1)) for each in (own, True))
+    homed = straight < FOLLOWS < alone and len(seen.runs) > 1
+    (gap, other), notes = map(_gap, seen.sectors), list[str]()
+    if fitted and gap > GAP_REFUSE and other > GAP_REFUSE:
+        text = (
+            f"Column {column} of {log.name} covers only {360 - gap:.0f} deg of a turn; offset, gain and "
+            "phase show once and twice per turn, so record at least one full turn, or check its unit."
+        )
+        notes.append(Fault(text, "part_of_a_turn", (column,)))
+    if not homed and alone < (TOGETHER if gap < GAP_REFUSE else FOLLOWS):
+        text = (
+            f"The encoder in {log.name} does not follow {column} (their difference is spread over the turn); "
+            "it does not belong to these readings: check file, clock, columns and units."
+        )
+        notes.append(Fault(text, UNRELATED, (column,)))
+    forward = homed or bool(notes) or seen.follows(1, each=own) >= seen.follows(-1, each=own)
     guessed = fitted and "t_s" not in log.columns and column not in log.noise
     if guessed and abs(seen.even) < ORDERED * (seen.samples - len(seen.runs)):
         text = (
@@ -110,8 +122,19 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
             f"noise cannot be estimated: sort them by {column}, or state the noise with --noise."
         )
         notes.append(Fault(text, "order", (column,)))
-    notes += _notes(seen, column, timed="t_s" in log.columns)
-    notes += _homed(seen, column, 1 if forward else -1, own)
+    if gap > GAP_NOTE:
+        notes.append(
+            f"No sample lies in {gap:.0f} deg of the turn: what is said of that part is extrapolated."
+        )
+    if seen.moved.min() < 0.05 * seen.moved.sum():
+        lost = "hysteresis looks like another zero and is not observable; record both directions to tell it."
+        if "t_s" in log.columns:
+            lost = (
+                "latency and hysteresis look like another zero and are not observable (latency is, as far as "
+                "the speed changes); record both directions to tell them."
+            )
+        notes.append(f"{column} turns in one direction only: {lost}")
+    notes += [] if own else _homed(seen, column, 1 if forward else -1, homed)
     if not forward:
         channel = model.channels[0]
         swapped = ", or the two voltages are swapped" if len(model.channels) == 2 else ""
@@ -122,75 +145,27 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
     return Inspection(tuple(notes), () if forward else model.channels[:1])
 
 
-def _claims(seen: Seen, log: Any, model: Model, fitted: bool) -> Iterator[Fault]:
-    (gap, other), (column,), name = map(_gap, seen.sectors), model.references, log.name
-    if fitted and gap > GAP_REFUSE and other > GAP_REFUSE:
-        text = (
-            f"Column {column} of {name} covers only {360 - gap:.0f} deg of a turn; offset, gain and phase of "
-            "an encoder show once and twice per turn, so record at least one full turn, or check its unit."
-        )
-        yield Fault(text, "part_of_a_turn", (column,))
-    own = bool(model.zeros)
-    straight, alone = (max(seen.follows(k, each=each) for k in (1, -1)) for each in (own, True))
-    if straight < FOLLOWS < alone and len(seen.runs) > 1:
-        text = (
-            f"The encoder in {name} follows {column} in each run, but each from another zero: the reference "
-            "was homed anew between runs. Fit with --effect zero_deviation, which "
-            "gives each run its own."
-        )
-        yield Fault(text, "homed", (column,))
-    elif max(straight, alone) < (TOGETHER if gap < GAP_REFUSE else FOLLOWS):
-        text = (
-            f"The encoder in {name} does not follow {column} (their difference is spread over the turn); it "
-            "does not belong to these readings: check file, clock, columns and units."
-        )
-        yield Fault(text, UNRELATED, (column,))
-
-
-def _notes(seen: Seen, column: str, *, timed: bool) -> list[str]:
-    notes, gap = [], _gap(seen.sectors[0])
-    if gap > GAP_NOTE:
-        notes.append(
-            f"No sample lies in {gap:.0f} deg of the turn: what is said of that part is extrapolated."
-        )
-    if seen.moved.min() < 0.05 * seen.moved.sum():
-        lost = "hysteresis looks like another zero and is not observable; record both directions to tell it."
-        if timed:
-            lost = (
-                "latency and hysteresis look like another zero and are not observable (latency is, as far as "
-                "the speed changes); record both directions to tell them."
-            )
-        notes.append(f"{column} turns in one direction only: {lost}")
-    return notes
-
-
-def _homed(seen: Seen, column: str, sign: int, own: bool) -> list[str]:
-    """What to say of zeros of runs that clearly differ, unless each has its `own`."""
-    if own or len(seen.runs) < 2:
-        return []
+def _homed(seen: Seen, column: str, sign: int, homed: bool) -> Iterator[str]:
+    """What to say of zeros of runs that clearly differ: a claim where the encoder follows in runs alone."""
     first = next(iter(seen.runs))
     zeros = {run: np.angle(k[sign] / seen.runs[first][sign]) for run, k in seen.runs.items()}
     length = [abs(k[sign]) / k[0].real for k in seen.runs.values()]
     spread = float(np.sqrt(max(-2 * np.log(max(np.median(length), 1e-9)), 0.0)))
     far = max(zeros, key=lambda run: abs(zeros[run]))
-    if abs(zeros[far]) < max(CLEARLY * spread, np.radians(LEAST_ZERO)):
-        return []
-    return [
+    if not homed and abs(zeros[far]) < max(CLEARLY * spread, np.radians(LEAST_ZERO)):
+        return
+    text = (
         f"The zero of {column} differs between runs, by {np.degrees(abs(zeros[far])):.3g} deg in run {far} "
-        f"beside run {first}. If it was homed anew, --effect zero_deviation gives each run its own; latency, "
+        f"beside run {first}: if it was homed anew, --effect zero_deviation gives each run its own; latency, "
         "another scale of the reference or inverted voltages make differences too."
-    ]
+    )
+    yield Fault(text, "homed", (column,)) if homed else text
 
 
 def _gap(bins: np.ndarray) -> float:
     """Widest run of empty sectors around the turn [deg]."""
-    if bins.all():
-        return 0.0
-    if not bins.any():
-        return 360.0
     at = np.flatnonzero(bins)
-    between = np.diff(np.r_[at, at[0] + BINS]) - 1
-    return float(between.max()) * 360.0 / BINS
+    return float(np.diff([*at, at[0] + BINS]).max() - 1) * 360.0 / BINS if len(at) else 360.0
 
 
 # -- what is said of its fit ---------------------------------------------------------------------------------

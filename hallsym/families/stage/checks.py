@@ -41,7 +41,7 @@ def implausible(fit: Any) -> Iterator[Fault]:
             continue
         if not np.all(np.abs(values[::3]) > SURE * std[::3]):
             continue
-        slope, sigma = _slope(values, covariance, std, "abc".index(q), sign * (places - places.mean()))
+        slope, sigma = _slope(values, covariance, "abc".index(q), sign * (places - places.mean()))
         if abs(slope) > SURE * sigma and not 1 / FACTOR - SURE * sigma < slope < FACTOR + SURE * sigma:
             off[tilt] = slope
     if off:
@@ -53,14 +53,10 @@ def implausible(fit: Any) -> Iterator[Fault]:
         )  # fmt: skip
 
 
-def _slope(
-    values: np.ndarray, covariance: np.ndarray, std: np.ndarray, q: int, places: np.ndarray
-) -> tuple[float, float]:
+def _slope(values: np.ndarray, covariance: np.ndarray, q: int, places: np.ndarray) -> tuple[float, float]:
     """Return the slope of coefficient `q` over height's, over places (probes,) less their mean; 1 sigma."""
-
-    def slope(v: np.ndarray) -> float:
-        return float(places @ (v[q::3] / v[::3]) / (places @ places))
-
-    steps = np.diag(1e-3 * np.maximum(std, 1e-12))
-    gradient = np.array([(slope(values + h) - slope(values)) / h.max() for h in steps])
-    return slope(values), float(np.sqrt(max(gradient @ covariance @ gradient, 0.0)))
+    height, tilt = values[::3], values[q::3]
+    weights = places / height / (places @ places)
+    gradient = np.zeros(len(values))
+    gradient[::3], gradient[q::3] = -weights * tilt / height, weights
+    return float(weights @ tilt), float(np.sqrt(max(gradient @ covariance @ gradient, 0.0)))

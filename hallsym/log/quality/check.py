@@ -10,8 +10,8 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.log.columns import RUN, fastest, is_reference
 from hallsym.log.core import Drop, Log, without
-from hallsym.log.quality.findings import Finding, others, the
-from hallsym.log.quality.scan import FEWEST_SAMPLES, Scan, Spans, scan, ticks, time
+from hallsym.log.quality.findings import Fault, Finding, others, the
+from hallsym.log.quality.scan import FEWEST_SAMPLES, Clock, Scan, Spans, scan
 from hallsym.log.quality.values import copied, stuck
 from hallsym.units import si_symbol
 
@@ -22,14 +22,14 @@ def finite(log: Log, seen: Scan, required: Sequence[str]) -> Iterator[Finding]:
         if trace.nonfinite == seen.rows and name not in required:
             yield Finding(f"{the(log, name)} has no finite value and is not used")
         elif trace.nonfinite == seen.rows:
-            yield Finding(f"{the(log, name)} has no finite value", refuse=True, remedy="record it again")
+            yield Finding(f"{the(log, name)} has no finite value", "record it again", refuse=True)
         elif trace.nonfinite:
             row, ends = trace.first_nonfinite, np.cumsum([n for _, n in seen.segments])
             run = seen.segments[int(np.searchsorted(ends, row, side="right"))][0]
             yield Finding(
                 f"{the(log, name)} must be finite; {trace.nonfinite} of {seen.rows} values are NaN or"
                 f" infinite, the first in row {row + 1} (run {run})",
-                refuse=True, drop=Drop(finite=(name,)), remedy="repair them",
+                "repair them", refuse=True, drop=Drop(finite=(name,)),
             )  # fmt: skip
 
 
@@ -110,7 +110,9 @@ def _judge(log: Log, required: Sequence[str], *, thinned: bool = False) -> Itera
         raise InputError(f"Log {log.name} has no samples; record it again.")
     spans = seen.spans()
     for found in (
-        finite(log, seen, required), _clock(log, seen, thinned), short_runs(log, seen),
+        finite(log, seen, required),
+        clock(log, seen.clock, thinned=thinned) if seen.clock and not log.counted else (),
+        short_runs(log, seen),
         speeds(log, spans), copied(log, seen, spans), stuck(log, seen, spans),
     ):  # fmt: skip
         stop = False
@@ -119,14 +121,6 @@ def _judge(log: Log, required: Sequence[str], *, thinned: bool = False) -> Itera
             stop = stop or bool(finding.refuse and finding.drop)
         if stop:
             return
-
-
-def _clock(log: Log, seen: Scan, thinned: bool) -> Iterator[Finding]:
-    if seen.clock is not None and not log.counted:
-        yield from time(log, seen.clock)
-        yield from clock_unit(log, seen)
-        if not thinned:
-            yield from ticks(log, seen.clock)
 
 
 _CUT_SHORT = 0.1
@@ -141,7 +135,7 @@ def short_runs(log: Log, seen: Scan) -> Iterator[Finding]:
     if seen.rows < FEWEST_SAMPLES:
         yield Finding(
             f"{name} must have at least {FEWEST_SAMPLES} samples; it has {seen.rows}",
-            refuse=True, remedy="record more samples",
+            "record more samples", refuse=True,
         )  # fmt: skip
         return
     usual = float(np.median(list(samples.values())))
@@ -165,16 +159,31 @@ _SLOW_TICK_S = 1.0
 is slower than 1 Hz approaches its points one by one. Nothing else tells the two apart."""
 
 
-def clock_unit(log: Log, seen: Scan) -> Iterator[Finding]:
-    """A clock that ticks so slowly that its unit is worth a remark, or a claim."""
-    tick = seen.clock.tick if seen.clock else 0.0
-    if tick > _LONGEST_TICK_S or (tick > _SLOW_TICK_S and log.table.source_name("t_s") == "t_s"):
-        unit = "ms" if tick < 1e4 else "us"
+def clock(log: Log, clock: Clock, *, thinned: bool) -> Iterator[Finding]:
+    """Time that runs backwards, a unit that it may not be in, and ticks that are missing: a remark."""
+    if clock.first_backward:
+        row, run, t, step = clock.first_backward
+        how = "repeats" if step == 0 else "runs backwards"
         yield Finding(
-            f"{the(log, 't_s')} has a usual step of {tick:.4g} s; if that is {tick:.4g} {unit}, say --column "
-            f"t_{unit}={log.table.source_name('t_s')}, or delays, time constants and frequencies will be off",
-            claim="clock_unit" if tick > _LONGEST_TICK_S else "", columns=("t_s",),
+            f"{the(log, 't_s')} must increase within a run; it {how} {clock.backward} times, first in row"
+            f" {row + 1} (run {run}) at {t:.6g} s",
+            "sort the samples by time or number the runs", refuse=True, drop=Drop(forward=True),
         )  # fmt: skip
+    tick, source = clock.tick, log.table.source_name("t_s")
+    if tick > _LONGEST_TICK_S or (tick > _SLOW_TICK_S and source == "t_s"):
+        unit = "ms" if tick < 1e4 else "us"
+        text = (
+            f"{the(log, 't_s')} has a usual step of {tick:.4g} s; if that is {tick:.4g} {unit}, say --column "
+            f"t_{unit}={source}, or delays, time constants and frequencies will be off"
+        )
+        yield Finding(Fault(text, "clock_unit", ("t_s",)) if tick > _LONGEST_TICK_S else text)
+    if clock.first_missing and not clock.first_backward and not thinned:
+        row, run, t, step = clock.first_missing
+        share = clock.missing / max(1, clock.missing + clock.steps)
+        yield Finding(
+            f"{the(log, 't_s')} misses {clock.missing} ticks ({share:.2%}), first after {t:.6g} s in row"
+            f" {row + 1} (run {run}), a step of {step:.4g} s"
+        )
 
 
 def speeds(log: Log, spans: Spans) -> Iterator[Finding]:
@@ -186,10 +195,10 @@ def speeds(log: Log, spans: Spans) -> Iterator[Finding]:
         covers = spans.covers(name)
         for k in np.flatnonzero((lasts > 0) & (covers > fastest(name) * lasts))[:1]:
             run, symbol = list(spans.samples)[k], si_symbol(name)
-            yield Finding(
+            text = (
                 f"In run {run} of {log.short_name} {name} covers {covers[k]:.3g} {symbol} in {lasts[k]:.3g} "
-                "s, faster than any machine",
-                claim="clock_unit", columns=(name, "t_s"), runs=(run,),
-                remedy=f"check the units of {name} and t_s",
-            )  # fmt: skip
+                "s, faster than any machine"
+            )
+            fault = Fault(text, "clock_unit", (name, "t_s"), (run,))
+            yield Finding(fault, f"check the units of {name} and t_s")
             return

@@ -45,31 +45,32 @@ class Fault(str):
 
 @dataclass(frozen=True)
 class Finding:
-    """What is odd about a log, `text` without its end and `remedy`.
+    """What is odd about a log, a remark or the `Fault` that is claimed, `text` without its end and `remedy`.
 
-    `refuse`: nothing can be computed from the samples of `drop`, or of the log, so it stops the work.
-    `claim`: the name of a claim; the samples of `drop` are left out unless it is accepted. With neither it is
-    a remark. `columns`, `runs`, `correction`: those of the claim.
+    `refuse`: nothing can be computed from the samples of `drop`, or of the log, so it stops the work. Samples
+    of `drop` that a claim calls bad are left out unless it is accepted.
     """
 
     text: str
-    refuse: bool = False
-    claim: str = ""
-    drop: Drop | None = None
     remedy: str = ""
-    columns: tuple[str, ...] = ()
-    runs: tuple[int, ...] = ()
-    correction: str | None = None
+    refuse: bool = False
+    drop: Drop | None = None
+
+    @property
+    def claim(self) -> str:
+        """Name of the claim, "" of a remark."""
+        return self.text.name if isinstance(self.text, Fault) else ""
 
     def said(self, *, left_out: bool = False) -> str:
         """Return the whole sentence: a `Fault` of a claim. `left_out`: the samples of `drop` are."""
+        fault = self.text if isinstance(self.text, Fault) else None
         ends = f"{'; left out' if left_out else ''}{': ' if self.remedy else ''}{self.remedy}"
-        if left_out and self.correction:
-            ends += f", and state it with --correct '{self.correction}'"
+        if left_out and fault and fault.correction:
+            ends += f", and state it with --correct '{fault.correction}'"
         if self.refuse and self.drop:
             ends += ", or leave the bad samples out with --drop-bad"
         text = f"{self.text}{ends}."
-        return Fault(text, self.claim, self.columns, self.runs, self.correction) if self.claim else text
+        return fault.of(text) if fault else text
 
 
 def the(log: Log, column: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import comb
@@ -10,8 +10,7 @@ from math import comb
 import numpy as np
 
 from hallsym.log.columns import RUN, is_moving
-from hallsym.log.core import Drop, Log, RunOrder
-from hallsym.log.quality.findings import Finding, the
+from hallsym.log.core import Log, RunOrder
 from hallsym.log.table import CHUNK_ROWS
 from hallsym.units import Array
 
@@ -162,7 +161,7 @@ _MOST_MISSING = 2.0**53  # what a clock that jumps to 1e308 s is said to miss
 class Clock:
     """Counts of faults and where the first of each is (row, counted from 0, and run).
 
-    `tick` is the run's usual step in s, the median of the first stretch of that run that was seen.
+    `tick` is the usual step in s, the median of the last stretch of a run that was seen.
     """
 
     backward: int = 0
@@ -177,66 +176,31 @@ class Clock:
     def add(self, t: Array, segments: list[tuple[int, int, int]], row: int) -> None:
         """Take a piece of the time column, with its (run, start, stop) stretches and the row it begins at."""
         step = np.diff(t, prepend=self._last)
-        # what lies between two runs is no step
-        firsts = [start + (run != self._run or k > 0) for k, (run, start, _) in enumerate(segments)]
-        edges = [edge for first, (_, _, stop) in zip(firsts, segments, strict=True) for edge in (first, stop)]
-        padded = np.append(step, np.nan)
-        lows, highs = (by.reduceat(padded, edges)[::2].tolist() for by in (np.minimum, np.maximum))
-        for (run, _, stop), first, low, high in zip(segments, firsts, lows, highs, strict=True):
-            self.tick = self.tick if run == self._run else 0.0
-            if first < stop and low > 0 and high <= _LATE * (self.tick or low) < np.inf:  # as nearly always
-                self.steps, self.tick = self.steps + stop - first, self.tick or float(step[first])
-            else:
+        for run, start, stop in segments:
+            first = start + (run != self._run or start > 0)  # what lies between two runs is no step
+            if first < stop:
                 self._judge(step[first:stop], t[first:stop], run, row + first)
             self._run = run
         self._last = float(t[-1]) if len(t) else self._last
 
     def _judge(self, step: Array, t: Array, run: int, row: int) -> None:
-        if not len(step):
-            return
-        low, high = step.min(), step.max()
-        if not np.isfinite([low, high]).all():
+        low, high = float(step.min()), float(step.max())
+        if not -np.inf < low <= high < np.inf:
             return  # not finite: reported as such
+        self.steps += len(step)
+        self.tick = float(step[0])
+        if low > 0 and high <= _LATE * low:  # as nearly always
+            return
         if low <= 0:
             wrong = np.flatnonzero(step <= 0)
             i, self.backward = int(wrong[0]), self.backward + len(wrong)
             self.first_backward = self.first_backward or (row + i, run, float(t[i]), float(step[i]))
-        self.steps += len(step)
-        if self.tick == 0 and low > 0 and high <= _LATE * low:
-            self.tick = float(step[0])
-        if 0 < high <= _LATE * self.tick:
-            return
-        forward = step[step > 0]
-        if self.tick == 0 and len(forward):
-            self.tick = float(np.median(forward))
-        late = np.flatnonzero(step > _LATE * self.tick) if self.tick else np.empty(0, int)
+        self.tick = float(np.median(step[step > 0])) if high > 0 else 0.0
+        late = np.flatnonzero(step > _LATE * self.tick) if high > 0 else np.empty(0, int)
         if len(late):
             self.missing += int(min((np.round(step[late] / self.tick) - 1).sum(), _MOST_MISSING))
             i = int(late[0])
             self.first_missing = self.first_missing or (row + i, run, float(t[i] - step[i]), float(step[i]))
-
-
-def time(log: Log, clock: Clock) -> Iterator[Finding]:
-    """Time that runs backwards or repeats."""
-    if clock.first_backward:
-        row, run, t, step = clock.first_backward
-        how = "repeats" if step == 0 else "runs backwards"
-        yield Finding(
-            f"{the(log, 't_s')} must increase within a run; it {how} {clock.backward} times, first in row"
-            f" {row + 1} (run {run}) at {t:.6g} s",
-            refuse=True, drop=Drop(forward=True), remedy="sort the samples by time or number the runs",
-        )  # fmt: skip
-
-
-def ticks(log: Log, clock: Clock) -> Iterator[Finding]:
-    """Samples that are missing: a remark, since each sample has its time."""
-    if clock.first_missing and not clock.first_backward:
-        row, run, t, step = clock.first_missing
-        share = clock.missing / max(1, clock.missing + clock.steps)
-        yield Finding(
-            f"{the(log, 't_s')} misses {clock.missing} ticks ({share:.2%}), first after {t:.6g} s in row"
-            f" {row + 1} (run {run}), a step of {step:.4g} s"
-        )
 
 
 _ROUGH = 0.5
@@ -247,9 +211,11 @@ _OF_A_CODE = 2.0
 and up to 1.4 in these differences where it alternates."""
 _ARITHMETIC = 1e-13
 """Differences over the largest value that are due to rounding of floating-point numbers alone."""
-_EQUAL, _SMALLEST = 0.01, 0.005
-"""Share of equal neighbours from which the steps themselves show the codes, and the quantile of the others
-that is one code: the codes of a converter may lie unevenly."""
+_SMALLEST = 0.005
+"""Quantile of differences that is one code: they are whole numbers of codes, whatever the motion; codes of a
+converter may lie unevenly."""
+_CHANCE_EQUAL = 0.01
+"""Share of equal neighbours that needs no explanation."""
 _MORE = 3.0
 """Equal neighbours over those by chance from which it is no noise: an axis that goes from rest to rest."""
 _FEWEST = 16
@@ -276,21 +242,15 @@ def noise_in_codes(x: Array) -> float:
     spread = _spread(fourth, 4)
     if not _spread(np.diff(fourth, 2), 6) > _ROUGH * spread:
         return 0.0
-    steps = np.abs(np.diff(x))
-    if np.mean(steps == 0) > _EQUAL:
-        step = float(np.quantile(steps[steps > 0], _SMALLEST)) if steps.any() else np.inf
-    else:  # differences of codes are whole numbers of codes too, whatever the motion; less is arithmetic
-        whole = np.abs(fourth)
-        step = float(np.min(whole[whole > _ARITHMETIC * np.abs(x).max()], initial=np.inf))
-    codes = spread / step
-    if codes <= _OF_A_CODE:
-        return 0.0
-    return codes if by_chance(steps, codes) else 0.0
+    whole = np.abs(fourth)
+    whole = whole[whole > _ARITHMETIC * np.abs(x).max()]
+    codes = spread / float(np.quantile(whole, _SMALLEST)) if len(whole) else 0.0
+    return codes if codes > _OF_A_CODE and by_chance(np.abs(np.diff(x)), codes) else 0.0
 
 
 def by_chance(steps: Array, codes: float) -> bool:
     """Say whether steps are zero no more often than noise of so many codes makes them."""
-    return not len(steps) or bool(np.mean(steps == 0) < _MORE * equal_by_chance(codes) + _EQUAL)
+    return not len(steps) or bool(np.mean(steps == 0) < _MORE * equal_by_chance(codes) + _CHANCE_EQUAL)
 
 
 def equal_by_chance(codes: float) -> float:

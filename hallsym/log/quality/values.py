@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
+from hashlib import blake2b
 from typing import NamedTuple
 
 import numpy as np
@@ -68,18 +69,16 @@ def stuck(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
             continue
         overall = spans.overall[name]
         if overall.min == overall.max and is_reading(name):
-            yield Finding(
-                f"{the(log, name)} never changes; it is {overall.min:.6g} in all {seen.rows} samples",
-                claim="stuck", columns=(name,),
-                remedy="check the probe, its wiring and the step of its converter",
-            )  # fmt: skip
+            text = f"{the(log, name)} never changes; it is {overall.min:.6g} in all {seen.rows} samples"
+            remedy = "check the probe, its wiring and the step of its converter"
+            yield Finding(Fault(text, "stuck", (name,)), remedy)
         if overall.min == overall.max or not trace.held:
             continue
-        moves = np.full(len(spans.samples), is_reading(name))  # in a whole run only where references tell so
-        for column in filter(is_reference, spans.overall):
-            moves &= ~spans.rests(column)
-        steady = np.array([*spans.samples])[spans.rests(name) & ~moves]
-        found = [one for one in _stretches(log, name) if one.run not in steady]
+        rests = spans.rests(name)
+        if is_reading(name):  # it may rest with an axis
+            rests &= np.any([spans.rests(c) for c in spans.overall if is_reference(c)], axis=0)
+        still = np.array([*spans.samples])[rests]
+        found = [one for one in _stretches(log, name) if one.run not in still]
         ends = dict(zip(spans.samples, spans.by_run[name][:2].T.tolist(), strict=True))
         rails = {  # an end of a run, which goes on below it on either side: the fit finds that
             (one.run, one.value)
@@ -92,22 +91,22 @@ def stuck(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
         lasts, first = [one.stop - one.start for one in found], found[0]
         where = f"{counted(len(found), 'stretch')}, {sum(lasts) / seen.rows:.1%}"
         runs = tuple(dict.fromkeys(one.run for one in found))
-        whole = all(n == seen.samples[one.run] for n, one in zip(lasts, found, strict=True))
-        alike = whole or len({(one.start, one.stop) for one in found}) == 1
         # what is late repeats its first or last value at an end of every run; the fit tells it
         inner = [one for one in found if one.start > 0 and one.stop < seen.samples[one.run]]
-        inner = inner or (found if len(found) == 1 else [])
-        part = max(found, key=lambda one: one.stop) if whole else next(iter(inner), None)
-        yield Finding(
+        part = inner[0] if inner else first if len(runs) == 1 else None
+        how = (
+            "the logger repeated old samples"
+            if any(one.value for one in found)
+            else "the channel dropped out"
+        )
+        text = (
             f"{the(log, name)} holds one value for up to {max(lasts)} samples ({where}, first in row"
-            f" {first.row + 1}, run {first.run}, {first.value:.4g} {si_symbol(name)})"
-            + (": the logger repeated old samples" if any(one.value for one in found)
-               else ": the channel dropped out"),
-            claim="stuck",
+            f" {first.row + 1}, run {first.run}, {first.value:.4g} {si_symbol(name)}): {how}"
+        )
+        correction = f"stuck {name} {part.start} {part.stop} in {part.run}" if part else None
+        yield Finding(
+            Fault(text, "stuck", (name,), runs, correction), "look at the channel, its wiring and the logger",
             drop=Drop(rows=tuple((one.row, one.row + n) for one, n in zip(found, lasts, strict=True))),
-            remedy="look at the channel, its wiring and the logger", columns=(name,), runs=runs,
-            correction=f"stuck {name} {part.start} {part.stop} in {run_list(runs if alike else [part.run])}"
-            if part else None,
         )  # fmt: skip
 
 
@@ -136,8 +135,6 @@ def _stretches(log: Log, name: str) -> list[Stretch]:
     ]  # fmt: skip
 
 
-_ROUNDING = 1e-9
-"""Differences of means and spreads over the range that the order of additions makes."""
 Pairs = dict[tuple[int, int], list[str]]
 """Columns that hold the same samples in two runs, the earlier first."""
 
@@ -153,34 +150,31 @@ def copied(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
         twin = known.setdefault(spans.by_run[name][:2].tobytes(), name)
         first = log.run(seen.segments[0][0], (twin, name)) if twin != name else {}
         if first and np.array_equal(first[twin], first[name]) and is_noisy(first[name]):
+            text = f"Columns {twin} and {name} of {log.short_name} are equal: one signal was logged twice"
             yield Finding(
-                f"Columns {twin} and {name} of {log.short_name} hold the same samples:"
-                " one signal was logged twice",
-                claim="copied_column", columns=(twin, name),
-                remedy="check which column of the logger is which",
-            )  # fmt: skip
+                Fault(text, "copied_column", (twin, name)), "check which column of the logger is which"
+            )
 
 
 def _same(log: Log, spans: Spans) -> Pairs:
     """Return the columns that are equal bit for bit in two runs, where one of them carries noise."""
     pairs: Pairs = defaultdict(list)
     noisy: set[tuple[int, int]] = set()
-    runs = list(spans.samples)
     for name in filter(is_moving, spans.overall):
-        extents, groups = spans.by_run[name], dict[tuple[float, ...], list[int]]()
-        for k in np.flatnonzero(~spans.rests(name)).tolist():
-            groups.setdefault((*extents[:2, k], spans.samples[runs[k]]), []).append(k)
-        for alike in (np.array(group) for group in groups.values() if len(group) > 1):
-            while len(alike) > 1:
-                first, later = alike[0], alike[1:]
-                off = np.abs(extents[2:, later] - extents[2:, [first]]).max(axis=0)
-                near = off <= _ROUNDING * spans.covers(name)[first]
-                alike, again = later[~near], [runs[k] for k in later[near]]
-                values = log.run(runs[first], (name,))[name] if again else np.empty(0)
-                same = [r for r in again if np.array_equal(log.run(r, (name,))[name], values)]
-                noisy.update((runs[first], r) for r in same if is_noisy(values))
-                for run in same:
-                    pairs[runs[first], run].append(name)
+        extents = list(zip(*spans.by_run[name][:2].tolist(), spans.samples.values(), strict=True))
+        often, alike = Counter(extents), defaultdict[bytes, list[int]](list)
+        doubtful = {run: blake2b() for run, (low, high, n) in zip(spans.samples, extents, strict=True)
+                    if low < high and often[low, high, n] > 1}  # fmt: skip
+        for block in log.blocks((name,)) if doubtful else ():
+            if block.run in doubtful:
+                doubtful[block.run].update(block.data[name].tobytes())
+        for run, samples in doubtful.items():
+            alike[samples.digest()].append(run)
+        for first, *later in alike.values():
+            pasted = {(first, run) for run in later}
+            noisy |= pasted if pasted and is_noisy(log.run(first, (name,))[name]) else set()
+            for pair in pasted:
+                pairs[pair].append(name)
     return {pair: pairs[pair] for pair in sorted(noisy, key=lambda pair: pair[::-1])}
 
 
@@ -196,10 +190,13 @@ def _pasted(log: Log, same: Pairs, spans: Spans) -> Finding:
     (first, run), names = next(iter(same.items()))
     shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
     subject, verb = ("Columns", "hold") if len(names) > 1 else ("Column", "holds")
-    return Finding(
+    text = (
         f"{subject} {shown} of {log.short_name} {verb} the same samples in runs {first} and {run}"
-        f"{others(same, 'more pair')}",
-        claim="copied_run", drop=Drop(runs=frozenset(wrong)) if len(wrong) < len(runs) else None,
-        remedy="remove a run that is a copy, or give each run the columns that were recorded with it",
-        columns=tuple(names), runs=tuple(sorted(wrong)), correction=f"copied_run in {run_list([*wrong])}",
-    )  # fmt: skip
+        f"{others(same, 'more pair')}"
+    )
+    correction = f"copied_run in {run_list([*wrong])}"
+    return Finding(
+        Fault(text, "copied_run", names, tuple(sorted(wrong)), correction),
+        "remove a run that is a copy, or give each run the columns that were recorded with it",
+        drop=Drop(runs=frozenset(wrong)) if len(wrong) < len(runs) else None,
+    )
