@@ -20,7 +20,7 @@ from hallsym.estimation.decoding import logged_columns, residuals
 from hallsym.estimation.factors import RunStatistics, exact, summarise
 from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_near, cost_of
-from hallsym.estimation.optimum import SETTLING, LinearFit, closed_form, linear_fit, refit
+from hallsym.estimation.optimum import SETTLING, closed_form, linear_fit, refit
 from hallsym.estimation.task import Asked, Task, noise_of
 from hallsym.families.recording import Correction, as_wired, said
 from hallsym.log import Log, Noise
@@ -119,14 +119,11 @@ def _assigned(trials: Trials) -> tuple[Correction, ...]:
     model, base = trials.model, trials.fitted()
     if base is None or not base.left or base.mean(base.left) < EXCESS or len(model.channels) > ORDERED:
         return ()
-    most = 1 + SLACK * (1 - EXPLAINS) * base.mean(base.left)
-    if base.free > most and not model.period:
-        return ()
     found: list[tuple[float, int, tuple[Correction, ...]]] = []
     for order in permutations(model.channels):
         for signs in product((1, -1), repeat=len(order)):
             wires = as_wired(tuple(zip(order, signs, strict=True)), model.channels)
-            after = trials.fitted(wires, most=most) if wires else None
+            after = trials.fitted(wires) if wires else None
             if after is not None and after.left and _explains(base, after):
                 found.append((round(after.mean(after.left), 2), len(wires), wires))
     return min(found, key=lambda one: one[:2])[2] if found else ()
@@ -328,9 +325,6 @@ class Trials:
         noise = self.noise
         for one in corrections:
             noise = one.noise_of(noise, runs)
-        for c, period in self.model.period.items():
-            if any(c in one.columns for one in corrections) and _median_step(columns[c]) > period / 4:
-                raise InputError(f"Column {c} would turn too far from sample to sample to be followed.")
         if self.model.period:  # turns are counted at the full rate
             log = continuous(Log.from_arrays({RUN: run, **columns}, noise, self.given.meta), self.model)
             columns = {c: log.array(c) for c in self.columns}
@@ -368,12 +362,6 @@ class Trials:
             found = changed
         return found if runs is None else found.of(runs)
 
-    @cached_property
-    def held(self) -> tuple[int, ...]:
-        """The parameters that all runs together do not tell: what few of them tell of others matters."""
-        merged = cost_of(self.whole.summary.merged(), self.whole.noise.std)
-        return determine(merged, closed_form(merged, linear_fit(merged))).held
-
     def _read(self, corrections: Sequence[Correction], runs: Sequence[int] | None) -> Read:
         log = self.log(corrections, runs)
         return Read(summarise(log, self.model), log.noise, _within(log, self.model.channels), log)
@@ -382,52 +370,45 @@ class Trials:
         self,
         corrections: Sequence[Correction] = (),
         runs: Sequence[int] | None = None,
-        most: float = np.inf,
         *,
         closely: bool = True,
     ) -> Tried | None:
         """Fit the log without mistakes; None where that fails.
 
-        Also None where free coefficients already leave more than `most` (mean square over the noise): no
-        parameters leave less. Not `closely`: where the fit begins, all runs as one.
+        Not `closely`: where the fit begins, all runs as one.
         """
         # of runs that are noisier than others by a mistake, the others tell the parameters
         known = [replace(c, kind="other_device", columns=(), numbers=()) if c.runs and c.mistake.keeps else c
                  for c in corrections]  # fmt: skip
         try:
-            return self._fitted(tuple(known), runs, most, closely)
+            return self._fitted(tuple(known), runs, closely)
         except (InputError, np.linalg.LinAlgError):
             return None
 
     def _fitted(
-        self, corrections: tuple[Correction, ...], runs: Sequence[int] | None, most: float, closely: bool
+        self, corrections: tuple[Correction, ...], runs: Sequence[int] | None, closely: bool
     ) -> Tried | None:
         if not exact(self.model):
             log = self.log(corrections, runs)
             task = Task(log, self.model, (), Asked())
-            state = task.passes(self.begin(log), None)
+            guess = self.model.guess
+            state = task.passes(
+                self.model.vector(guess(self.model, log)) if guess else self.model.nominal, None
+            )
             within = _within(log, self.model.channels)
             return Tried(corrections, state.fitted, state.p, self.model, within, log)
         read = self.read(corrections, runs)
         merged = cost_of(read.summary.merged(), read.noise.std)
         linear = linear_fit(merged)
-        free = _left_free(merged, linear)
-        if free > most:
-            return None
         first = np.clip(closed_form(merged, linear), *self.model.bounds)
         if not closely:
             within = read.summary.counts[None] @ read.within / merged.summary.counts[0]
-            return Tried(corrections, merged, first, self.model, within, read.log, free)
-        held = list(determine(merged, first).held if runs is None else self.held)
+            return Tried(corrections, merged, first, self.model, within, read.log)
+        held = list(determine(merged, first).held)
         first[held] = np.clip(self.model.nominal, *self.model.bounds)[held]
         p = refit(merged, first, held, CLOSELY, STEPS_TRIED) if len(held) < len(first) else first
         cost = cost_of(read.summary, read.noise.std)
-        return Tried(corrections, cost, p, self.model, read.within, read.log, free)
-
-    def begin(self, log: Log) -> np.ndarray:
-        """Return where a fit without run statistics begins, (n,)."""
-        guess = self.model.guess
-        return self.model.vector(guess(self.model, log)) if guess else self.model.nominal
+        return Tried(corrections, cost, p, self.model, read.within, read.log)
 
     def at(self, corrections: Sequence[Correction], p: np.ndarray, runs: Sequence[int]) -> Tried | None:
         """Judge some runs without mistakes at parameters (n,)."""
@@ -493,27 +474,11 @@ def _within(log: Log, channels: Sequence[str]) -> np.ndarray:
     return np.asarray(np.add.reduceat(x**2, starts) / counts)
 
 
-def _median_step(x: np.ndarray) -> float:
-    return float(np.median(np.abs(np.diff(x)))) if len(x) > 1 else 0.0
-
-
-def _left_free(cost: Cost, linear: LinearFit) -> float:
-    """Return the mean square over the noise that free linear coefficients leave; 0 if some did not move."""
-    if not linear.moved.all():
-        return 0.0
-    R_f, R_m = (part[0] for part in cost.triangles)
-    rest = R_m - R_f @ linear.coefficients
-    noise = np.einsum("fk,fg,gk->k", linear.coefficients, cost.noise_in_features[0], linear.coefficients)
-    squares = np.einsum("ik,ik->k", rest, rest) / (cost.reading_variance + noise)
-    return float(squares.mean() / max(cost.summary.counts[0], 1.0))
-
-
 @dataclass(frozen=True, eq=False)
 class Tried:
     """A log without mistakes, and the parameters that it was judged by.
 
     `within`: variance of each reading within each run, (runs, readings). `log`: with these runs, or more.
-    `free`: mean square over the noise that free linear coefficients leave; 0 where that is not known.
     """
 
     corrections: tuple[Correction, ...]
@@ -522,7 +487,6 @@ class Tried:
     model: Model
     within: np.ndarray
     log: Log
-    free: float = 0.0
 
     @cached_property
     def left(self) -> dict[int, float]:
@@ -604,26 +568,18 @@ class Tried:
         return float(weights @ np.array([of[r] for r in some]) / max(weights.sum(), 1.0))
 
 
-def _screen(trials: Trials, base: Tried, most: float) -> Callable[[Correction], float]:
+def _screen(trials: Trials, base: Tried) -> Callable[[Correction], float]:
     """Return what tells the share of what is left that a correction leaves, without a fit.
 
-    Where a fit begins; of a model without run statistics the optimum of its tangent there, and where the log
-    as it is was fitted. `most`: mean square that free coefficients may leave.
+    Where a fit begins; of a model without run statistics the optimum of its tangent where the log was fitted.
     """
-    if exact(trials.model):  # beside the right number, one explains little yet
-        return lambda c: base.rest(
-            trials.fitted((c,), most=np.inf if c.kind in STEPS else most, closely=False)
-        )
-    runs, readings = list(base.left), {*trials.model.channels}
-    points = (base.p, trials.begin(base.log))
-
-    def tangent(c: Correction, p: np.ndarray) -> Tried | None:
-        found = trials.at((c,), p, runs)
-        return found and replace(found, p=refit(found.cost, p, (), CLOSELY, SETTLING))
+    if exact(trials.model):
+        return lambda c: base.rest(trials.fitted((c,), closely=False))
+    runs = list(base.left)
 
     def screened(c: Correction) -> float:
-        some = points[:1] if {*c.columns} <= readings else points  # readings move no parameters far
-        return min(base.rest(tangent(c, p)) for p in some)
+        found = trials.at((c,), base.p, runs)
+        return base.rest(found and replace(found, p=refit(found.cost, base.p, (), CLOSELY, SETTLING)))
 
     return screened
 
@@ -636,8 +592,6 @@ right one, not it."""
 EXCESS = 1.5
 """Mean square of the residual over the noise from which on a mistake is looked for: a noise that is stated
 20 % too small is none."""
-LEAST = 0.5
-"""Mean square below which the noise that a correction adds hides what it should explain."""
 ALONE = 3.0
 """Mean square over that of the other runs from which on a run is looked at by itself."""
 FEWEST = 4
@@ -667,7 +621,6 @@ class Found:
 
     correction: Correction
     explains: float
-    left: float
     rivals: tuple[Correction, ...] = ()
     vague: float = 0.0
 
@@ -676,103 +629,41 @@ def suspects(trials: Trials) -> list[Found]:
     """Return the mistakes that explain what a model leaves of a log; none where it leaves noise."""
     copies = copied(trials)
     trials = trials.without(copies) if copies else trials
-    out = [Found(Correction("copied_run", runs=copies), 1.0, 1.0)] if copies else []
+    out = [Found(Correction("copied_run", runs=copies), 1.0)] if copies else []
     base = trials.fitted()
     if base is None or not base.left:
         return out
     runs = list(base.left)
     if max(base.left.values()) < EXCESS:
         return out
-    most = 1 + SLACK * (1 - EXPLAINS) * base.mean(base.left)
-    # free coefficients absorb signs, scales and orders of what readings are polynomials of
-    # (but what they leave depends on a stated noise, which is in SI where numbers are not)
-    stated = any(trials.noise[c].source == "given" for c in trials.model.references)
-    linear = base.free <= most or stated or bool(trials.model.period)
-
-    def of_all() -> Found | None:
-        best = _best(trials, base, lambda c: trials.fitted((c,)), _screen(trials, base, most), runs, linear)
-        return best and _named(trials, base, best)
-
-    few = base.mean(base.left) < EXCESS  # then it is looked for in single runs first
-    named = None if few else of_all()
-    if named and named.left < EXCESS:
+    best = _best(trials, base, lambda c: trials.fitted((c,)), _screen(trials, base), runs)
+    if best and (named := _named(trials, base, best)):
         return [*out, named]
     found, floor = _of_some_runs(trials, base)
-    named = of_all() if few and not found else named
-    if not named and not found and not trials.stated and floor > EXCESS:
+    if not found and not trials.stated and floor > EXCESS:
         louder = trials.over(floor)
         found = _of_some_runs(louder, again)[0] if (again := louder.fitted()) and again.left else []
-    if not named or not found:
-        return [*out, *([named] if named else found)]
-    alike, apart = (trials.fitted([one.correction for one in some]) for some in ([named], found))
-    better = apart and alike and apart.mean(apart.left) < (1 - NEAR) * alike.mean(alike.left)
-    return [*out, *(found if better else [named])]
+    return [*out, *found]
 
 
 def _of_some_runs(trials: Trials, base: Tried) -> tuple[list[Found], float]:
-    """Return the mistakes of runs that others do not foresee, and what the model leaves of those others."""
+    """Return the mistakes of runs that others do not foresee, and what the model leaves of those others.
+
+    Of several ways to divide the runs the one with the fewest mistakes, then the likeliest; none where a fit
+    without them is not explained.
+    """
     divided = _divisions(trials, base)
     floor = min((agreed.mean(agreed.left) for agreed in divided.values()), default=1.0)
-    options = [_in_runs(trials, agreed, odd) for odd, agreed in divided.items()]
-    most = 1.0 if trials.stated else EXCESS  # what an estimated noise may lack
-    return _likeliest(trials, base, options, float(np.clip(floor, 1.0, most))), floor
-
-
-def _likeliest(trials: Trials, base: Tried, options: Sequence[Sequence[Found]], floor: float) -> list[Found]:
-    """Return the mistakes that explain a log, of several ways to divide its runs.
-
-    `floor`: mean square that the runs without a mistake leave.
-
-    The likeliest; of those that chance does not tell apart the one that assumes least, with the others' as
-    its rivals.
-    """
-    explained: list[tuple[float, list[Found]]] = []
-    for option in options:
-        some = _needed(trials, base, option, floor)
+    least = float(np.clip(floor, 1.0, 1.0 if trials.stated else EXCESS))  # what an estimated noise may lack
+    explained: list[tuple[int, float, list[Found]]] = []
+    for odd, agreed in divided.items():
+        some = _in_runs(trials, agreed, odd)
+        if len(some) == 1 and (named := _named(trials, base, some[0], least)):
+            some = [named]
         after = trials.fitted([one.correction for one in some]) if some else None
-        if after is not None and after.left:
-            explained.append((after.mean(after.deviance), some))
-    if not explained:
-        return []
-    best = min(deviance for deviance, _ in explained)
-    close = RIVAL / max(sum(base.counts.values()), 1.0)
-    near = sorted((some for deviance, some in explained if deviance < best + close), key=_extent)
-    first = [one.correction for one in near[0]]
-    others = (some[0].correction for some in near[1:] if len(some) == 1)
-    rivals = tuple(c for c in dict.fromkeys(others) if all(not _same(c, one) for one in first))
-    return [replace(one, rivals=(*one.rivals, *rivals)) for one in near[0]]
-
-
-def _extent(found: Sequence[Found]) -> tuple[bool, int, float]:
-    """Return how much is assumed: runs left out, how many mistakes, and how far gains are from 1."""
-    every = [one.correction for one in found]
-    gains = [c.numbers[0] for c in every if c.kind == "gain_step"]
-    return (
-        any(c.mistake.whole_run for c in every),
-        len(every),
-        sum(abs(np.log(abs(g))) + np.pi * (g < 0) for g in gains),
-    )
-
-
-def _needed(trials: Trials, base: Tried, found: Sequence[Found], floor: float) -> list[Found]:
-    """Return those of several mistakes without which a log is not explained.
-
-    None where all of them do not explain it.
-    """
-
-    def enough(some: Sequence[Found]) -> bool:
-        after = trials.fitted([one.correction for one in some]) if some else None
-        return after is not None and _explains(base, after, floor)
-
-    left = list(found)
-    if not enough(left):
-        return []
-    if len(left) == 1 and (named := _named(trials, base, left[0], floor)):
-        return [named]
-    for one in found:
-        others = [other for other in left if other is not one]
-        left = others if enough(others) else left
-    return left
+        if after is not None and after.left and _explains(base, after, least):
+            explained.append((len(some), after.mean(after.deviance), some))
+    return min(explained, key=lambda one: one[:2], default=(0, 0.0, []))[2], floor
 
 
 def _named(trials: Trials, base: Tried, found: Found, floor: float = 1.0) -> Found | None:
@@ -788,14 +679,6 @@ def _named(trials: Trials, base: Tried, found: Found, floor: float = 1.0) -> Fou
         for unit, factor in known
         if own and 1 / UNIT_NEAR < factor / c.numbers[0] < UNIT_NEAR
     ]
-    if c.kind in STEPS:  # at the parameters of other runs a number is found to a sample or two
-        about = [replace(c, numbers=(c.numbers[0] + k,)) for k in (-2, -1, 0, 1, 2) if c.numbers[0] + k]
-        tried = {one: after for one in about if (after := trials.fitted((one,))) is not None and after.left}
-        value = {one: after.mean(after.deviance) for one, after in tried.items()}
-        c = min(value, key=value.__getitem__, default=c)
-        close = value.get(c, 0.0) + _close(base, list(base.counts), 1.0)
-        others = tuple(one for one in value if one != c and value[one] < close)
-        found = replace(found, rivals=(*others, *found.rivals))
     for some in (near, [c]):
         fits = {one: trials.fitted((one,)) for one in some}
         tried = {one: after for one, after in fits.items() if after and _explains(base, after, floor)}
@@ -838,8 +721,6 @@ AT_REST = 0.04
 UNEXPLAINED = 0.003
 """Share of the readings' variance that effects may leave beside a mistake, over the noise: a twentieth of the
 stroke."""
-SLACK = 2.0
-"""Room for what free coefficients leave beside what parameters leave."""
 
 
 def copied(trials: Trials) -> tuple[int, ...]:
@@ -868,78 +749,29 @@ def _divisions(trials: Trials, base: Tried) -> dict[tuple[int, ...], Tried]:
 def _agreeing(trials: Trials, base: Tried) -> list[list[int]]:
     """Return runs that one set of parameters describes nearly alike, half of them at least; one set or more.
 
-    The worst runs are left out until the others are described alike: few bad ones bend all that move as they
-    do. Where that leaves all but one, or does not end, each run without which the others are described: what
-    only it moves tells no mistake in it from one in another. Where many are bad, least trimmed squares.
+    Least trimmed squares from all runs but the worst, and from the first and the last half: the half that is
+    described best is fitted again, and all that it foresees with it, until they stay.
     """
-    runs, now = list(base.left), base
-    if len(runs) < FEWEST:
-        return []
-    kept = runs
-    while 2 * len(kept) >= len(runs):
-        worst = max(now.left[r] for r in kept)
-        if worst < ALONE * max(float(np.median([now.left[r] for r in kept])), 1.0):
-            break
-        kept = [r for r in kept if now.left[r] < 0.5 * worst]
-        again = trials.fitted((), kept)
-        seen = again and trials.at((), again.p, runs)
-        if not seen or not seen.left:
-            break
-        now = seen
-    out = [kept] if 2 * len(kept) >= len(runs) > len(kept) and now.mean(now.left, kept) < EXCESS else []
-    out += [some for order in (runs, runs[::-1]) if (some := _longest(trials, order)) and some not in out]
-    if out and all(len(runs) - len(some) > 1 for some in out):
-        return out
-
-    def without_one(run: int) -> float:  # about, from the statistics as they are
-        rest = base.cost.without([run])
-        return rest.at(refit(rest, base.p, (), CLOSELY, ROUNDS)).value
-
-    for one in sorted(runs, key=without_one)[:SEARCHED]:
-        others = [r for r in runs if r != one]
-        without = trials.fitted((), others)
-        if without is not None and without.left and without.mean(without.left) < EXCESS and others not in out:
-            out.append(others)
-    return out or _trimmed(trials, base)
-
-
-def _longest(trials: Trials, runs: Sequence[int]) -> list[int]:
-    """Return the most runs in a row from the first on that are described, half of them at least."""
-    enough, too_many = 0, len(runs)
-    now = (len(runs) + 1) // 2
-    while enough < now < too_many:
-        found = trials.fitted((), runs[:now])
-        if found is not None and found.left and max(found.left.values()) < ALONE:
-            enough = now
-        elif not enough:
-            break
-        else:
-            too_many = now
-        now = (enough + too_many) // 2
-    return sorted(runs[:enough])
-
-
-def _trimmed(trials: Trials, base: Tried) -> list[list[int]]:
-    """Return the runs that agree by least trimmed squares; none where that tells nothing.
-
-    The half of the runs that is described best is fitted again, until it stays.
-    """
-    runs, now = list(base.left), base
+    runs, out = list(base.left), list[list[int]]()
     half = (len(runs) + 1) // 2
-    best = sorted(runs, key=base.left.__getitem__)[:half]
-    for _ in range(ROUNDS):
-        again = trials.fitted((), best)
-        seen = again and trials.at((), again.p, runs)
-        if not seen or not seen.left:
-            return []
-        now, before = seen, best
-        best = sorted(runs, key=now.left.__getitem__)[:half]
-        if set(best) == set(before):
-            break
-    usual = max(float(np.median([now.left[r] for r in best])), 1.0)
-    agreed = [r for r in runs if now.left[r] < ALONE * usual]
-    rest = now.mean(now.left, agreed)
-    return [] if 2 * len(agreed) < len(runs) or now.mean(now.left) < EXCESS * rest else [agreed]
+    others = sorted(runs, key=base.left.__getitem__)[:-1]
+    for begin in (sorted(others), runs[:half], runs[-half:]) if len(runs) >= FEWEST else ():
+        some, agreed = begin, list[int]()
+        for _ in range(ROUNDS):
+            again = trials.fitted((), some)
+            seen = again and trials.at((), again.p, runs)
+            if not seen or not seen.left:
+                break
+            best = sorted(runs, key=seen.left.__getitem__)[:half]
+            usual = max(float(np.median([seen.left[r] for r in best])), 1.0)
+            agreed = [r for r in runs if seen.left[r] < EXCESS * usual]
+            described = len(agreed) >= half and seen.mean(seen.left, agreed) < EXCESS
+            before, some = some, agreed if described else sorted(best)
+            if some == before:
+                break
+        if len(runs) > len(agreed) >= half and agreed not in out:
+            out.append(agreed)
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -980,12 +812,10 @@ def _best(
     tried: Callable[[Correction], Tried | None],
     screened: Callable[[Correction], float],
     runs: Sequence[int],
-    linear: bool = True,
 ) -> Found | None:
     """Return the mistake that explains the excess of `base` in some runs best; None where none does.
 
-    `screened`: the share of what is left that a correction leaves about; the best are `tried`. Not `linear`:
-    free coefficients leave an excess too, so that no sign, scale or order explains it.
+    `screened`: the share of what is left that a correction leaves about; the best are `tried`.
     """
     before = base.mean(base.deviance, runs)
     seen: list[Judged] = []
@@ -1009,12 +839,11 @@ def _best(
         same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
         one = Judged(same, found.mean(found.deviance, runs), found.mean(found.left, runs), c, found.far)
         known = np.isfinite(base.rest(found)) and np.isfinite(one.gain)
-        hides = one.left < LEAST and c.mistake.noise(c, trials.noise) != trials.noise
-        if known and not hides and _follows(base, found):
+        if known and _follows(base, found):
             seen.append(one)
 
     plain = hypotheses(trials.model, trials.columns, base.worst(runs), trials.moved(runs))
-    more = [*(c for c in plain if linear or c.kind in STEPS), *of_samples(trials, base)]
+    more = [*plain, *of_samples(trials, base)]
     while more:
         shares |= {c: screened(c) for c in more}
         more = _closer(shares)
@@ -1043,7 +872,7 @@ def _best(
         beside = [replace(c, numbers=(c.numbers[0] * (1 + by),)) for by in (-KNOWN, KNOWN)]
         loses = samples * len(trials.model.channels) * (min(map(deviance, beside)) - first.after)
         vague = KNOWN * SURE / max(loses, 1e-3) ** 0.5
-    return Found(c, min(first.explains, 1.0), first.left, rivals, vague)
+    return Found(c, min(first.explains, 1.0), rivals, vague)
 
 
 def _close(base: Tried, runs: Sequence[int], left: float) -> float:
@@ -1170,10 +999,6 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
         if not good:
             return None
         rivals = tuple(_of(c, good) for c in found.rivals)
-        over = found.left - min(found.left, 1.0)
-        own = _other_device(trials, now, good) if over > EXCESS - 1 else []
-        if own and own[0].left - 1 < (1 - EXPLAINS) * over:
-            return None if one_way else own[0]
         return replace(found, correction=_of(found.correction, good), rivals=rivals)
 
     left = list(odd)
@@ -1233,7 +1058,7 @@ def _other_device(trials: Trials, now: Tried, runs: Sequence[int]) -> list[Found
         now.mean(now.deviance), own.mean(own.deviance), own.mean(own.left), Correction("other_device")
     )
     described = one.explains >= EXPLAINS and one.left < EXCESS
-    return [Found(one.correction.in_runs(runs), one.explains, one.left)] if described else []
+    return [Found(one.correction.in_runs(runs), one.explains)] if described else []
 
 
 Residual = Callable[[Block], np.ndarray]

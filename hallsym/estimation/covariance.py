@@ -19,9 +19,9 @@ import numpy as np
 from scipy.special import chdtri, ndtr
 
 from hallsym.estimation.calibration import CombinationEstimate
-from hallsym.estimation.factors import inverse, solve
+from hallsym.estimation.factors import solve, unit_scale
 from hallsym.estimation.goodness_of_fit import CERTAIN, GoodnessOfFit, goodness_of
-from hallsym.estimation.identifiable import UNDETERMINED, Determination, linear_combinations
+from hallsym.estimation.identifiable import ROUNDING, UNDETERMINED, Determination, linear_combinations
 from hallsym.estimation.likelihood import Cost, Point
 from hallsym.model import Model
 from hallsym.model.influence import reading_slopes
@@ -55,10 +55,11 @@ class RunScatter:
         `runs`: (r, n, n) information, which becomes the leverage in its place. `scores`: (r, n). `known`:
         (r, n, n) covariance of the scores by the noise, None where it is the information.
         """
-        naive = inverse(runs.sum(axis=0))
-        scale = np.sqrt(np.diag(naive))
-        K = scale[:, None] * np.linalg.cholesky(naive / np.outer(scale, scale))
-        by_noise, lost = np.zeros_like(naive), 0.0
+        information = runs.sum(axis=0)
+        unit = unit_scale(information)
+        values, axes = np.linalg.eigh(information * np.outer(unit, unit))
+        K = unit[:, None] * axes / np.sqrt(np.maximum(values, ROUNDING * values[-1]))
+        by_noise, lost = np.zeros_like(K), 0.0
         for some in _parts(len(runs)):
             J = runs[some] = K.T @ runs[some] @ K
             brought = J if known is None else K.T @ known[some] @ K

@@ -499,8 +499,7 @@ class TangentFeatures(Features):
         size = np.where(np.arange(count) % 2, 10.0 ** -(SMALLEST * rng.random(count)), 1.0)
         pose, state = pose if model.typical else pose * size, state * size
         zeros = np.zeros((len(model.zeros), count))
-        wide = [np.asarray(v).astype(p.dtype) for v in (p, zeros, pose, state)]
-        (rows,) = program(model).by_parameter(*wide)
+        (rows,) = program(model).by_parameter(p, zeros, pose, state)
         return np.moveaxis(rows.reshape(len(model.names), -1), 0, 1)
 
 

@@ -19,21 +19,19 @@ from hallsym.estimation.claims import claims_of, described, mistakes_of
 from hallsym.estimation.decoding import Errors, columns_of
 from hallsym.estimation.factors import exact, joined
 from hallsym.estimation.likelihood import Cost, Sharing, cost_of, joint_cost, numbered, run_numbers
-from hallsym.estimation.optimum import SOLVERS, Solution, closed_form, linear_fit, searched
+from hallsym.estimation.optimum import SOLVERS, Solution, closed_form, linear_fit, searched, unrelated
 from hallsym.estimation.plausible import implausible, stated
 from hallsym.estimation.residual_noise import noise_followed
 from hallsym.estimation.several import check_gains, check_same, labels, restricted, several_fit
 from hallsym.estimation.task import (
     Asked,
     Begun,
-    Opened,
+    LogFit,
     Progress,
-    Solved,
     Task,
     checked,
-    held_out,
     model_of,
-    prepared,
+    opened,
     result_of,
     silent,
     zero_notes,
@@ -222,17 +220,19 @@ def _fit_one(log: Log, model: Model, asked: Asked, began: float) -> tuple[Fit, L
         result, given = fit_several([log], [], [model], (), asked, alone=True, began=began)
         return result, given or log
     asked.say("checking the log")
-    ready = prepared(log, model, asked)
-    log, notes = ready.log, list(ready.notes)
-    held = held_out(log, log.meta.holdout if asked.holdout is None else asked.holdout)
+    one = opened(log, model, asked)
     first = None
     if exact(base := plain(model)):
-        plainly = replace(asked, holdout=held, corrections=(), drop_bad=False, start=None, quick=False)
-        first = _fit_one(log, base, plainly, began)[0]
+        plainly = replace(
+            asked, holdout=one.task.holdout, corrections=(), drop_bad=False, start=None, quick=False
+        )
+        first = _fit_one(one.task.log, base, plainly, began)[0]
         zeros = zero_notes(first.model, tuple(first.zeros), np.array(list(first.zeros.values())))
-        notes += [note for note in first.notes if note not in (*zeros, *log.notes)]
-    said = tuple(dict.fromkeys(notes))
-    return result_of(Task(log, model, held, asked).by_passes(first, said, ready), began), ready.given
+        one.notes += tuple(note for note in first.notes if note not in (*zeros, *one.task.log.notes))
+    one.notes = tuple(dict.fromkeys(one.notes))
+    one.task, one.solution, one.keep = one.task.by_passes(first)
+    one.errors = one.task.errors(one.solution, one.keep)
+    return result_of(one, began), one.given
 
 
 def _choice(name: str, known: Sequence[str], what: str) -> None:
@@ -271,19 +271,28 @@ def fit_several(
         )
     names = ("",) if alone else labels(every)
     own = _own_parameters(model, per_log, len(logs), bool(holdout_logs))
-    opened = _opened(every, model, len(logs), asked)
+    members = _opened(every, model, len(logs), asked)
     if not alone:
-        check_gains(every, opened[0].task.model, [one.begun for one in opened])
-    together = _Together(opened[: len(logs)], Sharing.of(model, own, names[: len(logs)]), asked)
+        check_gains(every, model, [one.begun for one in members])
+    members, others = members[: len(logs)], members[len(logs) :]
+    together = _Together(members, Sharing.of(model, own, names[: len(logs)]), asked)
     solution, errors = together.optimum()
-    members = [
-        one.solved(together.of_log(solution, g), errors[g] if errors else None)
-        for g, one in enumerate(together.logs)
-    ]
+    for g, one in enumerate(members):
+        _end(one, together.of_log(solution, g), errors[g] if errors else None)
     if alone:
-        return result_of(members[0], began), members[0].ready.given
-    judged = [_judged(one, members[-1].solution) for one in opened[len(logs) :]]
-    return several_fit(together.sharing, solution, members, judged, names, together.numbers, began), None
+        return result_of(members[0], began), members[0].given
+    for one in others:  # decoded with the parameters of the others; all of its runs are held out
+        everything, known = one.begun.everything, members[-1].solution
+        state = Solution(everything, everything, known.determination, known.search)
+        _end(one, state, replace(one.task.errors(state, None), holdout=everything.summary.runs))
+    return several_fit(together.sharing, solution, members, others, names, together.numbers, began), None
+
+
+def _end(one: LogFit, solution: Solution, errors: Errors | None) -> None:
+    """Keep how the fit of a log ended, and say where its reference is of another recording."""
+    one.solution, one.errors = solution, errors
+    if not any(isinstance(note, Fault) and note.name == UNRELATED for note in one.notes):  # or its family did
+        one.notes += unrelated(one.task.model, one.begun.linear.unexplained, one.task.log.name)
 
 
 def _own_parameters(model: Model, per_log: Sequence[str], logs: int, holdout: bool) -> tuple[str, ...]:
@@ -307,9 +316,9 @@ def _own_parameters(model: Model, per_log: Sequence[str], logs: int, holdout: bo
     return tuple(found)
 
 
-def _opened(logs: Sequence[Log], model: Model, fitted: int, asked: Asked) -> list[Opened]:
+def _opened(logs: Sequence[Log], model: Model, fitted: int, asked: Asked) -> list[LogFit]:
     """Return every log checked, summarised about the centre of the first, and judged."""
-    out: list[Opened] = []
+    out: list[LogFit] = []
     centre: np.ndarray | None = None
     if fitted > 1 and asked.holdout:
         known = {run for log in logs[:fitted] for run in log.runs}
@@ -317,21 +326,17 @@ def _opened(logs: Sequence[Log], model: Model, fitted: int, asked: Asked) -> lis
             raise InputError(f"Held-out run {lost[0]} is in none of the {fitted} logs.")
     for k, log in enumerate(logs):
         asked.say(f"checking {log.name}")
-        ready = prepared(log, model, asked)
-        held = log.meta.holdout if asked.holdout is None else tuple(asked.holdout)
-        held = held if fitted == 1 else tuple(r for r in held if r in ready.log.runs)
-        held = held_out(ready.log, held) if k < fitted else ()
-        task = Task(ready.log, model, held, asked, centre=centre)
-        begun = task.begin(task.summary())
-        centre = begun.everything.summary.centre
-        out.append(Opened(task, begun, ready, ready.notes))
+        one = opened(log, model, asked, several=fitted > 1, judged=k >= fitted, centre=centre)
+        one.begun = one.task.begin(one.task.summary())
+        centre = one.begun.everything.summary.centre
+        out.append(one)
     return out
 
 
 class _Together:
     """The logs that are fitted, and their common optimum."""
 
-    def __init__(self, logs: list[Opened], sharing: Sharing, asked: Asked) -> None:
+    def __init__(self, logs: list[LogFit], sharing: Sharing, asked: Asked) -> None:
         self.logs, self.sharing, self.asked = logs, sharing, asked
         self.numbers = run_numbers([one.begun.everything.summary.runs for one in logs])
 
@@ -469,11 +474,3 @@ def _left_out(total: float, left: float, loss: str) -> str:
         f"{total - left:.0f} of {total:.0f} samples ({share}) are isolated spikes and were left out of fit "
         "and error tables (--loss none keeps them)."
     )
-
-
-def _judged(one: Opened, known: Solution) -> Solved:
-    """Return a held-out log, decoded with the parameters of the others; all of its runs are held out."""
-    everything = one.begun.everything
-    state = Solution(everything, everything, known.determination, known.search)
-    errors = replace(one.task.errors(state, None), holdout=everything.summary.runs)
-    return one.solved(state, errors)

@@ -25,6 +25,8 @@ SAME_DIRECTION = 1e-6
 """Sine of an angle below which two directions are one: null directions of a log are known to 1e-9."""
 ROUNDING = 1e-13
 """Information below this part of the largest is rounding."""
+NIL = 1e-12
+"""Singular value, over the largest, of slopes of unit size below which it is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +173,7 @@ def _random_points(model: Model) -> np.ndarray:
 
 
 def structural_rank(features: Features, open_: tuple[bool, ...]) -> tuple[int, np.ndarray]:
-    """Rank of d coefficients / d parameters, the largest at random points, and the pivots that decided it.
+    """Return the rank of d coefficients / d parameters, the largest at random points, with singular values.
 
     A tangent is asked at its own point too: at a random one a rail may cut off all of a reading, or nothing.
     """
@@ -188,44 +190,26 @@ def _rank_at_random(features: Features, open_: tuple[bool, ...]) -> tuple[int, n
 
 
 def _rank_at(features: Features, at: np.ndarray, open_: tuple[bool, ...]) -> tuple[int, np.ndarray]:
-    """Return the largest rank at points (m, n), and its pivots.
+    """Return the largest rank at points (m, n), and the singular values, over the largest, that show it.
 
-    Gaussian elimination with full pivoting in extended precision (where the machine has it), every row scaled
-    to 1: a pivot that is zero comes out as rounding, some 16 decades below those that are not.
+    Rows, then columns are of unit size: a value that is zero comes out as rounding, decades below the others.
     """
-    model, at = features.model, at.astype(np.longdouble)
-    sampled = [rows for point in at if (rows := features.slope_rows(point)) is not None]
-    if sampled:
-        rows = np.array(sampled) * scales(model)
-    else:
-        slope = on_arrays(features.expressions[0])(at.T, np.zeros(features.exponents.shape[1]))[1]
-        shape = (len(model.names), 1 + features.n_zeros, len(model.channels), features.size, len(at))
-        rows = slope.reshape(shape)[:, 0].reshape(len(model.names), -1, len(at)).T * scales(model)
-    tried = [_pivots(jacobian[:, np.array(open_)]) for jacobian in rows]
-    ranks = [_rank(pivots, rows.shape[1]) for pivots in tried]
-    best = int(np.argmax(ranks))
-    return ranks[best], tried[best]
-
-
-def _rank(pivots: np.ndarray, rows: int) -> int:
-    """How many pivots are not rounding."""
-    floor = rows * 1e3 * float(np.finfo(np.longdouble).eps)
-    return int(np.sum(pivots > floor * pivots.max(initial=0.0)))
-
-
-def _pivots(matrix: np.ndarray) -> np.ndarray:
-    """Pivots of Gaussian elimination with full pivoting, rows scaled to 1 first."""
-    size = np.abs(matrix).max(axis=1, initial=0.0)
-    rest, found = matrix[size > 0] / size[size > 0, None], []
-    for _ in range(min(rest.shape)):
-        i, j = np.unravel_index(int(np.argmax(np.abs(rest))), rest.shape)
-        pivot = rest[i, j]
-        found.append(abs(pivot))
-        if pivot == 0:
-            break
-        rest = np.delete(rest - np.outer(rest[:, j] / pivot, rest[i]), i, axis=0)
-        rest = np.delete(rest, j, axis=1)
-    return np.array(found + [0.0] * (matrix.shape[1] - len(found)), dtype=float)
+    best, model = (-1, np.zeros(0)), features.model
+    for point in at:
+        rows = features.slope_rows(point)
+        if rows is None:
+            slope = on_arrays(features.expressions[0])(point[:, None], np.zeros(features.exponents.shape[1]))[
+                1
+            ]
+            shape = (len(model.names), 1 + features.n_zeros, -1)
+            rows = slope.reshape(shape)[:, 0].T
+        jacobian = (rows * scales(model))[:, np.array(open_)]
+        jacobian = jacobian / np.maximum(np.abs(jacobian).max(axis=1, keepdims=True), 1e-300)
+        jacobian = jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+        sizes = np.linalg.svd(jacobian, compute_uv=False)
+        sizes = np.pad(sizes / max(sizes.max(initial=0.0), 1e-300), (0, max(sum(open_) - len(sizes), 0)))
+        best = max(best, (int(np.sum(sizes > NIL)), sizes), key=lambda one: one[0])
+    return best
 
 
 def linear_combinations(

@@ -19,7 +19,7 @@ from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Sharing, own_name
 from hallsym.estimation.optimum import Solution
-from hallsym.estimation.task import Begun, Solved, fit_of, lower_bound
+from hallsym.estimation.task import Begun, LogFit, fit_of, lower_bound
 from hallsym.log import Log, Noise
 from hallsym.log.quality.findings import Fault
 from hallsym.model import Model
@@ -117,8 +117,8 @@ def _ratios(begun: Begun, first: Begun) -> np.ndarray:
 def several_fit(
     sharing: Sharing,
     solution: Solution,
-    members: Sequence[Solved],
-    judged: Sequence[Solved],
+    members: Sequence[LogFit],
+    judged: Sequence[LogFit],
     names: Sequence[str],
     numbers: Sequence[Mapping[int, int]],
     began: float,
@@ -143,7 +143,7 @@ def several_fit(
     return replace(whole, by_log=tuple(fits), logs=records)
 
 
-def _goodness(members: Sequence[Solved], free: int) -> list[GoodnessOfFit]:
+def _goodness(members: Sequence[LogFit], free: int) -> list[GoodnessOfFit]:
     """Return what the fit leaves in each log; the parameters are shared out by samples."""
     points = [m.solution.point for m in members]
     counts = np.array([point.cost.summary.counts.sum() for point in points])

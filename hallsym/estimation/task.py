@@ -32,11 +32,11 @@ from hallsym.estimation.goodness_of_fit import (
 )
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost, Point, cost_of, deviations_of
-from hallsym.estimation.optimum import DROP, LinearFit, Solution, linear_fit, optimum, unrelated
+from hallsym.estimation.optimum import DROP, LinearFit, Solution, linear_fit, optimum
 from hallsym.estimation.residual_noise import noise_followed, with_noise
 from hallsym.families import adapted, added_effects, build, default_model
 from hallsym.families.recording import Correction, corrected
-from hallsym.log import UNRELATED, Fault, Log, Noise, estimate_noise, usable
+from hallsym.log import Log, Noise, estimate_noise, usable
 from hallsym.log.batches import Weigh
 from hallsym.log.core import Drop, without
 from hallsym.log.phase import at_rest, continuous, designed, home_notes
@@ -56,29 +56,6 @@ def model_of(
         return adapted(model, tuple(effects), parameters or {}, own)
     name = model or default_model(log.meta)
     return build(name, meta=log.meta, added=tuple(effects), parameters=parameters, own=own)
-
-
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """A log that was checked: as it was logged without its mistakes, and as its model reads it.
-
-    `corrections`: those that were asked for, and the sign of a sensor that is mounted the other way round.
-    """
-
-    given: Log
-    log: Log
-    notes: tuple[str, ...]
-    corrections: tuple[Correction, ...]
-
-
-def prepared(log: Log, model: Model, asked: "Asked") -> Prepared:
-    """Check a log, without its mistakes, before it is fitted. Raises `InputError` for one that cannot be."""
-    corrections = asked.corrections
-    log, notes = checked(log, model, asked, corrections)
-    mounted = model.inspect(model, log) if model.inspect else Inspection()
-    turned = (Correction("sign", mounted.inverted),) if mounted.inverted else ()
-    given = corrected(log, turned)
-    return Prepared(given, continuous(given, model), (*notes, *mounted.notes), (*corrections, *turned))
 
 
 def checked(
@@ -175,39 +152,6 @@ class Begun:
         return float(self.everything.summary.counts.sum())
 
 
-@dataclass(eq=False)
-class Opened:
-    """A log that takes part: its costs so far, what was taken out, and is to be said."""
-
-    task: "Task"
-    begun: Begun
-    ready: Prepared
-    notes: tuple[str, ...] = ()
-    keep: Weigh | None = None
-
-    def solved(self, solution: Solution, errors: Errors | None) -> "Solved":
-        """Return how it ended."""
-        odd = unrelated(self.task.model, self.begun.linear.unexplained, self.task.log.name)
-        if any(isinstance(note, Fault) and note.name == UNRELATED for note in self.notes):
-            odd = ()  # the family said so
-        return Solved(self.task, solution, errors, self.ready, self.keep, (*self.notes, *odd))
-
-
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """How the fit of a log ended.
-
-    `errors`: None where nothing was amiss and nobody asked. `keep`: weights that took outliers out.
-    """
-
-    task: "Task"
-    solution: Solution
-    errors: Errors | None
-    ready: Prepared
-    keep: Weigh | None = None
-    notes: tuple[str, ...] = ()
-
-
 @dataclass(frozen=True, eq=False)
 class Task:
     """What stays the same while the fit of a log goes round.
@@ -228,8 +172,11 @@ class Task:
         """Noise by column, with its source."""
         return noise_of(self.log, self.model, self.holdout).merged(self.known_noise)
 
-    def by_passes(self, first: Fit | None, notes: tuple[str, ...], ready: Prepared) -> Solved:
-        """Fit a model without run statistics, from `first`: the fit of what it is without its effects."""
+    def by_passes(self, first: Fit | None) -> "tuple[Task, Solution, Weigh | None]":
+        """Fit a model without run statistics, from `first`: the fit of what it is without its effects.
+
+        Returns also the task with the noise that is left, and the weights that `first` gave.
+        """
         task, keep, begin = self, None, self.model.nominal
         if self.model.guess is not None and first is None:
             begin = self.model.vector(self.model.guess(self.model, self.log))
@@ -246,7 +193,7 @@ class Task:
         if (noise := noise_followed(task.log, state.point, task.noise, keep)) is not None:
             task = replace(task, log=replace(task.log, noise=noise))
             state = task.passes(state.p, keep)
-        return Solved(task, state, task.errors(state, keep), ready, keep, notes)
+        return task, state, keep
 
     def passes(self, begin: np.ndarray, keep: Weigh | None) -> Solution:
         """Return the optimum that passes over the log reach from `begin` (n,)."""
@@ -339,6 +286,49 @@ class Task:
         return outliers.reject_spikes(residual, covariance, suspects, self.model.channels)
 
 
+@dataclass(eq=False)
+class LogFit:
+    """The fit of one log as it goes round, and how it ends.
+
+    `given`: the log as it was logged, without the mistakes `corrections`: those that were asked for, and the
+    sign of a sensor that is mounted the other way round. `keep`: weights that took outliers out. `begun`: its
+    costs so far, of a model with run statistics. `errors`: None where nothing was amiss and nobody asked.
+    """
+
+    task: Task
+    given: Log
+    corrections: tuple[Correction, ...]
+    notes: tuple[str, ...]
+    keep: Weigh | None = None
+    begun: Begun = field(init=False)
+    solution: Solution = field(init=False)
+    errors: Errors | None = None
+
+
+def opened(
+    log: Log,
+    model: Model,
+    asked: Asked,
+    *,
+    several: bool = False,
+    judged: bool = False,
+    centre: np.ndarray | None = None,
+) -> LogFit:
+    """Check a log, without its mistakes, before it is fitted. Raises `InputError` for one that cannot be.
+
+    `several`: with others, so that held-out runs may be theirs. `judged`: it takes no part in the fit.
+    """
+    good, notes = checked(log, model, asked, asked.corrections)
+    mounted = model.inspect(model, good) if model.inspect else Inspection()
+    turned = (Correction("sign", mounted.inverted),) if mounted.inverted else ()
+    given = corrected(good, turned)
+    read = continuous(given, model)
+    held = log.meta.holdout if asked.holdout is None else tuple(asked.holdout)
+    held = tuple(r for r in held if r in read.runs) if several else held
+    task = Task(read, model, () if judged else held_out(read, held), asked, centre=centre)
+    return LogFit(task, given, (*asked.corrections, *turned), (*notes, *mounted.notes))
+
+
 COLLINEAR = 1e-8
 """Eigenvalue, over the largest, below which features repeat each other: to four digits, beyond which the sum
 of squares that they explain is rounding."""
@@ -380,7 +370,7 @@ def lower_bound(point: Point, estimated: int) -> LowerBound | None:
     return LowerBound(bound, ratio, expected, free, near)
 
 
-def result_of(solved: Solved, began: float) -> Fit:
+def result_of(solved: LogFit, began: float) -> Fit:
     """Return the fit that is handed out; `began`: when, by `perf_counter`."""
     state, found = solved.solution, solved.solution.determined
     point = state.point
@@ -392,7 +382,7 @@ def result_of(solved: Solved, began: float) -> Fit:
 
 
 def fit_of(
-    solved: Solved,
+    solved: LogFit,
     found: Determination,
     estimate: Uncertainty,
     bound: LowerBound | None,
@@ -461,8 +451,8 @@ def fit_of(
         likelihood=state.fitted,
         determination=found,
         undetermined_by_log=estimate.undetermined_by_log,
-        corrections=solved.ready.corrections,
-        turned=bool(solved.ready.corrections) and not task.asked.corrections,
+        corrections=solved.corrections,
+        turned=bool(solved.corrections) and not task.asked.corrections,
         columns=dict(task.log.table.mapping),
         read_with=dict(task.log.table.source.read_with),
         versions=dict(versions_used()),

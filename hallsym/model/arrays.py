@@ -105,11 +105,8 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
     most = max(FEWEST, WORK // max(1, function.sz_w() + sum(rows)))
 
     def run(*inputs: Sequence, out: list[np.ndarray] | None = None) -> list[np.ndarray]:
-        kinds = {kind for column in inputs for kind in _kinds(column)}
-        shape = np.broadcast_shapes(*(of for of, _ in kinds))
-        # a long double stays one: ranks are decided in extended precision
-        real = np.longdouble if any(type_ == np.longdouble for _, type_ in kinds) else float
-        out = [np.empty((n, *shape), dtype=real) for n in rows] if out is None else out
+        shape = np.broadcast_shapes(*{shape for column in inputs for shape in _shapes(column)})
+        out = [np.empty((n, *shape)) for n in rows] if out is None else out
         if len(shape) != 1 or shape[0] <= most:
             evaluate(inputs, out)
             return out
@@ -173,11 +170,9 @@ def _compile(function: ca.Function, real: type) -> tuple[list, ...]:
     return program
 
 
-def _kinds(column: Sequence) -> set[tuple[tuple[int, ...], Any]]:
-    """Return shape and type of the entries of an input."""
-    if isinstance(column, np.ndarray):
-        return {(column.shape[1:], column.dtype)}
-    return {(getattr(v, "shape", ()), getattr(v, "dtype", None)) for v in column}
+def _shapes(column: Sequence) -> set[tuple[int, ...]]:
+    """Return the shapes of the entries of an input."""
+    return {column.shape[1:]} if isinstance(column, np.ndarray) else {getattr(v, "shape", ()) for v in column}
 
 
 def median(values: np.ndarray) -> float:

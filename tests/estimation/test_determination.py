@@ -165,11 +165,11 @@ def test_linear_combinations_are_what_null_directions_leave():
 
 @pytest.mark.parametrize(("name", "added"), combinations_of_effects(), ids=str)
 def test_the_structural_rank_is_decided_with_decades_to_spare(name, added):
-    """Kept pivots are above 1e-6, dropped ones rounding: in extended precision nothing lies between."""
+    """Kept singular values are above 1e-9, dropped ones rounding: nothing lies between."""
     model = build(name, added=added)
-    rank, pivots = structural_rank(find_features(model), (True,) * len(model.names))
-    assert np.all(pivots[:rank] > 1e-6)
-    assert np.all(pivots[rank:] < 1e-13)
+    rank, sizes = structural_rank(find_features(model), (True,) * len(model.names))
+    assert np.all(sizes[:rank] > 1e-9)
+    assert np.all(sizes[rank:] < 1e-14)
     assert rank == len(model.names) - null_of(model).shape[1]
 
 

@@ -168,18 +168,6 @@ def test_models_on_arrays_are_models_sample_by_sample(name, effects):
         assert np.allclose(pose[:, k], back, rtol=0, atol=64 * EPS * 1e-3)
 
 
-def test_long_doubles_stay_long_doubles():
-    """1 + 1e-18 - 1 is lost in a double; where the machine has no wider type there is nothing to test."""
-    if np.finfo(np.longdouble).eps > 1e-18:
-        pytest.skip("long double is no wider than double on this machine")
-    x = ca.SX.sym("x", 2)
-    (out,) = on_arrays(ca.Function("f", [x], [(1.0 + x[0]) - x[1]]))(
-        [np.longdouble("1e-18"), np.longdouble(1)]
-    )
-    assert out.dtype == np.longdouble
-    assert float(out[0]) == pytest.approx(1e-18, rel=0.1)
-
-
 def test_many_samples_go_through_in_pieces(monkeypatch):
     """Memory does not grow with samples times intermediate values; the values are the same, bit by bit."""
     x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
