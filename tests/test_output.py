@@ -98,6 +98,7 @@ def test_a_closed_standard_output_is_one_sentence():
     assert said == "hallsym: Cannot write to standard output: it is closed; send it to /dev/null.\n"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of memory")
 @pytest.mark.parametrize("more", [-500 << 20, 80 << 20, 200 << 20])
 def test_little_memory_is_one_sentence_and_ends(more):

@@ -836,8 +836,11 @@ def _best(
         found = tried(c)
         if found is None or not found.left:
             return
+        left = found.mean(found.left, runs)
+        if c.mistake.keeps and left > EXCESS:  # a noise that is larger is not all that is wrong
+            return
         same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
-        one = Judged(same, found.mean(found.deviance, runs), found.mean(found.left, runs), c, found.far)
+        one = Judged(same, found.mean(found.deviance, runs), left, c, found.far)
         known = np.isfinite(base.rest(found)) and np.isfinite(one.gain)
         if known and _follows(base, found):
             seen.append(one)
@@ -864,9 +867,16 @@ def _best(
         one for one in near
         if _same(one.correction, near[0].correction) and assumes(one) == assumes(near[0])
     ]  # fmt: skip
-    # of units, whose readings differ by less than parameters can make up for, that of the nominal machine
-    first = min(alike, key=lambda one: one.far if one.correction.unit else one.after)
-    rivals = tuple(one.correction for one in near if not _same(one.correction, first.correction))
+    # of units, whose readings differ by less than parameters can make up for, the most usual of those that
+    # leave the machine as near to the nominal one, within a width of one bound
+    nearest = min(one.far for one in alike) ** 2 + 1.0
+    units = [one for one in alike if one.correction.unit and one.far**2 < nearest]
+    units.sort(key=lambda one: [*UNITS].index(one.correction.unit))
+    first = units[0] if units else min(alike, key=lambda one: one.after)
+    rivals = tuple(
+        one.correction for one in near
+        if one in units[1:] or not _same(one.correction, first.correction)
+    )  # fmt: skip
     c, vague = first.correction, 0.0
     if assumes(first)[0]:
         beside = [replace(c, numbers=(c.numbers[0] * (1 + by),)) for by in (-KNOWN, KNOWN)]

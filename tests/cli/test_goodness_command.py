@@ -42,6 +42,7 @@ def test_fit_begins_with_it_and_writes_the_calibration(capsys, tmp_path):
     assert load_fit(path).goodness.sentence == first
 
 
+@pytest.mark.slow
 def test_fit_says_it_in_json_and_on_stderr(capsys):
     code, out, err = run(capsys, "fit", CAMPAIGN, "--model", "stage30", "--solver", "direct", "--json")
     record = json.loads(out)
@@ -122,6 +123,7 @@ def late(columns, samples):
     return {c: columns[c][at] for c in ("x_ref_m", "y_ref_m", "rz_ref_rad")}
 
 
+@pytest.mark.slow
 def test_what_is_made_of_such_a_calibration_repeats_it(capsys, plain, tmp_path):
     said = "does not describe"
     code, out, _ = run(capsys, "budget", plain)
@@ -138,6 +140,7 @@ def test_what_is_made_of_such_a_calibration_repeats_it(capsys, plain, tmp_path):
     assert f"The model {said} this log" in (tmp_path / "page.html").read_text()
 
 
+@pytest.mark.slow
 def test_few_degrees_of_freedom_are_said_and_widen_the_intervals(capsys, plain, tmp_path):
     known = load_fit(plain)
     factor = known.half_width / known.std

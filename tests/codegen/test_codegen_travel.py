@@ -62,6 +62,7 @@ def test_nothing_steps_as_sensors_come_and_go():
     assert np.abs(np.diff(off, axis=1)).max() < 5e-7  # in 10 um of travel
 
 
+@pytest.mark.slow
 def test_the_reference_is_the_decoder_of_the_model():
     x, z = np.array([-0.07, 0.013, 0.055]), np.array([4.2e-3, 5e-3, 6.5e-3])
     assert np.abs(made().decoupler.exact(read(x, z)) - [x, z]).max() < 1e-9

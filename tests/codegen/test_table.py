@@ -193,6 +193,7 @@ def waves(made: Exported, n: int, about: int = 0) -> float:
     return float(np.sqrt((found[n - about : n + about + 1] ** 2).sum()))
 
 
+@pytest.mark.slow
 def test_waves_of_the_stepper_are_left_out_of_the_table() -> None:
     fit = chip(1, PATTERN)
     plain = export_table(fit, "simplefoc", entries=400)

@@ -177,6 +177,7 @@ def early(by: tuple[float, ...], louder: float = 1.0, bent: float = 0.0) -> Log:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("log", "late"),
     [
@@ -202,6 +203,7 @@ def test_a_channel_that_lags_in_one_run_is_named():
     assert "worst in run 5, channel hall_a_m" in found.sentence
 
 
+@pytest.mark.slow
 def test_one_run_counts_although_the_whole_does_not():
     """Twice the noise in one run of 57 is 1.03 times the noise overall."""
     columns = record(seed=6, samples=200)
@@ -274,6 +276,7 @@ def test_the_optimum_is_as_near_to_the_bound_as_coefficients_allow(name):
     assert found["near"]
 
 
+@pytest.mark.slow
 def test_a_bound_that_is_in_the_way_costs():
     tight = MODEL.with_parameters({"eta_B": {"nominal": 0.695, "lower": 0.65, "upper": 0.695}})
     free = fit(with_noise(record(seed=8)), MODEL, solver="direct").solver["lower_bound"]

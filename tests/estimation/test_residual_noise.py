@@ -133,6 +133,7 @@ def test_an_estimated_floor_is_right_where_noise_is_correlated(campaign: str) ->
     assert not guessed.goodness.material
 
 
+@pytest.mark.slow
 def test_a_gap_does_not_raise_an_estimated_floor() -> None:
     def cubic(m: Motion, _: np.random.Generator) -> None:
         m.reading = m.reading * (1 + 2e5 * m.reading**2)

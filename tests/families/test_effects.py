@@ -207,6 +207,7 @@ EFFECTS = (speed_gain,)
 '''
 
 
+@pytest.mark.slow
 def test_an_own_effect_has_numbers_that_are_typed_saved_and_read_back(tmp_path, capsys) -> None:
     path, calib = tmp_path / "mine.py", tmp_path / "calib.json"
     path.write_text(OWN)

@@ -265,6 +265,7 @@ def test_logs_that_no_array_can_have_made_are_claimed():
     assert _claimed("z_ref_m", lambda z: z) == []
 
 
+@pytest.mark.slow
 def test_another_wavelength_and_a_silent_sensor_are_far_from_the_noise():
     model, log = halbach(NINE), recorded(halbach(NINE))
     known = hallsym.fit(log, model, solver="direct")

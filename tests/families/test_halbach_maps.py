@@ -135,6 +135,7 @@ def test_a_field_that_grows_off_the_axis_is_no_gap():
     check_the_growth(made_up("raw"))
 
 
+@pytest.mark.slow
 @HERE
 def test_the_period_of_a_measured_field_is_found():
     check_the_period(measured("02", "raw"))
@@ -146,6 +147,7 @@ def test_the_cross_axis_terms_of_a_laboratory_are_found_as_tilt():
     check_the_tilt(measured("04", "raw"), measured("04", "corrected"))
 
 
+@pytest.mark.slow
 @HERE
 def test_a_measured_field_that_grows_off_the_axis_is_no_gap():
     check_the_growth(measured("02", "raw"))

@@ -83,6 +83,7 @@ def test_a_row_is_that_of_a_fit(broken):
         assert row[f"std:{name}"] == pytest.approx(alone.std[k], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_the_spread_of_the_good_ones(broken):
     _, known, found, _ = broken
     spread = {s.name: s for s in found.spreads}
@@ -185,6 +186,7 @@ def test_a_parameter_at_its_bound_is_named(tmp_path):
 # -- stopped and resumed -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_fleet_that_was_killed_goes_on_without_loss(tmp_path):
     folder, table = tmp_path / "logs", tmp_path / "fleet.parquet"
     write_fleet(folder, 10)

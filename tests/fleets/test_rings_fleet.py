@@ -31,6 +31,7 @@ def rings_of(count: int) -> dict[str, Log]:
     return out
 
 
+@pytest.mark.slow
 def test_a_fleet_finds_the_drive_and_names_what_is_wrong() -> None:
     logs = rings_of(11)
     x = np.stack([logs["ring8"].array(c) for c in NAMES], axis=1)

@@ -88,6 +88,7 @@ def test_every_parameter_that_moved_is_noticed_and_named(known: hallsym.Fit) -> 
         assert change.after - change.before == pytest.approx(moved, abs=6 * float(known.std[k]))
 
 
+@pytest.mark.slow
 def test_more_noise_is_residual_error_and_no_parameter(known: hallsym.Fit) -> None:
     found = judged(known, log_of(4, louder=1.5))
     assert [test.name for test in found.beyond] == ["residual error"]

@@ -62,6 +62,7 @@ def test_columns_are_those_of_the_reader(path: Path) -> None:
         read[0] = 7
 
 
+@pytest.mark.slow
 @posix
 @pytest.mark.parametrize(
     ("reader", "why"),

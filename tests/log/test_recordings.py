@@ -58,6 +58,7 @@ def test_rates_of_mistakes() -> None:
     assert found.wrong <= 0.08 * found.felt, found
 
 
+@pytest.mark.slow
 def test_sweeps_there_and_back_with_hysteresis_are_not_of_two_devices() -> None:
     """Every second run goes back: parameters of its own describe it, and so does play."""
     assert judged("hysteresis", "rotary", "10.0").claims == []

@@ -5,6 +5,7 @@ import re
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reports import run_series
@@ -198,6 +199,7 @@ def test_maps_and_series_are_optional_and_shown():
 HOSTILE = st.text(alphabet="<>&\"'/=;!-scriptonerror \x00\udc80‮", max_size=30)
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(text=HOSTILE)
 def test_no_text_of_a_record_becomes_markup(text):
