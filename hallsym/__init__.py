@@ -10,7 +10,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from hallsym.shown import shown_by
+from hallsym.shown import decoded_by, shown_by
 
 if TYPE_CHECKING:
     from hallsym.codegen import Exported as Exported
@@ -119,6 +119,7 @@ _PUBLIC = {
 }  # fmt: skip
 """Where each public name stands; it is imported when it is first used, so that `import hallsym` is quick."""
 shown_by(lambda: import_module("hallsym.report.views"))
+decoded_by(lambda: import_module("hallsym.estimation.prediction"))
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 __all__ = sorted([*_HOME, "__version__", "report"])
 

@@ -1,7 +1,9 @@
 """The one exception that a user's input can cause, and the words of its message."""
 
+import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from hallsym.output import printable
@@ -15,14 +17,74 @@ _LONGEST_WORD = 120
 class InputError(ValueError):
     """Bad input: its message is one sentence with what, where, what was expected and what to do.
 
-    The message is one line of at most `LONGEST` characters, as `printable` shows them.
+    The message is one line of at most `LONGEST` characters, as `printable` shows them. It advises options
+    where a command is carried out (`commanded`), else the arguments of Python that they stand for.
     The command line prints it and exits with status 2; a script catches it as `ValueError`.
     """
 
     def __init__(self, message: object = "", claims: Sequence[Any] = ()) -> None:
         """Take the sentence; `claims`: of a fit that could not be made, what its recording has wrong."""
-        super().__init__(one_line(str(message)))
+        text = str(message)
+        super().__init__(one_line(text if os.environ.get(_COMMANDED) else in_python(text)))
         self.claims = tuple(claims)
+
+
+_COMMANDED = "HALLSYM_COMMANDED"
+"""Environment variable of a process that carries out a command, and of those that it starts."""
+
+
+@contextmanager
+def commanded() -> Iterator[None]:
+    """Let errors advise the options of the command line meanwhile."""
+    before = os.environ.get(_COMMANDED)
+    os.environ[_COMMANDED] = "1"
+    try:
+        yield
+    finally:
+        os.environ.pop(_COMMANDED) if before is None else os.environ.update({_COMMANDED: before})
+
+
+_ARGUMENTS = {"column": "columns", "correct": "corrections", "effect": "effects", "effects": "own",
+              "range": "ranges", "join": "a list of files", "reference": "fit_without_reference",
+              "bin": "width"}  # fmt: skip
+"""Arguments of Python that have another name than the option."""
+_PAIRS, _LISTS = ("column", "noise", "range", "value"), ("correct", "accept", "effect")
+"""Options that stand for a dict, and for a list."""
+_FLAGS = {"drop-bad", "force", "params-only", "jacobian", "allow-undetermined", "own-zero", "like-paper"}
+_WORD = re.compile(r"[a-z]+|-+.*")
+"""What follows an option in a sentence and is no value of it, unless it is one of these."""
+_VALUES = {"hybrid", "direct", "float", "series", "table", "coasting", "none", "auto", "all"}
+
+
+def in_python(text: str) -> str:
+    """Return a sentence with the arguments of Python in place of the options of the command line.
+
+    >>> in_python("Map it with --column hall_a_um=HallA, or leave it out with --drop-bad.")
+    "Map it with columns={'hall_a_um': 'HallA'}, or leave it out with drop_bad=True."
+    """
+    return re.sub(r"'hallsym [^']*'|(?<![\w'-])--([a-z]+(?:-[a-z]+)*)(?: ('[^']*'|\S+))?", _argument, text)
+
+
+def _argument(option: re.Match[str]) -> str:
+    if option[1] is None:  # a command to copy
+        return option[0]
+    name, after = option[1], option[2] or ""
+    value = after if after in (",", ".") else re.sub(r"(?<!\.)[.,;:)]$|(?<=\.\.\.)[,;:)]$", "", after)
+    rest = after[len(value) :]
+    python = _ARGUMENTS.get(name, name.replace("-", "_"))
+    if name in _FLAGS:
+        return f"{python}=True" + (f" {after}" if after else "")
+    if not value or (_WORD.fullmatch(value) and value not in _VALUES) or name in ("join", "reference"):
+        return python + (f" {after}" if after else "")
+    if name in _PAIRS and "=" in value:
+        key, _, given = value.partition("=")
+        if name == "range" and key.endswith("_um"):  # a range of Python is in SI
+            key, given = f"{key[:-3]}_m", ":".join(f"{end}e-6" for end in given.split(":"))
+        given = f"({given.replace(':', ', ')})" if ":" in given else given
+        shown = repr(given) if name == "column" else given
+        return f"{python}={{{key!r}: {shown}}}{rest}"
+    shown = value if re.fullmatch(r"[\d.]+|'.*'", value) and value != "." else repr(value)
+    return f"{python}={f'[{shown}]' if name in _LISTS else shown}{rest}"
 
 
 def require(good: object, what: str, wanted: str, received: object, known: Sequence[str] = ()) -> None:

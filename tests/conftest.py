@@ -1,4 +1,4 @@
-"""Hypothesis without a clock and with the same examples in every run; no progress on a busy machine.
+"""Hypothesis without a clock and with the same examples in every run.
 
 Output has the width of a pipe, none, and Ctrl-C ends a program, wherever the tests are started from.
 """
@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import settings
 
-from hallsym.cli import progress
+from hallsym.errors import commanded
 
 MANY = 100 if os.environ.get("CI") == "true" else 40
 """Examples of a property whose test states no number: the first of the same sequence."""
@@ -27,11 +27,10 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _no_progress() -> Iterator[None]:
-    """Let a command that is slow on a busy machine write no line of progress beside its one sentence."""
-    every, progress.EVERY_S = progress.EVERY_S, float("inf")
-    yield
-    progress.EVERY_S = every
+def _commanded() -> Iterator[None]:
+    """Let errors read as commands print them; `test_shown.py` looks at those of Python."""
+    with commanded():
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -277,7 +277,7 @@ def test_the_table_beside_the_paper_is_what_the_demo_prints():
     from hallsym.cli import demo
 
     _, _, steps = demo.reproduce()
-    printed = demo.text(steps)
+    printed = demo.beside_paper(steps).text
     lines = [re.split(r" {2,}", line.strip()) for line in printed.splitlines()[2:]]
     rows = re.findall(r"^\| ((?:nominal|paper|Model).*) \|$", text_of(ROOT / "docs" / "theory.md"), re.M)
     shown = [row.split(" | ") for row in rows]

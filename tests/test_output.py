@@ -17,7 +17,7 @@ from hallsym.cli.main import LEAST_MEMORY, main
 from hallsym.errors import InputError
 from hallsym.files import json_text, write_json
 from hallsym.output import commented, csv_text, fitted, printable, toml_text
-from hallsym.report.page.content import _environment
+from hallsym.report.content import _environment
 from hallsym.report.tables import grid
 
 BAD = "a\x1b[31m\nb\r\x9b2J\u202ec\x7f\u2028*/d"

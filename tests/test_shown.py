@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 import hallsym
-from hallsym.errors import InputError
-from hallsym.report.text.fit import fit_text
+from hallsym.errors import InputError, commanded
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +65,6 @@ def test_a_result_shows_itself(results: dict[str, Any], kind: str, tmp_path: Pat
 
 
 def test_the_summary_is_what_the_command_prints(fit: hallsym.Fit) -> None:
-    assert fit.summary() == fit_text(fit)
     assert fit.to_dataframe().set_index("parameter")["value"]["eta_A"] == fit.value("eta_A")
 
 
@@ -157,7 +155,76 @@ def test_importing_hallsym_loads_no_library() -> None:
 
 
 def test_a_fit_names_its_rows_as_its_command_does(fit: hallsym.Fit) -> None:
-    rows = [line.split()[0] for line in fit_text(fit).split("\n") if line.startswith(("nominal ", "fitted "))]
+    rows = [line.split()[0] for line in fit.summary().split("\n") if line.startswith(("nominal ", "fitted "))]
     assert rows == ["nominal", "fitted"]
     assert all(f"\n{row} " in repr(fit) for row in rows)
     assert "designed" not in repr(fit)
+
+
+def test_parameters_of_a_fit_have_their_interval(fit: hallsym.Fit) -> None:
+    known, lost = fit.params["eta_A"], fit.params["H1x"]
+    assert (lost.std, lost.interval) == (None, None)
+    assert known.value == fit.value("eta_A")
+    assert known.interval is not None
+    assert known.std is not None
+    assert known.interval[1] - known.value == pytest.approx(known.factor * known.std)
+    wide, usual = fit.conf_int(0.99)["eta_A"], fit.conf_int()["eta_A"]
+    assert usual == known.interval
+    assert wide is not None
+    assert wide[0] < known.interval[0]
+    with pytest.raises(InputError, match="between 0 and 1"):
+        fit.conf_int(95)
+    at = [fit.model.names.index(n) for n in ("eta_A", "H1x")]
+    r = fit.correlation
+    assert r[at[0], at[0]] == pytest.approx(1)
+    assert np.isnan(r[at[1], at[1]])
+    assert np.nanmax(np.abs(r)) < 1 + 1e-9
+
+
+def test_predictions_and_residuals_agree_with_the_error_table(
+    columns: dict[str, np.ndarray], fit: hallsym.Fit, tmp_path: Path
+) -> None:
+    left, pose = fit.residuals(columns), fit.predict(columns)
+    held = np.isin(left["run"], fit.errors.holdout if fit.errors else ())
+    rmse = fit.errors.rows()["fitted"]["rmse"] if fit.errors else {}
+    for c, reference in zip(fit.model.pose, fit.model.references, strict=True):
+        assert np.sqrt(np.mean(left[c][~held] ** 2)) == pytest.approx(rmse[c], rel=1e-9)
+        assert np.allclose(pose[c] - columns[reference], left[c], rtol=0, atol=1e-15)
+    bare = {c: v for c, v in columns.items() if c not in fit.model.references}
+    zeroed = fit.predict(bare)  # as a controller decodes: offsets of a run are in the error
+    assert 1e-7 < np.std(zeroed["x_m"] - columns["x_ref_m"]) < 1e-5
+    fit.save(tmp_path / "calib.json")
+    other = hallsym.load_fit(tmp_path / "calib.json").residuals({c: v[:3000] for c, v in columns.items()})
+    assert np.std(other["x_m"]) < 3e-6
+    with pytest.raises(InputError, match="no column z_m"):
+        fit.predict({"hall_a_m": [1.0, 2.0]})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_notebook_shows_answer_table_and_picture(results: dict[str, Any], kind: str) -> None:
+    html = results[kind]._repr_html_()
+    assert html.count("<svg") >= (kind != "Diagnosis")
+    assert "var(--" not in html
+    assert "<table" in html or kind in ("Plan", "Budget", "Identifiability")
+    assert "<script" not in html
+    figure = results[kind].plot()
+    assert figure._repr_svg_().startswith("<?xml")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_result_has_a_page(results: dict[str, Any], kind: str, tmp_path: Path) -> None:
+    page = hallsym.report(results[kind], tmp_path / "page.html").read_text(encoding="utf-8")
+    for part in ("viewport", 'class="card ', "prefers-color-scheme", "@media print", 'id="verdict"'):
+        assert part in page, part
+
+
+def test_errors_of_calls_advise_arguments_and_those_of_commands_options(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv("HALLSYM_COMMANDED")
+    with pytest.raises(InputError, match=r"columns={'hall_a_um': 'ITS_NAME'}"):
+        hallsym.fit({"a": [1, 2]}, "stage31")
+    with commanded(), pytest.raises(InputError, match="--column hall_a_um=ITS_NAME"):
+        hallsym.fit({"a": [1, 2]}, "stage31")
+    said = str(InputError("Leave bad samples out with --drop-bad, or see 'hallsym info LOG --write'."))
+    assert said == "Leave bad samples out with drop_bad=True, or see 'hallsym info LOG --write'."

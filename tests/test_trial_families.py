@@ -20,9 +20,8 @@ from hallsym.cli.main import main
 from hallsym.families import FAMILIES, machine_file, suggest
 from hallsym.log import continuous, near, open_source, wrapped
 from hallsym.model import Family, Parameter, effect
-from hallsym.report.page.diagnosis_page import diagnosis_page
-from hallsym.report.text import info
-from hallsym.report.text.diagnosis import diagnosis_text
+from hallsym.report.results import info
+from hallsym.report.views import page_of, summary
 from hallsym.simulation import campaign_from, paper_campaign
 
 HARMONIC = {"h2c": 3e-3, "h2s": 1e-3}
@@ -138,7 +137,7 @@ def test_a_log_without_a_gap_has_none():
     log, fit = fitted(ARRAY)
     found = hallsym.diagnose(log, fit.model, holdout=[2])
     assert (found.verdict, found.effects) == ("no gap", ())
-    assert diagnosis_page(found).startswith("<!doctype html>")
+    assert page_of(found).startswith("<!doctype html>")
     assert json.loads(json.dumps(found.to_dict()))["verdict"] == "no gap"
 
 
@@ -162,7 +161,7 @@ def test_the_waves_of_an_error_over_x_are_counted():
     assert largest.model == pytest.approx(5e-6, rel=0.1)
     assert found.where[0].by == "place in the period of x"
     assert found.where[0].share > 0.7
-    assert "waves per period of x [um]" in diagnosis_text(found)
+    assert "waves per period of x [um]" in summary(found)
 
 
 def test_pictures_of_a_fit_are_drawn(tmp_path):

@@ -10,11 +10,20 @@ import numpy as np
 
 from hallsym import uncertainty
 from hallsym.cli import NOT_DETERMINED, OK, common
+from hallsym.cli.parser import add_options
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, load_fit
 from hallsym.log import Noise, check_noise_keys
+from hallsym.report.content import Block
 from hallsym.report.figures.uncertainty import budget_bars, uncertainty_picture
-from hallsym.report.text.budget import budget_text, comparison_text, curve_text, position_words, recorded_text
+from hallsym.report.results.budget import (
+    budget_content,
+    comparison_table,
+    curve_blocks,
+    position_content,
+    position_words,
+    recorded_table,
+)
 from hallsym.trajectory import Curve, read_curve
 from hallsym.uncertainty import Budget, Recorded, Settings, UncertaintyMap, uncertainty_map, with_curve
 
@@ -35,41 +44,32 @@ def add(sub: Any) -> None:
         "State the uncertainty of a decoded position: fit, Hall noise, vertical sensors, reference, ADC and\n"
         "zeroing, propagated through the model; or evaluate a budget stated in a TOML file.", EPILOG,
     )  # fmt: skip
-    parser.add_argument("file", metavar="FILE", help="a calibration (.json), or a budget (.toml)")
-    parser.add_argument("log", metavar="LOG", nargs="?", help="log whose workspace is evaluated")
-    parser.add_argument(
-        "--curve", metavar="JSON",
-        help="a curve that the machine follows: its error joins the budget",
-    )  # fmt: skip
+    add_options(parser, """
+        file FILE                       a calibration (.json), or a budget (.toml)
+        log LOG <optional>              log whose workspace is evaluated
+        --curve JSON                    a curve that the machine follows: its error joins the budget
+    """)  # fmt: skip
     _position_options(parser)
     parser.add_argument(
         "--monte-carlo", nargs="?", const=0, type=int, metavar="N",
         help="confirm by propagating distributions (JCGM 101): N trials, or until stable",
     )  # fmt: skip
-    parser.add_argument("--seed", type=common.seed, default=0, help="of the Monte Carlo trials (default 0)")
+    add_options(parser, """
+        --seed SEED <seed=0>            of the Monte Carlo trials (default 0)""")  # fmt: skip
     common.plots_options(parser, "save budget bars and a map of U")
     common.log_options(parser)
 
 
 def _position_options(parser: ArgumentParser) -> None:
     group = parser.add_argument_group("of a calibration")
-    group.add_argument(
-        "--at", action="append", default=[], metavar="COLUMN=VALUE",
-        help="pose and vertical state of the budget: --at x_um=100 --at z_um=250 (repeat; default 0)",
-    )  # fmt: skip
-    group.add_argument(
-        "--settings", metavar="TOML", help="averaging, ADC, zeroing, vertical sensors, scale of the reference"
-    )
-    group.add_argument(
-        "--diagnosis", metavar="JSON",
-        help="what 'hallsym diagnose LOG -o FILE.json' saved: what the model leaves, and which models the "
-        "log does not exclude, join the budget",
-    )  # fmt: skip
-    group.add_argument(
-        "--range", action="append", default=[], metavar="COLUMN=LOW:HIGH",
-        help="map U over two pose coordinates and the first state, such as x, y and Z: --range x_um=-300:300 "
-        "(repeat; what is not given is what LOG recorded)",
-    )  # fmt: skip
+    add_options(group, """
+        --at COLUMN=VALUE <repeat>      pose and vertical state of the budget: --at x_um=100 --at z_um=250
+            (repeat; default 0)
+        --settings TOML                 averaging, ADC, zeroing, vertical sensors, scale of the reference
+        --diagnosis JSON                what 'hallsym diagnose LOG -o FILE.json' saved: what the model
+            leaves, and which models the log does not exclude, join the budget
+        --range COLUMN=LOW:HIGH <repeat>  map U over two pose coordinates and the first state, such as x, y
+            and Z: --range x_um=-300:300 (repeat; what is not given is what LOG recorded)""")  # fmt: skip
 
 
 def run(options: Namespace) -> int:
@@ -100,9 +100,9 @@ def _stand_alone(options: Namespace) -> int:
         record["curve"] = {"file": options.curve, "expanded_without_curve_m": machine.expanded}
     if found:
         record["monte_carlo"] = found[0].to_dict()
-    text = [budget_text(budget, shown), *(["", comparison_text(found)] if found else [])]
-    text += ["", curve_text(curve, machine, budget)] if curve else []
-    common.say(options, record, lambda: "\n".join(text), wrote=pictures)
+    more: list[Block | str] = [comparison_table(found)] if found else []
+    more += curve_blocks(curve, machine, budget) if curve else []
+    common.say(options, record, lambda: budget_content(budget, shown, more), wrote=pictures)
     return OK
 
 
@@ -150,13 +150,12 @@ def _position(options: Namespace) -> int:
     pictures = _pictures(options, worst or budgets, grid, worst=bool(worst))
     coverage = f"{100 * settings.level:g} %" if settings.level else f"k = {settings.coverage:g}"
     place = position_words(fit.model.rest | at, fit.model.period)
-    parts = [f"position at {place}; fit covariance: {fit.covariance_method}"]
-    parts += [f"\n{budget_text(budget)}" for budget in budgets.values()]
-    parts += [f"\n{comparison_text(list(found.values()))}"] if found else []
-    parts += [f"\n{recorded_text(recorded, f'U ({coverage}), recorded workspace')}"] if recorded else []
-    parts += [f"\n{recorded_text(grid.over(), f'U ({coverage}), map')}"] if grid and options.range else []
-    parts += [""] if said else []
-    common.say(options, record, lambda: "\n".join(parts), notes=said, wrote=pictures)
+    basis = f"fit covariance: {fit.covariance_method}"
+    more: list[Block | str] = [comparison_table(list(found.values()))] if found else []
+    more += [recorded_table(recorded, f"U ({coverage}), recorded workspace")] if recorded else []
+    more += [recorded_table(grid.over(), f"U ({coverage}), map")] if grid and options.range else []
+    said_of = position_content(budgets, place, basis, more)
+    common.say(options, record, lambda: said_of, notes=said, wrote=pictures)
     return NOT_DETERMINED if fit.undetermined_by_log else OK
 
 

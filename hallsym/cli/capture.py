@@ -10,9 +10,11 @@ from typing import Any
 
 from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import command, progress_of, say
+from hallsym.cli.parser import add_options
 from hallsym.errors import quoted, require
 from hallsym.log import LogWriter
 from hallsym.log.capture import Lines, capture, checked, open_port
+from hallsym.report.words import number
 
 EPILOG = """\
 examples:
@@ -31,22 +33,16 @@ def add(sub: Any) -> None:
         "before them (sin:0.31) are left out. Lines that are lost or no numbers are counted and told.",
         EPILOG,
     )  # fmt: skip
-    parser.add_argument("port", metavar="PORT", help="such as /dev/ttyACM0, COM3, or socket://host:port")
-    parser.add_argument(
-        "--baud", type=int, default=115200, metavar="N", help="bits a second (default 115200)"
-    )
-    parser.add_argument(
-        "--columns", required=True, metavar="NAMES",
-        help="names of the numbers of a line, with their units: v_sin_mv,v_cos_mv. The board's own time is "
-        "t_s, t_ms or t_us; without it t_s is the time of arrival. 'counter' counts lines, so that lost ones "
-        "are told; 'skip' is not kept",
-    )  # fmt: skip
-    parser.add_argument("-o", "--output", required=True, metavar="LOG", help="log to write: .parquet or .csv")
-    parser.add_argument("--lines", type=int, metavar="N", help="end after so many lines")
-    parser.add_argument("--duration", type=float, metavar="S", help="end after so many seconds")
-    parser.add_argument(
-        "--wait", type=float, default=5.0, metavar="S", help="seconds to wait for the first line (default 5)"
-    )
+    add_options(parser, """
+        port PORT                       such as /dev/ttyACM0, COM3, or socket://host:port
+        --baud N <int=115200>           bits a second (default 115200)
+        --columns NAMES <required>      names of the numbers of a line, with their units: v_sin_mv,v_cos_mv.
+            The board's own time is t_s, t_ms or t_us; without it t_s is the time of arrival. 'counter'
+            counts lines, so that lost ones are told; 'skip' is not kept
+        -o, --output LOG <required>     log to write: .parquet or .csv
+        --lines N <int>                 end after so many lines
+        --duration S <float>            end after so many seconds
+        --wait S <float=5.0>            seconds to wait for the first line (default 5)""")  # fmt: skip
 
 
 def run(options: Namespace) -> int:
@@ -96,8 +92,8 @@ def _notes(found: Lines) -> Iterator[str]:
     if found.lost:
         share = 100 * found.lost / (found.good + found.lost)
         yield (
-            f"{found.lost} lines are missing ({share:.2g} %): the board prints more than the port carries; "
-            "raise --baud on both sides, or print less."
+            f"{found.lost} lines are missing ({number(share, 2)} %): the board prints more than the port "
+            "carries; raise --baud on both sides, or print less."
         )
     if found.counter is None:
         yield (

@@ -6,6 +6,7 @@ from typing import Any
 
 from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import column_numbers, column_ranges, command, say
+from hallsym.cli.parser import add_options
 from hallsym.codegen import Generated, generate
 from hallsym.codegen.folder import name_of
 from hallsym.codegen.generation import sha256
@@ -13,10 +14,13 @@ from hallsym.codegen.lowering.correction import KINDS as CORRECTIONS
 from hallsym.codegen.naming import PREFIX
 from hallsym.codegen.observer import Observer, observer_of
 from hallsym.codegen.templates import LICENSE
-from hallsym.errors import InputError
+from hallsym.errors import InputError, counted
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.log import read_log
-from hallsym.units import fitting, readable
+from hallsym.report.content import Content, Table
+from hallsym.report.results.shared import few
+from hallsym.report.words import sized
+from hallsym.units import readable
 
 EPILOG = """\
 examples:
@@ -35,59 +39,32 @@ def add(sub: Any) -> None:
         "Write the decoupler of a calibration as a folder of C99: no heap, no libm, same bits everywhere,\n"
         "with a parameter table that a recalibration replaces, a self-test and proofs.", EPILOG,
     )  # fmt: skip
-    parser.add_argument("calibration", metavar="CALIB", help="a calibration saved by 'hallsym fit -o'")
-    parser.add_argument("-o", "--output", metavar="FOLDER", required=True, help="folder to write")
-    parser.add_argument(
-        "--params-only", action="store_true",
-        help="replace the parameters of a generated folder, not its code",
-    )  # fmt: skip
-    parser.add_argument("--force", action="store_true", help="replace generated files that are there")
-    parser.add_argument(
-        "--range", action="append", default=[], metavar="COLUMN=LOW:HIGH",
-        help="box of a pose, state or reading column: --range z_um=-200:200 (repeat; default: as recorded)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--arithmetic", choices=("float", "q31"),
-        help="float (default), or q31: 32-bit integers, for a controller without a floating-point unit",
-    )  # fmt: skip
-    parser.add_argument(
-        "--accuracy", metavar="COLUMN=ANGLE",
-        help="encoders: what the correction of the angle may leave besides rounding, as angle_mrad=1 "
-        "(default: angle_nrad=30, of q31 angle_urad=10); a coarser one takes fewer waves or a "
-        "smaller table; magnet arrays: of a "
-        "place, as x_um=0.1",
-    )  # fmt: skip
-    parser.add_argument(
-        "--correction", choices=CORRECTIONS,
-        help="encoders: a series of waves, or a table of 64 to 1024 entries (default: auto, fewer bytes)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--name", metavar="NAME",
-        help="prefix of symbols and files, such as enc_left (default: decoupler): "
-        "several decouplers then fit in one image",
-    )  # fmt: skip
-    parser.add_argument(
-        "--license", metavar="SPDX",
-        help=f"SPDX expression in every file, such as MIT (default: {LICENSE}, yours to license)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--predict", metavar="LOG",
-        help="with decoupler_predict(): position and speed at the time that the controller asks for, by an "
-        "observer whose bandwidth leaves least of this log",
-    )  # fmt: skip
-    parser.add_argument("--bandwidth", metavar="HZ", type=float, help="of --predict, in place of the log's")
-    parser.add_argument(
-        "--latency", metavar="SECONDS", type=float, default=0.0,
-        help="of --predict: from the pose to the timestamp of its sample, which a prediction adds "
-        "(default: 0)",
-    )  # fmt: skip
-    parser.add_argument("--double", action="store_true", help="double instead of float, for hosts")
-    parser.add_argument(
-        "--jacobian", action="store_true", help="with slopes of the pose by the readings, for Kalman filters"
-    )
-    parser.add_argument(
-        "--allow-undetermined", action="store_true", help="use values that the log does not determine"
-    )
+    add_options(parser, f"""
+        calibration CALIB               a calibration saved by 'hallsym fit -o'
+        -o, --output FOLDER <required>  folder to write
+        --params-only                   replace the parameters of a generated folder, not its code
+        --force                         replace generated files that are there
+        --range COLUMN=LOW:HIGH <repeat>  box of a pose, state or reading column: --range z_um=-200:200
+            (repeat; default: as recorded)
+        --arithmetic ARITHMETIC <float|q31>  float (default), or q31: 32-bit integers, for a controller
+            without a floating-point unit
+        --accuracy COLUMN=ANGLE         encoders: what the correction of the angle may leave besides
+            rounding, as angle_mrad=1 (default: angle_nrad=30, of q31 angle_urad=10); a coarser one takes
+            fewer waves or a smaller table; magnet arrays: of a place, as x_um=0.1
+        --correction CORRECTION <{"|".join(CORRECTIONS)}>  encoders: a series of waves, or a table of 64 to
+            1024 entries (default: auto, fewer bytes)
+        --name NAME                     prefix of symbols and files, such as enc_left (default: decoupler):
+            several decouplers then fit in one image
+        --license SPDX                  SPDX expression in every file, such as MIT (default: {LICENSE},
+            yours to license)
+        --predict LOG                   with decoupler_predict(): position and speed at the time that the
+            controller asks for, by an observer whose bandwidth leaves least of this log
+        --bandwidth HZ <float>          of --predict, in place of the log's
+        --latency SECONDS <float=0.0>   of --predict: from the pose to the timestamp of its sample, which a
+            prediction adds (default: 0)
+        --double                        double instead of float, for hosts
+        --jacobian                      with slopes of the pose by the readings, for Kalman filters
+        --allow-undetermined            use values that the log does not determine""")  # fmt: skip
 
 
 def run(options: Namespace) -> int:
@@ -95,7 +72,7 @@ def run(options: Namespace) -> int:
     fit = load_fit(options.calibration)
     made = _made(fit, options)
     made.write(options.output, force=options.force, params_only=options.params_only)
-    say(options, made.to_dict(), lambda: "\n".join(_text(made, options)), notes=made.notes)
+    say(options, made.to_dict(), lambda: _content(made, options), notes=made.notes)
     return NOT_DETERMINED if fit.undetermined_by_log else OK
 
 
@@ -137,21 +114,24 @@ def _observer(fit: Fit, options: Namespace) -> Observer | None:
     )
 
 
-def _small(error: float, si: str, turns: bool) -> str:
-    """Return an error of `si` as nm, nrad or mdeg, from 1000 on in a larger unit; `turns`: it goes round."""
-    factor, unit = fitting(si, error, turns=turns)
-    return f"{error * factor:.3g} {unit}"
-
-
-def _text(made: Generated, options: Namespace) -> list[str]:
+def _content(made: Generated, options: Namespace) -> Content:
     record, tried = made.to_dict(), made.decoupler.tried
-    lines = [f"{record['model']} in {record['type']}, table of {record['table_bytes']} bytes"]
+    bounds, sizes, errors = record.get("error_bound", {}), [], []
     for c, met in record["error_met"].items():
-        unit, bound = c.rpartition("_")[2], record.get("error_bound", {}).get(c)
+        unit, bound = c.rpartition("_")[2], bounds.get(c)
         turns = readable(c)[1] == "deg"
-        most = "" if bound is None else f"error at most {_small(bound, unit, turns)} over the box, "
-        lines.append(f"  {c}: {most}{_small(met, unit, turns)} met over {tried} random inputs")
-    lines += [f"  {c}: {low:g} to {high:g}" for c, (low, high) in record["box"].items()]
+        most = "" if bound is None else sized(bound, unit, turns=turns)
+        sizes.append(f"{readable(c)[2]} {most or sized(met, unit, turns=turns)}")
+        errors.append([c, most, sized(met, unit, turns=turns)])
+    how = "at most" if bounds else "in tests"
+    answer = (
+        f"{record['model']} in {record['type']}, table of {record['table_bytes']} bytes: error of the code "
+        f"{how} {', '.join(sizes)}."
+    )
+    box = [[c, f"{low:g}", f"{high:g}"] for c, (low, high) in record["box"].items()]
     wrote = sorted(made.params) if options.params_only else sorted(made.files)
-    lines += [f"wrote {Path(options.output) / name}" for name in wrote]
-    return lines
+    return Content("Decoder", answer, first=[
+        Table(["error", "at most over the box", f"met over {tried} random inputs"], errors, "errors"),
+        Table(["box", "from", "to"], box, "box"),
+        f"wrote {counted(len(wrote), 'file')} to {options.output}: {few(wrote)}",
+    ])  # fmt: skip

@@ -1,6 +1,5 @@
 """What the commands share: options, opening logs, progress, and how results are said."""
 
-import argparse
 import math
 import re
 import shlex
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import COMMANDS, progress
-from hallsym.cli.parser import HelpText
+from hallsym.cli.parser import HelpText, add_options
 from hallsym.cli.progress import Meter
 from hallsym.errors import InputError, require
 from hallsym.estimation import Fit, load_fit
@@ -27,7 +26,7 @@ from hallsym.log.groups import GroupedSource
 from hallsym.model import Effect, Model
 from hallsym.output import fitted, printable
 from hallsym.records import named
-from hallsym.report.figures.campaign import fit_figure
+from hallsym.report.content import Content, printed
 from hallsym.report.picture import Picture
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
 from hallsym.toml import column_of
@@ -45,66 +44,46 @@ def command(
     return parser
 
 
-def seed(text: str) -> int:
-    """Type of a seed on the command line."""
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"a seed is a whole number, 0 or more; instead received {text!r}")
-    return int(text)
-
-
 def plots_options(parser: Any, what: str = "save pictures") -> None:
     """Options of every command that draws; `parser` may be a group of options."""
     parser.add_argument("--plots", metavar="FOLDER", help=what)
-    parser.add_argument(
-        "--plot-format", choices=("png", "pdf", "svg"), default="png", help="of each picture (default: png)"
-    )
+    add_options(parser, """
+        --plot-format PLOT_FORMAT <=png, png|pdf|svg>  of each picture (default: png)""")  # fmt: skip
 
 
-def pictures(
-    draw: Mapping[str, Callable[[], Picture]], folder: str | Path | None, format: str, *named: object
-) -> list[Path]:
-    """Save pictures if a folder is given; `named` on each of them: file and model, those that are known."""
+def plots(
+    options: Namespace, draw: Mapping[str, Callable[[], Picture]], *named: object,
+    folder: str | Path | None = None,
+) -> list[Path]:  # fmt: skip
+    """Save pictures in a folder, that of `--plots` if none is named; nothing without one.
+
+    `named` on each of them: file and model, those that are known.
+    """
+    folder = folder or getattr(options, "plots", None)
     if folder is None:
         return []
     from hallsym.report.drawing import save
 
     words = [str(name) for name in named if name]
     brief = ["/".join(Path(word).parts[-2:]) if Path(word).exists() else word for word in words]
-    return save(draw, folder, format, ", ".join(brief))
-
-
-def plots(options: Namespace, draw: Mapping[str, Callable[[], Picture]], *named: object) -> list[Path]:
-    """Save pictures where `--plots` says, if it is given; `named` as in `pictures`."""
-    return pictures(draw, options.plots, options.plot_format, *named)
+    return save(draw, folder, getattr(options, "plot_format", "png"), ", ".join(brief))
 
 
 def log_options(parser: ArgumentParser) -> None:
     """Options of every command that reads a log."""
     group = file_options(parser, "reading the log", "hall_a_um=HallA")
-    group.add_argument(
-        "--column-file", metavar="TOML", help='the same as a file: [columns] hall_a_um = "HallA"'
-    )
-    group.add_argument(
-        "--join", action="append", default=[], metavar="FILE",
-        help="another file of the same log (repeat): more runs where it has the same columns, else columns "
-        "that are read at the times of the slower file",
-    )  # fmt: skip
-    group.add_argument(
-        "--clock", metavar="GROUP:HOW",
-        help="of several files, or of groups of one (TDMS, MDF, MCAP, HDF5), with clocks of their own: whose "
-        "samples become the rows, and how others are read there: Hall:linear or Hall:nearest",
-    )  # fmt: skip
-    group.add_argument(
-        "--counts-per-turn", type=float, metavar="N",
-        help="of an angle in counts, as in --column angle_count=raw: 16384 for 14 bits",
-    )  # fmt: skip
-    group.add_argument(
-        "--drop-bad", action="store_true", help="leave out bad samples and runs and go on; they are counted"
-    )
-    group.add_argument(
-        "--noise", action="append", default=[], metavar="COLUMN=SIGMA",
-        help="1 sigma in SI: --noise hall_m=5e-7 (repeat); estimated from the log where not given",
-    )  # fmt: skip
+    add_options(group, """
+        --column-file TOML              the same as a file: [columns] hall_a_um = "HallA"
+        --join FILE <repeat>            another file of the same log (repeat): more runs where it has the
+            same columns, else columns that are read at the times of the slower file
+        --clock GROUP:HOW               of several files, or of groups of one (TDMS, MDF, MCAP, HDF5), with
+            clocks of their own: whose samples become the rows, and how others are read there: Hall:linear
+            or Hall:nearest
+        --counts-per-turn N <float>     of an angle in counts, as in --column angle_count=raw: 16384 for 14
+            bits
+        --drop-bad                      leave out bad samples and runs and go on; they are counted
+        --noise COLUMN=SIGMA <repeat>   1 sigma in SI: --noise hall_m=5e-7 (repeat); estimated from the log
+            where not given""")  # fmt: skip
 
 
 FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet", "clock")
@@ -114,45 +93,33 @@ FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet", "clock")
 def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
     """Options of every command that reads a table, of any format; returns their group."""
     group = parser.add_argument_group(title)
-    group.add_argument(
-        "--column", action="append", default=[], metavar="OURS=THEIRS",
-        help=f"our name, ending with the unit their column is in: --column {example} (repeat)",
-    )  # fmt: skip
-    group.add_argument(
-        "--format", metavar="FORMAT",
-        help="csv, parquet and others that 'hallsym info --help' lists; by the ending if not given",
-    )  # fmt: skip
-    group.add_argument(
-        "--delimiter", help="of a text file: ';', tab, blank; recognised where it is not given"
-    )
-    group.add_argument(
-        "--decimal", metavar="SIGN", help="of its numbers: . or , where both would be possible"
-    )
-    group.add_argument("--sheet", help="of a workbook or a database that has several")
+    add_options(group, f"""
+        --column OURS=THEIRS <repeat>   our name, ending with the unit their column is in: --column
+            {example} (repeat)
+        --format FORMAT                 csv, parquet and others that 'hallsym info --help' lists; by the
+            ending if not given
+        --delimiter DELIMITER           of a text file: ';', tab, blank; recognised where it is not given
+        --decimal SIGN                  of its numbers: . or , where both would be possible
+        --sheet SHEET                   of a workbook or a database that has several""")  # fmt: skip
     return group
 
 
 def model_options(parser: ArgumentParser, default: str) -> None:
     """Options of every command that builds a model."""
     group = parser.add_argument_group("model")
-    group.add_argument(
-        "--model", metavar="MODEL",
-        help=f"such as stage31 or rotary; 'hallsym info' lists them (default: {default})",
-    )  # fmt: skip
-    group.add_argument(
-        "--effect", action="append", default=[], metavar="EFFECT",
-        help="add an effect, such as exact_rotation or mains_hum:frequency_hz=50.02 (repeat)",
-    )  # fmt: skip
-    group.add_argument(
-        "--machine", metavar="TOML",
-        help="your machine: [[probes]] with channel, position_m, senses; [parameters.H1x] with nominal, "
-        "lower, upper, fixed",
-    )  # fmt: skip
+    add_options(group, f"""
+        --model MODEL                   such as stage31 or rotary; 'hallsym info' lists them (default:
+            {default})
+        --effect EFFECT <repeat>        add an effect, such as exact_rotation or
+            mains_hum:frequency_hz=50.02 (repeat)
+        --machine TOML                  your machine: [[probes]] with channel, position_m, senses;
+            [parameters.H1x] with nominal, lower, upper, fixed""")  # fmt: skip
 
 
 def own_option(parser: ArgumentParser) -> None:
     """The file of the user's own effects, for every command that builds or reads a model."""
-    parser.add_argument("--effects", metavar="PY", help="your own effects: a file that defines EFFECTS")
+    add_options(parser, """
+        --effects PY                    your own effects: a file that defines EFFECTS""")  # fmt: skip
 
 
 def own_effects(options: Namespace) -> dict[str, Effect]:
@@ -286,27 +253,35 @@ def progress_of(options: Namespace) -> Callable[[str], None]:
 def say(
     options: Namespace,
     record: Mapping[str, Any],
-    text: Callable[[], str],
+    said: Callable[[], Content | str],
     *,
     notes: Sequence[str] = (),
     wrote: Sequence[str | Path] = (),
     then: Sequence[str] = (),
 ) -> None:
-    """Print the JSON record; or the text, then the notes, the names of the files that were written, and the
-    words of the command that comes next."""
+    """Print the JSON record; or what is said, the answer first, then notes, files written, the next command.
+
+    `then`: the words of that command.
+    """
     if options.json:
         print(json_text(record))
         return
     progress.ended()
+    content = said()
+    text = content if isinstance(content, str) else printed(content)
     lines = [printable(f"note: {note}") for note in notes] + [printable(f"wrote {path}") for path in wrote]
     lines += [printable(f"next: {shlex.join(then)}")] if then else []
-    print(fitted("\n".join([text(), *lines])))
+    print(fitted("\n".join([text, *lines]).rstrip("\n")))
 
 
-def fit_pictures(log: Log, result: Fit, folder: str | Path | None, format: str = "png") -> list[Path]:
-    """Save the picture of a fit, if a folder is given."""
+def fit_pictures(
+    options: Namespace, log: Log, result: Fit, folder: str | Path | None = None
+) -> list[Path]:  # fmt: skip
+    """Save the picture of a fit where `plots` would."""
+    from hallsym.report.figures.campaign import fit_figure
+
     draw = {"errors_by_setting": lambda: fit_figure(log, result, result.keep)}
-    return pictures(draw, folder, format, log.path, result.model.name)
+    return plots(options, draw, log.path, result.model.name, folder=folder)
 
 
 def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:

@@ -2,6 +2,7 @@
 
 from argparse import Namespace
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,16 @@ import numpy as np
 
 from hallsym.cli import OK
 from hallsym.cli.common import command, fit_pictures, progress_of, say
+from hallsym.cli.parser import add_options
 from hallsym.estimation import Fit, fit
 from hallsym.families import published
 from hallsym.log import Log
-from hallsym.report.tables import error_rows
-from hallsym.report.text.fit import fit_text
+from hallsym.report.content import Content, Table
+from hallsym.report.results.shared import error_table
+from hallsym.report.tables import cells
+from hallsym.report.views import content
 from hallsym.simulation import bundled_campaign
+from hallsym.units import readable
 
 HEIGHT = 250e-6
 POSE = ("x_m", "y_m", "rz_rad")
@@ -27,10 +32,8 @@ def add(sub: Any) -> None:
         "Calibrate the bundled 6-DOF stage campaign as Chen et al. (Sensors 2016, 16, 872) do: designed\n"
         "parameters, Model (30), Model (31), each beside the paper's own error table.",
     )  # fmt: skip
-    parser.add_argument(
-        "-o", "--output", default="demo", metavar="FOLDER",
-        help="where calib.json and pictures go (default: demo)",
-    )  # fmt: skip
+    add_options(parser, """
+        -o, --output FOLDER <=demo>     where calib.json and pictures go (default: demo)""")  # fmt: skip
 
 
 def run(options: Namespace) -> int:
@@ -39,10 +42,10 @@ def run(options: Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     log, result, steps = reproduce(on_progress=progress_of(options))
     result.save(folder / "calib.json")
-    pictures = fit_pictures(log, result, folder)
+    pictures = fit_pictures(options, log, result, folder)
     record = {"steps": steps, "calibration": result.to_dict(), "pictures": [str(p) for p in pictures]}
     wrote = [folder / "calib.json", *pictures]
-    say(options, record, lambda: text(steps) + "\n\n" + fit_text(result), wrote=wrote)
+    say(options, record, lambda: demonstration(steps, result), wrote=wrote)
     return OK
 
 
@@ -67,7 +70,25 @@ def reproduce(on_progress: Callable[[str], None] | None = None) -> tuple[Log, Fi
     return log, full, steps
 
 
-def text(steps: list[dict[str, Any]]) -> str:
+def demonstration(steps: list[dict[str, Any]], result: Fit) -> Content:
+    """Return how near the last step comes to the paper, the steps beside the paper's numbers, and the fit."""
+    here, theirs = (
+        cells([steps[-1][of]["rmse"][c] for c in POSE], POSE, digits=4) for of in ("here", "paper")
+    )
+    units = [readable(c)[1:] for c in POSE]
+    sizes = ", ".join(
+        f"{name} {a} {unit} ({b} in the paper)"
+        for (unit, name), a, b in zip(units, here, theirs, strict=True)
+    )
+    said = content(result)
+    return replace(
+        said,
+        answer=f"On held-out runs Model (31) decodes to {sizes}.",
+        first=[beside_paper(steps), said.answer, *said.first],
+    )
+
+
+def beside_paper(steps: list[dict[str, Any]]) -> Table:
     """Return the steps beside the paper's numbers."""
     # the paper's row is printed once for the steps that share a table
     shown = {}
@@ -75,7 +96,7 @@ def text(steps: list[dict[str, Any]]) -> str:
         shown[step["step"]] = step["here"]
         if k + 1 == len(steps) or steps[k + 1]["table"] != step["table"]:
             shown[f"  paper, Table {step['table']}"] = step["paper"]
-    return error_rows(POSE, shown, None)
+    return error_table(POSE, shown)
 
 
 def _fitted(log: Log, runs: list[int]) -> dict[str, dict[str, float]]:

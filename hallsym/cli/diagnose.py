@@ -16,6 +16,7 @@ from hallsym.cli.common import (
     reading_words,
     say,
 )
+from hallsym.cli.parser import add_options
 from hallsym.diagnosis import Examined, examine, model_on, prepare
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
@@ -26,10 +27,10 @@ from hallsym.log import Log
 from hallsym.log.columns import read_runs
 from hallsym.model import Effect, Model
 from hallsym.power import REPEATS, detection_power
+from hallsym.report.content import document
 from hallsym.report.data.gather import gather, version_of
-from hallsym.report.page.diagnosis_page import diagnosis_page
-from hallsym.report.text.diagnosis import diagnosis_text
-from hallsym.report.text.power import power_text
+from hallsym.report.results.diagnosis import diagnosis_content
+from hallsym.report.results.power import power_content
 
 EVERY = "all"
 """Word for every effect of the catalogue."""
@@ -47,30 +48,21 @@ def add(sub: Any) -> None:
         "  hallsym diagnose LOG --effects my_effects.py -o report.html\n"
         "  hallsym diagnose LOG --power hysteresis,time_skew      from which size on these would be found",
     )  # fmt: skip
-    parser.add_argument("log", metavar="LOG", help="log, or a folder with log and meta.json")
-    parser.add_argument(
-        "--power", nargs="?", const=EVERY, metavar="EFFECTS",
-        help="instead: what 'no gap' is worth: inject effects (by name; all take an hour or two, "
-        "Ctrl-C keeps what was done) into its motion and noise, and diagnose each simulated log blind",
-    )  # fmt: skip
-    parser.add_argument(
-        "--repeats", type=int, default=REPEATS, help=f"trials of each size with --power (default {REPEATS})"
-    )
-    parser.add_argument(
-        "--holdout", metavar="RUNS", help="runs to judge on (default: the log's own, else every fifth)"
-    )
+    add_options(parser, f"""
+        log LOG                         log, or a folder with log and meta.json
+        --power EFFECTS <optional, alone={EVERY}>  instead: what 'no gap' is worth: inject effects (by name;
+            all take an hour or two, Ctrl-C keeps what was done) into its motion and noise, and diagnose
+            each simulated log blind
+        --repeats REPEATS <int={REPEATS}>  trials of each size with --power (default {REPEATS})
+        --holdout RUNS                  runs to judge on (default: the log's own, else every fifth)
+    """)  # fmt: skip
     own_option(parser)
-    parser.add_argument(
-        "--threshold", type=float, help="relative decrease of the gap that counts (default 0.05)"
-    )
-    parser.add_argument(
-        "--budget", type=float, metavar="SECONDS",
-        help="end the search after so long with what it knows, which a note says (default: no limit)",
-    )  # fmt: skip
-    parser.add_argument(
-        "-o", "--output", action="append", default=[], metavar="FILE",
-        help="save the diagnosis: .html for one page to read and print, anything else for JSON (repeat)",
-    )  # fmt: skip
+    add_options(parser, """
+        --threshold THRESHOLD <float>   relative decrease of the gap that counts (default 0.05)
+        --budget SECONDS <float>        end the search after so long with what it knows, which a note says
+            (default: no limit)
+        -o, --output FILE <repeat>      save the diagnosis: .html for one page to read and print, anything
+            else for JSON (repeat)""")  # fmt: skip
     model_options(parser, "the log's base_model, else by its columns")
     log_options(parser)
 
@@ -116,7 +108,9 @@ def run(options: Namespace) -> int:
         else:
             write_json(path, found.to_dict())
     words = reading_words(options, known)
-    say(options, found.to_dict(), lambda: diagnosis_text(found, words), wrote=options.output)
+    say(
+        options, found.to_dict(), lambda: diagnosis_content(found, reading=words), wrote=options.output
+    )  # fmt: skip
     return OK
 
 
@@ -137,7 +131,7 @@ def _power(
     )
     for path in options.output:
         write_json(path, found.to_dict())
-    say(options, found.to_dict(), lambda: power_text(found), wrote=options.output)
+    say(options, found.to_dict(), lambda: power_content(found), wrote=options.output)
     return OK if found.complete else INTERRUPTED
 
 
@@ -146,7 +140,7 @@ def _page(options: Namespace, seen: Examined) -> str:
     first = seen.fit
     after = None if seen.after is None else version_of(seen.after, "after")
     shown = gather(seen.before.log, first, label="before", keep=first.keep, after=after)
-    return diagnosis_page(
+    content = diagnosis_content(
         seen.diagnosis,
         maps=shown.maps,
         after=shown.after,
@@ -155,6 +149,7 @@ def _page(options: Namespace, seen: Examined) -> str:
         command=_typed(options, first),
         reading=reading_words(options),
     )
+    return document(content)
 
 
 def _typed(options: Namespace, first: Fit) -> str:

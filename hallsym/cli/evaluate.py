@@ -7,17 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import BAD_INPUT, CHANGED, NOT_DESCRIBED, OK, common
+from hallsym.cli.parser import add_options
 from hallsym.errors import InputError
 from hallsym.estimation import Evaluation, Fit, evaluate, load_fit
 from hallsym.inference import FALSE_ALARM, Belonging, belonging, check_false_alarm
 from hallsym.log import Fault
+from hallsym.report.content import printed, text_of
 from hallsym.report.data.periodic import periodic_of
 from hallsym.report.figures.campaign import evaluation_figure
-from hallsym.report.text.comparison import belonging_text, chart_text
-from hallsym.report.text.fit import evaluation_text
-
-Judged = tuple[Evaluation, Belonging | str]
-"""What a log leaves, and whether it belongs; or why a fit of its own, which that takes, is not possible."""
+from hallsym.report.results.evaluation import Judged, belonging_blocks, chart, evaluation_content
 
 
 def add(sub: Any) -> None:
@@ -35,18 +33,16 @@ def add(sub: Any) -> None:
         "  hallsym evaluate calib.json week_*.tdms --plots pictures\n"
         "  hallsym evaluate calib.json today.mf4 --clock Hall:linear || mail -s 'calibrate again' lab",
     )  # fmt: skip
-    parser.add_argument("calibration", metavar="CALIB", help="a calibration saved by 'hallsym fit -o'")
-    parser.add_argument("logs", metavar="LOG", nargs="+", help="logs to judge on, in the order of time")
+    add_options(parser, """
+        calibration CALIB               a calibration saved by 'hallsym fit -o'
+        logs LOG <several>              logs to judge on, in the order of time""")  # fmt: skip
     common.own_option(parser)
-    parser.add_argument("--by-run", action="store_true", help="all errors of each log, one line per run")
-    parser.add_argument(
-        "--own-zero", action="store_true",
-        help="estimate the zero of a reference that turns from each run too: it was homed or coupled anew",
-    )  # fmt: skip
-    parser.add_argument(
-        "--false-alarm", type=float, default=FALSE_ALARM, metavar="P",
-        help=f"probability that a log which belongs is said not to (default {FALSE_ALARM:g})",
-    )  # fmt: skip
+    add_options(parser, f"""
+        --by-run                        all errors of each log, one line per run
+        --own-zero                      estimate the zero of a reference that turns from each run too: it
+            was homed or coupled anew
+        --false-alarm P <float={FALSE_ALARM}>  probability that a log which belongs is said not to (default
+            {FALSE_ALARM:g})""")  # fmt: skip
     common.plots_options(parser)
     common.log_options(parser)
 
@@ -123,23 +119,25 @@ def _record(options: Namespace, path: str, seen: Evaluation, found: Belonging | 
 def _pictured(options: Namespace, path: str, seen: Evaluation) -> list[Path]:
     folder = options.plots and Path(options.plots) / (Path(path).stem if len(options.logs) > 1 else "")
     draw = {"errors_by_setting": lambda: evaluation_figure(seen)}
-    return common.pictures(draw, folder, options.plot_format, path, options.calibration)
+    return common.plots(options, draw, path, options.calibration, folder=folder)
 
 
 def _text(options: Namespace, known: Fit, logs: dict[str, Judged | str]) -> str:
-    parts = [] if len(logs) == 1 else [chart_text(logs, known.model.pose)]
+    parts = [] if len(logs) == 1 else [text_of(chart(logs, known.model.pose)).rstrip()]
     for path, one in logs.items():
         if isinstance(one, str):
             continue
         seen, found = one
         if len(logs) == 1 or options.by_run:
-            parts.append(evaluation_text(seen, by_run=options.by_run))
+            parts.append(printed(evaluation_content(seen, by_run=options.by_run)).rstrip())
         notes = list(seen.notes)
         if isinstance(found, str):
             notes.append(f"Whether {path} belongs to the calibration cannot be said: {found}")
         else:
             notes += found.notes
             if len(logs) == 1 or not found.belongs:
-                parts.append(belonging_text(found) if len(logs) == 1 else f"{path}: {belonging_text(found)}")
+                answer, *rest = belonging_blocks(found)
+                answer = answer if len(logs) == 1 else f"{path}: {answer}"
+                parts.append(text_of([answer, *rest]).rstrip())
         parts += ["\n".join(f"note: {note}" for note in dict.fromkeys(notes))] if notes else []
     return "\n\n".join(parts)

@@ -6,10 +6,12 @@ from typing import Any
 
 from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import command, own_effects, own_option, say
+from hallsym.cli.parser import add_options
 from hallsym.codegen.table import Error, Exported, export_table
 from hallsym.estimation.calibration import load_fit
 from hallsym.log.maker_tables import BY_NAME
-from hallsym.report.tables import grid
+from hallsym.report.content import Block, Content, Table
+from hallsym.report.words import number
 
 EPILOG = """\
 examples:
@@ -29,30 +31,19 @@ def add(sub: Any) -> None:
         "and print the error over a turn before and after. 'hallsym fit' reads such tables as logs.",
         EPILOG,
     )  # fmt: skip
-    parser.add_argument("calibration", metavar="CALIB", help="a calibration saved by 'hallsym fit -o'")
-    parser.add_argument("--table", required=True, metavar="FORMAT", help=f"one of {', '.join(BY_NAME)}")
-    parser.add_argument("-o", "--output", required=True, metavar="FILE", help="file to write")
-    parser.add_argument(
-        "--like", metavar="FILE",
-        help="the maker's own file: its layout, number of entries, zero, sense and all else are kept, and "
-        "the error with its old table is printed too",
-    )  # fmt: skip
-    parser.add_argument(
-        "--entries", type=int, metavar="N", help="entries of the table (default: as the firmware has)"
-    )
-    parser.add_argument(
-        "--motor-steps", type=int, metavar="N",
-        help="full steps in a turn of the stepper that was the reference: its waves, N/4 a turn and "
-        "multiples, are left out; tables by full steps have N entries (default: 200)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--keep-reference",
-        action="store_true",
-        help="put into the table what the calibration knows of its reference's own error (default: left out)",
-    )
-    parser.add_argument(
-        "--allow-undetermined", action="store_true", help="use values that the log does not determine"
-    )
+    add_options(parser, f"""
+        calibration CALIB               a calibration saved by 'hallsym fit -o'
+        --table FORMAT <required>       one of {", ".join(BY_NAME)}
+        -o, --output FILE <required>    file to write
+        --like FILE                     the maker's own file: its layout, number of entries, zero, sense and
+            all else are kept, and the error with its old table is printed too
+        --entries N <int>               entries of the table (default: as the firmware has)
+        --motor-steps N <int>           full steps in a turn of the stepper that was the reference: its
+            waves, N/4 a turn and multiples, are left out; tables by full steps have N entries (default:
+            200)
+        --keep-reference                put into the table what the calibration knows of its reference's own
+            error (default: left out)
+        --allow-undetermined            use values that the log does not determine""")  # fmt: skip
     own_option(parser)
 
 
@@ -70,21 +61,25 @@ def run(options: Namespace) -> int:
     )
     made.write(options.output)
     record = {"output": str(options.output), **made.to_dict()}
-    say(options, record, lambda: _text(made, options), notes=made.notes, wrote=[options.output])
+    say(options, record, lambda: _content(made, options), notes=made.notes, wrote=[options.output])
     return NOT_DETERMINED if made.undetermined else OK
 
 
-def _text(made: Exported, options: Namespace) -> str:
+def _content(made: Exported, options: Namespace) -> Content:
     def row(label: str, error: Error) -> list[str]:
-        return [label, f"{degrees(error.rms):.3g}", f"{degrees(error.peak):.3g}"]
+        return [label, number(degrees(error.rms)), number(degrees(error.peak))]
 
-    rows = [["error of the angle over the turn, by the calibration", "rms [deg]", "peak [deg]"]]
-    rows.append(row("without a table", made.before))
+    head = ["error of the angle over the turn, by the calibration", "rms [deg]", "peak [deg]"]
+    rows = [row("without a table", made.before)]
     if made.old:
         rows.append(row(f"with the table in {options.like}", made.old))
     rows.append(row(f"with the new table, {made.entries} entries", made.after))
-    text = grid(rows)
+    answer = (
+        f"The new table of {made.entries} entries lowers the error over the turn from "
+        f"{number(degrees(made.before.rms))} to {number(degrees(made.after.rms))} deg rms."
+    )
+    blocks: list[Block | str] = [Table(head, rows, "error over the turn")]
     if made.calibrated is not None:
         rest = degrees(made.calibrated)
-        text += f"\nwhat the calibration itself leaves on its log comes on top: rms {rest:.3g} deg"
-    return text
+        blocks.append(f"what the calibration itself leaves on its log comes on top: rms {number(rest)} deg")
+    return Content("Correction table", answer, first=blocks)

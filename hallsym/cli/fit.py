@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import INTERRUPTED, NOT_CONVERGED, NOT_DESCRIBED, NOT_DETERMINED, OK, common
-from hallsym.diagnosis import model_on
+from hallsym.cli.parser import add_options
 from hallsym.errors import InputError, counted
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.fit import fit
@@ -19,9 +19,8 @@ from hallsym.families.machine_file import Machine, read_machine
 from hallsym.log import Log
 from hallsym.log.columns import read_runs
 from hallsym.model import Model
-from hallsym.report.figures.self_calibration import waves_figure
-from hallsym.report.text.fit import fit_text
-from hallsym.report.text.self_calibration import self_fit_text
+from hallsym.report.results.shared import few
+from hallsym.report.views import content
 
 
 def add(sub: Any) -> None:
@@ -41,50 +40,30 @@ def add(sub: Any) -> None:
         "  hallsym fit ring.csv --model rings3 --reference none  three Halls over a ring and nothing "
         "beside them",
     )  # fmt: skip
-    parser.add_argument(
-        "logs", metavar="LOG", nargs="+",
-        help="Parquet, CSV, MATLAB or HDF5 file, or a folder with log and meta.json; several logs of one "
-        "device share their parameters",
-    )  # fmt: skip
-    parser.add_argument("-o", "--output", metavar="JSON", help="save the calibration")
+    add_options(parser, """
+        logs LOG <several>              Parquet, CSV, MATLAB or HDF5 file, or a folder with log and
+            meta.json; several logs of one device share their parameters
+        -o, --output JSON               save the calibration""")  # fmt: skip
     common.plots_options(parser)
     common.model_options(parser, "the log's base_model, else by its columns")
     common.own_option(parser)
     group = parser.add_argument_group("fit")
-    group.add_argument(
-        "--reference",
-        choices=REFERENCES,
-        help="encoders of several Halls whose log has no reference: what is known of the motion instead",
-    )
-    group.add_argument(
-        "--holdout", metavar="RUNS", help="runs to judge on and not to fit, such as 2,7,12 or 40-45"
-    )
-    group.add_argument(
-        "--holdout-log", action="append", default=[], metavar="LOG",
-        help="a log to judge on and not to fit (repeat)",
-    )  # fmt: skip
-    group.add_argument(
-        "--per-log", metavar="NAMES",
-        help="parameters of which each log has its own, such as eta_A,zero or 'eta_*'",
-    )  # fmt: skip
-    group.add_argument(
-        "--solver", metavar="SOLVER", default="hybrid",
-        help="hybrid (SHTLBO + closed form), direct (closed form), "
-        "or the global search: shtlbo, tlbo, gbtlbo, screening",
-    )  # fmt: skip
-    group.add_argument(
-        "--loss", metavar="LOSS", default="auto",
-        help="auto (take out isolated spikes if there are any), none, reject, tukey",
-    )  # fmt: skip
-    group.add_argument(
-        "--correct", action="append", default=[], metavar="TEXT",
-        help="undo a mistake of the recording, as a claim states it: 'sign x_ref_m' (repeat)",
-    )  # fmt: skip
-    group.add_argument(
-        "--accept", action="append", default=[], metavar="CLAIM",
-        help="a claim that is none here, by name, such as delay; all accepts every one (repeat)",
-    )  # fmt: skip
-    group.add_argument("--seed", type=common.seed, default=0, help="of the global search (default 0)")
+    add_options(group, f"""
+        --reference REFERENCE <{"|".join(REFERENCES)}>  encoders of several Halls whose log has no
+            reference: what is known of the motion instead
+        --holdout RUNS                  runs to judge on and not to fit, such as 2,7,12 or 40-45
+        --holdout-log LOG <repeat>      a log to judge on and not to fit (repeat)
+        --per-log NAMES                 parameters of which each log has its own, such as eta_A,zero or
+            'eta_*'
+        --solver SOLVER <=hybrid>       hybrid (SHTLBO + closed form), direct (closed form), or the global
+            search: shtlbo, tlbo, gbtlbo, screening
+        --loss LOSS <=auto>             auto (take out isolated spikes if there are any), none, reject,
+            tukey
+        --correct TEXT <repeat>         undo a mistake of the recording, as a claim states it: 'sign
+            x_ref_m' (repeat)
+        --accept CLAIM <repeat>         a claim that is none here, by name, such as delay; all accepts every
+            one (repeat)
+        --seed SEED <seed=0>            of the global search (default 0)""")  # fmt: skip
     common.log_options(parser)
 
 
@@ -110,6 +89,8 @@ def run(options: Namespace) -> int:
     model: Model | str | None = options.model
     effects, parameters = options.effect, machine.parameters
     if effects and not several:
+        from hallsym.diagnosis import model_on  # half of the start of a fit, which most do not need
+
         model = model_on(logs[0], options.model, effects, parameters=parameters, **shared)
         effects, parameters = (), {}
     result = fit(
@@ -132,9 +113,9 @@ def run(options: Namespace) -> int:
     wrote = _saved(options, result)
     parts = list(zip([log["name"] for log in result.logs], logs, result.by_log, strict=False))
     for name, log, part in parts or [("", logs[0], result)]:
-        folder = options.plots and str(Path(options.plots) / name)
-        wrote += common.fit_pictures(log, part, folder, options.plot_format)
-    common.say(options, result.to_dict(), lambda: fit_text(result), wrote=wrote, then=_next(options, result))
+        folder = options.plots and Path(options.plots) / name
+        wrote += common.fit_pictures(options, log, part, folder)
+    common.say(options, result.to_dict(), lambda: content(result), wrote=wrote, then=_next(options, result))
     return exit_code(result, said=not options.json)
 
 
@@ -156,6 +137,8 @@ def _without_reference(options: Namespace, machine: Machine) -> int:
         log, options.model, options.reference, effects=options.effect,
         parameters=machine.parameters,
     )  # fmt: skip
+    from hallsym.report.figures.self_calibration import waves_figure
+
     wrote: list[str | Path] = []
     if options.output:
         result.save(options.output)
@@ -163,7 +146,7 @@ def _without_reference(options: Namespace, machine: Machine) -> int:
     draw = {"waves": lambda: waves_figure(result)}
     wrote += common.plots(options, draw, log.path, result.fit.model.name)
     then = [] if options.output else [*options.typed, "-o", "calib.json"]
-    common.say(options, result.to_dict(), lambda: self_fit_text(result), wrote=wrote, then=then)
+    common.say(options, result.to_dict(), lambda: content(result), wrote=wrote, then=then)
     if result.open and not options.json:
         common.warn(f"{counted(len(result.open), 'wave')} of the table not separated from the motion.")
     return NOT_DETERMINED if result.open else OK
@@ -223,7 +206,7 @@ def exit_code(result: Fit, *, said: bool = True) -> int:
         # a mistake that explains what is left is the cause: it is put right first
         return NOT_DESCRIBED if any(one.explains for one in result.claims) else NOT_CONVERGED
     if result.undetermined_by_log:
-        what = ", ".join(result.undetermined_by_log)
+        what = few(result.undetermined_by_log)
         common.warn(
             f"this log does not determine {what} of {result.model.name}: they are fixed or combined as the "
             "table says; record runs that move what they belong to."

@@ -7,6 +7,7 @@ from typing import Any
 
 from hallsym.cli import NOT_DESCRIBED, OK
 from hallsym.cli.common import command, log_options, model_options, progress_of, reading_of, say
+from hallsym.cli.parser import add_options
 from hallsym.errors import InputError, require
 from hallsym.estimation.self_calibration import REFERENCES
 from hallsym.families.machine_file import read_machine
@@ -14,8 +15,9 @@ from hallsym.files import atomic_write
 from hallsym.fleets import devices_of, fleet, machine_file, ring_fleet, tolerance_file
 from hallsym.fleets.row import GOOD
 from hallsym.log import Drop, read_log, without
-from hallsym.report.text.fleet import fleet_text
-from hallsym.report.text.self_calibration import ring_fleet_text
+from hallsym.report.content import document
+from hallsym.report.results.fleet import fleet_content
+from hallsym.report.results.self_calibration import ring_fleet_content
 
 
 def add(sub: Any) -> None:
@@ -33,37 +35,21 @@ def add(sub: Any) -> None:
         "  hallsym fleet devices.csv --diagnose -o fleet.parquet    a table: log,device,supplier\n"
         "  hallsym fleet logs/ -o fleet.parquet --scheduler tcp://host:8786",
     )  # fmt: skip
-    parser.add_argument(
-        "logs", metavar="LOGS", nargs="+",
-        help="a folder of logs, logs, or a table with columns log, device, ...",
-    )  # fmt: skip
-    parser.add_argument("-o", "--output", metavar="TABLE", help="the table: .parquet or .csv")
-    parser.add_argument("--page", metavar="HTML", help="write a page with distributions")
-    parser.add_argument(
-        "--next-machine", metavar="TOML", help="write nominal values and bounds for the next batch"
-    )
-    parser.add_argument(
-        "--tolerances", metavar="TOML", help="write the spread for 'hallsym tolerances --ranges'"
-    )
+    add_options(parser, """
+        logs LOGS <several>             a folder of logs, logs, or a table with columns log, device, ...
+        -o, --output TABLE              the table: .parquet or .csv
+        --page HTML                     write a page with distributions
+        --next-machine TOML             write nominal values and bounds for the next batch
+        --tolerances TOML               write the spread for 'hallsym tolerances --ranges'""")  # fmt: skip
     model_options(parser, "the logs' base_model, else by their columns")
     group = parser.add_argument_group("fleet")
-    group.add_argument(
-        "--diagnose", action="store_true", help="diagnose each log too; takes seconds a device"
-    )
-    group.add_argument(
-        "--workers", type=int, metavar="N", help="processes that fit devices (default: one a core)"
-    )
-    group.add_argument(
-        "--reference", choices=REFERENCES,
-        help="rings of one jig whose logs have no reference: what is known of the motion instead; heads and "
-        "drive are taken as common to all",
-    )  # fmt: skip
-    group.add_argument(
-        "--each-run", action="store_true", help="with --reference: each run of a log is a device"
-    )
-    group.add_argument(
-        "--scheduler", metavar="ADDRESS", help="Dask scheduler to use instead: tcp://host:8786"
-    )
+    add_options(group, f"""
+        --diagnose                      diagnose each log too; takes seconds a device
+        --workers N <int>               processes that fit devices (default: one a core)
+        --reference REFERENCE <{"|".join(REFERENCES)}>  rings of one jig whose logs have no reference: what
+            is known of the motion instead; heads and drive are taken as common to all
+        --each-run                      with --reference: each run of a log is a device
+        --scheduler ADDRESS             Dask scheduler to use instead: tcp://host:8786""")  # fmt: skip
     log_options(parser)
 
 
@@ -91,11 +77,9 @@ def run(options: Namespace) -> int:
             atomic_write(path, make(found))
             wrote.append(path)
     if options.page:
-        from hallsym.report.page.fleet_page import page_of  # and what draws, when it is asked for
-
-        atomic_write(options.page, page_of(found))
+        atomic_write(options.page, document(fleet_content(found)))
         wrote.append(options.page)
-    say(options, found.to_dict(), lambda: fleet_text(found), wrote=wrote)
+    say(options, found.to_dict(), lambda: fleet_content(found), wrote=wrote)
     return OK if set(found.verdicts) <= {GOOD} else NOT_DESCRIBED
 
 
@@ -123,5 +107,5 @@ def _rings(options: Namespace) -> int:
     if options.output:
         found.save(options.output)
     wrote: list[str | Path] = [options.output] if options.output else []
-    say(options, found.to_dict(), lambda: ring_fleet_text(found), wrote=wrote)
+    say(options, found.to_dict(), lambda: ring_fleet_content(found), wrote=wrote)
     return OK if set(found.fleet.verdicts) <= {GOOD} else NOT_DESCRIBED

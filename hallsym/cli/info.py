@@ -3,6 +3,7 @@
 import shlex
 from argparse import SUPPRESS, Namespace
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import accumulate, zip_longest
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from hallsym.cli.common import (
     runs_in_files,
     say,
 )
+from hallsym.cli.parser import add_options
 from hallsym.cli.trajectory import about_curve
 from hallsym.errors import InputError, counted
 from hallsym.estimation import LOSSES, SOLVERS
@@ -30,9 +32,17 @@ from hallsym.log.formats import FORMATS, Opened
 from hallsym.log.table import Source
 from hallsym.output import PROSE, fitted
 from hallsym.output import columns as columns_of_line
-from hallsym.report.tables import grid
-from hallsym.report.text.fit import fit_text
-from hallsym.report.text.info import effect_record, effect_text, is_explained, model_record, model_text
+from hallsym.report.content import Block, Content, Section, Table, text_of
+from hallsym.report.results.info import (
+    effect_content,
+    effect_record,
+    is_explained,
+    model_content,
+    model_record,
+)
+from hallsym.report.results.shared import few
+from hallsym.report.views import content
+from hallsym.report.words import number
 from hallsym.simulation import read_campaign
 from hallsym.trajectory import is_curve, read_curve
 from hallsym.units import readable, si_name
@@ -54,20 +64,16 @@ def add(sub: Any) -> None:
         "endings of logs, by --format:\n"
         + "\n".join(f"  {entry.name:9}{' '.join(entry.suffixes)}" for entry in FORMATS),
     )  # fmt: skip
-    parser.add_argument(
-        "files", metavar="FILE_OR_NAME", nargs="*",
-        help="log, calibration or curve (.json), campaign (.toml), or the name of a model or an effect; "
-        "several files are one log: runs where they have the same columns, else joined by their times",
-    )  # fmt: skip
-    parser.add_argument(
-        "--write", nargs="?", const=COLUMN_FILE, metavar="TOML",
-        help="of a log whose columns have other names: write a column file with the best guess for each, "
-        f"to be checked (default {COLUMN_FILE})",
-    )  # fmt: skip
+    add_options(parser, f"""
+        files FILE_OR_NAME <any>        log, calibration or curve (.json), campaign (.toml), or the name of
+            a model or an effect; several files are one log: runs where they have the same columns, else
+            joined by their times
+        --write TOML <optional, alone={COLUMN_FILE}>  of a log whose columns have other names: write a
+            column file with the best guess for each, to be checked (default {COLUMN_FILE})""")  # fmt: skip
     parser.add_argument("--suggest", dest="write", nargs="?", const=COLUMN_FILE, help=SUPPRESS)
-    parser.add_argument(
-        "--model", metavar="MODEL", help="what --write is for, such as stage31 (default: by the names)"
-    )
+    add_options(parser, """
+        --model MODEL                   what --write is for, such as stage31 (default: by the names)
+    """)  # fmt: skip
     log_options(parser)
 
 
@@ -90,16 +96,16 @@ def run(options: Namespace) -> int:
         return _write(options) if options.write else _log(options)
     elif family_called(options.file) and not Path(options.file).exists():
         record = model_record(build(options.file))
-        say(options, record, lambda: model_text(record))
+        say(options, record, lambda: model_content(record))
     elif is_explained(options.file):
         record = effect_record(options.file)
-        say(options, record, lambda: effect_text(record))
+        say(options, record, lambda: effect_content(record))
     elif options.file.endswith(".json") and is_curve(options.file):
         record, text = about_curve(read_curve(options.file))
         say(options, record, lambda: text)
     elif options.file.endswith(".json"):
         known = load_fit(options.file)
-        say(options, known.to_dict(), lambda: fit_text(known))
+        say(options, known.to_dict(), lambda: content(known))
     elif options.file.endswith(".toml"):
         campaign = read_campaign(options.file)
         record = {
@@ -107,7 +113,9 @@ def run(options: Namespace) -> int:
             "seconds recorded": sum(run.duration_s for run in campaign.runs),
             "noise": dict(campaign.noise or {}),
         }  # fmt: skip
-        say(options, record, lambda: "\n".join(f"{k}: {v}" for k, v in record.items()))
+        said = f"{options.file}: {counted(campaign.rows, 'sample')} in {counted(len(campaign.runs), 'run')}."
+        lines = [f"{k}: {v}" for k, v in record.items()]
+        say(options, record, lambda: Content(said, said, first=lines))
     else:
         return _log(options)
     return OK
@@ -119,15 +127,16 @@ def _log(options: Namespace) -> int:
         log = open_log(options, path=options.file)
     except InputError:
         if not options.json:
-            print(fitted(_head_text(source)))
+            print(fitted(text_of(_head(source))))
         raise
-    record, text = _about_log(log, options)
+    record, said = _about_log(log, options)
     if source.recognised:
         record["recognised"] = source.recognised
     if not any(map(is_moving, log.columns)):
         typed = shlex.join([*options.typed, "--write"])
-        text += f"\nnote: no column has one of hallsym's names; '{typed}' writes a column file to check."
-    say(options, record, lambda: f"{_head_text(source)}\n\n{text}")
+        note = f"note: no column has one of hallsym's names; '{typed}' writes a column file to check."
+        said = replace(said, sections=[*said.sections, Section("more", "More", [note])])
+    say(options, record, lambda: replace(said, first=_head(source)))
     return OK
 
 
@@ -139,7 +148,7 @@ def _opened(options: Namespace) -> Opened:
     return open_source(paths, **{name: getattr(options, name) for name in FILE_OPTIONS})
 
 
-def _head_text(source: Source) -> str:
+def _head(source: Source) -> list[Block | str]:
     """What a file was recognised as, and its first rows under its own names, as many as fit."""
     rows = source.head(SHOWN_ROWS, SHOWN_COLUMNS)
     names = source.names[:SHOWN_COLUMNS]
@@ -152,10 +161,10 @@ def _head_text(source: Source) -> str:
     fit = max(1, sum(end <= (columns_of_line() or PROSE) for end in ends))
     table = list(zip_longest(*columns[:fit], fillvalue=""))
     more = len(source.names) - fit
-    lines = [f"read as {source.recognised}", ""] if source.recognised else []
-    lines += [grid(table, left=0)] if table else []
+    lines: list[Block | str] = [f"read as {source.recognised}"] if source.recognised else []
+    lines += [Table(table[0], table[1:], "first rows", left=0)] if table else []
     lines += [f"and {counted(more, 'column')} more"] if more > 0 else []
-    return "\n".join([*lines, *(f"left out: {name} ({why})" for name, why in source.left_out.items())])
+    return [*lines, *(f"left out: {name} ({why})" for name, why in source.left_out.items())]
 
 
 def _write(options: Namespace) -> int:
@@ -189,18 +198,27 @@ def _write(options: Namespace) -> int:
         notes = [f"{unknown}: {remedy}."]
     elif found.lacking:
         notes.append(f"no column is like {', '.join(found.lacking)}; name theirs in {options.write}.")
-    said = f"{_head_text(source)}\n\n{text}\n{check}."
-    say(options, record, lambda: said, notes=notes, wrote=[options.write], then=command)
+    answer = f"{check}."
+    blocks = [*_head(source), "", *text.split("\n")]
+    say(
+        options,
+        record,
+        lambda: Content(answer, answer, first=blocks),
+        notes=notes,
+        wrote=[options.write],
+        then=command,
+    )
     return OK
 
 
-def _listing(record: Mapping[str, Any]) -> str:
-    parts = []
-    for kind in ("models", "effects"):
-        parts.append(grid([[kind, ""], *([n, text] for n, text in record[kind].items())], left=2))
-    parts.append("solvers: " + ", ".join(record["solvers"]))
-    parts.append("losses: " + ", ".join(record["losses"]))
-    return "\n\n".join(parts)
+def _listing(record: Mapping[str, Any]) -> Content:
+    tables: list[Block | str] = [
+        Table([kind, "meaning"], [*record[kind].items()], kind, wordy=(1,)) for kind in ("models", "effects")
+    ]
+    tables += [f"{kind}: {', '.join(record[kind])}" for kind in ("solvers", "losses")]
+    known = f"{len(record['models'])} models, {len(record['effects'])} effects"
+    answer = f"hallsym knows {known} and {len(record['solvers'])} solvers; 'hallsym info NAME' explains one."
+    return Content("hallsym", answer, first=tables)
 
 
 ROUNDING = 1e-12
@@ -210,10 +228,10 @@ ROUNDING = 1e-12
 def _sigma(entry: Mapping[str, Any], factor: float) -> str:
     """Return the noise of a column for reading; 0 where nothing but rounding scatters."""
     largest = max(abs(entry[end] or 0.0) for end in ("min", "max"))
-    return "0" if entry["noise"] <= ROUNDING * largest else f"{entry['noise'] * factor:.3g}"
+    return "0" if entry["noise"] <= ROUNDING * largest else number(entry["noise"] * factor)
 
 
-def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
+def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], Content]:
     notes = list(log.notes) if options.drop_bad else check_log(log)
     extent = spans(log)
     columns = [c for c in log.columns if c != "run"]
@@ -236,17 +254,19 @@ def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
         },
         "notes": notes,
     }
-    rows = [["column", "min", "max", "std", "noise (1 sigma)", "unit", "noise is"]]
+    head, rows = ["column", "min", "max", "std", "noise (1 sigma)", "unit", "noise is"], []
     for c in columns:
         factor, unit, _ = readable(c) if c != "t_s" else (1.0, "s", "t")
         entry = record["columns"][c]
-        numbers = ["" if entry[k] is None else f"{entry[k] * factor:.5g}" for k in ("min", "max", "std")]
+        numbers = ["" if entry[k] is None else number(entry[k] * factor, 5) for k in ("min", "max", "std")]
         sigma = "" if entry["noise"] is None else _sigma(entry, factor)
         rows.append([c, *numbers, sigma, unit, entry["noise_source"] or ""])
     runs = f" in {counted(len(log.runs), 'run')}" if len(log.runs) > 1 else ""
-    head = f"{log.name}: {counted(log.rows, 'sample')}{runs}"
+    answer = f"{log.name}: {counted(log.rows, 'sample')}{runs}"
     if log.meta.holdout:
-        head += f"; held out by its meta.json: {', '.join(map(str, log.meta.holdout))}"
-    told = log.table.source.recognised  # stands above the first rows already
-    others = [note for note in notes if not told or told not in note]
-    return record, "\n".join([head, "", grid(rows), *(f"note: {note}" for note in others)])
+        answer += f"; held out by its meta.json: {few([*map(str, log.meta.holdout)])}"
+    known = log.table.source.recognised  # stands above the first rows already
+    others = [f"note: {note}" for note in notes if not known or known not in note]
+    answer += f"; {counted(len(others), 'remark')}" if others else "; nothing wrong was found"
+    table = Table(head, rows, "columns")
+    return record, Content(log.name, f"{answer}.", [Section("columns", "Columns", [table, *others])])

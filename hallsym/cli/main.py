@@ -13,7 +13,7 @@ import hallsym
 from hallsym.cli import BAD_INPUT, BUG, INTERRUPTED, OK
 from hallsym.cli.parser import parser_of
 from hallsym.cli.progress import ended
-from hallsym.errors import InputError, one_line, quoted, summary
+from hallsym.errors import InputError, commanded, one_line, quoted, summary
 from hallsym.files import announce, reason, task
 
 DEBUG = "HALLSYM_DEBUG"
@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool]
     if sys.stdout is None:
         return _said(f"Cannot write to standard output: it is closed; send it to {os.devnull}.", BAD_INPUT)
     try:
-        with task():
+        with task(), commanded():
             try:
                 return _run(arguments)
             finally:

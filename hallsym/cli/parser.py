@@ -1,7 +1,9 @@
 """The parser of the command line: what is misspelt is named with the nearest word there is."""
 
 import argparse
+import re
 import sys
+import textwrap
 from argparse import Action, ArgumentParser, Namespace
 from collections.abc import Sequence
 from importlib import import_module
@@ -40,7 +42,8 @@ def parser_of(commands: Sequence[str]) -> ArgumentParser:
         epilog=EPILOG,
         formatter_class=HelpText,
     )
-    parser.add_argument("--version", action="store_true", help="print the version and exit")
+    add_options(parser, """
+        --version                       print the version and exit""")  # fmt: skip
     sub = parser.add_subparsers(dest="command", metavar="COMMAND", prog="hallsym", help=argparse.SUPPRESS)
     for name, what in COMMANDS.items():
         if name in commands:
@@ -48,6 +51,54 @@ def parser_of(commands: Sequence[str]) -> ArgumentParser:
         else:
             sub.add_parser(name, help=what)
     return parser
+
+
+_OPTION = re.compile(r"((?:-\w, )?[\w-]+)(?: ([^\s<]+))?(?: <([^>]*)>)?(?:  +(.*))?")
+
+
+def add_options(parser: Any, table: str) -> None:
+    """Add options from a table: a line each with names, METAVAR, `<how>` where that is to be said, and help.
+
+    A line that is indented further goes on with the one before. Without a METAVAR an option is a switch.
+    `how`, with commas: `int`, `float` or `seed`; `=default`; `required`; `repeat` (a list); `optional`,
+    `several` or `any` number of words; `alone=value` of an optional one without a word; choices as `a|b`.
+    """
+    for text in re.sub(r"\n {2,}(?=\S)", " ", textwrap.dedent(table)).strip().split("\n"):
+        found = _OPTION.fullmatch(text.strip())
+        if found is None:
+            raise ValueError(f"not a line of options: {text!r}")
+        names, metavar, how, said = found.groups()
+        made: dict[str, Any] = {"help": said, "metavar": metavar}
+        for word in filter(None, (how or "").split(", ")):
+            kind, _, value = word.partition("=")
+            if kind in _TYPES:
+                made["type"] = _TYPES[kind]
+            if word in _COUNTS:
+                made["nargs"] = _COUNTS[word]
+            elif kind == "alone":
+                made |= {"nargs": "?", "const": made.get("type", str)(value)}
+            elif "=" in word:
+                made["default"] = made.get("type", str)(value)
+            elif word == "repeat":
+                made |= {"action": "append", "default": []}
+            elif word == "required":
+                made["required"] = True
+            elif "|" in word:
+                made |= {"choices": word.split("|"), "metavar": None}
+        if names.startswith("-") and metavar is None:
+            made = {"help": said, "action": "store_true"}
+        parser.add_argument(*names.split(", "), **made)
+
+
+def seed(text: str) -> int:
+    """Type of a seed on the command line."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"a seed is a whole number, 0 or more; instead received {text!r}")
+    return int(text)
+
+
+_TYPES = {"int": int, "float": float, "seed": seed}
+_COUNTS = {"optional": "?", "several": "+", "any": "*"}
 
 
 def _listed() -> str:

@@ -4,6 +4,7 @@ from argparse import Namespace
 from typing import Any
 
 from hallsym.cli import OK, common
+from hallsym.cli.parser import add_options
 from hallsym.errors import InputError, require
 from hallsym.estimation import fit, load_fit
 from hallsym.estimation.self_calibration import REFERENCES, seen, waves_of
@@ -16,8 +17,8 @@ from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.records import named
 from hallsym.report.figures.plan import coverage
-from hallsym.report.text.plan import plan_text
-from hallsym.report.text.self_calibration import turns_text
+from hallsym.report.results.plan import plan_content
+from hallsym.report.results.self_calibration import turns_content
 from hallsym.simulation import is_the_papers, table8_noise, write_campaign
 from hallsym.units import read_quantity
 
@@ -38,37 +39,24 @@ def add(sub: Any) -> None:
         "its Halls\n"
         "  hallsym plan --reference constant-speed --after ring.csv --accuracy 0.01deg   and turns to record",
     )  # fmt: skip
-    parser.add_argument("ranges", metavar="TOML", nargs="?", help="ranges file (docs/plan.md)")
-    parser.add_argument(
-        "--like-paper", action="store_true",
-        help="the ranges of the paper's campaign instead of a file: 57 runs of 1 s, 1, 2 and 3 Hz",
-    )  # fmt: skip
-    parser.add_argument("-o", "--output", metavar="TOML", help="campaign file to write")
+    add_options(parser, """
+        ranges TOML <optional>          ranges file (docs/plan.md)
+        --like-paper                    the ranges of the paper's campaign instead of a file: 57 runs of 1
+            s, 1, 2 and 3 Hz
+        -o, --output TOML               campaign file to write""")  # fmt: skip
     common.plots_options(parser)
-    parser.add_argument(
-        "--criterion", default="D", metavar="NAME",
-        help=f"{', '.join(CRITERIA)}: volume of the uncertainty ellipsoid, mean variance, worst-determined "
-        "combination, worst position uncertainty over the ranges (default D)",
-    )  # fmt: skip
-    parser.add_argument("--runs", type=int, metavar="N", help="at most so many runs")
-    parser.add_argument("--minutes", type=float, metavar="M", help="at most so long, with resets")
-    parser.add_argument(
-        "--after", metavar="LOG", help="a log that is recorded already: the plan adds what it lacks"
-    )
-    parser.add_argument(
-        "--values", metavar="JSON",
-        help="calibration to plan for (default: fitted to the log of --after, else the published or "
-        "example values)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--reference", choices=REFERENCES,
-        help="an encoder of several Halls without a reference: list the waves that its Halls leave open, and "
-        "the turns for an accuracy",
-    )  # fmt: skip
-    parser.add_argument(
-        "--accuracy", metavar="ANGLE", help="of such a table, rms of the mechanical angle: 0.01deg"
-    )
-    parser.add_argument("--seed", type=common.seed, default=0, help="of the order of exchanges (default 0)")
+    add_options(parser, f"""
+        --criterion NAME <=D>           {", ".join(CRITERIA)}: volume of the uncertainty ellipsoid, mean
+            variance, worst-determined combination, worst position uncertainty over the ranges (default D)
+        --runs N <int>                  at most so many runs
+        --minutes M <float>             at most so long, with resets
+        --after LOG                     a log that is recorded already: the plan adds what it lacks
+        --values JSON                   calibration to plan for (default: fitted to the log of --after, else
+            the published or example values)
+        --reference REFERENCE <{"|".join(REFERENCES)}>  an encoder of several Halls without a reference:
+            list the waves that its Halls leave open, and the turns for an accuracy
+        --accuracy ANGLE                of such a table, rms of the mechanical angle: 0.01deg
+        --seed SEED <seed=0>            of the order of exchanges (default 0)""")  # fmt: skip
     common.model_options(parser, "stage31")
     common.log_options(parser)
 
@@ -107,7 +95,7 @@ def run(options: Namespace) -> int:
         write_campaign(found.campaign, options.output, comment=comment)
     written += common.plots(options, {"coverage": lambda: coverage(found, log)}, options.ranges, model.name)
     common.say(
-        options, found.to_dict() | {"notes": notes}, lambda: f"{plan_text(found)}\n",
+        options, found.to_dict() | {"notes": notes}, lambda: plan_content(found),
         notes=notes, wrote=written,
     )  # fmt: skip
     return OK
@@ -170,5 +158,5 @@ def _turns(options: Namespace) -> int:
     if options.after and result.found.closure is not None:  # which period they stand in is known now
         places = [0.0, *result.found.closure.jig.places.tolist()]
     found = TurnPlan(pairs, tuple(places), seen(places, waves_of(pairs)), target, density)
-    common.say(options, found.to_dict(), lambda: turns_text(found))
+    common.say(options, found.to_dict(), lambda: turns_content(found))
     return OK

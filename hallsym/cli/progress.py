@@ -1,5 +1,6 @@
-"""Progress of long work on stderr: one line that is redrawn on a terminal, a line now and then elsewhere."""
+"""Progress of long work on stderr: one line that is redrawn on a terminal; elsewhere nothing unless asked."""
 
+import os
 import sys
 from collections.abc import Callable
 from time import monotonic
@@ -7,12 +8,16 @@ from typing import TextIO
 
 from hallsym.output import Step, columns, printable, said_time
 
+ASKED = "HALLSYM_PROGRESS"
+"""Environment variable that asks for a line now and then where there is no terminal."""
 EVERY_S = 5.0
-"""Seconds between lines where there is no terminal: some hundreds of them in an hour."""
+"""Seconds between such lines: some hundreds of them in an hour."""
 REDRAWN_S = 0.1
 """Seconds between two drawings of the line on a terminal."""
 SURE = 0.02
 """Share of the work from which on the time that it took tells how much is left."""
+LEAST_S = 1.0
+"""Time that work takes at least before it is said how long it took."""
 
 _SHOWN: list["Meter"] = []
 
@@ -25,11 +30,14 @@ class Meter:
         self._stream = stream or sys.stderr
         self._now = now
         self._redrawn = self._stream.isatty()
+        self._silent = not (self._redrawn or os.environ.get(ASKED))
         self._text, self._began, self._shown = "", now(), now()
         _SHOWN.append(self)
 
     def __call__(self, text: str) -> None:
         """Show a text; a `Step` tells the share that is done, and so the time that is left."""
+        if self._silent:
+            return
         now, before = self._now(), self._text
         again = isinstance(text, Step) and isinstance(before, Step) and text.share < before.share
         if _head(text) != _head(before) or again:
@@ -41,7 +49,7 @@ class Meter:
     def draw(self) -> None:
         """Show the line as it is now."""
         self._shown = self._now()
-        line = f"{printable(self._text)}, {self._time(self._shown - self._began)}"
+        line = ", ".join(filter(None, (printable(self._text), self._time(self._shown - self._began))))
         if self._redrawn:
             most = (columns() or len(line) + 1) - 1
             line = line if len(line) <= most else f"{line[: most - 3]}..."
@@ -57,7 +65,7 @@ class Meter:
     def _time(self, taken: float) -> str:
         if isinstance(self._text, Step) and self._text.share >= SURE:
             return f"{said_time(taken * (1 / min(self._text.share, 1.0) - 1))} left"
-        return f"{said_time(taken)} so far"
+        return f"{said_time(taken)} so far" if taken >= LEAST_S else ""
 
 
 def ended() -> None:

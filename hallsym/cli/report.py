@@ -7,13 +7,15 @@ from typing import Any
 
 from hallsym.cli import OK
 from hallsym.cli.common import command, log_options, open_log, own_effects, own_option, reading_words, say
+from hallsym.cli.parser import add_options
 from hallsym.estimation import load_fit
 from hallsym.estimation.decoding import logged_columns
 from hallsym.families.recording import as_read
 from hallsym.files import atomic_write
 from hallsym.log import check_log
 from hallsym.log.phase import at_rest
-from hallsym.report.page.fit_page import fit_page
+from hallsym.report.content import document
+from hallsym.report.results.fit import page_content
 
 
 def add(sub: Any) -> None:
@@ -25,10 +27,12 @@ def add(sub: Any) -> None:
         "The log is the one that was fitted, or another one of the same machine.",
         "example:\n  hallsym report calib.json campaign.parquet -o report.html",
     )  # fmt: skip
-    parser.add_argument("calibration", metavar="CALIB", help="a calibration saved by 'hallsym fit -o'")
-    parser.add_argument("log", metavar="LOG", help="the log that was fitted, or another one")
+    add_options(parser, """
+        calibration CALIB               a calibration saved by 'hallsym fit -o'
+        log LOG                         the log that was fitted, or another one""")  # fmt: skip
     own_option(parser)
-    parser.add_argument("-o", "--output", default="report.html", metavar="HTML", help="default: report.html")
+    add_options(parser, """
+        -o, --output HTML <=report.html>  default: report.html""")  # fmt: skip
     log_options(parser)
 
 
@@ -41,7 +45,8 @@ def run(options: Namespace) -> int:
         log = replace(log, notes=tuple(check_log(wired, columns)))
     # the command without the name of the page, so that the name does not change the page
     typed = shlex.join(["hallsym", "report", options.calibration, options.log, *reading_words(options)])
-    page = fit_page(log, known, command=typed, calibration=str(options.calibration)).encode()
+    content = page_content(log, known, command=typed, calibration=str(options.calibration))
+    page = document(content).encode()
     atomic_write(options.output, page)
     record = {
         "report": str(options.output),
@@ -50,5 +55,5 @@ def run(options: Namespace) -> int:
         "log": str(options.log),
         "model": known.model.name,
     }
-    say(options, record, lambda: f"wrote {options.output}")
+    say(options, record, lambda: content.answer, wrote=[options.output])
     return OK

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import NOT_DETERMINED, OK, common
+from hallsym.cli.parser import add_options
 from hallsym.errors import InputError
 from hallsym.estimation import load_fit
 from hallsym.families import build
@@ -13,7 +14,8 @@ from hallsym.families.machine_file import read_machine
 from hallsym.files import write_json
 from hallsym.inference import Identifiability, identify
 from hallsym.report.figures.sensitivity import drawable
-from hallsym.report.text.identifiability import report_text
+from hallsym.report.results.identifiability import identifiability_content
+from hallsym.report.results.shared import few
 from hallsym.simulation import campaign_from, paper_campaign, read_campaign
 
 PAPER = "the paper's campaign"
@@ -32,20 +34,21 @@ def add(sub: Any) -> None:
         "  hallsym sensitivity --model stage31 --plan                  the paper's campaign, before data\n"
         "  hallsym sensitivity calib.json --plan next.toml             what a plan would tell of the machine",
     )  # fmt: skip
-    parser.add_argument("calibration", metavar="CALIB", nargs="?", help="saved by 'hallsym fit -o'")
-    parser.add_argument("log", metavar="LOG", nargs="?", help="the log it was fitted to, or another one")
+    add_options(parser, """
+        calibration CALIB <optional>    saved by 'hallsym fit -o'
+        log LOG <optional>              the log it was fitted to, or another one""")  # fmt: skip
     parser.add_argument(
         "--plan", metavar="TOML", nargs="?", const=False,
         help="a campaign file instead of a log (no file: Table 6)",
     )  # fmt: skip
     common.own_option(parser)
-    parser.add_argument("-o", "--output", metavar="JSON", help="save the report")
+    add_options(parser, """
+        -o, --output JSON               save the report""")  # fmt: skip
     common.plots_options(parser)
     group = parser.add_argument_group("intervals")
-    group.add_argument(
-        "--profiles", default="auto", choices=("auto", "all", "none"),
-        help="profile likelihood where a normal interval is not good enough (default), of all, or of none",
-    )  # fmt: skip
+    add_options(group, """
+        --profiles PROFILES <=auto, auto|all|none>  profile likelihood where a normal interval is not good
+            enough (default), of all, or of none""")  # fmt: skip
     parser.set_defaults(values=None)
     common.model_options(parser, "the calibration's, or stage31")
     common.log_options(parser)
@@ -60,7 +63,7 @@ def run(options: Namespace) -> int:
         written.append(Path(options.output))
     draw = {picture.__name__: partial(picture, report) for picture in drawable(report)}
     written += common.plots(options, draw, report.evidence.recorded, report.model.name)
-    common.say(options, record, lambda: report_text(report), wrote=written)
+    common.say(options, record, lambda: identifiability_content(report), wrote=written)
     return _exit_code(report)
 
 
@@ -98,7 +101,7 @@ def _exit_code(report: Identifiability) -> int:
     lost = report.evidence.uncertainty.undetermined_by_log
     if lost:
         common.warn(
-            f"{report.evidence.recorded} does not determine {', '.join(lost)} of {report.model.name}; record "
+            f"{report.evidence.recorded} does not determine {few(lost)} of {report.model.name}; record "
             "runs that move what they belong to ('hallsym plan' chooses them)."
         )
     for sentence in report.partial:

@@ -6,13 +6,14 @@ from typing import Any
 
 from hallsym.cli import OK
 from hallsym.cli.common import FILE_OPTIONS, built, command, file_options, model_options, progress_of, say
+from hallsym.cli.parser import add_options
 from hallsym.errors import InputError, require
 from hallsym.estimation import load_fit
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
 from hallsym.log import Foreign, parse_column_option
 from hallsym.records import named
-from hallsym.report.text.sorting import matching_text, save_table, sorting_text
+from hallsym.report.results.sorting import save_table, sorting_content
 from hallsym.sorting import WIDTH, Matching, Sorting, match_sensors, read_readings, sort_sensors
 from hallsym.sorting.readings import SENSOR
 from hallsym.units import with_unit
@@ -34,23 +35,15 @@ def add(sub: Any) -> None:
         " sensor,t_s,field_mt,reading_v,reference_v\n  R1-0001,0,0,0.0021,0.0010\n "
         " R1-0001,9,475,0.9513,0.8817",
     )
-    parser.add_argument("table", metavar="FILE", help="readings of the sensors: csv, parquet, hdf5 or mat")
-    parser.add_argument(
-        "--bin", type=float, default=100 * WIDTH, metavar="PERCENT",
-        help="width of a bin (default .5 %% of the gain)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--nominal", type=float, metavar="GAIN", help="middle of bin 0 (default: the median gain)"
-    )
-    parser.add_argument(
-        "--repeatability", type=float, metavar="PERCENT",
-        help="of one measurement (1 sigma); found from sensors that were measured again where not given",
-    )  # fmt: skip
-    parser.add_argument(
-        "--field", metavar="LIST",
-        help="fields of reading_0, reading_1, ..., such as 0mT,475mT, where the table has none",
-    )  # fmt: skip
-    parser.add_argument("-o", "--output", metavar="FILE", help="csv: a row a sensor; json: everything")
+    add_options(parser, f"""
+        table FILE                      readings of the sensors: csv, parquet, hdf5 or mat
+        --bin PERCENT <float={100 * WIDTH}>  width of a bin (default .5 %% of the gain)
+        --nominal GAIN <float>          middle of bin 0 (default: the median gain)
+        --repeatability PERCENT <float>  of one measurement (1 sigma); found from sensors that were measured
+            again where not given
+        --field LIST                    fields of reading_0, reading_1, ..., such as 0mT,475mT, where the
+            table has none
+        -o, --output FILE               csv: a row a sensor; json: everything""")  # fmt: skip
     file_options(parser, "reading the table", "reading_mv=Hall")
     _matching_options(parser)
 
@@ -58,14 +51,10 @@ def add(sub: Any) -> None:
 def _matching_options(parser: ArgumentParser) -> None:
     model_options(parser, "none: no sets are chosen")
     group = parser.add_argument_group("sets for arrays, with --model")
-    group.add_argument(
-        "--sets", type=int, metavar="N", help="how many (default: as many as there are sensors for)"
-    )
-    group.add_argument(
-        "--per-channel", type=int, default=1, metavar="N",
-        help="sensors summed into each channel (default 1)",
-    )  # fmt: skip
-    group.add_argument("--values", metavar="JSON", help="calibration of the array (default: nominal values)")
+    add_options(group, """
+        --sets N <int>                  how many (default: as many as there are sensors for)
+        --per-channel N <int=1>         sensors summed into each channel (default 1)
+        --values JSON                   calibration of the array (default: nominal values)""")  # fmt: skip
 
 
 def run(options: Namespace) -> int:
@@ -91,9 +80,8 @@ def run(options: Namespace) -> int:
         save_table(options.output, found, matching)
     record = found.to_dict() | ({"matching": matching.to_dict()} if matching else {})
     notes = [*found.notes, *(matching.notes if matching else ())]
-    text = [sorting_text(found), *(["", matching_text(matching)] if matching else [])]
     wrote = [options.output] if options.output else []
-    say(options, record, lambda: "\n".join(text), notes=notes, wrote=wrote)
+    say(options, record, lambda: sorting_content(found, matching), notes=notes, wrote=wrote)
     return OK
 
 

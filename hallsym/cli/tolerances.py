@@ -4,11 +4,12 @@ from argparse import Namespace
 from typing import Any
 
 from hallsym.cli import OK, common
+from hallsym.cli.parser import add_options
 from hallsym.errors import InputError
 from hallsym.families.machine_file import read_machine
 from hallsym.model import Model
 from hallsym.report.figures.uncertainty import errors_along
-from hallsym.report.text.tolerances import errors_text, tolerances_text
+from hallsym.report.results.tolerances import errors_content, tolerances_content
 from hallsym.simulation.paper import DESIGNED
 from hallsym.uncertainty import error_model
 from hallsym.uncertainty.ranges import read_tolerances, read_value
@@ -37,36 +38,21 @@ def add(sub: Any) -> None:
         "  theta_A_deg = { std = 0.1 }                        normal\n"
         "  eta_A_percent = 2                                  of the nominal value",
     )  # fmt: skip
-    parser.add_argument(
-        "campaign", metavar="TOML", nargs="?",
-        help="campaign over which errors count (default: the paper's campaign)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--ranges", metavar="TOML",
-        help="tolerances; if not given, the usual ones of such machines with their effects, else the "
-        "model's bounds about the nominal values",
-    )  # fmt: skip
-    parser.add_argument(
-        "--samples", type=int, default=1024, metavar="N",
-        help="base samples, a power of two (default 1024)",
-    )  # fmt: skip
-    parser.add_argument("--seed", type=common.seed, default=0, help="of the machines drawn (default 0)")
+    add_options(parser, """
+        campaign TOML <optional>        campaign over which errors count (default: the paper's campaign)
+        --ranges TOML                   tolerances; if not given, the usual ones of such machines with their
+            effects, else the model's bounds about the nominal values
+        --samples N <int=1024>          base samples, a power of two (default 1024)
+        --seed SEED <seed=0>            of the machines drawn (default 0)""")  # fmt: skip
     common.plots_options(parser, "save a picture of the errors along a coordinate")
     parser.set_defaults(step=None, duration=None)
     group = parser.add_argument_group("known deviations")
-    group.add_argument(
-        "--along", metavar="COLUMN[=FROM:TO]",
-        help="coordinate that moves: x_mm=0:30, or one that repeats, over a period: x_m",
-    )  # fmt: skip
-    group.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE",
-        help="value of a parameter of the machine, in SI or with a unit in the name: --set gain_0_percent=1 "
-        "(repeat); what decodes it has the nominal values",
-    )  # fmt: skip
-    group.add_argument(
-        "--at", action="append", default=[], metavar="COLUMN=VALUE",
-        help="where another coordinate rests: z_mm=4.2 (repeat)",
-    )  # fmt: skip
+    add_options(group, """
+        --along COLUMN[=FROM:TO]        coordinate that moves: x_mm=0:30, or one that repeats, over a
+            period: x_m
+        --set NAME=VALUE <repeat>       value of a parameter of the machine, in SI or with a unit in the
+            name: --set gain_0_percent=1 (repeat); what decodes it has the nominal values
+        --at COLUMN=VALUE <repeat>      where another coordinate rests: z_mm=4.2 (repeat)""")  # fmt: skip
     common.model_options(parser, DESIGNED)
 
 
@@ -88,7 +74,7 @@ def run(options: Namespace) -> int:
     found = tolerances(
         model, common.campaign_of(options), ranges=ranges, samples=options.samples, seed=options.seed
     )
-    common.say(options, found.to_dict(), lambda: tolerances_text(found))
+    common.say(options, found.to_dict(), lambda: tolerances_content(found))
     return OK
 
 
@@ -115,5 +101,5 @@ def _along(options: Namespace, model: Model) -> int:
     at = common.column_values(options.at, columns)
     found = error_model(model, values, over=(column, low, high), at=at)
     pictures = common.plots(options, {"errors": lambda: errors_along(found)}, found.model.name)
-    common.say(options, found.to_dict(), lambda: errors_text(found), wrote=pictures)
+    common.say(options, found.to_dict(), lambda: errors_content(found), wrote=pictures)
     return OK

@@ -9,9 +9,11 @@ from typing import Any
 from hallsym import trajectory
 from hallsym.cli import OK
 from hallsym.cli.common import command, progress_of, say
+from hallsym.cli.parser import add_options
 from hallsym.errors import InputError
 from hallsym.files import atomic_write
-from hallsym.report.tables import grid
+from hallsym.report.content import Content, Table
+from hallsym.report.words import number
 from hallsym.trajectory.export import gcode, times, write_table
 from hallsym.trajectory.nominal import read_span, read_value
 from hallsym.units import read_quantity, reading_unit
@@ -42,35 +44,27 @@ def add(sub: Any) -> None:
         "are bounded between the points where the curve is an expression; else they are those at the points.",
         EPILOG,
     )  # fmt: skip
-    parser.add_argument(
-        "points_file", metavar="POINTS", nargs="?", help="points (.csv), or a saved curve (.json)"
-    )
-    parser.add_argument("--tolerance", metavar="LENGTH", help="largest error of the curve, such as 0.05um")
+    add_options(parser, """
+        points_file POINTS <optional>   points (.csv), or a saved curve (.json)
+        --tolerance LENGTH              largest error of the curve, such as 0.05um""")  # fmt: skip
     group = parser.add_argument_group("nominal curve")
-    group.add_argument("--curve", metavar="TEXT", help='such as "x = r*cos(t); y = r*sin(t)", in m and rad')
-    group.add_argument("--range", metavar="NAME=A:B", help="parameter and its range: t=0:2*pi")
-    group.add_argument(
-        "--value", action="append", default=[], metavar="NAME=NUMBER",
-        help="a number of the curve: r=1mm (repeat)",
-    )  # fmt: skip
+    add_options(group, """
+        --curve TEXT                    such as "x = r*cos(t); y = r*sin(t)", in m and rad
+        --range NAME=A:B                parameter and its range: t=0:2*pi
+        --value NAME=NUMBER <repeat>    a number of the curve: r=1mm (repeat)""")  # fmt: skip
     group = parser.add_argument_group("method")
-    group.add_argument(
-        "--points", type=int, metavar="N", help="points taken from --curve (default: the fewest)"
-    )
-    group.add_argument("--control", type=int, metavar="N", help="control points of a least-squares fit")
-    group.add_argument(
-        "--method", metavar="NAME", help="only this method of the table (of POINTS: cubic if not stated)"
-    )
+    add_options(group, """
+        --points N <int>                points taken from --curve (default: the fewest)
+        --control N <int>               control points of a least-squares fit
+        --method NAME                   only this method of the table (of POINTS: cubic if not stated)
+    """)  # fmt: skip
     group = parser.add_argument_group("output")
-    group.add_argument(
-        "-o", "--output", action="append", default=[], metavar="FILE",
-        help="the curve as .json, .csv at a clock, or .ngc (G-code) (repeat)",
-    )  # fmt: skip
-    group.add_argument("--duration", metavar="TIME", help="that the path takes, such as 10s")
-    group.add_argument("--step", metavar="TIME", help="of a .csv: the clock, such as 1ms")
-    group.add_argument(
-        "--chord", metavar="LENGTH", help="of G-code: G1 blocks within this distance of the curve"
-    )
+    add_options(group, """
+        -o, --output FILE <repeat>      the curve as .json, .csv at a clock, or .ngc (G-code) (repeat)
+        --duration TIME                 that the path takes, such as 10s
+        --step TIME                     of a .csv: the clock, such as 1ms
+        --chord LENGTH                  of G-code: G1 blocks within this distance of the curve
+    """)  # fmt: skip
 
 
 def run(options: Namespace) -> int:
@@ -81,7 +75,8 @@ def run(options: Namespace) -> int:
     choice, notes = _choice(options)
     written = _write(choice.curve, options)
     record = choice.to_dict() | _shape(choice.curve) | {"written": list(map(str, written)), "notes": notes}
-    say(options, record, lambda: f"{choice_text(choice)}\n{_shape_text(record)}", notes=notes, wrote=written)
+    said = choice_content(choice, _shape_text(record))
+    say(options, record, lambda: said, notes=notes, wrote=written)
     return OK
 
 
@@ -128,7 +123,7 @@ def about_curve(curve: trajectory.Curve) -> tuple[dict[str, Any], str]:
         **_shape(curve),
     }
     error = curve.max_error_m
-    known = "error not known" if error is None else f"error {1e6 * error:.4g} um ({curve.error_kind})"
+    known = "error not known" if error is None else f"error {number(1e6 * error, 4)} um ({curve.error_kind})"
     said = f"{curve.method}, {curve.control_points} control points, {known}"
     return record, f"{said}\n{_shape_text(record)}"
 
@@ -177,24 +172,21 @@ def _made(curve: trajectory.Curve, path: Path, options: Namespace) -> Callable[[
     return partial(atomic_write, path, text)
 
 
-def choice_text(choice: trajectory.Choice) -> str:
-    """Return the choice as a table of methods, the chosen one marked, and what it means."""
+def choice_content(choice: trajectory.Choice, shape: str) -> Content:
+    """Return the chosen curve in a sentence, then the methods beside each other, the chosen one marked."""
     best, limit = choice.best, choice.tolerance_m
-    rows = [["", "method", "points", "control", "numbers", "max error [um]", ""]]
-    rows += [_row(choice, c) for c in choice.candidates]
-    within = "" if limit is None else f", within the tolerance of {1e6 * limit:.4g} um"
+    within = "" if limit is None else f", within the tolerance of {number(1e6 * limit, 4)} um"
     why = "the most exact" if limit is None else "fewest numbers to store"
     how = "bounded over the whole range" if choice.curve.error_kind == "bounded" else "at the points"
-    lines = [
-        grid(rows, left=2),
-        "",
+    answer = (
         f"{best.method.words}: {choice.curve.control_points} control points, error "
-        f"{1e6 * best.error_m:.4g} um ({how}){within}; {why}.",
-    ]
+        f"{number(1e6 * best.error_m, 4)} um ({how}){within}; {why}."
+    )
+    head = ["", "method", "points", "control", "numbers", "max error [um]", "why not"]
+    table = Table(head, [_row(choice, c) for c in choice.candidates], "methods", left=2, wordy=(6,))
     rotation = choice.curve.source.get("max_error_rad")
-    if rotation is not None:
-        lines.append(f"largest error of an angle: {1e6 * rotation:.4g} urad")
-    return "\n".join(lines)
+    angle = [] if rotation is None else [f"largest error of an angle: {number(1e6 * rotation, 4)} urad"]
+    return Content("Curve", answer, first=[*angle, shape, table])
 
 
 def _row(choice: trajectory.Choice, c: trajectory.Candidate) -> list[str]:
@@ -202,7 +194,7 @@ def _row(choice: trajectory.Choice, c: trajectory.Candidate) -> list[str]:
         return ["x", c.method.name, str(c.points or "-"), "-", "-", "-", c.reason]
     mark = ">" if c is choice.best else "" if choice.meets(c) else "x"
     numbers = (c.points, c.curve.control_points, c.curve.form.numbers)
-    return [mark, c.method.name, *map(str, numbers), f"{1e6 * c.error_m:.4g}", ""]
+    return [mark, c.method.name, *map(str, numbers), number(1e6 * c.error_m, 4), ""]
 
 
 def _shape(curve: trajectory.Curve) -> dict[str, Any]:
@@ -210,9 +202,9 @@ def _shape(curve: trajectory.Curve) -> dict[str, Any]:
 
 
 def _shape_text(record: dict[str, Any]) -> str:
-    parts = [f"length of path {1e3 * record['length_m']:.6g} mm"]
+    parts = [f"length of path {number(1e3 * record['length_m'], 6)} mm"]
     for name, (low, high) in record["extent"].items():
         stem, _, si = name.rpartition("_")
         factor, unit = (1e3, "mm") if si == "m" else reading_unit(si)
-        parts.append(f"{stem} {factor * low:.6g} .. {factor * high:.6g} {unit}")
+        parts.append(f"{stem} {number(factor * low, 6)} .. {number(factor * high, 6)} {unit}")
     return "; ".join(parts)

@@ -24,7 +24,7 @@ from hallsym.log.batches import Weigh
 from hallsym.model import Family, Model
 from hallsym.model.effect import read_text
 from hallsym.records import plain, schema_of, structured
-from hallsym.shown import Shown
+from hallsym.shown import Shown, decoding
 
 FORMAT = "hallsym calibration 1"
 INTERVAL = 0.95
@@ -197,9 +197,9 @@ class CalibrationRecord(_Record):
 # -- what a fit returns ------------------------------------------------------------------------------------
 
 
-def coverage_factor(degrees_of_freedom: float | np.ndarray) -> np.ndarray:
-    """Return half of a 95 % interval over the standard uncertainty: Student's t, 1.96 for infinite ones."""
-    half = 0.5 + 0.5 * INTERVAL
+def coverage_factor(degrees_of_freedom: float | np.ndarray, level: float = INTERVAL) -> np.ndarray:
+    """Return half of an interval over the standard uncertainty: Student's t, normal for infinite ones."""
+    half = 0.5 + 0.5 * level
     dof = np.asarray(degrees_of_freedom, dtype=float)
     finite = np.isfinite(dof)
     return np.where(finite, stdtrit(np.where(finite, dof, 1.0), half), ndtri(half))
@@ -228,6 +228,20 @@ class CombinationEstimate:
     def to_dict(self) -> dict[str, Any]:
         """Return the record; infinite degrees of freedom are None."""
         return {**vars(self), "degrees_of_freedom": _number(self.degrees_of_freedom)}
+
+
+@dataclass(frozen=True)
+class FittedParameter:
+    """One parameter of a fit in SI; `std` and `interval` (95 %) are None where the data do not determine it.
+
+    `factor`: half of the interval over `std`, by Student's t where the uncertainty itself was estimated.
+    """
+
+    value: float
+    std: float | None
+    interval: tuple[float, float] | None
+    factor: float
+    unit: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,6 +343,57 @@ class Fit(Shown):
     def half_width(self) -> np.ndarray:
         """Half of the 95 % interval of every parameter, (n,); nan where the data do not determine it."""
         return coverage_factor(self.degrees_of_freedom) * self.std
+
+    @property
+    def params(self) -> dict[str, FittedParameter]:
+        """The parameters by name: value, standard uncertainty, 95 % interval and unit."""
+        intervals, factors = self.conf_int(), coverage_factor(self.degrees_of_freedom)
+        return {
+            p.name: FittedParameter(
+                float(self.values[k]), _number(self.std[k]), intervals[p.name], float(factors[k]), p.unit
+            )
+            for k, p in enumerate(self.model.parameters)
+        }
+
+    def conf_int(self, level: float = INTERVAL) -> dict[str, tuple[float, float] | None]:
+        """Return the interval of each parameter that holds the true value with probability `level`, in SI.
+
+        None where the data do not determine it. Value +- a factor x `std`: that of Student's t with
+        `degrees_of_freedom`, 1.96 for 95 % where the noise is as stated. Raises `InputError` for a level that
+        is no probability.
+        """
+        if not 0 < level < 1:
+            raise InputError(f"The level of an interval must be between 0 and 1; instead received {level!r}.")
+        half = coverage_factor(self.degrees_of_freedom, level) * self.std
+        return {
+            name: (float(value - h), float(value + h)) if np.isfinite(h) else None
+            for name, value, h in zip(self.model.names, self.values, half, strict=True)
+        }
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Correlation of every two parameters, (n, n); nan where the data do not determine one of them."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return self.covariance / np.outer(self.std, self.std)
+
+    def predict(self, frame: Any) -> dict[str, np.ndarray]:
+        """Return the pose that is decoded from readings: `{"run": (n,), "x_m": (n,), ...}`, in SI.
+
+        `frame`: a log as `hallsym.fit` takes it; it needs no reference. On the log of the fit each run has
+        its zero deviations; on any other one none, as a controller that was just zeroed decodes. Raises
+        `InputError` for a frame that lacks a column of the model.
+        """
+        found: dict[str, np.ndarray] = decoding().predicted(self, frame)
+        return found
+
+    def residuals(self, frame: Any) -> dict[str, np.ndarray]:
+        """Return decoded pose minus reference by sample: `{"run": (n,), "x_m": (n,), ...}`, in SI.
+
+        `frame`: a log with the reference, as `hallsym.fit` takes it. The zero deviations of each run are
+        estimated from that run. Raises `InputError` as `hallsym.evaluate` does.
+        """
+        found: dict[str, np.ndarray] = decoding().residuals_on(self, frame)
+        return found
 
     def value(self, name: str) -> float:
         """Return one parameter's value in SI."""

@@ -12,7 +12,7 @@ from functools import cache, cached_property
 from itertools import combinations, islice, permutations, product
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy
 
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Claim, Fit
@@ -980,7 +980,8 @@ def _least(about: Correction, cost: Callable[[Correction], float], reach: float,
         return value if np.isfinite(value) else 1e9
 
     options = {"maxiter": 20, "xatol": near}
-    return times(float(minimize_scalar(finite, bounds=(-reach, reach), method="bounded", options=options).x))
+    search = scipy.optimize.minimize_scalar
+    return times(float(search(finite, bounds=(-reach, reach), method="bounded", options=options).x))
 
 
 SWEPT = 0.8

@@ -26,7 +26,7 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from hallsym.errors import InputError, counted
 from hallsym.estimation.factors import inverse, solve
@@ -280,7 +280,7 @@ def on_grid(parts: Sequence[Stretch], size: int) -> tuple[np.ndarray, np.ndarray
         if u[-1] < u[0]:
             u, t, x = u[::-1], t[::-1], x[::-1]
         keep = np.r_[True, u[1:] > np.maximum.accumulate(u)[:-1]]
-        reading, time = CubicSpline(u[keep], x[keep]), CubicSpline(u[keep], t[keep])
+        reading, time = (scipy.interpolate.CubicSpline(u[keep], values[keep]) for values in (x, t))
         whole = np.floor((u[-1] - grid) / TURN) - np.ceil((u[0] - grid) / TURN) + 1
         first = grid + TURN * np.ceil((u[0] - grid) / TURN)
         for j in range(int(whole.min())):

@@ -14,7 +14,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import IO, Any
 
-from hallsym.errors import InputError, counted, one_line, require
+from hallsym.errors import InputError, one_line, require
 from hallsym.families import build, effect_named
 from hallsym.families.machine_file import Machine, read_machine
 from hallsym.files import json_text, reason
@@ -24,7 +24,7 @@ from hallsym.fleets.sources import Device, devices_of
 from hallsym.fleets.workers import Failed, completed
 from hallsym.log import Meta
 from hallsym.model import Model
-from hallsym.output import said_time
+from hallsym.output import Step
 
 
 def fleet(
@@ -66,7 +66,7 @@ def fleet(
     journal = Journal(journal_of(output) if output else None, settings)
     rows = {d.name: row for d in devices if (row := journal.done(d)) is not None}
     left = [device for device in devices if device.name not in rows]
-    before, started = len(rows), perf_counter()
+    before = len(rows)
     work = completed(partial(row_of, settings), left, workers=workers, scheduler=scheduler) if left else ()
     with journal:
         for device, told in work:
@@ -74,9 +74,8 @@ def fleet(
                 told = {"verdict": FAILED, "reason": one_line(told.reason)}
             rows[device.name] = told
             journal.add(device, rows[device.name])
-            each = (perf_counter() - started) / (len(rows) - before)
-            time_left = said_time(each * (len(devices) - len(rows)))
-            say(f"{len(rows)} of {counted(len(devices), 'device')}, {time_left} left")
+            share = (len(rows) - before) / len(left)
+            say(Step(f"devices, {len(rows)} of {len(devices)}", share))
     table = [{"device": d.name, "log": d.log, **d.covariates, **rows[d.name]} for d in devices]
     models = Counter(str(row["model"]) for row in table if "model" in row).most_common(1)
     known_model = _built(models[0][0], settings) if models else None

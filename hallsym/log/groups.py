@@ -313,7 +313,7 @@ class GroupedSource(Source):
         first = quoted(f"{self.master.name}:linear")
         return (
             f"Log {self.where} has {len(clocks)} clocks ({named}): say whose samples become the rows and how"
-            f" the others are read there, linear or nearest, with --clock {first} (in Python clock=...)."
+            f" the others are read there, linear or nearest, with --clock {first}."
         )
 
     def _joined(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:

@@ -15,9 +15,9 @@ class _Called(ModuleType):
     """The package as a function: `hallsym.report` is both."""
 
     def __call__(self, result: Any, path: str | Path, log: Any = None) -> Path:
-        """Write one self-contained HTML page of a fit or a diagnosis and return its path.
+        """Write one self-contained HTML page of a result and return its path.
 
-        `result`: a `Fit`, the path of a saved one, or a `Diagnosis`. `log`: the one that was fitted, or
+        `result`: a `Fit`, the path of a saved one, or any other result. `log`: the one that was fitted, or
         another one of the same machine, as `hallsym.fit` takes it; not needed for a fit just made.
 
         Raises `InputError` for a calibration without a log, and for a page that cannot be written.

@@ -7,6 +7,7 @@ margins: no label is cut off or lies on another.
 
 from __future__ import annotations
 
+import io
 import re
 import textwrap
 import warnings
@@ -30,7 +31,7 @@ from hallsym.errors import InputError
 from hallsym.files import atomic_write, reason
 from hallsym.output import printable
 from hallsym.report import picture as p
-from hallsym.report.words import minus, short
+from hallsym.report.words import minus, number
 
 WIDTH, DPI, FONT = 7.1, 300, 8.0
 """Inches of two columns of a journal page; resolution of files; points of their letters."""
@@ -65,6 +66,16 @@ def _style(**more: Any) -> Any:
     return style.context(["default", STYLE | more])
 
 
+class Drawn(Figure):
+    """A figure that a notebook shows by itself."""
+
+    def _repr_svg_(self) -> str:
+        text = io.StringIO()
+        with _style():
+            self.savefig(text, format="svg", metadata={"Date": None})
+        return text.getvalue()
+
+
 # -- a figure --------------------------------------------------------------------------------------------
 
 
@@ -80,7 +91,7 @@ def draw(picture: p.Picture) -> Figure:
         lines = [picture.panels[k : k + across] for k in range(0, len(picture.panels), across)]
         plain = [max(panel.height for panel in line) for line in lines]
         high = sum(plain) + sum(max(_around(panel, FONT) for panel in line) for line in lines)
-        figure = Figure(figsize=(WIDTH, high / 72), layout="constrained")
+        figure = Drawn(figsize=(WIDTH, high / 72), layout="constrained")
         wide = [panel.share for panel in lines[0]]
         axes = figure.subplots(len(lines), across, squeeze=False, height_ratios=plain, width_ratios=wide)
         keys: dict[str, Any] = {}
@@ -152,7 +163,7 @@ def _names(ax: Axes, which: Any, names: Sequence[str], font: float) -> None:
 
 def _numbers(ax: Axes, which: str, axis: p.Axis) -> None:
     own, (low, high) = getattr(ax, f"{which}axis"), getattr(ax, f"get_{which}lim")()
-    own.set_major_formatter(FuncFormatter(lambda value, _: minus(short(value, 6))))
+    own.set_major_formatter(FuncFormatter(lambda value, _: minus(number(value, 6))))
     if axis.log:
         decades = abs(np.log10(high / low))
         subs = (1, 2, 5) if decades < 1.4 else (1, 3) if decades < 2.6 else (1,)
@@ -203,8 +214,11 @@ def _write(figure: Figure, format: str, below: bool, path: Path) -> None:
 # -- SVG inside a page -----------------------------------------------------------------------------------
 
 
-def svg(panel: p.Panel, width: float) -> Markup:
-    """Return a panel as SVG, `width` px wide: short, without names or links, its colours CSS variables."""
+def svg(panel: p.Panel, width: float, *, fixed: bool = False) -> Markup:
+    """Return a panel as SVG, `width` px wide: short, without names or links, its colours CSS variables.
+
+    `fixed`: the colours themselves, where no style sheet of a page holds.
+    """
     top, right, bottom, left = _margins(panel)
     height = top + panel.height + bottom
     with _style(**{"font.size": PAGE_FONT}), warnings.catch_warnings():
@@ -215,7 +229,7 @@ def svg(panel: p.Panel, width: float) -> Markup:
         for patch in (figure.patch, ax.patch):
             patch.set_visible(False)
         _panel(ax, panel, PAGE_FONT)
-        drawn = _Svg(width, height)
+        drawn = _Svg(width, height, {} if fixed else variables())
         figure.draw(drawn)
     box, says = f"0 0 {_px(width)} {_px(height)}", escape(printable(panel.says))
     return Markup(f'<svg viewBox="{box}" role="img" aria-label="{says}">{"".join(drawn.parts)}</svg>')
@@ -224,24 +238,25 @@ def svg(panel: p.Panel, width: float) -> Markup:
 def _margins(panel: p.Panel) -> tuple[float, float, float, float]:
     """Return the px above, right of, below and left of a panel, equal for panels below each other."""
     names = max(map(len, panel.y.names or ()), default=0)
-    left = (LETTER * names + 10 if panel.y.names else 50.0) + 1.5 * PAGE_FONT * bool(panel.y.title)
+    left = (LETTER * names + 10 if panel.y.names else 50.0) + 2.2 * PAGE_FONT * bool(panel.y.title)
     top = 1.8 * PAGE_FONT * bool(panel.title) + 4
-    return top, LETTER * max(map(len, panel.beside), default=0) + 14, _around(panel, PAGE_FONT) - top, left
+    rim = 24 if panel.x.names is None else 14  # half of the last number
+    return top, LETTER * max(map(len, panel.beside), default=0) + rim, _around(panel, PAGE_FONT) - top, left
 
 
 @cache
 def variables() -> dict[str, str]:
     """Return the CSS variable of each colour, from the style sheet of the pages."""
-    sheet = files("hallsym.report.page").joinpath("templates", "page.css").read_text(encoding="utf-8")
+    sheet = files("hallsym.report").joinpath("templates", "page.css").read_text(encoding="utf-8")
     return {colour: f"var({name})" for name, colour in reversed(re.findall(r"(--\w+): (#\w{6})\b", sheet))}
 
 
 class _Svg(RendererBase):
     """A device that writes SVG; a group whose name is lines of text gives each of its paths a title."""
 
-    def __init__(self, width: float, height: float) -> None:
+    def __init__(self, width: float, height: float, names: Mapping[str, str]) -> None:
         super().__init__()
-        self.size, self.parts = (width, height), list[str]()
+        self.size, self.parts, self.names = (width, height), list[str](), names
         self.said: Iterator[str] = iter(())
         self.down = Affine2D().scale(1, -1).translate(0, height)
 
@@ -275,9 +290,9 @@ class _Svg(RendererBase):
         self._put(gc, "".join(f"M{_px(x)} {_px(y)}{shape}" for x, y in at if np.isfinite(x + y)), rgbFace)
 
     def _put(self, gc: GraphicsContextBase, steps: str, face: Any, title: str = "") -> None:
-        look = _colour("fill", face)
+        look = self._colour("fill", face)
         if gc.get_linewidth() > 0 and gc.get_rgb()[3] > 0:
-            look += _colour("stroke", gc.get_rgb()) + f' stroke-width="{_px(gc.get_linewidth())}"'
+            look += self._colour("stroke", gc.get_rgb()) + f' stroke-width="{_px(gc.get_linewidth())}"'
             dashes: Any = gc.get_dashes()[1]
             look += f' stroke-dasharray="{" ".join(map(_px, dashes))}"' if dashes else ""
         title = f"<title>{escape(title)}</title>" if title else ""
@@ -299,20 +314,19 @@ class _Svg(RendererBase):
             y = self.size[1] - y
             place = {"center": ' text-anchor="middle"', "right": ' text-anchor="end"'}.get(mtext.get_ha(), "")
         turned = f' transform="rotate({-angle:g} {_px(x)} {_px(y)})"' if angle else ""
-        fill = _colour("fill", gc.get_rgb()) + ' font-weight="600"' * (prop.get_weight() == "bold")
+        fill = self._colour("fill", gc.get_rgb()) + ' font-weight="600"' * (prop.get_weight() == "bold")
         self.parts.append(f'<text x="{_px(x)}" y="{_px(y)}"{place}{turned}{fill}>{escape(s)}</text>')
+
+    def _colour(self, what: str, colour: Any) -> str:
+        if colour is None:
+            return f' {what}="none"'
+        shown = to_hex(colour[:3])
+        faint = f' {what}-opacity="{colour[3]:.2f}"' if len(colour) > 3 and colour[3] < 1 else ""
+        return f' {what}="{self.names.get(shown, shown)}"{faint}'
 
 
 LETTERS = {1: "M", 2: "L", 3: "Q", 4: "C", 79: "Z"}
 """The command of SVG for each code of a matplotlib path."""
-
-
-def _colour(what: str, colour: Any) -> str:
-    if colour is None:
-        return f' {what}="none"'
-    shown = to_hex(colour[:3])
-    faint = f' {what}-opacity="{colour[3]:.2f}"' if len(colour) > 3 and colour[3] < 1 else ""
-    return f' {what}="{variables().get(shown, shown)}"{faint}'
 
 
 def _px(value: float) -> str:

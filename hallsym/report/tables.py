@@ -1,13 +1,14 @@
-"""What every text is made of: aligned tables, values with their uncertainty, rows of errors."""
+"""What every text is made of: aligned tables, values with their uncertainty, columns with their unit."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
-from itertools import chain, zip_longest
+from itertools import zip_longest
 from textwrap import fill, wrap
 
 import numpy as np
 
 from hallsym.output import columns, printable
+from hallsym.report.words import number
 from hallsym.units import parameter_unit, readable
 
 LEAST_WORDS = 20
@@ -74,8 +75,8 @@ class _Table:
     def drawn(self, widths: Sequence[int]) -> list[str]:
         """Return the lines of the table whose columns have these widths."""
         lines = []
-        for number, row in enumerate(self.rows):
-            if number == self.head:
+        for k, row in enumerate(self.rows):
+            if k == self.head:
                 lines.append("-" * _width(widths[:-1] if self.words else widths))
             cells = [_fold(cell, width) for cell, width in zip(row, widths, strict=True)]
             for parts in zip_longest(*cells, fillvalue=""):
@@ -130,29 +131,6 @@ def in_units(value: float, std: float | None, si: str) -> tuple[str, str]:
     return concise(value * factor, None if std is None else std * factor), unit
 
 
-def error_rows(
-    pose: Sequence[str],
-    rows: Mapping[str, Mapping[str, Mapping[str, float]] | None],
-    floor: Mapping[str, float] | None,
-    source: str = "",
-    turning: Collection[str] | None = None,
-) -> str:
-    """Return a table of rmse and peak per pose coordinate, one line per entry of `rows`.
-
-    `source`: whether the noise floor is stated or estimated, where that is to be said. `turning`: coordinates
-    that go round, see `hallsym.units.readable`.
-    """
-    table = [["errors", *heads(pose, turning, "rmse"), *heads(pose, turning, "peak")]]
-    for label, row in rows.items():
-        if row is not None:
-            sizes = (cells([row[what][c] for c in pose], pose, turning, 4) for what in ("rmse", "peak"))
-            table.append([label, *chain(*sizes)])
-    if floor:
-        noise = cells([floor[c] for c in pose], pose, turning, 4)
-        table.append([f"noise floor, {source}" if source else "noise floor", *noise, *[""] * len(noise)])
-    return grid(table)
-
-
 def heads(columns: Iterable[str], turning: Collection[str] | None = None, what: str = "") -> list[str]:
     """Return `rmse x [um]` for each column; `turning` as in `hallsym.units.readable`."""
     shown = (readable(c, turning) for c in columns)
@@ -162,6 +140,6 @@ def heads(columns: Iterable[str], turning: Collection[str] | None = None, what: 
 def cells(
     values: Iterable[float], columns: Iterable[str], turning: Collection[str] | None = None, digits: int = 3
 ) -> list[str]:
-    """Return values [SI], one of each column, in the units of their `heads`."""
+    """Return values [SI], one of each column, in the units of their `heads`; nothing for none."""
     pairs = zip(values, columns, strict=True)
-    return [f"{value * readable(c, turning)[0]:.{digits}g}" for value, c in pairs]
+    return [number(v * readable(c, turning)[0], digits) for v, c in pairs]

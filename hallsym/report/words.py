@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from hallsym.units import readable, scaled, typeset
+from hallsym.units import fitting, readable, scaled, typeset
 
 LEVEL = 1e-6
 """Vertical positions [m, rad] closer than this are one setting."""
@@ -63,9 +63,9 @@ def setting(
 
 
 def amount(column: str, value: float, turning: Collection[str] | None = None) -> str:
-    """Return a value of a column in the unit that suits it: `1.36 µm`."""
-    factor, unit = scale(column, abs(value), turning)
-    return minus(f"{three(factor * value)} {unit}")
+    """Return a value of a column in the unit that suits it: `1.36 um`."""
+    factor, unit = scaled(column, abs(value), turning)
+    return f"{number(factor * value)} {unit}"
 
 
 def largest(values: np.ndarray) -> float:
@@ -74,17 +74,20 @@ def largest(values: np.ndarray) -> float:
     return float(finite.max()) if finite.size else 0.0
 
 
-def short(value: float, digits: int = 3) -> str:
-    """Return significant digits without an exponent, with one where there would be many zeros."""
-    if value == 0 or not np.isfinite(value) or not 1e-4 <= abs(value) < 1e6:
+def number(value: float, digits: int = 3) -> str:
+    """Return significant digits: with an exponent only where there would be many zeros, nothing for nan.
+
+    >>> number(0.00123456), number(123456.0), number(2e-9), number(float("nan"))
+    ('0.00123', '123000', '2e-09', '')
+    """
+    if np.isnan(value):
+        return ""
+    if value == 0 or not 1e-4 <= abs(value) < 1e6:
         return f"{value:.{digits}g}"
     return np.format_float_positional(float(f"{value:.{digits}g}"), trim="-")
 
 
-def three(value: float) -> str:
-    """Return three significant digits, trailing zeros kept; nothing for a number that does not exist."""
-    if np.isnan(value):
-        return ""
-    if 100 <= abs(value) < 1e6:
-        return f"{value:.0f}"
-    return f"{value:#.3g}" if 1e-4 <= abs(value) < 100 else f"{value:.3g}"
+def sized(value: float, si: str, *, turns: bool = False, digits: int = 3) -> str:
+    """Return a value with the unit that suits it: `0.606 nm`; `turns`: it is of an angle that goes round."""
+    factor, unit = fitting(si, value, turns=turns)
+    return f"{number(value * factor, digits)} {unit}"

@@ -75,7 +75,8 @@ def test_info_shows_the_first_rows_and_suggests_a_column_file(capsys, written, t
     path.write_text(f"{names}\n{body.replace(',', ';')}")
     code, out, _ = run(capsys, "info", path)
     assert code == 0
-    assert out.startswith("read as UTF-8, columns separated by semicolons")
+    assert "5700 samples in 57 runs" in out.partition("\n")[0]
+    assert "\nread as UTF-8, columns separated by semicolons" in out
     assert "HallA [m]" in out
     code, out, _ = run(capsys, "info", path, "--write")
     assert code == 0

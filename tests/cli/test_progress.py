@@ -1,4 +1,4 @@
-"""Progress: one redrawn line on a terminal, a line every few seconds elsewhere, and how work is cancelled."""
+"""Progress: one redrawn line on a terminal, elsewhere nothing unless asked; and how work is cancelled."""
 
 import io
 import os
@@ -12,16 +12,10 @@ from pathlib import Path
 import pytest
 
 from hallsym.cli import INTERRUPTED
-from hallsym.cli.progress import EVERY_S, Meter
+from hallsym.cli.progress import ASKED, EVERY_S, Meter
 from hallsym.output import Step, said_time
 
 ROOT = Path(__file__).parents[2]
-
-
-@pytest.fixture(autouse=True)
-def _every_few_seconds(monkeypatch):
-    """As it is outside of the tests of other things, which have no progress."""
-    monkeypatch.setattr("hallsym.cli.progress.EVERY_S", EVERY_S)
 
 
 class Terminal(io.StringIO):
@@ -43,14 +37,20 @@ def work(seconds: float):
     return [(t, Step(f"summarising runs, {100 * t // seconds} %", t / seconds)) for t in range(int(seconds))]
 
 
-def test_off_a_terminal_there_is_a_line_every_few_seconds_with_the_time_left():
+def test_off_a_terminal_nothing_is_said_unless_asked():
+    assert shown(io.StringIO(), work(20)) == ""
+
+
+def test_off_a_terminal_there_is_a_line_every_few_seconds_with_the_time_left(monkeypatch):
+    monkeypatch.setenv(ASKED, "1")
     lines = shown(io.StringIO(), work(20)).splitlines()
     assert len(lines) == 20 // EVERY_S - 1
     assert lines[0] == "hallsym: summarising runs, 25 %, 15 s left"
     assert not any("\r" in line or "\033" in line for line in lines)
 
 
-def test_off_a_terminal_short_work_says_nothing():
+def test_off_a_terminal_short_work_says_nothing(monkeypatch):
+    monkeypatch.setenv(ASKED, "1")
     assert shown(io.StringIO(), work(4)) == ""
 
 
@@ -64,7 +64,8 @@ def test_on_a_terminal_one_line_is_drawn_again_and_taken_away(monkeypatch):
     assert max(map(len, drawn)) < 40
 
 
-def test_work_whose_end_is_not_known_says_how_long_it_took():
+def test_work_whose_end_is_not_known_says_how_long_it_took(monkeypatch):
+    monkeypatch.setenv(ASKED, "1")
     steps = [(0.0, "testing 30 effects"), (EVERY_S, "testing 30 effects, beside 1")]
     assert shown(io.StringIO(), steps) == "hallsym: testing 30 effects, beside 1, 5 s so far\n"
 

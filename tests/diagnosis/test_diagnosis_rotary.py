@@ -19,7 +19,7 @@ from hallsym.families.rotary import models as rotary
 from hallsym.log import Log, Meta, Noise
 from hallsym.model import Facts
 from hallsym.model.derived import Stretch
-from hallsym.report.text.diagnosis import diagnosis_text
+from hallsym.report.views import summary
 
 CATALOGUE = tuple(e for e in effects(ROTARY_FAMILY).values() if e.diagnosed)
 TURN = 2 * np.pi
@@ -148,10 +148,10 @@ def test_angles_of_an_encoder_are_read_in_degrees():
     estimate = Estimate(np.radians(0.7), 1e-5, "rad")
     found = diagnose(machine(third))
     effect = replace(found.effects[0], parameters={"skewed": estimate})
-    assert "skewed 0.70000(57) deg" in diagnosis_text(replace(found, effects=(effect,)))
+    assert "skewed 0.70000(57) deg" in " ".join(summary(replace(found, effects=(effect,))).split())
     gap, floor = Gap({"rz_rad": 1e-6}, {"rz_rad": 1e-6}), NoiseFloor({"rz_rad": 1e-7}, "stated")
     stage = replace(found, effects=(effect,), noise_floor=floor, gap_before=gap, gap_after=gap, waves=())
-    assert "skewed 0.70000(57) deg" in diagnosis_text(stage)
+    assert "skewed 0.70000(57) deg" in " ".join(summary(stage).split())
     assert shown(2 * np.pi, "rad/s") == "60 rpm"
 
 

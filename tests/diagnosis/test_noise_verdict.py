@@ -8,7 +8,7 @@ from gap_twins import SIGMA, Inject, Motion, gains, machine, unlisted
 
 from hallsym.diagnosis import Diagnosis, diagnose
 from hallsym.log import Log, Noise
-from hallsym.report.text.diagnosis import diagnosis_text
+from hallsym.report.views import summary
 
 LARGER = "noise larger than stated"
 
@@ -37,7 +37,7 @@ def test_noise_larger_than_stated_is_told_as_such(noise: str, white: bool) -> No
     assert d.sentence.startswith("Noise larger than stated. The error on the holdout runs is ")
     assert "x the stated noise (95 %: " in d.sentence
     assert ("in every sensor, white" if white else "correlated in time") in d.sentence
-    assert d.sentence in diagnosis_text(d).replace("\n", " ")
+    assert d.sentence in summary(d).replace("\n", " ")
     assert Diagnosis.from_dict(d.to_dict()).noise == d.noise
 
 

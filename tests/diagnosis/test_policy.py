@@ -38,7 +38,7 @@ from hallsym.diagnosis.survey import spectrum_peak, survey
 from hallsym.diagnosis.validation import decide, remains
 from hallsym.families import effect_named
 from hallsym.log import Log
-from hallsym.report.text.diagnosis import shrinks_text
+from hallsym.report.results.diagnosis import shrinks_text
 
 SELECTION = sys.modules["hallsym.diagnosis.selection"]
 """The module whose functions a test replaces."""

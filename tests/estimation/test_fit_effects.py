@@ -24,7 +24,7 @@ from hallsym.families.mechanisms import nonlinearity, port, stop_state, travel
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
 from hallsym.model import Parameter
-from hallsym.report.text.diagnosis import diagnosis_text
+from hallsym.report.views import summary
 
 SLOW = pytest.mark.slow
 NUMBERS = {
@@ -76,7 +76,7 @@ def test_a_fit_with_what_was_found_agrees_with_the_diagnosis(name: str, campaign
     assert found.ranked[0] == name
     (text,) = [e.text for e in found.effects]
     assert found.next_step[:4] == ("--model", "stage31", "--effect", text)
-    assert f"--effect {text}" in diagnosis_text(found)
+    assert f"--effect {text}" in summary(found)
     result = hallsym.fit(log, "stage31", effects=(text,), holdout=found.validation_runs, solver="direct")
     assert result.status == "converged"
     after = result.errors.rows()["holdout"]["rmse"]
@@ -286,7 +286,7 @@ def test_a_parameter_at_its_bound_has_no_interval_and_is_said(tmp_path) -> None:
     assert effect.parameters["tight3_B"].std is None
     assert effect.parameters["tight3_A"].std > 0
     assert "tight3_B ended at its bound" in effect.note
-    assert effect.note.split(";")[0][:20] in " ".join(diagnosis_text(tight).split())
+    assert effect.note.split(";")[0][:20] in " ".join(summary(tight).split())
     assert json.loads(json.dumps(tight.to_dict()))["effects"][0]["parameters"]["tight3_B"]["std"] is None
 
 

@@ -16,7 +16,7 @@ from hallsym.errors import InputError
 from hallsym.estimation.evaluate import judged
 from hallsym.families import build, default_model
 from hallsym.log import Log, Meta, Noise, check_log, continuous, wrapped
-from hallsym.report.text.fit import circumstances
+from hallsym.report.results.fit import circumstances
 
 V = {"Vx": 0.01, "Vy": -0.02, "Ax": 1.01, "Ay": 0.98, "beta": 0.004, "zero": 3.1}
 FORTH = np.linspace(0, 3 * TURN, 500)

@@ -20,7 +20,8 @@ from hallsym.power import REPEATS, DetectionPower, detection_power
 from hallsym.power.detection import NO_EFFECT, RATIOS, Bench, clopper_pearson
 from hallsym.power.injection import Injection, generator, injections, sized
 from hallsym.power.simulated_machine import SimulatedMachine, decimated, machine_of, simulated_noise
-from hallsym.report.text.power import power_text
+from hallsym.report.content import printed
+from hallsym.report.results.power import power_content
 from hallsym.simulation import Campaign, Run
 
 CATALOGUE = tuple(e for e in effects(STAGE_FAMILY).values() if e.diagnosed)
@@ -177,8 +178,8 @@ def test_a_curve_counts_trials_and_nine_in_ten_are_found(monkeypatch) -> None:
     assert (large.trials, large.found, large.noticed) == (10, 0.9, 0.9)
     assert s.effect("odd_nonlinearity").ratio == 1.1
     assert s.false_alarms == 0  # larger noise is no gap
-    assert "interval of the rate: 0 to 17 %" in power_text(s)
-    assert "90 % (55-100)" in power_text(s)
+    assert "interval of the rate: 0 to 17 %" in printed(power_content(s))
+    assert "90 % (55-100)" in printed(power_content(s))
 
 
 def test_an_interrupt_keeps_what_was_done(monkeypatch) -> None:
@@ -191,8 +192,8 @@ def test_an_interrupt_keeps_what_was_done(monkeypatch) -> None:
     s = detection_power(quiet(), "stage31", names=["odd_nonlinearity", "time_skew"], repeats=1)
     assert not s.complete
     assert (s.effect("odd_nonlinearity").status, s.effect("time_skew").status) == ("found", "not run")
-    assert "INTERRUPTED" in power_text(s)
-    assert "not run: time_skew" in power_text(s)
+    assert "INTERRUPTED" in printed(power_content(s))
+    assert "not run: time_skew" in printed(power_content(s))
 
 
 @pytest.mark.slow

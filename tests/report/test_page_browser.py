@@ -13,8 +13,9 @@ from test_page_diagnosis import POSE, a_record, page_of
 from twins import record, with_noise
 
 from hallsym.estimation import fit
+from hallsym.report.content import document
 from hallsym.report.data.gather import gather
-from hallsym.report.page.fit_page import fit_page
+from hallsym.report.results.fit import page_content
 
 OVERLAPS = """JSON.stringify({
   across: document.documentElement.scrollWidth - document.documentElement.clientWidth,
@@ -102,7 +103,7 @@ def pages(tmp_path_factory) -> dict[str, Path]:
     wordy = a_record()
     wordy["effects"][0]["name"] = wordy["where"][0]["by"] = "a_long_name_of_an_effect_that_a_user_wrote" * 3
     texts = {
-        "fit": fit_page(log, fitted, command="hallsym report calib.json log.csv"),
+        "fit": document(page_content(log, fitted, command="hallsym report calib.json log.csv")),
         "diagnosis": page_of(wordy, maps=found.maps, after=found.maps, series=series, fit=fitted),
     }
     for name, text in texts.items():

@@ -8,8 +8,9 @@ import pytest
 
 import hallsym
 from hallsym.families.recording import as_read
+from hallsym.report.content import text_of
 from hallsym.report.data.periodic import periodic_error, periodic_of
-from hallsym.report.text.periodic import periodic_text
+from hallsym.report.results.periodic import periodic
 
 DEG = np.pi / 180
 REAL = Path(__file__).parents[3] / "shared" / "real" / "rotary-mechaduino-luts"
@@ -151,7 +152,7 @@ def test_a_diagnosis_says_as_a_fit_does_that_nominal_parameters_do_not_decode():
 @pytest.mark.parametrize(("ratio", "decodes"), [(1.8, True), (2.2, False)])
 def test_nominal_parameters_decode_while_they_leave_less_than_twice_what_fitted_ones_do(ratio, decodes):
     fit, found = of(table({1: 0.35, 2: 0.4}))
-    text = periodic_text(replace(found, rest=ratio * found.rest_calibrated), fit.model.family)
+    text = text_of(periodic(replace(found, rest=ratio * found.rest_calibrated), fit.model.family))
     assert ("do not decode these readings" not in text) == decodes
 
 

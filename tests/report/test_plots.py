@@ -131,6 +131,15 @@ def test_matplotlib_is_loaded_only_to_draw() -> None:
     assert done.stdout == "False\n"
 
 
+def test_a_fit_starts_without_what_it_does_not_need() -> None:
+    heavy = ["scipy.stats", "scipy.optimize", "scipy.interpolate", "jinja2", "pyarrow"]
+    heavy += [f"hallsym.{part}" for part in ("diagnosis", "codegen", "fleets", "uncertainty", "inference")]
+    script = "import sys; from hallsym.cli.parser import parser_of; parser_of(['fit']); "
+    script += f"print(*set({heavy}) & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
+
+
 def test_a_folder_that_cannot_be_is_one_sentence(log: Log, fitted: Fit, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     with pytest.raises(InputError, match=r"^Cannot make the folder .*file.*\.$"):

@@ -10,7 +10,7 @@ from twins import record, with_noise
 
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, fit
-from hallsym.report.text.budget import comparison_text
+from hallsym.report.results.budget import comparison_table
 from hallsym.uncertainty import (
     Budget,
     Settings,
@@ -189,7 +189,7 @@ def test_the_linear_result_fails_near_a_zero_of_the_gain():
     found = position_monte_carlo(fitted(), at, Settings(zero_averaged=100), rng=rng(), trials=60_000)
     assert found["y_m"].verdict == "not confirmed"
     assert found["y_m"].std > found["y_m"].linear.std
-    assert "not confirmed" in comparison_text([found["y_m"]])
+    assert "not confirmed" in comparison_table([found["y_m"]]).text
 
 
 def test_a_covariance_from_few_runs_has_longer_tails():

@@ -10,6 +10,7 @@ import numpy as np
 
 from hallsym.estimation import Fit
 from hallsym.estimation.decoding import columns_of
+from hallsym.estimation.prediction import Decoder
 from hallsym.log import Block, Log, extended
 from hallsym.log.batches import SIZE, Weigh
 from hallsym.report.data.survey import (
@@ -159,13 +160,14 @@ class Gathered:
     """What a page shows of a log: `survey`, maps and series of the errors of decoded poses.
 
     `maps`: over the first two coordinates that move, along each, by setting, by run. `series`: worst first.
-    `after`: the same maps of another version of the model; empty without one.
+    `before`, `after`: the same maps of other versions of the model; empty without one.
     """
 
     survey: Survey
     maps: tuple[Cells, ...]
     series: tuple[RunSeries, ...]
     after: tuple[Cells, ...] = ()
+    before: tuple[Cells, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +191,18 @@ class Version:
             yield block, errors if self.keep is None else np.where(self.keep(block) > 0, errors, np.nan)
 
 
+def nominal_of(log: Log, fit: Fit) -> Version:
+    """Return the nominal parameters as a version of a fit: errors without a calibration."""
+    decode, model = Decoder(fit), fit.model
+
+    def errors(block: Block) -> np.ndarray:
+        return decode.pose(block, None) - np.array([block.data[c] for c in model.references])
+
+    sigma = {c: s.value for c, s in fit.noise.sigmas.items()}
+    wide = extended(log, model, sigma, model.named(fit.values))
+    return Version("nominal", wide, columns_of(model), errors, fit.keep)
+
+
 def version_of(base: Base, label: str) -> Version:
     """Return a model of a diagnosis, without or with the effects found, as a version of the one diagnosed."""
     from hallsym.diagnosis import errors_of
@@ -207,11 +221,12 @@ class _Map:
 
 
 def gather(
-    log: Log, fit: Fit, *, label: str = "decoded", keep: Weigh | None = None, after: Version | None = None
-) -> Gathered:
+    log: Log, fit: Fit, *, label: str = "decoded", keep: Weigh | None = None,
+    before: Version | None = None, after: Version | None = None,
+) -> Gathered:  # fmt: skip
     """Read `log` twice, in blocks, for maps and series of the errors of a fit, which is called `label`.
 
-    `after`: a version of the model that is read once more, for the same maps and series.
+    `before`, `after`: versions of the model that are read once more each, for the same maps and series.
 
     Channels of the log are those of the model (`as_read`). Samples to which `keep` gives weight 0 (outliers)
     take no part and interrupt the series.
@@ -219,7 +234,8 @@ def gather(
     survey = look_over(log, fit, keep)
     chosen = worst_first(survey, fit.noise_floor, RUNS)
     own = ((p.block, np.where(p.kept, p.fitted - p.reference, np.nan)) for p in decoded(log, fit, keep))
-    passes = {label: own} | ({} if after is None else {after.name: after.read()})
+    others = [(version and {version.name: version.read()}) or {} for version in (before, after)]
+    passes = others[0] | {label: own} | others[1]
     places = _maps(fit, survey)
     found = {key: _read(blocks, fit, survey, places, chosen) for key, blocks in passes.items()}
     series, pose, period = [], fit.model.pose, fit.model.period
@@ -227,8 +243,9 @@ def gather(
         traces = {key: made[run] for key, (_, made) in found.items()}
         title = f"run {run}{', held out' if run in held_out(fit) else ''}"
         series.append(series_of(title, pose, traces, timed=survey.timed, turning=period))
-    maps = [every for every, _ in found.values()]
-    return Gathered(survey, maps[0], tuple(series), maps[1] if after else ())
+    maps = {key: every for key, (every, _) in found.items()}
+    drawn = [maps[version.name] if version else () for version in (before, after)]
+    return Gathered(survey, maps[label], tuple(series), drawn[1], drawn[0])
 
 
 def _read(

@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from hallsym.estimation import Fit
-from hallsym.estimation.decoding import ErrorTable, columns_of, decoder, nominal_variance
+from hallsym.estimation.decoding import ErrorTable, columns_of
+from hallsym.estimation.prediction import Decoder
 from hallsym.log import Block, Log, Weigh, extended
 from hallsym.log.batches import SIZE
-from hallsym.log.phase import designed
 from hallsym.report.words import LEVEL, name, setting
 from hallsym.units import readable, typeset
 
@@ -68,34 +68,6 @@ class Trace:
 
 
 # -- a log decoded block by block, by the nominal and by the fitted parameters ---------------------------
-
-
-class Decoder:
-    """Pose of a block by the nominal or by the fitted parameters, (n_pose, samples) each."""
-
-    def __init__(self, fit: Fit) -> None:
-        """Compile the decoder of the fit's model."""
-        self.fit, self.model = fit, fit.model
-        self._nominal = designed(fit.model, fit.values)
-        variance = np.array([fit.noise[c].value ** 2 for c in fit.model.channels])
-        self._decode_nominal = decoder(fit.model, nominal_variance(fit.model, variance))
-        self._decode = decoder(fit.model, variance)
-
-    def zeros(self, run: int, first_state: np.ndarray) -> np.ndarray:
-        """Return the displacements delta / phi(0) of one run, Eq. (31)."""
-        delta = self.fit.zeros.get(run)
-        if delta is None or not len(self.model.zeros):
-            return np.zeros(len(self.model.zeros))
-        return np.asarray(delta) / self.model.zero_scale(self.fit.values, first_state)
-
-    def pose(self, block: Block, zeros: np.ndarray | None) -> np.ndarray:
-        """Return the pose by the fitted parameters and `zeros` of the run; without zeros by the nominal."""
-        model = self.model
-        readings, state = ([block.data[c] for c in names] for names in (model.channels, model.state))
-        reference = np.array([block.data[c] for c in model.references])
-        if zeros is None:
-            return self._decode_nominal(self._nominal, np.zeros(len(model.zeros)), readings, state, reference)
-        return self._decode(self.fit.values, zeros, readings, state, reference)
 
 
 @dataclass(frozen=True, eq=False)

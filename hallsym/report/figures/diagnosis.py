@@ -11,7 +11,7 @@ import numpy as np
 from hallsym.diagnosis import Band, CurveShape, Diagnosis, place_unit
 from hallsym.report import picture as p
 from hallsym.report.figures.errors import Sizes, against_floor
-from hallsym.report.words import degrees_of, name, scale, three
+from hallsym.report.words import degrees_of, name, number, scale
 from hallsym.units import typeset
 
 
@@ -84,7 +84,7 @@ def _line(shape: CurveShape, sensor: str, band: np.ndarray, unit: str, high: flo
     grid = across * np.array(shape.grid)
     known = top > low  # no band: no samples there
     most = int(np.argmax(np.abs(value)))
-    says = f"{sensor}: largest {three(value[most])} {unit} at {three(grid[most])} {shown}"
+    says = f"{sensor}: largest {number(value[most])} {unit} at {number(grid[most])} {shown}"
     title = shape.coordinate.replace("the reading itself", "reading") + (f" [{shown}]" if shown else "")
     drawn = p.line(grid, np.where(known, value, math.nan), p.MEDIANS[1])
     layers = [p.area(grid[known], low[known], top[known], p.BANDS[1]), drawn]
@@ -95,7 +95,7 @@ def _line(shape: CurveShape, sensor: str, band: np.ndarray, unit: str, high: flo
 def _dots(shape: CurveShape, sensor: str, band: np.ndarray, unit: str, high: float) -> p.Panel:
     """Return the same where places are no line."""
     labels = shape.labels or [str(k + 1) for k in range(len(shape.grid))]
-    entries = [p.Row(w, v, three(v), (a, b)) for w, v, a, b in zip(labels, *band, strict=True)]
+    entries = [p.Row(w, v, number(v), (a, b)) for w, v, a, b in zip(labels, *band, strict=True)]
     said = ", ".join(f"{row.name} {row.shown} {unit}" for row in entries)
     return p.rows(f"{sensor} [{unit}]", f"{sensor}: {said}", p.Axis(low=-high, high=high, most=3), entries)
 

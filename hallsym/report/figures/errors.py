@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from hallsym.estimation import Fit
 from hallsym.report import picture as p
-from hallsym.report.data.fit import ParameterRow
 from hallsym.report.data.gather import Cells, RunSeries
-from hallsym.report.words import largest, minus, name, scale, short, three
+from hallsym.report.words import largest, minus, name, number, scale
 
 # -- bars ------------------------------------------------------------------------------------------------
 
@@ -45,27 +45,29 @@ def against_floor(
         least = floor.get(output, 0.0) if what == "rmse" else 0.0
         factor, unit = scale(output, max(*sizes, least), turning)
         entries = [
-            p.Row(label, factor * v, three(factor * v), look=LOOKS.get(label, p.AFTER))
+            p.Row(label, factor * v, number(factor * v), look=LOOKS.get(label, p.AFTER))
             for label, v in zip(found, sizes, strict=True)
         ]
         positive = [factor * v for v in (*sizes, least) if v > 0]
         log = far and len(set(positive)) > 1
         x = p.Axis(low=min(positive) / 1.6 if log else 0.0, high=1.1 * max(positive, default=1.0), log=log)
         said = "; ".join(f"{row.name} {row.shown} {unit}" for row in entries)
-        said += f"; noise floor {three(factor * least)} {unit}" if least > 0 else ""
+        said += f"; noise floor {number(factor * least)} {unit}" if least > 0 else ""
         title = f"{what} {name(output)} [{unit}]"
         panels.append(p.rows(title, f"{what} of {name(output)}: {said}", x, entries, floor=factor * least))
     return panels
 
 
-def in_bounds(found: Sequence[ParameterRow]) -> p.Panel:
+def in_bounds(fit: Fit, which: Sequence[int]) -> p.Panel:
     """Return where values lie between their bounds, with two standard uncertainties, and nominal values."""
     entries, nominal = [], []
-    for own in found:
-        ends = (own.value, own.value - 2 * own.std, own.value + 2 * own.std, own.nominal)
-        part, low, high, usual = (100 * (v - own.lower) / (own.upper - own.lower) for v in ends)
-        span = (max(low, 0.0), min(high, 100.0)) if own.determined else (part, part)
-        entries.append(p.Row(own.name, part, f"{part:.0f} %", span, p.AFTER if own.determined else p.APART))
+    for k in which:
+        own, value, std = fit.model.parameters[k], float(fit.values[k]), float(fit.std[k])
+        ends = (value, value - 2 * std, value + 2 * std, own.nominal)
+        part, low, high, usual = (100 * (v - own.lower) / own.width for v in ends)
+        known = bool(fit.determined[k])
+        span = (max(low, 0.0), min(high, 100.0)) if known else (part, part)
+        entries.append(p.Row(own.name, part, f"{part:.0f} %", span, p.AFTER if known else p.APART))
         nominal.append(usual)
     said = "; ".join(f"{row.name} {row.shown}" for row in entries)
     title = "from lower to upper bound [%]"
@@ -108,7 +110,7 @@ def _profile(both: Sequence[Cells], output: int, floor: float, reach: float, par
         said = {}
         for k, a, b in zip(part, median, rms, strict=True):
             where = c.labels[k] if names else _span(c.edges, k)
-            said[k] = f"{where}: median {minus(short(a))}, rms {short(b)} {unit}, {c.count[k]:d} samples"
+            said[k] = f"{where}: median {minus(number(a))}, rms {number(b)} {unit}, {c.count[k]:d} samples"
         bands.append(p.boxes(left, right, -rms, rms, band, said=[*said.values()]))
         if names:  # a stroke for each
             x, y = np.column_stack([left, right, np.full(len(left), np.nan)]), np.repeat(median, 3)
@@ -145,22 +147,23 @@ def plane(cells: Cells, both: Sequence[Cells], what: str, output: int, floor: fl
     full = factor * max(floor, *(largest(getattr(m, what)[output]) for m in both)) or 1e-12
     x, y = cells.edges, cells.across
     said = [
-        f"{_span(x, k % n)}, {_span(y, k // n)}: {minus(short(v))} {unit}, {count} samples"
+        f"{_span(x, k % n)}, {_span(y, k // n)}: {minus(number(v))} {unit}, {count} samples"
         for k, (v, count) in enumerate(zip(values, cells.count, strict=True))
     ]
     return p.Panel(
         p.Axis(cells.by, x[0], x[-1]),
         p.Axis(cells.up, y[0], y[-1]),
         p.tiles(x, y, values.reshape(-1, n), full, said),
-        f"{what} {quantity}, full: {three(full)} {unit}",
-        f"{what} error of {quantity} over {cells.by} and {cells.up}: {short(largest(values))} {unit} at most",
+        f"{what} {quantity}, full: {number(full)} {unit}",
+        f"{what} error of {quantity} over {cells.by} and {cells.up}: "
+        f"{number(largest(values))} {unit} at most",
         height=172.0,
         grid=False,
     )
 
 
 def _span(edges: Sequence[float] | np.ndarray, k: int) -> str:
-    return f"{minus(short(edges[k]))} to {minus(short(edges[k + 1]))}"
+    return f"{minus(number(edges[k]))} to {minus(number(edges[k + 1]))}"
 
 
 # -- errors of a run over time, in whose place a script shows other runs ---------------------------------
@@ -172,14 +175,17 @@ FEWEST = 200
 """Columns that are shown at least: fewer would pass for samples."""
 
 
-def over_time(series: RunSeries) -> list[p.Panel]:
-    """Return the errors of a run over time, a panel per output; the last version is drawn over others."""
+def over_time(series: RunSeries, *, every: bool = False) -> list[p.Panel]:
+    """Return the errors of a run over time, a panel per output; the last version is drawn over others.
+
+    `every`: each panel has the title of the time axis, not the last one alone.
+    """
     panels = []
     for k, column in enumerate(series.pose):
         reach = _reach(series, k)
         factor, unit = scale(column, reach, series.turning)
         worst = {n: factor * largest(np.array([low[k], high[k]])) for n, (low, high) in series.lines.items()}
-        said = ", ".join(f"{n} up to {v:.3g} {unit}" for n, v in worst.items())
+        said = ", ".join(f"{n} up to {number(v)} {unit}" for n, v in worst.items())
         versions = zip(series.lines.values(), p.MEDIANS[-len(series.lines) :], strict=True)
         lines = [
             p.line(*_zigzag(series.time, factor * low[k], factor * high[k]), look)
@@ -188,7 +194,11 @@ def over_time(series: RunSeries) -> list[p.Panel]:
         high = 1.05 * factor * reach
         panels.append(
             p.Panel(
-                p.Axis(_when(series) if k == len(series.pose) - 1 else "", *_span_of(series), most=7),
+                p.Axis(
+                    _when(series) if every or k == len(series.pose) - 1 else "",
+                    *_span_of(series),
+                    most=4 if every else 7,
+                ),
                 p.Axis(low=-high, high=high),
                 lines,
                 f"error in {name(column)} [{unit}]",

@@ -10,6 +10,7 @@ from hallsym.errors import InputError
 from hallsym.fleets import Fleet, Spread
 from hallsym.fleets.row import VALUE
 from hallsym.report import picture as p
+from hallsym.report.words import number
 from hallsym.units import parameter_unit
 
 CAPTION = (
@@ -36,7 +37,7 @@ def _of(fleet: Fleet, spread: Spread) -> tuple[p.Panel, p.Panel]:
     values, order = values[known], order[known]
     mean, width = factor * spread.mean, factor * float(np.hypot(spread.std, spread.typical_std))
     what = f"{spread.name} [{unit}]"
-    says = f"{spread.name} of {len(values)} devices: {mean:.4g} +- {width:.2g} {unit} (1 sigma)"
+    says = f"{spread.name} of {len(values)} devices: {number(mean, 4)} +- {number(width, 2)} {unit} (1 sigma)"
     first, last = -1.0, float(len(fleet.rows))
     course = [
         p.boxes(first, last, mean - 2 * width, mean + 2 * width, p.Look(p.GRID, p.GRID, width=0)),

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hallsym.report import picture as p
-from hallsym.report.text.tolerances import span
-from hallsym.report.words import largest, minus, name, scale, setting, short, three
-from hallsym.units import fitting, typeset
+from hallsym.report.words import largest, minus, name, number, scale, setting
+from hallsym.units import fitting, readable, typeset
 
 if TYPE_CHECKING:
     from hallsym.uncertainty import Budget, ErrorModel, UncertaintyMap
@@ -31,11 +30,11 @@ def budget_bars(budgets: Mapping[str, Budget], *, worst: bool = False) -> p.Pict
     place = np.arange(len(labels))
     other = np.array([label.startswith("other ") for label in labels])
     for percent, budget in zip(100 * shares, budgets.values(), strict=True):
-        words = [three(v) if abs(v) >= 0.1 else "0" if abs(v) < 1e-9 else "<0.1" for v in percent]
+        words = [number(v) if abs(v) >= 0.1 else "0" if abs(v) < 1e-9 else "<0.1" for v in percent]
         low, high = min(0.0, percent.min()), 1.3 * max(percent.max(), 1.0)
         factor, unit = fitting(budget.unit, budget.expanded, turns=budget.turns)
         what = name(budget.quantity) if budget.value is not None else budget.quantity
-        size = f"U = {three(budget.expanded * factor)} {typeset(unit)} (k = {budget.factor:.3g})"
+        size = f"U = {number(budget.expanded * factor)} {typeset(unit)} (k = {number(budget.factor)})"
         layers = [
             p.boxes(0.0, np.where(own, percent, np.nan), place - 0.36, place + 0.36, look)
             for own, look in ((~other, p.AFTER), (other, p.OTHER))
@@ -166,7 +165,7 @@ def _slice_words(column: str | None, value: float, most: float, turning: Collect
         return ""
     factor, unit = scale(column, most or 1e-4, turning)
     step = 10.0 ** np.floor(np.log10(factor * (most or 1e-4)) - 2)
-    return minus(f"{name(column)} = {short(round(factor * value / step) * step)} {unit}")
+    return minus(f"{name(column)} = {number(round(factor * value / step) * step)} {unit}")
 
 
 # -- errors along a coordinate -----------------------------------------------------------------------------
@@ -175,6 +174,16 @@ def _slice_words(column: str | None, value: float, most: float, turning: Collect
 COLOURS = (p.BLUE, p.ORANGE, p.GREEN, p.PINK, p.INK, p.YELLOW, p.SKY)
 DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
 """Of causes; not equally many, so that pairs repeat late."""
+
+
+def span(found: ErrorModel) -> tuple[float, float, float, str, str]:
+    """Return first place, end of the range, factor, unit and name of the coordinate that moves."""
+    column, at = found.coordinate, found.causes[0][2].at
+    low, high = float(at[0]), float(at[0] + (at[1] - at[0]) * len(at))
+    factor, unit, name = readable(column, found.model.period)
+    if unit != "deg":
+        factor, unit = fitting(column.rpartition("_")[2], max(abs(low), abs(high)))
+    return low, high, factor, unit, name
 
 
 def errors_along(found: ErrorModel) -> p.Picture:

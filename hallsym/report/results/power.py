@@ -3,8 +3,11 @@
 from collections.abc import Sequence
 
 from hallsym.diagnosis import gap_text, gap_unit
+from hallsym.errors import counted
 from hallsym.power import CurvePoint, DetectionPower, Findable, Trial
-from hallsym.report.tables import grid
+from hallsym.report.content import Block, Content, Section, Table
+from hallsym.report.results.shared import few
+from hallsym.report.words import number
 from hallsym.units import parameter_unit
 
 SHORT = {"found": "yes", "group": "group", "listed": "second", "other": "wrong", "refused": "refused"}
@@ -12,11 +15,13 @@ READ = {"s": (1e3, "ms"), "V": (1e3, "mV")}
 """Factor and unit of parameters that are not shown as `parameter_unit` has it."""
 
 
-def power_text(s: DetectionPower) -> str:
-    """Return what `hallsym diagnose --power` prints: a line for each effect, and what cannot be seen."""
+def power_content(s: DetectionPower) -> Content:
+    """Return what is said of a detection power: a line for each effect, and what cannot be seen."""
     quiet, unit, rate = len(s.quiet_trials), gap_unit(s.outputs), s.false_alarm_rate
     bounds = f" (95 % interval of the rate: {100 * rate.low:.0f} to {100 * rate.high:.0f} %)"
-    parts = [
+    tested = [e for e in s.effects if e.trials]
+    seen = sum(e.status == "found" for e in tested)
+    parts: list[Block | str] = [
         f"detection power of a diagnosis with {s.model}: {s.rows} samples"
         + (f" ({s.thinning})" if s.thinning else "")
         + f", noise floor {gap_text(s.floor_m, unit)}, threshold {100 * s.threshold:g} %, seed {s.seed}; "
@@ -24,22 +29,25 @@ def power_text(s: DetectionPower) -> str:
         f"noise: {s.noise}",
         f"false alarms: {s.false_alarms} of {quiet} logs without an effect{bounds if rate.trials else ''}",
     ]
-    tested = [e for e in s.effects if e.trials]
     if tested:
-        parts += ["", _table(s, tested)]
-        parts += ["", _legend(s)]
+        parts += [_table(s, tested), *_legend(s)]
     hidden = [e for e in s.effects if e.status == "not testable"]
     if hidden:
-        parts += ["", *(f"not testable: {e.name}: {e.reason}" for e in hidden)]
+        parts += [f"not testable: {e.name}: {e.reason}" for e in hidden]
     undone = [e.name for e in s.effects if e.status == "not run"]
     if undone:
-        parts += ["", "not run: " + ", ".join(undone)]
-    return "\n".join([*parts, *(f"note: {note}" for note in s.notes)])
+        parts.append("not run: " + few(undone))
+    quietly = f"{s.false_alarms} of {quiet} logs without an effect give a false alarm"
+    return Content(
+        f"Detection power of a diagnosis with {s.model}",
+        f"A diagnosis of this log would find {seen} of {counted(len(tested), 'effect')}; {quietly}.",
+        [Section("power", "Effects", [*parts, *(f"note: {note}" for note in s.notes)])],
+    )
 
 
-def _table(s: DetectionPower, tested: Sequence[Findable]) -> str:
+def _table(s: DetectionPower, tested: Sequence[Findable]) -> Table:
     head = ["effect", *(f"{r:g} x" for r in s.ratios), "found from", "that is", "taken for"]
-    rows = [head]
+    rows = []
     for e in tested:
         cells = [_cell([t for t in e.trials if t.ratio == r], e.curve) for r in s.ratios]
         if e.trials[0].ratio is None:
@@ -47,7 +55,7 @@ def _table(s: DetectionPower, tested: Sequence[Findable]) -> str:
         found = "found" if e.ratio is None else gap_text(e.gap_m or 0.0, gap_unit(s.outputs))
         found = found if e.status == "found" and e.gap_m is not None else "not found"
         rows.append([e.name, *cells, found, size_text(e), ", ".join(e.confused_with)])
-    return grid(rows, left=len(head))
+    return Table(head, rows, "effects by size", left=len(head))
 
 
 def _cell(trials: Sequence[Trial], curve: Sequence[CurvePoint]) -> str:
@@ -69,11 +77,11 @@ def size_text(e: Findable) -> str:
     said = []
     for unit, (name, value) in largest.items():
         factor, shown = READ.get(unit) or parameter_unit(unit)
-        said.append(f"{name} {factor * value:.3g}" + (f" {shown}" if shown != "1" else ""))
+        said.append(f"{name} {number(factor * value)}" + (f" {shown}" if shown != "1" else ""))
     return ", ".join(said)
 
 
-def _legend(s: DetectionPower) -> str:
+def _legend(s: DetectionPower) -> list[str]:
     columns = f"columns {', '.join(f'{r:g} x' for r in s.ratios)}: gap over noise floor; "
     lines = [
         f"{columns}yes: named first; group: in one group with the effect named first; second: named "
@@ -89,4 +97,4 @@ def _legend(s: DetectionPower) -> str:
             "in one group with the first, with its 95 % interval; -: cannot be made that large here",
         ]
     bounded = [e for e in s.effects if e.trials and e.reason]
-    return "\n".join([*lines, *(f"{e.name}: {e.reason}" for e in bounded)])
+    return [*lines, *(f"{e.name}: {e.reason}" for e in bounded)]

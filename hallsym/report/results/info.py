@@ -10,7 +10,8 @@ from hallsym.families import FAMILIES, effects
 from hallsym.families.faults import FAULTS
 from hallsym.model import LINKS, Effect, Family, Model, Parameter, Variant, ways_text
 from hallsym.model.arguments import REQUIRED, example_facts
-from hallsym.report.tables import grid
+from hallsym.report.content import Block, Content, Heading, Section, Table
+from hallsym.report.words import number
 from hallsym.units import parameter_unit
 
 # -- a model: its family, chain of links, columns, parameters, zeros and the effects it can take ---------
@@ -47,15 +48,14 @@ def _entry(p: Parameter) -> dict[str, Any]:
     return {"unit": p.unit, "nominal": p.nominal, **ends, "meaning": p.meaning}
 
 
-def model_text(record: Mapping[str, Any]) -> str:
+def model_content(record: Mapping[str, Any]) -> Content:
     """Return the record of a model for a person."""
     links = " -> ".join(entry["link"] for entry in record["chain"])
     pose = []
     for column, period in ((p["column"], p["period"]) for p in record["pose"]):
-        every = f" (repeats every {period:.6g} {column.rpartition('_')[2]})" if period else ""
+        every = f" (repeats every {number(period, 6)} {column.rpartition('_')[2]})" if period else ""
         pose.append(column + every)
     lines = [
-        f"{record['model']}, a model of the family {record['family']}",
         "",
         f"chain: pose -> {links} -> reading",
         f"pose: {', '.join(pose)}",
@@ -63,26 +63,29 @@ def model_text(record: Mapping[str, Any]) -> str:
         f"state: {', '.join(record['state']) or 'none'}",
         f"channels: {', '.join(record['channels'])}",
         f"effects in it: {', '.join(record['effects']) or 'none'}",
-        "",
-        _table("parameter", record["parameters"]),
     ]
+    blocks: list[Block | str] = [_table("parameter", record["parameters"])]
     if record["combinations"]:
         names = ", ".join(c["expression"] for c in record["combinations"])
-        lines += ["", f"combinations that may be determined where parameters are not: {names}"]
-    lines += ["", _table("zero of each run", record["zeros"]) if record["zeros"] else "zeros of a run: none"]
-    lines += ["", f"effects it can take (--effect): {', '.join(record['can_take']) or 'none'}"]
-    return "\n".join(lines)
+        blocks.append(f"combinations that may be determined where parameters are not: {names}")
+    blocks.append(_table("zero of each run", record["zeros"]) if record["zeros"] else "zeros of a run: none")
+    blocks.append(f"effects it can take (--effect): {', '.join(record['can_take']) or 'none'}")
+    title = f"{record['model']}, a model of the family {record['family']}"
+    count = f"{len(record['parameters'])} parameters, {len(record['channels'])} channels"
+    return Content(title, f"{title}: {count}.", [Section("model", "Model", blocks)], lines)
 
 
-def _table(what: str, entries: Sequence[Mapping[str, Any]]) -> str:
-    rows = [[what, "unit", "nominal", "lower", "upper", "meaning"]]
+def _table(what: str, entries: Sequence[Mapping[str, Any]]) -> Table:
+    head, rows = [what, "unit", "nominal", "lower", "upper", "meaning"], []
     for e in entries:
         fixed = e["lower"] is not None and e["upper"] is not None and isclose(e["lower"], e["upper"])
         factor, unit = parameter_unit(e["unit"])
-        ends = [f"{(v if e[k] is None else e[k]) * factor:.6g}" for k, v in (("lower", -inf), ("upper", inf))]
+        ends = [
+            number((v if e[k] is None else e[k]) * factor, 6) for k, v in (("lower", -inf), ("upper", inf))
+        ]
         ends = ["fixed", ""] if fixed else ends
-        rows.append([e["name"], unit, f"{e['nominal'] * factor:.6g}", *ends, e["meaning"]])
-    return grid(rows, left=2, words=True)
+        rows.append([e["name"], unit, number(e["nominal"] * factor, 6), *ends, e["meaning"]])
+    return Table(head, rows, what, left=2, wordy=(5,))
 
 
 # -- an effect, or a fault of recordings -----------------------------------------------------------------
@@ -159,30 +162,37 @@ def _argument(effect: Effect, name: str) -> dict[str, Any]:
     }
 
 
-def effect_text(record: Mapping[str, Any]) -> str:
-    """Return what `hallsym info NAME` prints."""
+def effect_content(record: Mapping[str, Any]) -> Content:
+    """Return the record of an effect, or of a fault of recordings, for a person."""
     if "fault" in record:
-        return (
-            f"{record['fault']} ({record['link']}): {record['meaning']}.\n"
-            f"A fault of the recording, which no model holds: {record['remedy']}"
+        answer = f"{record['fault']} ({record['link']}): {record['meaning']}."
+        return Content(
+            record["fault"],
+            answer,
+            first=[f"A fault of the recording, which no model holds: {record['remedy']}"],
         )
-    return "\n\n".join(_section(record["effect"], family, r) for family, r in record["families"].items())
+    name = record["effect"]
+    first, *rest = ((family, _section(name, family, r)) for family, r in record["families"].items())
+    others = [Section(family, family, [Heading(answer), *blocks]) for family, (answer, blocks) in rest]
+    return Content(name, first[1][0], others, first[1][1])
 
 
-def _section(name: str, family: str, r: Mapping[str, Any]) -> str:
+def _section(name: str, family: str, r: Mapping[str, Any]) -> tuple[str, list[Block | str]]:
+    """Return what an effect is in a family, in a sentence and in full."""
     if "error" in r:
-        return f"{name} of the {family} family: {r['error']}"
-    parts = [f"{name} of the {family} family, link {r['link']}: {r['meaning']}"]
+        return f"{name} of the {family} family: {r['error']}", []
+    blocks: list[Block | str] = []
     if r["numbers"]:
         rows = [[n, *_said(e)] for n, e in r["numbers"].items()]
-        parts += ["", grid([["number", "unit", "default", "meaning"], *rows], left=3, words=True)]
+        blocks.append(Table(["number", "unit", "default", "meaning"], rows, "numbers", left=3, wordy=(3,)))
     added = [{"name": n, **p} for n, p in r["parameters"].items()]
-    parts += ["", _table(f"adds to {r['parameters_of']}", added), ""] if added else [""]
+    blocks += [_table(f"adds to {r['parameters_of']}", added)] if added else []
     if r["needs"]:
-        parts.append(f"needs the columns: {', '.join(r['needs'])}")
+        blocks.append(f"needs the columns: {', '.join(r['needs'])}")
     if r["separate"]:
-        parts.append(f"shows by itself in: {r['separate']}")
-    return "\n".join([*parts, *(f"example: hallsym fit LOG --effect {text}" for text in r["examples"])])
+        blocks.append(f"shows by itself in: {r['separate']}")
+    blocks += [f"example: hallsym fit LOG --effect {text}" for text in r["examples"]]
+    return f"{name} of the {family} family, link {r['link']}: {r['meaning']}", blocks
 
 
 def _said(entry: Mapping[str, Any]) -> list[str]:

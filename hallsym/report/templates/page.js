@@ -184,6 +184,14 @@
       body.append(...[...body.rows].sort(order));
     })));
   }
+  function csv(table) {
+    const cell = (c) => `"${c.textContent.replace(/\u2212/g, "-").replace(/"/g, '""')}"`;
+    const text = [...table.rows].map((row) => [...row.cells].map(cell).join(",")).join("\n");
+    const href = `data:text/csv;charset=utf-8,${encodeURIComponent(`${text}\n`)}`, caption = table.caption;
+    if (!caption) return;
+    const link = make("a", { className: "tool", download: "table.csv", href, ariaLabel: `CSV: ${caption.textContent}` }, "CSV");
+    caption.append(" ", link);
+  }
   function copy(pre) {
     const done = button("copy", async () => {
       getSelection().selectAllChildren(pre);
@@ -196,4 +204,5 @@
   all(document, ".next pre").forEach(copy);
   all(document, "figure.series").forEach(series);
   all(document, "table.sortable").forEach(sortable);
+  all(document, "table").forEach(csv);
 })();

@@ -6,26 +6,27 @@ from math import hypot
 
 from hallsym.log.phase import decoding
 from hallsym.model import Family
+from hallsym.report.content import Block, Table
 from hallsym.report.data.periodic import PeriodicError, Size
-from hallsym.report.tables import grid
-from hallsym.report.words import NOT_DECODED
+from hallsym.report.words import NOT_DECODED, number
 from hallsym.units import readable
 
 
-def periodic_text(found: PeriodicError, family: Family) -> str:
+def periodic(found: PeriodicError, family: Family) -> list[Block | str]:
     """Return the error over the period, remedies beside each other, and what is not the machine's."""
     factor, unit, name = readable(found.coordinate, {found.coordinate})
     noun = family.noun or "machine"
     over = "turn" if unit == "deg" else f"period of {name}"
     if not decoding(found.rest, found.rest_calibrated):
         rest = found.rest_calibrated
-        return (
+        return [
             f"error of the {noun}: not split by cause, {NOT_DECODED}; "
-            f"with this calibration rms {factor * hypot(found.calibrated.rms, rest):.3g} {unit}, of which "
-            f"{factor * rest:.3g} {unit} do not repeat (noise)"
-        )
-    columns = (f"{what} [{unit}]" for what in ("rms", "bought", "repeating, peak"))
-    rows = [[f"error of the {noun}, by remedy", *columns]]
+            f"with this calibration rms {number(factor * hypot(found.calibrated.rms, rest))} {unit}, "
+            f"of which {number(factor * rest)} {unit} do not repeat (noise)"
+        ]
+    head = [f"error of the {noun}, by remedy"]
+    head += [f"{what} [{unit}]" for what in ("rms", "bought", "repeating, peak")]
+    rows = []
     remedies = [("nothing done", found.machine, found.rest)]
     if found.mount_orders:
         mounted = f"mounted anew, at best: no {_per(found.mount_orders, over)}"
@@ -37,9 +38,9 @@ def periodic_text(found: PeriodicError, family: Family) -> str:
     before = hypot(found.machine.rms, found.rest)
     for label, size, rest in remedies:
         left = hypot(size.rms, rest)
-        bought = "" if size is found.machine else f"{factor * (before - left):.2g}"
-        rows.append([label, f"{factor * left:.3g}", bought, f"{factor * size.peak:.3g}"])
-    return "\n".join([grid(rows), *_sentences(found, noun, factor, unit, over)])
+        bought = "" if size is found.machine else number(factor * (before - left), 2)
+        rows.append([label, number(factor * left), bought, number(factor * size.peak)])
+    return [Table(head, rows, "what each remedy would leave"), *_sentences(found, noun, factor, unit, over)]
 
 
 def _per(orders: tuple[int, ...], over: str) -> str:
@@ -48,9 +49,9 @@ def _per(orders: tuple[int, ...], over: str) -> str:
 
 def _amplitudes(found: PeriodicError, factor: float, unit: str, orders: tuple[int, ...]) -> str:
     shown = [h for h in found.harmonics if h.shown and h.per_period in orders]
-    said = (f"{h.per_period}: {factor * h.amplitude:.2g}" for h in shown)
+    said = (f"{h.per_period}: {number(factor * h.amplitude, 2)}" for h in shown)
     widest = max((h.half_width for h in shown), default=0.0)
-    return f"{', '.join(said)} {unit} (amplitudes, 95 %: +-{factor * widest:.1g})" if shown else ""
+    return f"{', '.join(said)} {unit} (amplitudes, 95 %: +-{number(factor * widest, 1)})" if shown else ""
 
 
 def _sentences(found: PeriodicError, noun: str, factor: float, unit: str, over: str) -> list[str]:
@@ -73,7 +74,7 @@ def _sentences(found: PeriodicError, noun: str, factor: float, unit: str, over: 
     ]
     if found.slope:
         lines.append(f"the scale of the reference differs by {100 * found.slope:+.2g} %; left out above")
-    rest, after = (f"{factor * size:.2g} {unit}" for size in (found.rest, found.rest_calibrated))
+    rest, after = (f"{number(factor * size, 2)} {unit}" for size in (found.rest, found.rest_calibrated))
     if rest == after:
         return [*lines, f"does not repeat, and is part of every rms: {rest} (noise)"]
     return [

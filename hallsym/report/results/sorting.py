@@ -7,8 +7,11 @@ import numpy as np
 
 from hallsym.errors import counted
 from hallsym.files import atomic_write, write_json
-from hallsym.output import csv_text
-from hallsym.report.tables import cells, grid, heads
+from hallsym.output import csv_text, percent
+from hallsym.report.content import Block, Content, Section, Table
+from hallsym.report.results.shared import few
+from hallsym.report.tables import cells, heads
+from hallsym.report.words import number
 from hallsym.sorting import Matching, Sorting
 from hallsym.units import fitting
 
@@ -16,44 +19,43 @@ MOST_BINS, MOST_SETS = 40, 10
 """Rows that a terminal shows; files and JSON have all."""
 
 
-def sorting_text(found: Sorting) -> str:
-    """Return what `hallsym sort` prints: gains, bins, repeats."""
-    number, spread = found.expected_wrong
-    return "\n".join(
+def sorting_content(found: Sorting, matching: Matching | None = None) -> Content:
+    """Return what is said of sorted sensors: gains, bins, repeats, and the sets chosen of them."""
+    expected, spread = found.expected_wrong
+    sensors = counted(len(found.sensors), "sensor")
+    share = percent(expected / len(found.sensors), 1)
+    gains = (
+        f"gain: median {number(np.median(found.gain), 6)} {found.unit}, from"
+        f" {100 * (found.relative.min() - 1):+.2f} to {100 * (found.relative.max() - 1):+.2f} % of"
+        f" {number(found.nominal, 6)}; standard uncertainty (1 sigma) of one"
+        f" {_percent(float(np.median(found.std)) / found.nominal)}"
+    )
+    wrong = f"in a wrong bin: {expected:.0f} +- {spread:.0f} (1 sigma) sensors expected ({share})"
+    return Content(
+        f"Sensors of {found.source}",
+        f"{found.source}: {sensors} sorted into {counted(len(found.bins), 'bin')}.",
         [
-            f"{found.source}: {counted(len(found.sensors), 'sensor')} sorted",
-            (
-                f"gain: median {np.median(found.gain):.6g} {found.unit}, from"
-                f" {100 * (found.relative.min() - 1):+.2f} to {100 * (found.relative.max() - 1):+.2f} % of"
-                f" {found.nominal:.6g}; standard uncertainty (1 sigma) of one"
-                f" {_percent(float(np.median(found.std)) / found.nominal)}"
-            ),
-            "",
-            bin_table(found),
-            "",
-            (
-                f"in a wrong bin: {number:.0f} +- {spread:.0f} (1 sigma) sensors expected"
-                f" ({100 * number / len(found.sensors):.1f} %)"
-            ),
-            *_bench(found),
-        ]
+            Section("bins", "Bins", [*bin_blocks(found), wrong, *_bench(found)]),
+            Section("sets", "Sets", matching_blocks(matching) if matching else []),
+        ],
+        [gains],
     )
 
 
-def bin_table(found: Sorting) -> str:
+def bin_blocks(found: Sorting) -> list[Block | str]:
     """Return the bins with what is in them; the fullest where there are many."""
     items = sorted(found.bins.items(), key=lambda item: -item[1])[:MOST_BINS]
-    rows = [["bin", "gain [%]", "sensors", "wrong, expected"]]
+    rows = []
     for k, n in sorted(items):
         middle, half = 100 * k * found.width, 50 * found.width
         ends = f"{middle - half:+.3g} to {middle + half:+.3g}"
         rows.append([_change(k), ends, str(n), f"{found.wrong[found.bin == k].sum():.1f}"])
-    text = grid(rows)
     rest = len(found.bins) - len(items)
-    return text + (f"\nand {counted(rest, 'bin')} with fewer sensors" if rest > 0 else "")
+    table = Table(["bin", "gain [%]", "sensors", "wrong, expected"], rows, "bins")
+    return [table, *([f"and {counted(rest, 'bin')} with fewer sensors"] if rest > 0 else [])]
 
 
-def _bench(found: Sorting) -> Iterator[str]:
+def _bench(found: Sorting) -> Iterator[Block | str]:
     if found.drift is not None:
         yield f"drift: {_percent(float(np.ptp(found.drift)))} in all, taken out by the reference sensor"
     if r := found.repeats:
@@ -61,60 +63,57 @@ def _bench(found: Sorting) -> Iterator[str]:
             f"repeatability (1 sigma): {_percent(found.repeatability)} of one measurement;"
             f" {counted(len(r.first), 'sensor')} measured again, {100 * r.drift:+.3f} % on average"
         )
-        rows = [["change of bin", "sensors", "expected"]]
+        rows = []
         for k, (n, e) in r.changes(found.width).items():
             rows.append([_change(k), str(n), f"{e:.1f}" if np.isfinite(e) else ""])
-        yield "\n".join(["", grid(rows)])
+        yield Table(["change of bin", "sensors", "expected"], rows, "changes of bin")
     if found.unsorted:
-        yield f"not read in two fields, and not sorted: {', '.join(found.unsorted)}"
+        yield f"not read in two fields, and not sorted: {few(found.unsorted)}"
 
 
-def matching_text(found: Matching) -> str:
+def matching_blocks(found: Matching) -> list[Block | str]:
     """Return the ways of choosing sets beside each other, and the first of the chosen sets."""
-    size = len(found.places)
     best = "; optimal" if found.optimal else ""
     factor, unit = _unit(found, found.floor)
-    beside = f"matched sets are {found.gain_over_bins:.3g} times better than bins alone"
+    beside = f"matched sets are {number(found.gain_over_bins)} times better than bins alone"
     beside = beside if len(found.bins.sets) else "no bin holds enough sensors for a set"
-    return "\n".join(
-        [
-            f"sets of {size} for {found.model.name}, whose decoder knows the common gain{best}",
-            way_table(found),
-            f"the uncertainty of the gains alone makes {found.floor * factor:.3g} {unit} rms; {beside}",
-            "",
-            set_table(found),
-        ]
-    )
+    return [
+        f"sets of {len(found.places)} for {found.model.name}, whose decoder knows the common gain{best}",
+        way_table(found),
+        f"the uncertainty of the gains alone makes {number(found.floor * factor)} {unit} rms; {beside}",
+        *set_blocks(found),
+    ]
 
 
-def way_table(found: Matching) -> str:
+def way_table(found: Matching) -> Table:
     """Return rms and peak errors of the pose by way of choosing."""
     factor, unit = _unit(found, max(w.overall for w in found.ways if len(w.sets)))
     pose, period = found.model.pose, found.model.period
-    rows = [["way", "sets", f"rms [{unit}]", f"expected [{unit}]", *heads(pose, period, "peak")]]
+    head = ["way", "sets", f"rms [{unit}]", f"expected [{unit}]", *heads(pose, period, "peak")]
+    rows = []
     for way in found.ways:
         if not len(way.sets):
             rows.append([way.name, "0", *[""] * (2 + len(pose))])
             continue
-        sizes = [f"{value * factor:.3g}" for value in (way.overall, found.expected(way))]
+        sizes = [number(value * factor) for value in (way.overall, found.expected(way))]
         peaks = cells(way.pose_peak.max(axis=0), pose, period)
         rows.append([way.name, str(len(way.sets)), *sizes, *peaks])
-    return grid(rows)
+    return Table(head, rows, "errors by way of choosing")
 
 
-def set_table(found: Matching) -> str:
+def set_blocks(found: Matching) -> list[Block | str]:
     """Return the first sets: sensor by place, common gain and rms error."""
     way = found.matched
     factor, unit = _unit(found, float(way.rms.max()))
     places = found.places[:6]
     more = ["..."] if len(found.places) > len(places) else []
-    rows = [["set", *places, *more, "gain", f"rms [{unit}]"]]
+    head, rows = ["set", *places, *more, "gain", f"rms [{unit}]"], []
     for j, (row, gain, rms) in enumerate(zip(way.sets[:MOST_SETS].tolist(), way.gain, way.rms, strict=False)):
         names = [found.sensors[i] for i in row[: len(places)]]
-        rows.append([str(j + 1), *names, *more, f"{gain:.4f}", f"{rms * factor:.3g}"])
-    text = grid(rows)
+        rows.append([str(j + 1), *names, *more, f"{gain:.4f}", number(rms * factor)])
     rest = len(way.sets) - MOST_SETS
-    return text + (f"\nand {counted(rest, 'set')} more; -o FILE.csv lists all" if rest > 0 else "")
+    more = [f"and {counted(rest, 'set')} more; -o FILE.csv lists all"] if rest > 0 else []
+    return [Table(head, rows, "the first sets"), *more]
 
 
 def save_table(path: str, found: Sorting, matching: Matching | None = None) -> None:
@@ -141,7 +140,7 @@ def _change(bins: int) -> str:
 
 
 def _percent(value: float) -> str:
-    return f"{100 * value:.2g} %"
+    return f"{number(100 * value, 2)} %"
 
 
 def _unit(found: Matching, largest: float) -> tuple[float, str]:

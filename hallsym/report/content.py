@@ -1,0 +1,286 @@
+"""What is said of a result: the answer in a sentence, tables, remarks and figures.
+
+A terminal prints it (`printed`), a page lays it out (`document`), a notebook shows it (`fragment`).
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any, ClassVar
+from urllib.parse import quote
+
+from hallsym.files import json_text
+from hallsym.output import csv_text, printable
+from hallsym.report.picture import Panel, Picture
+from hallsym.report.tables import grid
+from hallsym.report.words import micro, minus
+
+
+@dataclass(frozen=True)
+class Words:
+    """A paragraph."""
+
+    kind: ClassVar[str] = "words"
+    words: str
+
+
+@dataclass(frozen=True)
+class Note:
+    """What explains a figure or a table of a page; a terminal leaves it out."""
+
+    kind: ClassVar[str] = "note"
+    words: str
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading inside a section."""
+
+    kind: ClassVar[str] = "heading"
+    words: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text, and numbers as text. The first `left` columns and `wordy` hold text.
+
+    `sortable`: by every column of a page, with JavaScript. `head` may be empty: rows alone.
+    """
+
+    kind: ClassVar[str] = "table"
+    head: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+    caption: str = ""
+    left: int = 1
+    wordy: Sequence[int] = ()
+    sortable: bool = False
+
+    def look(self, column: int) -> str | None:
+        """Return the class of a column's cells in a page."""
+        return None if column < self.left else "t" if column in self.wordy else "n"
+
+    @property
+    def many(self) -> bool:
+        """Whether a phone is too narrow for the columns; it shows each row as a list."""
+        return len(self.head) > 4
+
+    @property
+    def text(self) -> str:
+        """The table in a terminal; a last column of words is prose."""
+        rows = [["" if cell is None else str(cell) for cell in row] for row in (self.head, *self.rows)]
+        prose = len(self.head) - 1 in self.wordy
+        left = max([self.left, *(k + 1 for k in self.wordy if k == self.left)]) if not prose else self.left
+        return grid(rows, left=left, words=prose)
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Names and values of a page; those without a value are left out, a value in `code` is typed."""
+
+    kind: ClassVar[str] = "facts"
+    pairs: Sequence[tuple[str, Any]]
+    code: frozenset[str] = frozenset()
+
+    @property
+    def known(self) -> list[tuple[str, str, bool]]:
+        """Name, value, and whether it is code."""
+        return [(name, str(v), name in self.code) for name, v in self.pairs if v not in (None, "")]
+
+
+@dataclass(frozen=True)
+class Items:
+    """A list of lines, each a name, which may be empty, and words."""
+
+    kind: ClassVar[str] = "items"
+    lines: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Panels of a page with a caption, side by side: three in a row, or with the `look` "two" two."""
+
+    kind: ClassVar[str] = "figure"
+    charts: Sequence[Panel]
+    caption: str = ""
+    look: str = ""
+
+    @property
+    def width(self) -> float:
+        """The px of a panel."""
+        return 360.0 if self.look == "two" else 240.0
+
+
+@dataclass(frozen=True)
+class Runs:
+    """The errors of one run over time, in whose place a script shows others: `data` is what it reads."""
+
+    kind: ClassVar[str] = "runs"
+    title: str
+    note: str
+    charts: Sequence[Panel]
+    key: str
+    data: Any
+
+
+Block = Words | Note | Heading | Table | Facts | Items | Figure | Runs
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part with a heading, which a terminal leaves out; without content it is left out itself."""
+
+    ident: str
+    title: str
+    content: Sequence[Block | str]
+
+
+@dataclass(frozen=True)
+class Content:
+    """All that is said of a result.
+
+    `answer`: a sentence, the first line of a command and the card of a page, after the `word` of a page.
+    `state`: good, open or bad. `first`: what stands beside the answer. `command` comes next, `why` says what
+    for. `columns`: the numbers of the result in SI, for a file of a page.
+    """
+
+    title: str
+    answer: str
+    sections: Sequence[Section] = ()
+    first: Sequence[Block | str] = ()
+    state: str = "open"
+    word: str = ""
+    why: str = ""
+    command: str = ""
+    columns: Mapping[str, Sequence[Any]] | None = None
+    picture: Callable[[Any], Picture] | None = None
+    """Of the result; of a log where it is given one."""
+    footer: str = ""
+    seconds: float | None = None
+    """How long it took, which a terminal says; a page of the same data is the same."""
+
+
+# -- in a terminal ---------------------------------------------------------------------------------------
+
+
+def printed(content: Content) -> str:
+    """Return the content as text: the answer, then tables between empty lines, and remarks.
+
+    It ends with an empty line where it ends with a table.
+    """
+    blocks = [*content.first, *(block for section in content.sections for block in section.content)]
+    ends = [] if content.seconds is None else [f"computed in {content.seconds:.1f} s"]
+    ends += [f"next: {content.command}"] if content.command else []
+    return text_of([content.answer, *blocks, *ends])
+
+
+def text_of(blocks: Sequence[Block | str]) -> str:
+    """Return blocks as text; a table, and a heading with what follows it, stand between empty lines."""
+    lines: list[str] = []
+    headed = False
+    for block in blocks:
+        if isinstance(block, Table) and block.rows:
+            lines += [""] if lines and lines[-1] and not headed else []
+            lines += [block.text, ""]
+        elif isinstance(block, Heading):
+            lines += [*([""] if lines and lines[-1] else []), block.words]
+        elif isinstance(block, Items):
+            lines += [f"{name}: {words}" if name else words for name, words in block.lines]
+        elif isinstance(block, Words | str):
+            lines.append(block if isinstance(block, str) else block.words)
+        else:
+            continue
+        headed = isinstance(block, Heading)
+    return "\n".join(lines)
+
+
+# -- as HTML: what escapes in templates, and the policy that forbids every request -----------------------
+
+
+def document(content: Content) -> str:
+    """Return the page as HTML. Its policy forbids every request and every script but its own."""
+    return _render("page.html.j2", **_parts(content))
+
+
+def fragment(content: Content, picture: Picture | None = None) -> str:
+    """Return the answer, the tables and a picture as HTML for a notebook, without script or style sheet."""
+    return _render("fragment.html.j2", **_parts(content), picture=picture)
+
+
+def _parts(content: Content) -> dict[str, Any]:
+    sections = [
+        Section(s.ident, s.title, blocks) for s in content.sections if (blocks := [*_full(s.content)])
+    ]
+    return {"content": content, "first": [*_full(content.first)], "sections": sections}
+
+
+def _full(blocks: Sequence[Block | str]) -> Iterator[Block]:
+    """Yield the blocks that hold something, plain text as paragraphs."""
+    full = {"table": "rows", "items": "lines", "figure": "charts"}
+    for block in blocks:
+        block = Words(block) if isinstance(block, str) else block
+        if getattr(block, full.get(block.kind, "kind")) and getattr(block, "words", True):
+            yield block
+
+
+def _render(template: str, **values: Any) -> str:
+    """Return a template as HTML. What is not markup is escaped."""
+    return str(_environment().get_template(template).render(**values)) + "\n"
+
+
+@cache
+def _environment() -> Any:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    from hallsym.report.drawing import svg
+
+    found = Environment(
+        loader=PackageLoader("hallsym.report"),
+        autoescape=True,
+        finalize=_shown,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    found.policies["json.dumps_function"] = json_text
+    found.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "indent": None}
+    script = part("page.js")
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    found.globals |= {
+        "svg": svg,
+        "csv": _csv,
+        "minus": lambda value: minus(str(value)),
+        "micro": lambda value: micro(str(value)),
+        "style": Markup(part("page.css")),
+        "script": Markup(script),
+        "policy": f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{digest}'",
+    }
+    return found
+
+
+@cache
+def part(name: str) -> str:
+    """Return the text of a file that stands beside the templates."""
+    return files("hallsym.report").joinpath("templates", name).read_text(encoding="utf-8")
+
+
+def _csv(columns: Mapping[str, Sequence[Any]]) -> str:
+    """Return columns as the address of a CSV file that is inside the page."""
+    rows = zip(*columns.values(), strict=True)
+    text = csv_text([[*columns], *(["" if cell is None else cell for cell in row] for row in rows)])
+    return f"data:text/csv;charset=utf-8,{quote(text)}"
+
+
+def _shown(value: Any) -> Any:
+    """Return a value as a template shows it: nothing for None, text as `printable`."""
+    from markupsafe import Markup
+
+    if value is None:
+        return ""
+    plain = isinstance(value, str) and not isinstance(value, Markup)
+    return printable(value, keep="\n\t") if plain else value

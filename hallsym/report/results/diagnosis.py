@@ -1,0 +1,408 @@
+"""What is said of a diagnosis: verdict, errors, effects, where the gap lies, what could not be tested."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from math import isfinite, isnan
+from typing import Any
+
+from hallsym.diagnosis import QUIET, Diagnosis, Estimate, Significance, Statement, noise_text
+from hallsym.errors import counted
+from hallsym.estimation import Fit
+from hallsym.families import added_effects, effects, plain
+from hallsym.output import percent
+from hallsym.report.content import Block, Content, Figure, Heading, Items, Note, Section, Table
+from hallsym.report.data.gather import Cells, RunSeries
+from hallsym.report.figures.diagnosis import changed, curves, gap, shares
+from hallsym.report.picture import BEFORE
+from hallsym.report.results import shared
+from hallsym.report.tables import concise
+from hallsym.report.words import NOT_DECODED, amount, name, number
+from hallsym.units import parameter_unit, readable, scaled
+
+FEW_UNITS = 8
+"""Units of a test by signs below which the least p-value they can give is said: 2 / 2^8 is 0.008."""
+LEAST_P = 1e-6
+"""P-values below this are only said to be below it: no test is better than its assumptions."""
+UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "s": (1e3, "ms"), "m/s": (1e6, "um/s"), "1": (1.0, ""),
+         "m s2/m": (1e6, "um per m/s2")}  # fmt: skip
+"""How parameters are shown: SI unit -> factor and unit for reading."""
+STATES = {"no gap": "good", "explained": "good"}
+"""Verdicts after which there is nothing left to find; every other one is open."""
+MOST = 12
+"""Statements on where a gap lies that are drawn; all of them are in the table."""
+
+
+def diagnosis_content(
+    d: Diagnosis,
+    *,
+    maps: Sequence[Cells] = (),
+    after: Sequence[Cells] = (),
+    series: Sequence[RunSeries] = (),
+    fit: Fit | None = None,
+    command: str = "",
+    reading: Sequence[str] = (),
+) -> Content:
+    """Return what is said of a diagnosis.
+
+    `maps`, `after`, `series`: of the errors before and after, from `gather`, for a page. `fit`: the
+    calibration that was diagnosed, for its parameter table. `command`: what was typed, `reading`: the words
+    of it that say how the log is read, for the next command.
+    """
+    word = f"{d.verdict.capitalize()}."
+    why, following = _next(d, fit, reading)
+    return Content(
+        f"Diagnosis of {d.model}: {shared.called(d.log.path)}",
+        d.sentence,
+        [
+            Section("asked", "Input", [_input(d)]),
+            _errors_section(d),
+            _effects_section(d),
+            _where_section(d),
+            _rest_section(d),
+            shared.maps_section({"before": maps, "after": after}, d.noise_floor.outputs),
+            shared.runs_section(series),
+            Section("parameters", "Parameters", _parameters(d, fit)),
+            Section("notes", "Other checks", [Items(_notes(d))]),
+            shared.origin_section(asdict(d.log), d.versions, command),
+        ],
+        ["", _basis(d), _errors(d), *shared.first_view(series, maps, after or maps, d.noise_floor.outputs)],
+        state=STATES.get(d.verdict, "open"),
+        word=word,
+        why=why,
+        command=following,
+        columns=_columns(d),
+        picture=lambda log: gap(d),
+        seconds=d.seconds,
+        footer=f"hallsym {d.versions.get('hallsym', '')}",
+    )
+
+
+def _columns(d: Diagnosis) -> dict[str, list[Any]]:
+    """Return the effects found as columns."""
+    return {
+        "effect": [e.name for e in d.effects],
+        "link": [e.link for e in d.effects],
+        "shrinkage": [e.shrinkage for e in d.effects],
+        "low_95": [e.interval[0] if e.interval else None for e in d.effects],
+        "high_95": [e.interval[1] if e.interval else None for e in d.effects],
+        "share": [e.share for e in d.effects],
+        "p_value": [e.p_value for e in d.effects],
+        "fit_with": [e.text for e in d.effects],
+    }
+
+
+def _next(d: Diagnosis, fit: Fit | None, reading: Sequence[str]) -> tuple[str, str]:
+    """Return what comes next, and the command for it."""
+    if d.next_step:
+        words = ["hallsym", "fit", d.log.path or "LOG", *d.next_step, *reading]
+        return "Next, fit the model with the effects found:", shlex.join(words)
+    if d.verdict == "no gap" and fit:
+        added = [word for effect in added_effects(fit.model) for word in ("--effect", effect)]
+        words = ["hallsym", "fit", d.log.path or "LOG", "--model", plain(fit.model).name, *added, *reading]
+        return "Next, keep the calibration of this model:", shlex.join([*words, "-o", "calib.json"])
+    return "", ""
+
+
+def noise_name(d: Diagnosis) -> str:
+    """Return what the noise that is left is called: where something has no cause it may be no noise."""
+    return "noise, or what follows nothing logged" if d.verdict == "unexplained" else "noise"
+
+
+def p_text(p: float | None) -> str:
+    """Return a p-value for reading: never 0, never more digits than it is worth."""
+    if p is None or isnan(p):
+        return ""
+    return f"< {LEAST_P:.0e}".replace("e-0", "e-") if p < LEAST_P else number(p, 1)
+
+
+def _basis(d: Diagnosis) -> str:
+    judges = counted(len(d.validation_runs), d.held_out)
+    said = "which took part in neither the fit nor the choice of effects"
+    return f"Model {d.model}; errors are on {judges}, {said}."
+
+
+def _input(d: Diagnosis) -> Items:
+    """Return on what the verdict rests."""
+    pairs: list[tuple[str, Any]] = [
+        ("verdict", d.verdict),
+        ("log", d.log.path or "a log in memory"),
+        ("samples", f"{d.log.rows} in {d.log.runs} {d.held_out.rpartition(' ')[2]}s" if d.log.rows else None),
+        (f"{d.held_out}s", shared.numbers(d.validation_runs)),
+        ("noise floor", d.noise_floor.source),
+        (noise_name(d), noise_text(d.noise, d.noise_floor.source == "stated") if d.noise else None),
+        ("worth reporting", f"a decrease of {100 * d.threshold:g} % or more"),
+        # with the least possible p-value where units are few
+        (
+            "any effect of the catalogue",
+            f"p {significance_text(d.significance, piece_of(d))}" if d.significance else None,
+        ),
+    ]
+    return Items([(what, str(value)) for what, value in pairs if value])
+
+
+def piece_of(d: Diagnosis) -> str:
+    """Return what a recording was taken to pieces of: "run", "time slice", "knot group"."""
+    return d.held_out.removeprefix("held-out ").removeprefix("holdout ")
+
+
+def significance_text(s: Significance, piece: str = "run") -> str:
+    """Return a p-value with what it rests on: `= 0.3 (46 runs)`, with the least possible one of few units.
+
+    `piece`: what a run of the log is called.
+    """
+    unit = s.unit if (s.unit, piece) == ("stretch", "run") else piece
+    least = f", {p_text(s.least)} at least" if s.units < FEW_UNITS else ""
+    return f"= {p_text(s.p_value)} ({counted(s.units, unit)}{least})"
+
+
+# -- errors: before and after, per output, sensor and harmonic -------------------------------------------
+
+
+def _errors(d: Diagnosis) -> Table:
+    """Return rmse and peak on the holdout runs, with the floor and the one number that shrinkage is of."""
+    gaps = {"before": d.gap_before, "after": d.gap_after} if d.effects else {"holdout": d.gap_before}
+    rows, floor = {when: asdict(gap) for when, gap in gaps.items()}, d.noise_floor
+    return shared.error_table(tuple(floor.outputs), rows, floor.outputs, floor.source)
+
+
+def _errors_section(d: Diagnosis) -> Section:
+    """Return how far the error falls, and its size on fitted and holdout runs and by harmonic."""
+    content: list[Block | str] = [*([shrinks_text(d)] if changed(d) and d.effects else []), _metric(d)]
+    content += _sizes(d)
+    for coordinate in dict.fromkeys(w.coordinate for w in d.waves):
+        content += _waves(d, coordinate)
+    title = f"{'Before and after' if changed(d) else 'Errors'}, against the noise floor"
+    return Section("errors", title, content)
+
+
+def _metric(d: Diagnosis) -> str:
+    """Return the gap as one number over all outputs, which shrinkage is measured by."""
+    outputs = tuple(d.gap_before.rmse)
+    column = next((c for c in outputs if c.endswith("_m")), outputs[0])
+    sizes = asdict(d.metric)
+    if not changed(d):
+        sizes = {"on the holdout runs": d.metric.before, "floor": d.metric.floor}
+    return f"One number over all outputs: {', '.join(f'{amount(column, v)} {k}' for k, v in sizes.items())}."
+
+
+def _sizes(d: Diagnosis) -> list[Block | str]:
+    """Return the residual error by output and sensor; nothing where none is known."""
+    head = [
+        "residual error", "rms, fitted", "rms, holdout", "noise", "above, fitted",
+        "above, holdout", "share, fitted", "share, holdout",
+    ]  # fmt: skip
+    rows = []
+    for column, sides in d.size.rows.items():
+        factor, unit = scaled(column, max(side.rms for side in sides.values()))
+        both = [sides.get(side) for side in ("fitted", "held_out")]
+        noise = next((number(factor * s.noise) for s in both if s), "")
+        rms = [number(factor * s.rms) if s else "" for s in both]
+        above = [number(factor * s.above) if s else "" for s in both]
+        share = ["" if s is None or s.share is None else percent(s.share) for s in both]
+        rows.append([f"{name(column)} [{unit}]", *rms, noise, *above, *share])
+    caption = (
+        f"residual error on fitted and holdout runs: rms, noise floor ({d.noise_floor.source}), the excess "
+        "above it, and its share of the excess of all outputs, or of all sensors, where the whole excess is "
+        "more than chance"
+    )
+    return [Table(head, rows, caption)] if rows else []
+
+
+def _waves(d: Diagnosis, coordinate: str) -> list[Block | str]:
+    """Return the harmonics of the error over a periodic coordinate, and which the model absorbs."""
+    factor, unit, called = readable(coordinate or next(iter(d.noise_floor.outputs)))
+    per = f"period of {called}" if coordinate else "turn"
+    head = [f"waves per {per} [{unit}]", "nominal", "model", "with the effects", "effects found", "causes"]
+    mine = [w for w in d.waves if w.coordinate == coordinate]
+    rows = []
+    for w in mine:
+        found = [e.name for e in d.effects if e.name in w.causes]
+        sizes = ["" if a is None else number(factor * a) for a in (w.designed, w.model, w.after)]
+        rows.append([str(w.per_turn), *sizes, ", ".join(found), ", ".join(w.causes)])
+    lost = f" (none: {NOT_DECODED})" if any(w.designed is None for w in mine) else ""
+    caption = (
+        f"amplitude of the error over all runs: of the nominal sensor with only its zeros fitted{lost}, "
+        "of the model, and with the effects found"
+    )
+    blocks: list[Block | str] = [Table(head, rows, caption, wordy=(4, 5))]
+    if lost:
+        blocks.append(f"No nominal waves: {NOT_DECODED}.")
+    most = max(mine, key=lambda w: w.designed or 0.0)
+    if most.designed and most.absorbed and most.causes:
+        size = f"{number(factor * most.designed, 2)} {unit}"
+        said = f"The largest harmonic is {most.per_turn} per {per} ({size}). "
+        causes = " or ".join(most.causes)
+        blocks.append(f"{said}The model's own parameters absorb it, whichever causes it: {causes}.")
+    return blocks
+
+
+def shrinkage_text(value: float, interval: tuple[float, float] | None) -> str:
+    """Return a decrease with its interval in per cent: `61.0 % (57.0 to 64.0)`; of each what exists."""
+    known = interval is not None and all(map(isfinite, (value, *interval)))
+    return percent(value, 1) + (f" ({_ends(interval)})" if interval and known else "")
+
+
+def units_of(d: Diagnosis) -> Mapping[str, tuple[float, str]]:
+    """Return how numbers are shown: angles in degrees where the first output is an angle, else in urad."""
+    factor, unit, _ = readable(next(iter(d.noise_floor.outputs), "x_m"))
+    return UNITS | ({"rad": (factor, unit)} if unit == "deg" else {})
+
+
+def _estimate(p: Estimate, units: Mapping[str, tuple[float, str]]) -> tuple[str, str]:
+    """Return value with 1 sigma, and unit."""
+    factor, unit = parameter_unit(p.unit) if p.unit in ("m", "rad") else units.get(p.unit, (1.0, p.unit))
+    return concise(p.value * factor, None if p.std is None else p.std * factor), unit
+
+
+def shrinks_text(d: Diagnosis) -> str:
+    """Return how far the error falls, on the holdout runs and over all runs, so that the two are told apart.
+
+    The sizes before and after are of the holdout runs. The shrinkage and its interval are of all runs that
+    judge, each by a fit that left its group out (`hallsym.diagnosis.validation`).
+    """
+    s, piece, judges = d.shrinkage, piece_of(d), len(d.validation_runs)
+    held = d.held_out if judges == 1 else counted(judges, d.held_out)
+    fall = f"falls by {percent(1 - d.metric.after / d.metric.before, 1)}" if d.metric.before > 0 else "is 0"
+    more = counted(s.parameters_added, "parameter")
+    alone = (
+        f"On the {held} alone the error {fall}: {percent(s.share_closed)} of its excess above the noise "
+        f"floor is closed, with {more} more."
+    )
+    if s.judges <= judges:
+        known = "" if s.interval is None else f" (95 % of recordings like it: {_ends(s.interval)} %)"
+        return f"The gap shrinks by {percent(s.value, 1)}{known}. {alone}" if known else alone
+    known = (
+        f"no 95 % interval: it needs at least {s.fewest} {piece}s"
+        if s.interval is None
+        else f"95 % of recordings like it: {_ends(s.interval)} %"
+    )
+    return (
+        f"Over {counted(s.judges, piece)}, each judged by a fit that left it out (nested cross-validation), "
+        f"the gap shrinks by {percent(s.value, 1)} ({known}). {alone}"
+    )
+
+
+def _ends(interval: tuple[float, float]) -> str:
+    low, high = interval
+    return f"{100 * low:.1f} to {100 * high:.1f}"
+
+
+# -- effects: ranked, with what the log cannot tell apart ------------------------------------------------
+
+
+def _effects_section(d: Diagnosis) -> Section:
+    """Return the ranking of the effects, and groups that the log cannot tell apart."""
+    if not (d.effects or d.groups or d.ranked):
+        none = "None. No effect of the catalogue lowers the gap by what is worth reporting."
+        return Section("effects", "Which effects", [Note(none)])
+    rows = [(e.name, e.shrinkage, e.interval) for e in d.effects if math.isfinite(e.shrinkage)]
+    drawn = [shares(rows, "decrease of the gap [%]", 1)] if rows else []
+    ranking = Figure(drawn, "With the 95 % interval of each effect", look="two")
+    notes = Items([(e.name, e.note) for e in d.effects if e.note])
+    return Section("effects", "Which effects", [ranking, _ranked(d), *_found(d), notes, *_groups(d)])
+
+
+def _ranked(d: Diagnosis) -> Table:
+    head = [
+        "effect", "link", "form", "gap shrinks by (95 %)", "share of the excess", "p",
+        "not told apart from", "what it is",
+    ]  # fmt: skip
+    catalogue = effects()
+    known = {e.name: [e.link, e.variant, shrinkage_text(e.shrinkage, e.interval), percent(e.share),
+                      p_text(e.p_value)] for e in d.effects}  # fmt: skip
+    rows: list[list[Any]] = []
+    for effect in dict.fromkeys([*known, *d.ranked]):
+        others = dict.fromkeys(other for g in d.groups if effect in g for other in g if other != effect)
+        meaning = catalogue[effect].meaning if effect in catalogue else ""
+        rows.append([effect, *known.get(effect, [""] * 5), ", ".join(others), meaning])
+    return Table(head, rows, "effects, best first", left=3, wordy=(6, 7), sortable=True)
+
+
+def _found(d: Diagnosis) -> list[Block]:
+    """Return the parameters of the effects."""
+    units, rows = units_of(d), []
+    for e in d.effects:
+        for parameter, p in e.parameters.items():
+            rows.append([e.name, parameter, *_estimate(p, units), e.cost])
+    head = ["effect", "parameter", "value (1 sigma)", "unit", "adds to the model"]
+    return [Table(head, rows, "parameters of the effects", left=2, wordy=(3, 4), sortable=changed(d))]
+
+
+def _groups(d: Diagnosis) -> list[Block | str]:
+    lines = dict.fromkeys(d.groups, "this log cannot tell them apart.")
+    for s in d.separate_by:
+        now = f"this log cannot tell them apart ({number(s.sigma_now)} sigma)"
+        lines[s.group] = f"{now}. Record {s.recording}."
+    items = Items([(", ".join(group), line) for group, line in lines.items()])
+    return [Heading("Confusable effects"), items] if lines else []
+
+
+# -- where the gap lies, and what no effect explains -----------------------------------------------------
+
+
+def _where_section(d: Diagnosis) -> Section:
+    """Return the statements on where the gap lies."""
+    above = "where the excess over the noise lies" if d.verdict in QUIET else "where the gap lies"
+    said = _statements(d.where, above, "share of the excess above the noise floor [%]")
+    if not said and d.size.rows:
+        said = ["The excess above the noise goes with nothing that the log holds."]
+    return Section("where", "Where the gap lies", said)
+
+
+def _rest_section(d: Diagnosis) -> Section:
+    """Return the unexplained rest: how much it is, what it goes with, and its shape."""
+    rest = d.unexplained
+    said: list[Block | str] = []
+    if rest:
+        said.append(f"{percent(rest.share)} of the excess above the noise floor has no known cause.")
+    if d.remaining and d.remaining != d.where:
+        title = "share of the unexplained excess [%]"
+        said += _statements(d.remaining, "where the unexplained rest lies", title)
+    elif d.remaining:
+        said.append(Note("It goes with what the gap goes with, see above."))
+    elif rest:
+        said.append("It goes with no sensor, coordinate, frequency or run above chance.")
+    if rest and rest.curve:
+        how, panels = curves(rest.curve)
+        said.append(Figure(panels, how, look="shape"))
+    return Section("rest", "What no effect explains", said)
+
+
+def _statements(statements: Sequence[Statement], head: str, title: str) -> list[Block | str]:
+    drawn = [(_place(s), s.share, None) for s in statements if math.isfinite(s.share)][:MOST]
+    rows = [
+        [s.text, "" if s.held_out is None else percent(max(s.held_out, 0.0)), p_text(s.p_value)]
+        for s in statements
+    ]
+    chart = [shares(drawn, title, look=BEFORE)] if drawn else []
+    table = Table([head, "on holdout runs", "p"], rows, "statements on the places, from the fitted runs")
+    return [Figure(chart, look="two"), table] if statements else []
+
+
+def _place(s: Statement) -> str:
+    """Return the label of a bar; the range of a coordinate is left to the statement under it."""
+    if s.by in ("output", "sensor"):
+        return f"{s.by} {name(s.at)}"
+    return f"{s.by}: {s.at}" if s.at and s.by in ("link", "run", "frequency") else s.by
+
+
+# -- parameters, and what else was looked at --------------------------------------------------------------
+
+
+def _parameters(d: Diagnosis, fit: Fit | None) -> list[Block]:
+    return [Heading(f"Of {fit.model.name}"), *shared.parameters_of(fit)] if fit else []
+
+
+def _notes(d: Diagnosis) -> list[tuple[str, str]]:
+    """Return smaller findings, effects that could not be tested (together where the reason is one), notes."""
+    said = "significant, lowers the gap by {}, less than the threshold"
+    smaller = [(f.name, said.format(percent(f.shrinkage, 1))) for f in d.smaller_findings]
+    together: dict[str, list[str]] = {}
+    for effect, reason in d.not_testable.items():
+        together.setdefault(reason, []).append(effect)
+    untested = [(", ".join(names), f"not testable, {reason}") for reason, names in together.items()]
+    return [*smaller, *untested, *(("note", note) for note in d.notes)]

@@ -1,0 +1,221 @@
+"""What is said of what data determine of each parameter."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hallsym.errors import counted
+from hallsym.inference import (
+    Change,
+    CombinationReport,
+    Identifiability,
+    NullDirection,
+    NullSpace,
+    Offsets,
+    ParameterReport,
+)
+from hallsym.model import Model
+from hallsym.report.content import Block, Content, Section, Table
+from hallsym.report.figures.sensitivity import effects
+from hallsym.report.results.shared import NAMED, few
+from hallsym.report.tables import cells, concise, heads, in_units
+from hallsym.report.words import number
+from hallsym.units import parameter_unit
+
+
+def identifiability_content(report: Identifiability) -> Content:
+    """Return what is said of what data determine: how many parameters, each of them, what is lost and why."""
+    cost = report.evidence.cost
+    runs, recorded = len(cost.summary.runs), report.evidence.recorded
+    amiss = report.evidence.amiss
+    entries = [e for e in report.parameters if e.verdict.word != "fixed"]
+    known = sum(e.std is not None for e in entries)
+    verb = "will determine" if cost.planned else "determine" if runs > 1 else "determines"
+    what = f"{runs} runs of {recorded}" if runs > 1 else recorded
+    lost = [e.name for e in entries if e.std is None]
+    some = f"only {counted(len(report.combinations), 'combination')}" if report.combinations else "nothing"
+    rest = f"; of {few(lost)} {some}" if lost else ""
+    answer = f"{what} {verb} {known} of {len(entries)} free parameters of {report.model.name}{rest}."
+    combinations: list[Block] = []
+    if report.combinations:
+        rows = [
+            [c.expression, *in_units(c.value, c.std, c.unit), _interval(c, parameter_unit(c.unit)[0])]
+            for c in report.combinations
+        ]
+        head = ["identifiable combinations", "value (1 sigma)", "unit", "95 % interval"]
+        combinations = [Table(head, rows, "what is determined in place of single parameters")]
+    told = report.evidence.uncertainty
+    notes = [f"uncertainty: {told.method} ({told.reason})"]
+    notes += [f"not computed: {sentence}" for sentence in report.partial]
+    notes += [f"note: {note}" for note in report.evidence.notes if note != amiss]
+    return Content(
+        f"What {recorded} determines of {report.model.name}",
+        "\n".join(filter(None, (amiss, answer))),
+        [
+            Section("parameters", "Parameters", [*_parameters(report), *combinations]),
+            Section("lost", "What is not identifiable", null_text(report.structural, report.practical)),
+            Section("further", "Further recordings", [further_table(report)] if report.further else []),
+            Section("effects", "Effect on the position", [effects_table(report), outputs_table(report)]),
+            Section("notes", "Evidence and notes", [*offsets_text(report.offsets), *notes]),
+        ],
+        columns=_columns(report),
+        picture=lambda log: effects(report),
+    )
+
+
+def _columns(found: Identifiability) -> dict[str, list[Any]]:
+    """Return the parameters as columns, in SI."""
+    entries, nan = found.parameters, float("nan")
+    meanings = {p.name: p.meaning for p in found.model.parameters}
+    return {
+        "parameter": [e.name for e in entries],
+        "value": [e.value for e in entries],
+        "std": [nan if e.std is None else e.std for e in entries],
+        "low_95": [e.interval.low if e.interval else nan for e in entries],
+        "high_95": [e.interval.high if e.interval else nan for e in entries],
+        "unit": [e.unit for e in entries],
+        "verdict": [e.verdict.word for e in entries],
+        "meaning": [meanings.get(e.name, "") for e in entries],
+    }
+
+
+def _parameters(report: Identifiability) -> list[Block | str]:
+    """Return value, interval, strongest correlation and verdict of every parameter, lost ones up to a few."""
+    meanings = {p.name: p.meaning for p in report.model.parameters}
+    head = [
+        "parameter",
+        "value (1 sigma)",
+        "unit",
+        "95 % interval",
+        "of bounds",
+        "correlated with",
+        "verdict",
+    ]
+    lost = [entry for entry in report.parameters if entry.std is None]
+    rest = lost[NAMED:] if len(lost) > NAMED + 1 else []
+    rows = []
+    for entry in (e for e in report.parameters if e not in rest):
+        factor, unit = parameter_unit(entry.unit)
+        value = f"({number(entry.value * factor, 4)})"
+        if entry.std is not None:
+            value = concise(entry.value * factor, entry.std * factor)
+        share = "" if entry.share is None else f"{number(100 * entry.share, 2)} %"
+        other = "".join(f"{name} {r:+.2f}" for name, r in entry.correlated_with[:1] if entry.std is not None)
+        because, meaning = entry.verdict.because, meanings.get(entry.name)
+        verdict = entry.verdict.word + (f": {because}" if because else f"; {meaning}" if meaning else "")
+        rows.append([entry.name, value, unit, _interval(entry, factor), share, other, verdict])
+    more = f"and {counted(len(rest), 'parameter')} more without a value; --json and -o list all"
+    return [Table(head, rows, "parameters", wordy=(6,)), *([more] if rest else [])]
+
+
+def _interval(entry: ParameterReport | CombinationReport, factor: float) -> str:
+    if entry.interval is None or entry.std is None:
+        return ""
+    digits = max(1, 2 - int(np.floor(np.log10(max(entry.std * factor, 1e-300)))))
+    ends = (f"{v * factor:.{min(digits, 9)}f}" for v in (entry.interval.low, entry.interval.high))
+    mark = {"normal": "", "student": " t", "profile": " p"}[entry.interval.how]
+    return " .. ".join(ends) + mark
+
+
+def null_text(structural: NullSpace, practical: NullSpace) -> list[str]:
+    """Return the sentences on null directions."""
+    some = "not identifiable from any recording:" if structural.null else "all are identifiable"
+    less = "not identifiable from this recording:" if practical.null else "nothing more is lost"
+    return [
+        f"structural rank {structural.rank} of {structural.of}: {some}",
+        *_directions(structural.null),
+        f"practical rank {practical.rank} of {practical.of}: {less}",
+        *_directions(practical.null),
+    ]
+
+
+def _directions(found: Sequence[NullDirection]) -> list[str]:
+    """Return a line for each of a few directions; many of single parameters are one line."""
+    lines = [_direction(one) for one in found]
+    rest = len(lines) - NAMED
+    return [*lines[:NAMED], f"  and {rest} more; --json and -o list all"] if rest > 1 else lines
+
+
+def _direction(direction: NullDirection) -> str:
+    named = few(direction.parameters)
+    if not direction.determined:
+        return f"  {named}: no combination is identifiable"
+    if direction.is_wide:
+        known = len(direction.determined)
+        return f"  {named} may change together; {known} combinations of them are identifiable (table above)"
+    return f"  {named}: only {' and '.join(direction.determined)}"
+
+
+def further_table(report: Identifiability) -> Table:
+    """Return what each further recording would determine beside this one."""
+    head, rows = ["with another recording", "practical rank", "then determined (1 sigma)"], []
+    for f in report.further:
+        units = {n: parameter_unit(report[n].unit, bare=True) for n in f.determined}
+        spans = {n: f"{number(s * units[n][0], 2)} {units[n][1]}".rstrip() for n, s in f.determined.items()}
+        sized = [f"{n} ({span})" for n, span in spans.items()]
+        more = f" and {len(sized) - LISTED} more" if len(sized) > LISTED else ""
+        rows.append([f.recording, f"{f.rank} of {f.of}", ", ".join(sized[:LISTED]) + more or "nothing more"])
+    return Table(head, rows, "what another recording would determine beside this one", wordy=(2,))
+
+
+LISTED = 8
+"""Gains of a further recording that are listed; all are in the JSON record."""
+
+
+def effects_table(report: Identifiability) -> Table:
+    """Return what 1 sigma and 1 % of each parameter do to the decoded pose."""
+    pose, period = report.model.pose, report.model.period
+    head = ["largest effect", *heads(pose, period, "1 sigma"), *heads(pose, period, "1 %")]
+    entries = [entry for entry in report.parameters if entry.verdict.word != "fixed"]
+    lost = [entry for entry in entries if entry.std is None]
+    entries = [entry for entry in entries if len(lost) <= NAMED + 1 or entry not in lost[NAMED:]]
+    sigma = _numbers([entry.sigma for entry in entries], report.model)
+    percent = _numbers([entry.percent for entry in entries], report.model)
+    rows = [[e.name, *s, *p] for e, s, p in zip(entries, sigma, percent, strict=True)]
+    return Table(head, rows, "largest change of the decoded pose by 1 sigma and by 1 % of each parameter")
+
+
+NIL = 1e-9
+"""Part of the largest change of a coordinate below which a change is a rounding error: 0."""
+
+
+def _numbers(changes: Sequence[Change | None], model: Model) -> list[list[str]]:
+    """Return each change of each coordinate, in its unit; empty where a parameter has none."""
+    largest = {c: max((abs(x.worst[c]) for x in changes if x), default=0.0) for c in model.pose}
+
+    def sizes(change: Change) -> list[float]:
+        found = change.worst
+        return [found[c] if abs(found[c]) > NIL * largest[c] else 0.0 for c in model.pose]
+
+    none = [""] * len(model.pose)
+    return [cells(sizes(change), model.pose, model.period) if change else none for change in changes]
+
+
+def outputs_table(report: Identifiability) -> Table:
+    """Return what the uncertainty of all parameters together does to the decoded pose."""
+    pose, period = report.model.pose, report.model.period
+    rows = []
+    labels = {
+        "parameters_rms": "all parameters, rms",
+        "parameters_worst": "all parameters, worst",
+        "noise_floor": "noise of one reading",
+    }
+    for key, label in labels.items():
+        rows.append([label, *cells([getattr(report.outputs[c], key) for c in pose], pose, period)])
+    return Table(["decoded pose (1 sigma)", *heads(pose, period)], rows, "uncertainty of the decoded pose")
+
+
+def offsets_text(offsets: Offsets) -> list[str]:
+    """Return the zero deviations: their sizes over all runs."""
+    if not offsets.names:
+        return []
+    sizes = offsets.sizes()
+    factor, unit = (1e6, "um") if offsets.units[0] == "m" else (float(np.degrees(1.0)), "deg")
+    said = [
+        f"{n} {number(factor * z['rms'])} {unit} rms, {number(factor * z['worst'])} {unit} at most"
+        for n, z in sizes.items()
+    ]
+    std = factor * max(z["std"] for z in sizes.values())
+    each = f"each +-{number(std, 2)} {unit} (1 sigma)"
+    return [f"{offsets.values.size} zero deviations, eliminated: {'; '.join(said)}; {each}"]

@@ -1,0 +1,152 @@
+"""What is said of a calibration without a reference: what each wave of its table belongs to."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hallsym.errors import counted, listed
+from hallsym.estimation.self_calibration import MOTION, NONE, OPEN, SENSOR, Wave
+from hallsym.estimation.without_reference import SelfFit, electrical, separated_by
+from hallsym.experiment.turns import RATIOS, TurnPlan, table_error, two_speeds
+from hallsym.fleets import RingFleet
+from hallsym.report.content import Block, Content, Section, Table
+from hallsym.report.figures.self_calibration import waves_figure
+from hallsym.report.results.fleet import fleet_content
+from hallsym.report.words import number
+
+SHOWN = 12
+"""Waves of the sensor that are listed, the largest; of the others all up to as many."""
+READING = {
+    SENSOR: "no ripple of the motion shows",
+    MOTION: "motion, told apart from the sensor",
+    OPEN: "sensor and motion are not separable with this recording",
+}
+
+
+def self_fit_content(result: SelfFit) -> Content:
+    """Return the sentence, errors on the turn held out, waves, and what separates them."""
+    found, fit = result.found, result.fit
+    turns = ", ".join(f"{t:.1f}" for t in found.turns)
+    basis = (
+        f"{fit.model.name}, {counted(found.pairs, 'pole pair')}, reference: {found.reference}; turns: {turns}"
+    )
+    left: list[Block] = []
+    if found.left:
+        names = {"nominal": "nominal transform", "ellipse": "ellipse alone", "table": "this table"}
+        head = ["left on the turn held out", "rms [electrical deg]", "less the motion told apart"]
+        rows = [[names[n], *(f"{electrical_deg(v):.2f}" for v in pair)] for n, pair in found.left.items()]
+        left = [Table(head, rows, "errors on the turn held out")]
+    shown: list[Wave] = []
+    for verdict in (MOTION, OPEN, SENSOR):
+        shown += found.verdicts(verdict)[:SHOWN]
+    rows = []
+    for w in shown:
+        none = w not in found.kept or (w.verdict == OPEN and found.reference == NONE)
+        sensor = "not in the table" if none else _size(result, w.sensor, w.std)
+        motion = "" if w.motion is None else _size(result, w.motion, w.motion_std)
+        rows.append([str(w.per_turn), number(w.per_turn / found.pairs), sensor, motion, READING[w.verdict]])
+    rest = len(found.kept) - len([w for w in shown if w in found.kept])
+    waves = Table(
+        ["wave per turn", "per period", "sensor", "motion", "[electrical deg]"], rows, "waves", wordy=(4,)
+    )
+    return Content(
+        f"Table of {fit.model.name} without a reference",
+        result.sentence,
+        [
+            Section("waves", "Waves", [waves, *([f"and {counted(rest, 'wave')} more"] if rest > 0 else [])]),
+            Section("notes", "Notes", [
+                *(f"to separate them: {text}" for text in separated_by(found)),
+                *(f"note: {note}" for note in fit.notes),
+            ]),
+        ],
+        ["", basis, *left],
+        columns=_columns(result),
+        picture=lambda log: waves_figure(result),
+        seconds=found.seconds,
+    )  # fmt: skip
+
+
+def _columns(found: SelfFit) -> dict[str, list[Any]]:
+    """Return the waves as columns."""
+    rows = [w.to_dict(found.found.pairs) for w in found.found.waves]
+    return {key: [row[key] for row in rows] for key in rows[0]}
+
+
+def electrical_deg(value: float) -> float:
+    """Return an electrical angle [rad] in degrees."""
+    return float(value * 57.29577951308232)
+
+
+def _size(result: SelfFit, value: complex, std: float | None) -> str:
+    size = electrical(result.found, value)
+    return f"{size:.3f}" if std is None else f"{size:.3f} +- {electrical(result.found, std):.3f}"
+
+
+def ring_fleet_content(found: RingFleet) -> Content:
+    """Return drive and heads, rings to look at, rings best first."""
+    jig, fleet, pairs = found.jig, found.fleet, found.pairs
+    heads = [str(h + 1) for h in jig.heads]
+    places = ", ".join(f"{electrical_deg(p):.3f}" for p in jig.places)
+    basis = (
+        f"{counted(len(fleet.rows), 'ring')}; Halls {', '.join(heads)} see one "
+        f"field, at {places} mechanical deg from Hall {heads[0]}"
+    )
+    ripple = [
+        [str(n), f"{electrical_deg(abs(c) * pairs):.3f} +- {electrical_deg(s * pairs):.3f}"]
+        for n, c, s in zip(jig.orders, jig.ripple, found.ripple_std, strict=True)
+    ]
+    said = fleet_content(fleet)
+    left = [(str(r["device"]), float(r["left_rad"])) for r in fleet.rows if r.get("left_rad") is not None]
+    rings: list[Block | str] = []
+    if left:
+        middle, most = map(electrical_deg, np.percentile([v for _, v in left], [50, 95]))
+        rings.append(
+            f"left on the turn held out, less the drive's ripple: median {middle:.2f}, 95 % {most:.2f} "
+            "electrical deg"
+        )
+        ends = [left[0], left[len(left) // 2], left[-1]]
+        words = ("best", "median", "worst")
+        rings += [f"  {w}: {d}, {electrical_deg(v):.2f}" for w, (d, v) in zip(words, ends, strict=True)]
+    drive = Table(["ripple of the drive, per turn", "[electrical deg]"], ripple, "ripple of the drive")
+    return replace(
+        said,
+        answer=found.sentence,
+        first=["", basis, drive, *said.first],
+        sections=[*said.sections, Section("rings", "Rings", rings)],
+    )
+
+
+def turns_content(found: TurnPlan) -> Content:
+    """Return the plan of turns: open waves, turns, speeds."""
+    places = ", ".join(number(electrical_deg(p), 4) for p in found.places)
+    where = f"Halls at {places} deg (mechanical) over {counted(found.pairs, 'pole pair')}"
+    answer = f"{where} leave none of the waves 1 to {len(found.seen)} per turn open."
+    if found.open:
+        named = listed([str(n) for n in found.open])
+        answer = (
+            f"{where} leave {'wave' if len(found.open) == 1 else 'waves'} {named} per turn open: n p is near "
+            "a multiple of 360 deg for all of them. Only the motion tells these: a rotor that coasts at two "
+            "speeds, or one Hall more at another angle. Turning back does not."
+        )
+    weak = np.argsort(found.seen)[:6]
+    rows = [[str(n + 1), "open" if n + 1 in found.open else f"{1 / found.seen[n]:.1f}"] for n in sorted(weak)]
+    ratios = ", ".join(f"{two_speeds(1.0, 1.0, r):.2f} at ratio {r:g}" for r in RATIOS)
+    blocks: list[Block | str] = [
+        Table(
+            ["weakest waves per turn", "error over that of a difference of two Halls"], rows, "weakest waves"
+        ),
+        f"torque ripple by two speeds, error over that of one: {ratios}",
+    ]
+    if found.density is None:
+        blocks.append("turns: not known before a recording; give one with --after LOG --accuracy 0.01deg")
+    else:
+        errors = [
+            [str(n), f"{electrical_deg(table_error(found.density, n)):.4f}"] for n in (1, 2, 4, 8, 16, 32)
+        ]
+        blocks.append(Table(["turns", "rms of the table [mechanical deg]"], errors, "turns"))
+        if found.target is not None:
+            turns = counted(found.turns or 0, "turn")
+            target = number(electrical_deg(found.target), 4)
+            blocks.append(f"{target} deg needs {turns}, and one to judge it.")
+    return Content("Plan of turns", answer, [Section("turns", "Turns", blocks)])

@@ -1,0 +1,265 @@
+"""What the contents of several results share: maps, runs, parameters, errors, origin."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hallsym.errors import counted
+from hallsym.estimation import Fit
+from hallsym.estimation.calibration import coverage_factor
+from hallsym.estimation.decoding import ErrorTable
+from hallsym.log.columns import in_a_row
+from hallsym.report.content import Block, Facts, Figure, Heading, Note, Runs, Section, Table, Words
+from hallsym.report.data.gather import Cells, RunSeries
+from hallsym.report.figures.errors import Sizes, in_bounds, over_time, plane, profiles, script_data
+from hallsym.report.tables import cells, concise, heads, in_units
+from hallsym.report.words import amount, name, number
+from hallsym.units import parameter_unit
+
+COLOURS = "The fuller the colour the larger the error; a dash marks a negative one; no cell: no samples."
+BANDS = "Line: median; band: plus and minus the rms."
+OVER = BANDS + " Orange: before; blue, drawn over it: after."
+VALUES = (
+    "Values with the standard uncertainty in parentheses, on the last two digits; a value in parentheses is "
+    "not identifiable."
+)
+BOUNDS = (
+    "Dot and line: the value with two standard uncertainties; a hollow dot is not identifiable; stroke: the "
+    "nominal value."
+)
+
+
+def numbers(runs: Sequence[int]) -> str:
+    """Return run numbers, neighbours as `3 to 9`."""
+    parts = in_a_row(runs)
+    return ", ".join(f"{p[0]} to {p[-1]}" if len(p) > 2 else ", ".join(map(str, p)) for p in parts)
+
+
+def few(names: Sequence[str], most: int = 6) -> str:
+    """Return the first names, and how many more there are: no wall of names."""
+    more = f" and {len(names) - most} more" if len(names) > most + 1 else ""
+    return ", ".join(names[:most] if more else names) + more
+
+
+def called(path: object) -> str:
+    """Return the last two parts of a log's path."""
+    return "/".join(Path(str(path)).parts[-2:]) if path else "a log in memory"
+
+
+def each(values: Mapping[str, float], turning: Collection[str] | None = None) -> str:
+    """Return `x 1.36 um, y 1.54 um, Rz 2.34 urad`; `turning` as in `hallsym.units.readable`."""
+    return ", ".join(f"{name(c)} {amount(c, v, turning)}" for c, v in values.items())
+
+
+# -- how large the error is ------------------------------------------------------------------------------
+
+
+def error_table(
+    pose: Sequence[str],
+    rows: Mapping[str, Sizes | None],
+    floor: Mapping[str, float] | None = None,
+    source: str = "",
+    turning: Collection[str] | None = None,
+    *,
+    more: Mapping[str, Sequence[str]] | None = None,
+    below: Mapping[str, Sequence[str]] | None = None,
+    title: str = "errors",
+) -> Table:
+    """Return rmse and peak of each output, one line per entry of `rows`.
+
+    `source`: whether the noise floor is stated or estimated, where that is to be said. `turning`: coordinates
+    that go round, see `hallsym.units.readable`. `more`, `below`: further lines of the rmse, as text, above
+    and below that of the noise floor.
+    """
+    table: list[list[str]] = []
+    for label, row in rows.items():
+        if row is not None:
+            sizes = (cells([row[what][c] for c in pose], pose, turning, 4) for what in ("rmse", "peak"))
+            table.append([label, *chain(*sizes)])
+    table += [[label, *words] for label, words in (more or {}).items()]
+    if floor:
+        noise = cells([floor[c] for c in pose], pose, turning, 4)
+        table.append([f"noise floor, {source}" if source else "noise floor", *noise])
+    table += [[label, *words] for label, words in (below or {}).items()]
+    head = [title, *heads(pose, turning, "rmse"), *heads(pose, turning, "peak")]
+    filled = [[*row, *[""] * (len(head) - len(row))] for row in table]
+    return Table(head, filled, "root mean square and largest error of each output")
+
+
+FEWEST = 4
+"""Runs from which on their scatter tells how well an rmse is known."""
+
+
+def interval_of(table: ErrorTable, runs: Sequence[int] | None = None) -> dict[str, tuple[float, float]]:
+    """Return the 95 % interval of the rmse of each output over some runs; empty for fewer than `FEWEST`.
+
+    From the scatter of whole runs, since errors within a run are alike: jackknife of the logarithm of the
+    mean square, and Student's t.
+    """
+    pick = [k for k, run in enumerate(table.runs) if (runs is None or run in runs) and table.count[k]]
+    if len(pick) < FEWEST:
+        return {}
+    squares, count, n = table.squares[pick], table.count[pick, None], len(pick)
+    without = np.log((squares.sum(axis=0) - squares) / (count.sum() - count))
+    sigma = np.sqrt((n - 1) * without.var(axis=0))
+    size, half = np.sqrt(squares.sum(axis=0) / count.sum()), 0.5 * coverage_factor(n - 1.0) * sigma
+    ends = zip(size * np.exp(-half), size * np.exp(half), strict=True)
+    return {c: (float(a), float(b)) for c, (a, b) in zip(table.pose, ends, strict=True)}
+
+
+def interval_row(
+    found: Mapping[str, tuple[float, float]], pose: Sequence[str], turning: Collection[str] | None
+) -> list[str]:
+    """Return the intervals as cells of an error table."""
+    low, high = (cells([found[c][k] for c in pose], pose, turning) for k in (0, 1))
+    return [f"{a} .. {b}" for a, b in zip(low, high, strict=True)]
+
+
+# -- where, when, and how the error is distributed ---------------------------------------------------------
+
+
+def maps_section(found: Mapping[str, Sequence[Cells]], floor: Mapping[str, float]) -> Section:
+    """Return the maps of the error; `found`: version of the model -> the same maps, one or two versions.
+
+    Of two versions maps over two coordinates stand one under the other on a common scale; along a coordinate
+    and by runs one is drawn over the other.
+    """
+    versions = {version: cells for version, cells in found.items() if cells}
+    content: list[Any] = []
+    if versions:
+        first, *second = versions.values()
+        pairs = list(zip(first, second[0] if second else [None] * len(first), strict=True))
+        content += _planes(versions, floor)
+        content += _profiles([(m, a) for m, a in pairs if not m.up], floor, bool(second))
+    return Section("maps", "Where the error is", content)
+
+
+def _planes(versions: Mapping[str, Sequence[Cells]], floor: Mapping[str, float]) -> list[Any]:
+    flat = {version: m for version, maps in versions.items() for m in maps if m.up}
+    figures = [
+        Figure(
+            [plane(m, [*flat.values()], what, k, floor.get(c) or 0.0) for k, c in enumerate(m.pose)],
+            f"{what}{f', {version}' if len(versions) > 1 else ''}",
+        )
+        for what in ("median", "rms")
+        for version, m in flat.items()
+    ]
+    more = " Before and after have one scale." if len(versions) > 1 else ""
+    note = f"Over the first two coordinates that move. {COLOURS}{more}"
+    return [Note(note), *figures] if figures else []
+
+
+def _profiles(
+    pairs: Sequence[tuple[Cells, Cells | None]], floor: Mapping[str, float], both: bool
+) -> list[Any]:
+    lines = [(m, a) for m, a in pairs if not m.labels]
+    how = (OVER if both else BANDS) + (" Dashed: noise floor." if floor else "")
+    content: list[Any] = [Note(f"Along one coordinate. {how}")] if lines else []
+    for m, a in lines:
+        content.append(Figure(_charts(m, a, floor), f"over {m.by}"))
+    for m, a in ((m, a) for m, a in pairs if m.labels):
+        held = " An h marks runs that were held out." if m.marked else ""
+        content += [Heading(f"By {m.by}"), Note(f"{how}{held}")]
+        content.append(Figure(_charts(m, a, floor), look="two"))
+    return content
+
+
+def _charts(m: Cells, a: Cells | None, floor: Mapping[str, float]) -> list[Any]:
+    return [c for k, name_ in enumerate(m.pose) for c in profiles(m, k, floor.get(name_) or 0.0, a)]
+
+
+def first_view(
+    series: Sequence[RunSeries], before: Sequence[Cells], after: Sequence[Cells], floor: Mapping[str, float]
+) -> list[Block]:
+    """Return the error over the time of the worst run and over a coordinate, before and after."""
+    blocks: list[Block] = []
+    if series:
+        lines = list(series[0].lines)
+        versions = f"; orange: {lines[0]}; blue, drawn over it: {lines[-1]}" if len(lines) > 1 else ""
+        blocks.append(Figure(over_time(series[0], every=True), f"Over time, {series[0].title}{versions}"))
+    pairs = [(b, a) for b, a in zip(before, after, strict=True) if not (b.up or b.labels)]
+    if pairs:
+        dashed = " Dashed: noise floor." if floor else ""
+        blocks.append(Figure(_charts(*pairs[0], floor), f"Over {pairs[0][0].by}. {OVER}{dashed}"))
+    return blocks
+
+
+def runs_section(found: Sequence[RunSeries]) -> Section:
+    """Return the errors over time of the worst run, with those of others for the script."""
+    if not found:
+        return Section("series", "Decoded minus reference over time", [])
+    first, data = found[0], script_data(found)
+    key = "; orange: " + "; blue, drawn over it: ".join(first.lines) if len(first.lines) > 1 else ""
+    shown = Runs(first.title, data["runs"][0]["note"], over_time(first), key, data)
+    return Section("series", "Decoded minus reference over time", [shown])
+
+
+# -- parameters ---------------------------------------------------------------------------------------------
+
+NAMED = 6
+"""Parameters with the same remark that a table lists; the others are one row, so that none is a wall."""
+
+
+def parameters_of(fit: Fit) -> list[Block]:
+    """Return the parameters, and what the data determine in place of some."""
+    remarks = [_remark(fit, k) for k in range(len(fit.values))]
+    shown = [
+        k for k, why in enumerate(remarks) if fit.determined[k] or remarks[:k].count(why) < NAMED or not why
+    ]
+    head = ["parameter", "value (1 sigma)", "unit", "nominal", "bounds", "meaning"]
+    rows = [_parameter(fit, k, remarks[k]) for k in shown]
+    table = Table(head, rows, f"parameters of {fit.model.name}", wordy=(5,), sortable=True)
+    content: list[Block] = [Note(VALUES), table]
+    if len(shown) < len(remarks):
+        more = f"and {counted(len(remarks) - len(shown), 'parameter')} more that this log does not determine"
+        content.append(Words(f"{more}; the calibration file and --json list all"))
+    inside = [k for k in shown if 0 < fit.model.parameters[k].width < math.inf]
+    if inside:
+        content += [Note(BOUNDS), Figure([in_bounds(fit, inside)], look="two")]
+    if fit.combinations:
+        head = ["identifiable combinations", "value (1 sigma)", "unit"]
+        rows = [[c.expression, *in_units(c.value, c.std, c.unit)] for c in fit.combinations]
+        content.append(Table(head, rows, "what the data determine in place of single parameters"))
+    return content
+
+
+def _parameter(fit: Fit, k: int, remark: str) -> list[Any]:
+    """Return the row of a parameter, every number in the unit that suits it."""
+    p, (factor, unit) = fit.model.parameters[k], parameter_unit(fit.model.parameters[k].unit)
+    value = factor * float(fit.values[k])
+    shown = concise(value, factor * float(fit.std[k])) if fit.determined[k] else f"({number(value, 4)})"
+    bounds = " .. ".join(number(factor * end, 4) for end in (p.lower, p.upper)) if p.width else "fixed"
+    said = "; ".join(filter(None, (p.meaning, remark)))
+    return [p.name, shown, unit, number(factor * p.nominal, 4), bounds, said]
+
+
+def _remark(fit: Fit, k: int) -> str:
+    """Return what is to be said of a parameter; nothing where it is determined inside its bounds or fixed."""
+    p = fit.model.parameters[k]
+    if not p.width:
+        return ""
+    if p.name in fit.at_bound:
+        return "at its bound"
+    if fit.determined[k]:
+        return ""
+    which = "any recording" if p.name in fit.structural else "this log"
+    done = "fixed at nominal" if p.name in fit.held else "see below"
+    return f"not identifiable from {which}; {done}"
+
+
+def origin_section(log: Mapping[str, Any], found: Mapping[str, Any], command: str) -> Section:
+    """Return where the page comes from: command, log, its hash, versions."""
+    pairs = [
+        ("command", command),
+        ("log", log.get("path") or "a log in memory"),
+        ("sha256 of the log", log.get("sha256")),
+        ("versions", ", ".join(f"{part} {version}" for part, version in found.items())),
+    ]
+    code = frozenset({"command", "log", "sha256 of the log"})
+    return Section("origin", "Origin", [Facts(pairs, code)])

@@ -1,0 +1,203 @@
+"""What a person reads of a study of tolerances, and of errors along a coordinate by cause."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hallsym.output import percent
+from hallsym.report.content import Block, Content, Heading, Section, Table
+from hallsym.report.figures.uncertainty import span
+from hallsym.report.results.shared import few
+from hallsym.report.tables import cells, heads
+from hallsym.report.words import number
+from hallsym.uncertainty import ErrorModel
+from hallsym.uncertainty.tolerances import ENOUGH, MOST_SAMPLES, Tolerance, Tolerances
+from hallsym.units import parameter_unit, readable
+
+
+def tolerances_content(found: Tolerances) -> Content:
+    """Return what is said of a study of tolerances: what to tighten first, errors, ranking, Sobol indices."""
+    machines = 2 * found.samples
+    basis = (
+        f"{found.model.name}: {len(found.active)} tolerances, {found.points} points of the workspace, "
+        f"{found.samples} base samples, seed {found.seed}"
+    )
+    return Content(
+        f"Tolerances of {found.model.name}",
+        _tighten(found),
+        [
+            Section("worth", "What a tolerance is worth", [
+                Heading("what a tolerance is worth: fall of the rms error in % if it alone is exact"),
+                worth_table(found),
+            ]),
+            Section("indices", "Sobol indices", [
+                Heading("Sobol indices in % of the error over the workspace: first (alone), total"),
+                index_table(found),
+                *_sentences(found),
+                *(f"note: {note}" for note in found.notes),
+            ]),
+        ],
+        [
+            basis,
+            Heading(f"errors of the nominal decoder without calibration, {machines} machines drawn"),
+            error_table(found),
+        ],
+    )  # fmt: skip
+
+
+def _tighten(found: Tolerances) -> str:
+    """Return which tolerance to tighten first, and what that is worth."""
+    worth = found.worth.exact
+    j, k = np.unravel_index(int(np.argmax(worth)), worth.shape)
+    name, what = found.active[int(j)], readable(found.model.pose[int(k)])[2]
+    said = f"Tighten {name} first: it lowers the {what} error by {percent(worth[j, k])}"
+    half = found.worth.exact_half[j, k]
+    others = [
+        found.active[i]
+        for i in np.flatnonzero(worth[:, k] + found.worth.exact_half[:, k] > worth[j, k] - half)
+    ]
+    unsure = [other for other in others if other != name]
+    return f"{said} if it is exact" + (f"; {few(unsure)} may be worth as much." if unsure else ".")
+
+
+def error_table(found: Tolerances) -> Table:
+    """Return the errors of the machines drawn, in um and urad."""
+    pose, period, e = found.model.pose, found.model.period, found.errors
+    rows = {
+        "rms, all machines": e.rms,
+        "of which common to all": e.mean,
+        "rms of one machine, 95 % below": e.rms_95,
+        "peak of one machine, 95 % below": e.peak_95,
+    }
+    body = [[label, *cells(values, pose, period)] for label, values in rows.items()]
+    return Table(["errors", *heads(pose, period)], body, "errors of the machines drawn")
+
+
+def worth_table(found: Tolerances) -> Table:
+    """Return the ranking: fall of the rms of each coordinate if one tolerance is made exact."""
+    ranges = {t.name: t for t in found.tolerances}
+    head = ["tolerance", "range", *(readable(c)[2] for c in found.model.pose), "+- (95 %)"]
+    rows = []
+    for name in found.ranking:
+        j = found.active.index(name)
+        wide = _percent(found.worth.exact_half[j].max())
+        rows.append([name, size(ranges[name]), *map(_percent, found.worth.exact[j]), wide])
+    return Table(head, rows, "fall of the rms error in % if one tolerance is exact", left=2)
+
+
+def index_table(found: Tolerances) -> Table:
+    """Return first and total indices of the error, one line per tolerance, with the widest interval."""
+    indices = [(readable(c)[2], found.indices[c]) for c in found.model.pose]
+    head = ["tolerance", *(f"{what} {kind}" for what, _ in indices for kind in ("first", "total"))]
+    rows = []
+    for name in found.ranking:
+        j = found.active.index(name)
+        rows.append([name, *(_percent(v) for _, i in indices for v in (i.first[j], i.total[j]))])
+    rows.append(["sum", *(_percent(v.sum()) for _, i in indices for v in (i.first, i.total))])
+    rows.append(["widest +- (95 %)", *(v for _, i in indices for v in (_percent(i.widest), ""))])
+    return Table(head, rows, "Sobol indices in %")
+
+
+def size(t: Tolerance) -> str:
+    """Return a range for reading: `+-50 mm`, `0.1 deg (normal)`."""
+    factor, unit = parameter_unit(t.unit, bare=True)
+    sign = "" if t.distribution == "normal" else "+-"
+    moved = abs(t.centre - t.nominal) > 1e-12 * abs(t.nominal)
+    about = f" about {number(t.centre * factor, 4)}" if moved else ""
+    kind = {"rectangular": "", "normal": " (1 sigma)"}.get(t.distribution, f" ({t.distribution})")
+    return f"{sign}{number(t.width * factor, 6)} {unit}".rstrip() + about + kind
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value + 0.0:.1f}".replace("-0.0", "0.0")
+
+
+def _sentences(found: Tolerances) -> Iterator[str]:
+    yield _sharpness(found)
+    yield (
+        "several at once: shares of the error add where first and total index agree; the rms falls to "
+        "sqrt(1 - sum)"
+    )
+    exact = [t.name for t in found.tolerances if t.width == 0]
+    if exact:
+        yield f"exact: {', '.join(exact)}"
+
+
+def _sharpness(found: Tolerances) -> str:
+    text = f"intervals: indices of the error are within +-{_percent(found.widest)} points (95 %)"
+    if found.widest <= ENOUGH:
+        return f"{text}, sharp enough to rank what differs by more"
+    wanted = found.samples * 2 ** int(np.ceil(2 * np.log2(found.widest / ENOUGH)))
+    if wanted > MOST_SAMPLES:
+        return f"{text}, too wide to rank by; {MOST_SAMPLES} samples are the most there can be"
+    return (
+        f"{text}, too wide to rank by: about --samples {wanted} brings them below {100 * ENOUGH:.0f} "
+        "(four times the samples and the time, half the width)"
+    )
+
+
+# -- errors along a coordinate -----------------------------------------------------------------------------
+
+
+def errors_content(found: ErrorModel) -> Content:
+    """Return errors along a coordinate by cause, and what makes how many waves."""
+    *_, together = found.causes
+    cause, _, errors = together
+    sizes = []
+    for k, column in enumerate(found.model.pose):
+        factor, unit, name = readable(column, found.model.period)
+        sizes.append(f"{name} {number(np.abs(errors.error[k]).max() * factor, 4)} {unit}")
+    *_, moving = span(found)
+    return Content(
+        f"Errors of {found.model.name} along {moving}",
+        f"The largest error over {moving} is {', '.join(sizes)} ({cause}).",
+        [Section("waves", "Waves", _waves(found))],
+        [_along_head(found), along_table(found)],
+    )
+
+
+def _along_head(found: ErrorModel) -> str:
+    low, high, factor, unit, name = span(found)
+    shown = ((*readable(c, found.model.period), v) for c, v in found.at.items())
+    rest = "".join(f", {n} = {number(v * f, 6)} {u}" for f, u, n, v in shown)
+    return (
+        f"{found.model.name}: error (decoded less true) over {name} = {number(factor * low, 6)} to "
+        f"{number(factor * high, 6)} {unit}{rest}; decoder: {found.decoder}, nominal values, no noise"
+    )
+
+
+def along_table(found: ErrorModel) -> Table:
+    """Return one line per cause and coordinate of the pose."""
+    *_, factor, unit, name = span(found)
+    pose, period, place = found.model.pose, found.model.period, f"at {name} [{unit}]"
+    head = ["cause", "error", "mean", "rms", "largest", place, "least", place, "waves"]
+    rows = []
+    for cause, _, errors in found.causes:
+        for k, column in enumerate(pose):
+            f = readable(column, period)[0]
+            (high, there), (low, here) = errors.extremes(k)
+            numbers = (errors.error[k].mean(), errors.rms[k], high, low)
+            mean, rms, most, least = ("0" if abs(v * f) < SHOWN else number(v * f, 4) for v in numbers)
+            ends = [most, number(there * factor, 4), least, number(here * factor, 4)]
+            label = cause if k == 0 else ""
+            rows.append([label, *heads([column], period), mean, rms, *ends, str(errors.waves[k])])
+    return Table(head, rows, "error by cause", left=2)
+
+
+SHOWN = 1e-4
+"""Least error shown [um, urad, mdeg]: a decoder that has converged only rounds below it."""
+
+
+def _waves(found: ErrorModel) -> list[Block | str]:
+    expected = found.expected_waves
+    if not expected:
+        return []
+    low, high, factor, unit, name = span(found)
+    per = f"{number(factor * (high - low), 6)} {unit} of {name}"
+    rows = [
+        [str(n), number(factor * (high - low) / n, 4), ", ".join(effects)]
+        for n, effects in expected.items()
+        if n
+    ]
+    heading = Heading(f"causes by the waves of their error per {per}")
+    return [heading, Table(["waves", f"period [{unit}]", "effects"], rows, "waves and causes", left=3)]
