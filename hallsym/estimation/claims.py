@@ -1016,10 +1016,15 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
     while left and len(out) < DIFFERENT and (found := look(left)):
         out.append(found)
         left = [r for r in left if r not in found.correction.runs]
-    if len(left) > 1 and len(out) < DIFFERENT:
-        apart = [found for r in left[:SEARCHED] if (found := look([r]))]
-        out += apart
-        left = [r for r in left if all(r not in found.correction.runs for found in apart)]
+    if len(left) > 1 and len(out) < DIFFERENT and (now := trials.at((), p, odd)):
+        over = {r: now.counts[r] * max(now.left.get(r, 0.0) - 1, 0.0) for r in odd}
+        may_stay = (1 - EXPLAINS) * sum(over.values())  # more than that, and no fit without them is explained
+        for r in sorted(left, key=over.__getitem__, reverse=True)[:SEARCHED]:
+            if found := look([r]):
+                out.append(found)
+                left.remove(r)
+            elif (may_stay := may_stay - over[r]) < 0:
+                break
     if left and not one_way:  # what no mistake explains in some of them may be another device in all
         now = trials.at((), p, odd)
         out = (_other_device(trials, now, odd) if now and now.left else []) or out

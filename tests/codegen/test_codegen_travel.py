@@ -68,6 +68,7 @@ def test_the_reference_is_the_decoder_of_the_model():
     assert np.abs(made().decoupler.exact(read(x, z)) - [x, z]).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_no_array_and_an_array_off_the_board_raise_a_flag():
     backend = made().backend
     nothing = np.zeros((len(backend.inputs), 1), dtype=np.float32)

@@ -253,6 +253,7 @@ def _names(log):
     return [claim.name for claim in claims]
 
 
+@pytest.mark.slow
 def test_logs_that_no_array_can_have_made_are_claimed():
     assert _claimed("x_ref_m", lambda x: x + 0.4) == ["beyond"]
     assert _claimed("x_ref_m", lambda x: 1e-2 * x) == ["scale"]

@@ -232,6 +232,7 @@ def test_noise_follows_what_is_undone(right):
 # -- in a calibration --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_calibration_keeps_corrections_and_claims_and_reads_the_next_log_with_them(tmp_path):
     columns = record(seed=1, samples=30)
     late = columns["run"] == 4

@@ -80,6 +80,7 @@ def test_over_whole_turns_it_costs_the_zero_alone_and_over_less_more():
     assert cost[1] > 1.1
 
 
+@pytest.mark.slow
 def test_default_says_that_zeros_differ_or_claims_that_none_suits():
     first = hallsym.fit(recorded(), "rotary", solver="direct").claims[0]
     assert first.name == "homed"

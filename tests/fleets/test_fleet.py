@@ -97,6 +97,7 @@ def test_the_spread_of_the_good_ones(broken):
     assert sum(held) >= 4  # of five intervals of 95 %
 
 
+@pytest.mark.slow
 def test_table_page_and_files_for_the_next_batch(broken, tmp_path, capsys):
     folder, known, found, table = broken
     again = load_fleet(table)

@@ -492,7 +492,12 @@ def next_words(out: str) -> list[str]:
     return shlex.split(" ".join(out[out.index("next: hallsym ") :].split())[len("next: hallsym ") :])
 
 
-@pytest.mark.parametrize("name", list(LABS))
+SLOW = ("no height, no tilts", "a board of another layout")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in LABS]
+)
 def test_obeying_twice_ends_in_the_right_answer(
     name: str,
     tmp_path: Path,
