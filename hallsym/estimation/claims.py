@@ -658,9 +658,16 @@ def _of_some_runs(trials: Trials, base: Tried) -> tuple[list[Found], float]:
     explained: list[tuple[int, float, list[Found]]] = []
     for odd, agreed in divided.items():
         some = _in_runs(trials, agreed, odd)
-        if len(some) == 1 and (named := _named(trials, base, some[0], least)):
-            some = [named]
         after = trials.fitted([one.correction for one in some]) if some else None
+        # the first one alone, which the others may follow from: where it is right, it leaves no more
+        alone = _named(trials, base, some[0], least) if some else None
+        left = trials.fitted((alone.correction,)) if alone else None
+        if (
+            alone
+            and left
+            and (len(some) == 1 or not after or left.mean(left.deviance) <= after.mean(after.deviance))
+        ):
+            some, after = [alone], left
         if after is not None and after.left and _explains(base, after, least):
             explained.append((len(some), after.mean(after.deviance), some))
     return min(explained, key=lambda one: one[:2], default=(0, 0.0, []))[2], floor
@@ -672,12 +679,14 @@ def _named(trials: Trials, base: Tried, found: Found, floor: float = 1.0) -> Fou
     None where the fit does not confirm it.
     """
     c = found.correction
-    known = scales(trials.model, c.columns) if c.kind == "scale" else []
-    own = all(factor != c.numbers[0] for _, factor in known)
+    gain = c.kind == "gain_step" and len(c.numbers) == 1  # of whole runs: their numbers are scaled
+    by = 1 / c.numbers[0] if gain else c.numbers[0] if c.kind == "scale" else 0.0
+    known = scales(trials.model, c.columns) if by else []
+    own = all(factor != by for _, factor in known)
     near = [
-        replace(c, numbers=(factor,), unit=unit)
+        Correction("scale", c.columns, (factor,), c.runs, unit)
         for unit, factor in known
-        if own and 1 / UNIT_NEAR < factor / c.numbers[0] < UNIT_NEAR
+        if own and 1 / UNIT_NEAR < factor / by < UNIT_NEAR
     ]
     for some in (near, [c]):
         fits = {one: trials.fitted((one,)) for one in some}
