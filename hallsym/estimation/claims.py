@@ -589,6 +589,8 @@ def _screen(trials: Trials, base: Tried) -> Callable[[Correction], float]:
 EXPLAINS = 0.9
 """Share of the excess that a correction must explain to be named: one that leaves a tenth of it is near the
 right one, not it."""
+CUT_OFF = 4.0
+"""Mean square that steps leave over step^2/12, at most: of numbers cut off, not rounded, step^2/3."""
 EXCESS = 1.5
 """Mean square of the residual over the noise from which on a mistake is looked for: a noise that is stated
 20 % too small is none."""
@@ -846,7 +848,7 @@ def _best(
         if found is None or not found.left:
             return
         left = found.mean(found.left, runs)
-        if c.mistake.keeps and left > EXCESS:  # a noise that is larger is not all that is wrong
+        if c.mistake.keeps and left > CUT_OFF:  # a noise that is larger is not all that is wrong
             return
         same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
         one = Judged(same, found.mean(found.deviance, runs), left, c, found.far)

@@ -136,7 +136,18 @@ def test_a_field_that_grows_off_the_axis_is_no_gap():
 
 
 @pytest.mark.slow
+def test_places_on_a_grid_are_not_coarse_where_a_field_is_no_array_s():
+    """A larger noise of the reference would take up any gap; what is left shows that it is no rounding."""
+    model, log = off_the_axis(made_up("raw"))
+    near = np.abs(log.array("x_ref_m")) < 0.1
+    few = Log.from_arrays({c: log.array(c)[near] for c in log.columns}, log.noise)
+    fit = hallsym.fit(few, model, effects=["wavelength_error"], solver="direct", loss="none")
+    assert fit.goodness.sentence
+    assert "coarse_steps" not in [claim.name for claim in fit.claims]
+
+
 @HERE
+@pytest.mark.slow
 def test_the_period_of_a_measured_field_is_found():
     check_the_period(measured("02", "raw"))
 
