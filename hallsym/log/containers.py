@@ -137,7 +137,7 @@ def by_signal(source: Source, where: str) -> Source:
     """
     if not 3 <= len(source.names) <= MOST_NAMES:
         return source
-    head = source.head(LOOKED_AT, MOST_NAMES)
+    head = [row for row in source.head(LOOKED_AT, MOST_NAMES) if len(row) == len(source.names)]
     columns = dict(zip(source.names, zip(*head, strict=True), strict=False))
     words = [name for name, cells in columns.items() if not any(map(is_number, cells))]
     stems = {name: split_unit(split_header(name)[0])[0].lower().strip("_") for name in source.names}
