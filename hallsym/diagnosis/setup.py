@@ -28,7 +28,7 @@ from hallsym.families.faults import FAULTS
 from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ
 from hallsym.families.recording import Wiring, as_read, corrected
 from hallsym.log import Log, clean_log, usable
-from hallsym.log.batches import HELD
+from hallsym.log.batches import HELD, remembered
 from hallsym.log.phase import at_rest, continuous
 from hallsym.log.quality.scan import FEWEST_SAMPLES
 from hallsym.model import Effect, Model
@@ -151,7 +151,7 @@ def base_of(log: Log, result: Fit) -> Base:
         pose_weights=result.model.family.pose_metric.weights(result.model.pose, log.meta.gap_length_scale_m),
         holdout=frozenset(result.log["holdout"]),
         sigma=sigma,
-        keep=result.keep,
+        keep=result.keep and remembered(result.keep, wired.rows),
     )
 
 

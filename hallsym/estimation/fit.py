@@ -39,7 +39,7 @@ from hallsym.estimation.task import (
 from hallsym.families import plain
 from hallsym.families.recording import corrected, read_correction
 from hallsym.log import LAYOUT, UNRELATED, Fault, Log, as_log
-from hallsym.log.batches import Weigh, batches
+from hallsym.log.batches import Weigh, batches, remembered
 from hallsym.log.phase import continuous, nearest_turn
 from hallsym.model import Model
 
@@ -418,10 +418,11 @@ class _Together:
         clean = {g: self.logs[g].begun for g in loud}
         total, before = sum(begun.samples for begun in clean.values()), -1.0
         columns = (*self.sharing.model.references, *self.sharing.model.channels)
-        suspects = rules = {g: outliers.column_spikes(columns) for g in loud}
+        rules = {g: outliers.column_spikes(columns) for g in loud}
+        weigh = suspects = {g: remembered(rules[g], tasks[g].log.rows, columns) for g in loud}
         for left_over in reversed(range(ROUNDS)):
             for g in loud:
-                self.logs[g].begun = _weighed(tasks[g], rules[g], clean[g])
+                self.logs[g].begun = _weighed(tasks[g], weigh[g], clean[g])
             left = sum(self.logs[g].begun.samples for g in loud)
             if left < total:
                 self.asked.say(f"refitting without outliers ({100 * (1 - left / total):.2g} % of the weight)")
@@ -430,10 +431,11 @@ class _Together:
                 break
             before = left
             rules = {g: tasks[g].weigh(self.of_log(state, g), suspects[g]) for g in loud}
+            weigh = {g: remembered(rules[g], tasks[g].log.rows, columns_of(tasks[g].model)) for g in loud}
         for g, begun in clean.items():
             one, wrong_for = self.logs[g], rules[g].wrong_for
             if one.begun.samples < begun.samples:
-                one.keep = rules[g]
+                one.keep = weigh[g]
                 one.notes += (_left_out(begun.samples, one.begun.samples, self.asked.loss),)
             else:
                 one.begun = begun

@@ -1,6 +1,6 @@
 """Sensor logs: read, check and write them; SI units, split into runs, with what is known of their noise."""
 
-from hallsym.log.batches import Batch, Weigh, batches
+from hallsym.log.batches import Batch, Weigh, batches, remembered
 from hallsym.log.columns import MOST_RUN, Foreign, parse_column_option, read_column_file
 from hallsym.log.core import Block, Drop, Log, without
 from hallsym.log.derived import extended
@@ -44,6 +44,7 @@ __all__ = [
     "parse_column_option",
     "read_column_file",
     "read_log",
+    "remembered",
     "spans",
     "unwrapped",
     "usable",

@@ -119,6 +119,31 @@ class Batch:
         return None if weigh is None else np.concatenate([weigh(block) for block in self.blocks])
 
 
+REMEMBERED = 4_000_000
+"""Samples whose weights are kept: 32 MB."""
+
+
+def remembered(weigh: Weigh, rows: int, columns: Sequence[str] | None = None) -> Weigh:
+    """Return the same weights, computed once per block where a log of `rows` samples is not too long.
+
+    A block is known by its run and its numbers: those of `columns`, which are all that `weigh` looks at (all
+    of the block's by default).
+    """
+    if rows > REMEMBERED:
+        return weigh
+    known: dict[tuple, np.ndarray] = {}
+
+    def weights(block: Block) -> np.ndarray:
+        names = block.data if columns is None else columns
+        key = (block.run, *((name, hash(block.data[name].tobytes())) for name in names))
+        if key not in known:
+            known[key] = weigh(block)
+            known[key].flags.writeable = False
+        return known[key]
+
+    return weights
+
+
 HELD = 250_000
 """Samples of a log in memory whose batches are kept for the next pass: 2 MB for each column."""
 

@@ -9,7 +9,7 @@ from twins import COLUMNS, HALL, TRUTH, campaign, phi, record, with_noise
 from hallsym.estimation.decoding import residuals
 from hallsym.estimation.outliers import column_spikes, reject_spikes, tukey
 from hallsym.families.stage.models import stage31
-from hallsym.log import Block
+from hallsym.log import Block, remembered
 
 SIGMA = 1e-6
 COVARIANCE = np.eye(3) * SIGMA**2
@@ -196,6 +196,24 @@ def test_columns_alone_show_most_spikes_and_accuse_few_good_samples(seed, share)
     weight = column_spikes(("x",))(Block(0, {"x": x, "y": np.zeros(n)}))
     assert np.mean(weight[~hit]) > 0.9  # at a share of .1 every third good sample has a bad neighbour
     assert np.mean(weight[hit]) < 0.03 if hit.any() else True
+
+
+def test_weights_are_remembered_for_the_same_numbers_only():
+    """A periodic log has many blocks of one length that begin alike."""
+    asked = []
+
+    def weigh(b: Block) -> np.ndarray:
+        asked.append(b)
+        return (b.data["x"] < 1).astype(float)
+
+    once = remembered(weigh, 100, ("x",))
+    x, other = np.zeros(5), np.array([0.0, 0, 2, 0, 0])
+    for _ in range(2):
+        assert once(Block(0, {"x": x, "y": x})).tolist() == [1, 1, 1, 1, 1]
+        assert once(Block(0, {"y": other, "x": x.copy()})).tolist() == [1, 1, 1, 1, 1]
+        assert once(Block(0, {"x": other})).tolist() == [1, 1, 0, 1, 1]
+        assert once(Block(1, {"x": x})).tolist() == [1, 1, 1, 1, 1]
+    assert len(asked) == 3
 
 
 def test_runs_too_short_to_judge_are_kept():
