@@ -3,11 +3,13 @@
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import overload
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from hallsym.log.core import Block, Log
+from hallsym.log.columns import RUN
+from hallsym.log.core import Block, Log, RunOrder
 from hallsym.log.table import joined
 
 SIZE = 8192
@@ -123,13 +125,17 @@ REMEMBERED = 4_000_000
 """Samples whose weights are kept: 32 MB."""
 
 
-def remembered(weigh: Weigh, rows: int, columns: Sequence[str] | None = None) -> Weigh:
+@overload
+def remembered(weigh: Weigh, rows: int, columns: Sequence[str] | None = None) -> Weigh: ...
+@overload
+def remembered(weigh: None, rows: int, columns: Sequence[str] | None = None) -> None: ...
+def remembered(weigh: Weigh | None, rows: int, columns: Sequence[str] | None = None) -> Weigh | None:
     """Return the same weights, computed once per block where a log of `rows` samples is not too long.
 
     A block is known by its run and its numbers: those of `columns`, which are all that `weigh` looks at (all
     of the block's by default).
     """
-    if rows > REMEMBERED:
+    if weigh is None or rows > REMEMBERED:
         return weigh
     known: dict[tuple, np.ndarray] = {}
 
@@ -192,6 +198,9 @@ def _held(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
 
 
 def _read(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
+    if isinstance(log, Log) and log.table.in_memory:
+        yield from _parts(log, columns)
+        return
     waiting: list[Block] = []
     count = 0
     for block in log.blocks(columns, size=SIZE):
@@ -202,6 +211,21 @@ def _read(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
             waiting, count = [], 0
     if waiting:
         yield _batch(waiting, columns)
+
+
+def _parts(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
+    """Yield the same batches of a log in memory as parts of its columns, which are not copied."""
+    (piece,) = log.table.pieces(tuple(dict.fromkeys((RUN, *columns))), SIZE)
+    data = {name: piece[name].astype(float, copy=False) for name in columns}
+    runs, edges = list[int](), [0]
+    for run, start, stop in RunOrder(log.name).segments(piece[RUN]):
+        for end in (*range(start + SIZE, stop, SIZE), stop):
+            runs.append(run)
+            edges.append(end)
+            if end - edges[0] >= SIZE or end == len(piece[RUN]):
+                own = {name: values[edges[0] : end] for name, values in data.items()}
+                yield Batch(tuple(runs), own, tuple(edge - edges[0] for edge in edges))
+                runs, edges = [], [end]
 
 
 def _batch(blocks: list[Block], columns: Sequence[str]) -> Batch:

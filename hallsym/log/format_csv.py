@@ -185,8 +185,8 @@ def cleaning(dialect: Dialect) -> Callable[[str], str]:
     Numbers that are written otherwise become usual ones. Each line ends with \n; what it returns is empty
     where nothing is left.
     """
-    empty = re.compile(rf"^[ \t{re.escape(dialect.delimiter)}]*\n", re.M)  # also a line of empty cells
-    starts = (*_BLANK, dialect.delimiter)
+    empty = re.compile(rf"^[ \t{re.escape(dialect.delimiter)}]*\n", re.M)
+    cells = f"{dialect.delimiter * max(len(dialect.stems) - 1, 1)}\n"  # a line of empty ones is empty too
     comment = re.compile(rf'^[ \t"]*(?:{"|".join(map(re.escape, dialect.comments))})[^\n]*\n', re.M)
     grouping = dialect.numbers.grouping
     group = re.compile(rf"(?<=\d){re.escape(grouping)}(?=\d{{3}}(?!\d))", re.A)
@@ -195,7 +195,7 @@ def cleaning(dialect: Dialect) -> Callable[[str], str]:
     beside = re.compile(rf'"[ ]*{re.escape(sign)}[ ]*"')
 
     def clean(lines: str) -> str:
-        if lines.startswith(starts) or any("\n" + first in lines for first in starts):
+        if lines.startswith(_BLANK) or cells in lines or any("\n" + first in lines for first in _BLANK):
             lines = empty.sub("", lines)  # looking for one first is ten times as fast
         if any(mark in lines for mark in dialect.comments):
             lines = comment.sub("", lines)
