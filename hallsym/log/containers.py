@@ -38,20 +38,19 @@ def one_of(where: str, kind: str, tables: Mapping[str, Source], chosen: str | No
     filled = {name: source for name, source in tables.items() if _holds_numbers(source)} or tables
     if not filled:
         raise InputError(f"{where} is empty: it must hold a row of column names and one row per sample.")
-    if len(filled) == 1:
-        return next(iter(filled.values()))
     same = defaultdict[frozenset[str], list[str]](list)
     for name, source in filled.items():
         same[frozenset(source.names)].append(name)
     runs = max(same.values(), key=len)
-    if len(runs) == 1:
+    if len(runs) == 1 < len(filled):
         raise InputError(
             f"{where} has {len(filled)} {kind}s with cells ({listed(list(filled))}): say which one holds the "
             f"log with --sheet {quoted(runs[0])}."
         )
-    found = GroupedSource(
-        where, f"{kind}s", [Group(name, filled[name]) for name in runs], {}, None, files=True
-    )
+    found = filled[runs[0]]
+    if len(runs) > 1:
+        groups = [Group(name, filled[name]) for name in runs]
+        found = GroupedSource(where, f"{kind}s", groups, {}, None, files=True)
     others = [name for name in tables if name not in runs]
     left = (f"Of {where} {kind} {listed(others)} is not read.",) if others else ()
     found.notes = (*found.notes, *left)
@@ -73,7 +72,8 @@ def open_sqlite(path: Path, sheet: str | None = None) -> Source:
         asked = "select name from sqlite_master where type in ('table', 'view') and name not like 'sqlite_%'"
         found = {}
         for (name,) in base.execute(asked).fetchall():
-            rows = base.execute(f'select * from "{name}"')
+            own = name.replace('"', '""')
+            rows = base.execute(f'select * from "{own}"')
             names = [column[0] for column in rows.description]
             values = zip(*rows.fetchall(), strict=True)
             columns = dict(zip(names, map(list, values), strict=False))

@@ -237,8 +237,11 @@ def test_a_table_of_a_database_is_a_log(tmp_path: Path) -> None:
         log = read_log(tmp_path / "log.sqlite")
         assert np.allclose(log.array("x_ref_m"), 1e-6 * np.arange(50), rtol=1e-15, atol=0)
         base.execute("CREATE TABLE notes (text TEXT)")
+        base.execute("INSERT INTO notes VALUES ('warm')")
         base.commit()
-        assert read_log(tmp_path / "log.sqlite").rows == 50
+        log = read_log(tmp_path / "log.sqlite")
+        assert log.rows == 50
+        assert any("table notes is not read" in note for note in log.notes)
         base.execute("CREATE TABLE gains (gain REAL)")
         base.execute("INSERT INTO gains VALUES (1.5)")
         base.commit()

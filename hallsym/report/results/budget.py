@@ -38,19 +38,23 @@ def position_content(
     budgets: Mapping[str, Budget], place: str, basis: str, more: Sequence[Block | str] = ()
 ) -> Content:
     """Return the budgets of a position: U of each coordinate in a sentence, then their sources."""
-    sizes = []
-    for budget in budgets.values():
-        size = sized(budget.expanded, budget.unit, turns=budget.turns, digits=4)
-        sizes.append(f"{readable(budget.quantity)[2]} {size}")
-    first = next(iter(budgets.values()))
     return Content(
         "Budget of a position",
-        f"U ({_coverage(first)}) of the position at {place}: {', '.join(sizes)}; {basis}.",
+        f"{expanded(budgets, place)}; {basis}.",
         [
             *(Section(f"of_{c}", readable(c)[2], budget_blocks(b)) for c, b in budgets.items()),
             Section("more", "More", more),
         ],
     )
+
+
+def expanded(budgets: Mapping[str, Budget], place: str) -> str:
+    """Return U of each coordinate of a position as a sentence without its end."""
+    sizes = []
+    for budget in budgets.values():
+        size = sized(budget.expanded, budget.unit, turns=budget.turns, digits=4)
+        sizes.append(f"{readable(budget.quantity)[2]} {size}")
+    return f"U ({_coverage(next(iter(budgets.values())))}) of the position at {place}: {', '.join(sizes)}"
 
 
 def _columns(budget: Budget) -> dict[str, list[Any]]:

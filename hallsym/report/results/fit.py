@@ -269,7 +269,7 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
     judged = "held out" if held else "fitted" if same else "this log"
     known = shared.interval_of(survey.fitted, held or survey.runs)
     more = {f"95 % interval, {judged}": shared.interval_row(known, pose, turning)} if known else {}
-    errors = shared.error_table(pose, rows, fit.noise_floor, turning=turning, more=more, below=_expanded(fit))
+    errors = shared.error_table(pose, rows, fit.noise_floor, turning=turning, more=more)
     said = fit_content(fit)
     notes = [*circumstances(fit), *_notes(log, fit, found, same)]
     described = verdict(fit).partition("; next: ")[0].rstrip(".")  # the card has the next command
@@ -283,7 +283,11 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
         word="Not at the noise floor." if said.state == "bad" else "At the noise floor.",
         why=why,
         command=next_command,
-        first=[errors, *shared.first_view(found.series, found.before, found.maps, fit.noise_floor)],
+        first=[
+            errors,
+            *_expanded(fit),
+            *shared.first_view(found.series, found.before, found.maps, fit.noise_floor),
+        ],
         sections=[
             Section("input", "Input", [_input(log, fit, found, same)]),
             shared.maps_section({"fitted": found.maps}, fit.noise_floor),
@@ -296,17 +300,15 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
     )
 
 
-def _expanded(fit: Fit) -> dict[str, list[str]]:
-    """Return U of the decoded position as a row of the error table; none where a budget is not possible."""
-    from hallsym.report.tables import cells
+def _expanded(fit: Fit) -> list[str]:
+    """Return U of the decoded position as a sentence; none where a budget is not possible."""
+    from hallsym.report.results.budget import expanded
     from hallsym.uncertainty import position_budget
 
     try:
-        budgets = position_budget(fit)
+        return [f"{expanded(position_budget(fit), 'rest')}."]
     except InputError:
-        return {}
-    sizes = [budgets[c].expanded for c in fit.model.pose]
-    return {"U (k = 2) of one position": cells(sizes, fit.model.pose, fit.model.period, 4)}
+        return []
 
 
 def _next(fit: Fit, calibration: str) -> tuple[str, str]:

@@ -45,8 +45,8 @@ def identifiability_content(report: Identifiability) -> Content:
         ]
         head = ["identifiable combinations", "value (1 sigma)", "unit", "95 % interval"]
         combinations = [Table(head, rows, "what is determined in place of single parameters")]
-    told = report.evidence.uncertainty
-    notes = [f"uncertainty: {told.method} ({told.reason})"]
+    found = report.evidence.uncertainty
+    notes = [f"uncertainty: {found.method} ({found.reason})"]
     notes += [f"not computed: {sentence}" for sentence in report.partial]
     notes += [f"note: {note}" for note in report.evidence.notes if note != amiss]
     return Content(

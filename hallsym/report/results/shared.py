@@ -68,14 +68,13 @@ def error_table(
     turning: Collection[str] | None = None,
     *,
     more: Mapping[str, Sequence[str]] | None = None,
-    below: Mapping[str, Sequence[str]] | None = None,
     title: str = "errors",
 ) -> Table:
     """Return rmse and peak of each output, one line per entry of `rows`.
 
     `source`: whether the noise floor is stated or estimated, where that is to be said. `turning`: coordinates
-    that go round, see `hallsym.units.readable`. `more`, `below`: further lines of the rmse, as text, above
-    and below that of the noise floor.
+    that go round, see `hallsym.units.readable`. `more`: further lines of the rmse, as text, above
+    that of the noise floor.
     """
     table: list[list[str]] = []
     for label, row in rows.items():
@@ -86,7 +85,6 @@ def error_table(
     if floor:
         noise = cells([floor[c] for c in pose], pose, turning, 4)
         table.append([f"noise floor, {source}" if source else "noise floor", *noise])
-    table += [[label, *words] for label, words in (below or {}).items()]
     head = [title, *heads(pose, turning, "rmse"), *heads(pose, turning, "peak")]
     filled = [[*row, *[""] * (len(head) - len(row))] for row in table]
     return Table(head, filled, "root mean square and largest error of each output")
