@@ -186,18 +186,18 @@ def reading_unit(si: str, *, turns: bool = False) -> tuple[float, str]:
     return _RATES.get(si, (1.0, si))
 
 
-def readable(column: str, turning: Collection[str] | None = None) -> tuple[float, str, str]:
+def readable(column: str, periodic: Collection[str] | None = None) -> tuple[float, str, str]:
     """Return factor, unit and short name of a column: `x_ref_m` -> 1e6, "um", "x_ref".
 
-    `turning`: columns that go round, `Model.period`; without a model, hallsym's own names of such columns.
+    `periodic`: columns that go round, `Model.period`; without a model, hallsym's own names of such columns.
     """
     name, _, si = column.rpartition("_")
-    return *reading_unit(si, turns=_goes_round(column, turning)), name
+    return *reading_unit(si, turns=_goes_round(column, periodic)), name
 
 
-def scaled(column: str, largest: float, turning: Collection[str] | None = None) -> tuple[float, str]:
+def scaled(column: str, largest: float, periodic: Collection[str] | None = None) -> tuple[float, str]:
     """Return factor and unit for values of a column up to `largest`: those of text tables if near them."""
-    factor, unit, _ = readable(column, turning)
+    factor, unit, _ = readable(column, periodic)
     kind = "turn" if unit == "deg" else column.rpartition("_")[2]
     ladder = _LADDERS.get(kind, ()) if kind in _TABLES else ()
     if not ladder:
@@ -230,7 +230,7 @@ def typeset(unit: str) -> str:
     return re.sub(r"^u(?=m$|rad$|V$)", "µ", unit).replace("degC", "°C")
 
 
-def _goes_round(column: str, turning: Collection[str] | None) -> bool:
-    if turning is None:
+def _goes_round(column: str, periodic: Collection[str] | None) -> bool:
+    if periodic is None:
         return bool(_TURNING.fullmatch(column.rpartition("_")[0]))
-    return column in turning
+    return column in periodic

@@ -35,7 +35,7 @@ SOLVERS: tuple[Solver, ...] = (tlbo, gbtlbo, shtlbo)
 EXPLORERS = (*(solver.__name__ for solver in SOLVERS), "screening")
 COLLAPSED = 1e-10
 """Widths of the box within which a whole class counts as one point."""
-APART = 0.05
+SEPARATION = 0.05
 """Root mean square distance of two starts, in widths of the box."""
 
 
@@ -47,8 +47,10 @@ def latin_hypercube(n: int, lower: FloatArray, upper: FloatArray, rng: np.random
     return np.clip(lower + unit * (upper - lower), lower, upper)
 
 
-def best_apart(population: Population, keep: int, problem: Problem, apart: float = APART) -> Population:
-    """The cheapest points, up to `keep`, each at least `apart` from every cheaper one that was kept.
+def best_separated(
+    population: Population, keep: int, problem: Problem, separation: float = SEPARATION
+) -> Population:
+    """The cheapest points, up to `keep`, each at least `separation` from every cheaper one that was kept.
 
     Distance is the root mean square over the variables that are not fixed, in widths of the box. Points of
     infinite cost are left out; so fewer than `keep` may come back, from a class that has collapsed just one.
@@ -62,18 +64,18 @@ def best_apart(population: Population, keep: int, problem: Problem, apart: float
         first = int(np.argmin(near))
         kept.append(first)
         distance2 = np.square(unit - unit[first]).sum(axis=1) / max(1, unit.shape[1])
-        near |= distance2 < apart**2
+        near |= distance2 < separation**2
         near[first] = True
     return Population(ranked.x[kept], ranked.cost[kept])
 
 
 def screened_starts(
-    problem: Problem, n: int, keep: int, rng: np.random.Generator, *, apart: float = APART
+    problem: Problem, n: int, keep: int, rng: np.random.Generator, *, separation: float = SEPARATION
 ) -> Population:
     """Evaluate a Latin hypercube of `n` points at once, and keep the best `keep` that are apart."""
     problem.require_finite_box("screened_starts")
     sample = latin_hypercube(n, problem.lower, problem.upper, rng)
-    return best_apart(problem.evaluate(sample), keep, problem, apart)
+    return best_separated(problem.evaluate(sample), keep, problem, separation)
 
 
 def reflect(x: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
@@ -232,14 +234,14 @@ def hybrid(
     keep: int = 3,
     budget: int = 20_100,
     global_solver: str = "shtlbo",
-    apart: float = APART,
+    separation: float = SEPARATION,
     same: float = 1e-6,
     size: int | None = None,
 ) -> HybridResult:
     """Explore the box, refine the best few points that are apart, and return the best of all.
 
     starts: `(k, dim)` points of the user; they join the global stage and are all refined themselves.
-    keep: how many points of the final population to refine at most, each `apart` from the others in widths
+    keep: how many points of the final population to refine at most, each `separation` from the others in widths
         of the box (root mean square). A class that has collapsed leaves one.
     budget: evaluations of the global stage.
     global_solver: a name from `SOLVERS`, or "screening", one Latin hypercube of `budget` points.
@@ -253,7 +255,7 @@ def hybrid(
     method, size = ("tlbo", budget) if global_solver == "screening" else (global_solver, size)
     begin = given if len(given) else None
     explored = minimize(problem, method, seed=seed, budget=budget, start=begin, size=size)
-    queue = np.concatenate([given, best_apart(explored.population, keep, problem, apart).x])
+    queue = np.concatenate([given, best_separated(explored.population, keep, problem, separation).x])
     local: list[Result] = []
     interrupted = explored.status == "interrupted" or _refine(problem, queue, explored, local, same)
     stages = [explored, *local]

@@ -38,7 +38,7 @@ from log import bench_files
 import hallsym
 from hallsym.cli.main import main
 from hallsym.errors import LONGEST
-from hallsym.log.apart import end_decoders
+from hallsym.log.isolated import end_decoders
 
 SECONDS = 10.0
 """Of the processor, what no file may take."""

@@ -44,7 +44,7 @@ def _fitted(model: Model, values: np.ndarray) -> Fit:
     n = len(values)
     return replace(
         calibration(), model=model, values=values, std=np.zeros(n), determined=np.ones(n, bool),
-        covariance=np.zeros((n, n)), zeros={},
+        covariance=np.zeros((n, n)), offsets={},
     )  # fmt: skip
 
 
@@ -71,7 +71,7 @@ def four_probes() -> Fit:
     known |= {f"a_{k}": float(rng.uniform(-200, 0)) for k in "ABCD"}
     known |= {f"{q}_{k}": float(rng.uniform(-70, 70)) for q in "bc" for k in "ABCD"}
     sigmas = {c: Sigma(s, "given") for c, s in zip(model.channels, (5e-7, 1e-6, 5e-7, 2e-6), strict=True)}
-    return replace(_fitted(model, model.vector(known)), noise=Noise(sigmas), zeros={})
+    return replace(_fitted(model, model.vector(known)), noise=Noise(sigmas), offsets={})
 
 
 def plain(name: str, **values: float) -> Fit:

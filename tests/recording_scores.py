@@ -165,9 +165,9 @@ def decoded_errors(fit, r: Recording, arrays) -> np.ndarray:
     thin = slice(None, None, max(1, len(r.true["run"]) // ENOUGH))
     arrays, true = ({c: x[thin] for c, x in given.items()} for given in (arrays, r.true))
     model = fit.model
-    zeros, program = np.zeros(len(model.zeros)), on_arrays(model.reading)
+    zeros, program = np.zeros(len(model.offsets)), on_arrays(model.reading)
     state = [arrays.get(c, np.zeros(len(arrays["run"]))) for c in model.state]
-    wired = fit.wiring or [(c, 1) for c in model.channels]
+    wired = fit.assignment or [(c, 1) for c in model.channels]
     seen = np.array([sign * arrays[c] for c, sign in wired])
     weight = 1 / np.array([r.sigma[c] for c in model.channels])[:, None]
     turns = [k for k, c in enumerate(model.channels) if c in model.period]
@@ -181,7 +181,7 @@ def decoded_errors(fit, r: Recording, arrays) -> np.ndarray:
         return left
 
     truth = np.array([true[c] for c in model.references])
-    runs = [true["run"] == run for run in np.unique(true["run"])] if model.zeros else []
+    runs = [true["run"] == run for run in np.unique(true["run"])] if model.offsets else []
     pose = truth.copy()
     if runs and model.pose[0] in model.period:  # each run begins where its own zero is
         tried = np.linspace(0, model.period[model.pose[0]], 24, endpoint=False)

@@ -262,7 +262,7 @@ def rotary_plan(rng: np.random.Generator, size: Size) -> Plan:
 def homed_plan(rng: np.random.Generator, size: Size) -> Plan:
     """Draw an encoder whose reference has another zero in each run."""
     plan = rotary_plan(rng, size)
-    runs = tuple(replace(run, zeros=(float(rng.uniform(-3, 3)),)) for run in plan.campaign.runs)
+    runs = tuple(replace(run, offsets=(float(rng.uniform(-3, 3)),)) for run in plan.campaign.runs)
     return replace(plan, values={**plan.values, "zero": 0.0}, effects=("zero_deviation",),
                    campaign=replace(plan.campaign, runs=runs))  # fmt: skip
 

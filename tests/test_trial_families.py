@@ -76,7 +76,7 @@ def test_a_model_decodes_what_it_reads(family):
     for make in family.models:
         model = make()
         rng = np.random.default_rng(1)
-        zeros = np.zeros(len(model.zeros))
+        zeros = np.zeros(len(model.offsets))
         state = np.zeros(len(model.state))
         for pose in model.typical or (1e-4 * rng.standard_normal(len(model.pose)),):
             reading = model.reading(model.nominal, zeros, pose, state)
@@ -89,7 +89,7 @@ def test_a_model_decodes_what_it_reads(family):
 def test_zero_deviations_are_as_many_as_their_scale(family):
     for make in family.models:
         model = make()
-        assert model.zero_scale(model.nominal, np.zeros(len(model.state))).shape == (len(model.zeros),)
+        assert model.zero_scale(model.nominal, np.zeros(len(model.state))).shape == (len(model.offsets),)
 
 
 # -- every verb --------------------------------------------------------------------------------------------
@@ -274,7 +274,7 @@ def homed(model):
         cos, sin = s["wave"]
         s["wave"] = cos - sin * p["home_x"] / 0.03 * 2 * np.pi, sin + cos * p["home_x"] / 0.03 * 2 * np.pi
 
-    wide = model.with_step("reference", step, effect="homed", zeros=zeros[:1])
+    wide = model.with_step("reference", step, effect="homed", offsets=zeros[:1])
     return replace(wide, homes={"home_x": "x_m"})
 
 
@@ -285,7 +285,7 @@ def test_runs_are_brought_to_one_origin_of_x():
     shift = 0.01 * np.arange(len(log.runs))  # a third of a period from run to run
     moved = columns | {"x_ref_m": columns["x_ref_m"] - shift[columns["run"].astype(int)]}
     whole = continuous(Log.from_arrays(moved), homed(model))
-    origin = {run: whole.table.apart["x_ref_m"][run] for run in whole.runs}
+    origin = {run: whole.table.shifts["x_ref_m"][run] for run in whole.runs}
     for k, run in enumerate(whole.runs):
         assert abs(wrapped(origin[run] - origin[0] - shift[k], 0.03)) < 2e-5
 

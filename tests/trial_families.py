@@ -163,7 +163,7 @@ def lowered(model, p, weight, box):
         model=model, inputs=columns, limits=limits(columns, ends), at_pose=(), box=ends,
         exact=lambda readings: closed(list(readings))[0],
         table=tuple(Entry(name, *value, name) for name, value in entries.items()), steps=steps,
-        zeros=tuple(Entry(f"zero_{a}", 0.0, "m", f"added to {a}_m") for a in "xz"),
+        offsets=tuple(Entry(f"zero_{a}", 0.0, "m", f"added to {a}_m") for a in "xz"),
         margins=(Margin(columns[0], "middle"),), approximation=1e-8,
         symbols={**dict(zip(columns, inputs, strict=True)), **e, **made,
                  "x_m": ca.SX.sym("x"), "z_m": ca.SX.sym("z")},

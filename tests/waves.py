@@ -82,7 +82,7 @@ def calibrated(model=None, values=VALUES, gaps=(0.004, 0.01), sigma=1e-4):
     p = model.vector({k: v for k, v in values.items() if k in model.names})
     n = len(p)
     return replace(
-        calibration(), model=model, values=p, std=np.zeros(n), determined=np.ones(n, bool), zeros={},
+        calibration(), model=model, values=p, std=np.zeros(n), determined=np.ones(n, bool), offsets={},
         covariance=np.zeros((n, n)), noise=Noise({c: Sigma(sigma, "given") for c in model.channels}),
         log={"span": {"x_ref_m": [-0.03, 0.03], "z_ref_m": list(gaps)}, "sha256": 64 * "0"},
     )  # fmt: skip

@@ -55,7 +55,7 @@ def add(sub: Any) -> None:
     parser = command(
         sub, "info", run,
         "Describe a log (columns, runs, motion, noise, what is wrong with it), a saved calibration, a\n"
-        "saved curve or a campaign file. A model by name: its chain of links, parameters, zeros, effects it\n"
+        "saved curve or a campaign file. A model by name: its chain of links, parameters, offsets, effects it\n"
         "can take. An effect by name: what it means, its numbers, the parameters it adds, what recording\n"
         "separates it from others. corrections: what --correct of fit takes. Without an argument: the\n"
         "models, effects and solvers there are.\n\n"

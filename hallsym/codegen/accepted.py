@@ -141,7 +141,7 @@ def _within(d: Decoupler, ratio: float, sizes: Mapping[str, float] | None) -> di
     for a in d.arrays:
         size = max(map(abs, a.values))
         out[a.name] = (-32768.0, 32767.0) if a.integers else _both(ratio * (size or 1.0), digits)
-    return out | {e.name: (-2 * d.known(c), 2 * d.known(c)) for e, c in zip(d.zeros, d.pose, strict=True)}
+    return out | {e.name: (-2 * d.known(c), 2 * d.known(c)) for e, c in zip(d.offsets, d.pose, strict=True)}
 
 
 def _terms(d: Decoupler) -> Iterator[tuple[str, float]]:

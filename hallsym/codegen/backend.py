@@ -65,13 +65,13 @@ class Port:
 
 @dataclass(frozen=True, eq=False)
 class Vectors:
-    """Listed vectors: `inputs` (n_inputs, s), `held` those brought back into the box [SI], `status` (s,).
+    """Listed vectors: `inputs` (n_inputs, s), `clamped` those brought back into the box [SI], `status` (s,).
 
     `pose` (n_pose, s): of the model in double.
     """
 
     inputs: np.ndarray
-    held: np.ndarray
+    clamped: np.ndarray
     pose: np.ndarray
     status: np.ndarray
 
@@ -150,7 +150,7 @@ class Backend(ABC):
         return self.ends
 
     @abstractmethod
-    def run(self, held: np.ndarray) -> Ran:
+    def run(self, clamped: np.ndarray) -> Ran:
         """Return pose, bits of the flags and suspects of inputs within the box: the same bits as C."""
 
     @abstractmethod
@@ -192,8 +192,8 @@ class Backend(ABC):
 
     def whole_step(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return pose (n_pose, s), status (s,) and suspects (s,) by number from 1; 0 is none."""
-        held, status = self.hold(inputs)
-        return self._done(status, self.run(held))
+        clamped, status = self.hold(inputs)
+        return self._done(status, self.run(clamped))
 
     def _done(self, status: np.ndarray, found: Ran) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return found.pose, status.astype(np.uint32) | found.flags.astype(np.uint32), found.suspects
@@ -234,9 +234,9 @@ class Backend(ABC):
     def vectors(self) -> Vectors:
         """The vectors of the self-test: where a flag says that there is no pose, what is computed."""
         d, inputs = self.decoupler, self._chosen()
-        held = _si(self.hold(inputs)[0], self.inputs)
+        clamped = _si(self.hold(inputs)[0], self.inputs)
         pose, status = self.step(inputs)
-        found, exact = _si(pose, self.outputs), d.exact(held)
+        found, exact = _si(pose, self.outputs), d.exact(clamped)
         if d.model.period:  # on the branch of what is computed
             exact = found - d.difference(found, exact)
         weak = status >= flag_bit(len(d.flags) - 1) if d.flags else np.zeros(len(status), bool)
@@ -247,7 +247,7 @@ class Backend(ABC):
             low, high = self.ends
             given = self.hold(inputs)[0]
             weak = (status > 0) | ((given <= low) | (given >= high)).any(axis=0)
-        return Vectors(inputs, held, np.where(weak, found, exact), status)
+        return Vectors(inputs, clamped, np.where(weak, found, exact), status)
 
     tree: ClassVar[str]
     """Folder of templates."""
@@ -266,7 +266,7 @@ class Backend(ABC):
     @property
     @abstractmethod
     def entries(self) -> Sequence[Stored]:
-        """Coefficients and limits, rows of numbers that steps look up, and zeros, in their order."""
+        """Coefficients and limits, rows of numbers that steps look up, and offsets, in their order."""
 
     @property
     @abstractmethod
@@ -283,7 +283,7 @@ class Backend(ABC):
 
     @property
     def pad(self) -> int:
-        """Bytes between the CRC of the zeros and the zeros, which begin at a multiple of their own size."""
+        """Bytes between the CRC of the offsets and the offsets, which begin at a multiple of their own size."""
         return 0
 
     @property
@@ -302,7 +302,7 @@ class Backend(ABC):
         return self.entries[: -len(self.decoupler.pose)]
 
     @property
-    def zeros(self) -> Sequence[Stored]:
+    def offsets(self) -> Sequence[Stored]:
         """The entries that a reset sets."""
         return self.entries[-len(self.decoupler.pose) :]
 
@@ -313,25 +313,25 @@ class Backend(ABC):
 
     @cached_property
     def covered(self) -> bytes:
-        """The bytes that the CRC of the table covers: all between it and the CRC of the zeros."""
+        """The bytes that the CRC of the table covers: all between it and the CRC of the offsets."""
         words = [word for _, words in self.head for word in words]
         return struct.pack(f"<{len(words)}I", *words) + _joined(self.constant)
 
     @property
     def crc(self) -> int:
-        """CRC-32 (IEEE 802.3, as zlib has it) of all but the zeros."""
+        """CRC-32 (IEEE 802.3, as zlib has it) of all but the offsets."""
         return zlib.crc32(self.covered)
 
     @property
     def zeros_crc(self) -> int:
-        """CRC-32 of the zeros."""
-        return zlib.crc32(_joined(self.zeros))
+        """CRC-32 of the offsets."""
+        return zlib.crc32(_joined(self.offsets))
 
     @property
     def binary(self) -> bytes:
         """The table as it lies in the flash of a little-endian controller."""
         crc, zeros_crc = (struct.pack("<I", value) for value in (self.crc, self.zeros_crc))
-        return crc + self.covered + zeros_crc + bytes(self.pad) + _joined(self.zeros)
+        return crc + self.covered + zeros_crc + bytes(self.pad) + _joined(self.offsets)
 
     def json(self) -> str:
         """Return the table as a readable record."""
@@ -355,7 +355,7 @@ class Backend(ABC):
         rows += self._listed(self.constant)
         rows.append(f"    .zeros_crc = {word(self.zeros_crc, 'crc')},")
         rows += ["    .reserved = 0UL,"] if self.pad else []
-        return [*rows, *self._listed(self.zeros)]
+        return [*rows, *self._listed(self.offsets)]
 
     def _listed(self, entries: Sequence[Stored]) -> list[str]:
         rows = []
@@ -444,7 +444,7 @@ class Backend(ABC):
         params = {
             "table": [e.member for e in self.constant],
             "reserved": ["uint32_t reserved; /**< 0 */"] if self.pad else [],
-            "zeros": [e.member for e in self.zeros],
+            "zeros": [e.member for e in self.offsets],
         }
         raised = [sum(some) for some in product(*((0, flag_bit(k)) for k in range(len(d.flags))))]
         return {
@@ -474,8 +474,8 @@ class Backend(ABC):
             if d.evident
             else "it relates no two values, as this code needs",
             "params": lines_of("common/fragments/params.h", params),
-            "crc": lines_of("common/fragments/crc.c", {"first_zero": self.zeros[0].name}),
-            "first_zero": self.zeros[0].name,
+            "crc": lines_of("common/fragments/crc.c", {"first_zero": self.offsets[0].name}),
+            "first_zero": self.offsets[0].name,
             "values": self._values(),
             "status_or_flags": " || ".join(
                 f"status == 0x{bits:08X}" if bits else "status == 0" for bits in sorted(raised)

@@ -75,7 +75,7 @@ def _entry(value: float, digits: int) -> Enclosure:
 def _enclosed(d: Decoupler, steps: Sequence[Step], digits: int) -> list[Enclosure]:
     dtype = np.float32 if digits == 24 else np.float64
     given = {d.symbols[c].name(): Enclosure(*(float(dtype(v)) for v in d.ends(c))) for c in d.inputs} | {
-        d.symbols[e.name].name(): _entry(e.value, digits) for e in (*d.table, *d.zeros)
+        d.symbols[e.name].name(): _entry(e.value, digits) for e in (*d.table, *d.offsets)
     }
     for step in steps:
         (given[step.name],) = enclose([step.expression], given, digits)
@@ -92,7 +92,7 @@ ROOM = 1.5
 
 @dataclass(frozen=True, eq=False)
 class PoseByPose:
-    """Digits of the significand -> range and rounding of each coordinate, flags clear, zeros at zero.
+    """Digits of the significand -> range and rounding of each coordinate, flags clear, offsets at zero.
 
     Rounding is bounded for each of many poses, and the largest bound is taken with some room.
     """

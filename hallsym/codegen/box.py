@@ -58,7 +58,7 @@ def shortened(fit: Fit, box: Box) -> list[str]:
     """Return a sentence for each state column of which the box leaves a part of what was recorded out."""
     out, span = [], fit.log.get("span", {})
     for column in fit.model.state:
-        if box.alike.get(column) and column in span:
+        if box.one_limit.get(column) and column in span:
             (low, high), most = span[column], box.ends[column][1]
             if NEARLY * max(-low, high) > most:
                 out.append(

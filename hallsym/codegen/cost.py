@@ -36,7 +36,7 @@ def firmware_cost(d: Decoupler) -> Cost:
         found = graph([step.expression])
         operations += found.count + 3 * isinstance(step, Lookup) + isinstance(step, Whole | Bits)
         read |= {o.symbol for o in found.operations if o.op == "input"}
-    entries = {e.name for e in (*d.table, *d.zeros)}
+    entries = {e.name for e in (*d.table, *d.offsets)}
     moves = len(read & entries) + len(d.inputs) + len(d.pose)
     return Cost(
         operations,

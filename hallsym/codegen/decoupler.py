@@ -43,7 +43,7 @@ def unit(column: str) -> str:
     return {"m": "m", "rad": "rad", "degc": "degC", "s": "s", "v": "V"}.get(column.rpartition("_")[2], "1")
 
 
-def zeros_of(model: Model) -> tuple[Entry, ...]:
+def offsets_of(model: Model) -> tuple[Entry, ...]:
     """Return what a reset adds to each pose coordinate."""
     return tuple(
         Entry(f"zero_{short(c)}", 0.0, unit(c), f"added to {c}; set by decoupler_zero()") for c in model.pose
@@ -54,11 +54,11 @@ def zeros_of(model: Model) -> tuple[Entry, ...]:
 class Box:
     """Least and greatest value of each column, in SI: state, pose and, where given, readings.
 
-    `alike`: whether one limit says both ends of a column, where code that is there already says so.
+    `one_limit`: whether one limit says both ends of a column, where code that is there already says so.
     """
 
     ends: Mapping[str, tuple[float, float]]
-    alike: Mapping[str, bool] = field(default_factory=dict)
+    one_limit: Mapping[str, bool] = field(default_factory=dict)
 
     def reach(self) -> dict[str, float]:
         """Return the largest magnitude of each column."""
@@ -67,13 +67,13 @@ class Box:
     def symmetric(self, column: str) -> bool:
         """Whether one limit says it."""
         low, high = self.ends[column]
-        return low == -high and self.alike.get(column, True)
+        return low == -high and self.one_limit.get(column, True)
 
     def over(self, ends: Mapping[str, tuple[float, float]]) -> "Box":
         """Return the box of these columns: a reading that has one limit gets the wider one of its ends."""
         found = dict(ends)
-        for column in found.keys() & self.alike.keys():
-            if self.alike[column]:
+        for column in found.keys() & self.one_limit.keys():
+            if self.one_limit[column]:
                 most = max(map(abs, found[column]))
                 found[column] = (-most, most)
         return replace(self, ends=found)
@@ -219,16 +219,16 @@ class Redundancy:
 class Decoupler:
     """The arithmetic from inputs to pose: `steps` in order; the last `len(pose)` of them are the pose.
 
-    `inputs`: readings, then state. `table`: coefficients; `limits`: ends of the box of each input; `zeros`:
+    `inputs`: readings, then state. `table`: coefficients; `limits`: ends of the box of each input; `offsets`:
     what a reset adds to each pose coordinate. `exact`: inputs (n_inputs, s) -> pose (n_pose, s) of the model
-    itself in double, zeros 0.
+    itself in double, offsets 0.
     """
 
     model: Model
     inputs: tuple[str, ...]
     table: tuple[Entry, ...]
     limits: tuple[Entry, ...]
-    zeros: tuple[Entry, ...]
+    offsets: tuple[Entry, ...]
     steps: tuple[Step, ...]
     margins: tuple[Margin, ...]
     box: Box
@@ -343,8 +343,8 @@ class Decoupler:
 
     @property
     def entries(self) -> tuple[Entry, ...]:
-        """Coefficients, limits and zeros, in the order of the table."""
-        return (*self.table, *self.limits, *self.zeros)
+        """Coefficients, limits and offsets, in the order of the table."""
+        return (*self.table, *self.limits, *self.offsets)
 
     def ends(self, column: str) -> tuple[float, float]:
         """Return least and greatest value of an input."""
@@ -352,12 +352,12 @@ class Decoupler:
 
     @cached_property
     def folded(self) -> ca.SX:
-        """The pose as one expression of inputs, table and zeros."""
+        """The pose as one expression of inputs, table and offsets."""
         return ca.vertcat(*(self._done[step.name] for step in self.steps[-len(self.pose) :]))
 
     @cached_property
     def _done(self) -> dict[str, ca.SX]:
-        """Each step as an expression of inputs, table and zeros."""
+        """Each step as an expression of inputs, table and offsets."""
         done: dict[str, ca.SX] = {}
         for step in self.steps:
             if not isinstance(step, Lookup):  # its symbol stays: a number that is looked up
@@ -378,8 +378,8 @@ class Decoupler:
 
     @property
     def constants(self) -> list[float]:
-        """Values of coefficients and zeros."""
-        return [e.value for e in (*self.table, *self.zeros)]
+        """Values of coefficients and offsets."""
+        return [e.value for e in (*self.table, *self.offsets)]
 
 
 def flag_bit(k: int) -> int:
@@ -416,15 +416,15 @@ class Collected:
     """Graphs of the steps that were run."""
 
     def begin(self, model: Model, inputs: Sequence[str]) -> None:
-        """Add the symbols of inputs and zeros."""
+        """Add the symbols of inputs and offsets."""
         self.symbols |= {c: ca.SX.sym(short(c)) for c in inputs}
-        self.symbols |= {z.name: ca.SX.sym(z.name) for z in zeros_of(model)}
+        self.symbols |= {z.name: ca.SX.sym(z.name) for z in offsets_of(model)}
 
     def finished(self, model: Model, inputs: tuple[str, ...], ends: Box, **given: Any) -> Decoupler:
         """Return the decoupler of what is collected; `given`: its other fields."""
         return Decoupler(
             model=model, inputs=inputs, table=tuple(self.table), limits=limits(inputs, ends),
-            zeros=zeros_of(model), steps=tuple(self.steps), box=ends, symbols=self.symbols, **given,
+            offsets=offsets_of(model), steps=tuple(self.steps), box=ends, symbols=self.symbols, **given,
         )  # fmt: skip
 
     def whole(self, name: str, value: ca.SX) -> ca.SX:
@@ -483,12 +483,12 @@ OPERATIONS: Mapping[str, Callable[..., np.ndarray]] = {
 
 
 def steps_on_arrays(d: Decoupler, real: type = float) -> Callable[..., list[np.ndarray]]:
-    """Return `run(inputs, coefficients and zeros)`: pose (n_pose, s), what flags look at, if any, and what is
+    """Return `run(inputs, coefficients and offsets)`: pose (n_pose, s), what flags look at, if any, and what is
     left of each reading that is watched, if any.
 
     `inputs` (n_inputs, s) and the constants (n,) or (n, 1) are of the type `real`.
     """
-    names = [*d.inputs, *(e.name for e in (*d.table, *d.zeros))]
+    names = [*d.inputs, *(e.name for e in (*d.table, *d.offsets))]
     symbols = [d.symbols[name].name() for name in names]
     graphs = [(step, graph([step.expression])) for step in d.steps]
     results = [step.name for step in d.steps[-len(d.pose) :]]
@@ -532,7 +532,7 @@ def of_step(step: Step, found: Graph, made: Sequence[Any], real: type = float) -
 class Trial:
     """Values of the steps of a decoupler in double at trial inputs, while steps are added.
 
-    `inputs`: values (s,) by column; zeros are 0.
+    `inputs`: values (s,) by column; offsets are 0.
     """
 
     def __init__(self, made: Collected, inputs: Mapping[str, np.ndarray]) -> None:

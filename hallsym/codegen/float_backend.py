@@ -71,12 +71,12 @@ class Slopes:
             for k, (name, (c, m)) in enumerate(zip(self.expressions, pairs, strict=True))
         ]
 
-    def of(self, held: np.ndarray) -> np.ndarray:
+    def of(self, clamped: np.ndarray) -> np.ndarray:
         """Return the slopes (n, s) in double of inputs (n_inputs, s) in their ranges."""
         d = self.d
         given = [ca.vertcat(*(d.symbols[n] for n in d.inputs))]
-        given.append(ca.vertcat(*(d.symbols[e.name] for e in (*d.table, *d.zeros))))
-        return on_arrays(ca.Function("slopes", given, [self.whole]))(list(held), d.constants)[0]
+        given.append(ca.vertcat(*(d.symbols[e.name] for e in (*d.table, *d.offsets))))
+        return on_arrays(ca.Function("slopes", given, [self.whole]))(list(clamped), d.constants)[0]
 
     def errors(self, real: Real) -> list[float]:
         """Return how far each computed slope can be from its expression over the box, table included."""
@@ -145,25 +145,25 @@ class FloatBackend(Backend):
 
     def hold(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """By the bits of its size where a range is symmetric: NaN goes to the end of its sign."""
-        held, status = super().hold(inputs)
+        clamped, status = super().hold(inputs)
         symmetric = np.array([[self.decoupler.box.symmetric(c)] for c in self.decoupler.inputs])
-        return np.where(np.isnan(inputs) & np.signbit(inputs) & symmetric, self.ends[0], held), status
+        return np.where(np.isnan(inputs) & np.signbit(inputs) & symmetric, self.ends[0], clamped), status
 
-    def run(self, held: np.ndarray, zeros: np.ndarray | None = None) -> Ran:
-        """Operation by operation; `zeros` (n_pose, s) in place of those of the table."""
+    def run(self, clamped: np.ndarray, offsets: np.ndarray | None = None) -> Ran:
+        """Operation by operation; `offsets` (n_pose, s) in place of those of the table."""
         d, dtype = self.decoupler, self.real.dtype
         constants: list[np.ndarray] = [np.array([c], dtype=dtype) for c in d.constants]
 
         def once(given: np.ndarray, samples: Any) -> Ran:
-            if zeros is not None:
-                constants[-len(zeros) :] = list(zeros[:, samples])
+            if offsets is not None:
+                constants[-len(offsets) :] = list(offsets[:, samples])
             with np.errstate(under="ignore"):
                 pose, *seen = self._run(self.hold(given)[0].astype(dtype), constants)
             none = np.zeros(given.shape[1], np.uint32)
             flags = np.asarray(d.raised(seen[0], dtype)) if seen else none
             return Ran(pose, flags, seen[-1] if d.watched else pose[:0], none)
 
-        given: np.ndarray = held.astype(dtype)
+        given: np.ndarray = clamped.astype(dtype)
         return residual.checked(d, once, given, self._root) if d.suspects else once(given, slice(None))
 
     @cached_property
@@ -187,17 +187,17 @@ class FloatBackend(Backend):
 
     @cached_property
     def reset(self) -> dict[str, float]:
-        """Zeros that hashed samples have: such that an angle wraps, or a fraction of a millimetre."""
+        """Offsets that hashed samples have: such that an angle wraps, or a fraction of a millimetre."""
         d = self.decoupler
         return {c: (1 - 2.0**-7) * d.known(c) if c in d.model.period else 2.0**-12 for c in d.pose}
 
     def hashed_step(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Half of the samples have no zeros, a quarter each those of a reset at one end and at the other."""
+        """Half of the samples have no offsets, a quarter each those of a reset at one end and at the other."""
         kind = backend.mix(np.asarray(numbers, dtype=np.uint32) ^ np.uint32(0x85EBCA6B)) & np.uint32(3)
         sign: np.ndarray = np.select([kind == 2, kind == 3], [1, -1], 0).astype(self.real.dtype)
-        zeros = np.array([self.real.dtype(self.reset[c]) * sign for c in self.decoupler.pose])
-        held, status = self.hold(self.sample(numbers))
-        return self._done(status, self.run(held, zeros))
+        offsets = np.array([self.real.dtype(self.reset[c]) * sign for c in self.decoupler.pose])
+        clamped, status = self.hold(self.sample(numbers))
+        return self._done(status, self.run(clamped, offsets))
 
     def _words(self, pose: np.ndarray) -> np.ndarray:
         if self.real.size == 4:
@@ -243,12 +243,12 @@ class FloatBackend(Backend):
             values = (e.values, "<i2" if e.integers else dtype) if isinstance(e, Array) else (e.value, dtype)
             return Stored(e.name, np.array(*values), f"[{e.unit}] {e.meaning}", e.unit)
 
-        every: tuple[Entry | Array, ...] = (*d.table, *d.limits, *d.arrays, *d.zeros)
+        every: tuple[Entry | Array, ...] = (*d.table, *d.limits, *d.arrays, *d.offsets)
         return [stored(e) for e in every]
 
     @property
     def pad(self) -> int:
-        """A word before the zeros in double."""
+        """A word before the offsets in double."""
         return self.real.size - 4
 
     @cached_property
@@ -378,7 +378,7 @@ class FloatBackend(Backend):
         """Whether the bits of its size are compared: fewest instructions, typical and worst."""
         return self.decoupler.box.symmetric(column)
 
-    def _held(self, used: ca.SX | None = None) -> list[str]:
+    def _clamped(self, used: ca.SX | None = None) -> list[str]:
         """Bring the inputs into their range; of those that are not `used` only the status counts."""
         d, lines = self.decoupler, []
         for c in d.inputs:
@@ -401,7 +401,7 @@ class FloatBackend(Backend):
         known = [f"((pose->{c} >= -{far}) && (pose->{c} <= {far}))" for c, far in most.items()]
         slopes: list[str] = []
         if self.jacobian:
-            slopes = self._held(self.slopes.whole)
+            slopes = self._clamped(self.slopes.whole)
             stored = {f"result_{k}": f"slopes->{name}" for k, name in enumerate(self.slopes.expressions)}
             slopes += statements(self.slopes.steps, names, real, stored)
         magnitude = lines_of(f"{FRAGMENTS}magnitude.c", common)
@@ -420,13 +420,13 @@ class FloatBackend(Backend):
         ]  # fmt: skip
         taken = {"pose": len(d.pose), "wrapped": wrapped}
         checked = ["decoupler_out_t seen;", "status |= decoupler_step(p, in, &seen);"]
-        iterated = {"all_held": self._held(), "at_pose": statements(d.at_pose, names, real, {})}
+        iterated = {"all_held": self._clamped(), "at_pose": statements(d.at_pose, names, real, {})}
         iterated["also_checked"] = checked if d.redundancy else []
         zero = "take_zero_iterated.c" if d.at_pose else "take_zero.c"
         return {
             "limited_function": limited,
             "within": within,
-            "held": self._held(d.folded),
+            "held": self._clamped(d.folded),
             "body": body,
             "flags": flags,
             "jacobian": self._if_jacobian("jacobian.c", {"slopes": slopes}),
@@ -498,7 +498,7 @@ class FloatBackend(Backend):
     def _check(self) -> dict[str, Any]:
         d, real, found = self.decoupler, self.real, self.accepted
         numbers = [e.name for e in (*d.table, *d.limits)]
-        listed = [*numbers, *(e.name for e in d.zeros)]
+        listed = [*numbers, *(e.name for e in d.offsets)]
         rows = [
             line
             for a in d.arrays
@@ -555,7 +555,7 @@ class FloatBackend(Backend):
         found, c = self.vectors, self.real.constant
         slopes, slope_bounds = found.pose, []
         if self.jacobian:
-            slopes = self.slopes.of(found.held)
+            slopes = self.slopes.of(found.clamped)
             errors = self.slopes.errors(self.real)
             # the reference is computed in double and written with 13 digits
             limits = [error + 1e-12 * np.abs(row).max() for error, row in zip(errors, slopes, strict=True)]
@@ -625,7 +625,7 @@ class FloatBackend(Backend):
         values = [self._input(value) for value in (np.nan, np.inf, -np.inf)]
         own = {name for m in d.margins for name in (m.rest, *(entry for entry, _ in m.terms))}
         found = dict.fromkeys((e.name for e in d.limits), "DECOUPLER_BAD_LIMITS")
-        found |= dict.fromkeys((e.name for e in d.zeros), "DECOUPLER_BAD_ZEROS")
+        found |= dict.fromkeys((e.name for e in d.offsets), "DECOUPLER_BAD_ZEROS")
 
         def write(name: str, value: float) -> str | None:
             low, high = ends[name]
@@ -646,9 +646,9 @@ class FloatBackend(Backend):
                     yield from faults.expect([f"table.{stored.name} = {c(float(end))};"])
         yield from faults.of_limits(d, self.limited, c(0.0), ends)
         yield from faults.of_margins(d, reach, write)
-        beyond = f"table.{d.zeros[0].name} = {c(3.0 * d.known(d.pose[0]))};"
+        beyond = f"table.{d.offsets[0].name} = {c(3.0 * d.known(d.pose[0]))};"
         yield from faults.of_several(d, self.limited, beyond, "DECOUPLER_BAD_NUMBER")
-        for zero in d.zeros:
+        for zero in d.offsets:
             for end in ends[zero.name]:
                 yield from faults.expect([f"table.{zero.name} = {c(end)};"])
 

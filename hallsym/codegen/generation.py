@@ -252,7 +252,7 @@ def decouple(fit: Fit) -> ca.Function:
     model = fit.model
     reading, state = ca.SX.sym("reading", len(model.channels)), ca.SX.sym("state", len(model.state))
     weight = 1.0 / np.array([fit.noise.sigmas[c].value for c in model.channels]) ** 2
-    pose = model.decoded(fit.values, np.zeros(len(model.zeros)), reading, state, weight)
+    pose = model.decoded(fit.values, np.zeros(len(model.offsets)), reading, state, weight)
     return ca.Function("decouple", [reading, state], [pose], ["reading", "state"], ["pose"])
 
 
@@ -310,7 +310,7 @@ def notes_of(fit: Fit) -> tuple[str, ...]:
             f"The log does not determine {', '.join(fit.undetermined_by_log)}; the values they were held at "
             "are used."
         )
-    for channel, (source, sign) in zip(fit.model.channels, fit.wiring or (), strict=bool(fit.wiring)):
+    for channel, (source, sign) in zip(fit.model.channels, fit.assignment or (), strict=bool(fit.assignment)):
         if (source, sign) != (channel, 1):
             notes.append(
                 f"The fit took {channel} from {'-' if sign < 0 else ''}{source}: give it so here too."

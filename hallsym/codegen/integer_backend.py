@@ -94,14 +94,14 @@ class IntegerBackend(Backend):
         wide = inputs.astype(np.int64)
         return super().hold(wide & MASK if self.reads_angle else wide)
 
-    def run(self, held: np.ndarray) -> Ran:
+    def run(self, clamped: np.ndarray) -> Ran:
         """Line by line; raises `OverflowError` beyond 32 bits."""
         p, d = self.program, self.decoupler
-        found = p.run({short(c): row for c, row in zip(d.inputs, held, strict=True)})
-        flags = np.zeros(held.shape[1], dtype=np.int64)
+        found = p.run({short(c): row for c, row in zip(d.inputs, clamped, strict=True)})
+        flags = np.zeros(clamped.shape[1], dtype=np.int64)
         for k, flag in enumerate(d.flags):
             flags |= np.where(found[flag.name] < p.table[p.flags[flag.name][1]][0], flag_bit(k), 0)
-        none = np.zeros(held.shape[1], np.uint32)
+        none = np.zeros(clamped.shape[1], np.uint32)
         return Ran(np.array([found[c] for c in d.pose]), flags, none, none)
 
     def sample(self, numbers: np.ndarray) -> np.ndarray:
@@ -139,16 +139,16 @@ class IntegerBackend(Backend):
 
     @cached_property
     def entries(self) -> Sequence[Stored]:
-        """Coefficients of the program, limits, tables of binary angles, zeros."""
+        """Coefficients of the program, limits, tables of binary angles, offsets."""
         p, d = self.program, self.decoupler
-        meaning = {e.name: f"[2^-{{e}} {e.unit}] {e.meaning}" for e in (*d.table, *d.zeros)}
+        meaning = {e.name: f"[2^-{{e}} {e.unit}] {e.meaning}" for e in (*d.table, *d.offsets)}
         table: list[Stored] = []
-        zeros: list[Stored] = []
+        offsets: list[Stored] = []
         for name, (q, e) in p.table.items():
             note = meaning.get(name, "[2^-{e}] of the reciprocal").replace("{e}", str(e))
             kind = "<u4" if name in p.unsigned else "<i4"
             entry = Stored(name, np.array(q, kind), p.unsigned.get(name, note))
-            (zeros if name.startswith("zero_") else table).append(entry)
+            (offsets if name.startswith("zero_") else table).append(entry)
         for c in self.limited:
             low, high = (int(v * 2.0 ** p.inputs[c]) for v in d.ends(c))
             name, symmetric = short(c), d.box.symmetric(c)
@@ -158,7 +158,7 @@ class IntegerBackend(Backend):
         for a in p.arrays.values():
             note = f"[2^{a.shift - 32} turn] at as many phases of a turn"
             table.append(Stored(a.name, a.values.astype(f"<i{a.bits // 8}"), note))
-        return [*table, *zeros]
+        return [*table, *offsets]
 
     @property
     def numbers(self) -> list[Stored]:
@@ -253,15 +253,15 @@ class IntegerBackend(Backend):
     def _step(self, common: Mapping[str, Any]) -> dict[str, Any]:
         p, d = self.program, self.decoupler
         used = {name for line in p.lines for name in (line.a, line.b)}
-        held = []
+        clamped = []
         for port in self.inputs:
             c, name = port.column, short(port.column)
             low, high = ends(d, c)
             call = f"limited(in->{port.member}, {low}, {high}, {backend.bit(c)}, &status);"
             if c in p.angles:
-                held.append(f"const uint32_t {name} = in->{port.member};")
+                clamped.append(f"const uint32_t {name} = in->{port.member};")
             else:
-                held.append(f"const int32_t {name} = {call}" if name in used else f"(void){call}")
+                clamped.append(f"const int32_t {name} = {call}" if name in used else f"(void){call}")
         flags = [
             line
             for name, (seen, least) in p.flags.items()
@@ -275,7 +275,7 @@ class IntegerBackend(Backend):
             "helpers": helpers(p),
             "limits": lines_of(f"{FRAGMENTS}limited.c", backend.taken(d)) if self.limited else [],
             "status": ["uint32_t status = 0U;"] if can_fail else [],
-            "held": held,
+            "held": clamped,
             "body": p.c(names),
             "flags": flags,
             "returned": "status" if can_fail else "0U",

@@ -388,7 +388,7 @@ class Compiler:
             alike = max(abs(o.value) for o in d.table if o.unit == entry.unit)
             most = alike if abs(entry.value) * LIKE >= alike else alike / LIKE
             known[entry.name] = self._constant(entry.name, entry.value, self._exponent(-most, most))
-        for entry in d.zeros:
+        for entry in d.offsets:
             known[entry.name] = Fixed(entry.name, 0, 0.0, 0.0)
         for step in d.steps:
             known[step.name] = self._step(step, known)
@@ -427,7 +427,7 @@ class Compiler:
         self.p.flags[flag] = (seen.text, entry)
 
     def _outputs(self, found: Mapping[str, Fixed]) -> None:
-        """Give pose coordinates of one unit one exponent, and add the zeros."""
+        """Give pose coordinates of one unit one exponent, and add the offsets."""
         p = self.p
         shared: dict[str, int] = {}
         for c, v in found.items():

@@ -229,7 +229,7 @@ def _runs(fit: Fit, log_: Log) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]
         readings, states, reference = ([rows[c][own] for c in columns] for columns in (
             model.channels, model.state, model.references
         ))  # fmt: skip
-        pose = decode(fit.values, np.zeros(len(model.zeros)), readings, states, np.array(reference))
+        pose = decode(fit.values, np.zeros(len(model.offsets)), readings, states, np.array(reference))
         off = _around(pose - np.array(reference), _periods(fit)[:, None])
         pose = pose - off.mean(axis=1, keepdims=True)  # as after a reset at a known pose
         out.append((t[own], pose, np.array(reference)))

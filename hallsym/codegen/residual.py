@@ -54,7 +54,7 @@ FORMS = 40
 """Poses of these at which degrees of freedom are counted."""
 MASKED = 1e-3
 """Share of the square of a fault below which the sum does not see it."""
-TOLD = 0.1
+ISOLABLE = 0.1
 """Least share of the square of a fault that is left once another reading is taken for the suspect: with
 less, the two cannot be told from one another."""
 BENDS = 0.02
@@ -100,7 +100,7 @@ def drawn_of(model: Model, p: np.ndarray, box: Box) -> Callable[[np.random.Gener
         share[:, : count // 20] = np.round(share[:, : count // 20])
         at = list(low[:, None] + (high - low)[:, None] * share)
         pose, state = at[: len(model.pose)], at[len(model.pose) :]
-        readings = run(p, np.zeros(len(model.zeros)), pose, state)[0]
+        readings = run(p, np.zeros(len(model.offsets)), pose, state)[0]
         return np.vstack([readings, *state]) if state else np.asarray(readings)
 
     return drawn
@@ -325,7 +325,7 @@ class _Judgement:
         return pose - pose[i] * share[:, None], self.seen - share * both + share**2 * self.seen[i]
 
     @cached_property
-    def told(self) -> np.ndarray:
+    def isolable(self) -> np.ndarray:
         """Whether each watched reading can be told from every other (m,)."""
         out = []
         for k, one in enumerate(self.d.watched):
@@ -336,7 +336,7 @@ class _Judgement:
             rest = np.delete(seen, one.readings, axis=0)
             own = np.delete(self.seen, one.readings, axis=0)
             counts = own > MASKED * self.unit
-            out.append(bool((rest >= TOLD * own)[counts].all()))
+            out.append(bool((rest >= ISOLABLE * own)[counts].all()))
         return np.array(out)
 
     @cached_property
@@ -348,13 +348,13 @@ class _Judgement:
             own = (left[list(one.readings), k] * errors[list(one.readings), k]).sum(axis=0)
             counts = own[own > MASKED * self.unit]
             out.append(float(np.sqrt(self.unit / np.median(counts))) if len(counts) else 1.0)
-        return np.where(self.told, out, -np.array(out))
+        return np.where(self.isolable, out, -np.array(out))
 
     @cached_property
     def without(self) -> np.ndarray:
         """What a pose without its suspect may be off by (pose,), whichever of the told it is."""
         worst = np.zeros(len(self.d.pose))
-        for k in np.flatnonzero(self.told):
+        for k in np.flatnonzero(self.isolable):
             pose, seen = self._others(int(k))
             (i,) = self.d.watched[k].readings
             fault = self._unflagged(seen)
@@ -367,7 +367,7 @@ class _Judgement:
     @cached_property
     def redundancy(self) -> Redundancy:
         """The record of it."""
-        d, mended = self.d, bool(self.told.any())
+        d, mended = self.d, bool(self.isolable.any())
         own = _redundancy(self.d)
         unseen, without = self.unseen, self.without
         if mended:
@@ -380,7 +380,7 @@ class _Judgement:
     def _mended_off(self) -> np.ndarray:
         """What is left (pose,) of a pose without noise by decoding it again without each reading."""
         d, worst = self.d, np.zeros(len(self.d.pose))
-        for k in np.flatnonzero(self.told):
+        for k in np.flatnonzero(self.isolable):
             (i,) = d.watched[k].readings
             found = without_reading(self._once, self.inputs, slice(None), i, int(k)).pose
             worst = np.maximum(worst, np.abs(d.difference(found, self.at[0])).max(axis=1))
@@ -413,7 +413,7 @@ class _Judgement:
                 f"Without its suspect the {d.quantity} is off by at most {_listed(found.without)}; "
                 "out->suspect is the number of that reading, from 1."
             )
-        alike = [w for w, told in zip(d.watched, self.told, strict=True) if not told]
+        alike = [w for w, known in zip(d.watched, self.isolable, strict=True) if not known]
         if any(w.error for w in alike):
             out.append(
                 "Which readings count changes from place to place, so a suspect is named, and nothing is "
@@ -448,12 +448,12 @@ Once = Callable[[np.ndarray, Any], Ran]
 """Inputs and which samples they are of -> one pass of the steps, inputs brought back into their range."""
 
 
-def checked(d: Decoupler, once: Once, held: np.ndarray, root: np.ndarray) -> Ran:
+def checked(d: Decoupler, once: Once, clamped: np.ndarray, root: np.ndarray) -> Ran:
     """Return what `decoupler_step()` makes of inputs (n_inputs, s) in their range, suspects mended.
 
     `root` (watched,): in the numbers of the arithmetic, as what is left is.
     """
-    first = once(held, slice(None))
+    first = once(clamped, slice(None))
     bad = np.flatnonzero(first.flags & d.fault_bit)
     if not len(bad):
         return first
@@ -465,17 +465,17 @@ def checked(d: Decoupler, once: Once, held: np.ndarray, root: np.ndarray) -> Ran
     for k in np.unique(named_by) if d.mends else ():
         own = bad[named_by == k]
         if root[k] > 0:
-            again = without_reading(once, held[:, own], own, d.watched[k].readings[0], int(k))
+            again = without_reading(once, clamped[:, own], own, d.watched[k].readings[0], int(k))
             pose[:, own] = again.pose
             cleared = (again.flags & d.fault_bit) == 0
             flags[own] = np.where(cleared, again.flags | d.degraded_bit, again.flags)
     return Ran(pose, flags, first.left, suspects)
 
 
-def without_reading(once: Once, held: np.ndarray, samples: Any, reading: int, watched: int) -> Ran:
+def without_reading(once: Once, clamped: np.ndarray, samples: Any, reading: int, watched: int) -> Ran:
     """Return a pass of the steps by the value of a reading at which nothing is left of it."""
-    given = held.copy()
-    value = np.zeros_like(held[0])
+    given = clamped.copy()
+    value = np.zeros_like(clamped[0])
     before = last = value
     for n in range(SECANTS):
         given[reading] = value

@@ -121,9 +121,9 @@ def export_table(
 
 def _raw(fit: Fit, model: Model, motor_steps: int | None) -> np.ndarray:
     """Return what is logged at `ANGLE`, (POINTS,) [rad] without jumps: the angle, or that of two voltages."""
-    found = np.asarray(on_arrays(model.reading)(fit.values, np.zeros(len(model.zeros)), [ANGLE], [])[0])
-    wiring = fit.wiring or tuple((c, 1) for c in model.channels)
-    logged = {source: sign * found[k] for k, (source, sign) in enumerate(wiring)}
+    found = np.asarray(on_arrays(model.reading)(fit.values, np.zeros(len(model.offsets)), [ANGLE], [])[0])
+    assignment = fit.assignment or tuple((c, 1) for c in model.channels)
+    logged = {source: sign * found[k] for k, (source, sign) in enumerate(assignment)}
     given = [logged[c] for c in model.channels]
     raw = np.unwrap(given[0] if len(given) == 1 else np.arctan2(*given))
     sense = _sense(raw)

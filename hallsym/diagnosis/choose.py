@@ -34,7 +34,9 @@ def model_on(
     """
     if not isinstance(model, Model):
         model = build(model or default_model(log.meta), meta=log.meta)
-    names = {p.name for p in (*model.parameters, *model.zeros)}  # what its effects add is changed at the end
+    names = {
+        p.name for p in (*model.parameters, *model.offsets)
+    }  # what its effects add is changed at the end
     model = adapted(model, (), {name: entry for name, entry in (parameters or {}).items() if name in names})
     for text in effects:
         effect = effect_named(text, model, own)
@@ -53,7 +55,7 @@ def _shown(setup: Setup, effect: Effect) -> Model:
     facts = facts_of(base, seen)
     tried, trouble = candidates(base, [effect], facts)
     screen = Screen(base, tried, runs)
-    screen.weigh(seen.colour, louder=seen.fast)
+    screen.weigh(seen.autocorrelation, louder=seen.fast)
     exact = refitted(base, screen, runs, lambda s: s.p_value < setup.policy.certain)
     if not exact:
         reason = trouble.get(effect.name, "nothing in what the model leaves looks like it")

@@ -41,13 +41,13 @@ class DecodedErrors:
 def errors_of(base: Base) -> Callable[[Block], np.ndarray]:
     """Return `block -> (n_pose, samples)` errors of the decoded pose; the block needs the model's columns."""
     errors = pose_errors(base.model, np.diag(base.covariance))
-    return lambda block: errors(base.p, base.zeros_in(block.run), block.data)
+    return lambda block: errors(base.p, base.offsets_in(block.run), block.data)
 
 
 def decoded_errors(base: Base, runs: Iterable[int], keep: Weigh | None = None) -> DecodedErrors:
     """Decode the samples of some runs that `keep` does not leave out, and return their errors."""
     (found,) = error_tables(
-        base.log, base.model, [(base.p, base.zeros)], np.diag(base.covariance), keep,
+        base.log, base.model, [(base.p, base.offsets)], np.diag(base.covariance), keep,
         sigma=base.sigma, among=frozenset(runs),
     )  # fmt: skip
     count, peak = int(found.count.sum()), found.peak.max(axis=0, initial=0.0)
@@ -98,7 +98,7 @@ def _amplitudes(base: Base, periodic: Sequence[int], orders: Sequence[int]) -> t
     seen = np.zeros((count, 2 * FIRST), dtype=bool)
     for batch in base.batches():
         weights = batch.weights(base.keep)
-        error = errors(base.p, base.zeros_of(batch), batch.data)
+        error = errors(base.p, base.offsets_of(batch), batch.data)
         for j, k in enumerate(periodic):
             periods = batch.data[model.references[k]] / model.period[model.references[k]]
             seen[j, (periods % 1 * 2 * FIRST).astype(int) % (2 * FIRST)] = True

@@ -237,7 +237,7 @@ def _slips(base: Base, r: ResidualTable, found: Survey) -> tuple[tuple[int, floa
     s = base.model.symbols
     channel, parameter = ca.jacobian(s.full(s.gain), s.parameters).sparsity().get_triplet()
     fitted = {k for k, j in zip(channel, parameter, strict=True) if j in base.free}
-    if not base.model.zeros or len(fitted) < len(base.model.channels):
+    if not base.model.offsets or len(fitted) < len(base.model.channels):
         return ()
     return instants(r, base.holdout, found.variance * found.inflation)
 
@@ -246,7 +246,7 @@ def facts_of(base: Base, found: Survey) -> Facts:
     """Return what effects may know of the log; searched numbers come from the residual of `base`."""
     model, log, warm = base.model, base.log, "temperature_degc"
     r, values = table_of(base, frozenset(log.runs)), _readings(log, model)
-    several = len(model.channels) > len(model.pose) and not model.zeros
+    several = len(model.channels) > len(model.pose) and not model.offsets
     on_runs, on_runs_p = switched_runs(r) if r and several else ((), 1.0)
     return Facts(
         duration_s=max(found.duration_s, 1e-6),

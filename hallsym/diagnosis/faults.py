@@ -25,7 +25,7 @@ from hallsym.estimation.factors import pseudo_inverse
 from hallsym.families.cordic import CHIP_STEPS, Levels, levels
 from hallsym.families.faults import FAULTS, RecordingFault
 from hallsym.log import Block, Log
-from hallsym.log.batches import HELD, Weigh
+from hallsym.log.batches import CACHED_ROWS, Weigh
 from hallsym.log.quality.scan import FEWEST_SAMPLES
 
 
@@ -142,7 +142,7 @@ def far_from(freedom: int, samples: int, policy: Policy) -> float:
 @cache
 def _filtered(directions: int) -> np.ndarray:
     """Squares that the running median leaves of white noise in so many directions, summed over them."""
-    white = np.random.default_rng(0).standard_normal((directions, HELD // directions))
+    white = np.random.default_rng(0).standard_normal((directions, CACHED_ROWS // directions))
     return np.asarray(((white - median_filter(white, size=(1, WINDOW))) ** 2).sum(axis=0))
 
 
@@ -288,7 +288,7 @@ def _apart(angles: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 def without_tail(base: Base) -> Weigh:
     """Return weights 0 for samples that are far off the model, on top of those left out already."""
-    residual = residuals(base.model, base.p, base.zeros)
+    residual = residuals(base.model, base.p, base.offsets)
     whiten, K = base.whiten, len(base.model.channels)
     limit = far_from(K, base.log.rows, base.policy)
 
@@ -301,12 +301,12 @@ def without_tail(base: Base) -> Weigh:
     return weigh
 
 
-def wirings(channels: int) -> int:
+def assignments(channels: int) -> int:
     """Return how many other orders and signs of the channels were compared with the nominal ones."""
     return factorial(channels) * 2**channels - 1
 
 
-def wiring_p(base: Base, log: Log, runs: Sequence[int]) -> float:
+def assignment_p(base: Base, log: Log, runs: Sequence[int]) -> float:
     """Return the p-value of the readings of `log` being wired as the model has them, across `runs`.
 
     `base` holds the log as rewired. The score of a run is what its readings differ by from the rewired ones,

@@ -18,7 +18,7 @@ from hallsym.diagnosis.normal_equations import Columns, NormalEquations, stretch
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation.residual_noise import ROOM
 from hallsym.log import Block
-from hallsym.log.batches import Batch, batches, is_held
+from hallsym.log.batches import Batch, batches, is_cached
 from hallsym.log.derived import share_windows
 from hallsym.model import Model
 
@@ -50,7 +50,7 @@ class _Moved:
     def blocks(self, columns: Sequence[str] | None = None, size: int = 1 << 16) -> Iterator[Block]:
         rng, wanted = np.random.default_rng(0), self.log.columns if columns is None else columns
         known = (b for batch in batches(self.log, wanted) for b in batch.blocks)
-        for block in known if is_held(self.log) else self.log.blocks(wanted, size):
+        for block in known if is_cached(self.log) else self.log.blocks(wanted, size):
             data = dict(block.data)
             n = len(next(iter(data.values()))) + len(self.weights) - 1
             for column, by in self.sizes.items():

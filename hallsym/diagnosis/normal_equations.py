@@ -79,7 +79,7 @@ def entries(slope: ca.SX) -> np.ndarray:
 
 
 class Graph(NamedTuple):
-    """What computes columns: `run(p, zeros, pose, state)` returns the readings and two lots of slopes.
+    """What computes columns: `run(p, offsets, pose, state)` returns the readings and two lots of slopes.
 
     `state`: the columns that it reads. `near`: channel and column of the slopes by offsets and parameters,
     (2, rows), `far`: of those by candidates, channel by channel.
@@ -95,7 +95,7 @@ def _graph(model: Model, free: Sequence[int], candidates: Sequence[tuple[Model, 
     """Return what computes the readings of a model and all slopes: what they share is computed once."""
     s = model.symbols
     reading = s.full(s.reading)
-    own = ca.jacobian(reading, ca.vertcat(s.zeros, s.parameters[list(free)]))
+    own = ca.jacobian(reading, ca.vertcat(s.offsets, s.parameters[list(free)]))
     each, starts = slopes_of(candidates), np.cumsum([0, *(len(new) for _, new in candidates)])
     places = (
         entries(slope) + np.outer([0, 1], start) for slope, start in zip(each, starts[:-1], strict=True)
@@ -108,7 +108,7 @@ def _graph(model: Model, free: Sequence[int], candidates: Sequence[tuple[Model, 
         for one in (model, *(wide for wide, _ in candidates))
         for name, symbol in zip(one.state, ca.vertsplit(one.symbols.state), strict=True)
     }
-    inputs = [s.parameters, s.zeros, s.pose, ca.vertcat(*(symbol for _, symbol in state.values()))]
+    inputs = [s.parameters, s.offsets, s.pose, ca.vertcat(*(symbol for _, symbol in state.values()))]
     outputs = [
         reading,
         ca.vec(own.nz[:]) if own.nnz() else ca.SX(0, 1),
@@ -212,7 +212,7 @@ def normal_equations(
         groups = [(number,) for number in run.tolist()]
     whitened, output = (Products(*(x[: len(groups)] for x in M)) for M in made)
     units = np.arange(len(run)) if length else np.array([pool[number] for number in run.tolist()])
-    follow, zeros = eliminated(work, (whitened, output), offsets[:, : len(run)], run, units)
+    follow, offsets = eliminated(work, (whitened, output), offsets[:, : len(run)], run, units)
     return NormalEquations(
         whitened,
         output,
@@ -225,7 +225,7 @@ def normal_equations(
         follow[:, :, :0].copy() if work.count else follow,
         tuple(dict.fromkeys(run.tolist())),
         frozenset(work.spoiled),
-        zeros,
+        offsets,
     )
 
 
@@ -296,12 +296,12 @@ def eliminated(
         M.inner[nil[:, i] | nil[:, j]] = 0.0
     if not z or len(first) == len(run):
         return follow, None
-    zeros = offsets[0][:, :, z:] + offsets[0][:, :, :z] @ follow[of_run]
-    zeros[np.broadcast_to(nil[:, None], zeros.shape)] = 0.0
+    offsets = offsets[0][:, :, z:] + offsets[0][:, :, :z] @ follow[of_run]
+    offsets[np.broadcast_to(nil[:, None], offsets.shape)] = 0.0
     root = np.zeros((len(first), z, z))
     cut = sizes > 1
     root[cut] = np.linalg.cholesky(pseudo_inverse(across[cut, :, :z])).swapaxes(1, 2)
-    return follow, root[of_run] @ zeros
+    return follow, root[of_run] @ offsets
 
 
 def coefficients(M: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -327,7 +327,7 @@ class Columns:
         key = ("columns", base.free, *((wide, *new) for wide, new in tried.values()))
         self.graph = model.remember(key, lambda: _graph(model, base.free, list(tried.values())))
         self.models = (base.model, *(wide for wide, _ in tried.values()))
-        self.z, self.n = len(base.model.zeros), len(base.free)
+        self.z, self.n = len(base.model.offsets), len(base.free)
         widths = [len(new) for _, new in tried.values()]
         self.ends = ends = np.cumsum([0, *widths])
         self.count, own = int(ends[-1]), self.z + self.n
@@ -372,7 +372,7 @@ class Columns:
         candidates, (rows, samples), times the root of the weights."""
         base, model, graph = self.base, self.base.model, self.graph
         pose, state = batch.columns(model.references), batch.columns(graph.state)
-        reading, slopes, rows = graph.run(base.p, base.zeros_of(batch), pose, state)
+        reading, slopes, rows = graph.run(base.p, base.offsets_of(batch), pose, state)
         A = np.zeros((self.z + self.n + 1, len(model.channels), len(batch)))
         A[graph.near[1], graph.near[0]] = slopes
         A[-1] = np.array(batch.columns(model.channels)) - reading

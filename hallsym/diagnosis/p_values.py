@@ -133,13 +133,13 @@ class SignFlips:
         run = np.unique([t.runs[u][0] * (not joined) for u in self.units], return_inverse=True)[1]
         cluster = clusters(run, policy, memories)
         self.cluster = np.arange(cluster.max() + 1)[:, None] == cluster
-        self.zeros: np.ndarray | None = None
+        self.offsets: np.ndarray | None = None
         if t.offsets is not None and len(self.cluster) > run.max() + 1:
             # those of a run are fitted to all of it
-            self.zeros = t.offsets[self.units]
-            left = self.zeros[:, :, -1] - self.zeros[:, :, :n] @ self.b
+            self.offsets = t.offsets[self.units]
+            left = self.offsets[:, :, -1] - self.offsets[:, :, :n] @ self.b
             together = run[np.argmax(self.cluster, axis=1)][:, None] == run
-            self.zeros_left = together[:, :, None] * left  # (clusters, units, z)
+            self.offsets_left = together[:, :, None] * left  # (clusters, units, z)
 
     def statistic(self, key: str) -> np.ndarray | None:
         """Return the statistic (1 + FLIPS,) of a candidate, None where the model absorbs all of it.
@@ -160,9 +160,9 @@ class SignFlips:
         # how the rest (clusters, k, units) of each cluster's score follows the signs of all units
         of = np.tensordot(self.cluster, gram, 1) @ score.T
         of += V.T @ np.tensordot(self.cluster, across, 1) @ (self.JJ @ self.left.T)
-        if self.zeros is not None:
-            to_zeros = (self.zeros[:, :, columns] - self.zeros[:, :, :n] @ P) @ V
-            of += np.einsum("gzk,guz->gku", np.tensordot(self.cluster, to_zeros, 1), self.zeros_left)
+        if self.offsets is not None:
+            to_offsets = (self.offsets[:, :, columns] - self.offsets[:, :, :n] @ P) @ V
+            of += np.einsum("gzk,guz->gku", np.tensordot(self.cluster, to_offsets, 1), self.offsets_left)
         rest = (self.cluster[:, None] * score.T - of).reshape(-1, len(score))
         signs = drawn(len(self.units))
         squares = ((signs @ score) ** 2).sum(axis=1)

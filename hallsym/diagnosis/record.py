@@ -217,7 +217,7 @@ class Separation:
 class Waves:
     """Amplitude of the harmonic of the error that repeats `per_turn` times per period of a coordinate. SI.
 
-    `designed`: of the nominal sensor, only its zeros fitted, None where nominal parameters do not decode the
+    `designed`: of the nominal sensor, only its offsets fitted, None where nominal parameters do not decode the
     readings; `model`: of the diagnosed model; `after`: with the effects found, None without any. `causes`:
     effects of the catalogue that make it. `coordinate`: the periodic one of a pose of several.
     """

@@ -93,12 +93,12 @@ class Refitted:
         lower, upper = base.model.bounds
         step = share * inside_bounds(base, self.products)
         p[free] = np.clip(p[free] + step, np.minimum(lower, base.p)[free], np.maximum(upper, base.p)[free])
-        if not len(base.model.zeros):
+        if not len(base.model.offsets):
             return replace(base, p=p)
         v = np.concatenate([-(p[free] - base.p[free]), [1.0]])
-        # the residual is r = v-combination of the columns: zeros take -follow of it
+        # the residual is r = v-combination of the columns: offsets take -follow of it
         follow = zip(self.tangents.order, self.tangents.follow, strict=True)
-        return replace(base, p=p, zeros={run: base.zeros.get(run, 0.0) - f @ v for run, f in follow})
+        return replace(base, p=p, offsets={run: base.offsets.get(run, 0.0) - f @ v for run, f in follow})
 
     def unseen(self) -> tuple[int, ...]:
         """Index of the free parameters on which no fitted sample depends, see `seen`."""

@@ -13,7 +13,7 @@ import numpy as np
 from hallsym.codegen import cost_of
 from hallsym.codegen.operations import graph
 from hallsym.diagnosis.decoded_errors import decoded_errors, waves
-from hallsym.diagnosis.faults import Fault, wiring_p, wirings
+from hallsym.diagnosis.faults import Fault, assignment_p, assignments
 from hallsym.diagnosis.localisation import Located, located, shape, sizes
 from hallsym.diagnosis.record import (
     LARGER,
@@ -43,7 +43,7 @@ from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit, noise_text
 from hallsym.errors import InputError, counted, listed
 from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.families import added_effects
-from hallsym.families.faults import WIRING
+from hallsym.families.faults import ASSIGNMENT_FAULTS
 from hallsym.model import Model, ways_text
 
 
@@ -89,8 +89,8 @@ def confusable(
             sigma = float((min(d for d, _ in own) / variance) ** 0.5)
             separate.append(Separation(tuple(e.name for e in members), ways, sigma))
     groups = [s.group for s in separate]
-    if effects and effects[0].name in WIRING and len(setup.base.model.pose) == 1:
-        groups.insert(0, WIRING)  # either turns the angle round, and its zero is free
+    if effects and effects[0].name in ASSIGNMENT_FAULTS and len(setup.base.model.pose) == 1:
+        groups.insert(0, ASSIGNMENT_FAULTS)  # either turns the angle round, and its zero is free
     names = [e.name for e in effects if e.share > 0] + [name for group in groups for name in group]
     names += possible if verdict == "explained" else []
     return Confusable(tuple(groups), tuple(separate), tuple(dict.fromkeys(names)), tuple(fits))
@@ -406,7 +406,9 @@ def _note(ended: Sequence[str], blind: Sequence[str]) -> str:
 
 def _repaired(setup: Setup, fault: Fault, shrinkage: float, share: float) -> FoundEffect:
     """Return a fault of the recording, which no model holds, as an effect that was found."""
-    repair = "the channel assignment is corrected" if fault.name in WIRING else "a repair, not a model"
+    repair = (
+        "the channel assignment is corrected" if fault.name in ASSIGNMENT_FAULTS else "a repair, not a model"
+    )
     return FoundEffect(
         name=fault.name,
         link=fault.record.link,
@@ -427,7 +429,7 @@ def _assignment(setup: Setup, base: Base) -> Fault:
     swapped = [c for c, (source, _) in zip(channels, wiring, strict=True) if source != c]
     flipped = [source for source, sign in wiring if sign < 0]
     text = f"{' and '.join(swapped)} exchanged" if swapped else f"{' and '.join(flipped)} inverted"
-    p = wiring_p(base, setup.log, setup.runs) * wirings(len(channels))
+    p = assignment_p(base, setup.log, setup.runs) * assignments(len(channels))
     return Fault("channel_swap" if swapped else "sign_inversion", text, 1.0, {}, p)
 
 

@@ -113,9 +113,9 @@ def table_of(base: Base, runs: frozenset[int]) -> ResidualTable | None:
         for names in (model.references, [f"d0_{c}" for c in model.references], model.state)
     )
     edges = edges_of(run)
-    own = np.array([base.zeros_in(k) for k in run[edges[:-1]].tolist()])
-    zeros = np.repeat(own.T, np.diff(edges), axis=1)
-    (sensed,) = on_arrays(model.reading)(base.p, zeros, smooth, state)
+    own = np.array([base.offsets_in(k) for k in run[edges[:-1]].tolist()])
+    offsets = np.repeat(own.T, np.diff(edges), axis=1)
+    (sensed,) = on_arrays(model.reading)(base.p, offsets, smooth, state)
     fold, block, part = _blocks(run, place, sum(seen[k] for k in set(run.tolist())), base.policy)
     return ResidualTable(
         base, run, residual, sensed, rate, joined, base.to_pose(pose, state), fold, block, part

@@ -12,7 +12,7 @@ import numpy as np
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.estimation.decoding import columns_of, decoding_gain
 from hallsym.log import Log
-from hallsym.log.batches import Batch, Weigh, batches, is_held
+from hallsym.log.batches import Batch, Weigh, batches, is_cached
 from hallsym.log.derived import extended
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
@@ -28,7 +28,7 @@ NIL = 1e-9
 class Base:
     """A fitted model on a log, as the fit left it or with effects added.
 
-    `p`: (n,) values; `zeros`: displacement by run; `covariance`: (K, K) of one residual; `free`: index of
+    `p`: (n,) values; `offsets`: displacement by run; `covariance`: (K, K) of one residual; `free`: index of
     parameters that the fit moves; `pose_weights`: (n_pose,) of the pose metric; `holdout`: holdout runs;
     `timed`: whether the log holds time, and not a counter in its place. `sliced`: whether the runs are slices
     of one recording, one after the other. `policy`: thresholds of what is decided on it.
@@ -37,7 +37,7 @@ class Base:
     log: Log
     model: Model
     p: np.ndarray
-    zeros: Mapping[int, np.ndarray]
+    offsets: Mapping[int, np.ndarray]
     covariance: np.ndarray
     free: tuple[int, ...]
     pose_weights: np.ndarray
@@ -51,7 +51,7 @@ class Base:
     @property
     def joined(self) -> bool:
         """Whether noise goes on from run to run: they have no offsets to take it."""
-        return self.timed and not self.model.zeros
+        return self.timed and not self.model.offsets
 
     @property
     def on_all(self) -> "Base":
@@ -73,13 +73,13 @@ class Base:
         """Matrix (K, K) that turns a residual into one of unit covariance."""
         return np.linalg.cholesky(np.linalg.inv(self.covariance)).T
 
-    def zeros_in(self, run: int) -> np.ndarray:
+    def offsets_in(self, run: int) -> np.ndarray:
         """Return the zero deviations of a run, (offsets,); nil of one that was not fitted."""
-        return self.zeros.get(run, np.zeros(len(self.model.zeros)))
+        return self.offsets.get(run, np.zeros(len(self.model.offsets)))
 
-    def zeros_of(self, batch: Batch) -> np.ndarray:
+    def offsets_of(self, batch: Batch) -> np.ndarray:
         """Return the zero deviations of every sample of a batch, (offsets, samples)."""
-        return batch.offsets(self.zeros, len(self.model.zeros))
+        return batch.offsets(self.offsets, len(self.model.offsets))
 
     def batches(self, model: Model | None = None) -> Iterator[Batch]:
         """Return the log in batches with all columns that the model, or an extended one, reads."""
@@ -131,7 +131,7 @@ class Piece:
 def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
     """Yield the whitened residual of some runs beside what it may depend on.
 
-    Residuals of a log whose batches are kept (`is_held`) are kept too, for the next call with the same base.
+    Residuals of a log whose batches are kept (`is_cached`) are kept too, for the next call with the same base.
     """
     model = base.model
     rates = (rate(c, order) for order in range(4) for c in model.references)
@@ -139,7 +139,7 @@ def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
     log = extended(base.log, model.with_columns(*extra), base.sigma, base.values)
     wanted = (*columns_of(model), *(c.name for c in extra), "t_s", "temperature_degc")
     columns = tuple(dict.fromkeys(c for c in wanted if c in log.columns))
-    known, evaluate = _kept(base, base.log.runs) if is_held(base.log) else [], _residual_of(base)
+    known, evaluate = _kept(base, base.log.runs) if is_cached(base.log) else [], _residual_of(base)
     for k, batch in enumerate(batches(log, columns)):
         weights = batch.weights(base.keep)
         residual, speed = known[k] if known else evaluate(batch)
@@ -167,7 +167,7 @@ def _residual_of(base: Base) -> Callable[[Batch], tuple[np.ndarray, np.ndarray]]
 
     def evaluate(batch: Batch) -> tuple[np.ndarray, np.ndarray]:
         pose, state = batch.columns(model.references), batch.columns(model.state)
-        expected, moved = run(base.p, base.zeros_of(batch), pose, state, batch.columns(rates))
+        expected, moved = run(base.p, base.offsets_of(batch), pose, state, batch.columns(rates))
         return whiten @ (np.array(batch.columns(model.channels)) - expected), whiten @ moved
 
     return evaluate
@@ -178,5 +178,5 @@ def _reading_and_rate(model: Model) -> Callable[..., list[np.ndarray]]:
     reading = s.full(s.reading)
     velocity = ca.SX.sym("velocity", len(model.references))
     slope = ca.jacobian(reading, s.pose) @ velocity
-    inputs = [s.parameters, s.zeros, s.pose, s.state, velocity]
+    inputs = [s.parameters, s.offsets, s.pose, s.state, velocity]
     return on_arrays(ca.Function("residual", inputs, [ca.densify(reading), ca.densify(slope)]))

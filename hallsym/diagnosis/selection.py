@@ -363,10 +363,12 @@ class Selection:
         best effect leaves tells whether stretches depend on each other, whether the noise is louder than
         stated, and how much of it a column may collect, where it was stated.
         """
-        base, colour, peak, louder = screen.base, found.colour, np.inf, found.fast
+        base, colour, peak, louder = screen.base, found.autocorrelation, np.inf, found.fast
         lasting = screen.lasting >= self.policy.memories * memory(colour, self.policy)
         whole = screen.length is None or base.sliced or lasting
-        offsets = len(base.model.zeros) > 0  # without them noise slower than a run is in no spectrum of a run
+        offsets = (
+            len(base.model.offsets) > 0
+        )  # without them noise slower than a run is in no spectrum of a run
         loud = louder > (1 + self.policy.negligible) ** 2
         if screen.scores and (offsets or base.joined or loud or not whole):
             model = screen.scores[0].model
@@ -374,7 +376,7 @@ class Selection:
             seen = survey(left.base, self.runs)
             louder = seen.fast
             if not whole:
-                colour = min(colour, seen.colour, key=lambda c: memory(c, self.policy))
+                colour = min(colour, seen.autocorrelation, key=lambda c: memory(c, self.policy))
             peak = spectrum_peak(left.base, self.runs) if offsets else np.inf
             if base.joined and not base.sliced:
                 remembers = memory_of_recording(left.base, frozenset(self.runs))

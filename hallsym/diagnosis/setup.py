@@ -26,9 +26,9 @@ from hallsym.estimation.task import noise_of
 from hallsym.families import build, default_model
 from hallsym.families.faults import FAULTS
 from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ
-from hallsym.families.recording import Wiring, as_read, corrected
+from hallsym.families.recording import Assignment, as_read, corrected
 from hallsym.log import Log, clean_log, usable
-from hallsym.log.batches import HELD, remembered
+from hallsym.log.batches import CACHED_ROWS, remembered
 from hallsym.log.phase import at_rest, continuous
 from hallsym.log.quality.scan import FEWEST_SAMPLES
 from hallsym.model import Effect, Model
@@ -117,13 +117,13 @@ class Setup:
         return f"held-out {piece}" if self.split else "holdout run"
 
     @property
-    def miswired(self) -> Wiring | None:
+    def miswired(self) -> Assignment | None:
         """The channel assignment that was found, where channels are exchanged or inverted; else None.
 
         On which side a sensor is mounted is no fault, unless the log states its model, which has a side.
         """
-        model, wiring = self.fit.model, self.fit.wiring
-        if self.fit.turned and not self.log.meta.base_model:
+        model, wiring = self.fit.model, self.fit.assignment
+        if self.fit.reversed and not self.log.meta.base_model:
             return None
         if wiring is None or len(model.channels) == 1:  # the sign of one channel is a direction, not a wire
             return None
@@ -145,9 +145,9 @@ def base_of(log: Log, result: Fit) -> Base:
         log=wired,
         model=result.model,
         p=np.array(result.values, dtype=float),
-        zeros=dict(zip(cost.summary.runs, point.zeros, strict=True)),
+        offsets=dict(zip(cost.summary.runs, point.offsets, strict=True)),
         covariance=point.covariance.mean(axis=0),
-        free=tuple(k for k, n in enumerate(result.model.names) if n not in result.held),
+        free=tuple(k for k, n in enumerate(result.model.names) if n not in result.fixed),
         pose_weights=result.model.family.pose_metric.weights(result.model.pose, log.meta.gap_length_scale_m),
         holdout=frozenset(result.log["holdout"]),
         sigma=sigma,
@@ -207,10 +207,10 @@ def prepare(
         result = fit(log, inspected, corrections=wires, accept=(ALL,), **asked)
     result = replace(result, model=model)
     base = base_of(log, result)
-    if log.rows > HELD:
+    if log.rows > CACHED_ROWS:
         say("decimating the log")
         logged = replace(base.on_all, log=log)
-        every = spacing(logged, HELD)
+        every = spacing(logged, CACHED_ROWS)
         log = kept(logged, every, log.rows)
         base = base_of(log, result)
         if every > 1:
@@ -246,7 +246,7 @@ def _pieces(log: Log, model: Model, known: Fit | None, policy: Policy) -> tuple[
 
     `known`: its fit if it has no time.
     """
-    if log.rows < fewest(policy) or model.zeros or log.meta.holdout:
+    if log.rows < fewest(policy) or model.offsets or log.meta.holdout:
         return log, ()
     # a turn goes on from piece to piece: a short turn of the reference counts from one zero
     log = continuous(replace(log, noise=noise_of(log, model)), model)

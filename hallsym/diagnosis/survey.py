@@ -160,8 +160,8 @@ def spectrum_peak(base: Base, runs: Iterable[int]) -> float:
 
 def noise_of_rest(base: Base, runs: Sequence[int]) -> ResidualNoise | None:
     """Return the noise that `base` leaves on `runs`; None where they are too short to tell."""
-    zeros = {run: base.zeros_in(run) for run in (runs if base.timed else base.log.runs)}
-    return noise_left(base.log, base.model, base.p, zeros, base.covariance, base.sigma, base.keep)
+    offsets = {run: base.offsets_in(run) for run in (runs if base.timed else base.log.runs)}
+    return noise_left(base.log, base.model, base.p, offsets, base.covariance, base.sigma, base.keep)
 
 
 def _instants(piece: Piece) -> np.ndarray:

@@ -107,7 +107,7 @@ def groups_of(runs: Sequence[int]) -> list[frozenset[int]]:
     return [frozenset(runs[k::FOLDS]) for k in range(min(FOLDS, len(runs)))]
 
 
-def foreseen(
+def cross_validated(
     fit: Refitted, groups: Sequence[frozenset[int]], others: Sequence[Refitted] = ()
 ) -> dict[tuple[int, ...], float]:
     """Return the squared decoded errors of each run as the other runs foresee them.
@@ -257,7 +257,7 @@ def _error(left: Survey, values: float) -> float:
 
     Of coloured noise and of noise with heavy tails as many values tell less.
     """
-    alone = 1 + 2 * (left.colour[1:] ** 2).sum()
+    alone = 1 + 2 * (left.autocorrelation[1:] ** 2).sum()
     return float(np.sqrt((max(left.kurtosis, 3.0) - 1) * alone / (4 * max(values, 1.0))))
 
 
@@ -296,8 +296,8 @@ def _held(setup: Setup, selection: Selection, effect: Exact, before: DecodedErro
 def _judged(setup: Setup, selection: Selection, without: Refitted) -> Judged:
     """Return all effects against the fit `without` some, on runs that took no part."""
     groups = groups_of(setup.runs)
-    after = foreseen(selection.fit, groups, selection.others)
-    return Judged.of(foreseen(without, groups), after, setup.policy)
+    after = cross_validated(selection.fit, groups, selection.others)
+    return Judged.of(cross_validated(without, groups), after, setup.policy)
 
 
 # -- faults of samples and the noise floor -----------------------------------------------------------------

@@ -17,7 +17,7 @@ from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost
 from hallsym.families import added_effects, build, known_effect
-from hallsym.families.recording import Correction, Wiring, as_wired, read_correction, wiring_of
+from hallsym.families.recording import Correction, Assignment, as_corrections, read_correction, assignment_of
 from hallsym.files import read_json
 from hallsym.log import Foreign, Log, Meta, Noise, Sigma
 from hallsym.log.batches import Weigh
@@ -274,9 +274,9 @@ class Fit(Shown):
     """What `fit` returns and `calib.json` holds.
 
     `values`, `std`, `determined`: (n,) in the order of `model.parameters`; `std` is nan where the data do
-    not determine the parameter. `covariance`: (n, n), zero rows for held parameters. `degrees_of_freedom`:
-    (n,) of `std`, for Student's t; infinite where the noise is as stated. `held` stayed at nominal,
-    `at_bound` ended at a bound. `zeros`: run -> zero deviations delta [m] in reading space. `noise_floor`:
+    not determine the parameter. `covariance`: (n, n), zero rows for fixed parameters. `degrees_of_freedom`:
+    (n,) of `std`, for Student's t; infinite where the noise is as stated. `fixed` stayed at nominal,
+    `at_bound` ended at a bound. `offsets`: run -> zero deviations delta [m] in reading space. `noise_floor`:
     RMSE that the stated noise alone would leave, by pose coordinate.
     """
 
@@ -288,11 +288,11 @@ class Fit(Shown):
     covariance_method: str
     covariance_reason: str
     degrees_of_freedom: np.ndarray
-    held: tuple[str, ...]
+    fixed: tuple[str, ...]
     structural: tuple[str, ...]
     at_bound: tuple[str, ...]
     combinations: tuple[CombinationEstimate, ...]
-    zeros: Mapping[int, np.ndarray]
+    offsets: Mapping[int, np.ndarray]
     noise: Noise
     noise_floor: Mapping[str, float]
     status: str
@@ -317,7 +317,7 @@ class Fit(Shown):
     undetermined_by_log: tuple[str, ...] = ()
     corrections: tuple[Correction, ...] = ()
     """Mistakes of the recording that were undone, the sign of a sensor mounted the other way round last."""
-    turned: bool = False
+    reversed: bool = False
     """Whether that sign is all that was undone: a side to mount; not saved."""
     claims: tuple[Claim, ...] = ()
     """What is wrong with the recording, or with the result, and was not accepted."""
@@ -335,9 +335,9 @@ class Fit(Shown):
     """What is saved of each log: name, errors, noise, the parameters that it has of its own."""
 
     @property
-    def wiring(self) -> Wiring | None:
+    def assignment(self) -> Assignment | None:
         """For each channel the column that carries it and its sign; None where they are as named."""
-        return wiring_of(self.corrections, self.model.channels)
+        return assignment_of(self.corrections, self.model.channels)
 
     @property
     def half_width(self) -> np.ndarray:
@@ -412,7 +412,7 @@ class Fit(Shown):
                 "std": _number(self.std[k]),
                 "degrees_of_freedom": _number(self.degrees_of_freedom[k]),
                 "determined": bool(self.determined[k]),
-                "held": name in self.held,
+                "held": name in self.fixed,
                 "at_bound": name in self.at_bound,
                 "nominal": model.parameters[k].nominal,
                 "lower": _number(lower[k]),
@@ -446,10 +446,10 @@ class Fit(Shown):
                 "reason": self.covariance_reason,
                 "matrix": self.covariance.tolist(),
             },
-            "zero_bounds": {z.name: [_number(z.lower), _number(z.upper)] for z in model.zeros},
+            "zero_bounds": {z.name: [_number(z.lower), _number(z.upper)] for z in model.offsets},
             "zero_deviations": {
-                str(run): dict(zip((z.name for z in model.zeros), np.asarray(d).tolist(), strict=True))
-                for run, d in self.zeros.items()
+                str(run): dict(zip((z.name for z in model.offsets), np.asarray(d).tolist(), strict=True))
+                for run, d in self.offsets.items()
             },
             "corrections": [one.text for one in self.corrections],
             "claims": plain(self.claims),
@@ -494,9 +494,9 @@ def load_fit(
     entries, names = record.parameters, model.names
     _same(names, entries, f"parameters of {where}")
     _same(names, record.covariance.parameters, f"covariance of {where}")
-    zeros = [zero.name for zero in model.zeros]
+    offsets = [zero.name for zero in model.offsets]
     for run, deviations in record.zero_deviations.items():
-        _same(zeros, deviations, f"zero deviations of run {run} in {where}")
+        _same(offsets, deviations, f"zero deviations of run {run} in {where}")
     matrix = record.covariance.matrix
     if len(matrix) != len(names) or any(len(row) != len(names) for row in matrix):
         raise InputError(
@@ -527,7 +527,7 @@ def load_fit(
         covariance_method=record.covariance.method,
         covariance_reason=record.covariance.reason,
         degrees_of_freedom=np.array([_or(entries[n].degrees_of_freedom, np.inf) for n in names]),
-        held=tuple(n for n in names if entries[n].held),
+        fixed=tuple(n for n in names if entries[n].held),
         structural=tuple(record.structural),
         at_bound=tuple(n for n in names if entries[n].at_bound),
         combinations=tuple(
@@ -536,7 +536,7 @@ def load_fit(
             )
             for c in record.combinations
         ),
-        zeros={run: np.array([d[zero] for zero in zeros]) for run, d in record.zero_deviations.items()},
+        offsets={run: np.array([d[zero] for zero in offsets]) for run, d in record.zero_deviations.items()},
         noise=Noise(record.noise),
         noise_floor={c: _or(v, np.nan) for c, v in record.noise_floor.items()},
         status=record.status,
@@ -549,7 +549,7 @@ def load_fit(
         undetermined_by_log=tuple(record.undetermined_by_log),
         corrections=(
             *map(read_correction, record.corrections),
-            *as_wired(tuple(record.wiring or ()), model.channels[: len(record.wiring or ())]),
+            *as_corrections(tuple(record.wiring or ()), model.channels[: len(record.wiring or ())]),
         ),
         claims=record.claims,
         columns=record.columns,

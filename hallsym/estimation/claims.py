@@ -22,7 +22,7 @@ from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_near, cost_of
 from hallsym.estimation.optimum import SETTLING, closed_form, linear_fit, refit
 from hallsym.estimation.task import Asked, Task, noise_of
-from hallsym.families.recording import Correction, as_wired, said
+from hallsym.families.recording import Correction, as_corrections, said
 from hallsym.log import Log, Noise
 from hallsym.log.columns import RUN, is_moving
 from hallsym.log.core import Block, Drop, without
@@ -122,7 +122,7 @@ def _assigned(trials: Trials) -> tuple[Correction, ...]:
     found: list[tuple[float, int, tuple[Correction, ...]]] = []
     for order in permutations(model.channels):
         for signs in product((1, -1), repeat=len(order)):
-            wires = as_wired(tuple(zip(order, signs, strict=True)), model.channels)
+            wires = as_corrections(tuple(zip(order, signs, strict=True)), model.channels)
             after = trials.fitted(wires) if wires else None
             if after is not None and after.left and _explains(base, after):
                 found.append((round(after.mean(after.left), 2), len(wires), wires))
@@ -404,9 +404,9 @@ class Trials:
         if not closely:
             within = read.summary.counts[None] @ read.within / merged.summary.counts[0]
             return Tried(corrections, merged, first, self.model, within, read.log)
-        held = list(determine(merged, first).held)
-        first[held] = np.clip(self.model.nominal, *self.model.bounds)[held]
-        p = refit(merged, first, held, CLOSELY, STEPS_TRIED) if len(held) < len(first) else first
+        fixed = list(determine(merged, first).fixed)
+        first[fixed] = np.clip(self.model.nominal, *self.model.bounds)[fixed]
+        p = refit(merged, first, fixed, CLOSELY, STEPS_TRIED) if len(fixed) < len(first) else first
         cost = cost_of(read.summary, read.noise.std)
         return Tried(corrections, cost, p, self.model, read.within, read.log)
 
@@ -418,7 +418,7 @@ class Trials:
                 cost = cost_of(read.summary, read.noise.std)
                 return Tried(tuple(corrections), cost, p, self.model, read.within, read.log)
             log = self.log(corrections, runs)
-            cost = cost_near(log, self.model, p, log.noise.std, rounds=SETTLING if self.model.zeros else 1)
+            cost = cost_near(log, self.model, p, log.noise.std, rounds=SETTLING if self.model.offsets else 1)
             return Tried(tuple(corrections), cost, p, self.model, _within(log, self.model.channels), log)
         except (InputError, np.linalg.LinAlgError):
             return None
@@ -493,7 +493,7 @@ class Tried:
         """Mean square of the whitened residual by run: 1 is noise; none where the noise is beyond numbers."""
         counts = self.cost.summary.counts * len(self.model.channels)
         try:
-            values = self.cost.at(self.p).run_values / np.maximum(counts - len(self.model.zeros), 1.0)
+            values = self.cost.at(self.p).run_values / np.maximum(counts - len(self.model.offsets), 1.0)
         except np.linalg.LinAlgError:
             return {}
         return dict(zip(self.cost.summary.runs, values.tolist(), strict=True))
@@ -1095,7 +1095,7 @@ def _whitened(tried: Tried, runs: Sequence[int]) -> Iterator[tuple[Residual, np.
     """Yield runs with their residual over the noise: what computes it, and values (K, samples) less means."""
     model = tried.model
     point = tried.cost.at(tried.p)
-    rest = residuals(model, tried.p, dict(zip(tried.cost.summary.runs, point.zeros, strict=True)))
+    rest = residuals(model, tried.p, dict(zip(tried.cost.summary.runs, point.offsets, strict=True)))
     sigma = np.array([tried.log.noise[c].value for c in model.channels])[:, None]
     columns = (*model.references, *model.state, *model.channels, "t_s")
     log = extended(tried.log, model, tried.log.noise.std, model.named(tried.p))

@@ -198,7 +198,7 @@ def uncertainty(point: Point, found: Determination) -> Uncertainty:
     """Return the uncertainties where `point` is the optimum of its cost."""
     cost, p, model = point.cost, point.p, point.cost.summary.model
     at_bound = _at_bound(model.bounds, p, found)
-    free = np.array([k for k in range(len(p)) if k not in found.held and k not in at_bound], dtype=int)
+    free = np.array([k for k in range(len(p)) if k not in found.fixed and k not in at_bound], dtype=int)
     fit = goodness_of(point, len(free))
     covariance = np.zeros((len(p), len(p)))
     known = _Estimate(covariance, "likelihood", "there was nothing to estimate")
@@ -273,11 +273,11 @@ def _turning_noise(point: Point, free: np.ndarray) -> np.ndarray | None:
         places = np.array([summary.places[k] for k in some])  # (r, columns, s)
         r, _, s = places.shape
         columns = np.swapaxes(places, 0, 1).reshape(-1, r * s)
-        zeros = np.repeat(point.zeros[some].T, s, axis=1)
-        found = reading_slopes(model, p, zeros, columns[:poses], columns[poses:])
+        offsets = np.repeat(point.offsets[some].T, s, axis=1)
+        found = reading_slopes(model, p, offsets, columns[:poses], columns[poses:])
         g, z, *by_columns = (v.reshape(r, s, K, v.shape[2]) for v in found)
         j = np.concatenate(by_columns, axis=3)
-        if z.shape[3]:  # what the zeros of a run leave of a slope
+        if z.shape[3]:  # what the offsets of a run leave of a slope
             square, both = (_products(z, W[some] @ v) for v in (z, g))
             g = g - z @ solve(square, both)[:, None]
         g = g[..., free]
@@ -361,7 +361,7 @@ def _at_bound(bounds: tuple[np.ndarray, np.ndarray], p: np.ndarray, found: Deter
     return tuple(
         k
         for k in range(len(p))
-        if k not in found.held and min(p[k] - lower[k], upper[k] - p[k]) <= AT_BOUND * found.scale[k]
+        if k not in found.fixed and min(p[k] - lower[k], upper[k] - p[k]) <= AT_BOUND * found.scale[k]
     )
 
 

@@ -70,21 +70,21 @@ def nominal_variance(model: Model, reading_variance: np.ndarray) -> np.ndarray:
 
 
 def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndarray]:
-    """Return `decode(p, zeros, readings, states, reference=None) -> (n_pose, samples)`, compiled once.
+    """Return `decode(p, offsets, readings, states, reference=None) -> (n_pose, samples)`, compiled once.
 
     Near the reference (n_pose, samples) where one is given and the pose repeats.
     """
     weight, repeats = 1.0 / np.asarray(reading_variance), bool(set(model.pose) & set(model.period))
 
     def decode(
-        p: np.ndarray, zeros: np.ndarray, readings: list, states: list, reference: np.ndarray | None = None
+        p: np.ndarray, offsets: np.ndarray, readings: list, states: list, reference: np.ndarray | None = None
     ) -> np.ndarray:
         with np.errstate(all="ignore"):  # readings that no pose gives have none: nan
             if reference is None or not repeats:
                 run = model.remember("decoded, on arrays", lambda: on_arrays(model.decoded))
-                return run(p, zeros, readings, states, weight)[0]
+                return run(p, offsets, readings, states, weight)[0]
             run = model.remember("decoded near, on arrays", lambda: on_arrays(model.decoded_near))
-            return run(p, zeros, readings, states, weight, reference)[0]
+            return run(p, offsets, readings, states, weight, reference)[0]
 
     return decode
 
@@ -132,11 +132,11 @@ def gain_at(model: Model) -> Callable[..., list[np.ndarray]]:
 
 
 def slopes_by_column(model: Model) -> Callable[..., list[np.ndarray]]:
-    """Return `(p, pose, state) -> d reading / d column` on arrays, (columns * K, samples), zeros at zero."""
+    """Return `(p, pose, state) -> d reading / d column` on arrays, (columns * K, samples), offsets at zero."""
 
     def made() -> Callable[..., list[np.ndarray]]:
         s = model.symbols
-        reading = ca.substitute(s.full(s.reading), s.zeros, ca.SX.zeros(s.zeros.numel()))
+        reading = ca.substitute(s.full(s.reading), s.offsets, ca.SX.zeros(s.offsets.numel()))
         slope = ca.jacobian(reading, ca.vertcat(s.pose, s.state))
         return on_arrays(ca.Function("slope", [s.parameters, s.pose, s.state], [ca.densify(slope)]))
 
@@ -154,7 +154,7 @@ PoseErrors = Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.nda
 
 
 def pose_errors(model: Model, reading_variance: np.ndarray) -> PoseErrors:
-    """Return `errors(p, zeros, data) -> (n_pose, samples)`: decoded pose minus reference.
+    """Return `errors(p, offsets, data) -> (n_pose, samples)`: decoded pose minus reference.
 
     A reading at its rail has lost its pose: with `saturation` the errors are those of the readings, mapped to
     the pose to first order.
@@ -163,18 +163,18 @@ def pose_errors(model: Model, reading_variance: np.ndarray) -> PoseErrors:
     if not knows_rails(model):
         decode = decoder(model, reading_variance)
 
-        def decoded(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
+        def decoded(p: np.ndarray, offsets: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
             readings, states = ([data[c] for c in names] for names in (model.channels, model.state))
             reference = np.array([data[c] for c in model.references])
-            found = decode(p, zeros, readings, states, reference)
+            found = decode(p, offsets, readings, states, reference)
             return np.subtract(found, reference, out=found)
 
         return decoded
     read, spread = on_arrays(model.reading), decoding_gain(model)
 
-    def mapped(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
+    def mapped(p: np.ndarray, offsets: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
         pose, states = ([data[c] for c in names] for names in (model.references, model.state))
-        residual = np.array([data[c] for c in model.channels]) - read(p, zeros, pose, states)[0]
+        residual = np.array([data[c] for c in model.channels]) - read(p, offsets, pose, states)[0]
         (gain,) = spread(p, pose, states, weight)
         return np.einsum("kis,ks->is", gain.reshape(len(residual), len(model.pose), -1), residual)
 
@@ -182,16 +182,16 @@ def pose_errors(model: Model, reading_variance: np.ndarray) -> PoseErrors:
 
 
 def residual_of(model: Model) -> Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]:
-    """Return `(p, zeros, data) -> (n_channels, samples)`: reading minus the model's at the reference, SI.
+    """Return `(p, offsets, data) -> (n_channels, samples)`: reading minus the model's at the reference, SI.
 
-    `zeros`: (z,), or (z, samples).
+    `offsets`: (z,), or (z, samples).
     """
     read = on_arrays(model.reading)
     periods = [(k, model.period[c]) for k, c in enumerate(model.channels) if c in model.period]
 
-    def residual(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
+    def residual(p: np.ndarray, offsets: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
         pose, state = ([data[c] for c in names] for names in (model.references, model.state))
-        left = np.array([data[c] for c in model.channels]) - read(p, zeros, pose, state)[0]
+        left = np.array([data[c] for c in model.channels]) - read(p, offsets, pose, state)[0]
         for k, period in periods:
             left[k] = wrapped(left[k], period)
         return left
@@ -199,10 +199,12 @@ def residual_of(model: Model) -> Callable[[np.ndarray, np.ndarray, Mapping[str, 
     return residual
 
 
-def residuals(model: Model, p: np.ndarray, zeros: Mapping[int, np.ndarray]) -> Callable[[Block], np.ndarray]:
+def residuals(
+    model: Model, p: np.ndarray, offsets: Mapping[int, np.ndarray]
+) -> Callable[[Block], np.ndarray]:
     """Return `block -> (n_channels, samples)`: the same of a run with its offsets."""
-    residual, none = residual_of(model), np.zeros(len(model.zeros))
-    return lambda block: residual(p, zeros.get(block.run, none), block.data)
+    residual, none = residual_of(model), np.zeros(len(model.offsets))
+    return lambda block: residual(p, offsets.get(block.run, none), block.data)
 
 
 def check_decoded(errors: np.ndarray, model: Model, log: Log, run: int) -> None:
@@ -226,7 +228,7 @@ def error_tables(
     sigma: Mapping[str, float] | None = None,
     among: Collection[int] | None = None,
 ) -> list[ErrorTable]:
-    """Return one error table per version `(parameters, zeros by run)`, from one pass over the log.
+    """Return one error table per version `(parameters, offsets by run)`, from one pass over the log.
 
     `reading_variance`: (K,), or (versions, K) where each version weighs readings in its own way.
     `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part. `sigma`: noise by
@@ -277,7 +279,7 @@ def _decoded(
 ) -> Iterator[tuple[Batch, list[np.ndarray]]]:
     """Yield the log in batches, each with the errors (n_pose, samples) of every version."""
     variances = np.broadcast_to(reading_variance, (len(versions), len(model.channels)))
-    errors_of, count = [pose_errors(model, v) for v in variances], len(model.zeros)
+    errors_of, count = [pose_errors(model, v) for v in variances], len(model.offsets)
     wide = extended(log, model, sigma, model.named(versions[-1][0]))
     for whole in batches(wide, columns_of(model), on_rows):
         batch = whole if among is None else whole.of_runs(among)
@@ -286,8 +288,8 @@ def _decoded(
         yield (
             batch,
             [
-                of(p, batch.offsets(zeros, count) if zeros else np.zeros(count), batch.data)
-                for (p, zeros), of in zip(versions, errors_of, strict=True)
+                of(p, batch.offsets(offsets, count) if offsets else np.zeros(count), batch.data)
+                for (p, offsets), of in zip(versions, errors_of, strict=True)
             ],
         )
 
@@ -296,7 +298,7 @@ def zero_shifts(
     log: Log,
     model: Model,
     p: np.ndarray,
-    zeros: Mapping[int, np.ndarray],
+    offsets: Mapping[int, np.ndarray],
     reading_variance: np.ndarray,
     sigma: Mapping[str, float] | None = None,
 ) -> dict[str, dict[int, float]]:
@@ -307,7 +309,7 @@ def zero_shifts(
     """
     own = {c: model.period[c] for c in model.references if c in model.period}
     sums: dict[str, dict[int, complex]] = {c: {} for c in own}
-    for batch, (error,) in _decoded(log, model, [(p, zeros)], reading_variance, sigma) if own else ():
+    for batch, (error,) in _decoded(log, model, [(p, offsets)], reading_variance, sigma) if own else ():
         for column, period in own.items():
             turn = np.nan_to_num(np.exp(2j * np.pi / period * error[model.references.index(column)]))
             for run, total in zip(batch.runs, np.add.reduceat(turn, batch.edges[:-1]), strict=True):

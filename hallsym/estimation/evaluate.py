@@ -14,7 +14,7 @@ from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.claims import mistakes_of
 from hallsym.estimation.decoding import ErrorTable, error_tables, logged_columns, zero_shifts
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of, noise_floor
-from hallsym.estimation.likelihood import Point, cost_near, deviations_of, zeros_of
+from hallsym.estimation.likelihood import Point, cost_near, deviations_of, offsets_of
 from hallsym.estimation.residual_noise import noise_followed, with_noise
 from hallsym.estimation.task import noise_of
 from hallsym.families.recording import corrected
@@ -31,7 +31,7 @@ Shifts = Mapping[str, Mapping[int, float]]
 class Judged:
     """Fixed parameters on another log: errors, offsets beside the calibration's, how well they fit it.
 
-    `point`: of its cost. `log`: what was decoded, with the reference zeros that were asked for.
+    `point`: of its cost. `log`: what was decoded, with the reference offsets that were asked for.
     """
 
     table: ErrorTable
@@ -49,11 +49,11 @@ def judged(
     `own_zero`: so is the zero of a reference that repeats, which the calibration has one of.
     """
     cost = cost_near(log, model, p, noise)
-    shifts = zero_shifts(log, model, p, zeros_of(cost, p), cost.reading_variance, noise)
+    shifts = zero_shifts(log, model, p, offsets_of(cost, p), cost.reading_variance, noise)
     if own_zero and shifts:
         log = rehomed(log, shifts, model)
         cost = cost_near(log, model, p, noise)
-    (table,) = error_tables(log, model, [(p, zeros_of(cost, p))], cost.reading_variance, sigma=noise)
+    (table,) = error_tables(log, model, [(p, offsets_of(cost, p))], cost.reading_variance, sigma=noise)
     point = cost.at(p)
     return Judged(table, shifts, goodness_of(point, 0), point, log)
 
@@ -69,7 +69,7 @@ class Evaluation(Shown):
 
     `table.over(runs)` gives rmse and peak by pose coordinate, SI. `goodness`: what is left, in multiples of
     the noise. `noise_floor`: the error that noise alone would leave, by pose coordinate. `notes`: what has to
-    be said of the log. `calibration`, `log`: what was evaluated, and on what. `zeros`: zero deviations by
+    be said of the log. `calibration`, `log`: what was evaluated, and on what. `offsets`: zero deviations by
     run. `decoded`: the log as it was decoded, channels as the model names them.
     """
 
@@ -81,14 +81,14 @@ class Evaluation(Shown):
     notes: tuple[str, ...]
     calibration: Fit
     log: Log
-    zeros: Mapping[int, np.ndarray]
+    offsets: Mapping[int, np.ndarray]
     decoded: Log
 
     @property
     def applied(self) -> Fit:
         """The calibration as it decodes `decoded`: with the offsets and the noise of this log."""
         return replace(
-            self.calibration, zeros=self.zeros, noise=self.noise, noise_floor=self.noise_floor, errors=None,
+            self.calibration, offsets=self.offsets, noise=self.noise, noise_floor=self.noise_floor, errors=None,
             log={**self.calibration.log, "holdout": []}, corrections=(), keep=None,
         )  # fmt: skip
 

@@ -153,7 +153,7 @@ class RunStatistics:
         rows = self.triangles if k == 0 else projected(self.triangles, k)
         share = self.counts / self.counts.sum()
         return RunStatistics(
-            features=self.features.without_zeros,
+            features=self.features.without_offsets,
             centre=self.centre,
             runs=(0,),
             triangles=_triangle(rows.reshape(1, -1, rows.shape[-1])),
@@ -216,7 +216,7 @@ def summarised(
 ) -> RunStatistics:
     """Read a log once and return the run statistics of given features.
 
-    `place(batch)`: what the features are taken at: one centre (n_variables,) for all, or zeros (z, samples).
+    `place(batch)`: what the features are taken at: one centre (n_variables,) for all, or offsets (z, samples).
     """
     model, states = features.model, len(features.model.state)
     centre = np.zeros(0)
@@ -276,7 +276,7 @@ def _blocks(
     if weights is not None:
         columns *= np.sqrt(weights)
     triangles: list[np.ndarray] = []
-    for group in batch.groups(len(batch.runs)):  # zeros that fill up a block leave its triangle as it is
+    for group in batch.groups(len(batch.runs)):  # offsets that fill up a block leave its triangle as it is
         triangles += [*_triangle(np.transpose(batch.layout(*group)(columns), (1, 2, 0)))]
     weight = np.ones(len(batch)) if weights is None else weights
     states = np.array(state) if state else np.zeros((0, len(batch)))
@@ -363,7 +363,7 @@ def exact(model: Model) -> bool:
     if model.computed:
         return False
     s = model.symbols
-    if s.zeros.numel() and any(ca.which_depends(ca.vec(s.reading), s.zeros, 2, False)):
+    if s.offsets.numel() and any(ca.which_depends(ca.vec(s.reading), s.offsets, 2, False)):
         return False
     try:
         find_features(model)
@@ -400,11 +400,11 @@ def program(model: Model) -> Program:
     """Return the tangents of a model, by differentiation."""
     s = model.symbols
     reading = ca.densify(s.full(s.reading))
-    by_p, by_z = ca.jacobian(reading, s.parameters), ca.jacobian(reading, s.zeros)
+    by_p, by_z = ca.jacobian(reading, s.parameters), ca.jacobian(reading, s.offsets)
     entries, zero_entries = _entries(by_p), _entries(by_z)
-    rest = reading - by_z @ s.zeros if s.zeros.numel() else reading
+    rest = reading - by_z @ s.offsets if s.offsets.numel() else reading
     rows = ca.vertcat(*(by_z[k, j] for k, j in zero_entries), *(by_p[k, j] for k, j in entries), rest)
-    inputs = [s.parameters, s.zeros, s.pose, s.state]
+    inputs = [s.parameters, s.offsets, s.pose, s.state]
     slopes = ca.jacobian(rows, ca.vertcat(s.pose, s.state))
     return Program(
         entries,
@@ -449,22 +449,22 @@ class TangentFeatures(Features):
 
     @cached_property
     def values(self) -> Callable[..., list[np.ndarray]]:
-        """`(pose, state, zeros) -> [features]` on arrays of samples; `zeros`: (z, samples)."""
+        """`(pose, state, offsets) -> [features]` on arrays of samples; `offsets`: (z, samples)."""
         run = program(self.model).values
-        return lambda pose, state, zeros, **more: run(self.at, zeros, pose, state, **more)
+        return lambda pose, state, offsets, **more: run(self.at, offsets, pose, state, **more)
 
     @cached_property
     def slopes(self) -> Callable[..., list[np.ndarray]]:
-        """`(pose, state, zeros) -> [d feature / d column]`, all of them, (n_columns * n_features, samples).
+        """`(pose, state, offsets) -> [d feature / d column]`, all of them, (n_columns * n_features, samples).
 
-        Taken at zeros of 0: the weight of a residual does not depend on the zeros.
+        Taken at offsets of 0: the weight of a residual does not depend on the offsets.
         """
         run = program(self.model).slopes
-        return lambda pose, state, zeros: run(self.at, np.zeros_like(zeros), pose, state)
+        return lambda pose, state, offsets: run(self.at, np.zeros_like(offsets), pose, state)
 
     def linear(self, p: np.ndarray) -> tuple[np.ndarray, Rows]:
         """Return the coefficients at p, (1 + z, n_features, K), and their slopes, constant, where not nil."""
-        parts, K, z = program(self.model), len(self.model.channels), self.n_zeros
+        parts, K, z = program(self.model), len(self.model.channels), self.n_offsets
         skip = len(parts.zero_entries) - self.n_zero
         value = np.zeros((1 + z, self.size, K))
         k0, j0 = np.array(parts.zero_entries[skip:], dtype=int).reshape(-1, 2).T
@@ -498,8 +498,8 @@ class TangentFeatures(Features):
         pose, state = model.poses(count, rng), rng.standard_normal((len(model.state), count))
         size = np.where(np.arange(count) % 2, 10.0 ** -(SMALLEST * rng.random(count)), 1.0)
         pose, state = pose if model.typical else pose * size, state * size
-        zeros = np.zeros((len(model.zeros), count))
-        (rows,) = program(model).by_parameter(p, zeros, pose, state)
+        offsets = np.zeros((len(model.offsets), count))
+        (rows,) = program(model).by_parameter(p, offsets, pose, state)
         return np.moveaxis(rows.reshape(len(model.names), -1), 0, 1)
 
 
@@ -513,11 +513,11 @@ def summarise_at(
     log: Log,
     model: Model,
     p: np.ndarray,
-    zeros: Mapping[int, np.ndarray],
+    offsets: Mapping[int, np.ndarray],
     sigma: Mapping[str, float],
     weigh: Weigh | None = None,
 ) -> RunStatistics:
-    """Read a log once and return its run statistics for the tangent of `model` at `p` and `zeros` by run.
+    """Read a log once and return its run statistics for the tangent of `model` at `p` and `offsets` by run.
 
     `weigh` as for `summarise`; `sigma`: noise by column.
     """
@@ -528,7 +528,7 @@ def summarise_at(
         model, np.zeros((size, 1), dtype=int), len(parts.zero_entries), np.array(p), noise
     )
     wide = extended(log, model, sigma, model.named(p))
-    return summarised(wide, features, lambda batch: batch.offsets(zeros, len(model.zeros)), weigh)
+    return summarised(wide, features, lambda batch: batch.offsets(offsets, len(model.offsets)), weigh)
 
 
 # -- normal equations ----------------------------------------------------------------------------------------

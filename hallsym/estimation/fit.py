@@ -115,7 +115,7 @@ def fit(
     `holdout_logs`: logs that take no part. `fit.by_log` are then the fits log by log, `fit.joint` the
     parameters of all logs with their covariance; `values` are those of the last log.
 
-    A model that has no run statistics (memory, rates, a term of higher order in the zeros) is fitted from the
+    A model that has no run statistics (memory, rates, a term of higher order in the offsets) is fitted from the
     optimum of the model without its effects by Gauss-Newton steps, one pass over the log each.
 
     Raises `InputError` for a log that cannot be what the model needs.
@@ -227,8 +227,8 @@ def _fit_one(log: Log, model: Model, asked: Asked, began: float) -> tuple[Fit, L
             asked, holdout=one.task.holdout, corrections=(), drop_bad=False, start=None, quick=False
         )
         first = _fit_one(one.task.log, base, plainly, began)[0]
-        zeros = zero_notes(first.model, tuple(first.zeros), np.array(list(first.zeros.values())))
-        one.notes += tuple(note for note in first.notes if note not in (*zeros, *one.task.log.notes))
+        offsets = zero_notes(first.model, tuple(first.offsets), np.array(list(first.offsets.values())))
+        one.notes += tuple(note for note in first.notes if note not in (*offsets, *one.task.log.notes))
     one.notes = tuple(dict.fromkeys(one.notes))
     one.task, one.solution, one.keep = one.task.by_passes(first)
     one.errors = one.task.errors(one.solution, one.keep)

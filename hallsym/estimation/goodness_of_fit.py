@@ -177,15 +177,15 @@ def limit_of(uncertain: float, threshold: float) -> float:
 def goodness_of(point: Point, estimated: int) -> GoodnessOfFit:
     """Return the goodness of fit at a point, of whose parameters `estimated` were fitted to these runs."""
     cost, summary = point.cost, point.cost.summary
-    channels, zeros = summary.model.channels, len(summary.model.zeros)
+    channels, offsets = summary.model.channels, len(summary.model.offsets)
     used = np.flatnonzero(cost.weights > 0)
     counts = (cost.weights * summary.counts)[used]
     squares = np.einsum("rkk->rk", point.squares)[used] * cost.weights[used, None]
     relative = squares / np.einsum("rkk->rk", point.covariance)[used]
     K = len(channels)
-    dof = max(float(counts.sum()) * K - estimated - zeros * len(used), 1.0)
-    # a run's zeros are estimated from it alone, the parameters from all runs
-    cell = np.maximum(counts - zeros / K - estimated * counts / (K * max(counts.sum(), 1.0)), 0.5)[:, None]
+    dof = max(float(counts.sum()) * K - estimated - offsets * len(used), 1.0)
+    # a run's offsets are estimated from it alone, the parameters from all runs
+    cell = np.maximum(counts - offsets / K - estimated * counts / (K * max(counts.sum(), 1.0)), 0.5)[:, None]
     ratio = relative / cell
     coloured = _inflation(ratio, cell)
     independent = np.maximum(cell / coloured, 1.0)

@@ -1,4 +1,4 @@
-"""What the data determine: null directions, held parameters, determined combinations.
+"""What the data determine: null directions, fixed parameters, determined combinations.
 
 Parameters are scaled by the width of their bounds, so "undetermined" has one meaning for all: the data move
 the standard uncertainty of a direction no further down than a quarter of that width.
@@ -34,14 +34,14 @@ class Determination:
     """Which parameters the data determine.
 
     `null`: (n, k) orthonormal basis of the undetermined directions, in parameters scaled by `scale`.
-    `structural`: names no recording can determine with this model. `held`: index of the k parameters that
+    `structural`: names no recording can determine with this model. `fixed`: index of the k parameters that
     stay at their nominal value so that the others can be estimated.
     """
 
     scale: np.ndarray
     null: np.ndarray
     structural: tuple[str, ...]
-    held: tuple[int, ...]
+    fixed: tuple[int, ...]
     n_structural: int = 0
     """How many of the first columns of `null` no recording can determine."""
 
@@ -56,8 +56,8 @@ def scales(model: Model) -> np.ndarray:
     return np.where(np.isfinite(width) & (width > 0), width, 1.0)
 
 
-def determine(cost: Cost, p: np.ndarray, held: tuple[int, ...] | None = None) -> Determination:
-    """Find the undetermined directions of a cost at `p` and choose what to hold, unless `held` says.
+def determine(cost: Cost, p: np.ndarray, fixed: tuple[int, ...] | None = None) -> Determination:
+    """Find the undetermined directions of a cost at `p` and choose what to hold, unless `fixed` says.
 
     A motion no larger than the noise of its reference does not count (`information(2)`).
     """
@@ -68,11 +68,11 @@ def determine(cost: Cost, p: np.ndarray, held: tuple[int, ...] | None = None) ->
     information = cost.information(p, 2.0) * np.outer(scale, scale)
     values, vectors = np.linalg.eigh(rest.T @ information @ rest)
     null = np.hstack([always, rest @ vectors[:, values < least_information(values)]])
-    if held is None:
+    if fixed is None:
         inside = (lower <= model.nominal) & (model.nominal <= upper)
-        held = tuple(sorted({*_hold(null, inside), *(int(k) for k in np.flatnonzero(~open_))}))
+        fixed = tuple(sorted({*_hold(null, inside), *(int(k) for k in np.flatnonzero(~open_))}))
     moving = np.flatnonzero(np.linalg.norm(always, axis=1) > MOVING)
-    return Determination(scale, null, tuple(model.names[k] for k in moving), held, always.shape[1])
+    return Determination(scale, null, tuple(model.names[k] for k in moving), fixed, always.shape[1])
 
 
 def least_information(values: np.ndarray) -> np.ndarray:
@@ -201,7 +201,7 @@ def _rank_at(features: Features, at: np.ndarray, open_: tuple[bool, ...]) -> tup
             slope = on_arrays(features.expressions[0])(point[:, None], np.zeros(features.exponents.shape[1]))[
                 1
             ]
-            shape = (len(model.names), 1 + features.n_zeros, -1)
+            shape = (len(model.names), 1 + features.n_offsets, -1)
             rows = slope.reshape(shape)[:, 0].T
         jacobian = (rows * scales(model))[:, np.array(open_)]
         jacobian = jacobian / np.maximum(np.abs(jacobian).max(axis=1, keepdims=True), 1e-300)

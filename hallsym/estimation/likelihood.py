@@ -36,7 +36,7 @@ SPARSE = 4
 class Coefficients:
     """c(p) and E_l(p) of a model with their derivatives, as one CasADi call each.
 
-    Arrays have the axes (1 + n_zeros, n_features, n_channels), c first, then one E_l per zero.
+    Arrays have the axes (1 + n_offsets, n_features, n_channels), c first, then one E_l per zero.
     """
 
     features: Features
@@ -46,7 +46,7 @@ class Coefficients:
     def population(self) -> Callable[[np.ndarray], np.ndarray]:
         """`(m, n) parameter vectors -> (m, n_features, n_channels)` coefficients c at zero deviation."""
         model = self.features.model
-        c = self.features.coefficients(model.symbols.parameters, ca.SX.zeros(len(model.zeros)), self.centre)
+        c = self.features.coefficients(model.symbols.parameters, ca.SX.zeros(len(model.offsets)), self.centre)
         run = on_arrays(ca.Function("population", [model.symbols.parameters], [ca.densify(c)]))
         shape = (len(model.channels), self.features.size)
 
@@ -57,9 +57,9 @@ class Coefficients:
         return coefficients
 
     def first(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the coefficients and their slopes, the latter (1 + n_zeros, n_features, n, n_channels)."""
+        """Return the coefficients and their slopes, the latter (1 + n_offsets, n_features, n, n_channels)."""
         model = self.features.model
-        shape = (1 + self.features.n_zeros, len(model.channels), self.features.size)
+        shape = (1 + self.features.n_offsets, len(model.channels), self.features.size)
         value, slope = self.features.expansion[0](p, self.centre)
         return (
             np.ascontiguousarray(np.swapaxes(value.T.reshape(shape), 1, 2)),
@@ -70,7 +70,7 @@ class Coefficients:
         """Return the coefficients, their slopes and where these are.
 
         Where most features move a channel the slopes are as `first` gives them, and stand at None. Else they
-        are those that are not nil, (1 + n_zeros, m, n), of m pairs of a channel and a feature.
+        are those that are not nil, (1 + n_offsets, m, n), of m pairs of a channel and a feature.
         """
         if (linear := self.features.linear(p)) is None:
             return *self.first(p), None
@@ -190,9 +190,9 @@ class Cost:
 
 
 class Point:
-    """The cost at one parameter vector: `value`, `zeros`, and derivatives on request.
+    """The cost at one parameter vector: `value`, `offsets`, and derivatives on request.
 
-    Shapes: r runs, n parameters, z offsets, K channels. `zeros`: (r, z), optimal for these parameters, as
+    Shapes: r runs, n parameters, z offsets, K channels. `offsets`: (r, z), optimal for these parameters, as
     displacements [m]. `covariance`, `W`: (r, K, K) of a residual, and its inverse. `run_values`: (r,).
 
     Derivatives are computed for `TOGETHER` runs at a time and summed, so that memory does not grow with them.
@@ -212,7 +212,7 @@ class Point:
                 )
             first += runs
         self._kept: list[Derivatives] | None = None
-        self.zeros = self._joined("zeros")
+        self.offsets = self._joined("offsets")
         self.run_values = self._joined("values")
         self.value = float(cost.weights @ self.run_values)
 
@@ -282,7 +282,7 @@ class Point:
         return out
 
     def information(self, noise_factor: float = 1.0, free: np.ndarray | None = None) -> np.ndarray:
-        """Expected information of each run, shape (r, n, n), the zeros eliminated; of the parameters `free`.
+        """Expected information of each run, shape (r, n, n), the offsets eliminated; of the parameters `free`.
 
         The reference's own noise moves the features too; `noise_factor` times its expected share is taken
         out (1: what the true motion tells; 2: nothing for a motion no larger than its noise).
@@ -330,18 +330,18 @@ class _Runs:
         self.log, self.here = log, here
         self.R_f, R_m = (part[at] for part in cost.triangles)
         self.Q, base = cost.noise_in_features[at], c[0]
-        # a zero's own features have no slope, so X may leave the zeros out in Q X
+        # a zero's own features have no slope, so X may leave the offsets out in Q X
         self.QX = self.Q @ base  # (r, f, K)
         self.covariance = np.diag(cost.reading_variance) + base.T @ self.QX
         self.W = np.linalg.inv(self.covariance)
         at_zero = R_m - self.R_f @ base
-        self.zeros = self._best_zeros(at_zero)
-        self.A = at_zero - self.R_f @ np.tensordot(self.zeros, c[1:], axes=1)  # (r, m, K)
+        self.offsets = self._best_offsets(at_zero)
+        self.A = at_zero - self.R_f @ np.tensordot(self.offsets, c[1:], axes=1)  # (r, m, K)
         self.squares = np.swapaxes(self.A, 1, 2) @ self.A
         self.values = np.einsum("rkl,rlk->r", self.W, self.squares)
 
-    def _best_zeros(self, residual: np.ndarray) -> np.ndarray:
-        """Zeros that minimise F: linear least squares in each run."""
+    def _best_offsets(self, residual: np.ndarray) -> np.ndarray:
+        """Offsets that minimise F: linear least squares in each run."""
         r, z, k = len(residual), len(self.c) - 1, self.cost.summary.features.n_zero
         if z == 0:
             return np.zeros((r, 0))
@@ -354,12 +354,12 @@ class _Runs:
     def counted(self, weights: np.ndarray) -> "_Runs":
         """Return those of the runs whose weight is not 0: a draw of runs leaves a third of them out."""
         used = np.flatnonzero(weights)
-        if len(used) == len(self.zeros):
+        if len(used) == len(self.offsets):
             return self
         other = copy(self)
         for name in ("G", "_WSW", "gradients"):
             other.__dict__.pop(name, None)
-        for name in ("R_f", "Q", "QX", "covariance", "W", "zeros", "A", "squares", "values"):
+        for name in ("R_f", "Q", "QX", "covariance", "W", "offsets", "A", "squares", "values"):
             setattr(other, name, getattr(self, name)[used])
         other.at = np.arange(len(self.cost.weights))[self.at][used]
         return other
@@ -367,20 +367,20 @@ class _Runs:
     @property
     def loads(self) -> np.ndarray:
         """Factors of c and of each E_l, (r, 1 + z)."""
-        return np.concatenate([np.ones((len(self.zeros), 1)), self.zeros], axis=1)
+        return np.concatenate([np.ones((len(self.offsets), 1)), self.offsets], axis=1)
 
     def _slopes(self) -> np.ndarray:
         """dX / d(offsets, p), shape (r, K, f, v); of m `rows` alone (r, m, v)."""
-        r, z, n = len(self.zeros), len(self.c) - 1, self.dc.shape[2]
+        r, z, n = len(self.offsets), len(self.c) - 1, self.dc.shape[2]
         if self.rows is not None:
             few = np.empty((r, len(self.rows.channel), z + n))
             few[..., :z] = self.c[1:, self.rows.feature, self.rows.channel].T
-            few[..., z:] = self.dc[0] + np.tensordot(self.zeros, self.dc[1:], axes=1)
+            few[..., z:] = self.dc[0] + np.tensordot(self.offsets, self.dc[1:], axes=1)
             return few
         by_channel = np.ascontiguousarray(np.transpose(self.dc, (0, 3, 1, 2)))
         B = np.empty((r, *by_channel.shape[1:3], z + n))
         B[..., :z] = np.transpose(self.c[1:], (2, 1, 0))
-        B[..., z:] = by_channel[0] + np.tensordot(self.zeros, by_channel[1:], axes=1)
+        B[..., z:] = by_channel[0] + np.tensordot(self.offsets, by_channel[1:], axes=1)
         return B
 
     @cached_property
@@ -629,7 +629,7 @@ MOST = 40
 """Rounds of settling the offsets of the runs, at most."""
 
 
-Zeros = Mapping[int, np.ndarray]
+Offsets = Mapping[int, np.ndarray]
 
 
 def cost_near(
@@ -646,22 +646,22 @@ def cost_near(
     """
     if exact(model):
         return cost_of(summarise(log, model, weigh), noise)
-    zeros: Zeros = {}
+    offsets: Offsets = {}
     for _ in range(rounds):
-        cost = cost_of(summarise_at(log, model, p, zeros, noise, weigh), noise)
-        before, zeros = zeros, zeros_of(cost, p)
-        if all(np.abs(z - before.get(run, 0.0)).max(initial=0.0) < SETTLED for run, z in zeros.items()):
+        cost = cost_of(summarise_at(log, model, p, offsets, noise, weigh), noise)
+        before, offsets = offsets, offsets_of(cost, p)
+        if all(np.abs(z - before.get(run, 0.0)).max(initial=0.0) < SETTLED for run, z in offsets.items()):
             break
     return cost
 
 
-def zeros_of(cost: Cost, p: np.ndarray) -> dict[int, np.ndarray]:
+def offsets_of(cost: Cost, p: np.ndarray) -> dict[int, np.ndarray]:
     """Return the offsets of every run at `p`."""
-    return dict(zip(cost.summary.runs, cost.at(p).zeros, strict=True))
+    return dict(zip(cost.summary.runs, cost.at(p).offsets, strict=True))
 
 
 def deviations_of(point: Point) -> dict[int, np.ndarray]:
     """Return the zero deviations of every run at a point in reading space, as a calibration keeps them."""
     summary = point.cost.summary
-    read = point.zeros * summary.model.zero_scale(point.p, summary.first_state)
+    read = point.offsets * summary.model.zero_scale(point.p, summary.first_state)
     return dict(zip(summary.runs, read, strict=True))

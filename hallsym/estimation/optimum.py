@@ -16,7 +16,7 @@ import solvers
 from hallsym.estimation.factors import summarise_at
 from hallsym.estimation.goodness_of_fit import noise_floor
 from hallsym.estimation.identifiable import Determination, determine, scales
-from hallsym.estimation.likelihood import Cost, Point, Zeros, cost_near, cost_of, zeros_of
+from hallsym.estimation.likelihood import Cost, Point, Offsets, cost_near, cost_of, offsets_of
 from hallsym.log import UNRELATED, Fault, Log
 from hallsym.log.batches import Weigh
 from hallsym.model import Model
@@ -121,7 +121,7 @@ class Search:
 class Solution:
     """A solved fit: the costs of all runs and of the fitted ones, the optimum and what is determined there.
 
-    `determination`: what was known before the search, and so what it held.
+    `determination`: what was known before the search, and so what it fixed.
     """
 
     everything: Cost
@@ -151,12 +151,12 @@ class Solution:
 
     @cached_property
     def determined(self) -> Determination:
-        """What the fitted runs determine at the optimum, for what was held on the way there."""
-        return determine(self.fitted, self.p, self.determination.held)
+        """What the fitted runs determine at the optimum, for what was fixed on the way there."""
+        return determine(self.fitted, self.p, self.determination.fixed)
 
-    def zeros(self) -> dict[int, np.ndarray]:
+    def offsets(self) -> dict[int, np.ndarray]:
         """Zero displacements of every run, held-out ones included."""
-        return zeros_of(self.everything, self.p)
+        return offsets_of(self.everything, self.p)
 
 
 def search(
@@ -174,7 +174,7 @@ def search(
     whole population is evaluated at once. Newton's method refines the best of them on the exact cost, which
     from a closed form nearly always converges; where it does not, IPOPT does.
     """
-    free = np.array([k for k in range(len(first)) if k not in found.held], dtype=int)
+    free = np.array([k for k in range(len(first)) if k not in found.fixed], dtype=int)
     if len(free) == 0:
         return Search(first, fitted.at(first).value, "converged", "Nothing was left to fit.", 1, 1, 1.0)
     scaled, explored = Scaled(fitted.summary.model, first, free, found.scale[free]), None
@@ -219,19 +219,19 @@ def searched(
 ) -> tuple[Determination, Search]:
     """Return what `fitted` determines where a search begins, and the optimum; `begin`: (n,) values.
 
-    What is not determined is held at its nominal value.
+    What is not determined is fixed at its nominal value.
     """
     found, first = begin_at(fitted, begin)
     return found, search(fitted, merged, first, found, solver=solver, seed=seed)
 
 
 def begin_at(cost: Cost, begin: np.ndarray) -> tuple[Determination, np.ndarray]:
-    """Return what a cost determines at values (n,), and these within their bounds, the held ones nominal."""
+    """Return what a cost determines at values (n,), and these within their bounds, the fixed ones nominal."""
     model = cost.summary.model
     first = np.clip(begin, *model.bounds)
     found = determine(cost, first)
-    held = list(found.held)
-    first[held] = np.clip(model.nominal, *model.bounds)[held]
+    fixed = list(found.fixed)
+    first[fixed] = np.clip(model.nominal, *model.bounds)[fixed]
     return found, first
 
 
@@ -251,27 +251,27 @@ def _message(status: str, ended: solvers.Result, solver: str) -> str:
 
 
 def refit(
-    cost: Cost, p: np.ndarray, held: Sequence[int], tolerance: float = 1e-12, iterations: int = 200
+    cost: Cost, p: np.ndarray, fixed: Sequence[int], tolerance: float = 1e-12, iterations: int = 200
 ) -> np.ndarray:
     """Return the optimum of a re-weighted cost near `p`: Newton's method on the statistics, no global search.
 
-    For cross-validation and re-weighted runs; parameters with index in `held` stay as in `p`.
+    For cross-validation and re-weighted runs; parameters with index in `fixed` stay as in `p`.
     """
-    scaled = scaled_around(cost.summary.model, p, held)
+    scaled = scaled_around(cost.summary.model, p, fixed)
     problem, begin = scaled.problem(cost), scaled.to_unit(scaled.base)
     found = solvers.newton(problem, begin, tolerance=tolerance, max_iterations=iterations)
     return scaled.from_unit(found.x)
 
 
-def scaled_around(model: Model, p: np.ndarray, held: Sequence[int]) -> "Scaled":
-    """Return the scaled parameters of `model` with those of index in `held` kept as in `p`."""
-    free = np.array([k for k in range(len(p)) if k not in held], dtype=int)
+def scaled_around(model: Model, p: np.ndarray, fixed: Sequence[int]) -> "Scaled":
+    """Return the scaled parameters of `model` with those of index in `fixed` kept as in `p`."""
+    free = np.array([k for k in range(len(p)) if k not in fixed], dtype=int)
     return Scaled(model, np.asarray(p, dtype=float), free, scales(model)[free])
 
 
 @dataclass(frozen=True, eq=False)
 class Scaled:
-    """The free parameters in units of their bound width, the others where they are held.
+    """The free parameters in units of their bound width, the others where they are fixed.
 
     `base`: (n,) values of the others. `free`: index of the free ones. `scale`: their widths.
     """
@@ -360,13 +360,13 @@ class _Pass:
     def _found(self) -> tuple[Determination, np.ndarray]:
         """What is determined here, and where the search begins.
 
-        What is held stays at its value while the rank does not change, else it goes to its nominal value.
+        What is fixed stays at its value while the rank does not change, else it goes to its nominal value.
         """
         found, before, model = determine(self.fitted, self.p), self.before, self.fitted.summary.model
         if before is not None and before.null.shape == found.null.shape:
-            return replace(found, held=before.held), self.p
-        p, held = self.p.copy(), list(found.held)
-        p[held] = np.clip(model.nominal, *model.bounds)[held]
+            return replace(found, fixed=before.fixed), self.p
+        p, fixed = self.p.copy(), list(found.fixed)
+        p[fixed] = np.clip(model.nominal, *model.bounds)[fixed]
         return found, p
 
     @property
@@ -379,11 +379,11 @@ class _Pass:
         found, begin = self._found
         return search(self.fitted, self.fitted, begin, found, solver="direct", seed=0)
 
-    def moved(self, share: float) -> tuple[np.ndarray, Zeros]:
+    def moved(self, share: float) -> tuple[np.ndarray, Offsets]:
         if share == 1.0:
-            return self.target.p, zeros_of(self.everything, self.target.p)
+            return self.target.p, offsets_of(self.everything, self.target.p)
         begin = self._found[1]
-        return begin + share * (self.target.p - begin), zeros_of(self.everything, begin)
+        return begin + share * (self.target.p - begin), offsets_of(self.everything, begin)
 
 
 def optimum(
@@ -398,10 +398,10 @@ def optimum(
     """Minimise the cost of the runs that are not held out, from `start` (n,), inside the bounds."""
     number, evaluations, before = count(1), 0, None
 
-    def linearise(at: tuple[np.ndarray, Zeros]) -> _Pass:
+    def linearise(at: tuple[np.ndarray, Offsets]) -> _Pass:
         say(f"pass {next(number)} over the log")
-        p, zeros = at
-        everything = cost_of(summarise_at(log, model, p, zeros, noise, weigh), noise)
+        p, offsets = at
+        everything = cost_of(summarise_at(log, model, p, offsets, noise, weigh), noise)
         return _Pass(everything, everything.without(holdout), p, before)
 
     def converged(now: _Pass, gained: float) -> bool:
@@ -411,8 +411,8 @@ def optimum(
         return now.cost - now.target.cost <= DROP * max(now.cost / readings, 1e-300)
 
     first = np.clip(np.asarray(start, dtype=float), *model.bounds)
-    zeros = zeros_of(cost_near(log, model, first, noise, weigh, SETTLING), first) if model.zeros else {}
-    best, outcome = solvers.gauss_newton(linearise, (first, zeros), converged, PASSES)
+    offsets = offsets_of(cost_near(log, model, first, noise, weigh, SETTLING), first) if model.offsets else {}
+    best, outcome = solvers.gauss_newton(linearise, (first, offsets), converged, PASSES)
     found = replace(best.target, evaluations=evaluations)
     if outcome != "converged":
         passes = next(number) - 1

@@ -14,10 +14,10 @@ from hallsym.log.quality.values import repeated
 PRESSED = 5.0
 """Standard uncertainties by which a parameter must want to go beyond its bound: once in 10^6 by chance."""
 FAR = 0.25
-"""Part of the width of its bounds that a parameter wants to go beyond them where held ones could make up for
+"""Part of the width of its bounds that a parameter wants to go beyond them where fixed ones could make up for
 it: a position or an angle that is not at its nominal value moves others by less."""
 ALONE = 1e-6
-"""Part of what tells a parameter that must be left where those that are held are free."""
+"""Part of what tells a parameter that must be left where those that are fixed are free."""
 
 
 def implausible(fit: Fit) -> list[Fault]:
@@ -57,7 +57,7 @@ def pressed(fit: Fit) -> list[str]:
     """Return the parameters at a bound that would go beyond it, all others at their best.
 
     By a score test of the fit's cost, its information scaled by what the model leaves. A parameter that
-    others which are held can make up for must want to go far.
+    others which are fixed can make up for must want to go far.
     """
     if fit.likelihood is None or not fit.at_bound:
         return []
@@ -66,7 +66,7 @@ def pressed(fit: Fit) -> list[str]:
     score = 0.5 * (fit.likelihood.weights @ point.run_gradients)
     information = point.total_information()
     ends = [names.index(n) for n in fit.at_bound]
-    held = [names.index(n) for n in fit.held]
+    fixed = [names.index(n) for n in fit.fixed]
     free = [k for k in np.flatnonzero(fit.determined).tolist() if k not in ends]
     scale = max(fit.solver["cost_per_degree_of_freedom"], 1.0)
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
@@ -82,6 +82,6 @@ def pressed(fit: Fit) -> list[str]:
         if told <= 0 or score[k] ** 2 <= PRESSED**2 * scale * told:
             continue
         far = abs(score[k]) / told > FAR * fit.model.parameters[k].width
-        if far or own(k, [*free, *held]) > ALONE:
+        if far or own(k, [*free, *fixed]) > ALONE:
             out.append(names[k])
     return out

@@ -29,15 +29,15 @@ class Decoder:
         self._decode_nominal = decoder(fit.model, nominal_variance(fit.model, variance))
         self._decode = decoder(fit.model, variance)
 
-    def zeros(self, run: int, first_state: np.ndarray) -> np.ndarray:
+    def offsets(self, run: int, first_state: np.ndarray) -> np.ndarray:
         """Return the displacements delta / phi(0) of one run, Eq. (31)."""
-        delta = self.fit.zeros.get(run)
-        if delta is None or not len(self.model.zeros):
-            return np.zeros(len(self.model.zeros))
+        delta = self.fit.offsets.get(run)
+        if delta is None or not len(self.model.offsets):
+            return np.zeros(len(self.model.offsets))
         return np.asarray(delta) / self.model.zero_scale(self.fit.values, first_state)
 
-    def pose(self, block: Block, zeros: np.ndarray | None) -> np.ndarray:
-        """Return the pose by the fitted parameters and `zeros` of the run; without zeros by the nominal.
+    def pose(self, block: Block, offsets: np.ndarray | None) -> np.ndarray:
+        """Return the pose by the fitted parameters and `offsets` of the run; without offsets by the nominal.
 
         Near the reference where the block has one and the pose repeats.
         """
@@ -45,9 +45,11 @@ class Decoder:
         readings, state = ([block.data[c] for c in names] for names in (model.channels, model.state))
         known = set(model.references) <= set(block.data)
         reference = np.array([block.data[c] for c in model.references]) if known else None
-        if zeros is None:
-            return self._decode_nominal(self._nominal, np.zeros(len(model.zeros)), readings, state, reference)
-        return self._decode(self.fit.values, zeros, readings, state, reference)
+        if offsets is None:
+            return self._decode_nominal(
+                self._nominal, np.zeros(len(model.offsets)), readings, state, reference
+            )
+        return self._decode(self.fit.values, offsets, readings, state, reference)
 
 
 def is_own(fit: Fit, log: Log) -> bool:
@@ -65,7 +67,7 @@ def predicted(fit: Fit, frame: Any) -> dict[str, np.ndarray]:
             f"The calibration undoes mistakes of its log, so {log.name} must have the columns "
             f"{', '.join(model.references)} too."
         )
-    known = fit if is_own(fit, log) else replace(fit, zeros={})
+    known = fit if is_own(fit, log) else replace(fit, offsets={})
     read = as_read(log, model, fit.corrections) if referenced else log
     return _decoded(known, read, model.references if referenced else (), errors=False)
 
@@ -83,13 +85,13 @@ def _decoded(fit: Fit, log: Log, references: Sequence[str], *, errors: bool) -> 
     """Return the run and the decoded pose of every sample, or its errors."""
     model, decode = fit.model, Decoder(fit)
     sigma = {c: s.value for c, s in fit.noise.sigmas.items()}
-    zeros: dict[int, np.ndarray] = {}
+    offsets: dict[int, np.ndarray] = {}
     found: list[np.ndarray] = []
     wide = extended(log, model, sigma, model.named(fit.values))
     for block in wide.blocks((*references, *model.state, *model.channels)):
-        if block.run not in zeros:
-            zeros[block.run] = decode.zeros(block.run, np.array([block.data[c][0] for c in model.state]))
-        pose = decode.pose(block, zeros[block.run])
+        if block.run not in offsets:
+            offsets[block.run] = decode.offsets(block.run, np.array([block.data[c][0] for c in model.state]))
+        pose = decode.pose(block, offsets[block.run])
         pose = pose - np.array([block.data[c] for c in references]) if errors else pose
         found.append(np.vstack([np.full(pose.shape[1], block.run), pose]))
     run, *each = np.concatenate(found, axis=1)

@@ -22,7 +22,7 @@ from scipy.special import chdtrc, ndtri, stdtrit
 
 from hallsym.estimation.decoding import columns_of, residual_of
 from hallsym.estimation.goodness_of_fit import CERTAIN, KNOWN, MAD, GoodnessOfFit, limit_of, uncertain
-from hallsym.estimation.likelihood import Point, zeros_of
+from hallsym.estimation.likelihood import Point, offsets_of
 from hallsym.families.mechanisms import stop_operators
 from hallsym.log import Log, Noise
 from hallsym.log.batches import Weigh, batches
@@ -381,18 +381,18 @@ def noise_left(
     log: Log,
     model: Model,
     p: np.ndarray,
-    zeros: Mapping[int, np.ndarray],
+    offsets: Mapping[int, np.ndarray],
     covariance: np.ndarray,
     sigma: Mapping[str, float],
     keep: Weigh | None = None,
 ) -> ResidualNoise | None:
-    """Return the noise that a model with parameters `p` (n,) leaves on the runs of `zeros`.
+    """Return the noise that a model with parameters `p` (n,) leaves on the runs of `offsets`.
 
-    `zeros`: run -> zero deviations, as displacements. `covariance`: (K, K) that the noise `sigma` by column
+    `offsets`: run -> zero deviations, as displacements. `covariance`: (K, K) that the noise `sigma` by column
     gives a residual; the ratio is against it. `keep`: weight of each sample. None where the log is too short
     to tell.
     """
-    read = _read(log, model, p, zeros, sigma, keep)
+    read = _read(log, model, p, offsets, sigma, keep)
     return read and _noise_of(read, log, model, covariance, sigma)
 
 
@@ -404,7 +404,7 @@ def _noise_of(
         return _noise_of_knots(model, data, values[:, used], covariance, used)
     finite = (row for row in _columns(model, data, sigma) if np.all(np.isfinite(row)))
     columns = np.array([*islice(finite, int(used.sum()) // SHARE)]).reshape(-1, len(used))
-    found = Residual(values, covariance, data["run"], columns, used, bool(model.zeros))
+    found = Residual(values, covariance, data["run"], columns, used, bool(model.offsets))
     return residual_noise(found, model.channels)
 
 
@@ -416,7 +416,7 @@ def _is_known(read: "_Read", model: Model, covariance: np.ndarray) -> bool:
     """
     data, values, used = read
     none = np.zeros((0, len(used)))
-    work = _Elimination(Residual(values, covariance, data["run"], none, used, bool(model.zeros)))
+    work = _Elimination(Residual(values, covariance, data["run"], none, used, bool(model.offsets)))
     if (whiten := _whitening(covariance)) is None:
         return False
     seen = work.covariances(whiten @ work.left(values), LAGS).mean(axis=0)
@@ -468,7 +468,7 @@ def noise_at(
 ) -> ResidualNoise | None:
     """Return the noise that a fit leaves on its runs; `point`: of its cost at the optimum."""
     model, covariance = point.cost.summary.model, point.covariance.mean(axis=0)
-    return noise_left(log, model, point.p, zeros_of(point.cost, point.p), covariance, sigma, keep)
+    return noise_left(log, model, point.p, offsets_of(point.cost, point.p), covariance, sigma, keep)
 
 
 def with_noise(
@@ -504,7 +504,7 @@ def noise_followed(log: Log, point: Point, noise: Noise, keep: Weigh | None = No
     if not guessed or log.counted:
         return None
     covariance = point.covariance.mean(axis=0)
-    read = _read(log, model, point.p, zeros_of(point.cost, point.p), sigma, keep)
+    read = _read(log, model, point.p, offsets_of(point.cost, point.p), sigma, keep)
     if read is None or (log.timed and _is_known(read, model, covariance)):
         return None
     if (left := _noise_of(read, log, model, covariance, sigma)) is None:
@@ -546,16 +546,16 @@ def _read(
     log: Log,
     model: Model,
     p: np.ndarray,
-    zeros: Mapping[int, np.ndarray],
+    offsets: Mapping[int, np.ndarray],
     sigma: Mapping[str, float],
     keep: Weigh | None,
 ) -> _Read | None:
-    """Return the beginning of each run of `zeros`; None where no sample counts."""
+    """Return the beginning of each run of `offsets`; None where no sample counts."""
     most = max(1, min(ROOM, READINGS // len(model.channels)))
     wanted = dict.fromkeys(
         (*columns_of(model), *(c for c in ("temperature_degc", "t_s") if c in log.columns))
     )
-    left = dict.fromkeys(zeros, -(-most // max(len(zeros), 1)))
+    left = dict.fromkeys(offsets, -(-most // max(len(offsets), 1)))
     parts, counted = [{c: np.zeros(0) for c in ("run", *wanted)}], [np.zeros(0, bool)]
     for batch in batches(extended(log, model, sigma, model.named(p)), tuple(wanted)):
         pick = []
@@ -572,8 +572,8 @@ def _read(
             break
     data = {c: np.concatenate([part[c] for part in parts]) for c in parts[0]}
     runs, index = np.unique(data["run"], return_inverse=True)
-    none = np.zeros(len(model.zeros))
-    own = np.array([zeros.get(run, none) for run in runs.tolist()]).reshape(len(runs), len(none))
+    none = np.zeros(len(model.offsets))
+    own = np.array([offsets.get(run, none) for run in runs.tolist()]).reshape(len(runs), len(none))
     values = residual_of(model)(p, own[index].T, data)
     finite = np.isfinite(values).all(axis=0)
     used = np.concatenate(counted) & finite

@@ -248,7 +248,9 @@ def _whole(
     names = sharing.joint.names
     return replace(
         last,
-        zeros={known[r]: z for fit, known in zip(fits, numbers, strict=True) for r, z in fit.zeros.items()},
+        offsets={
+            known[r]: z for fit, known in zip(fits, numbers, strict=True) for r, z in fit.offsets.items()
+        },
         noise=noise,
         noise_floor=dict(zip(last.model.pose, floor.tolist(), strict=True)),
         solver=solver,
@@ -324,6 +326,6 @@ def restricted(found: Determination, sharing: Sharing, g: int) -> Determination:
     place = {int(k): own for own, k in enumerate(chosen)}
     structural = [names[place[k]] for k, n in enumerate(sharing.joint.names)
                   if n in found.structural and k in place]  # fmt: skip
-    held = tuple(place[k] for k in found.held if k in place)
-    return replace(found, scale=found.scale[chosen], null=found.null[chosen], held=held,
+    fixed = tuple(place[k] for k in found.fixed if k in place)
+    return replace(found, scale=found.scale[chosen], null=found.null[chosen], fixed=fixed,
                    structural=tuple(structural))  # fmt: skip

@@ -207,7 +207,7 @@ class Task:
         """
         lower, upper = self.model.bounds
         free = [
-            k for k in state.determination.held if self.model.names[k] not in known and lower[k] < upper[k]
+            k for k in state.determination.fixed if self.model.names[k] not in known and lower[k] < upper[k]
         ]
         for share in BEGIN if free else ():
             begin = state.p.copy()
@@ -234,7 +234,7 @@ class Task:
 
     def goodness(self, state: Solution) -> GoodnessOfFit:
         """Return what a fit leaves, in multiples of the noise."""
-        fit = goodness_of(state.point, len(state.p) - len(state.determination.held))
+        fit = goodness_of(state.point, len(state.p) - len(state.determination.fixed))
         known = uncertain(state.point, self.noise, self.log.meta.gap_length_scale_m)
         return fit.judged(known, self.log.meta.gap_threshold_rel)
 
@@ -261,7 +261,7 @@ class Task:
 
     def errors(self, state: Solution, keep: Weigh | None) -> Errors:
         """Return the errors before and after; `keep`: weight of each sample."""
-        versions = [(designed(self.model, state.p), {}), (state.p, state.zeros())]
+        versions = [(designed(self.model, state.p), {}), (state.p, state.offsets())]
         variance = state.fitted.reading_variance
         variance = np.array([nominal_variance(self.model, variance), variance])
         say = self.counting("tabulating errors")
@@ -279,7 +279,7 @@ class Task:
 
     def weigh(self, state: Solution, suspects: Weigh) -> outliers.Filter:
         """Return what takes outliers out, judged by the residuals of the fit so far."""
-        residual = residuals(self.model, state.p, state.zeros())
+        residual = residuals(self.model, state.p, state.offsets())
         covariance = state.point.covariance.mean(axis=0)
         if self.asked.loss == "tukey":
             return outliers.tukey(residual, covariance)
@@ -360,11 +360,11 @@ def lower_bound(point: Point, estimated: int) -> LowerBound | None:
     gains = np.square((unit * g) @ vectors[:, some]) / values[some]
     bound, free = float(np.einsum("rij,rji->", W, squares) - gains.sum()), int(some.sum())
     readings = float(cost.weights @ summary.counts) * K
-    zeros = len(summary.model.zeros) * int(np.sum(cost.weights > 0))
+    offsets = len(summary.model.offsets) * int(np.sum(cost.weights > 0))
     over = readings - rank * K - free
     if over < 1 or not bound > 0:
         return None
-    expected = max((readings - estimated - zeros) / over, 1.0)
+    expected = max((readings - estimated - offsets) / over, 1.0)
     ratio = max(point.value / bound, 1.0)
     near = ratio <= expected * limit_of(1.0, WORTH_REPORTING) ** 2
     return LowerBound(bound, ratio, expected, free, near)
@@ -396,8 +396,8 @@ def fit_of(
         path.parent if path is not None and path.is_file() and task.log.meta.raw else path
     )  # a folder with its meta.json
     command = diagnose_command(whole, model, added_effects(model))
-    zeros = deviations_of(state.everywhere)
-    delta = np.array(list(zeros.values()))
+    offsets = deviations_of(state.everywhere)
+    delta = np.array(list(offsets.values()))
     return Fit(
         model=model,
         values=state.p,
@@ -407,11 +407,11 @@ def fit_of(
         covariance_method=estimate.method,
         covariance_reason=estimate.reason,
         degrees_of_freedom=estimate.degrees_of_freedom,
-        held=tuple(model.names[k] for k in found.held),
+        fixed=tuple(model.names[k] for k in found.fixed),
         structural=found.structural,
         at_bound=estimate.at_bound,
         combinations=estimate.combinations,
-        zeros=zeros,
+        offsets=offsets,
         noise=task.noise,
         noise_floor=state.noise_floor,
         status=state.search.status,
@@ -442,8 +442,8 @@ def fit_of(
         ),
         notes=(
             *solved.notes,
-            *zero_notes(model, tuple(zeros), delta),
-            *(home_notes(task.log, model, zeros) if errors else ()),
+            *zero_notes(model, tuple(offsets), delta),
+            *(home_notes(task.log, model, offsets) if errors else ()),
         ),
         errors=errors,
         keep=solved.keep,
@@ -452,7 +452,7 @@ def fit_of(
         determination=found,
         undetermined_by_log=estimate.undetermined_by_log,
         corrections=solved.corrections,
-        turned=bool(solved.corrections) and not task.asked.corrections,
+        reversed=bool(solved.corrections) and not task.asked.corrections,
         columns=dict(task.log.table.mapping),
         read_with=dict(task.log.table.source.read_with),
         versions=dict(versions_used()),
@@ -463,7 +463,7 @@ def fit_of(
 def zero_notes(model: Model, runs: Sequence[int], delta: np.ndarray) -> tuple[str, ...]:
     """Zero deviations beyond their bounds are reported, not clipped: clipping would bend the parameters."""
     out = []
-    for k, zero in enumerate(model.zeros):
+    for k, zero in enumerate(model.offsets):
         beyond = [r for r, d in zip(runs, delta[:, k], strict=True) if not zero.lower <= d <= zero.upper]
         if beyond:
             factor, unit = (1e6, "um") if zero.unit == "m" else (float(np.degrees(1.0)), "deg")

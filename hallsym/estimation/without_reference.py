@@ -207,21 +207,21 @@ def self_fit_of(
         c: Sigma(float(noise) if np.isfinite(noise) and noise > 0 else 1e-3, "estimated")
         for c in model.channels
     }
-    held = (*tuple(p.name for p in model.parameters if p.width == 0), "zero")
+    fixed = (*tuple(p.name for p in model.parameters if p.width == 0), "zero")
     fit = Fit(
         model=model,
         values=np.array([values[n] for n in model.names]),
         std=spread,
-        determined=np.array([n not in unknown and n not in held for n in model.names]),
+        determined=np.array([n not in unknown and n not in fixed for n in model.names]),
         covariance=np.diag(np.nan_to_num(spread) ** 2),
         covariance_method="no reference",
         covariance_reason="the scatter of turns, and the misfit of one field under the heads",
         degrees_of_freedom=np.full(len(model.names), np.inf),
-        held=held,
+        fixed=fixed,
         structural=(),
         at_bound=(),
         combinations=(),
-        zeros={},
+        offsets={},
         noise=Noise(sigma | {c: Sigma(0.0, "given") for c in model.references}),
         noise_floor=dict.fromkeys(model.pose, 0.0),
         status="converged",

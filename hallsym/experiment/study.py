@@ -34,11 +34,11 @@ def planned_cost(
     It is exact near `values`. Zero deviations are 0: they move the information by the square of their share
     of the motion.
     """
-    zeros = (0.0,) * len(model.zeros)
+    offsets = (0.0,) * len(model.offsets)
     real = Campaign(step_s, tuple(runs))
     longest = max(run.duration_s for run in runs)
     least = max(LEAST, PER_PERIOD * max(map(_fastest, runs)) * longest)
-    coarse = Campaign(max(step_s, longest / least), tuple(replace(run, zeros=zeros) for run in runs))
+    coarse = Campaign(max(step_s, longest / least), tuple(replace(run, offsets=offsets) for run in runs))
     log = Log.from_arrays(simulate(model, values, coarse, seed=0))
     factor = np.array([real.samples(run) / coarse.samples(run) for run in runs])
     return cost_near(log, model, model.vector(values), noise), factor
@@ -244,6 +244,6 @@ def _quantities(
 def _workspace(ranges: Ranges, model: Model, p: np.ndarray) -> np.ndarray:
     """Slopes of the decoded position at corners, face centres and centre of the ranges, by parameter."""
     points = corners(ranges.box, (*model.pose, *model.state))
-    rest = np.zeros((len(model.zeros), len(points)))
+    rest = np.zeros((len(model.offsets), len(points)))
     pose, state = np.split(points.T, [len(model.pose)])
     return influence(model, p, list(rest), list(pose), list(state)).parameters

@@ -115,8 +115,8 @@ def plain(model: Model) -> Model:
     if make is None:
         return model
     base = make(model.layout)
-    mine = {p.name: p for p in (*model.parameters, *model.zeros)}
-    kept = [mine[p.name] for p in (*base.parameters, *base.zeros) if p.name in mine]
+    mine = {p.name: p for p in (*model.parameters, *model.offsets)}
+    kept = [mine[p.name] for p in (*base.parameters, *base.offsets) if p.name in mine]
     return base.with_parameters(
         {p.name: {"nominal": p.nominal, "lower": p.lower, "upper": p.upper} for p in kept}
     )
@@ -164,7 +164,7 @@ def _unknown(what: str, name: str, known: Mapping[str, Any]) -> InputError:
 
 def _checked(model: Model, changes: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, float]]:
     """Turn `fixed = true` into equal bounds and refuse bounds that exclude the start the user gave."""
-    nominal = {p.name: p for p in (*model.parameters, *model.zeros)}
+    nominal = {p.name: p for p in (*model.parameters, *model.offsets)}
     out: dict[str, dict[str, float]] = {}
     for name, raw in changes.items():
         entry = dict(raw)

@@ -67,7 +67,7 @@ class RecordingFault:
 
     `inject(recording, draw)`: how it is injected, or why this recording cannot have it. `rare`: few
     samples have it, which can be left out. `of_values`: the values of the readings tell it, whatever a model
-    leaves, so its error is known. `wiring`: the channels are assigned wrongly.
+    leaves, so its error is known. `assignment`: the channels are assigned wrongly.
     """
 
     name: str
@@ -77,7 +77,7 @@ class RecordingFault:
     inject: Inject
     rare: bool = False
     of_values: bool = False
-    wiring: bool = False
+    assignment: bool = False
 
     @property
     def refusal(self) -> str:
@@ -236,11 +236,11 @@ FAULTS = {
                        _chip, of_values=True),
         RecordingFault("channel_swap", "electronics", "two channels exchanged", REWIRE,
                        _wired(_swap, lambda names, pair, one: " and ".join(names[k] for k in pair)),
-                       wiring=True),
+                       assignment=True),
         RecordingFault("sign_inversion", "electronics", "a channel of the other sign", REWIRE,
-                       _wired(_invert, lambda names, pair, one: names[one]), wiring=True),
+                       _wired(_invert, lambda names, pair, one: names[one]), assignment=True),
     )
 }  # fmt: skip
 """By name: what a diagnosis may find and no fit can add."""
-WIRING = tuple(fault.name for fault in FAULTS.values() if fault.wiring)
+ASSIGNMENT_FAULTS = tuple(fault.name for fault in FAULTS.values() if fault.assignment)
 """Faults of the channel assignment: an angle from two channels cannot tell one from the other."""

@@ -185,10 +185,10 @@ CUT = (0.002, 0.01, 0.03, 0.07)
 """Shares of the samples that a rail is tried to cut off, at either end."""
 
 
-def rails(low: str, high: str, *, alike: bool) -> Callable[[Model, Facts], list[Try]]:
+def rails(low: str, high: str, *, symmetric: bool) -> Callable[[Model, Facts], list[Try]]:
     """Return the rule that finds rails, named `low` and `high`: where readings repeat, and those of `CUT`.
 
-    `alike`: both rails of a channel are as far from zero.
+    `symmetric`: both rails of a channel are as far from zero.
     """
 
     def tries(model: Model, facts: Facts) -> list[Try]:
@@ -197,7 +197,7 @@ def rails(low: str, high: str, *, alike: bool) -> Callable[[Model, Facts], list[
             below, above = np.array(facts.rails).T.tolist()
             out.append(Try({low: below, high: above}, "where readings repeat", shapes=1))
         for k, (above, below) in enumerate(zip(facts.extremes[0::2], facts.extremes[1::2], strict=True)):
-            if alike:
+            if symmetric:
                 above = np.maximum(above, -below)
                 below = -above
             numbers = {low: below.tolist(), high: above.tolist()}
@@ -210,7 +210,7 @@ def rails(low: str, high: str, *, alike: bool) -> Callable[[Model, Facts], list[
 def saturation(unit: str, what: str, port: Port, separate: str) -> Effect:
     """Return the effect that readings [`unit`] stop at a rail, one per channel; `what` is read: "probe"."""
     low, high = f"low_{unit}", f"high_{unit}"
-    highest = found(rails(low, high, alike=True), f"highest reading of each {what}")
+    highest = found(rails(low, high, symmetric=True), f"highest reading of each {what}")
     numbers = {low: beside(f"lowest reading of each {what}"), high: highest}
 
     def stop(model: Model, **rail: Sequence[float]) -> Model:

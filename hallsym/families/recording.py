@@ -460,11 +460,11 @@ def corrected_run(block: Block, corrections: Sequence[Correction]) -> tuple[Data
     return data, keep
 
 
-Wiring = tuple[tuple[str, int], ...]
+Assignment = tuple[tuple[str, int], ...]
 """For each channel of a model: the column that carries it, and its sign."""
 
 
-def wiring_of(corrections: Sequence[Correction], channels: Sequence[str]) -> Wiring | None:
+def assignment_of(corrections: Sequence[Correction], channels: Sequence[str]) -> Assignment | None:
     """Return how channels are wired for corrections of whole logs; None where they are as named."""
     found = {c: (c, 1) for c in channels}
     for one in corrections:
@@ -478,15 +478,15 @@ def wiring_of(corrections: Sequence[Correction], channels: Sequence[str]) -> Wir
     return None if all(found[c] == (c, 1) for c in channels) else tuple(found.values())
 
 
-def as_wired(wiring: Wiring, channels: Sequence[str]) -> tuple[Correction, ...]:
-    """Return the corrections that a wiring is, for which `wiring_of` returns it."""
+def as_corrections(assignment: Assignment, channels: Sequence[str]) -> tuple[Correction, ...]:
+    """Return the corrections that an assignment is, for which `assignment_of` returns it."""
     out, now = [], list(channels)
-    for k, (source, _) in enumerate(wiring):
+    for k, (source, _) in enumerate(assignment):
         if now[k] != source:
             other = now.index(source)
             out.append(Correction("exchange", (channels[k], channels[other])))
             now[k], now[other] = now[other], now[k]
-    turned = tuple(c for c, (_, sign) in zip(channels, wiring, strict=True) if sign < 0)
+    turned = tuple(c for c, (_, sign) in zip(channels, assignment, strict=True) if sign < 0)
     return (*out, *([Correction("sign", turned)] if turned else []))
 
 

@@ -307,8 +307,8 @@ def _expected(data: Mapping[str, Array], model: Model, named: Sequence[Guess]) -
     free = [x for name, x in data.items() if name not in {g.theirs for g in named} and np.ptp(x) > 0]
     if not angles or not free:
         return _readings(model, known)
-    zeros = np.arange(PLACES) * 2 * np.pi / PLACES
-    tried = [_readings(model, {**known, **{s: known[s] + zero for s in angles}}) for zero in zeros]
+    starts = np.arange(PLACES) * 2 * np.pi / PLACES
+    tried = [_readings(model, {**known, **{s: known[s] + zero for s in angles}}) for zero in starts]
     return max(tried, key=lambda expected: _correlation(list(expected.values()), free))
 
 
@@ -668,6 +668,6 @@ def _readings(model: Model, known: Mapping[str, Array]) -> dict[str, Array]:
     pose = np.array([known.get(split_unit(c)[0], np.zeros(rows)) for c in model.references])
     rest = model.rest
     state = np.array([known.get(split_unit(c)[0], np.full(rows, rest.get(c, 0.0))) for c in model.state])
-    zeros = np.zeros((len(model.zeros), 1))
-    found = np.asarray(model.reading(model.nominal, zeros, pose, state.reshape(len(model.state), rows)))
+    offsets = np.zeros((len(model.offsets), 1))
+    found = np.asarray(model.reading(model.nominal, offsets, pose, state.reshape(len(model.state), rows)))
     return dict(zip((split_unit(c)[0] for c in model.channels), found, strict=True))

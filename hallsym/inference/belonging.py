@@ -233,7 +233,7 @@ def _not_identified(known: Fit, after: Fit) -> dict[str, str]:
     left = {}
     for k, parameter in enumerate(known.model.parameters):
         name = parameter.name
-        if parameter.width == 0 and name in known.held and name in after.held:
+        if parameter.width == 0 and name in known.fixed and name in after.fixed:
             continue
         if not known.determined[k]:
             left[name] = "the calibration does not determine it"

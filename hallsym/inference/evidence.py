@@ -29,14 +29,14 @@ SAMPLES = 2000
 def visited(
     log: Log,
     model: Model,
-    zeros: Mapping[int, np.ndarray],
+    offsets: Mapping[int, np.ndarray],
     most: int = SAMPLES,
     sigma: Mapping[str, float] | None = None,
     values: Mapping[str, float] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return zeros (n_zeros, s), pose (n_pose, s) and state (n_state, s) at about `most` samples of `log`.
+    """Return offsets (n_offsets, s), pose (n_pose, s) and state (n_state, s) at about `most` samples of `log`.
 
-    They are evenly spread over the samples. `zeros`: by run, 0 where a run is not in it. `sigma`: noise by
+    They are evenly spread over the samples. `offsets`: by run, 0 where a run is not in it. `sigma`: noise by
     column, `values`: parameters by name, for the columns that are computed.
     """
     step = max(1, -(-log.rows // most))
@@ -44,7 +44,7 @@ def visited(
     for batch in batches(extended(log, model, sigma, values), columns_of(model)):
         pick = slice(offset, None, step)
         parts.append(np.array([c[pick] for c in batch.columns((*model.references, *model.state))]))
-        own.append(batch.offsets(zeros, len(model.zeros))[:, pick])
+        own.append(batch.offsets(offsets, len(model.offsets))[:, pick])
         offset = (offset - len(batch)) % step
     pose, state = np.split(np.hstack(parts), [len(model.references)])
     return np.hstack(own), pose, state
@@ -154,14 +154,14 @@ def _at(
     """
     cost, model = point.cost, point.cost.summary.model
     open_ = sum(p.width > 0 for p in model.parameters)
-    zeros = len(model.zeros) * len(cost.summary.runs)
+    offsets = len(model.offsets) * len(cost.summary.runs)
     readings = int(cost.summary.counts.sum()) * len(model.channels)
-    if readings <= open_ + zeros:
+    if readings <= open_ + offsets:
         raise InputError(
-            f"{name} holds {readings} readings for {open_} parameters and {zeros} zero deviations: too few "
+            f"{name} holds {readings} readings for {open_} parameters and {offsets} zero deviations: too few "
             "to form a covariance; record more samples."
         )
-    own = dict(zip(cost.summary.runs, point.zeros, strict=True))
+    own = dict(zip(cost.summary.runs, point.offsets, strict=True))
     workspace = visited(log, model, own, sigma=sigma, values=values)
     slopes = influence(model, point.p, *workspace, 1.0 / cost.reading_variance).parameters
     return Evidence(point, found, uncertainty(point, found), slopes, name, log, **said)

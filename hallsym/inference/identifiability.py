@@ -280,8 +280,11 @@ def _cost(evidence: Evidence, model: Model, p: np.ndarray, columns: Mapping[str,
     cost, known = evidence.cost, evidence.model
     sigma = np.sqrt([*cost.reading_variance, *cost.column_variance])
     noise = named((*known.channels, *known.references, *known.state), sigma)
-    poses, zeros = Log.from_arrays(columns), dict(zip(cost.summary.runs, evidence.point.zeros, strict=True))
-    own, pose, state = visited(poses, model, zeros, poses.rows, noise, model.named(p))
+    poses, offsets = (
+        Log.from_arrays(columns),
+        dict(zip(cost.summary.runs, evidence.point.offsets, strict=True)),
+    )
+    own, pose, state = visited(poses, model, offsets, poses.rows, noise, model.named(p))
     (read,) = on_arrays(model.reading)(p, own, pose, state)
     log = Log.from_arrays({**columns, **dict(zip(model.channels, read, strict=True))})
     return replace(cost_near(log, model, p, noise), planned=cost.planned)
@@ -562,11 +565,11 @@ def _outputs(evidence: Evidence) -> dict[str, Output]:
 
 
 def _offsets(evidence: Evidence) -> Offsets:
-    point, summary, zeros = evidence.point, evidence.cost.summary, evidence.model.zeros
-    names, units = tuple(z.name for z in zeros), tuple(z.unit for z in zeros)
+    point, summary, offsets = evidence.point, evidence.cost.summary, evidence.model.offsets
+    names, units = tuple(z.name for z in offsets), tuple(z.unit for z in offsets)
     if not names:
         return Offsets((), (), summary.runs, np.zeros((0, 0)), np.zeros((0, 0)))
     gain = evidence.model.zero_scale(evidence.p, summary.first_state)
     variance = np.diagonal(point.zero_covariance(evidence.uncertainty.covariance), axis1=1, axis2=2)
     std = np.sqrt(np.maximum(variance, 0.0)) * np.abs(gain)
-    return Offsets(names, units, summary.runs, point.zeros * gain, std)  # (31): delta = d phi(0)
+    return Offsets(names, units, summary.runs, point.offsets * gain, std)  # (31): delta = d phi(0)

@@ -50,10 +50,10 @@ class Tangent:
     direction: np.ndarray
 
 
-def tangent(cost: Cost, p: np.ndarray, quantity: Quantity, held: Sequence[int]) -> Tangent:
+def tangent(cost: Cost, p: np.ndarray, quantity: Quantity, fixed: Sequence[int]) -> Tangent:
     """Return the first order of the profile of `quantity` at the optimum `p`; parameters at bounds stay."""
     p = np.asarray(p, dtype=float)
-    scaled = scaled_around(cost.summary.model, p, held)
+    scaled = scaled_around(cost.summary.model, p, fixed)
     f, gradient, hessian = cost.at(p).derivatives()
     value, slope = quantity.first(p)
     lower, upper = (bound[scaled.free] for bound in scaled.model.bounds)
@@ -73,7 +73,7 @@ def tangent(cost: Cost, p: np.ndarray, quantity: Quantity, held: Sequence[int]) 
 
 
 def skewness(
-    cost: Cost, p: np.ndarray, quantity: Quantity, *, held: Sequence[int], std: float, scale: float = 1.0
+    cost: Cost, p: np.ndarray, quantity: Quantity, *, fixed: Sequence[int], std: float, scale: float = 1.0
 ) -> np.ndarray:
     """Return the half-widths of an interval over those of the normal one, (lower, upper), without a profile.
 
@@ -81,7 +81,7 @@ def skewness(
     the profile: it differs from the profile only in fourth order of the distance, and the third order, which
     makes an interval lopsided, is all there.
     """
-    began, aim, ratios = tangent(cost, p, quantity, held), float(np.sqrt(THRESHOLD)), np.full(2, np.nan)
+    began, aim, ratios = tangent(cost, p, quantity, fixed), float(np.sqrt(THRESHOLD)), np.full(2, np.nan)
     lower, upper = cost.summary.model.bounds
     if not (began.std > 0 and np.isfinite(std) and std > 0):
         return ratios
@@ -321,19 +321,19 @@ def profile(
     p: np.ndarray,
     quantity: Quantity,
     *,
-    held: Sequence[int],
+    fixed: Sequence[int],
     std: float | None = None,
     scale: float = 1.0,
     points: int = 0,
 ) -> Profile:
     """Return the profile of `quantity` around the optimum `p` (n,) of `cost`.
 
-    `held`: index of the parameters that stay as in `p`. `std`: about its standard uncertainty, the first
+    `fixed`: index of the parameters that stay as in `p`. `std`: about its standard uncertainty, the first
     step; from the curvature of `cost` by default. `scale`: square of the standard uncertainty that is
     believed over the likelihood's; the threshold is multiplied by it. `points`: further points per side,
     about evenly spaced. For several quantities give `cost.anchored(p)`: what belongs to `p` is computed once.
     """
-    began, threshold = tangent(cost, p, quantity, held), THRESHOLD * scale
+    began, threshold = tangent(cost, p, quantity, fixed), THRESHOLD * scale
     step = float(std) / np.sqrt(scale) if std is not None and np.isfinite(std) and std > 0 else began.std
     walks = [Walk(cost, began, step, threshold, sign) for sign in (-1.0, 1.0)]
     lower, upper = (walk.end() for walk in walks)

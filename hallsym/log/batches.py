@@ -150,12 +150,12 @@ def remembered(weigh: Weigh | None, rows: int, columns: Sequence[str] | None = N
     return weights
 
 
-HELD = 250_000
+CACHED_ROWS = 250_000
 """Samples of a log in memory whose batches are kept for the next pass: 2 MB for each column."""
 
 
-_Held = dict[Hashable, list[Batch]]
-_HELD: WeakKeyDictionary[Log, _Held] = WeakKeyDictionary()
+_Cached = dict[Hashable, list[Batch]]
+_CACHE: WeakKeyDictionary[Log, _Cached] = WeakKeyDictionary()
 """By log and column the batches of one column each."""
 
 
@@ -168,31 +168,31 @@ def batches(
     after each batch.
     """
     done = 0
-    for batch in _held(log, columns) if is_held(log) else _read(log, columns):
+    for batch in _cached(log, columns) if is_cached(log) else _read(log, columns):
         yield batch
         done += len(batch)
         if on_rows:
             on_rows(done)
 
 
-def is_held(log: Log) -> bool:
+def is_cached(log: Log) -> bool:
     """Return whether the batches of a log are kept, and what is computed from them may be.
 
     Those of a view of a log with other numbers, which is read once, are not.
     """
-    return isinstance(log.source, Log) and log.table.in_memory and log.rows <= HELD
+    return isinstance(log.source, Log) and log.table.in_memory and log.rows <= CACHED_ROWS
 
 
-def _held(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
-    held = _HELD.setdefault(log.source, {})
+def _cached(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
+    cached = _CACHE.setdefault(log.source, {})
     keys = {name: log.identity(name) for name in columns}
-    if missing := [name for name, key in keys.items() if key not in held]:
-        held |= {keys[name]: [] for name in missing}
+    if missing := [name for name, key in keys.items() if key not in cached]:
+        cached |= {keys[name]: [] for name in missing}
         for batch in _read(log, missing):
             for name in missing:
                 batch.data[name].flags.writeable = False
-                held[keys[name]].append(Batch(batch.runs, {name: batch.data[name]}, batch.edges))
-    for parts in zip(*(held[key] for key in keys.values()), strict=True):
+                cached[keys[name]].append(Batch(batch.runs, {name: batch.data[name]}, batch.edges))
+    for parts in zip(*(cached[key] for key in keys.values()), strict=True):
         data = {name: next(iter(part.data.values())) for name, part in zip(keys, parts, strict=True)}
         yield Batch(parts[0].runs, data, parts[0].edges)
 

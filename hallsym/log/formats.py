@@ -16,7 +16,7 @@ from msgspec import structs
 
 from hallsym.errors import InputError, nearest, quoted, require
 from hallsym.files import reading, regular
-from hallsym.log.apart import Apart, about
+from hallsym.log.isolated import Isolated, about
 from hallsym.log.arrow import source_of
 from hallsym.log.columns import (
     RUN,
@@ -72,14 +72,14 @@ FORMATS = (
     Format("feather", (".feather", ".arrow", ".arrows"), open_feather, "Feather"),
     Format("json", (".jsonl", ".ndjson"), open_json, "JSON lines"),
     Format("json", (".json",), open_json, "JSON", found=False),  # beside a log it says what that is
-    Format("hdf5", (".h5", ".hdf5"), partial(Apart, open_hdf5), "HDF5", ("clock",)),
-    Format("mat", (".mat",), partial(Apart, open_mat), "MATLAB", ("clock",)),
+    Format("hdf5", (".h5", ".hdf5"), partial(Isolated, open_hdf5), "HDF5", ("clock",)),
+    Format("mat", (".mat",), partial(Isolated, open_mat), "MATLAB", ("clock",)),
     Format("npz", (".npz", ".npy"), open_numpy, "NumPy", ("clock",)),
     Format("xlsx", (".xlsx", ".xlsm", ".xls", ".ods"), open_workbook, "workbook", ("sheet", "decimal")),
     Format("sqlite", (".sqlite", ".sqlite3", ".db"), open_sqlite, "SQLite", ("sheet",)),
     Format("tdms", (".tdms",), open_tdms, "TDMS", ("clock",)),
-    Format("mdf", (".mf4", ".mdf"), partial(Apart, open_mdf), "MDF", ("clock",)),
-    Format("mcap", (".mcap",), partial(Apart, open_mcap), "MCAP", ("clock",)),
+    Format("mdf", (".mf4", ".mdf"), partial(Isolated, open_mdf), "MDF", ("clock",)),
+    Format("mcap", (".mcap",), partial(Isolated, open_mcap), "MCAP", ("clock",)),
     Format("table", (".h", ".hpp", ".c", ".cpp", ".ino", ".cfg"), open_table, "table", found=False),
 )
 

@@ -137,13 +137,13 @@ def _reference_of(model: Model, channel: str) -> str | None:
     return next((c for c in model.references if c in model.period), None)
 
 
-def home_notes(log: Log, model: Model, zeros: Mapping[int, np.ndarray]) -> tuple[str, ...]:
-    """Return what to say of a log whose runs have zeros: `zeros` by run [SI], beside that of `homes`."""
+def home_notes(log: Log, model: Model, offsets: Mapping[int, np.ndarray]) -> tuple[str, ...]:
+    """Return what to say of a log whose runs have offsets: `offsets` by run [SI], beside that of `homes`."""
     apart = log.table.apart if isinstance(log.table, _Continuous) else {}
     notes = []
-    for k, reference in enumerate(_homed_by(model, z.name) for z in model.zeros):
+    for k, reference in enumerate(_homed_by(model, z.name) for z in model.offsets):
         homed = apart.get(reference, {})
-        at = {run: homed[run] + zeros[run][k] for run in homed if run in zeros}
+        at = {run: homed[run] + offsets[run][k] for run in homed if run in offsets}
         if not at:
             continue
         factor, unit, name = readable(reference)
@@ -160,7 +160,7 @@ def home_notes(log: Log, model: Model, zeros: Mapping[int, np.ndarray]) -> tuple
 
 
 LISTED = 8
-"""Zeros of runs that a note lists."""
+"""Offsets of runs that a note lists."""
 WELL = 0.02
 """Least eigenvalue of the mean products of 1 and both waves in a run for a wave to be fitted to it: that of
 120 deg of a turn."""
@@ -178,7 +178,7 @@ def homes(log: Log, model: Model) -> dict[str, dict[int, float]]:
     exp(i coordinate) over the reference, beside a constant and the wave that turns the other way, which take
     up offset, gain and phase. Of a run that turns little, the circular mean.
     """
-    columns = [c for z in model.zeros if (c := _homed_by(model, z.name)) in model.period]
+    columns = [c for z in model.offsets if (c := _homed_by(model, z.name)) in model.period]
     if model.begin is None or not columns:
         return {}
     v = ca.SX.sym("v", len(model.channels))

@@ -1,7 +1,7 @@
 """Write a model's reading as a sum of data-only features with parameter-only coefficients.
 
 A reading that is polynomial in the logged columns (and in derived ones such as 1 - cos Rz) is linear in
-their monomials: reading = sum_j f_j(data) c_j(parameters, zeros). Found by differentiation, not declared by
+their monomials: reading = sum_j f_j(data) c_j(parameters, offsets). Found by differentiation, not declared by
 the family, so an effect that adds a term adds its features by itself.
 """
 
@@ -23,7 +23,7 @@ MAX_DEGREE = 6
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Slopes (1 + n_zeros, m, n) of the coefficients of m pairs of a `channel` and a `feature`, (m,) each."""
+    """Slopes (1 + n_offsets, m, n) of the coefficients of m pairs of a `channel` and a `feature`, (m,) each."""
 
     channel: np.ndarray
     feature: np.ndarray
@@ -32,10 +32,10 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Monomials of a model's reading, those that carry the zeros of a run first.
+    """Monomials of a model's reading, those that carry the offsets of a run first.
 
     `exponents`: shape (n_features, n_variables), over pose, state and derived variables.
-    `n_zero`: how many of the first features have a coefficient that depends on a run's zeros.
+    `n_zero`: how many of the first features have a coefficient that depends on a run's offsets.
     """
 
     model: Model
@@ -85,8 +85,8 @@ class Features:
     def slope_entries(self) -> np.ndarray:
         """Slopes that are not always 0: (column, feature), (2, entries).
 
-        Features that carry zeros are left out: their slope with the state is a second-order weight, and
-        without it the weight of a residual does not depend on the zeros.
+        Features that carry offsets are left out: their slope with the state is a second-order weight, and
+        without it the weight of a residual does not depend on the offsets.
         """
         rows, columns = np.array(self._jacobian.sparsity().get_triplet(), dtype=int)
         moved = rows >= self.n_zero
@@ -118,38 +118,38 @@ class Features:
 
     @cached_property
     def coefficients(self) -> ca.Function:
-        """`(parameters, zeros, centre) -> c`, shape (n_features, n_channels): Taylor terms at the centre."""
+        """`(parameters, offsets, centre) -> c`, shape (n_features, n_channels): Taylor terms at the centre."""
         s, (variables, centre) = self.model.symbols, self._variables
         rows = []
         for row in self.exponents:
             term = _derivative(s.reading, variables, row) / prod(factorial(int(k)) for k in row)
             rows.append(ca.substitute(term, variables, centre).T)
-        return ca.Function("coefficients", [s.parameters, s.zeros, centre], [ca.densify(ca.vertcat(*rows))])
+        return ca.Function("coefficients", [s.parameters, s.offsets, centre], [ca.densify(ca.vertcat(*rows))])
 
     @property
-    def n_zeros(self) -> int:
-        """Zeros of a run that these features carry: all of the model's, or none once projected out."""
-        return len(self.model.zeros) if self.n_zero else 0
+    def n_offsets(self) -> int:
+        """Offsets of a run that these features carry: all of the model's, or none once projected out."""
+        return len(self.model.offsets) if self.n_zero else 0
 
     @cached_property
-    def without_zeros(self) -> "Features":
-        """The features that are left once those that carry zeros are projected out."""
+    def without_offsets(self) -> "Features":
+        """The features that are left once those that carry offsets are projected out."""
         return replace(self, exponents=self.exponents[self.n_zero :], n_zero=0)
 
     @cached_property
     def expressions(self) -> tuple[ca.Function, ca.Function]:
-        """Coefficients with their derivatives, the zeros split off: reading = f . (c + sum_l d_l E_l).
+        """Coefficients with their derivatives, the offsets split off: reading = f . (c + sum_l d_l E_l).
 
         `(parameters, centre) -> [c, E_1, ...], d / d parameters`, each column flattened by channel, and
         `(parameters, centre, weights) -> Hessian` of the weighted sum of those columns.
         """
         p, centre = self.model.symbols.parameters, self._variables[1]
-        zeros = ca.SX.sym("zeros", len(self.model.zeros))
-        c = self.coefficients(p, zeros, centre)
-        parts = [ca.vec(ca.substitute(c, zeros, ca.SX.zeros(zeros.numel())))]
-        slopes = ca.jacobian(ca.vec(c), zeros)
-        parts += [slopes[:, k] for k in range(self.n_zeros)]
-        stacked = ca.densify(ca.horzcat(*parts))  # (n_features * n_channels, 1 + n_zeros)
+        offsets = ca.SX.sym("offsets", len(self.model.offsets))
+        c = self.coefficients(p, offsets, centre)
+        parts = [ca.vec(ca.substitute(c, offsets, ca.SX.zeros(offsets.numel())))]
+        slopes = ca.jacobian(ca.vec(c), offsets)
+        parts += [slopes[:, k] for k in range(self.n_offsets)]
+        stacked = ca.densify(ca.horzcat(*parts))  # (n_features * n_channels, 1 + n_offsets)
         flat = ca.vec(stacked)
         weights = ca.SX.sym("weights", flat.numel())
         hessian, _ = ca.hessian(ca.dot(weights, flat), p)
@@ -180,7 +180,7 @@ class Features:
     def linear(self, p: np.ndarray) -> tuple[np.ndarray, Rows] | None:
         """Return coefficients and slopes where coefficients are linear in the parameters, and most are nil.
 
-        The coefficients (1 + n_zeros, n_features, n_channels), and the slopes that are not nil.
+        The coefficients (1 + n_offsets, n_features, n_channels), and the slopes that are not nil.
         """
         return None
 
@@ -238,7 +238,7 @@ def find_features(model: Model) -> Features:
         found |= level
         if any(sum(row) > MAX_DEGREE for row in level) or len(found) > MAX_FEATURES:
             raise _not_polynomial(model)
-    carries_zero = {row: bool(len(model.zeros) and ca.depends_on(e, s.zeros)) for row, e in found.items()}
+    carries_zero = {row: bool(len(model.offsets) and ca.depends_on(e, s.offsets)) for row, e in found.items()}
     order = sorted(found, key=lambda row: (not carries_zero[row], sum(row), [-k for k in row]))
     features = Features(model, np.array(order, dtype=int), sum(carries_zero.values()))
     if not _reproduces(features):
@@ -252,14 +252,14 @@ def _of_low_degree(model: Model, variables: ca.SX) -> bool:
     Along a line of one variable the difference of order MAX_DEGREE + 1 of a polynomial vanishes.
     """
     s, rng, order = model.symbols, np.random.default_rng(0), MAX_DEGREE + 1
-    read = ca.Function("along", [s.parameters, s.zeros, variables], [s.reading])
+    read = ca.Function("along", [s.parameters, s.offsets, variables], [s.reading])
     weights = np.array([(-1.0) ** k * comb(order, k) for k in range(order + 1)])
     p = model.nominal + 0.1 * rng.standard_normal(len(model.nominal))
-    zeros, at = (rng.standard_normal(n) for n in (len(model.zeros), variables.numel()))
+    offsets, at = (rng.standard_normal(n) for n in (len(model.offsets), variables.numel()))
     for v in range(variables.numel()):
         line = np.repeat(at[:, None], order + 1, axis=1)
         line[v] += np.linspace(-1.0, 1.0, order + 1)
-        terms = np.asarray(read(p, zeros, line)) * weights
+        terms = np.asarray(read(p, offsets, line)) * weights
         # an exponential that leaves the range of numbers is no polynomial
         if not np.isfinite(terms).all() or not np.all(
             np.abs(terms.sum(axis=1)) <= 1e-9 * np.abs(terms).sum(axis=1)
@@ -272,13 +272,13 @@ def _reproduces(features: Features) -> bool:
     """Check the expansion far from its centre: |u| or a step has derivatives, and is no polynomial."""
     model, rng = features.model, np.random.default_rng(0)
     s, (variables, _) = model.symbols, features._variables
-    read = ca.Function("reading", [s.parameters, s.zeros, variables], [s.reading])
+    read = ca.Function("reading", [s.parameters, s.offsets, variables], [s.reading])
     for _ in range(3):
         p = model.nominal + 0.1 * rng.standard_normal(len(model.nominal))
-        zeros, at, centre = (rng.standard_normal(n) for n in (len(model.zeros), *[variables.numel()] * 2))
-        expected = np.asarray(read(p, zeros, at)).ravel()
+        offsets, at, centre = (rng.standard_normal(n) for n in (len(model.offsets), *[variables.numel()] * 2))
+        expected = np.asarray(read(p, offsets, at)).ravel()
         f = np.prod((at - centre) ** features.exponents, axis=1)
-        terms = np.asarray(features.coefficients(p, zeros, centre)) * f[:, None]
+        terms = np.asarray(features.coefficients(p, offsets, centre)) * f[:, None]
         if not np.all(np.abs(terms.sum(axis=0) - expected) <= 1e-9 * np.abs(terms).sum(axis=0)):
             return False
     return True

@@ -1,6 +1,6 @@
-"""How the decoded pose follows everything it is computed from: parameters, readings, state and zeros.
+"""How the decoded pose follows everything it is computed from: parameters, readings, state and offsets.
 
-The reading determines the pose implicitly, m = f(p, zeros, pose, state), so by the implicit function theorem
+The reading determines the pose implicitly, m = f(p, offsets, pose, state), so by the implicit function theorem
 d pose / d m = D = (J^T W J)^-1 J^T W with J = df/dpose, and d pose / d u = -D df/du for every other input u.
 J and df/du are CasADi's exact Jacobians of the model's reading.
 """
@@ -23,31 +23,31 @@ class Influence:
     """Slopes of the decoded pose at s samples, in SI per SI.
 
     `parameters`: (s, n_pose, n). `readings`: (s, n_pose, n_channels). `state`: (s, n_pose, n_state).
-    `zeros`: (s, n_pose, n_zeros), per displacement as `Point.zeros` has them.
+    `offsets`: (s, n_pose, n_offsets), per displacement as `Point.offsets` has them.
     """
 
     parameters: np.ndarray
     readings: np.ndarray
     state: np.ndarray
-    zeros: np.ndarray
+    offsets: np.ndarray
 
 
 def influence(
     model: Model,
     p: np.ndarray,
-    zeros: Columns,
+    offsets: Columns,
     pose: Columns,
     state: Columns,
     weight: np.ndarray | None = None,
 ) -> Influence:
     """Return the slopes of the decoded pose at given poses and states.
 
-    `p`: (n,). `zeros`, `pose`, `state`: one scalar or (s,) array per zero, pose coordinate and state column.
+    `p`: (n,). `offsets`, `pose`, `state`: one scalar or (s,) array per zero, pose coordinate and state column.
     `weight`: 1/variance per channel, which matters only with more channels than coordinates (default 1).
     """
-    by_p, by_zero, J, by_state = reading_slopes(model, p, zeros, pose, state)
+    by_p, by_zero, J, by_state = reading_slopes(model, p, offsets, pose, state)
     D = estimator(J, weight)
-    return Influence(parameters=-D @ by_p, readings=D, state=-D @ by_state, zeros=-D @ by_zero)
+    return Influence(parameters=-D @ by_p, readings=D, state=-D @ by_state, offsets=-D @ by_zero)
 
 
 def estimator(slopes: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
@@ -57,19 +57,19 @@ def estimator(slopes: np.ndarray, weight: np.ndarray | None = None) -> np.ndarra
 
 
 def reading_slopes(
-    model: Model, p: np.ndarray, zeros: Columns, pose: Columns, state: Columns
+    model: Model, p: np.ndarray, offsets: Columns, pose: Columns, state: Columns
 ) -> list[np.ndarray]:
-    """Return d reading / d parameters, zeros, pose and state, each (s, n_channels, size)."""
-    flat = _slopes(model)(p, zeros, pose, state)[0]
-    sizes = (len(model.names), len(model.zeros), len(model.pose), len(model.state))
+    """Return d reading / d parameters, offsets, pose and state, each (s, n_channels, size)."""
+    flat = _slopes(model)(p, offsets, pose, state)[0]
+    sizes = (len(model.names), len(model.offsets), len(model.pose), len(model.state))
     slopes = np.moveaxis(flat.reshape(sum(sizes), len(model.channels), -1), (0, 1), (2, 1))
     return np.split(slopes, np.cumsum(sizes)[:-1], axis=2)
 
 
 @lru_cache(maxsize=64)
 def _slopes(model: Model) -> Callable[..., list[np.ndarray]]:
-    """`(p, zeros, pose, state) -> d reading / d (p, zeros, pose, state)`, flattened column by column."""
+    """`(p, offsets, pose, state) -> d reading / d (p, offsets, pose, state)`, flattened column by column."""
     s = model.symbols
-    inputs = [s.parameters, s.zeros, s.pose, s.state]
+    inputs = [s.parameters, s.offsets, s.pose, s.state]
     jacobian = ca.jacobian(s.full(s.reading), ca.vertcat(*inputs))
     return on_arrays(ca.Function("slopes", inputs, [ca.densify(jacobian)]))

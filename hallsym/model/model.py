@@ -111,7 +111,7 @@ class Model:
     """A chain with its parameters; immutable, extended by `with_step`.
 
     `pose` are the columns the sensor shall give (x, y, Rz), `references` the logged columns beside them,
-    `state` the measured columns the gain may depend on, `channels` the readings. `zeros` are the nuisance
+    `state` the measured columns the gain may depend on, `channels` the readings. `offsets` are the nuisance
     parameters that each run has of its own (the zero deviations of Eq. (30)); a reading is linear in them.
     """
 
@@ -123,7 +123,7 @@ class Model:
     channels: tuple[str, ...]
     parameters: tuple[Parameter, ...]
     steps: tuple[tuple[str, Step], ...]
-    zeros: tuple[Parameter, ...] = ()
+    offsets: tuple[Parameter, ...] = ()
     combinations: tuple[Combination, ...] = ()
     effects: tuple[str, ...] = ()
     layout: tuple = ()
@@ -139,7 +139,7 @@ class Model:
     """References among them that are logged as they are, such as an interferometer's beside a periodic field:
     a step of more than half a period is a step."""
     homes: Mapping[str, str] = field(default_factory=dict)
-    """Zeros that are the origin of a periodic coordinate in each run: name of the zero -> coordinate."""
+    """Offsets that are the origin of a periodic coordinate in each run: name of the zero -> coordinate."""
     amplitudes: tuple[str, ...] = ()
     """Parameters whose common factor scales all readings and moves no decoded pose: an air gap sets it, no
     drawing."""
@@ -168,7 +168,7 @@ class Model:
         *,
         effect: str,
         parameters: tuple[Parameter, ...] = (),
-        zeros: tuple[Parameter, ...] = (),
+        offsets: tuple[Parameter, ...] = (),
     ) -> "Model":
         """Return a model whose `link` ends with `step`; this is how an effect is added."""
         if link not in LINKS:
@@ -183,7 +183,7 @@ class Model:
             self,
             steps=self.steps[:split] + added + self.steps[split:],
             parameters=self.parameters + parameters,
-            zeros=self.zeros + zeros,
+            offsets=self.offsets + offsets,
             effects=(*self.effects, effect),
             before=self,
         )
@@ -202,7 +202,7 @@ class Model:
         """Return a model with other nominal values or bounds: `{"H1x": {"nominal": .2, "lower": .1}}`."""
         if not changes:
             return self
-        known = [p.name for p in (*self.parameters, *self.zeros)]
+        known = [p.name for p in (*self.parameters, *self.offsets)]
         for name in changes:
             if name not in known:
                 raise InputError(f"Model {self.name} has no parameter {name!r}{nearest(name, known)}.")
@@ -210,8 +210,8 @@ class Model:
         def changed(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
             return tuple(replace(p, **dict(changes.get(p.name, {}))) for p in parameters)
 
-        model = replace(self, parameters=changed(self.parameters), zeros=changed(self.zeros), before=self)
-        for p in (*model.parameters, *model.zeros):
+        model = replace(self, parameters=changed(self.parameters), offsets=changed(self.offsets), before=self)
+        for p in (*model.parameters, *model.offsets):
             if not p.lower <= p.upper:
                 raise InputError(
                     f"Bounds of {p.name} must have lower <= upper; instead received {p.lower:g}, {p.upper:g}."
@@ -281,9 +281,9 @@ class Model:
 
     @cached_property
     def _symbols(self) -> dict[tuple[str, str], ca.SX]:
-        """Symbols of parameters, zeros and columns by kind and name; the model before has the same ones."""
+        """Symbols of parameters, offsets and columns by kind and name; the model before has the same ones."""
         known = self.before._symbols if self.before else {}
-        own = [("parameter", name) for name in (*self.names, *(z.name for z in self.zeros))]
+        own = [("parameter", name) for name in (*self.names, *(z.name for z in self.offsets))]
         own += [("column", name) for name in (*self.pose, *self.state)]
         return {key: known[key] if key in known else ca.SX.sym(key[1]) for key in own}
 
@@ -312,7 +312,7 @@ class Model:
         signals, derived = self._chain.signals, list(self._chain.signals.derived.values())
         return Symbols(
             parameters=self._of("parameter", self.names),
-            zeros=self._of("parameter", (z.name for z in self.zeros)),
+            offsets=self._of("parameter", (z.name for z in self.offsets)),
             pose=self._of("column", self.pose),
             state=self._of("column", self.state),
             derived=_column(s for s, _ in derived),
@@ -327,13 +327,13 @@ class Model:
 
     @cached_property
     def reading(self) -> ca.Function:
-        """Forward form `(parameters, zeros, pose, state) -> reading`, columns of SI values."""
+        """Forward form `(parameters, offsets, pose, state) -> reading`, columns of SI values."""
         s = self.symbols
         return ca.Function(
             "reading",
-            [s.parameters, s.zeros, s.pose, s.state],
+            [s.parameters, s.offsets, s.pose, s.state],
             [s.full(s.reading)],
-            ["parameters", "zeros", "pose", "state"],
+            ["parameters", "offsets", "pose", "state"],
             ["reading"],
         )
 
@@ -344,18 +344,18 @@ class Model:
         return ca.Function("gain", [s.parameters, s.state], [ca.densify(s.full(s.gain))])
 
     def zero_scale(self, p: np.ndarray, first_state: np.ndarray) -> np.ndarray:
-        """Return what a run's zeros (z,) are multiplied by to be read; of states (runs, n_state) (runs, z).
+        """Return what a run's offsets (z,) are multiplied by to be read; of states (runs, n_state) (runs, z).
 
         phi(0) of Eq. (31) where they are displacements, one per channel; else 1.
         """
-        if not self.zeros or self.symbols.displacement.numel() != len(self.zeros):
-            return np.ones((*np.shape(first_state)[:-1], len(self.zeros)))
+        if not self.offsets or self.symbols.displacement.numel() != len(self.offsets):
+            return np.ones((*np.shape(first_state)[:-1], len(self.offsets)))
         gain = self.remember("gain, on arrays", lambda: on_arrays(self.gain))
         return np.asarray(gain(p, np.transpose(first_state))[0]).T
 
     @cached_property
     def decoded(self) -> ca.Function:
-        """Decoupled form `(parameters, zeros, reading, state, weight) -> pose`.
+        """Decoupled form `(parameters, offsets, reading, state, weight) -> pose`.
 
         Newton's method on the forward form from `begin` or the zero pose: one step where a reading is linear
         in the pose (small angles: then this *is* Eq. (31)), three more where it is not. As in Eq. (31) each
@@ -394,9 +394,9 @@ class Model:
         branch = [] if near is None else [near]
         return ca.Function(
             name,
-            [s.parameters, s.zeros, measured, s.state, weight, *branch],
+            [s.parameters, s.offsets, measured, s.state, weight, *branch],
             [ca.densify(pose)],
-            ["parameters", "zeros", "reading", "state", "weight", "near"][: 5 + len(branch)],
+            ["parameters", "offsets", "reading", "state", "weight", "near"][: 5 + len(branch)],
             ["pose"],
         )
 
@@ -419,9 +419,9 @@ class Model:
 
     @cached_property
     def noise_gain_at(self) -> ca.Function:
-        """d pose / d reading, `(parameters, pose, state, weight) -> (n_pose, n_channels)`, zeros at zero."""
+        """d pose / d reading, `(parameters, pose, state, weight) -> (n_pose, n_channels)`, offsets at zero."""
         s, weight = self.symbols, ca.SX.sym("weight", len(self.channels))
-        reading = ca.substitute(s.full(s.reading), s.zeros, ca.SX.zeros(len(self.zeros)))
+        reading = ca.substitute(s.full(s.reading), s.offsets, ca.SX.zeros(len(self.offsets)))
         slope = _solve(ca.jacobian(reading, s.pose), ca.SX.eye(len(self.channels)), weight)
         inputs = [s.parameters, s.pose, s.state, weight]
         return ca.Function("noise_gain_at", inputs, [ca.densify(slope)])
@@ -457,7 +457,7 @@ class Symbols:
     """The symbolic chain of a model: its inputs as SX columns, and what comes out."""
 
     parameters: ca.SX
-    zeros: ca.SX
+    offsets: ca.SX
     pose: ca.SX
     state: ca.SX
     derived: ca.SX

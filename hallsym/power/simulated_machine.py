@@ -26,7 +26,7 @@ from hallsym.model.arrays import on_arrays
 
 @dataclass(frozen=True, eq=False)
 class SimulatedMachine:
-    """A fitted model as the machine: `base` holds the log with the motion, the values and the zeros.
+    """A fitted model as the machine: `base` holds the log with the motion, the values and the offsets.
 
     `columns`: of its log but the readings; `recording`: the readings without noise. `floor_m`: gap metric
     that the noise makes. `stated`: columns whose noise the log states.
@@ -114,7 +114,7 @@ def readings_of(base: Base, model: Model, p: np.ndarray) -> np.ndarray:
     parts = []
     for batch in base.batches(model):
         pose, state = batch.columns(model.references), batch.columns(model.state)
-        parts.append(run(p, base.zeros_of(batch), pose, state)[0])
+        parts.append(run(p, base.offsets_of(batch), pose, state)[0])
     return np.hstack(parts)
 
 

@@ -89,7 +89,7 @@ PALE_BLUE, PALE_ORANGE = "#9fc6e0", "#f0b070"
 
 BEFORE = Look(ORANGE, PALE_ORANGE, marker="s")
 AFTER = Look(BLUE, BLUE, marker="o")
-APART = Look(BLUE, PAPER, marker="D")
+HOLDOUT = Look(BLUE, PAPER, marker="D")
 FLOOR = Look(INK, dash=(0, (4, 2)))
 GREY, OTHER = Look(SOFT), Look(FAINT, FAINT)
 BANDS = (Look(ORANGE, "#fbe6d0", width=0.5), Look(BLUE, PALE_BLUE, width=0.0))

@@ -131,15 +131,15 @@ def in_units(value: float, std: float | None, si: str) -> tuple[str, str]:
     return concise(value * factor, None if std is None else std * factor), unit
 
 
-def heads(columns: Iterable[str], turning: Collection[str] | None = None, what: str = "") -> list[str]:
-    """Return `rmse x [um]` for each column; `turning` as in `hallsym.units.readable`."""
-    shown = (readable(c, turning) for c in columns)
+def heads(columns: Iterable[str], periodic: Collection[str] | None = None, what: str = "") -> list[str]:
+    """Return `rmse x [um]` for each column; `periodic` as in `hallsym.units.readable`."""
+    shown = (readable(c, periodic) for c in columns)
     return [f"{what} {name} [{unit}]".lstrip() for _, unit, name in shown]
 
 
 def cells(
-    values: Iterable[float], columns: Iterable[str], turning: Collection[str] | None = None, digits: int = 3
+    values: Iterable[float], columns: Iterable[str], periodic: Collection[str] | None = None, digits: int = 3
 ) -> list[str]:
     """Return values [SI], one of each column, in the units of their `heads`; nothing for none."""
     pairs = zip(values, columns, strict=True)
-    return [number(v * readable(c, turning)[0], digits) for v, c in pairs]
+    return [number(v * readable(c, periodic)[0], digits) for v, c in pairs]

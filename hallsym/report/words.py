@@ -32,9 +32,9 @@ def name(column: str) -> str:
     return stem.capitalize() if stem in ("z", "rx", "ry", "rz") else stem.replace("_", " ")
 
 
-def scale(column: str, largest: float, turning: Collection[str] | None = None) -> tuple[float, str]:
-    """Return factor and printed unit for values of a column up to `largest`; `turning` as in `readable`."""
-    factor, unit = scaled(column, largest, turning)
+def scale(column: str, largest: float, periodic: Collection[str] | None = None) -> tuple[float, str]:
+    """Return factor and printed unit for values of a column up to `largest`; `periodic` as in `readable`."""
+    factor, unit = scaled(column, largest, periodic)
     return factor, typeset(unit)
 
 
@@ -50,21 +50,21 @@ def setting(
     near: float | np.ndarray,
     *,
     units: bool = False,
-    turning: Collection[str] | None = None,
+    periodic: Collection[str] | None = None,
 ) -> str:
     """Return `Z +250 Rx -500`, in um and urad; what is within `near` of zero is left out."""
     parts = []
     for column, value, least in zip(columns, point, np.broadcast_to(near, len(columns)), strict=True):
         if abs(value) > least:
-            factor, unit, _ = readable(column, turning)
+            factor, unit, _ = readable(column, periodic)
             number = minus(f"{factor * value:+.{0 if abs(factor * value) >= 10 else 1}f}")
             parts.append(f"{name(column)} {number}" + (f" {typeset(unit)}" if units else ""))
     return " ".join(parts) or "level"
 
 
-def amount(column: str, value: float, turning: Collection[str] | None = None) -> str:
+def amount(column: str, value: float, periodic: Collection[str] | None = None) -> str:
     """Return a value of a column in the unit that suits it: `1.36 um`."""
-    factor, unit = scaled(column, abs(value), turning)
+    factor, unit = scaled(column, abs(value), periodic)
     return f"{number(factor * value)} {unit}"
 
 

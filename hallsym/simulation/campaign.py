@@ -31,7 +31,7 @@ class Run:
     duration_s: float
     setting: Mapping[str, float]
     motion: Mapping[str, AtTimes]
-    zeros: tuple[float, ...] | None = None
+    offsets: tuple[float, ...] | None = None
     """Zero deviations delta [m] of this run; None: drawn at random."""
     name: str = ""
 
@@ -130,9 +130,9 @@ def _run(entry: Table, folder: Path, held: Mapping[str, float], *, single: bool 
             setting[axis] = entry.number(axis)
         else:
             motion[axis] = _signal(entry, axis, setting if single else None)
-    zeros = tuple(entry.numbers("zero_deviations_m")) if "zero_deviations_m" in entry else None
+    offsets = tuple(entry.numbers("zero_deviations_m")) if "zero_deviations_m" in entry else None
     motion |= _curve(entry, motion, folder)
-    return Run(entry.positive("duration_s"), setting, motion, zeros, name)
+    return Run(entry.positive("duration_s"), setting, motion, offsets, name)
 
 
 def _curve(entry: Table, motion: Mapping[str, Signal], folder: Path) -> dict[str, Signal]:
@@ -211,8 +211,8 @@ def write_campaign(campaign: Campaign, path: str | Path, comment: str = "") -> N
 def _run_lines(run: Run, k: int) -> list[str]:
     lines = [f"name = {toml_text(run.name)}"] if run.name else []
     lines.append(f"duration_s = {float(run.duration_s)!r}")
-    if run.zeros:
-        lines.append(f"zero_deviations_m = {_plain(run.zeros)}")
+    if run.offsets:
+        lines.append(f"zero_deviations_m = {_plain(run.offsets)}")
     for axis in axes():
         place = run.setting.get(axis)
         if axis in run.motion:

@@ -82,7 +82,7 @@ def simulate_blocks(
     read, made = on_arrays(model.reading), {c.name for c in model.computed}
     start = 0.0
     for number, run in enumerate(campaign.runs):
-        zeros = _zeros(model, p, run, campaign, rng)
+        offsets = _offsets(model, p, run, campaign, rng)
         total = campaign.samples(run)
         for first in range(0, total, BLOCK):
             t = np.arange(first, min(first + BLOCK, total)) * campaign.step_s
@@ -90,7 +90,7 @@ def simulate_blocks(
             logged = {c: run.position(c, t) for c in model.state if c not in made}
             known = {**dict(zip(model.references, pose, strict=True)), **logged, "t_s": start + t}
             state = logged | _computed(model, p, Stretch(number, known, start, 0.0, {}, {}))
-            (reading,) = read(p, zeros, pose, [state[c] for c in model.state])
+            (reading,) = read(p, offsets, pose, [state[c] for c in model.state])
             columns = dict(zip(model.channels, reading, strict=True))
             columns |= logged
             columns |= dict(zip(model.references, pose, strict=True))
@@ -120,14 +120,18 @@ def _check_axes(model: Model, campaign: Campaign) -> None:
                 raise InputError(f"A run moves {axis}, which {model.name} has not; it has {', '.join(own)}.")
 
 
-def _zeros(model: Model, p: np.ndarray, run: Run, campaign: Campaign, rng: np.random.Generator) -> np.ndarray:
+def _offsets(
+    model: Model, p: np.ndarray, run: Run, campaign: Campaign, rng: np.random.Generator
+) -> np.ndarray:
     """Displacements d = delta / phi(0) of one run."""
-    n = len(model.zeros)
+    n = len(model.offsets)
     if n == 0:
         return np.zeros(0)
-    if run.zeros is not None and len(run.zeros) != n:
-        raise InputError(f"Run must have {n} zero deviations, one per probe; instead {len(run.zeros)} given.")
-    delta = np.array(run.zeros) if run.zeros is not None else rng.normal(0.0, campaign.zero_spread_m, n)
+    if run.offsets is not None and len(run.offsets) != n:
+        raise InputError(
+            f"Run must have {n} zero deviations, one per probe; instead {len(run.offsets)} given."
+        )
+    delta = np.array(run.offsets) if run.offsets is not None else rng.normal(0.0, campaign.zero_spread_m, n)
     state = [run.position(c, np.zeros(1))[0] for c in model.state]
     return delta / model.zero_scale(p, np.array(state))  # (31): delta / phi(0)
 

@@ -54,7 +54,7 @@ class Influence:
 
         Relative to those that the decoder knows; by the decoder itself, without noise.
         """
-        model, none = self.model, np.zeros(len(self.model.zeros))
+        model, none = self.model, np.zeros(len(self.model.offsets))
         read = self.reading[:, None, :] + self.part[:, None, :] * (gains.T[:, :, None] - 1.0)
         with np.errstate(all="ignore"):
             decode = on_arrays(model.decoded)
@@ -81,7 +81,7 @@ def influence_of_gains(
     Raises `InputError` where the model cannot be decoded, or gains do not count.
     """
     p, space, s = model.vector(dict(values or {})), _workspace(model, where), model.symbols
-    reading = ca.substitute(s.full(s.reading), s.zeros, ca.SX.zeros(len(model.zeros)))
+    reading = ca.substitute(s.full(s.reading), s.offsets, ca.SX.zeros(len(model.offsets)))
     part = ca.vertcat(*(_part(model, reading, k) for k in range(len(model.channels))))
     weight = np.ones(len(model.channels))
     slope = model.noise_gain_at(s.parameters, s.pose, s.state, weight) @ ca.diag(part)
@@ -153,7 +153,7 @@ def without_common(square: Array) -> tuple[Array, Array]:
     return square - np.outer(square @ ones, square @ ones) / total, weights
 
 
-def alike(square: Array) -> bool:
+def is_symmetric(square: Array) -> bool:
     """Return whether a form without common gain treats all its places alike: c (I - 1 1' / k).
 
     Sets of neighbours in gain are then the best ones.

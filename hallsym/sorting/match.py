@@ -14,7 +14,7 @@ from hallsym.model import Model
 from hallsym.records import named
 from hallsym.simulation import Campaign
 from hallsym.sorting.bins import bins_of
-from hallsym.sorting.influence import Influence, alike, influence_of_gains, without_common
+from hallsym.sorting.influence import Influence, influence_of_gains, is_symmetric, without_common
 from hallsym.sorting.sort import WIDTH, Sorting
 from hallsym.uncertainty.tolerances import Workspace
 from hallsym.units import Array
@@ -149,7 +149,7 @@ def match_sensors(
     size = channels * members
     count = _count(sets, len(names), size, model, members)
     plain, weights = without_common(influence.square)
-    symmetric = alike(plain) and members == 1
+    symmetric = is_symmetric(plain) and members == 1
     chosen = neighbours(gain, size, count)
     if not symmetric:
         chosen = arranged(chosen, gain, plain, members)

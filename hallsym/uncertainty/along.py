@@ -105,7 +105,7 @@ def decoding_errors(
     def errors(machines: np.ndarray) -> np.ndarray:
         own = [column[:, None] for column in machines.T]
         with np.errstate(all="ignore"):
-            (reading,) = read(own, np.zeros(len(model.zeros)), pose, state)
+            (reading,) = read(own, np.zeros(len(model.offsets)), pose, state)
             found = decode(reading, kept)
         if not np.isfinite(found).all():
             raise InputError(f"The decoder of {plain.name} finds no pose for some of the readings: {remedy}.")
@@ -123,12 +123,12 @@ def _decode(plain: Model, decoder: str) -> Callable[[np.ndarray, list[np.ndarray
             f"{', '.join(known)}."
         )
     if decoder == LEAST_SQUARES:
-        run, zeros, weight = (
+        run, offsets, weight = (
             on_arrays(plain.decoded),
-            np.zeros(len(plain.zeros)),
+            np.zeros(len(plain.offsets)),
             np.ones(len(plain.channels)),
         )
-        return lambda reading, state: run(plain.nominal, zeros, reading, state, weight)[0]
+        return lambda reading, state: run(plain.nominal, offsets, reading, state, weight)[0]
     formula: Any = plain.begin if decoder == CLOSED_FORM else plain.formulas[decoder]
     v = ca.SX.sym("v", len(plain.channels))
     named = {n: ca.SX(a) for n, a in plain.named(plain.nominal).items()}

@@ -1,6 +1,6 @@
 """What a decoded position is computed from, each input once: its uncertainty and where it enters.
 
-A position is decoded from readings m and state s with parameters p and the zeros d of this reset, which come
+A position is decoded from readings m and state s with parameters p and the offsets d of this reset, which come
 from readings m0 averaged at a known pose q0 and state s0 (docs/budget.md):
 
     m0 = f(p, d, q0, s0)   gives d,      m = f(p, d, q, s)   gives q.
@@ -199,7 +199,7 @@ def _all_inputs(fit: Fit, settings: Settings) -> Iterator[Input]:
     half = dict.fromkeys(model.channels, 0.5 * settings.adc_step)
     known = {c: first.get(r, 0.0) for c, r in zip(model.pose, model.references, strict=True)}
     normal, uniform = Source.normal, Source.rectangular
-    both = ("state", "zero state") if model.zeros else ("state",)
+    both = ("state", "zero state") if model.offsets else ("state",)
     listed: list[tuple[Callable[..., Source], str, tuple[str, ...], Mapping[str, float], tuple[str, ...]]] = [
         (normal, "{} noise", model.channels, once, ("reading",)),
         (uniform, "{} ADC step", model.channels, half, ("reading",)),
@@ -207,7 +207,7 @@ def _all_inputs(fit: Fit, settings: Settings) -> Iterator[Input]:
         (normal, "{} sensor", model.state, settings.state_std, both),
         (normal, "reference scale {}", model.pose, settings.scale_std, ("scale",)),
     ]
-    if model.zeros:
+    if model.offsets:
         listed += [
             (normal, "zeroing: {} noise", model.channels, first, ("zero reading",)),
             (uniform, "zeroing: {} ADC step", model.channels, half, ("zero reading",)),
@@ -230,19 +230,21 @@ def slopes(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) ->
     check_fit(fit)
     check_gain(fit, state, settings)
     model, zero = fit.model, zero_point(fit.model, settings)
-    found = influence(model, fit.values, np.zeros(len(model.zeros)), pose, state, weights(fit))
+    found = influence(model, fit.values, np.zeros(len(model.offsets)), pose, state, weights(fit))
     moved, by_parameters = np.asarray(pose).T - zero[0], found.parameters  # (s, n_pose, ...)
     places = {
         "reading": found.readings,
         "state": found.state,
         "scale": moved[:, :, None] * np.eye(len(model.pose)),
     }
-    if model.zeros:
-        none = np.zeros(len(model.zeros))
+    if model.offsets:
+        none = np.zeros(len(model.offsets))
         by_p, by_zero, by_pose, by_state = reading_slopes(
             model, fit.values, none, *(v[:, None] for v in zero)
         )
-        by_reading = found.zeros @ estimator(by_zero, weights(fit))  # through the zeros, which a reset gives
+        by_reading = found.offsets @ estimator(
+            by_zero, weights(fit)
+        )  # through the offsets, which a reset gives
         places |= {"zero reading": by_reading, "zero state": -by_reading @ by_state}
         places |= {"zero pose": -by_reading @ by_pose}
         by_parameters = by_parameters - by_reading @ by_p
@@ -258,16 +260,16 @@ def zero_point(model: Model, settings: Settings) -> tuple[np.ndarray, np.ndarray
 
 
 @lru_cache(maxsize=64)
-def zeros_at_reset(model: Model) -> Callable[..., list[np.ndarray]]:
-    """`(parameters, reading, pose, state, weight) -> zeros` of a reset by weighted least squares."""
+def offsets_at_reset(model: Model) -> Callable[..., list[np.ndarray]]:
+    """`(parameters, reading, pose, state, weight) -> offsets` of a reset by weighted least squares."""
     s = model.symbols
     reading, weight = (ca.SX.sym(name, len(model.channels)) for name in ("reading", "weight"))
     full = s.full(s.reading)
-    at_zero = ca.substitute(full, s.zeros, ca.SX.zeros(s.zeros.numel()))
-    B = ca.jacobian(full, s.zeros)
+    at_zero = ca.substitute(full, s.offsets, ca.SX.zeros(s.offsets.numel()))
+    B = ca.jacobian(full, s.offsets)
     BW = (B * ca.repmat(weight, 1, B.size2())).T
-    zeros = ca.densify(ca.solve(BW @ B, BW @ (reading - at_zero)))
-    return on_arrays(ca.Function("zeros", [s.parameters, reading, s.pose, s.state, weight], [zeros]))
+    offsets = ca.densify(ca.solve(BW @ B, BW @ (reading - at_zero)))
+    return on_arrays(ca.Function("offsets", [s.parameters, reading, s.pose, s.state, weight], [offsets]))
 
 
 def weights(fit: Fit) -> np.ndarray:
@@ -388,7 +390,7 @@ class ModelError:
         moved = []
         for c in self.candidates:
             there = np.einsum("spk,ks->sp", places["reading"], _reading(c, model, pose, state))
-            if model.zeros:
+            if model.offsets:
                 first = _reading(c, model, zero[0][:, None], zero[1][:, None])[:, 0]
                 there = there + places["zero reading"] @ first
             moved.append(there)
@@ -401,7 +403,7 @@ def _reading(c: Candidate, model: Model, pose: np.ndarray, state: np.ndarray) ->
     """Readings (K, s) of a candidate; columns that only it reads are at rest."""
     known = dict(zip(model.state, state, strict=True))
     own = [known.get(n, np.full(pose.shape[1], c.model.rest[n])) for n in c.model.state]
-    (out,) = on_arrays(c.model.reading)(c.values, np.zeros(len(c.model.zeros)), list(pose), own)
+    (out,) = on_arrays(c.model.reading)(c.values, np.zeros(len(c.model.offsets)), list(pose), own)
     return np.broadcast_to(out, (len(model.channels), pose.shape[1]))
 
 
@@ -415,8 +417,8 @@ def _shaped(shape: Shape, fit: Fit, pose: np.ndarray, state: np.ndarray, slope: 
 
     value, std = over(shape.value), over(shape.std)
     if shape.gain:
-        zeros = np.zeros(len(model.zeros))
-        (reading,) = on_arrays(model.reading)(fit.values, zeros, list(pose), list(state))
+        offsets = np.zeros(len(model.offsets))
+        (reading,) = on_arrays(model.reading)(fit.values, offsets, list(pose), list(state))
         value, std = value * reading, std * reading
     error = np.einsum("spk,ks->sp", slope, value)
     return np.asarray(error**2 + np.einsum("spk,ks->sp", slope**2, std**2))

@@ -23,7 +23,7 @@ from hallsym.uncertainty.inputs import (
     slopes,
     weights,
     zero_point,
-    zeros_at_reset,
+    offsets_at_reset,
 )
 from hallsym.uncertainty.position import place, position_budget
 
@@ -248,7 +248,7 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
     pose, state = place(model, at)
     left = slopes(fit, pose[:, None], state[:, None], settings).left
     q0, s0 = zero_point(model, settings)
-    still = np.zeros(len(model.zeros))
+    still = np.zeros(len(model.offsets))
     reading, first = (
         np.asarray(model.reading(fit.values, still, *x)).ravel() for x in ((pose, state), (q0, s0))
     )
@@ -258,7 +258,7 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
     }  # fmt: skip
     weight, root = weights(fit), _root(fit.covariance)
     decode, stretch = decoder(model, 1.0 / weight), _stretch(fit.degrees_of_freedom)
-    zeros = zeros_at_reset(model) if model.zeros else None
+    offsets = offsets_at_reset(model) if model.offsets else None
     of_model = np.sqrt(sum((v[0] for v in left.values()), np.zeros(len(pose))))
 
     def measure(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -270,8 +270,8 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
         spread = root @ rng.standard_normal((len(root), n))
         p = fit.values[:, None] + (spread if stretch is None else spread * stretch(rng, n))
         d = still
-        if zeros is not None:
-            (d,) = zeros(p, x["zero reading"], x["zero pose"], x["zero state"], weight)
+        if offsets is not None:
+            (d,) = offsets(p, x["zero reading"], x["zero pose"], x["zero state"], weight)
         q = decode(p, d, x["reading"], x["state"])
         q = q + x["scale"] * (q - q0[:, None])
         return q + of_model[:, None] * rng.standard_normal(q.shape) if left else q

@@ -105,7 +105,7 @@ def notes(fit: Fit, settings: Settings) -> list[str]:
             f"{amiss}; that is in no source, so the true uncertainty is larger; "
             f"next: {fit.goodness.next_command}"
         )
-    if fit.model.zeros and settings.zero_averaged == 1:
+    if fit.model.offsets and settings.zero_averaged == 1:
         said.append(
             "the zeroing is taken from 1 reading; [zeroing] averaged = N in the settings states how many."
         )
@@ -136,7 +136,7 @@ class Recorded:
     """U over a workspace, one entry per pose coordinate.
 
     `span`: column -> least and greatest value of pose and state. `rms`: root mean square of U, `worst`: its
-    largest value, `where`: the pose and state of that. `turning`: columns that go round.
+    largest value, `where`: the pose and state of that. `periodic`: columns that go round.
     """
 
     span: Mapping[str, tuple[float, float]]
@@ -144,7 +144,7 @@ class Recorded:
     worst: Mapping[str, float]
     where: Mapping[str, Mapping[str, float]]
     samples: int
-    turning: Collection[str] = ()
+    periodic: Collection[str] = ()
 
     def outside(self, at: Mapping[str, float]) -> list[str]:
         """Columns of `at` that lie beyond what was recorded by more than a hundredth of its span."""
@@ -187,7 +187,7 @@ def _over(model: Model, parts: Iterable[tuple[np.ndarray, np.ndarray]]) -> Recor
         worst=named(model.pose, worst),
         where={c: named(names, where[i]) for i, c in enumerate(model.pose)},
         samples=count,
-        turning=model.period,
+        periodic=model.period,
     )
 
 
@@ -225,9 +225,9 @@ class UncertaintyMap:
     recorded: Recorded
 
     @property
-    def turning(self) -> Collection[str]:
+    def periodic(self) -> Collection[str]:
         """Columns that go round."""
-        return self.recorded.turning
+        return self.recorded.periodic
 
     def over(self) -> Recorded:
         """Return rms and worst over the points of the map."""

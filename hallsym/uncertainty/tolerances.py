@@ -379,5 +379,5 @@ def _notes(model: Model, all_: tuple[Tolerance, ...]) -> Iterator[str]:
             f"the ranges of {len(usual)} parameters are usual tolerances of such machines, not yours: state "
             "yours in a tolerance file."
         )
-    if model.zeros:
+    if model.offsets:
         yield "zero deviations are new at every reset, not a tolerance of the machine: they are left out."

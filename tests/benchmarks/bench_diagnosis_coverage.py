@@ -111,8 +111,8 @@ def shrinkage_on(log, before, after) -> float:
     """Shrinkage of the gap on fresh runs; their zeros are their own."""
     metric = []
     for base in (before, after):
-        zeros = dict.fromkeys(log.runs, np.zeros(len(base.model.zeros)))
-        there = replace(base, log=log, zeros=zeros, keep=None, holdout=frozenset())
+        zeros = dict.fromkeys(log.runs, np.zeros(len(base.model.offsets)))
+        there = replace(base, log=log, offsets=zeros, keep=None, holdout=frozenset())
         t = normal_equations(there)
         metric.append(np.sqrt(t.output[:, -1, -1].sum()))
     return 1 - metric[1] / metric[0]

@@ -73,7 +73,7 @@ class ByHand:
         cost = cost_of(summarise(log, MODEL), log.noise.std)
         merged = cost_of(cost.summary.merged(), log.noise.std)
         p = np.clip(closed_form(merged, linear_fit(merged)), *MODEL.bounds)
-        zeros = cost.at(p).zeros
+        zeros = cost.at(p).offsets
         free = np.full(zeros.size, np.inf)
         lower, upper = MODEL.bounds
         self.lower, self.upper = np.concatenate([lower, -free]), np.concatenate([upper, free])
@@ -182,7 +182,7 @@ def refits(found: Fit, draws: int) -> float:
     """Mean seconds of a refit to runs drawn with replacement."""
     cost, runs = found.likelihood.anchored(found.values), len(found.likelihood.weights)
     weights = np.random.default_rng(57).multinomial(runs, np.full(runs, 1.0 / runs), size=draws)
-    held = [MODEL.names.index(name) for name in found.held]
+    held = [MODEL.names.index(name) for name in found.fixed]
     refit(cost, found.values, held)
     began = perf_counter()
     for row in weights:
@@ -227,13 +227,13 @@ def compare(samples: int, turns: int) -> None:
 def uncertainty(found: Fit, hybrid: float, turns: int) -> None:
     """Print what a report, refits and profiles cost beside a default fit, and how pyPESTO's compare."""
     cost, p = found.likelihood, found.values
-    held, known = determine(cost, p).held, {c.expression: c for c in MODEL.combinations}
+    held, known = determine(cost, p).fixed, {c.expression: c for c in MODEL.combinations}
     stated = [(parameter(MODEL, n), found.std[k]) for k, n in enumerate(MODEL.names) if found.determined[k]]
     stated += [(combination(MODEL, known[c.expression]), c.std) for c in found.combinations]
     anchored = cost.anchored(p)
 
     def profiles() -> dict[str, Any]:
-        return {q.name: profile(anchored, p, q, held=held, std=s) for q, s in stated}
+        return {q.name: profile(anchored, p, q, fixed=held, std=s) for q, s in stated}
 
     seconds, ours = least(turns, profiles)
     rows = [

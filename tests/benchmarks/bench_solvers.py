@@ -26,7 +26,7 @@ def problem_on(log: hallsym.Log, model: hallsym.Model) -> tuple[solvers.Problem,
     """Return the merged cost per sample in units of the bounds, and its closed-form start."""
     cost = cost_of(summarise(log, model).merged(), noise_of(log, model).std)
     first = np.clip(closed_form(cost, linear_fit(cost)), *model.bounds)
-    held = determine(cost, first).held
+    held = determine(cost, first).fixed
     first[list(held)] = np.clip(model.nominal, *model.bounds)[list(held)]
     free = np.array([k for k in range(len(first)) if k not in held])
     lower, upper = (bound[free] for bound in model.bounds)

@@ -55,7 +55,7 @@ def maker(model, p, weight, box):
     ends = Box({**dict.fromkeys(model.channels, (-0.001, 0.001)), **box.ends})
     return Decoupler(
         model=model, inputs=model.channels, table=(Entry("gain", float(p[0]), "1", "gain"),),
-        limits=limits(model.channels, ends), zeros=zeros, steps=(Step("x", x, "[m]"),), at_pose=(),
+        limits=limits(model.channels, ends), offsets=zeros, steps=(Step("x", x, "[m]"),), at_pose=(),
         margins=(Margin("hall_a_m", "gain"),), box=ends, exact=exact,
         symbols={"hall_a_m": a, "hall_b_m": b, "zero_x": zero, "gain": gain, "x_m": ca.SX.sym("x")},
     )  # fmt: skip
@@ -68,7 +68,7 @@ def fit():
     noise = Noise({c: Sigma(5e-7, "given") for c in model.channels})
     return replace(
         calibration(), model=model, values=np.array([2.5]), std=np.zeros(1), determined=np.ones(1, bool),
-        covariance=np.zeros((1, 1)), noise=noise, zeros={}, log={"span": {"x_ref_m": [-4e-4, 4e-4]}},
+        covariance=np.zeros((1, 1)), noise=noise, offsets={}, log={"span": {"x_ref_m": [-4e-4, 4e-4]}},
     )  # fmt: skip
 
 

@@ -67,7 +67,7 @@ def calibrated(model, values):
     p = model.vector({k: v for k, v in values.items() if k in model.names})
     n = len(p)
     return replace(
-        calibration(), model=model, values=p, std=np.zeros(n), determined=np.ones(n, bool), zeros={},
+        calibration(), model=model, values=p, std=np.zeros(n), determined=np.ones(n, bool), offsets={},
         covariance=np.zeros((n, n)), degrees_of_freedom=np.full(n, np.inf), errors=None, error_rows={},
         noise_floor={},
         noise=Noise({c: Sigma(3e-4, "given") for c in (*model.channels, *model.references)}),

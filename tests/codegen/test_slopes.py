@@ -23,7 +23,7 @@ def implied(case):
     fit = CASES[case]()
     model = fit.model
     pose, state = ca.SX.sym("pose", len(model.pose)), ca.SX.sym("state", len(model.state))
-    reading = model.reading(fit.values, np.zeros(len(model.zeros)), pose, state)
+    reading = model.reading(fit.values, np.zeros(len(model.offsets)), pose, state)
     slopes = ca.inv(ca.jacobian(reading, pose))
     return ca.Function("implied", [pose, state], [reading, slopes])
 

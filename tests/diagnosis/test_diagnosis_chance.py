@@ -16,7 +16,7 @@ from test_stacked_products import whitened
 
 import hallsym
 from hallsym.diagnosis import POLICY, Base
-from hallsym.diagnosis.faults import exceeds, faults, of_samples, wiring_p, wirings
+from hallsym.diagnosis.faults import exceeds, faults, of_samples, assignment_p, assignments
 from hallsym.diagnosis.normal_equations import Columns, normal_equations
 from hallsym.diagnosis.p_values import as_often
 from hallsym.diagnosis.scores import candidates
@@ -84,18 +84,18 @@ def test_p_values_of_faults_come_from_the_samples(name: str) -> None:
 
 
 def test_exchanged_channels_are_certain_and_the_right_order_is_not(quiet: Base) -> None:
-    assert wirings(3) == 47
+    assert assignments(3) == 47
     channels = quiet.model.channels
     wrong = corrected(quiet.log, [Correction("exchange", channels[:2])])
-    assert wiring_p(quiet, wrong, quiet.log.runs) < 1e-9
-    assert wiring_p(quiet, quiet.log, quiet.log.runs) == 1.0
+    assert assignment_p(quiet, wrong, quiet.log.runs) < 1e-9
+    assert assignment_p(quiet, quiet.log, quiet.log.runs) == 1.0
 
 
 def test_products_are_the_sums_over_dense_columns(quiet: Base) -> None:
     log = quiet.log
     cut = {c: log.array(c) for c in log.columns}
     cut["run"] = np.searchsorted([700, 1900, 2000, 4100], np.arange(log.rows), "right")  # unequal lengths
-    base = replace(quiet, log=Log.from_arrays(cut, log.noise, log.meta), zeros={})
+    base = replace(quiet, log=Log.from_arrays(cut, log.noise, log.meta), offsets={})
     facts = Facts(60.0, log.columns)
     names = {"odd_nonlinearity", "vertical_offset_coupling", "reference_abbe_error", "second_order_rotation"}
     tried, _ = candidates(base, [e for e in CATALOGUE if e.name in names], facts)

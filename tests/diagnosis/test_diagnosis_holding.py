@@ -13,7 +13,7 @@ from hallsym.diagnosis.curves import coordinates
 from hallsym.diagnosis.refit import refit, with_model
 from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.selection import select
-from hallsym.diagnosis.validation import Judged, foreseen, groups_of
+from hallsym.diagnosis.validation import Judged, cross_validated, groups_of
 from hallsym.families import effects
 from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.log import Log
@@ -120,17 +120,19 @@ def test_the_choice_is_repeated_without_each_group_of_runs():
     setup = prepare(log, "ellipse")
     found = select(setup)
     groups = groups_of(setup.runs)
-    squares = foreseen(found.fit, groups, found.others)
+    squares = cross_validated(found.fit, groups, found.others)
     assert len(found.others) > 1
-    assert squares == foreseen(found.fit, groups)
+    assert squares == cross_validated(found.fit, groups)
     assert set(squares) == {(r,) for r in log.runs}
     held = [k for k, runs in enumerate(found.fit.tangents.runs) if runs[0] in setup.holdout]
     for k in held:
         assert squares[found.fit.tangents.runs[k]] == found.fit.output[k]
-    own = foreseen(found.fit, [frozenset({r}) for r in setup.runs])
+    own = cross_validated(found.fit, [frozenset({r}) for r in setup.runs])
     for k in found.fit.fitted:  # a run that was left out is foreseen worse than it was fitted
         assert own[found.fit.tangents.runs[k]] > 0.999 * found.fit.output[k]
-    elsewhere = foreseen(found.start, groups, [found.fit])  # the runs without a group choose, not the first
+    elsewhere = cross_validated(
+        found.start, groups, [found.fit]
+    )  # the runs without a group choose, not the first
     assert all(elsewhere[run] == squares[run] for run in squares if run[0] in setup.runs)
 
 

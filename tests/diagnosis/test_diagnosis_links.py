@@ -41,7 +41,7 @@ def screened(base: Base, effects: tuple[Effect, ...]) -> Screen:
     seen = survey(base, frozenset(runs))
     tried, _ = candidates(base, effects, facts_of(base, seen))
     screen = Screen(base, tried, runs)
-    screen.weigh(seen.colour)
+    screen.weigh(seen.autocorrelation)
     return screen
 
 
@@ -135,7 +135,7 @@ def test_sizes_are_those_of_the_decoded_pose_and_of_the_readings() -> None:
     for block in base.log.blocks():
         if block.run in base.holdout:
             pose, state = ([block.data[c] for c in n] for n in (base.model.references, base.model.state))
-            (expected,) = read(base.p, base.zeros[block.run], pose, state)
+            (expected,) = read(base.p, base.offsets[block.run], pose, state)
             left = np.array([block.data[c] for c in base.model.channels]) - expected
             total, count = total + (left**2).sum(axis=1), count + left.shape[1]
     seen = [size.sensors[c]["held_out"].rms for c in base.model.channels]
@@ -166,7 +166,9 @@ def test_errors_of_some_runs_are_those_of_a_log_of_these_runs_alone() -> None:
     assert some.count == alone.count == sum(len(b.data["t_s"]) for b in short.log.blocks())
     assert some.rms == pytest.approx(alone.rms, rel=1e-12)
     assert some.peak == pytest.approx(alone.peak, rel=1e-12)
-    lost = replace(base, zeros={**base.zeros, fitted_runs(base)[0]: np.full(len(base.model.zeros), np.nan)})
+    lost = replace(
+        base, offsets={**base.offsets, fitted_runs(base)[0]: np.full(len(base.model.offsets), np.nan)}
+    )
     assert decoded_errors(lost, runs).count == some.count
     with pytest.raises(InputError, match="give no pose"):
         decoded_errors(lost, base.log.runs)

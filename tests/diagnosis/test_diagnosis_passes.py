@@ -33,6 +33,6 @@ def test_diagnosis_reads_the_log_a_few_times_at_most(
 
 def test_a_log_that_is_too_long_to_be_kept_is_diagnosed_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     kept = diagnose(read_log(DATA / "encoder")).to_dict()
-    monkeypatch.setattr(sys.modules["hallsym.log.batches"], "HELD", 0)
+    monkeypatch.setattr(sys.modules["hallsym.log.batches"], "CACHED_ROWS", 0)
     streamed = diagnose(read_log(DATA / "encoder")).to_dict()
     assert streamed | {"seconds": 0} == kept | {"seconds": 0}

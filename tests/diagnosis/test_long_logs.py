@@ -21,7 +21,7 @@ def bent(cubic: float) -> Log:
 
 def held(log: Log, rows: int, monkeypatch: pytest.MonkeyPatch) -> Diagnosis:
     """Diagnose so many samples at most."""
-    monkeypatch.setattr(sys.modules["hallsym.diagnosis.setup"], "HELD", rows)
+    monkeypatch.setattr(sys.modules["hallsym.diagnosis.setup"], "CACHED_ROWS", rows)
     return diagnose(log)
 
 

@@ -311,7 +311,7 @@ CHANGES: dict[str, tuple[float, Callable[[Policy], Any]]] = {
     "half": (1.0, of_setup(lambda s: search(s).worth(SimpleNamespace(p_value=0.0, ratio=0.97), 0))),
     "fewest": (100, of_base(lambda base, _: switched_runs(residual_table(base, base.log.runs)))),
     "fewest_units": (2, of_base(lambda base, runs: residual_table(base, runs).block.max())),
-    "forgotten": (2.0, of_base(lambda base, runs: memory(survey(base, runs).colour, base.policy))),
+    "forgotten": (2.0, of_base(lambda base, runs: memory(survey(base, runs).autocorrelation, base.policy))),
     "memories": (8.0, lambda policy: len(prepare(encoder(runs=1, samples=2000), policy=policy).log.runs)),
     "heavy": (1.0, of_base(spectrum_peak)),
     "tails": (1.0, lambda policy: sampled(*spiky(), policy)),

@@ -42,7 +42,7 @@ def test_products_are_those_of_columns_written_out():
         tried[effect.name] = wide, [n for n in wide.names if n not in model.names]
     found = normal_equations(base, tried)
     work = Columns(base, tried)
-    assert not model.zeros
+    assert not model.offsets
     gain, spread = decoding_gain(model), np.linalg.inv(work.whiten)
     squares = np.zeros((2, work.size, work.size))
     for batch, weights in work.weighed():

@@ -61,7 +61,7 @@ def test_memory_ends_where_correlation_is_chance():
 
     coloured = surveyed(encoder(noise=slow, samples=2000))
     assert coloured.inflation == pytest.approx((1 + 0.8) / (1 - 0.8), rel=0.25)
-    assert coloured.colour[1] == pytest.approx(0.8, abs=0.03)
+    assert coloured.autocorrelation[1] == pytest.approx(0.8, abs=0.03)
     assert surveyed(encoder(samples=2000)).inflation < 1.1
 
 

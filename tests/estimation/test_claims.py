@@ -14,7 +14,7 @@ from hallsym.errors import InputError
 from hallsym.estimation import fit
 from hallsym.estimation.claims import mistakes_of
 from hallsym.families import build, published
-from hallsym.families.recording import as_wired
+from hallsym.families.recording import as_corrections
 from hallsym.log import Log, Meta, Noise, Sigma
 from hallsym.simulation import NoiseModel, paper_campaign, simulate
 from hallsym.simulation.paper import VERTICAL_NOISE
@@ -71,7 +71,7 @@ def test_every_wiring_is_noticed_and_put_right_by_its_corrections(unequal, order
         stated[HALL[k]] = sigma[HALL[source]]
     log = with_noise(mixed, stated)
     wiring = tuple((HALL[order.index(k)], signs[order.index(k)]) for k in range(3))
-    corrections = [one.text for one in as_wired(wiring, HALL)]
+    corrections = [one.text for one in as_corrections(wiring, HALL)]
     if len(corrections) == 1 and "," not in corrections[0]:
         (said,) = found(log, model="stage31")
         assert corrections[0] in said
@@ -88,7 +88,7 @@ def test_every_wiring_is_noticed_and_put_right_by_its_corrections(unequal, order
     for row in ("rmse", "peak"):
         for name, value in right.error_rows["fitted"][row].items():
             assert result.error_rows["fitted"][row][name] == pytest.approx(value, rel=1e-6)
-    assert result.wiring == (wiring if corrections else None)
+    assert result.assignment == (wiring if corrections else None)
     assert not result.claims
 
 

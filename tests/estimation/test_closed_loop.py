@@ -29,7 +29,7 @@ def recorded(followed: float) -> tuple[hallsym.Log, float, np.ndarray]:
         }
         motion["x_m"] = lambda at, off=off: STROKE * np.sin(2 * np.pi * at) - np.interp(at, t, off)
         runs.append(
-            replace(campaign.runs[0], duration_s=SAMPLES * STEP, motion=motion, zeros=(0.0, 0.0, 0.0))
+            replace(campaign.runs[0], duration_s=SAMPLES * STEP, motion=motion, offsets=(0.0, 0.0, 0.0))
         )
     values = {name: value for name, value in truth.items() if name in model.names}
     level = dict.fromkeys((*model.channels, *model.references), QUIET)

@@ -39,8 +39,10 @@ def near(model, seed: int, share: float = 0.02) -> np.ndarray:
     return model.nominal + share * width * np.random.default_rng(seed).uniform(-1, 1, len(width))
 
 
-def brute_force(log: Log, model, p: np.ndarray, centre: np.ndarray, sigma, zeros=None) -> tuple[float, dict]:
-    """F and the zeros of each run, sample by sample, without a line of the package."""
+def brute_force(
+    log: Log, model, p: np.ndarray, centre: np.ndarray, sigma, offsets=None
+) -> tuple[float, dict]:
+    """F and the offsets of each run, sample by sample, without a line of the package."""
     v = dict(zip(model.names, p.tolist(), strict=True))
     PM, total, best = pm(v), 0.0, {}
     slope = np.array([[v.get(f"{q}_{k}", 0.0) for q in "abc"] for k in "ABC"])
@@ -55,11 +57,11 @@ def brute_force(log: Log, model, p: np.ndarray, centre: np.ndarray, sigma, zeros
             J = np.hstack([gain[:, t : t + 1] * PM, (moved[:, t] - PM @ centre[:3])[:, None] * slope])
             C = C + (J * [sigma[c] ** 2 for c in COLUMNS]) @ J.T / n
         W = np.linalg.inv(C)
-        if not model.zeros:
+        if not model.offsets:
             d = np.zeros(3)
-        elif zeros is not None:
-            d = zeros[run]
-        else:  # r = residual - diag(gain) d: normal equations of the three zeros
+        elif offsets is not None:
+            d = offsets[run]
+        else:  # r = residual - diag(gain) d: normal equations of the three offsets
             normal = sum(np.diag(gain[:, t]) @ W @ np.diag(gain[:, t]) for t in range(n))
             right = sum(np.diag(gain[:, t]) @ W @ residual[:, t] for t in range(n))
             d = np.linalg.solve(normal, right)
@@ -76,12 +78,12 @@ def test_cost_is_the_sum_over_samples(log, name, seed):
     model = true_model(name)
     cost = cost_on(log, model, NOISY)
     p = near(model, seed)
-    expected, zeros = brute_force(log, model, p, cost.summary.centre, NOISY)
+    expected, offsets = brute_force(log, model, p, cost.summary.centre, NOISY)
     point = cost.at(p)
     assert point.value == pytest.approx(expected, rel=1e-10)
-    if model.zeros:
-        found = dict(zip(cost.summary.runs, point.zeros, strict=True))
-        assert all(np.allclose(found[run], d, rtol=0, atol=1e-14) for run, d in zeros.items())
+    if model.offsets:
+        found = dict(zip(cost.summary.runs, point.offsets, strict=True))
+        assert all(np.allclose(found[run], d, rtol=0, atol=1e-14) for run, d in offsets.items())
 
 
 @pytest.mark.parametrize("name", ["stage30", "stage31"])
@@ -90,14 +92,14 @@ def test_zeros_are_optimal(log, name):
     model = true_model(name)
     cost = cost_on(log, model)
     p = near(model, 1)
-    zeros = dict(zip(cost.summary.runs, cost.at(p).zeros, strict=True))
+    offsets = dict(zip(cost.summary.runs, cost.at(p).offsets, strict=True))
     centre = cost.summary.centre
-    least, _ = brute_force(log, model, p, centre, SIGMAS, zeros)
+    least, _ = brute_force(log, model, p, centre, SIGMAS, offsets)
     assert least == pytest.approx(cost.at(p).value, rel=1e-10)
     for k in range(3):
         step = np.eye(3)[k] * 1e-6
-        up, _ = brute_force(log, model, p, centre, SIGMAS, {run: d + step for run, d in zeros.items()})
-        down, _ = brute_force(log, model, p, centre, SIGMAS, {run: d - step for run, d in zeros.items()})
+        up, _ = brute_force(log, model, p, centre, SIGMAS, {run: d + step for run, d in offsets.items()})
+        down, _ = brute_force(log, model, p, centre, SIGMAS, {run: d - step for run, d in offsets.items()})
         curvature = up + down - 2 * least
         assert curvature > 0
         assert abs(up - down) < 1e-6 * curvature
@@ -145,7 +147,7 @@ def test_population_is_one_by_one(log, noisy):
 
 
 def test_the_cost_at_the_truth_counts_the_residuals(log):
-    """Of 57 x 20 x 3 residuals with three zeros per run, variance one each: 3249 +- 81 (1 sigma)."""
+    """Of 57 x 20 x 3 residuals with three offsets per run, variance one each: 3249 +- 81 (1 sigma)."""
     cost = cost_on(log, true_model())
     dof = 57 * (20 - 1) * 3
     assert abs(cost.at(true_model().nominal).value - dof) < 4 * np.sqrt(2 * dof)

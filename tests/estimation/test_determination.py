@@ -65,7 +65,7 @@ def test_null_directions_leave_readings_alone_and_no_other_does(name, effects):
     p = rng.uniform(*model.bounds)
     read = on_arrays(model.reading)
     q, s = rng.uniform(-0.3, 0.3, (2, 3, 400))
-    zero = np.zeros(len(model.zeros))
+    zero = np.zeros(len(model.offsets))
     columns = []
     for k in range(len(p)):
         step = np.zeros(len(p))
@@ -80,10 +80,10 @@ def test_the_articles_campaign_determines_all_but_the_pairs():
         model = true_model(name)
         found = determine(cost_on(with_noise(record(name, seed=1)), model), model.nominal)
         assert set(found.structural) == H
-        assert len(found.held) == 3
-        assert {model.names[k] for k in found.held} <= H
+        assert len(found.fixed) == 3
+        assert {model.names[k] for k in found.fixed} <= H
         # one of each pair, or the pair's direction would stay open
-        assert {frozenset(pair) for pair in PAIRS if any(model.names[k] in pair for k in found.held)} == {
+        assert {frozenset(pair) for pair in PAIRS if any(model.names[k] in pair for k in found.fixed)} == {
             frozenset(pair) for pair in PAIRS
         }
 
@@ -132,7 +132,7 @@ def test_an_axis_that_never_turns_leaves_no_lever_arm():
     assert not any(determined[n] for n in H)
     assert all(determined[n] for n in set(found.model.names) - H)
     assert not any("H" in c.expression for c in found.combinations)
-    assert set(found.held) >= H
+    assert set(found.fixed) >= H
 
 
 def test_noise_alone_is_no_motion():
@@ -141,13 +141,13 @@ def test_noise_alone_is_no_motion():
     log = only([run for k, run in enumerate(paper_campaign().runs) if k % 3 != 2], sigma, samples=400)
     model = true_model()
     found = determine(cost_on(log, model, sigma), model.nominal)
-    assert {model.names[k] for k in found.held} == H
+    assert {model.names[k] for k in found.fixed} == H
 
 
 def test_a_fixed_parameter_is_held_and_is_no_null_direction():
     model = build("stage31", parameters={"theta_A": {"fixed": True}, "H1y": {"fixed": True}})
     found = determine(cost_on(with_noise(record(seed=1)), model), model.vector({"eta_A": 0.87}))
-    held = {model.names[k] for k in found.held}
+    held = {model.names[k] for k in found.fixed}
     assert {"theta_A", "H1y"} <= held
     assert "H1x" not in held
     assert len(held) == 4

@@ -67,8 +67,8 @@ def test_a_noise_free_log_gives_the_truth_back(name, solver):
         assert len(result.combinations) == 3
         for combination, arm in zip(result.combinations, pm(truth)[:, 2], strict=True):
             assert combination.value == pytest.approx(arm, rel=1e-9)
-    for run, delta in zip(paper_campaign().runs, result.zeros.values(), strict=True):
-        assert np.allclose(delta, run.zeros, rtol=0, atol=1e-14)
+    for run, delta in zip(paper_campaign().runs, result.offsets.values(), strict=True):
+        assert np.allclose(delta, run.offsets, rtol=0, atol=1e-14)
     assert max(result.error_rows["fitted"]["peak"].values()) < 1e-13
 
 
@@ -156,7 +156,7 @@ def test_held_out_runs_take_no_part(columns, log):
     assert two.error_rows["fitted"]["rmse"]["x_m"] == pytest.approx(
         one.error_rows["fitted"]["rmse"]["x_m"], rel=1e-6
     )
-    assert set(one.zeros) == set(range(57))
+    assert set(one.offsets) == set(range(57))
 
 
 def test_held_out_runs_take_no_part_in_the_noise_either(columns):
@@ -198,7 +198,7 @@ def test_bounds_and_fixed_parameters_are_kept(log):
         accept=["all"],
     )
     assert result.value("theta_A") == 0.001
-    assert "theta_A" in result.held
+    assert "theta_A" in result.fixed
     assert result.value("eta_B") == pytest.approx(0.71, abs=1e-6)
     assert result.at_bound == ("eta_B",)
 
@@ -285,7 +285,7 @@ def test_zero_deviations_beyond_their_bounds_are_reported_not_clipped(columns):
     far = {c: v.copy() for c, v in columns.items()}
     far["hall_b_m"][columns["run"] == 4] += 30e-6
     result = fit(with_noise(far), "stage31", solver="direct")
-    assert result.zeros[4][1] == pytest.approx(30e-6 - 0.24e-6, abs=1e-6)
+    assert result.offsets[4][1] == pytest.approx(30e-6 - 0.24e-6, abs=1e-6)
     assert any("delta_B" in note and "run 4" in note for note in result.notes)
     assert max(map(abs, deviations(result).values())) < 4.2
 

@@ -17,7 +17,7 @@ from hallsym.errors import InputError
 from hallsym.estimation.decoding import error_tables
 from hallsym.estimation.evaluate import judged
 from hallsym.estimation.factors import exact, summarise_at
-from hallsym.estimation.likelihood import cost_near, cost_of, zeros_of
+from hallsym.estimation.likelihood import cost_near, cost_of, offsets_of
 from hallsym.families import adapted, build, effects
 from hallsym.families.faults import FAULTS
 from hallsym.families.mechanisms import nonlinearity, port, stop_state, travel
@@ -101,7 +101,7 @@ def errors_on(log: Log, known: hallsym.Fit, noise: dict[str, float], keep):
     if keep is None:
         return judged(log, known.model, known.values, noise).table
     cost = cost_near(log, known.model, known.values, noise, keep)
-    zeros = zeros_of(cost, known.values)
+    zeros = offsets_of(cost, known.values)
     return error_tables(log, known.model, [(known.values, zeros)], cost.reading_variance, keep, sigma=noise)[
         0
     ]
@@ -117,11 +117,11 @@ def test_a_tangent_has_value_and_slope_of_the_exact_cost() -> None:
     noise = fit.noise.std
     p = fit.values * 1.001
     own = cost_near(log, fit.model, p, noise)
-    zeros = dict(zip(own.summary.runs, own.at(p).zeros, strict=True))
+    zeros = dict(zip(own.summary.runs, own.at(p).offsets, strict=True))
     other = cost_of(summarise_at(log, fit.model, p, zeros, noise), noise)
     assert exact(fit.model)
     assert other.at(p).value == pytest.approx(own.at(p).value, rel=1e-7)  # monomials cost digits
-    assert np.allclose(other.at(p).zeros, own.at(p).zeros, atol=1e-12)
+    assert np.allclose(other.at(p).offsets, own.at(p).offsets, atol=1e-12)
     scale = np.abs(own.at(p).derivatives()[1]).max()
     assert np.allclose(other.at(p).derivatives()[1], own.at(p).derivatives()[1], atol=1e-6 * scale)
 
@@ -148,7 +148,7 @@ def test_an_effect_is_built_again_from_its_text(text: str) -> None:
     assert (again.names, again.state) == (wide.names, wide.state)
     rng = np.random.default_rng(0)
     p = wide.nominal + 1e-3 * rng.standard_normal(len(wide.names))
-    at = [1e-4 * rng.standard_normal(len(c)) for c in (wide.zeros, wide.pose, wide.state)]
+    at = [1e-4 * rng.standard_normal(len(c)) for c in (wide.offsets, wide.pose, wide.state)]
     assert np.array_equal(np.asarray(wide.reading(p, *at)), np.asarray(again.reading(p, *at)))
 
 

@@ -42,16 +42,18 @@ def test_saving_and_loading_keeps_every_field(rich, tmp_path):
     assert back.to_dict() == rich.to_dict()
     for field in fields(rich):
         one, two = getattr(rich, field.name), getattr(back, field.name)
-        if field.name in ("model", "errors", "zeros", "noise", "log") or field.name in LIVE:
+        if field.name in ("model", "errors", "offsets", "noise", "log") or field.name in LIVE:
             continue
         if isinstance(one, np.ndarray):
             assert np.array_equal(one, two, equal_nan=one.dtype.kind == "f"), field.name
         else:
             assert one == two, field.name
     assert back.noise.sigmas == rich.noise.sigmas
-    assert {r: d.tolist() for r, d in back.zeros.items()} == {r: d.tolist() for r, d in rich.zeros.items()}
+    assert {r: d.tolist() for r, d in back.offsets.items()} == {
+        r: d.tolist() for r, d in rich.offsets.items()
+    }
     assert back.model.parameters == rich.model.parameters
-    assert back.model.zeros == rich.model.zeros
+    assert back.model.offsets == rich.model.offsets
     assert (back.model.name, back.model.effects, back.model.layout) == (
         rich.model.name, rich.model.effects, rich.model.layout,
     )  # fmt: skip

@@ -21,7 +21,7 @@ def many_runs(runs: int = RUNS) -> Log:
     frequency = 2 * np.pi * rng.uniform(5, 40, runs)[run]
     pose = [5e-4 * np.sin(frequency * t), 5e-4 * np.cos(frequency * t), 1e-3 * np.sin(0.7 * frequency * t)]
     state = [rng.uniform(low, high, runs)[run] for low, high in ((0, 3e-3), (-1e-3, 1e-3), (-1e-3, 1e-3))]
-    zeros = rng.uniform(-1e-5, 1e-5, (len(model.zeros), runs))[:, run]
+    zeros = rng.uniform(-1e-5, 1e-5, (len(model.offsets), runs))[:, run]
     (reading,) = on_arrays(model.reading)(
         model.vector(published.values("table7_estimates")), zeros, pose, state
     )

@@ -37,7 +37,7 @@ def test_residuals_of_the_truth_are_nothing():
     model = stage31()
     log = with_noise(record(seed=0, samples=20, sigma={}))
     zeros = {
-        k: np.array(run.zeros) / phi(TRUTH, np.array([run.setting[c] for c in COLUMNS[3:]]))
+        k: np.array(run.offsets) / phi(TRUTH, np.array([run.setting[c] for c in COLUMNS[3:]]))
         for k, run in enumerate(campaign(20).runs)
     }
     residual = residuals(model, model.vector(TRUTH), zeros)

@@ -99,7 +99,7 @@ def coverage(name: str, runs, kind: str, logs: int) -> float:
     for _ in range(logs):
         cost = cost_on(recording(model, runs, rng, kind, clean), model)
         found = found or determine(cost, model.nominal)
-        p = refit(cost, model.nominal, found.held)
+        p = refit(cost, model.nominal, found.fixed)
         told = uncertainty(cost.at(p), found)
         half = coverage_factor(told.degrees_of_freedom) * told.std
         hits.append((np.abs(p - model.nominal) <= half)[told.determined])

@@ -67,7 +67,7 @@ def test_a_metre_of_common_offset_changes_nothing(log, model):
     columns = {c: log.array(c) for c in log.columns}
     moved = with_noise({c: v + (1.0 if c in ("x_ref_m", "y_ref_m") else 0.0) for c, v in columns.items()})
     near, far = cost_on(log, model), cost_on(moved, model)
-    held = determine(near, model.nominal).held
+    held = determine(near, model.nominal).fixed
     p = refit(near, model.nominal, held)
     free = [k for k in range(len(p)) if k not in held]
     information = near.at(p).information(1.0).sum(axis=0)[np.ix_(free, free)]

@@ -19,7 +19,7 @@ def one(seed: int, *, sigma=SIGMAS, samples: int = 50, **noise) -> tuple[np.ndar
     """Optimum and uncertainties of one recording; what is held stays at the truth."""
     cost = cost_on(with_noise(record(seed=seed, samples=samples, sigma=sigma, **noise)), MODEL, sigma)
     found = determine(cost, MODEL.nominal)
-    p = refit(cost, MODEL.nominal, found.held)
+    p = refit(cost, MODEL.nominal, found.fixed)
     return p, uncertainty(cost.at(p), found)
 
 
@@ -58,7 +58,7 @@ def test_a_few_runs_have_few_degrees_of_freedom():
     summary = summarise(log, MODEL).select(range(0, 57, 4)[:15])
     cost = cost_of(summary, SIGMAS)
     found = determine(cost, MODEL.nominal)
-    result = uncertainty(cost.at(refit(cost, MODEL.nominal, found.held)), found)
+    result = uncertainty(cost.at(refit(cost, MODEL.nominal, found.fixed)), found)
     assert result.method == "runs as blocks"
     dof = result.degrees_of_freedom[result.determined]
     assert np.all((dof >= 1) & (dof < 6))
@@ -70,7 +70,7 @@ def test_a_parameter_at_its_bound_is_named_and_has_no_uncertainty():
     tight = MODEL.with_parameters({"eta_B": {"nominal": 0.70, "lower": 0.65, "upper": 0.70}})
     cost = cost_on(with_noise(record(seed=8)), tight)
     found = determine(cost, tight.nominal)
-    result = uncertainty(cost.at(refit(cost, tight.nominal, found.held)), found)
+    result = uncertainty(cost.at(refit(cost, tight.nominal, found.fixed)), found)
     assert result.at_bound == ("eta_B",)
     assert not result.determined[k]
     assert np.isnan(result.std[k])
@@ -85,7 +85,7 @@ def test_noise_floor_is_what_the_true_parameters_leave():
     log = with_noise(record(seed=9, samples=200))
     runs = campaign(200).runs
     zeros = {
-        k: np.array(r.zeros) / phi(TRUTH, np.array([r.setting[c] for c in ("z_m", "rx_rad", "ry_rad")]))
+        k: np.array(r.offsets) / phi(TRUTH, np.array([r.setting[c] for c in ("z_m", "rx_rad", "ry_rad")]))
         for k, r in enumerate(runs)
     }
     (table,) = error_tables(log, MODEL, [(MODEL.nominal, zeros)], np.ones(3))
@@ -112,12 +112,12 @@ def test_covariance_agrees_with_lmfit():
     columns = record(seed=41, samples=20, sigma=sigma)
     cost = cost_on(with_noise(columns, sigma), MODEL, sigma)
     found = determine(cost, MODEL.nominal)
-    p = refit(cost, MODEL.nominal, found.held)
+    p = refit(cost, MODEL.nominal, found.fixed)
     ours = uncertainty(cost.at(p), found)
     assert ours.method == "likelihood"
     parameters = lmfit.Parameters()
     for k, name in enumerate(MODEL.names):
-        parameters.add(name, value=MODEL.nominal[k], vary=k not in found.held)
+        parameters.add(name, value=MODEL.nominal[k], vary=k not in found.fixed)
     theirs = lmfit.minimize(
         lambda q: eliminated(columns, SIGMAS[HALL[0]], q.valuesdict()), parameters, scale_covar=False
     )

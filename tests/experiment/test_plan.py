@@ -304,7 +304,7 @@ def scatter(campaign: Campaign, seeds: int, gradients: np.ndarray) -> np.ndarray
     p, found = MODEL.vector(TRUTH), []
     for seed in range(seeds):
         cost = cost_of(summarise(recorded(campaign, seed), MODEL), SIGMAS)
-        held = determine(cost, p).held
+        held = determine(cost, p).fixed
         found.append(refit(cost, p, held))
     return np.std(np.array(found) @ gradients.T, axis=0, ddof=1)
 

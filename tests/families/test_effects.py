@@ -47,8 +47,8 @@ def test_an_effect_says_all_about_itself(model: Model, known: Effect) -> None:
         (new,) = [e for e in wide.effects if e not in model.effects]
         assert wide.texts[new] == variant.text
         # each parameter has a meaning and moves a reading
-        old = {p.name for p in (*model.parameters, *model.zeros)}
-        added = [p for p in (*wide.parameters, *wide.zeros) if p.name not in old]
+        old = {p.name for p in (*model.parameters, *model.offsets)}
+        added = [p for p in (*wide.parameters, *wide.offsets) if p.name not in old]
         if not known.diagnosed:  # may add none, such as an exact rotation
             continue
         assert added
@@ -59,16 +59,16 @@ def test_an_effect_says_all_about_itself(model: Model, known: Effect) -> None:
             assert -np.inf < p.lower <= p.nominal <= p.upper < np.inf
             assert p.lower < p.upper
         s = wide.symbols
-        symbols = ca.vertcat(s.parameters, s.zeros)
+        symbols = ca.vertcat(s.parameters, s.offsets)
         moves = np.array(ca.DM(ca.jacobian(s.full(s.reading), symbols).sparsity(), 1)).any(axis=0)
-        names = [*wide.names, *(z.name for z in wide.zeros)]
+        names = [*wide.names, *(z.name for z in wide.offsets)]
         assert all(moves[names.index(p.name)] for p in added)
         # nothing at its nominal values, which are 0 but for widths and rails
-        p, zeros, own = wide.nominal.copy(), np.zeros(len(wide.zeros)), len(model.names)
+        p, zeros, own = wide.nominal.copy(), np.zeros(len(wide.offsets)), len(model.names)
         p[:own] += 0.01 * rng.uniform(0.5, 1.0, own)
         pose = 1e-3 * rng.standard_normal(len(wide.pose))
         state = dict(zip(wide.state, 1e-3 * rng.standard_normal(len(wide.state)), strict=True))
-        before = model.reading(p[:own], zeros[: len(model.zeros)], pose, [state[c] for c in model.state])
+        before = model.reading(p[:own], zeros[: len(model.offsets)], pose, [state[c] for c in model.state])
         after = wide.reading(p, zeros, pose, list(state.values()))
         moved = np.asarray(after - before).ravel()
         assert np.allclose(moved - 2 * np.pi * np.round(moved / (2 * np.pi)), 0, atol=1e-12)
@@ -87,7 +87,7 @@ def test_expressions_that_models_share_are_those_of_a_model_by_itself(family) ->
         for other in others:
             alone = replace(other, before=None)
             p = other.nominal + 1e-3 * rng.standard_normal(len(other.nominal))
-            zeros, state = (1e-3 * rng.standard_normal(len(c)) for c in (other.zeros, other.state))
+            zeros, state = (1e-3 * rng.standard_normal(len(c)) for c in (other.offsets, other.state))
             pose = other.poses(1, rng).ravel() * (1.0 if other.typical else 1e-3)
             read = [np.asarray(m.reading(p, zeros, pose, state)).ravel() for m in (other, alone)]
             assert np.allclose(*read, rtol=1e-12, atol=1e-13)
@@ -228,5 +228,5 @@ def test_an_own_effect_has_numbers_that_are_typed_saved_and_read_back(tmp_path, 
 def test_a_bend_with_each_height_has_readings_at_nominal_slopes_of_nil() -> None:
     model = build("stage31", added=("height_quadratic:form=tied",))
     pose, state = [1e-4, -1e-4, 1e-4], [2e-4, 1e-4, -1e-4]
-    reading = model.reading(model.nominal, np.zeros(len(model.zeros)), pose, state)
+    reading = model.reading(model.nominal, np.zeros(len(model.offsets)), pose, state)
     assert np.isfinite(np.asarray(reading)).all()

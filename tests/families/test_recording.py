@@ -17,11 +17,11 @@ from hallsym.estimation.calibration import Claim
 from hallsym.families.recording import (
     MISTAKES,
     Correction,
-    as_wired,
+    as_corrections,
     corrected,
     read_correction,
     said,
-    wiring_of,
+    assignment_of,
 )
 from hallsym.log import Log, Noise, read_log, write_log
 
@@ -111,9 +111,9 @@ def test_columns_and_runs_that_a_log_does_not_have(right):
 
 @pytest.mark.parametrize("text", ["sign hall_a_m", "exchange hall_a_m hall_b_m"])
 def test_a_wiring_is_what_its_corrections_say(text):
-    wiring = wiring_of([read_correction(text)], (A, B))
-    assert as_wired(wiring, (A, B)) == (read_correction(text),)
-    assert wiring_of([read_correction(f"{text} in 3")], (A, B)) is None
+    wiring = assignment_of([read_correction(text)], (A, B))
+    assert as_corrections(wiring, (A, B)) == (read_correction(text),)
+    assert assignment_of([read_correction(f"{text} in 3")], (A, B)) is None
 
 
 # -- what was made is undone -------------------------------------------------------------------------------

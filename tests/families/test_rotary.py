@@ -305,7 +305,7 @@ def test_estimates_scatter_as_cramer_rao_allows():
     for seed in range(100):
         again = angle_log(v, a, sigma, seed)
         cost = cost_of(summarise(again, fit.model), {"angle_rad": sigma})
-        p = refit(cost, fit.values, [fit.model.names.index(n) for n in fit.held])
+        p = refit(cost, fit.values, [fit.model.names.index(n) for n in fit.fixed])
         found.append(combos(dict(zip(fit.model.names, p, strict=True))))
     bound = cramer_rao(v, a, sigma)
     scatter = np.sqrt(np.mean((np.array(found) - combos(v)) ** 2, axis=0))

@@ -62,7 +62,7 @@ def test_an_encoder_that_turns_against_its_reference(make, tmp_path):
     columns = {c: log.array(c) for c in log.columns if c != "run"}
     log = Log.from_arrays(columns | {"angle_ref_rad": BOTH})
     fit = fitted(log)
-    assert fit.wiring[0][1] == -1
+    assert fit.assignment[0][1] == -1
     assert any("turns against" in note for note in fit.notes)
     assert fit.errors.rows()["fitted"]["rmse"]["angle_rad"] < 1.3e-4
     fit.save(tmp_path / "calib.json")

@@ -46,7 +46,7 @@ def numbers(function: ca.Function, *arguments) -> np.ndarray:
 
 
 def zeros(model, d: np.ndarray) -> np.ndarray:
-    return d if model.zeros else NONE
+    return d if model.offsets else NONE
 
 
 def named(model, p: np.ndarray) -> dict[str, float]:
@@ -63,7 +63,7 @@ def test_reading_is_the_articles_equation(make, q, s, delta, seed):
     model = make()
     p = inside(model, np.random.default_rng(seed))
     v = named(model, p)
-    d = delta / phi(v, s * 0.0) if model.zeros else np.zeros(3)
+    d = delta / phi(v, s * 0.0) if model.offsets else np.zeros(3)
     expected = phi(v, s) * (pm(v) @ q + d)
     size = phi_size(v, s) * (np.abs(pm(v)) @ np.abs(q) + np.abs(d))
     assert np.all(np.abs(numbers(model.reading, p, zeros(model, d), q, s) - expected) <= ROUNDINGS * size)
@@ -82,7 +82,7 @@ def test_decoded_is_the_articles_equation(make, q, s, delta, seed):
     ))  # fmt: skip
     v = named(model, p)
     at_reset = rng.uniform(-1e-4, 1e-4, 3)
-    d = delta / phi(v, at_reset) if model.zeros else np.zeros(3)
+    d = delta / phi(v, at_reset) if model.offsets else np.zeros(3)
     m = rng.uniform(-5e-4, 5e-4, 3)
     expected = np.linalg.solve(pm(v), m / phi(v, s) - d)  # (31)
     inverse = np.abs(np.linalg.inv(pm(v)))
@@ -150,7 +150,7 @@ def test_decoding_inverts_reading(make, effects, layout, q, s, seed):
         | {n: rng.uniform(-200, 200) for n in model.names if n.split("_")[0] in ("a", "b", "c")}
     )
     p = np.where([n.startswith("H") for n in model.names], model.nominal, p)
-    d = rng.uniform(-1e-5, 1e-5, len(model.zeros))
+    d = rng.uniform(-1e-5, 1e-5, len(model.offsets))
     reading = numbers(model.reading, p, d, q, s)
     back = numbers(model.decoded, p, d, reading, s, rng.uniform(0.5, 2.0, len(layout)))
     scale = np.array([1.0, 1.0, 1 / 0.3]) * (np.linalg.norm(q * [1, 1, 0.3]) + 1e-5)
@@ -310,24 +310,24 @@ def test_lever_arms_are_the_third_column_of_pm_and_read_so():
 def test_every_parameter_and_zero_moves_a_reading_and_the_decoded_pose(name, effects):
     model = build(name, added=effects)
     rng = np.random.default_rng(5)
-    p, d = inside(model, rng), rng.uniform(-1e-5, 1e-5, len(model.zeros))
+    p, d = inside(model, rng), rng.uniform(-1e-5, 1e-5, len(model.offsets))
     s = model.symbols
-    both = ca.vertcat(s.parameters, s.zeros)
+    both = ca.vertcat(s.parameters, s.offsets)
     for output, values in (
         (model.reading, ([3e-4, -2e-4, 1e-4],)),
         (model.decoded, ([3e-4, -2e-4, 1e-4],)),
     ):
         x = ca.SX.sym("x", 3)
         arguments = (
-            (s.parameters, s.zeros, x, s.state)
+            (s.parameters, s.offsets, x, s.state)
             if output is model.reading
-            else (s.parameters, s.zeros, x, s.state, ca.DM.ones(3))
+            else (s.parameters, s.offsets, x, s.state, ca.DM.ones(3))
         )
         slope = ca.Function("slope", [both, x, s.state], [ca.densify(ca.jacobian(output(*arguments), both))])
         columns = np.abs(np.asarray(slope(np.concatenate([p, d]), *values, [1e-4, 2e-4, -3e-4])))
         dead = [
             n
-            for n, c in zip((*model.names, *(z.name for z in model.zeros)), columns.T, strict=True)
+            for n, c in zip((*model.names, *(z.name for z in model.offsets)), columns.T, strict=True)
             if not c.any()
         ]
         assert dead == []

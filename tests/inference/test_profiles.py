@@ -26,7 +26,7 @@ def solved(log_seed: int, factor: float = 1.0, model: Model = MODEL, samples: in
     sigma = {c: factor * s for c, s in SIGMAS.items()}
     cost = cost_on(with_noise(record(seed=log_seed, samples=samples, sigma=sigma), sigma), model, sigma)
     found = determine(cost, model.nominal)
-    p = refit(cost, model.nominal, found.held)
+    p = refit(cost, model.nominal, found.fixed)
     return cost.anchored(p), p, found, uncertainty(cost.at(p), found)
 
 
@@ -76,20 +76,20 @@ def test_quantities_have_exact_derivatives():
 def test_ends_rise_by_the_threshold():
     cost, p, found, _ = paper()
     for name in ("eta_A", "theta_B", "a_C", "b_A", "c_B"):
-        got = profile(cost, p, parameter(MODEL, name), held=found.held)
+        got = profile(cost, p, parameter(MODEL, name), fixed=found.fixed)
         assert (got.lower.status, got.upper.status) == ("reached", "reached"), by_name(got)
         for end in got.interval:
-            assert rise_at(cost, p, found.held, name, end) == pytest.approx(THRESHOLD, rel=1e-4)
+            assert rise_at(cost, p, found.fixed, name, end) == pytest.approx(THRESHOLD, rel=1e-4)
 
 
 def test_lopsided_ends_rise_by_the_threshold():
     cost, p, found, _ = noisy()
     worst = 0.0
     for name in ("eta_A", "eta_C", "a_B", "b_C"):
-        got = profile(cost, p, parameter(MODEL, name), held=found.held)
+        got = profile(cost, p, parameter(MODEL, name), fixed=found.fixed)
         for side in (got.lower, got.upper):
             if side.status == "reached":
-                assert rise_at(cost, p, found.held, name, side.value) == pytest.approx(THRESHOLD, rel=3e-4)
+                assert rise_at(cost, p, found.fixed, name, side.value) == pytest.approx(THRESHOLD, rel=3e-4)
         low, high = got.value - got.lower.value, got.upper.value - got.value
         worst = max(worst, abs(high - low) / (high + low))
     assert worst > 0.02  # or the case would show nothing
@@ -99,7 +99,7 @@ def test_a_nearly_linear_problem_has_normal_intervals():
     """Sides differ by 1e-4 of the width here; expected and observed information by 1e-3."""
     cost, p, found, e = paper()
     for c, said in zip(MODEL.combinations, e.combinations, strict=True):
-        got = profile(cost, p, combination(MODEL, c), held=found.held, std=said.std)
+        got = profile(cost, p, combination(MODEL, c), fixed=found.fixed, std=said.std)
         half = np.sqrt(THRESHOLD) * said.std
         assert got.ok
         assert got.interval == pytest.approx((said.value - half, said.value + half), abs=0.01 * half)
@@ -108,7 +108,7 @@ def test_a_nearly_linear_problem_has_normal_intervals():
 def test_scale_sets_the_threshold():
     cost, p, found, _ = paper()
     eta = parameter(MODEL, "eta_A")
-    one, four = (profile(cost, p, eta, held=found.held, scale=s) for s in (1.0, 4.0))
+    one, four = (profile(cost, p, eta, fixed=found.fixed, scale=s) for s in (1.0, 4.0))
     assert four.threshold == pytest.approx(4 * one.threshold)
     assert np.subtract(*four.interval) == pytest.approx(2 * np.subtract(*one.interval), rel=1e-3)
 
@@ -119,7 +119,7 @@ def test_a_bound_before_the_threshold_ends_the_profile():
     upper = p[k] + e.std[k]
     tight = MODEL.with_parameters({"eta_B": {"nominal": p[k] - 1e-3, "upper": upper}})
     cost, q, found, _ = solved(11, model=tight)
-    got = profile(cost, q, parameter(tight, "eta_B"), held=found.held)
+    got = profile(cost, q, parameter(tight, "eta_B"), fixed=found.fixed)
     assert (got.lower.status, got.upper.status) == ("reached", "at bound")
     assert got.upper.value == upper
     assert got.rises[-1] == pytest.approx(1.0, rel=0.01)  # one standard uncertainty away
@@ -134,13 +134,13 @@ def test_a_parameter_at_its_bound_has_one_side():
     tight = MODEL.with_parameters({"eta_B": {"nominal": upper - 1e-3, "upper": upper}})
     cost, q, found, said = solved(11, model=tight)
     assert said.at_bound == ("eta_B",)
-    got = profile(cost, q, parameter(tight, "eta_B"), held=found.held)
+    got = profile(cost, q, parameter(tight, "eta_B"), fixed=found.fixed)
     assert (got.lower.status, got.upper.status) == ("reached", "at bound")
     assert got.upper.value == upper
     # (d + 2)^2 - 2^2 = 3.84 in standard uncertainties
     assert upper - got.lower.value == pytest.approx((np.sqrt(4 + THRESHOLD) - 2) * e.std[k], rel=0.01)
     # with that parameter pinned another one is not bounded, and its profile may leave the bound
-    other = profile(cost, q, parameter(tight, "a_A"), held=found.held)
+    other = profile(cost, q, parameter(tight, "a_A"), fixed=found.fixed)
     assert other.ok
 
 
@@ -157,7 +157,7 @@ def test_bounds_of_other_parameters_leave_a_profile_open():
     cost = replace(paper()[0], anchor=None)
     summary = replace(cost.summary, features=replace(cost.summary.features, model=boxed))
     cost = replace(cost, summary=summary)
-    got = profile(cost, p, linear(boxed, gradient, "1"), held=found.held)
+    got = profile(cost, p, linear(boxed, gradient, "1"), fixed=found.fixed)
     assert (got.lower.status, got.upper.status) == ("open", "open")
     assert got.upper.value == pytest.approx(p[a] + p[b] + 0.2 * (e.std[a] + e.std[b]), rel=1e-9)
     assert "bounds of other parameters" in got.upper.reason
@@ -172,7 +172,7 @@ def test_a_profile_that_breaks_is_failed_with_a_reason():
     broken = Quantity(
         "root", "1", -np.inf, np.inf, symbol, -ca.sqrt(p[k] + e.std[k] - symbol[k]) / e.std[k] ** 0.5
     )
-    got = profile(cost, p, broken, held=found.held)
+    got = profile(cost, p, broken, fixed=found.fixed)
     assert got.upper.status == "failed"
     assert "stops at" in got.upper.reason
     assert np.isnan(got.upper.value)
@@ -185,7 +185,7 @@ def test_a_better_optimum_is_reported():
     k = MODEL.names.index("eta_A")
     off = p.copy()
     off[k] += e.std[k]
-    got = profile(replace(cost, anchor=None), off, parameter(MODEL, "eta_A"), held=found.held)
+    got = profile(replace(cost, anchor=None), off, parameter(MODEL, "eta_A"), fixed=found.fixed)
     assert got.better is not None
     assert cost.at(got.better).value == pytest.approx(cost.at(off).value - got.drop, abs=1e-3)
     assert got.drop > 0.5
@@ -201,8 +201,8 @@ def test_skewness_says_where_a_profile_is_needed():
             if not e.determined[k]:
                 continue
             quantity = parameter(MODEL, name)
-            quick = skewness(cost, p, quantity, held=found.held, std=e.std[k])
-            got = profile(cost, p, quantity, held=found.held)
+            quick = skewness(cost, p, quantity, fixed=found.fixed, std=e.std[k])
+            got = profile(cost, p, quantity, fixed=found.fixed)
             if not (np.isfinite(quick).all() and got.lower.status == got.upper.status == "reached"):
                 continue
             half = np.sqrt(THRESHOLD) * e.std[k]
@@ -216,11 +216,11 @@ def test_near_a_bound_the_normal_interval_will_not_do():
     k = MODEL.names.index("eta_B")
     tight = MODEL.with_parameters({"eta_B": {"nominal": p[k] - 1e-3, "upper": p[k] + e.std[k]}})
     cost, q, found, said = solved(11, model=tight)
-    quick = skewness(cost, q, parameter(tight, "eta_B"), held=found.held, std=said.std[k])
+    quick = skewness(cost, q, parameter(tight, "eta_B"), fixed=found.fixed, std=said.std[k])
     assert not np.isfinite(quick[1])
     assert not normal_enough(quick)
     cost, p, found, e = paper()
-    assert normal_enough(skewness(cost, p, parameter(MODEL, "eta_B"), held=found.held, std=e.std[k]))
+    assert normal_enough(skewness(cost, p, parameter(MODEL, "eta_B"), fixed=found.fixed, std=e.std[k]))
 
 
 # -- another implementation ------------------------------------------------------------------------------
@@ -289,17 +289,17 @@ def pypesto_profiles(fun, grad, lower: np.ndarray, upper: np.ndarray, which: lis
 def test_profiles_agree_with_pypesto():
     """Lopsided intervals of a gain, a slope and a lever arm: ends to 3 digits of the half-width."""
     cost, p, found, _ = noisy()
-    free = [k for k in range(len(p)) if k not in found.held]
+    free = [k for k in range(len(p)) if k not in found.fixed]
     arms = [combination(MODEL, c) for c in MODEL.combinations]
     quantities = [parameter(MODEL, MODEL.names[k]) for k in free]
     for arm in arms:
         (k,) = (k for k in free if MODEL.names[k].startswith("H") and arm.first(p)[1][k] != 0)
         quantities[free.index(k)] = arm
-    std = np.array([tangent(cost, p, q, found.held).std for q in quantities])
+    std = np.array([tangent(cost, p, q, found.fixed).std for q in quantities])
     which = [free.index(MODEL.names.index("eta_C")), free.index(MODEL.names.index("a_B")), 0]
     lower, upper = ((bound - p)[free] / std for bound in MODEL.bounds)
     lower, upper = np.maximum(lower, -8.0), np.minimum(upper, 8.0)
     theirs = pypesto_profiles(*reduced(cost, p, free, arms, std), lower, upper, which)
     for k, ends in zip(which, theirs, strict=True):
-        ours = profile(cost, p, quantities[k], held=found.held)
+        ours = profile(cost, p, quantities[k], fixed=found.fixed)
         assert (np.array(ours.interval) - ours.value) / std[k] == pytest.approx(ends, rel=1e-3)

@@ -164,7 +164,7 @@ def test_zero_deviations_scatter_as_much_as_their_uncertainty_says():
         told = identify(fit(log, true_model(), solver="direct", loss="none"), profiles="none")
         offsets = told.offsets
         assert (offsets.names, offsets.runs) == (("delta_A", "delta_B", "delta_C"), tuple(range(len(runs))))
-        true = np.array([run.zeros for run in runs])
+        true = np.array([run.offsets for run in runs])
         squares.append(((offsets.values - true) / offsets.std) ** 2)
         assert offsets.values.size == 171
     assert np.mean(squares) == pytest.approx(1.0, abs=0.1)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hallsym.log import apart
+from hallsym.log import isolated
 
 Columns = Mapping[str, np.ndarray]
 Rates = Mapping[str, tuple[float, float, Columns]]
@@ -92,7 +92,7 @@ def write_mcap(path: Path, groups: Rates) -> None:
 @contextmanager
 def hidden(libraries: Collection[str], folder: Path) -> Iterator[None]:
     """Let libraries be missing, here and in the processes that decode files."""
-    apart.end_decoders()
+    isolated.end_decoders()
     with pytest.MonkeyPatch.context() as patch:
         for name in libraries:
             (folder / f"{name}.py").write_text("raise ImportError(__name__)\n", encoding="utf-8")
@@ -102,7 +102,7 @@ def hidden(libraries: Collection[str], folder: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            apart.end_decoders()
+            isolated.end_decoders()
 
 
 WRITERS = {".tdms": write_tdms, ".mf4": write_mdf, ".mcap": write_mcap}

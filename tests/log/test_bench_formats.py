@@ -16,7 +16,7 @@ from hallsym.cli.main import main
 from hallsym.errors import InputError
 from hallsym.families.published import values
 from hallsym.log import check_log, groups, read_log, write_log
-from hallsym.log.apart import Apart
+from hallsym.log.isolated import Isolated
 from hallsym.log.groups import GroupedSource
 from hallsym.log.table import Arrays
 
@@ -69,7 +69,7 @@ def test_names_units_and_numbers_are_those_of_the_file(
 ) -> None:
     monkeypatch.setattr(groups, "IN_MEMORY_ROWS", limit)
     small = property(lambda source: source.rows <= limit, lambda source, small: None)
-    monkeypatch.setattr(Apart, "small", small, raising=False)  # another process decides it
+    monkeypatch.setattr(Isolated, "small", small, raising=False)  # another process decides it
     arrays = {name: v for name, v in stage_arrays(samples=150).items() if name != "t_s"}
     log = read_log(written(tmp_path / f"log{suffix}", {HALL: (0.0, 500.0, arrays)}))
     assert (set(log.columns), log.rows, log.runs) == ({"t_s", *arrays}, 600, (0, 1, 2, 3))

@@ -23,13 +23,13 @@ from hallsym.log import (
     spans,
     write_log,
 )
-from hallsym.log.apart import Apart
+from hallsym.log.isolated import Isolated
 from hallsym.log.batches import batches
 
 
 def nothing_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(format_parquet, "IN_MEMORY_ROWS", 100)
-    monkeypatch.setattr(Apart, "small", property(lambda source: False, lambda source, small: None), False)
+    monkeypatch.setattr(Isolated, "small", property(lambda source: False, lambda source, small: None), False)
     monkeypatch.setattr(groups, "IN_MEMORY_ROWS", 100)
     monkeypatch.setattr(format_csv, "IN_MEMORY_BYTES", 100)
 

@@ -157,7 +157,7 @@ def test_models_on_arrays_are_models_sample_by_sample(name, effects):
     model = build(name, added=effects)
     rng = np.random.default_rng(2)
     p = model.vector({n: rng.uniform(-100, 100) for n in model.names if n.startswith("a_")})
-    d = rng.uniform(-1e-5, 1e-5, len(model.zeros))
+    d = rng.uniform(-1e-5, 1e-5, len(model.offsets))
     q, s = rng.uniform(-5e-4, 5e-4, (2, 3, 20))
     (reading,) = on_arrays(model.reading)(p, d, q, s)
     (pose,) = on_arrays(model.decoded)(p, d, reading, s, np.ones(3))

@@ -25,7 +25,7 @@ FOUND = {case: find_features(build(case[0], added=case[1])) for case in CASES}
 def test_features_times_coefficients_are_the_reading(case, seed):
     features = FOUND[case]
     model, rng = features.model, np.random.default_rng(seed)
-    p, d = inside(model, rng), rng.uniform(-1e-5, 1e-5, len(model.zeros))
+    p, d = inside(model, rng), rng.uniform(-1e-5, 1e-5, len(model.offsets))
     q, s = rng.uniform(-2e-3, 2e-3, (2, 3))
     near = np.asarray(features.variables(rng.uniform(-2e-3, 2e-3, 3), rng.uniform(-2e-3, 2e-3, 3))).ravel()
     for centre in (np.zeros(len(near)), near, near + rng.uniform(-1, 1, len(near))):
@@ -64,7 +64,7 @@ def test_features_that_carry_zeros_come_first(case, size, n_zero):
     model, rng = features.model, np.random.default_rng(0)
     p = inside(model, rng)
     centre = rng.normal(size=6)
-    none, some = np.zeros(len(model.zeros)), np.full(len(model.zeros), 1e-6)
+    none, some = np.zeros(len(model.offsets)), np.full(len(model.offsets), 1e-6)
     change = np.asarray(features.coefficients(p, some, centre)) - np.asarray(
         features.coefficients(p, none, centre)
     )
@@ -80,7 +80,7 @@ def test_shift_moves_coefficients_to_another_centre(case, seed):
     """T is the binomial theorem: T(o) c(centre - o) = c(centre), T(0) = 1, T(a) T(b) = T(a + b)."""
     features = FOUND[case]
     model, rng = features.model, np.random.default_rng(seed)
-    p, d = inside(model, rng), rng.uniform(-1e-5, 1e-5, len(model.zeros))
+    p, d = inside(model, rng), rng.uniform(-1e-5, 1e-5, len(model.offsets))
     centre, offset, more = rng.uniform(-1e-2, 1e-2, (3, features.exponents.shape[1]))
     here = np.asarray(features.coefficients(p, d, centre - offset))
     there = np.asarray(features.coefficients(p, d, centre))

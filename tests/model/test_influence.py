@@ -21,16 +21,16 @@ def test_slopes_are_the_jacobian_of_the_decoder(name, added):
     """CasADi differentiates the Newton steps of `decoded`; at a pose without residual both must agree."""
     model, rng = build(name, added=added), np.random.default_rng(1)
     p = model.vector(truth_of(model))
-    zeros = rng.uniform(-5e-6, 5e-6, len(model.zeros))
+    zeros = rng.uniform(-5e-6, 5e-6, len(model.offsets))
     pose, state = states(4, rng)
     found = influence(model, p, zeros, pose, state)
-    names = ["parameters", "zeros", "reading", "state", "weight"]
+    names = ["parameters", "offsets", "reading", "state", "weight"]
     symbols = [ca.SX.sym(n, model.decoded.size1_in(k)) for k, n in enumerate(names)]
     decoded = model.decoded(*symbols)
     for k in range(4):
         m = model.reading(p, zeros, pose[:, k], state[:, k])
         at = [p, zeros, m, state[:, k], np.ones(3)]
-        got = [found.parameters, found.zeros, found.readings, found.state]
+        got = [found.parameters, found.offsets, found.readings, found.state]
         for name_, symbol, slopes in zip(names[:4], symbols[:4], got, strict=True):
             if symbol.numel() == 0:
                 continue

@@ -42,9 +42,9 @@ def test_a_step_ends_its_link():
 
 def test_adding_leaves_the_model_as_it_was():
     model = stage15()
-    before = (model.names, model.steps, model.effects, model.zeros)
+    before = (model.names, model.steps, model.effects, model.offsets)
     zero_deviation(model).with_parameters({"H1x": {"nominal": 0.2}})
-    assert (model.names, model.steps, model.effects, model.zeros) == before
+    assert (model.names, model.steps, model.effects, model.offsets) == before
     with pytest.raises(FrozenInstanceError):
         model.name = "other"
 
@@ -72,7 +72,7 @@ def test_bounds_and_nominal_values_change_by_name():
     k = model.names.index("H1x")
     assert (model.nominal[k], model.bounds[0][k], model.bounds[1][k]) == (0.2, 0.1, 0.3)
     assert model.parameters[k].width == pytest.approx(0.2)
-    assert model.zeros[0].upper == 5e-5
+    assert model.offsets[0].upper == 5e-5
     with pytest.raises(InputError, match="lower <= upper"):
         stage31().with_parameters({"H1x": {"lower": 0.3, "upper": 0.2}})
     with pytest.raises(InputError, match="did you mean 'H1x'"):

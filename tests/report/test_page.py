@@ -279,7 +279,7 @@ def test_maps_count_every_sample_and_agree_with_the_error_table(log: Log, fitted
     assert [int(run.labels[k]) for k in run.marked] == list(HOLDOUT)
     (block,) = (b for b in log.blocks() if b.run == 2)
     decode = Decoder(fitted)
-    zeros = decode.zeros(2, np.array([block.data[c][0] for c in fitted.model.state]))
+    zeros = decode.offsets(2, np.array([block.data[c][0] for c in fitted.model.state]))
     error = decode.pose(block, zeros) - np.array([block.data[c] for c in fitted.model.references])
     np.testing.assert_allclose(run.rms[:, 2], np.sqrt((error**2).mean(axis=1)), rtol=1e-9)
     floor = np.array(list(fitted.noise_floor.values()))

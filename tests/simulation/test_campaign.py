@@ -104,7 +104,7 @@ def test_the_articles_deviations_belong_to_their_runs():
         6: (-0.93, 1.60, 1.92),
         16: (1.97, 1.23, -0.09),
     }.items():
-        assert np.allclose(runs[k].zeros, np.array(micrometres) * 1e-6, rtol=1e-12)
+        assert np.allclose(runs[k].offsets, np.array(micrometres) * 1e-6, rtol=1e-12)
 
 
 # -- campaign files --------------------------------------------------------------------------------------
@@ -150,7 +150,7 @@ def test_a_campaign_file_runs_every_trajectory_at_every_setting(written):
     raster = campaign.runs[1]
     assert raster.position("x_m", np.array([1 / 32]))[0] == pytest.approx(1e-3, rel=1e-12)
     assert raster.position("y_m", np.array([1 / 16]))[0] == pytest.approx(5e-4, rel=1e-12)
-    assert all(run.zeros is None for run in campaign.runs)
+    assert all(run.offsets is None for run in campaign.runs)
 
 
 def test_without_settings_there_is_one_at_rest(written):
@@ -257,8 +257,8 @@ def test_single_runs_hold_axes_or_move_them_about_a_place(written):
     assert corner.name == "corner"
     assert np.allclose(corner.position("x_m", t), [1e-4, 4e-4], rtol=1e-12)
     assert np.all(corner.position("z_m", t) == -2.5e-4)
-    assert corner.zeros is None
-    assert raster.zeros == (1e-6, -2e-6, 0.0)
+    assert corner.offsets is None
+    assert raster.offsets == (1e-6, -2e-6, 0.0)
     assert raster.position("y_m", np.array([1 / 16]))[0] == pytest.approx(5e-4, rel=1e-12)
 
 
@@ -280,7 +280,7 @@ def same(a: Campaign, b: Campaign) -> bool:
 
 def _key(run: Run) -> tuple:
     places = {axis: float(v) for axis, v in run.setting.items()}
-    return (run.name, run.duration_s, places, dict(run.motion), run.zeros)
+    return (run.name, run.duration_s, places, dict(run.motion), run.offsets)
 
 
 def test_the_articles_campaign_survives_a_file(tmp_path):

@@ -35,7 +35,7 @@ def test_without_noise_the_readings_are_the_articles_equation():
     for k, run in enumerate(campaign(40).runs):
         one = columns["run"] == k
         q, s = (np.array([columns[c][one] for c in part]) for part in (COLUMNS[:3], COLUMNS[3:]))
-        d = np.array(run.zeros) / phi(TRUTH, s[:, 0])
+        d = np.array(run.offsets) / phi(TRUTH, s[:, 0])
         expected = phi(TRUTH, s) * (pm(TRUTH) @ q + d[:, None])
         found = np.array([columns[c][one] for c in HALL])
         assert np.allclose(found, expected, rtol=0, atol=16 * EPS * 1e-3)
@@ -171,7 +171,7 @@ def test_table_8_noise_leaves_table_8s_errors_with_the_true_parameters():
     log = Log.from_arrays(simulate(MODEL, TRUTH, paper_campaign(), table8_noise(MODEL), seed=0))
     p = MODEL.vector(TRUTH)
     zeros = {
-        k: np.array(run.zeros) / phi(TRUTH, np.array([run.setting[c] for c in ("z_m", "rx_rad", "ry_rad")]))
+        k: np.array(run.offsets) / phi(TRUTH, np.array([run.setting[c] for c in ("z_m", "rx_rad", "ry_rad")]))
         for k, run in enumerate(paper_campaign().runs)
     }
     (table,) = error_tables(log, MODEL, [(p, zeros)], np.ones(3))

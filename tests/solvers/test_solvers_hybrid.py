@@ -53,7 +53,7 @@ def test_ipopt_begins_anew_where_newtons_method_ends_above_the_best():
 
 def test_keep_and_apart_choose_the_starts():
     problem = TWO.problem()
-    both = hybrid(problem, seed=0, global_solver="screening", budget=300, keep=2, apart=0.3)
+    both = hybrid(problem, seed=0, global_solver="screening", budget=300, keep=2, separation=0.3)
     assert sorted(np.sign(part.x[0]) for part in both.local) == [-1.0, 1.0]
     assert len(hybrid(problem, seed=0, global_solver="screening", budget=300, keep=1).local) == 1
 

@@ -9,7 +9,7 @@ import hallsym
 from hallsym.errors import InputError
 from hallsym.model import on_arrays
 from hallsym.sorting import match_sensors, sort_sensors
-from hallsym.sorting.influence import alike, influence_of_gains, without_common
+from hallsym.sorting.influence import influence_of_gains, is_symmetric, without_common
 from hallsym.uncertainty.tolerances import Workspace
 from tests.sorting.benches import bench
 from tests.trial_families import LC, array_2dof, array_6dof
@@ -52,7 +52,7 @@ def test_what_a_gain_multiplies_is_what_its_parameters_do(model):
     for name in names:
         machine[model.names.index(name)] *= 1.01
     (read,) = on_arrays(model.reading)(
-        machine, np.zeros(len(model.zeros)), influence.where.pose, influence.where.state
+        machine, np.zeros(len(model.offsets)), influence.where.pose, influence.where.state
     )
     np.testing.assert_allclose(
         read[1] - influence.reading[1], 0.01 * influence.part[1], atol=1e-12 * np.abs(read).max()
@@ -63,7 +63,7 @@ def test_three_sums_a_third_of_a_period_apart_count_alike():
     """x = lc / 3 sum d sin 2(t - u), z = lc / 3 sum d (1 + cos 2(t - u)): only their variance counts."""
     influence = influence_of_gains(MODELS[0])
     plain, weights = without_common(influence.square)
-    assert alike(plain)
+    assert is_symmetric(plain)
     np.testing.assert_allclose(weights, 1 / 3)
     np.testing.assert_allclose(plain, LC**2 / 9 * (np.eye(3) - 1 / 3) * 1.5, rtol=1e-9, atol=1e-12)
 

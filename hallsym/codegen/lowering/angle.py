@@ -273,8 +273,8 @@ class _Assembly(Collected):
         if len(entries) <= EVIDENT:
             return self.step("correction", cos * a + sin * b, "[rad] its waves")
         waves = self.step("waves", cos * a + sin * b, "[rad] of the correction")
-        held = ca.if_else(waves < -1.0, -1.0, ca.if_else(waves > 1.0, 1.0, waves))
-        return self.step("correction", held, "they sum to less than 1 rad; said again for a prover")
+        clamped = ca.if_else(waves < -1.0, -1.0, ca.if_else(waves > 1.0, 1.0, waves))
+        return self.step("correction", clamped, "they sum to less than 1 rad; said again for a prover")
 
     def _of(self, argument: str, name: str) -> ca.SX:
         x = self.symbols[argument]
@@ -369,7 +369,7 @@ class Rounding:
     """Least and greatest value of each input."""
 
     def __call__(self, digits: int) -> dict[str, Enclosure]:
-        """Return the enclosure of each pose coordinate, zeros at zero."""
+        """Return the enclosure of each pose coordinate, offsets at zero."""
         found, u = self.correction, 2.0**-digits
         # a reading is wrapped, and rounded once, by the second part of a turn
         phase = half_ulp(pi, digits) if self.curve.angle_only else self._vector(digits) + octants(digits)

@@ -129,7 +129,7 @@ class Assembly:
         made, (a, b), (c, d), name = self.made, vectors[first], vectors[k], self.names[k]
         real = made.step(f"cross_real_{name}", c * a + d * b)
         imaginary = made.step(f"cross_imaginary_{name}", d * a - c * b)
-        # no reading turns two phasors beyond the end of the polynomial: real - cotangent |imaginary| is held
+        # no reading turns two phasors beyond the end of the polynomial: real - cotangent |imaginary| is clamped
         floor, angle, steep = self._floor(first, k), self._angle(first, k), 1.0 / self.series(first, k).end
         bound, most = ca.SX(0.0), None
         if not floor:
@@ -141,8 +141,8 @@ class Assembly:
         about = "least product of two phasors of the box"
         bound = bound + made.entry(f"least_cross_{name}", floor, "1", about, "sign")
         bound = made.step(f"bound_{name}", bound)
-        held = made.step(f"held_cross_{name}", ca.if_else(real > bound, real, bound))
-        tangent = made.step(f"cross_{name}", imaginary / held, most=most)
+        clamped = made.step(f"held_cross_{name}", ca.if_else(real > bound, real, bound))
+        tangent = made.step(f"cross_{name}", imaginary / clamped, most=most)
         square = made.step(f"cross_square_{name}", tangent * tangent)
         return made.step(f"turn_{name}", odd(self.series(first, k).coefficients, tangent, square), "[rad]")
 
@@ -430,11 +430,11 @@ class Assembly:
             re, im = a * a - b * b, (a * b) + (a * b)
         else:
             c, d = powers(int(kind))
-            held = self._held_size(name)
-            re, im = c / held, -(d / held)
+            clamped = self._clamped_size(name)
+            re, im = c / clamped, -(d / clamped)
         return made.step(f"{key}_re", re), made.step(f"{key}_im", im)
 
-    def _held_size(self, name: str) -> ca.SX:
+    def _clamped_size(self, name: str) -> ca.SX:
         """The square of a phasor, no less than where the flag is set."""
         made = self.made
         if f"held_size_{name}" in made.symbols:

@@ -64,12 +64,12 @@ class Reference:
     def _slopes(self) -> Callable[..., list[np.ndarray]]:
         """Poses -> d readings / d pose, column by column."""
         pose = ca.SX.sym("pose", len(self.middle))
-        readings = self.model.reading(self.p, np.zeros(len(self.model.zeros)), pose, [])
+        readings = self.model.reading(self.p, np.zeros(len(self.model.offsets)), pose, [])
         return on_arrays(ca.Function("slopes", [pose], [ca.densify(ca.vec(ca.jacobian(readings, pose)))]))
 
     def readings(self, pose: np.ndarray) -> np.ndarray:
         """Return readings (n, s) at poses (n_pose, s)."""
-        return np.asarray(self._run(self.p, np.zeros(len(self.model.zeros)), list(pose), [])[0])
+        return np.asarray(self._run(self.p, np.zeros(len(self.model.offsets)), list(pose), [])[0])
 
     def poses(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Return random poses of the box, corners among them."""

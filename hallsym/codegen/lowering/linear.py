@@ -34,7 +34,7 @@ from hallsym.codegen.lowering.polynomials import Polynomial, PolynomialModel, Ro
 from hallsym.errors import InputError
 from hallsym.model import Model
 
-HELD = 16.0
+CLAMPED = 16.0
 """Times the box from which an iteration starts at most, of a model whose iterations could grow without end:
 far more than any readings within their limits make."""
 
@@ -64,7 +64,7 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Deco
     taken = PolynomialModel(model, box)
     made = _Assembly(taken, p, weight).make()
     if made.at_pose and not any_accepted(made, float(np.finfo(np.float32).max)):
-        made = _Assembly(taken, p, weight, held=True).make()
+        made = _Assembly(taken, p, weight, clamped=True).make()
     return made
 
 
@@ -73,8 +73,8 @@ class _Assembly(Collected):
     taken: PolynomialModel
     p: np.ndarray
     weight: np.ndarray
-    held: bool = False
-    """Whether each iteration starts within `HELD` times the box, whatever the readings are."""
+    clamped: bool = False
+    """Whether each iteration starts within `CLAMPED` times the box, whatever the readings are."""
     redundancy: Redundancy | None = None
 
     def make(self) -> Decoupler:
@@ -229,7 +229,7 @@ class _Assembly(Collected):
                 self._contradiction(spare, sensed)
             made = self._product(rows, sensed, f"_{n + 1}" if n < count else "")
             source = dict(zip(model.pose, made, strict=True))
-            if self.held and n < count:
+            if self.clamped and n < count:
                 source = {c: self._within(c, v, f"_{n + 1}") for c, v in source.items()}
         every, self.steps = self.steps, before
         known = _Monomials(self.symbols, self.steps, {c: self.symbols[c] for c in model.pose}, "_known")
@@ -238,8 +238,8 @@ class _Assembly(Collected):
         return at_pose
 
     def _within(self, column: str, value: ca.SX, tag: str) -> ca.SX:
-        """A pose coordinate that an iteration starts from, no further out than `HELD` times the box."""
-        name, most = short(column), HELD * max(map(abs, self.taken.box.ends[column]))
+        """A pose coordinate that an iteration starts from, no further out than `CLAMPED` times the box."""
+        name, most = short(column), CLAMPED * max(map(abs, self.taken.box.ends[column]))
         end = self.entry(f"most_{name}", most, unit(column), f"largest |{column}| of an iteration", "sign")
         below = self.step(f"{name}_below{tag}", ca.if_else(value < end, value, end))
         return self.step(f"{name}_held{tag}", ca.if_else(below > -end, below, -end))

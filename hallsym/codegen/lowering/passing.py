@@ -69,7 +69,7 @@ class Window:
         self.sample, self.axis, self.place = sample, axis, passed.place
         reach = max(passed.length / 2 - FROM_END * wavelength, wavelength / 2)
         pose = ca.SX.sym("pose", len(sample.at))
-        read = ca.vertsplit(sample.model.reading(sample.p, np.zeros(len(sample.model.zeros)), pose, []))
+        read = ca.vertsplit(sample.model.reading(sample.p, np.zeros(len(sample.model.offsets)), pose, []))
         self.read = [on_arrays(ca.Function("reading", [pose], [read[k]])) for k in channels]
         self.x = np.repeat(np.linspace(-reach, reach, WINDOW), HEIGHTS)
         self.designs: dict[float, tuple[np.ndarray, np.ndarray]] = {}
@@ -124,7 +124,7 @@ def passes(
 def readings(sample: Sample, axis: int, x: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Return readings (n, s) at places along a coordinate and heights (s,), the rest as in the middle."""
     pose = list(_poses(sample, axis, x, z))
-    return np.asarray(sample.run(sample.p, np.zeros(len(sample.model.zeros)), pose, [])[0])
+    return np.asarray(sample.run(sample.p, np.zeros(len(sample.model.offsets)), pose, [])[0])
 
 
 def _poses(

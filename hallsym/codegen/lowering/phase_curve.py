@@ -40,7 +40,7 @@ def check_static(model: Model, what: str) -> None:
             f"{', '.join(model.effects)} needs {', '.join(model.state)}: generate from a calibration without "
             "it."
         )
-    if sum(link == "reference" for link, _ in model.steps) > bool(model.zeros):  # a zero is set by a reset
+    if sum(link == "reference" for link, _ in model.steps) > bool(model.offsets):  # a zero is set by a reset
         raise InputError(
             f"The calibration of {model.name} with {', '.join(model.effects)} holds errors of its reference, "
             "which a controller does not have; fit without that effect, or correct the log's reference."
@@ -67,8 +67,8 @@ class Curve:
 
     def readings(self, angle: np.ndarray) -> np.ndarray:
         """Return the model's readings (n_channels, s) at angles (s,), of which 2 pi are a period."""
-        zeros = np.zeros(len(self.model.zeros))
-        return np.asarray(self._run(self.p, zeros, [np.asarray(angle, dtype=float) * self.share], [])[0])
+        offsets = np.zeros(len(self.model.offsets))
+        return np.asarray(self._run(self.p, offsets, [np.asarray(angle, dtype=float) * self.share], [])[0])
 
     @cached_property
     def _run(self) -> Callable[..., list[np.ndarray]]:
@@ -195,7 +195,7 @@ class Curve:
         belongs to each phase.
         """
         angle = ca.SX.sym("angle")
-        readings = self.model.reading(self.p, np.zeros(len(self.model.zeros)), angle * self.share, [])
+        readings = self.model.reading(self.p, np.zeros(len(self.model.offsets)), angle * self.share, [])
         if count in self._slopes:
             return self._slopes[count]
         if self.angle_only:

@@ -166,7 +166,7 @@ class Sample:
         pose = np.tile((self.at + move)[:, None], len(x))
         pose[axis] += x
         pose[self.height] = self.z + move[self.height]
-        return np.asarray(self.run(self.p, np.zeros(len(self.model.zeros)), list(pose), [])[0])
+        return np.asarray(self.run(self.p, np.zeros(len(self.model.offsets)), list(pose), [])[0])
 
     def lc(self, axis: int) -> float:
         """Return the wavelength over 2 pi along a coordinate as far as the model says it, or the decay

@@ -188,7 +188,7 @@ class PolynomialModel:
 
     def _polynomials(self, expression: ca.SX, what: str) -> list[Polynomial]:
         s, model = self.model.symbols, self.model
-        plain = ca.substitute(expression, s.zeros, ca.SX.zeros(s.zeros.numel()))
+        plain = ca.substitute(expression, s.offsets, ca.SX.zeros(s.offsets.numel()))
         plain = without_derived(model, plain, self.box.reach())
         symbols, names = ca.vertcat(s.pose, s.state), (*model.pose, *model.state)
         return [
@@ -267,7 +267,7 @@ class PolynomialModel:
             )
             value = ca.substitute(gain * shift + offset, s.parameters, ca.DM(p))
             (found,) = enclose([value], variables, None)
-            zero = max((abs(z.upper) for z in model.zeros if np.isfinite(z.upper)), default=0.0)
+            zero = max((abs(z.upper) for z in model.offsets if np.isfinite(z.upper)), default=0.0)
             low, high = float(f"{found.low - zero:.3g}"), float(f"{found.high + zero:.3g}")
             most = max(abs(low), abs(high))
             ends[channel] = (-most, most) if min(-low, high) > 0.5 * most else (low, high)
@@ -302,7 +302,7 @@ class PolynomialModel:
         )
 
     def exact(self, p: np.ndarray, weight: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        """Return `inputs (n_inputs, s) -> pose (n_pose, s)` by the model's own decoded form, zeros 0.
+        """Return `inputs (n_inputs, s) -> pose (n_pose, s)` by the model's own decoded form, offsets 0.
 
         The weight of a reading is held in units of its displacement, as the table holds it.
         """
@@ -313,7 +313,7 @@ class PolynomialModel:
         def exact(inputs: np.ndarray) -> np.ndarray:
             readings, state = list(inputs[:n]), list(inputs[n:])
             phi = gain(p, state)[0] / eta[:, None]
-            return run(p, np.zeros(len(model.zeros)), readings, state, list(weight[:, None] / phi**2))[0]
+            return run(p, np.zeros(len(model.offsets)), readings, state, list(weight[:, None] / phi**2))[0]
 
         return exact
 

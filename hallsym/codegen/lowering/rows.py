@@ -118,8 +118,8 @@ class Rows(Reference):
     def plain(self) -> Phasor:
         """The first harmonic of a row, of which functions are bounded."""
         row, middle = self.rows[0], float(self.middle[self.height])
-        zeros = np.zeros((2, len(row.channels)))
-        return Phasor(self.lc, self.rising, middle, zeros[0], row.factor[:, :1], zeros, ())
+        nothing = np.zeros((2, len(row.channels)))
+        return Phasor(self.lc, self.rising, middle, nothing[0], row.factor[:, :1], nothing, ())
 
     # -- the decoder -----------------------------------------------------------------------------------------
 
@@ -498,7 +498,7 @@ class _Assembly(Assembly):
             self._normal[name] = wc, ws, *normal, self._per_cover(row, name, normal, tag)
         wc, ws, cc, cs, ss, per = self._normal[name]
         re, im = product("cos_seen", wc, field, tag), product("sin_seen", ws, field, tag)
-        return self._held((ss * re - cs * im, cc * im - cs * re), per, f"{name}{tag}")
+        return self._clamped((ss * re - cs * im, cc * im - cs * re), per, f"{name}{tag}")
 
     def _per_cover(self, row: Row, name: str, normal: Sequence[ca.SX], tag: str) -> ca.SX:
         """One over the determinant of a normal matrix, no less than where the flag is set."""
@@ -506,10 +506,10 @@ class _Assembly(Assembly):
         cover = made.step(f"cover_{name}{tag}", cc * ss - cs * cs, "[V4] cosine told from sine")
         value = COVER * float(self.tried([cover.name()]).min())
         least = made.entry(f"least_cover_{name}", value, "V4", "share of the least of the box", "sign")
-        held = made.step(f"held_cover_{name}{tag}", ca.if_else(cover > least, cover, least))
-        return made.step(f"per_cover_{name}{tag}", 1.0 / held)
+        clamped = made.step(f"held_cover_{name}{tag}", ca.if_else(cover > least, cover, least))
+        return made.step(f"per_cover_{name}{tag}", 1.0 / clamped)
 
-    def _held(self, wide: Pair, per: ca.SX, tag: str) -> Pair:
+    def _clamped(self, wide: Pair, per: ca.SX, tag: str) -> Pair:
         """A phasor, no longer than any of the box is, from what is as many times it as 1 over `per`."""
         made, u = self.made, []
         most = made.entry("longest", 2.0 * self.waves[0].outer, "1", "most of a phasor", "sign")

@@ -197,7 +197,7 @@ class _Assembly:
 
 @dataclass(frozen=True, eq=False)
 class Rounding:
-    """Digits of the significand -> range and rounding of place and height, the flag clear, zeros at zero.
+    """Digits of the significand -> range and rounding of place and height, the flag clear, offsets at zero.
 
     `steps`: those from the readings to the vector, the last two of them.
     """

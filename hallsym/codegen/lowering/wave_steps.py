@@ -335,8 +335,8 @@ def periods_steps(made: Collected, away: ca.SX, tag: str, remark: str = "") -> c
     count = made.step(f"periods{tag}", away + (PERIODS + 0.5))
     most = 2.0 * PERIODS  # of readings of no pose it could be anything
     below = made.step(f"counted_to{tag}", ca.if_else(count < most, count, most), remark)
-    held = made.step(f"counted{tag}", ca.if_else(below > 0.0, below, 0.0))
-    return made.whole(f"whole{tag}", held) - float(PERIODS)
+    clamped = made.step(f"counted{tag}", ca.if_else(below > 0.0, below, 0.0))
+    return made.whole(f"whole{tag}", clamped) - float(PERIODS)
 
 
 def least_inside(made: Collected, waves: Sequence[Wave]) -> None:

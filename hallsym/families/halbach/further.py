@@ -16,7 +16,7 @@ GAP_M = 1e-3
 ANEW = ("x_m", "y_m", "rz_rad")
 """What a reference has a new zero of when the mover has been turned: its place and its yaw."""
 MOST = 0.05
-"""Bounds of these zeros [m, rad]."""
+"""Bounds of these offsets [m, rad]."""
 
 
 def wider(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -27,7 +27,7 @@ def wider(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 def half_turned(model: Model) -> Model | None:
     """Return the model as it reads with the mover turned half round about z in its mount.
 
-    The logged tilt is that of the mount; place and yaw have zeros of their own. None where arrays do not come
+    The logged tilt is that of the mount; place and yaw have offsets of their own. None where arrays do not come
     to stand where others stood.
     """
     known = arrays(model.layout)
@@ -37,16 +37,16 @@ def half_turned(model: Model) -> Model | None:
                 opposite(model.layout, array)
     except LookupError:
         return None
-    zeros = {f"turned_{c}": c for c in ANEW if c in model.pose}
+    offsets = {f"turned_{c}": c for c in ANEW if c in model.pose}
 
     def step(s: Signals, p: P) -> None:
         s["turn"] = -1
-        for name, coordinate in zeros.items():
+        for name, coordinate in offsets.items():
             links.move(s, coordinate, p[name])
 
     new = tuple(
         Parameter(n, 0.0, -MOST, MOST, c.rpartition("_")[2], f"zero of {c} with the mover turned")
-        for n, c in zeros.items()
+        for n, c in offsets.items()
     )
     return model.with_step("clock", step, effect="half_turned", parameters=new)
 

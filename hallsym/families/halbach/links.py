@@ -70,7 +70,7 @@ def scale_of(coordinate: str, values: Mapping[str, float]) -> float:
     return (1 + values.get("longer", 0.0)) / (1 - values.get(f"scale_{coordinate[0]}", 0.0))
 
 
-def turned(pair: tuple[ca.SX, ca.SX], angle: ca.SX) -> tuple[ca.SX, ca.SX]:
+def rotated(pair: tuple[ca.SX, ca.SX], angle: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return cos(u + angle), sin(u + angle) from the pair cos u, sin u."""
     cos, sin = ca.cos(angle), ca.sin(angle)
     return pair[0] * cos - pair[1] * sin, pair[1] * cos + pair[0] * sin

@@ -169,7 +169,7 @@ def waves(s: Signals, layout: Layout, h: int) -> tuple[ca.SX, ca.SX]:
     for e in range(max(map(len, places))):
         shift = along - ca.DM([row[e % len(row)] for row in places])
         there = ca.DM([float(e < len(row)) for row in places])
-        c, v = links.turned((cosine, sine), q * (shift + share * (s["x_m"] + shift)))
+        c, v = links.rotated((cosine, sine), q * (shift + share * (s["x_m"] + shift)))
         cos, sin = cos + there * c, sin + there * v
     size = ca.exp(-q * up) / ca.DM([len(row) for row in places])
     return cos * size, sin * size

@@ -334,7 +334,7 @@ def guess(model: Model, log: Any) -> dict[str, float]:
     quarter = {a.axis: a.wavelength_m / 4 for a in arrays(layout).values()}
     read = model.remember("reading, on arrays", lambda: on_arrays(model.reading))
     state = np.zeros((len(model.state), len(rows)))
-    zeros = np.zeros((len(model.zeros), len(rows)))
+    offsets = np.zeros((len(model.offsets), len(rows)))
     found: dict[str, float] = {}
     size = []
     for axis, shift in quarter.items():
@@ -342,7 +342,8 @@ def guess(model: Model, log: Any) -> dict[str, float]:
         v = np.array([log.array(model.channels[k])[rows] for k in own])
         name = f"{'xy'[axis]}0"
         both = [
-            read(model.vector({**wide, name: by}), zeros, pose, state)[0][own].ravel() for by in (0.0, shift)
+            read(model.vector({**wide, name: by}), offsets, pose, state)[0][own].ravel()
+            for by in (0.0, shift)
         ]
         (c, d), *_ = np.linalg.lstsq(np.array(both).T, v.ravel(), rcond=None)
         found[name] = float(np.arctan2(d, c)) * shift * 2 / np.pi

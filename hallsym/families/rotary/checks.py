@@ -87,7 +87,7 @@ GAP_NOTE, GAP_REFUSE = 30.0, 120.0
 FOLLOWS = 0.5
 """An encoder follows its reference if the mean of exp(i (angle - reference)) is longer than this."""
 CLEARLY, LEAST_ZERO = 3.0, 1.0
-"""What zeros of runs must differ by for a note: times the scatter of the angle within a run, and deg."""
+"""What offsets of runs must differ by for a note: times the scatter of the angle within a run, and deg."""
 ORDERED = 0.3
 """Length of the mean of exp(2 i |step|) below which rows follow no motion."""
 
@@ -98,7 +98,7 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
     `fitted` False: the log is only judged, for which a part of a turn is enough.
     """
     seen, (column,) = seen_of(model, log), model.references
-    own = bool(model.zeros)  # each run has a zero of its own
+    own = bool(model.offsets)  # each run has a zero of its own
     straight, alone = (max(seen.follows(k, each=each) for k in (1, -1)) for each in (own, True))
     homed = straight < FOLLOWS < alone and len(seen.runs) > 1
     (gap, other), notes = map(_gap, seen.sectors), list[str]()
@@ -146,16 +146,16 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
 
 
 def _homed(seen: Seen, column: str, sign: int, homed: bool) -> Iterator[str]:
-    """What to say of zeros of runs that clearly differ: a claim where the encoder follows in runs alone."""
+    """What to say of offsets of runs that clearly differ: a claim where the encoder follows in runs alone."""
     first = next(iter(seen.runs))
-    zeros = {run: np.angle(k[sign] / seen.runs[first][sign]) for run, k in seen.runs.items()}
+    offsets = {run: np.angle(k[sign] / seen.runs[first][sign]) for run, k in seen.runs.items()}
     length = [abs(k[sign]) / k[0].real for k in seen.runs.values()]
     spread = float(np.sqrt(max(-2 * np.log(max(np.median(length), 1e-9)), 0.0)))
-    far = max(zeros, key=lambda run: abs(zeros[run]))
-    if not homed and abs(zeros[far]) < max(CLEARLY * spread, np.radians(LEAST_ZERO)):
+    far = max(offsets, key=lambda run: abs(offsets[run]))
+    if not homed and abs(offsets[far]) < max(CLEARLY * spread, np.radians(LEAST_ZERO)):
         return
     text = (
-        f"The zero of {column} differs between runs, by {np.degrees(abs(zeros[far])):.3g} deg in run {far} "
+        f"The zero of {column} differs between runs, by {np.degrees(abs(offsets[far])):.3g} deg in run {far} "
         f"beside run {first}: if it was homed anew, --effect zero_deviation gives each run its own; latency, "
         "another scale of the reference or inverted voltages make differences too."
     )

@@ -293,7 +293,7 @@ def zero_deviation(model: Model) -> Model:
         s["cosine"], s["sine"] = s["cosine"].ahead(p["delta"]), s["sine"].ahead(p["delta"])
 
     delta = Parameter("delta", 0.0, -0.2, 0.2, "rad", "zero of a run's reference beside the encoder's")
-    wide = model.with_step("reference", step, effect="zero_deviation", zeros=(delta,))
+    wide = model.with_step("reference", step, effect="zero_deviation", offsets=(delta,))
     wide = replace(wide, homes={"delta": POSE[0]})
     return wide.with_parameters({"zero": {"nominal": 0.0, "lower": 0.0, "upper": 0.0}})
 

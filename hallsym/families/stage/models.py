@@ -119,15 +119,15 @@ def zero_deviation(model: Model) -> Model:
     One per probe and run, in m. They enter as displacement d_k = delta_k / phi_k(0); |delta_k| <= 10 um in
     the paper.
     """
-    zeros = tuple(
+    offsets = tuple(
         Parameter(f"delta_{p.label}", 0.0, -10e-6, 10e-6, "m", f"zero deviation of probe {p.label} in a run")
         for p in model.layout
     )
 
     def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
-        s["displacement"] = s["displacement"] + ca.vertcat(*(p[z.name] for z in zeros))
+        s["displacement"] = s["displacement"] + ca.vertcat(*(p[z.name] for z in offsets))
 
-    return model.with_step("reference", step, effect="zero_deviation", zeros=zeros)
+    return model.with_step("reference", step, effect="zero_deviation", offsets=offsets)
 
 
 @effect(link="transducer", diagnosed=False, unless=("tied_vertical_coupling",))

@@ -16,7 +16,7 @@ from hallsym.units import Array
 
 FEWEST_SAMPLES = 8
 """Samples of a run below which it says nothing."""
-HELD_SAMPLES = 8
+STUCK_SAMPLES = 8
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Spans:
 class Trace:
     """What one pass saw of one column.
 
-    `parts` holds arrays (segments, 4): min, max, sum, sum of squares. `held`: whether `HELD_SAMPLES` in a row
+    `parts` holds arrays (segments, 4): min, max, sum, sum of squares. `held`: whether `STUCK_SAMPLES` in a row
     are equal.
     """
 
@@ -82,7 +82,7 @@ class Trace:
         self.parts.append(part)
         if is_moving(name):
             equal = values[1:] == values[:-1]
-            if not self.held and len(equal) >= HELD_SAMPLES:
+            if not self.held and len(equal) >= STUCK_SAMPLES:
                 two = equal[1:] & equal[:-1]
                 four = two[2:] & two[:-2]
                 self.held = bool((four[3:] & four[:-3]).any())

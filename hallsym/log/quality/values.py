@@ -14,7 +14,7 @@ from hallsym.log.columns import is_moving, is_reading, is_reference, run_list
 from hallsym.log.core import Drop, Log
 from hallsym.log.quality.findings import Fault, Finding, others, the
 from hallsym.log.quality.scan import (
-    HELD_SAMPLES,
+    STUCK_SAMPLES,
     Scan,
     Spans,
     by_chance,
@@ -120,7 +120,7 @@ def _stretches(log: Log, name: str) -> list[Stretch]:
     for block in log.blocks((name,)):
         x, begun, run = block.data[name], row if block.run != run else begun, block.run
         step = np.abs(np.diff(x))
-        long = [(a, b + 1) for a, b in stretches(step == 0, shortest=HELD_SAMPLES - 1)]
+        long = [(a, b + 1) for a, b in stretches(step == 0, shortest=STUCK_SAMPLES - 1)]
         edges = [0, *(edge for pair in long for edge in pair), len(x)]
         free = max(free, *(x[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True)), key=len)
         between = np.delete(step, np.r_[tuple(slice(a, b - 1) for a, b in long)]) if long else step

@@ -45,7 +45,7 @@ class Cells:
     `by`: what the cells are along, with the unit of `edges`. `median`, `rms`: (n_pose, cells), nan in an
     empty cell; `count`: (cells,). Cells have `edges` (cells + 1,) or, where they are no numbers, `labels`;
     `marked` are held out. Over two coordinates `across` holds the edges of the second, `up` its name, and
-    cell `i + columns * j` lies at column i, row j. `turning`: coordinates that go round, see
+    cell `i + columns * j` lies at column i, row j. `periodic`: coordinates that go round, see
     `hallsym.units.readable`.
     """
 
@@ -59,7 +59,7 @@ class Cells:
     marked: tuple[int, ...] = ()
     up: str = ""
     across: Sequence[float] | np.ndarray = ()
-    turning: Collection[str] | None = None
+    periodic: Collection[str] | None = None
 
 
 class Tally:
@@ -118,7 +118,7 @@ class RunSeries:
 
     `time`: (columns,) in s from the run's start, or sample numbers if not `timed`. `lines`: name ->
     (low, high), each (n_pose, columns), nan where there is nothing. `per_column`: samples in a column.
-    `turning`: coordinates that go round, see `hallsym.units.readable`.
+    `periodic`: coordinates that go round, see `hallsym.units.readable`.
     """
 
     title: str
@@ -127,18 +127,18 @@ class RunSeries:
     lines: Mapping[str, tuple[np.ndarray, np.ndarray]]
     timed: bool = True
     per_column: int = 1
-    turning: Collection[str] | None = None
+    periodic: Collection[str] | None = None
 
 
 def series_of(
     title: str, pose: tuple[str, ...], traces: Mapping[str, Trace], *, timed: bool,
-    turning: Collection[str] | None = None,
+    periodic: Collection[str] | None = None,
 ) -> RunSeries:  # fmt: skip
     """Return the series of traces by name; each holds time and the errors of every coordinate."""
     first = next(iter(traces.values()))
     time = 0.5 * (first.low[0] + first.high[0]) - first.low[0][0] if timed else first.samples
     lines = {line: (trace.low[1:], trace.high[1:]) for line, trace in traces.items()}
-    return RunSeries(title, pose, time, lines, timed, first.width, turning)
+    return RunSeries(title, pose, time, lines, timed, first.width, periodic)
 
 
 # -- one pass: maps over the coordinates that matter, and series -----------------------------------------
@@ -242,7 +242,7 @@ def gather(
     for run in chosen:
         traces = {key: made[run] for key, (_, made) in found.items()}
         title = f"run {run}{', held out' if run in held_out(fit) else ''}"
-        series.append(series_of(title, pose, traces, timed=survey.timed, turning=period))
+        series.append(series_of(title, pose, traces, timed=survey.timed, periodic=period))
     maps = {key: every for key, (every, _) in found.items()}
     drawn = [maps[version.name] if version else () for version in (before, after)]
     return Gathered(survey, maps[label], tuple(series), drawn[1], drawn[0])
@@ -295,7 +295,7 @@ def _maps(fit: Fit, survey: Survey) -> list[_Map]:
 
 def _frame(by: str, fit: Fit, **more: Any) -> Cells:
     nothing = np.zeros(0)
-    return Cells(by, fit.model.pose, nothing, nothing, nothing, turning=fit.model.period, **more)
+    return Cells(by, fit.model.pose, nothing, nothing, nothing, periodic=fit.model.period, **more)
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,12 +74,12 @@ class Trace:
 class Decoded:
     """A block with its decoded poses, (n_pose, samples) each; what is not asked for is not computed.
 
-    `zeros`: displacements of the run. `kept`: (samples,) whether each sample counts.
+    `offsets`: displacements of the run. `kept`: (samples,) whether each sample counts.
     """
 
     block: Block
     decoder: Decoder
-    zeros: np.ndarray
+    offsets: np.ndarray
     kept: np.ndarray
 
     def rows(self, columns: tuple[str, ...]) -> np.ndarray:
@@ -99,7 +99,7 @@ class Decoded:
     @cached_property
     def fitted(self) -> np.ndarray:
         """The pose by the fitted parameters."""
-        return self.decoder.pose(self.block, self.zeros)
+        return self.decoder.pose(self.block, self.offsets)
 
 
 def decoded(log: Log, fit: Fit, keep: Weigh | None = None) -> Iterator[Decoded]:
@@ -107,13 +107,13 @@ def decoded(log: Log, fit: Fit, keep: Weigh | None = None) -> Iterator[Decoded]:
     decode, model = Decoder(fit), fit.model
     columns = (*columns_of(model), *(("t_s",) if "t_s" in log.columns else ()))
     sigma = {c: s.value for c, s in fit.noise.sigmas.items()}
-    zeros: dict[int, np.ndarray] = {}
+    offsets: dict[int, np.ndarray] = {}
     for block in extended(log, model, sigma, model.named(fit.values)).blocks(columns, size=SIZE):
-        if block.run not in zeros:
-            zeros[block.run] = decode.zeros(block.run, np.array([block.data[c][0] for c in model.state]))
+        if block.run not in offsets:
+            offsets[block.run] = decode.offsets(block.run, np.array([block.data[c][0] for c in model.state]))
         count = len(block.data[columns[0]])
         kept = np.ones(count, dtype=bool) if keep is None else keep(block) > 0
-        yield Decoded(block, decode, zeros[block.run], kept)
+        yield Decoded(block, decode, offsets[block.run], kept)
 
 
 # -- what one pass finds ---------------------------------------------------------------------------------
@@ -246,16 +246,16 @@ def settings(fit: Fit, survey: Survey) -> tuple[list[Group], str]:
             members.append([run])
         if len(centres) > MOST_SETTINGS:
             return by_run, "run"
-    columns, turning = tuple(fit.model.state[k] for k in axes), fit.model.period
+    columns, periodic = tuple(fit.model.state[k] for k in axes), fit.model.period
 
     def place(k: int) -> tuple:
         moved = np.abs(centres[k]) > near
         return (int(moved.sum()), tuple(~moved), tuple(np.where(moved, centres[k], 0.0)))
 
     order = sorted(range(len(centres)), key=place)
-    groups = [(setting(columns, centres[k], near, turning=turning), members[k]) for k in order]
+    groups = [(setting(columns, centres[k], near, periodic=periodic), members[k]) for k in order]
     by_unit: dict[str, list[str]] = {}
     for column in columns:
-        by_unit.setdefault(typeset(readable(column, turning)[1]), []).append(name(column))
+        by_unit.setdefault(typeset(readable(column, periodic)[1]), []).append(name(column))
     units = "; ".join(f"{', '.join(names)} in {unit}" for unit, names in by_unit.items())
     return groups, f"vertical setting ({units})"

@@ -75,7 +75,7 @@ def _series(
     used = [[r for r in runs if r not in held] for runs in every]
     holdout = [[r for r in runs if r in held] for runs in every]
     size = 4.2 if len(groups) <= 2 * MOST_SETTINGS else 2.0
-    before, after, apart = (replace(look, size=size) for look in (p.BEFORE, p.AFTER, p.APART))
+    before, after, apart = (replace(look, size=size) for look in (p.BEFORE, p.AFTER, p.HOLDOUT))
     found: list[tuple[str, ErrorTable, list[list[int]], p.Look, Any]] = [
         ("nominal", survey.nominal, every, before, 0.0),
         ("fitted", survey.fitted, used, after, 0.0),

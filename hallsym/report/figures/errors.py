@@ -21,7 +21,7 @@ from hallsym.report.words import largest, minus, name, number, scale
 
 FAR = 12.0
 """Bars that differ by more than this factor are drawn on a logarithmic scale, as dots."""
-LOOKS = {"before": p.BEFORE, "nominal": p.BEFORE, "held out": p.APART}
+LOOKS = {"before": p.BEFORE, "nominal": p.BEFORE, "held out": p.HOLDOUT}
 """Of the errors that are not those after; every other one is `AFTER`."""
 
 Sizes = Mapping[str, Mapping[str, float]]
@@ -29,11 +29,11 @@ Sizes = Mapping[str, Mapping[str, float]]
 
 
 def against_floor(
-    found: Mapping[str, Sizes], floor: Mapping[str, float], turning: Collection[str] | None = None
+    found: Mapping[str, Sizes], floor: Mapping[str, float], periodic: Collection[str] | None = None
 ) -> list[p.Panel]:
     """Return rmse and peak of every output: one row per entry of `found`, the noise floor dashed.
 
-    `turning`: outputs that go round, see `hallsym.units.readable`.
+    `periodic`: outputs that go round, see `hallsym.units.readable`.
     """
     first = next(iter(found.values()))
     places = {
@@ -43,7 +43,7 @@ def against_floor(
     panels = []
     for (what, output), sizes in places.items():
         least = floor.get(output, 0.0) if what == "rmse" else 0.0
-        factor, unit = scale(output, max(*sizes, least), turning)
+        factor, unit = scale(output, max(*sizes, least), periodic)
         entries = [
             p.Row(label, factor * v, number(factor * v), look=LOOKS.get(label, p.AFTER))
             for label, v in zip(found, sizes, strict=True)
@@ -67,7 +67,7 @@ def in_bounds(fit: Fit, which: Sequence[int]) -> p.Panel:
         part, low, high, usual = (100 * (v - own.lower) / own.width for v in ends)
         known = bool(fit.determined[k])
         span = (max(low, 0.0), min(high, 100.0)) if known else (part, part)
-        entries.append(p.Row(own.name, part, f"{part:.0f} %", span, p.AFTER if known else p.APART))
+        entries.append(p.Row(own.name, part, f"{part:.0f} %", span, p.AFTER if known else p.HOLDOUT))
         nominal.append(usual)
     said = "; ".join(f"{row.name} {row.shown}" for row in entries)
     title = "from lower to upper bound [%]"
@@ -98,7 +98,7 @@ def profiles(cells: Cells, output: int, floor: float = 0.0, after: Cells | None 
 def _profile(both: Sequence[Cells], output: int, floor: float, reach: float, part: range) -> p.Panel:
     cells, what = both[0], name(both[0].pose[output])
     names = cells.labels[part.start : part.stop]
-    factor, unit = scale(cells.pose[output], reach, cells.turning)
+    factor, unit = scale(cells.pose[output], reach, cells.periodic)
     half = min(0.4, 0.04 * len(part))  # few bars are no broader than many
     middle = np.arange(len(part))
     left, right = (middle - half, middle + half) if names else (cells.edges[:-1], cells.edges[1:])
@@ -142,7 +142,7 @@ def plane(cells: Cells, both: Sequence[Cells], what: str, output: int, floor: fl
     noise floor where that is more, so that mere noise stays pale.
     """
     quantity, most = name(cells.pose[output]), max(floor, *(largest(m.rms[output]) for m in both))
-    factor, unit = scale(cells.pose[output], most, cells.turning)
+    factor, unit = scale(cells.pose[output], most, cells.periodic)
     values, n = factor * getattr(cells, what)[output], len(cells.edges) - 1
     full = factor * max(floor, *(largest(getattr(m, what)[output]) for m in both)) or 1e-12
     x, y = cells.edges, cells.across
@@ -183,7 +183,7 @@ def over_time(series: RunSeries, *, every: bool = False) -> list[p.Panel]:
     panels = []
     for k, column in enumerate(series.pose):
         reach = _reach(series, k)
-        factor, unit = scale(column, reach, series.turning)
+        factor, unit = scale(column, reach, series.periodic)
         worst = {n: factor * largest(np.array([low[k], high[k]])) for n, (low, high) in series.lines.items()}
         said = ", ".join(f"{n} up to {number(v)} {unit}" for n, v in worst.items())
         versions = zip(series.lines.values(), p.MEDIANS[-len(series.lines) :], strict=True)
@@ -216,7 +216,7 @@ def script_data(series: Sequence[RunSeries]) -> dict[str, Any]:
     """
     first, outputs = series[0], range(len(series[0].pose))
     reach = [[_reach(s, k) for k in outputs] for s in series]
-    scales = [scale(first.pose[k], max(r[k] for r in reach), first.turning) for k in outputs]
+    scales = [scale(first.pose[k], max(r[k] for r in reach), first.periodic) for k in outputs]
     named = [{"name": name(c), "unit": unit} for c, (_, unit) in zip(first.pose, scales, strict=True)]
     runs = [_run(s, r, scales) for s, r in zip(series, reach, strict=True)]
     return {

@@ -72,7 +72,7 @@ def uncertainty_picture(grid: UncertaintyMap) -> p.Picture:
     Maps have a row per pose coordinate and a column per value of the third axis.
     """
     fixed = setting(
-        list(grid.fixed), np.array(list(grid.fixed.values())), 0.0, units=True, turning=grid.turning
+        list(grid.fixed), np.array(list(grid.fixed.values())), 0.0, units=True, periodic=grid.periodic
     )
     level, coverage = grid.settings.level, grid.settings.coverage
     words = (
@@ -83,10 +83,10 @@ def uncertainty_picture(grid: UncertaintyMap) -> p.Picture:
         panels = _maps(grid)
         return p.Picture(panels, across=len(panels) // len(grid.pose), words=words)
     column, values = next(iter(grid.axes.items()))
-    across, shown = scale(column, largest(values), grid.turning)
+    across, shown = scale(column, largest(values), grid.periodic)
     panels = []
     for k, (coordinate, own) in enumerate(zip(grid.pose, grid.expanded, strict=True)):
-        factor, unit = scale(coordinate, largest(own), grid.turning)
+        factor, unit = scale(coordinate, largest(own), grid.periodic)
         x = p.Axis(f"{name(column)} [{shown}]", across * values[0], across * values[-1], most=8)
         y = p.Axis(f"U {name(coordinate)} [{unit}]", 0.0, 1.15 * factor * own.max())
         panels.append(
@@ -106,21 +106,21 @@ def _maps(grid: UncertaintyMap) -> list[p.Panel]:
     values = grid.expanded.reshape(len(grid.pose), *grid.expanded.shape[1:3], -1)
     axes = []
     for c in (across, up):
-        factor, unit = scale(c, largest(grid.axes[c]), grid.turning)
+        factor, unit = scale(c, largest(grid.axes[c]), grid.periodic)
         places, edges = factor * grid.axes[c], factor * _edges(grid.axes[c])
         low, high = (places if len(places) > 1 else edges)[[0, -1]]
         axes.append((edges, p.Axis(f"{name(c)} [{unit}]", low, high, most=3)))
     (x, x_axis), (y, y_axis) = axes
     panels = []
     for coordinate, U in zip(grid.pose, values, strict=True):
-        factor, unit = scale(coordinate, float(U.max()), grid.turning)
+        factor, unit = scale(coordinate, float(U.max()), grid.periodic)
         low, high = factor * U.min(), factor * U.max()
         if high - low < 1e-3 * high:  # flat: no colours made of rounding
             low, high = 0.98 * low, 1.02 * high
         last = coordinate == grid.pose[-1]
         for j, value in enumerate(slices):
             layers = p.tiles(x, y, _full(factor * U[:, :, j].T, low, high), 1.0)
-            title = _slice_words(third, value, largest(slices), grid.turning)
+            title = _slice_words(third, value, largest(slices), grid.periodic)
             panels.append(
                 p.Panel(
                     _outer(x_axis, last), _outer(y_axis, j == 0), layers,
@@ -159,11 +159,11 @@ def _edges(places: np.ndarray) -> np.ndarray:
     return np.array([2 * places[0] - middle[0], *middle, 2 * places[-1] - middle[-1]])
 
 
-def _slice_words(column: str | None, value: float, most: float, turning: Collection[str]) -> str:
+def _slice_words(column: str | None, value: float, most: float, periodic: Collection[str]) -> str:
     """Return `Z = 125 µm`, to a thousandth of the largest height."""
     if column is None:
         return ""
-    factor, unit = scale(column, most or 1e-4, turning)
+    factor, unit = scale(column, most or 1e-4, periodic)
     step = 10.0 ** np.floor(np.log10(factor * (most or 1e-4)) - 2)
     return minus(f"{name(column)} = {number(round(factor * value / step) * step)} {unit}")
 

@@ -142,9 +142,9 @@ def recorded_table(recorded: Recorded, title: str) -> Table:
     """Return U over a workspace: rms, worst, and where that is."""
     rows = []
     for column, worst in recorded.worst.items():
-        factor, unit, _ = readable(column, recorded.turning)
+        factor, unit, _ = readable(column, recorded.periodic)
         sizes = (number(v * factor) for v in (recorded.rms[column], worst))
-        rows.append([column, unit, *sizes, position_words(recorded.where[column], recorded.turning)])
+        rows.append([column, unit, *sizes, position_words(recorded.where[column], recorded.periodic)])
     return Table([title, "unit", "rms", "worst", "at"], rows, title, left=2)
 
 
@@ -167,12 +167,12 @@ def _length(value: float) -> str:
     return "<0.001 nm" if 0 < abs(value) < 1e-12 else sized(value, "m")
 
 
-def position_words(at: Mapping[str, float], turning: Collection[str] | None = None) -> str:
-    """Return `x 100 um, z 250 um`: what is not next to zero beside the others; `turning` as in `readable`."""
+def position_words(at: Mapping[str, float], periodic: Collection[str] | None = None) -> str:
+    """Return `x 100 um, z 250 um`: what is not next to zero beside the others; `periodic` as in `readable`."""
     least = 0.01 * max(map(abs, at.values()), default=0.0)
     parts = []
     for column, value in at.items():
-        factor, unit, name = readable(column, turning)
+        factor, unit, name = readable(column, periodic)
         if abs(value) > least:
             parts.append(f"{name} {number(value * factor)} {unit}")
     return ", ".join(parts) or "rest"

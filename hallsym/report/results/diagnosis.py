@@ -225,7 +225,7 @@ def _waves(d: Diagnosis, coordinate: str) -> list[Block | str]:
         rows.append([str(w.per_turn), *sizes, ", ".join(found), ", ".join(w.causes)])
     lost = f" (none: {NOT_DECODED})" if any(w.designed is None for w in mine) else ""
     caption = (
-        f"amplitude of the error over all runs: of the nominal sensor with only its zeros fitted{lost}, "
+        f"amplitude of the error over all runs: of the nominal sensor with only its offsets fitted{lost}, "
         "of the model, and with the effects found"
     )
     blocks: list[Block | str] = [Table(head, rows, caption, wordy=(4, 5))]

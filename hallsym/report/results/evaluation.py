@@ -21,16 +21,16 @@ Judged = tuple[Evaluation, Belonging | str]
 
 def evaluation_content(found: Evaluation, *, by_run: bool = False) -> Content:
     """Return the verdict, then the errors with the noise floor; `by_run`: with one line per run."""
-    pose, turning, runs = found.model.pose, found.model.period, found.table.runs
+    pose, period, runs = found.model.pose, found.model.period, found.table.runs
     rows: dict[str, Any] = {"all runs" if len(runs) > 1 else "all samples": found.table.over()}
     if by_run:
         rows |= {f"run {run}": found.table.over([run]) for run in runs}
     known = shared.interval_of(found.table)
-    more = {"95 % interval": shared.interval_row(known, pose, turning)} if known else {}
+    more = {"95 % interval": shared.interval_row(known, pose, period)} if known else {}
     source = "" if {s.source for s in found.noise.sigmas.values()} == {"given"} else "estimated"
     samples = counted(int(found.table.count.sum()), "sample")
     where = f" in {counted(len(runs), 'run')}" if len(runs) > 1 else ""
-    errors = shared.error_table(pose, rows, found.noise_floor, source, turning=turning, more=more)
+    errors = shared.error_table(pose, rows, found.noise_floor, source, periodic=period, more=more)
     return Content(
         f"{found.model.name} on {shared.called(found.log.path)}",
         found.goodness.verdict,

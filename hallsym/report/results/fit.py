@@ -50,7 +50,7 @@ def fit_content(fit: Fit, *, found: Sequence[Block | str] = (), log: Log | None 
             intervals[label] = shared.interval_row(known, fit.model.pose, fit.model.period)
     rows = {LABELS.get(k, k): v for k, v in fit.error_rows.items()}
     errors = shared.error_table(
-        fit.model.pose, rows, fit.noise_floor, turning=fit.model.period, more=intervals
+        fit.model.pose, rows, fit.noise_floor, periodic=fit.model.period, more=intervals
     )  # fmt: skip
     repeating = [] if fit.logs or log is None else periodic_blocks(fit, log)
     notes = [*circumstances(fit), *(f"note: {note}" for note in fit.notes)]
@@ -196,7 +196,7 @@ def several_blocks(fit: Fit) -> list[Block | str]:
                 rows[f"{log['name']}{said}"] = log["errors"][kind]
     own = fit.logs[0]["parameters"]
     return [
-        shared.error_table(fit.model.pose, rows, turning=fit.model.period, title="by log"),
+        shared.error_table(fit.model.pose, rows, periodic=fit.model.period, title="by log"),
         *(_own(fit, p) for p in fit.model.parameters if p.name in own),
     ]
 
@@ -231,7 +231,7 @@ def _columns(fit: Fit) -> dict[str, list[Any]]:
         "high_95": [high for _, high in ends],
         "unit": [one.unit for one in found.values()],
         "determined": fit.determined.tolist(),
-        "fixed": [n in fit.held for n in fit.model.names],
+        "fixed": [n in fit.fixed for n in fit.model.names],
         "at_bound": [n in fit.at_bound for n in fit.model.names],
         "nominal": [p.nominal for p in fit.model.parameters],
         "lower": [p.lower for p in fit.model.parameters],
@@ -262,14 +262,14 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
     found = gather(log, fit, label="fitted", before=nominal_of(log, fit))
     if same and _above_recorded(found, fit):
         found = gather(log, fit, label="fitted", keep=_spikes(log, fit), before=nominal_of(log, fit))
-    survey, pose, turning = found.survey, fit.model.pose, fit.model.period
+    survey, pose, period = found.survey, fit.model.pose, fit.model.period
     rows = {LABELS.get(k, k): v for k, v in fit.error_rows.items()} if same and fit.error_rows else {
         "nominal": survey.nominal.over(), "this log": survey.fitted.over()}  # fmt: skip
     held = tuple(r for r in fit.log["holdout"] if same)
     judged = "held out" if held else "fitted" if same else "this log"
     known = shared.interval_of(survey.fitted, held or survey.runs)
-    more = {f"95 % interval, {judged}": shared.interval_row(known, pose, turning)} if known else {}
-    errors = shared.error_table(pose, rows, fit.noise_floor, turning=turning, more=more)
+    more = {f"95 % interval, {judged}": shared.interval_row(known, pose, period)} if known else {}
+    errors = shared.error_table(pose, rows, fit.noise_floor, periodic=period, more=more)
     said = fit_content(fit)
     notes = [*circumstances(fit), *_notes(log, fit, found, same)]
     described = verdict(fit).partition("; next: ")[0].rstrip(".")  # the card has the next command
@@ -357,7 +357,7 @@ def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Facts:
         ("noise floor", "what the noise of readings and reference alone leaves"),
         (
             "nominal",
-            f"every parameter at its nominal value{', no zero deviations' if fit.model.zeros else ''}",
+            f"every parameter at its nominal value{', no zero deviations' if fit.model.offsets else ''}",
         ),
     ]
     return Facts(pairs, frozenset({"log", "calibrated on"}))
@@ -389,10 +389,10 @@ def _spikes(log: Log, fit: Fit) -> Weigh:
     """Return what leaves out isolated spikes by the rule of the fit."""
     model, cost = fit.model, cost_near(log, fit.model, fit.values, fit.noise.std)
     place = Decoder(fit)
-    zeros = {
-        run: place.zeros(run, state)
+    offsets = {
+        run: place.offsets(run, state)
         for run, state in zip(cost.summary.runs, cost.summary.first_state, strict=True)
     }
     suspects = column_spikes((*model.references, *model.channels))
     covariance = cost.at(fit.values).covariance.mean(axis=0)
-    return reject_spikes(residuals(model, fit.values, zeros), covariance, suspects)
+    return reject_spikes(residuals(model, fit.values, offsets), covariance, suspects)

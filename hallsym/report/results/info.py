@@ -14,7 +14,7 @@ from hallsym.report.content import Block, Content, Heading, Section, Table
 from hallsym.report.words import number
 from hallsym.units import parameter_unit
 
-# -- a model: its family, chain of links, columns, parameters, zeros and the effects it can take ---------
+# -- a model: its family, chain of links, columns, parameters, offsets and the effects it can take ---------
 
 
 def model_record(model: Model) -> dict[str, Any]:
@@ -34,7 +34,7 @@ def model_record(model: Model) -> dict[str, Any]:
         "channels": list(model.channels),
         "parameters": [{"name": p.name, **_entry(p)} for p in model.parameters],
         "combinations": [{"expression": c.expression, "unit": c.unit} for c in model.combinations],
-        "zeros": [{"name": z.name, **_entry(z)} for z in model.zeros],
+        "zeros": [{"name": z.name, **_entry(z)} for z in model.offsets],
         "can_take": sorted(
             name
             for name, effect in effects(model.family).items()
@@ -123,8 +123,8 @@ def _of_family(family: Family, effect: Effect) -> dict[str, Any]:
 def _explained(family: Family, effect: Effect) -> dict[str, Any]:
     model, variants = _tried(family, effect)
     wide = [v.make(model) for v in variants]
-    old = {p.name for p in (*model.parameters, *model.zeros)}
-    new = {p.name: p for m in wide for p in (*m.parameters, *m.zeros) if p.name not in old}
+    old = {p.name for p in (*model.parameters, *model.offsets)}
+    new = {p.name: p for m in wide for p in (*m.parameters, *m.offsets) if p.name not in old}
     texts = [effect.text(**v.numbers) for v in variants]
     return {
         "link": effect.link,

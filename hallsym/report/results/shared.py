@@ -52,9 +52,9 @@ def called(path: object) -> str:
     return "/".join(Path(str(path)).parts[-2:]) if path else "a log in memory"
 
 
-def each(values: Mapping[str, float], turning: Collection[str] | None = None) -> str:
-    """Return `x 1.36 um, y 1.54 um, Rz 2.34 urad`; `turning` as in `hallsym.units.readable`."""
-    return ", ".join(f"{name(c)} {amount(c, v, turning)}" for c, v in values.items())
+def each(values: Mapping[str, float], periodic: Collection[str] | None = None) -> str:
+    """Return `x 1.36 um, y 1.54 um, Rz 2.34 urad`; `periodic` as in `hallsym.units.readable`."""
+    return ", ".join(f"{name(c)} {amount(c, v, periodic)}" for c, v in values.items())
 
 
 # -- how large the error is ------------------------------------------------------------------------------
@@ -65,27 +65,27 @@ def error_table(
     rows: Mapping[str, Sizes | None],
     floor: Mapping[str, float] | None = None,
     source: str = "",
-    turning: Collection[str] | None = None,
+    periodic: Collection[str] | None = None,
     *,
     more: Mapping[str, Sequence[str]] | None = None,
     title: str = "errors",
 ) -> Table:
     """Return rmse and peak of each output, one line per entry of `rows`.
 
-    `source`: whether the noise floor is stated or estimated, where that is to be said. `turning`: coordinates
+    `source`: whether the noise floor is stated or estimated, where that is to be said. `periodic`: coordinates
     that go round, see `hallsym.units.readable`. `more`: further lines of the rmse, as text, above
     that of the noise floor.
     """
     table: list[list[str]] = []
     for label, row in rows.items():
         if row is not None:
-            sizes = (cells([row[what][c] for c in pose], pose, turning, 4) for what in ("rmse", "peak"))
+            sizes = (cells([row[what][c] for c in pose], pose, periodic, 4) for what in ("rmse", "peak"))
             table.append([label, *chain(*sizes)])
     table += [[label, *words] for label, words in (more or {}).items()]
     if floor:
-        noise = cells([floor[c] for c in pose], pose, turning, 4)
+        noise = cells([floor[c] for c in pose], pose, periodic, 4)
         table.append([f"noise floor, {source}" if source else "noise floor", *noise])
-    head = [title, *heads(pose, turning, "rmse"), *heads(pose, turning, "peak")]
+    head = [title, *heads(pose, periodic, "rmse"), *heads(pose, periodic, "peak")]
     filled = [[*row, *[""] * (len(head) - len(row))] for row in table]
     return Table(head, filled, "root mean square and largest error of each output")
 
@@ -112,10 +112,10 @@ def interval_of(table: ErrorTable, runs: Sequence[int] | None = None) -> dict[st
 
 
 def interval_row(
-    found: Mapping[str, tuple[float, float]], pose: Sequence[str], turning: Collection[str] | None
+    found: Mapping[str, tuple[float, float]], pose: Sequence[str], periodic: Collection[str] | None
 ) -> list[str]:
     """Return the intervals as cells of an error table."""
-    low, high = (cells([found[c][k] for c in pose], pose, turning) for k in (0, 1))
+    low, high = (cells([found[c][k] for c in pose], pose, periodic) for k in (0, 1))
     return [f"{a} .. {b}" for a, b in zip(low, high, strict=True)]
 
 
@@ -247,7 +247,7 @@ def _remark(fit: Fit, k: int) -> str:
     if fit.determined[k]:
         return ""
     which = "any recording" if p.name in fit.structural else "this log"
-    done = "fixed at nominal" if p.name in fit.held else "see below"
+    done = "fixed at nominal" if p.name in fit.fixed else "see below"
     return f"not identifiable from {which}; {done}"
 
 

@@ -257,7 +257,7 @@ def _unknown(model: Model) -> Model:
         added = []
         for k, sensor in enumerate(seen):
             shift = s["moved"][k]["x_m"] - s["placed"][k][0]
-            waves = [links.turned((cos, sin), q * (shift - x)) for x, _ in sensor.positions]
+            waves = [links.rotated((cos, sin), q * (shift - x)) for x, _ in sensor.positions]
             odd = s["turn"] * p["ends_sin"]
             added.append(sum(p["ends_cos"] * c + odd * v for c, v in waves) / len(waves))
         s["field"] = s["field"] + ca.vertcat(*added)

@@ -24,7 +24,7 @@ WHOLE = 0.3
 
 def voltage_rails(model: Model, facts: Facts) -> list[Try]:
     """Return the rails that the voltages of a log may show."""
-    return [] if decodes(model) else rails("low_v", "high_v", alike=False)(model, facts)
+    return [] if decodes(model) else rails("low_v", "high_v", symmetric=False)(model, facts)
 
 
 def angle_rails(model: Model, facts: Facts) -> list[Try]:

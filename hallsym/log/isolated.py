@@ -31,7 +31,7 @@ EXPANSION = 8
 """How many times larger than its file what it holds may be: deflate reaches that on smooth readings."""
 SECONDS = 60
 """Of the processor for one answer: 65,536 rows, or what the file holds."""
-_START = "import sys; sys.path[:] = sys.argv[1:]; from hallsym.log.apart import serve; serve()"
+_START = "import sys; sys.path[:] = sys.argv[1:]; from hallsym.log.isolated import serve; serve()"
 
 _IDLE: list[Decoder] = []
 
@@ -42,7 +42,7 @@ def about(source: Source) -> dict[str, Any]:
     return {name: value for name, value in known.items() if value is not None}
 
 
-class Apart(Source):
+class Isolated(Source):
     """The columns of a file that a decoder opens with `reader`, a function of a module."""
 
     def __init__(self, reader: Callable[..., Source], path: Path, **options: str | None) -> None:

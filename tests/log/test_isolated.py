@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from hallsym.errors import InputError
-from hallsym.log import apart
-from hallsym.log.apart import Apart
+from hallsym.log import isolated
+from hallsym.log.isolated import Isolated
 from hallsym.log.formats import Guarded
 from hallsym.log.table import Arrays
 
@@ -26,8 +26,8 @@ def crashing(path: Path) -> Arrays:
 
 
 def endless(path: Path) -> Arrays:
-    apart.SECONDS = 1
-    apart._limit(0)
+    isolated.SECONDS = 1
+    isolated._limit(0)
     while True:
         pass
 
@@ -53,7 +53,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_columns_are_those_of_the_reader(path: Path) -> None:
-    found, own = Apart(vectors, path), vectors(path)
+    found, own = Isolated(vectors, path), vectors(path)
     assert (tuple(found.names), found.rows, found.count(), found.small) == (own.names, 3, 3, True)
     for name, values in own.columns.items():
         read = found.read([name])[name]
@@ -75,24 +75,24 @@ def test_columns_are_those_of_the_reader(path: Path) -> None:
 )
 def test_a_file_that_kills_its_decoder_is_one_sentence(path: Path, reader, why: str) -> None:
     with pytest.raises(InputError, match=rf"Log .*log\.bin {why}"):
-        Guarded(path, partial(Apart, reader), "it is damaged")
-    assert Guarded(path, partial(Apart, vectors), "").names == ("a_m", "b", "c")
+        Guarded(path, partial(Isolated, reader), "it is damaged")
+    assert Guarded(path, partial(Isolated, vectors), "").names == ("a_m", "b", "c")
 
 
 @posix
 def test_a_large_file_may_take_more_memory(path: Path) -> None:
     with pytest.raises(MemoryError):
-        Apart(roomy, path)
+        Isolated(roomy, path)
     os.truncate(path, 256 << 20)
-    assert Apart(roomy, path).rows == 3
+    assert Isolated(roomy, path).rows == 3
 
 
 def test_one_decoder_serves_file_after_file_and_keeps_none_open(path: Path) -> None:
-    apart.end_decoders()
+    isolated.end_decoders()
     for k in range(3):
         path.write_bytes(bytes(k + 1))
-        source = Apart(vectors, path)
+        source = Isolated(vectors, path)
         assert next(source.chunks(["b"], 2))["b"].tolist() == [0, 1, 2]
-    (decoder,) = apart._IDLE
+    (decoder,) = isolated._IDLE
     assert decoder.ready
     assert decoder.ask("next", source._file) is None  # what nobody reads on is ended
