@@ -1,6 +1,6 @@
 """Decoded errors: of a version of a model on some samples, and as waves per period."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,8 @@ from hallsym.records import named
 class DecodedErrors:
     """Decoded errors of `count` samples: `rms` and `peak` of each coordinate, (pose,) each, in SI.
 
-    `weights`: (pose,) of the pose metric.
+    `weights`: (pose,) of the pose metric. `interval`: 95 %, of the rms by coordinate, from
+    the scatter of runs.
     """
 
     pose: tuple[str, ...]
@@ -26,6 +27,7 @@ class DecodedErrors:
     count: int
     rms: np.ndarray
     peak: np.ndarray
+    interval: Mapping[str, tuple[float, float]]
 
     @property
     def metric(self) -> float:
@@ -35,7 +37,7 @@ class DecodedErrors:
     @property
     def gap(self) -> Gap:
         """Rmse and peak per pose coordinate."""
-        return Gap(named(self.pose, self.rms), named(self.pose, self.peak))
+        return Gap(named(self.pose, self.rms), named(self.pose, self.peak), dict(self.interval))
 
 
 def errors_of(base: Base) -> Callable[[Block], np.ndarray]:
@@ -52,7 +54,7 @@ def decoded_errors(base: Base, runs: Iterable[int], keep: Weigh | None = None) -
     )  # fmt: skip
     count, peak = int(found.count.sum()), found.peak.max(axis=0, initial=0.0)
     rms = np.sqrt(found.squares.sum(axis=0) / max(count, 1))
-    return DecodedErrors(found.pose, base.pose_weights, count, rms, peak)
+    return DecodedErrors(found.pose, base.pose_weights, count, rms, peak, found.interval())
 
 
 FIRST = 12

@@ -91,10 +91,19 @@ class ModelLeft:
 
 @dataclass(frozen=True)
 class Gap:
-    """Errors of the decoded pose on the holdout runs: `rmse` and `peak` by output, SI."""
+    """Errors of the decoded pose on the holdout runs: `rmse` and `peak` by output, SI.
+
+    `interval`: of the rmse, 95 %, from the scatter of the holdout runs; empty where they are too few.
+    """
 
     rmse: dict[str, float]
     peak: dict[str, float]
+    interval: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def sizes(self) -> dict[str, dict[str, float]]:
+        """Rmse and peak, `{"rmse": {x_m: ..}, "peak": {..}}`."""
+        return {"rmse": self.rmse, "peak": self.peak}
 
 
 @dataclass(frozen=True)

@@ -143,7 +143,8 @@ def report(
     gap_after, cured = found.before.gap, found.cured.gap
     if not quiet:  # faults of samples count by their power
         power = found.metric / found.cured.metric
-        gap_after = Gap({c: v * power for c, v in cured.rmse.items()}, cured.peak)
+        ends = {c: (low * power, high * power) for c, (low, high) in cured.interval.items()}
+        gap_after = Gap({c: v * power for c, v in cured.rmse.items()}, cured.peak, ends)
     given = {s.source == "given" for s in setup.fit.noise.sigmas.values()}
     source = "stated and estimated" if len(given) == 2 else "stated" if given == {True} else "estimated"
     log = setup.fit.log

@@ -157,6 +157,26 @@ def test_no_gap_needs_no_effects():
     assert "after" not in outline.text
 
 
+def test_intervals_of_the_error_stand_below_it():
+    record = a_record()
+    record["gap_after"]["interval"] = {"x_m": (1.1e-6, 1.32e-6), "rz_rad": (1e-6, 2e-6)}
+    text = Outline(page_of(record)).text
+    assert "95 % interval, after 1.1 .. 1.32 1 .. 2 noise floor" in text
+    assert "95 % interval, before" not in text  # too few runs
+
+
+def test_each_output_is_drawn_over_its_own_coordinate():
+    def along(column: str) -> Cells:
+        one = np.array([[1e-6, 2e-6]] * 3)
+        return Cells(
+            f"{column} [µm]", POSE, np.array([3, 4]), one, one, edges=(-1.0, 0.0, 1.0), column=column
+        )  # fmt: skip
+
+    first = page_of(a_record(), maps=[along("x_m"), along("y_m")]).partition("Over position")[2]
+    titles = re.findall(r">([xy]_m \[µm\])<", first.partition("</figure>")[0])
+    assert titles == ["x_m [µm]", "y_m [µm]", "x_m [µm]"]  # Rz does not move
+
+
 def test_a_statement_that_was_not_confirmed_leaves_its_place_empty():
     record = a_record()
     record["where"][0]["held_out"] = None

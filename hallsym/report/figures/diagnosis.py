@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
 
 import numpy as np
 
@@ -22,7 +21,7 @@ def changed(d: Diagnosis) -> bool:
 
 def gaps(d: Diagnosis) -> dict[str, Sizes]:
     """Return the errors before and after, or on the holdout runs, without outputs that have no number."""
-    every = {"before": asdict(d.gap_before), "after": asdict(d.gap_after)}
+    every = {"before": d.gap_before.sizes, "after": d.gap_after.sizes}
     parts = [part for gap in every.values() for part in gap.values()]
     known = [c for c in parts[0] if all(math.isfinite(part.get(c, math.nan)) for part in parts)]
     found: dict[str, Sizes] = {

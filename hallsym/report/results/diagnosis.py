@@ -69,7 +69,13 @@ def diagnosis_content(
             Section("notes", "Other checks", [Items(_notes(d))]),
             shared.origin_section(asdict(d.log), d.versions, command),
         ],
-        ["", _basis(d), _errors(d), *shared.first_view(series, maps, after or maps, d.noise_floor.outputs)],
+        [
+            "",
+            _basis(d),
+            _errors(d),
+            *(shared.expanded_at_rest(fit) if fit and not changed(d) else []),
+            *shared.first_view(series, maps, after, d.noise_floor.outputs),
+        ],
         state=STATES.get(d.verdict, "open"),
         word=word,
         why=why,
@@ -128,7 +134,6 @@ def _basis(d: Diagnosis) -> str:
 def _input(d: Diagnosis) -> Items:
     """Return on what the verdict rests."""
     pairs: list[tuple[str, Any]] = [
-        ("verdict", d.verdict),
         ("log", d.log.path or "a log in memory"),
         ("samples", f"{d.log.rows} in {d.log.runs} {d.held_out.rpartition(' ')[2]}s" if d.log.rows else None),
         (f"{d.held_out}s", shared.numbers(d.validation_runs)),
@@ -165,8 +170,12 @@ def significance_text(s: Significance, piece: str = "run") -> str:
 def _errors(d: Diagnosis) -> Table:
     """Return rmse and peak on the holdout runs, with the floor and the one number that shrinkage is of."""
     gaps = {"before": d.gap_before, "after": d.gap_after} if d.effects else {"holdout": d.gap_before}
-    rows, floor = {when: asdict(gap) for when, gap in gaps.items()}, d.noise_floor
-    return shared.error_table(tuple(floor.outputs), rows, floor.outputs, floor.source)
+    rows, floor = {when: gap.sizes for when, gap in gaps.items()}, d.noise_floor
+    pose = tuple(floor.outputs)
+    ends = {
+        f"95 % interval, {w}": shared.interval_row(g.interval, pose) for w, g in gaps.items() if g.interval
+    }
+    return shared.error_table(pose, rows, floor.outputs, floor.source, more=ends)
 
 
 def _errors_section(d: Diagnosis) -> Section:
@@ -209,7 +218,8 @@ def _sizes(d: Diagnosis) -> list[Block | str]:
         "above it, and its share of the excess of all outputs, or of all sensors, where the whole excess is "
         "more than chance"
     )
-    return [Table(head, rows, caption)] if rows else []
+    full = [k for k in range(len(head)) if any(row[k] for row in rows)]
+    return [Table([head[k] for k in full], [[row[k] for k in full] for row in rows], caption)] if rows else []
 
 
 def _waves(d: Diagnosis, coordinate: str) -> list[Block | str]:

@@ -25,7 +25,7 @@ def evaluation_content(found: Evaluation, *, by_run: bool = False) -> Content:
     rows: dict[str, Any] = {"all runs" if len(runs) > 1 else "all samples": found.table.over()}
     if by_run:
         rows |= {f"run {run}": found.table.over([run]) for run in runs}
-    known = shared.interval_of(found.table)
+    known = found.table.interval()
     more = {"95 % interval": shared.interval_row(known, pose, period)} if known else {}
     source = "" if {s.source for s in found.noise.sigmas.values()} == {"given"} else "estimated"
     samples = counted(int(found.table.count.sum()), "sample")

@@ -44,7 +44,7 @@ def fit_content(fit: Fit, *, found: Sequence[Block | str] = (), log: Log | None 
     intervals: dict[str, list[str]] = {}
     if fit.errors:
         table, held = fit.errors.fitted, fit.errors.holdout
-        known = shared.interval_of(table, held or table.runs)
+        known = table.interval(held or table.runs)
         if known:
             label = f"95 % interval, {'held out' if held else 'fitted'}"
             intervals[label] = shared.interval_row(known, fit.model.pose, fit.model.period)
@@ -267,7 +267,7 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
         "nominal": survey.nominal.over(), "this log": survey.fitted.over()}  # fmt: skip
     held = tuple(r for r in fit.log["holdout"] if same)
     judged = "held out" if held else "fitted" if same else "this log"
-    known = shared.interval_of(survey.fitted, held or survey.runs)
+    known = survey.fitted.interval(held or survey.runs)
     more = {f"95 % interval, {judged}": shared.interval_row(known, pose, period)} if known else {}
     errors = shared.error_table(pose, rows, fit.noise_floor, periodic=period, more=more)
     said = fit_content(fit)
@@ -285,7 +285,7 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
         command=next_command,
         first=[
             errors,
-            *_expanded(fit),
+            *shared.expanded_at_rest(fit),
             *shared.first_view(found.series, found.before, found.maps, fit.noise_floor),
         ],
         sections=[
@@ -298,17 +298,6 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
             shared.origin_section(origin, fit.versions, command),
         ],
     )
-
-
-def _expanded(fit: Fit) -> list[str]:
-    """Return U of the decoded position as a sentence; none where a budget is not possible."""
-    from hallsym.report.results.budget import expanded
-    from hallsym.uncertainty import position_budget
-
-    try:
-        return [f"{expanded(position_budget(fit), 'rest')}."]
-    except InputError:
-        return []
 
 
 def _next(fit: Fit, calibration: str) -> tuple[str, str]:

@@ -8,12 +8,8 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from hallsym.errors import counted
+from hallsym.errors import InputError, counted
 from hallsym.estimation import Fit
-from hallsym.estimation.calibration import coverage_factor
-from hallsym.estimation.decoding import ErrorTable
 from hallsym.log.columns import in_a_row
 from hallsym.report.content import Block, Facts, Figure, Heading, Note, Runs, Section, Table, Words
 from hallsym.report.data.gather import Cells, RunSeries
@@ -90,33 +86,27 @@ def error_table(
     return Table(head, filled, "root mean square and largest error of each output")
 
 
-FEWEST = 4
-"""Runs from which on their scatter tells how well an rmse is known."""
-
-
-def interval_of(table: ErrorTable, runs: Sequence[int] | None = None) -> dict[str, tuple[float, float]]:
-    """Return the 95 % interval of the rmse of each output over some runs; empty for fewer than `FEWEST`.
-
-    From the scatter of whole runs, since errors within a run are alike: jackknife of the logarithm of the
-    mean square, and Student's t.
-    """
-    pick = [k for k, run in enumerate(table.runs) if (runs is None or run in runs) and table.count[k]]
-    if len(pick) < FEWEST:
-        return {}
-    squares, count, n = table.squares[pick], table.count[pick, None], len(pick)
-    without = np.log((squares.sum(axis=0) - squares) / (count.sum() - count))
-    sigma = np.sqrt((n - 1) * without.var(axis=0))
-    size, half = np.sqrt(squares.sum(axis=0) / count.sum()), 0.5 * coverage_factor(n - 1.0) * sigma
-    ends = zip(size * np.exp(-half), size * np.exp(half), strict=True)
-    return {c: (float(a), float(b)) for c, (a, b) in zip(table.pose, ends, strict=True)}
-
-
 def interval_row(
-    found: Mapping[str, tuple[float, float]], pose: Sequence[str], periodic: Collection[str] | None
+    found: Mapping[str, tuple[float, float]], pose: Sequence[str], periodic: Collection[str] | None = None
 ) -> list[str]:
     """Return the intervals as cells of an error table."""
-    low, high = (cells([found[c][k] for c in pose], pose, periodic) for k in (0, 1))
-    return [f"{a} .. {b}" for a, b in zip(low, high, strict=True)]
+    known = [c for c in pose if c in found]
+    low, high = (cells([found[c][k] for c in known], known, periodic) for k in (0, 1))
+    said = {c: f"{a} .. {b}" for c, a, b in zip(known, low, high, strict=True)}
+    return [said.get(c, "") for c in pose]
+
+
+def expanded_at_rest(fit: Fit) -> list[str]:
+    """Return U of the decoded position as a sentence; none where the model is not all of the error."""
+    from hallsym.report.results.budget import expanded  # a terminal prints none
+    from hallsym.uncertainty import position_budget
+
+    if fit.goodness and fit.goodness.sentence:
+        return []
+    try:
+        return [f"{expanded(position_budget(fit), 'rest')}."]
+    except InputError:
+        return []
 
 
 # -- where, when, and how the error is distributed ---------------------------------------------------------
@@ -175,16 +165,22 @@ def _charts(m: Cells, a: Cells | None, floor: Mapping[str, float]) -> list[Any]:
 def first_view(
     series: Sequence[RunSeries], before: Sequence[Cells], after: Sequence[Cells], floor: Mapping[str, float]
 ) -> list[Block]:
-    """Return the error over the time of the worst run and over a coordinate, before and after."""
+    """Return the error over the time of the worst run and over a coordinate, before and, if known, after."""
     blocks: list[Block] = []
     if series:
         lines = list(series[0].lines)
         versions = f"; orange: {lines[0]}; blue, drawn over it: {lines[-1]}" if len(lines) > 1 else ""
         blocks.append(Figure(over_time(series[0], every=True), f"Over time, {series[0].title}{versions}"))
-    pairs = [(b, a) for b, a in zip(before, after, strict=True) if not (b.up or b.labels)]
-    if pairs:
-        dashed = " Dashed: noise floor." if floor else ""
-        blocks.append(Figure(_charts(*pairs[0], floor), f"Over {pairs[0][0].by}. {OVER}{dashed}"))
+    later = dict(enumerate(after))
+    along = {b.column: (b, later.get(k)) for k, b in enumerate(before) if b.column}
+    if along:
+        usual = next(iter(along.values()))
+        charts = []
+        for k, output in enumerate(usual[0].pose):  # each over its own coordinate, where that moves
+            b, a = along.get(output, usual)
+            charts += profiles(b, k, floor.get(output) or 0.0, a)
+        how = (OVER if after else BANDS) + (" Dashed: noise floor." if floor else "")
+        blocks.append(Figure(charts, f"Over position. {how}"))
     return blocks
 
 
