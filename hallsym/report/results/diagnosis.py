@@ -12,7 +12,7 @@ from typing import Any
 from hallsym.diagnosis import QUIET, Diagnosis, Estimate, Significance, Statement, noise_text
 from hallsym.errors import counted
 from hallsym.estimation import Fit
-from hallsym.families import added_effects, effects, plain
+from hallsym.families import FAMILIES, added_effects, effects, plain
 from hallsym.output import percent
 from hallsym.report.content import Block, Content, Figure, Heading, Items, Note, Section, Table
 from hallsym.report.data.gather import Cells, RunSeries
@@ -312,24 +312,33 @@ def _effects_section(d: Diagnosis) -> Section:
     rows = [(e.name, e.shrinkage, e.interval) for e in d.effects if math.isfinite(e.shrinkage)]
     drawn = [shares(rows, "decrease of the gap [%]", 1)] if rows else []
     ranking = Figure(drawn, "With the 95 % interval of each effect", look="two")
-    notes = Items([(e.name, e.note) for e in d.effects if e.note])
-    return Section("effects", "Which effects", [ranking, _ranked(d), *_found(d), notes, *_groups(d)])
+    return Section("effects", "Which effects", [ranking, _ranked(d), _meanings(d), *_found(d), *_groups(d)])
 
 
 def _ranked(d: Diagnosis) -> Table:
     head = [
-        "effect", "link", "form", "gap shrinks by (95 %)", "share of the excess", "p",
-        "not told apart from", "what it is",
+        "effect", "link", "form", "gap shrinks by (95 %)", "share of the excess", "p", "confusable with",
     ]  # fmt: skip
-    catalogue = effects()
     known = {e.name: [e.link, e.variant, shrinkage_text(e.shrinkage, e.interval), percent(e.share),
                       p_text(e.p_value)] for e in d.effects}  # fmt: skip
     rows: list[list[Any]] = []
     for effect in dict.fromkeys([*known, *d.ranked]):
         others = dict.fromkeys(other for g in d.groups if effect in g for other in g if other != effect)
-        meaning = catalogue[effect].meaning if effect in catalogue else ""
-        rows.append([effect, *known.get(effect, [""] * 5), ", ".join(others), meaning])
-    return Table(head, rows, "effects, best first", left=3, wordy=(6, 7), sortable=True)
+        rows.append([effect, *known.get(effect, [""] * 5), ", ".join(others)])
+    return Table(head, rows, "effects, best first", left=3, wordy=(6,), sortable=True)
+
+
+def _meanings(d: Diagnosis) -> Items:
+    """Return what each effect is, what it adds to the model, and what there is to do about it."""
+    catalogue = effects(*(family for family in FAMILIES if family.maker(d.model)))
+    found = {e.name: e for e in d.effects}
+    lines = []
+    for name_ in dict.fromkeys([*found, *d.ranked]):
+        parts = [catalogue[name_].meaning if name_ in catalogue else ""]
+        if name_ in found:
+            parts += [found[name_].cost and f"Adds {found[name_].cost}.", found[name_].note]
+        lines.append((name_, " ".join(filter(None, parts))))
+    return Items([line for line in lines if line[1]])
 
 
 def _found(d: Diagnosis) -> list[Block]:
@@ -337,9 +346,9 @@ def _found(d: Diagnosis) -> list[Block]:
     units, rows = units_of(d), []
     for e in d.effects:
         for parameter, p in e.parameters.items():
-            rows.append([e.name, parameter, *_estimate(p, units), e.cost])
-    head = ["effect", "parameter", "value (1 sigma)", "unit", "adds to the model"]
-    return [Table(head, rows, "parameters of the effects", left=2, wordy=(3, 4), sortable=changed(d))]
+            rows.append([e.name, parameter, *_estimate(p, units)])
+    head = ["effect", "parameter", "value (1 sigma)", "unit"]
+    return [Table(head, rows, "parameters of the effects", left=2, wordy=(3,), sortable=changed(d))]
 
 
 def _groups(d: Diagnosis) -> list[Block | str]:
