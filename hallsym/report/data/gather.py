@@ -42,8 +42,7 @@ outermost begin at sinh(STEP x HALF) = 16 000 x fine."""
 class Cells:
     """Errors of the decoded pose by cell, in SI.
 
-    `by`: what the cells are along, with the unit of `edges`; `column`: the coordinate
-    of the pose or state, where it is one. `median`, `rms`: (n_pose, cells), nan in an
+    `by`: what the cells are along, with the unit of `edges`. `median`, `rms`: (n_pose, cells), nan in an
     empty cell; `count`: (cells,). Cells have `edges` (cells + 1,) or, where they are no numbers, `labels`;
     `marked` are held out. Over two coordinates `across` holds the edges of the second, `up` its name, and
     cell `i + columns * j` lies at column i, row j. `periodic`: coordinates that go round, see
@@ -61,7 +60,6 @@ class Cells:
     up: str = ""
     across: Sequence[float] | np.ndarray = ()
     periodic: Collection[str] | None = None
-    column: str = ""
 
 
 class Tally:
@@ -332,8 +330,7 @@ class _Axis:
 
 
 def _along(axis: _Axis, fit: Fit) -> _Map:
-    own = dict(zip(fit.model.references, fit.model.pose, strict=True)).get(axis.column, axis.column)
-    frame = _frame(axis.label, fit, edges=axis.factor * axis.edges(ALONG), column=own)
+    frame = _frame(axis.label, fit, edges=axis.factor * axis.edges(ALONG))
     return _Map(frame, ALONG, lambda block: axis.place(block, ALONG))
 
 

@@ -172,16 +172,22 @@ def first_view(
         versions = f"; orange: {lines[0]}; blue, drawn over it: {lines[-1]}" if len(lines) > 1 else ""
         blocks.append(Figure(over_time(series[0], every=True), f"Over time, {series[0].title}{versions}"))
     later = dict(enumerate(after))
-    along = {b.column: (b, later.get(k)) for k, b in enumerate(before) if b.column}
+    along = [(b, later.get(k)) for k, b in enumerate(before) if not (b.up or b.labels)]
     if along:
-        usual = next(iter(along.values()))
         charts = []
-        for k, output in enumerate(usual[0].pose):  # each over its own coordinate, where that moves
-            b, a = along.get(output, usual)
+        for k, output in enumerate(along[0][0].pose):
+            b, a = max(along, key=lambda pair: _follows(pair[0], k))
             charts += profiles(b, k, floor.get(output) or 0.0, a)
         how = (OVER if after else BANDS) + (" Dashed: noise floor." if floor else "")
-        blocks.append(Figure(charts, f"Over position. {how}"))
+        blocks.append(Figure(charts, f"Over the coordinate that each error follows most. {how}"))
     return blocks
+
+
+def _follows(cells: Cells, output: int) -> float:
+    """Return the mean square of the medians of an output about their mean, by samples."""
+    full = cells.count > 0
+    share, median = cells.count[full] / cells.count.sum(), cells.median[output, full]
+    return float(share @ (median - share @ median) ** 2)
 
 
 def runs_section(found: Sequence[RunSeries]) -> Section:
