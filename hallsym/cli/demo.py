@@ -95,7 +95,7 @@ def beside_paper(steps: list[dict[str, Any]]) -> Table:
     for k, step in enumerate(steps):
         shown[step["step"]] = step["here"]
         if k + 1 == len(steps) or steps[k + 1]["table"] != step["table"]:
-            shown[f"  paper, Table {step['table']}"] = step["paper"]
+            shown[f"paper, Table {step['table']}"] = step["paper"]
     return error_table(POSE, shown)
 
 

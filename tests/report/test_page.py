@@ -108,8 +108,9 @@ def test_page_says_what_the_fit_says(page: str, fitted: Fit, log: Log):
         (rows["fitted"], "fitted"),
         (rows["designed"], "nominal"),
     ):
-        sizes = [f"{1e6 * row[what][c]:.4g}" for what in ("rmse", "peak") for c in fitted.model.pose]
-        assert text.count(f"{where} {' '.join(sizes)} ") == 1
+        for what in ("rmse", "peak"):
+            sizes = [f"{1e6 * row[what][c]:.4g}" for c in fitted.model.pose]
+            assert text.count(f"{what}, {where} {' '.join(sizes)} ") == 1
     assert "runs held out 3 (2, 7, 12)" in text
     assert log.sha256 in text
     assert "hallsym report calib.json log.csv" in text
@@ -234,7 +235,7 @@ def test_another_log_is_named_as_such_and_gets_its_own_zeros(fitted: Fit, log: L
     assert "This log is not the one that was fitted" in text
     assert "held out" not in text.partition("Input")[2].partition("Parameters")[0]
     found = gather(other, fitted)  # zeros of the wrong log
-    own = re.search(r"this log ([\d.]+) ", text)
+    own = re.search(r"rmse, this log ([\d.]+) ", text)
     rmse = found.survey.fitted.over()["rmse"]
     assert float(own[1]) < 1e6 * rmse["x_m"]
     assert float(own[1]) == pytest.approx(1e6 * fitted.noise_floor["x_m"], rel=0.05)

@@ -123,8 +123,8 @@ def test_everything_of_a_record_is_said():
     for words in (
         "Explained. vertical_gain_coupling lowers the rmse by 61 %.",
         "noise floor, estimated 1.1 1.6 1.3",
-        "before 3 4.5 3.6 12 18 14.4",
-        "after 1.2 1.8 1.44 4.8 7.2 5.76",
+        "rmse, before 3 4.5 3.6 rmse, after 1.2 1.8 1.44",
+        "peak, before 12 18 14.4 peak, after 4.8 7.2 5.76",
         "One number over all outputs: 2.7 µm before, 1.1 µm after, 1 µm floor.",
         "vertical_gain_coupling field linear 58.0 % (54.0 to 62.0) 93 % < 1e−6",
         "time_skew clock 7.0 % (−1.0 to 12.0) 4 % < 1e−6 lag",

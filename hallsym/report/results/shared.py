@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -66,24 +65,25 @@ def error_table(
     more: Mapping[str, Sequence[str]] | None = None,
     title: str = "errors",
 ) -> Table:
-    """Return rmse and peak of each output, one line per entry of `rows`.
+    """Return the rmse of each output, then its peak, one line per entry of `rows`.
 
     `source`: whether the noise floor is stated or estimated, where that is to be said. `periodic`: coordinates
     that go round, see `hallsym.units.readable`. `more`: further lines of the rmse, as text, above
     that of the noise floor.
     """
-    table: list[list[str]] = []
-    for label, row in rows.items():
-        if row is not None:
-            sizes = (cells([row[what][c] for c in pose], pose, periodic, 4) for what in ("rmse", "peak"))
-            table.append([label, *chain(*sizes)])
-    table += [[label, *words] for label, words in (more or {}).items()]
+    known = {label: row for label, row in rows.items() if row is not None}
+
+    def sizes(what: str) -> list[list[str]]:
+        return [
+            [f"{what}, {n}", *cells([v[what][c] for c in pose], pose, periodic, 4)] for n, v in known.items()
+        ]
+
+    table = [*sizes("rmse"), *([label, *words] for label, words in (more or {}).items())]
     if floor:
         noise = cells([floor[c] for c in pose], pose, periodic, 4)
         table.append([f"noise floor, {source}" if source else "noise floor", *noise])
-    head = [title, *heads(pose, periodic, "rmse"), *heads(pose, periodic, "peak")]
-    filled = [[*row, *[""] * (len(head) - len(row))] for row in table]
-    return Table(head, filled, "root mean square and largest error of each output")
+    head = [title, *heads(pose, periodic)]
+    return Table(head, [*table, *sizes("peak")], "root mean square and largest error of each output")
 
 
 def interval_row(
