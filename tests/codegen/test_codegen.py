@@ -307,6 +307,16 @@ def test_every_effect_without_a_history_has_its_c(name):
     assert np.isfinite(list(pose_bounds(d).error.values())).all()
 
 
+def test_a_strong_square_of_the_reading_has_its_c_and_one_that_turns_back_has_none():
+    square = effects()["even_nonlinearity"]
+    d = lower(fit := with_effect(square, 0.045), box_of(fit))
+    inputs = inputs_of(d)
+    assert np.abs(steps_on_arrays(d)(inputs, d.constants)[0] - d.exact(inputs)).max() <= d.slack + 1e-16
+    assert max(pose_bounds(d).error.values()) < 2e-7
+    with pytest.raises(InputError, match="do not settle"):
+        generate(with_effect(square, 0.3))
+
+
 def test_a_logged_temperature_is_one_more_input():
     fit = with_effect(stated("gain_temperature_drift:mean_degc=20"), 1e-3)
     code = generate(fit, ranges={"temperature_degc": (15.0, 30.0)})

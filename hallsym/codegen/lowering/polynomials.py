@@ -122,7 +122,9 @@ def _taylor(expression: ca.SX, columns: Mapping[str, ca.SX], reach: Mapping[str,
     raise InputError(f"Derived quantity {name!r} has no short Taylor series over {of[0]} within +-{most:g}.")
 
 
-MOST_ITERATIONS = 8
+MOST_ITERATIONS = 16
+"""Rounds of the decoder, each of which takes the bend off by its share of the reading: of three probes a
+square of 2 % of the range takes 6, 5 % 9, 9 % 15; from 10 % on intervals do not bound the rounds."""
 
 
 @dataclass(frozen=True, eq=False)
