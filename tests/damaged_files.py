@@ -16,12 +16,10 @@ import re
 import resource
 import shutil
 import signal
-import sqlite3
 import sys
 import tempfile
 import time
 import warnings
-import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -31,9 +29,11 @@ from types import FrameType
 from typing import Any, NoReturn
 from unittest.mock import patch
 
+import lab_files
 import mutations
 import numpy as np
 from log import bench_files
+from twins import bundled
 
 import hallsym
 from hallsym.cli.main import main
@@ -46,7 +46,6 @@ PATIENCE = 60.0
 """Seconds after which the watchdog ends a command that waits."""
 REFUSED, SAME, SAID, OTHER, SILENT = "refused", "same numbers", "said", "another valid file", "SILENT"
 KINDS = (REFUSED, SAME, SAID, OTHER)
-UNDETERMINED = "--allow-undetermined"
 VOLATILE = ("seconds", "log", "sha256", "file", "calibration", "versions", "written")
 
 
@@ -56,14 +55,14 @@ class HangError(BaseException):
 
 @dataclass(frozen=True)
 class Target:
-    """A reader: the file it reads, with its good content, and the command whose arguments name it.
+    """A reader: the file it reads, with its good content, and the command that names it.
 
     `checked`: its format has checksums, so that any damage must be noticed; so must a torn last line of CSV.
     """
 
     name: str
     file: str
-    arguments: tuple[str, ...]
+    command: str
     mutations: tuple[Callable[[bytes, random.Random], bytes], ...]
     checked: bool = False
     columns: Callable[[Mapping[str, np.ndarray], io.BytesIO], None] | None = None
@@ -79,14 +78,6 @@ class Outcome:
     seconds: float
     sentence: str
     fault: str = ""
-
-
-def columns_of(samples: int = 100) -> dict[str, np.ndarray]:
-    """Six runs of the bundled campaign."""
-    log = hallsym.bundled_campaign()
-    run = log.array("run").astype(int)
-    chosen = np.isin(run, log.runs[:12:2])
-    return {c: run[chosen] if c == "run" else log.array(c)[chosen] for c in log.columns}
 
 
 def _parquet(columns: Mapping[str, np.ndarray], stream: io.BytesIO) -> None:
@@ -238,85 +229,64 @@ theta_A_deg = { std = 0.1 }
 def targets() -> tuple[Target, ...]:
     """Every reader; `{FILE}` is the damaged file, the other names are good files beside it."""
     m = mutations
-    log, fit = ("--json",), ("--json", "--solver", "direct")
     return (
-        Target("CSV log", "log.csv", ("info", "{FILE}", *log), m.TEXT + m.BYTES, columns=_csv),
-        Target("CSV log, fit", "log.csv", ("fit", "{FILE}", *fit), m.TEXT, columns=_csv),
-        Target("Parquet log", "log.parquet", ("info", "{FILE}", *log), m.BYTES, True, _parquet),
-        Target("Parquet log, fit", "log.parquet", ("fit", "{FILE}", *fit), m.BYTES, True, _parquet),
-        Target("HDF5 log", "log.h5", ("info", "{FILE}", *log), m.BYTES, False, _hdf5),
-        Target("HDF5 run groups", "runs.h5", ("info", "{FILE}", *log), m.BYTES),
-        Target("MATLAB log", "log.mat", ("info", "{FILE}", *log), m.BYTES, True, _mat),
-        Target("MATLAB 7.3 log", "log73.mat", ("info", "{FILE}", *log), m.BYTES),
-        Target("MDF log", "log.mf4", ("info", "{FILE}", *log), m.BYTES),
-        Target("MDF log, compressed", "packed.mf4", ("info", "{FILE}", *log), m.BYTES),
-        Target("MDF 3 log", "old.mdf", ("info", "{FILE}", *log), m.BYTES),
-        Target("TDMS log", "log.tdms", ("info", "{FILE}", *log), m.BYTES),
-        Target("MCAP log", "log.mcap", ("info", "{FILE}", *log), m.BYTES),
-        Target("compressed log", "packed.csv.gz", ("info", "{FILE}", *log), m.BYTES, True),
-        Target("archive", "runs.zip", ("info", "{FILE}", *log), m.BYTES),
-        Target("database", "log.sqlite", ("info", "{FILE}", *log), m.BYTES),
-        Target("workbook", "runs.xlsx", ("info", "{FILE}", *log), m.BYTES),
-        Target("CSV log, as text", "log.csv", ("info", "{FILE}"), m.TEXT),
-        Target("column file, suggested", "log.csv", ("info", "{FILE}", "--suggest", "out.csv"), m.TEXT),
-        Target("sensors, sort", "sensors.csv", ("sort", "{FILE}", "--field", "0mT,475mT", "--json"), m.TEXT),
-        Target("calibration", "calib.json", ("evaluate", "{FILE}", "log.parquet", "--json"), m.JSON),
-        Target("calibration, info", "calib.json", ("info", "{FILE}", "--json"), m.JSON),
-        Target("calibration, as text", "calib.json", ("info", "{FILE}"), m.JSON),
-        Target("calibration, page", "calib.json", ("report", "{FILE}", "log.csv", "-o", "out.csv"), m.JSON),
-        Target(
-            "calibration, C", "calib.json",
-            ("codegen", "{FILE}", "-o", "other", UNDETERMINED, "--json"), m.JSON,
-        ),
-        Target(
-            "C, generated again", "c/manifest.json",
-            ("codegen", "calib.json", "-o", "c", "--force", UNDETERMINED, "--json"), m.JSON,
-        ),
-        Target(
-            "C, numbers alone", "c/table/decoupler_params.json",
-            ("codegen", "calib.json", "-o", "c", "--params-only", UNDETERMINED, "--json"), m.JSON,
-        ),
-        Target(
-            "fleet, continued", "fleet.csv.journal",
-            ("fleet", "log.csv", "-o", "fleet.csv", "--workers", "1", "--json"), m.TEXT,
-        ),
-        Target("calibration, recording", "calib.json", ("sensitivity", "{FILE}", "log.parquet"), m.JSON),
-        Target("calibration, budget", "calib.json", ("budget", "{FILE}", "--json"), m.JSON),
-        Target("meta.json", "folder/meta.json", ("fit", "folder", *fit), m.JSON),
-        Target("machine file", "machine.toml", ("fit", "log.parquet", "--machine", "{FILE}", *fit), m.TOML),
-        Target("column file", "columns.toml", ("info", "log.csv", "--column-file", "{FILE}", *log), m.TOML),
-        Target("budget", "budget.toml", ("budget", "{FILE}", "--json"), m.TOML),
-        Target(
-            "settings", "settings.toml", ("budget", "calib.json", "--settings", "{FILE}", "--json"), m.TOML
-        ),
-        Target("campaign", "campaign.toml", ("info", "{FILE}", "--json"), m.TOML),
-        Target(
-            "campaign, simulated", "campaign.toml",
-            ("simulate", "{FILE}", "-o", "out.csv", "--seed", "1"), m.TOML,
-        ),
-        Target("ranges", "ranges.toml", ("plan", "{FILE}", "--model", "stage30", "--json"), m.TOML),
-        Target(
-            "tolerances", "tolerances.toml",
-            ("tolerances", "campaign.toml", "--ranges", "{FILE}", "--samples", "16", "--json"), m.TOML,
-        ),
-        Target("curve", "curve.json", ("info", "{FILE}", "--json"), m.JSON),
-        Target("curve, as text", "curve.json", ("info", "{FILE}"), m.JSON),
-        Target(
-            "curve, followed", "curve.json",
-            ("simulate", "campaign.toml", "-o", "out.csv", "--seed", "1"), m.JSON,
-        ),
-        Target("table of a firmware", "table.h", ("info", "{FILE}", "--json"), m.TEXT),
-        Target("points", "points.csv", ("trajectory", "{FILE}", "--method", "cubic", "--json"), m.TEXT),
-        Target(
-            "diagnosis", "diagnosis.json",
-            ("budget", "calib.json", "--diagnosis", "{FILE}", "--json"), m.JSON,
-        ),
+        Target("CSV log", "log.csv", "info {FILE} --json", m.TEXT + m.BYTES, columns=_csv),
+        Target("CSV log, fit", "log.csv", "fit {FILE} --json --solver direct", m.TEXT, columns=_csv),
+        Target("Parquet log", "log.parquet", "info {FILE} --json", m.BYTES, True, _parquet),
+        Target("Parquet log, fit", "log.parquet", "fit {FILE} --json --solver direct",
+               m.BYTES, True, _parquet),
+        Target("HDF5 log", "log.h5", "info {FILE} --json", m.BYTES, False, _hdf5),
+        Target("HDF5 run groups", "runs.h5", "info {FILE} --json", m.BYTES),
+        Target("MATLAB log", "log.mat", "info {FILE} --json", m.BYTES, True, _mat),
+        Target("MATLAB 7.3 log", "log73.mat", "info {FILE} --json", m.BYTES),
+        Target("MDF log", "log.mf4", "info {FILE} --json", m.BYTES),
+        Target("MDF log, compressed", "packed.mf4", "info {FILE} --json", m.BYTES),
+        Target("MDF 3 log", "old.mdf", "info {FILE} --json", m.BYTES),
+        Target("TDMS log", "log.tdms", "info {FILE} --json", m.BYTES),
+        Target("MCAP log", "log.mcap", "info {FILE} --json", m.BYTES),
+        Target("compressed log", "packed.csv.gz", "info {FILE} --json", m.BYTES, True),
+        Target("archive", "runs.zip", "info {FILE} --json", m.BYTES),
+        Target("database", "log.sqlite", "info {FILE} --json", m.BYTES),
+        Target("workbook", "runs.xlsx", "info {FILE} --json", m.BYTES),
+        Target("CSV log, as text", "log.csv", "info {FILE}", m.TEXT),
+        Target("column file, suggested", "log.csv", "info {FILE} --suggest out.csv", m.TEXT),
+        Target("sensors, sort", "sensors.csv", "sort {FILE} --field 0mT,475mT --json", m.TEXT),
+        Target("calibration", "calib.json", "evaluate {FILE} log.parquet --json", m.JSON),
+        Target("calibration, info", "calib.json", "info {FILE} --json", m.JSON),
+        Target("calibration, as text", "calib.json", "info {FILE}", m.JSON),
+        Target("calibration, page", "calib.json", "report {FILE} log.csv -o out.csv", m.JSON),
+        Target("calibration, C", "calib.json", "codegen {FILE} -o other --allow-undetermined --json", m.JSON),
+        Target("C, generated again", "c/manifest.json",
+               "codegen calib.json -o c --force --allow-undetermined --json", m.JSON),
+        Target("C, numbers alone", "c/table/decoupler_params.json",
+               "codegen calib.json -o c --params-only --allow-undetermined --json", m.JSON),
+        Target("fleet, continued", "fleet.csv.journal", "fleet log.csv -o fleet.csv --workers 1 --json",
+               m.TEXT),
+        Target("calibration, recording", "calib.json", "sensitivity {FILE} log.parquet", m.JSON),
+        Target("calibration, budget", "calib.json", "budget {FILE} --json", m.JSON),
+        Target("meta.json", "folder/meta.json", "fit folder --json --solver direct", m.JSON),
+        Target("machine file", "machine.toml", "fit log.parquet --machine {FILE} --json --solver direct",
+               m.TOML),
+        Target("column file", "columns.toml", "info log.csv --column-file {FILE} --json", m.TOML),
+        Target("budget", "budget.toml", "budget {FILE} --json", m.TOML),
+        Target("settings", "settings.toml", "budget calib.json --settings {FILE} --json", m.TOML),
+        Target("campaign", "campaign.toml", "info {FILE} --json", m.TOML),
+        Target("campaign, simulated", "campaign.toml", "simulate {FILE} -o out.csv --seed 1", m.TOML),
+        Target("ranges", "ranges.toml", "plan {FILE} --model stage30 --json", m.TOML),
+        Target("tolerances", "tolerances.toml",
+               "tolerances campaign.toml --ranges {FILE} --samples 16 --json", m.TOML),
+        Target("curve", "curve.json", "info {FILE} --json", m.JSON),
+        Target("curve, as text", "curve.json", "info {FILE}", m.JSON),
+        Target("curve, followed", "curve.json", "simulate campaign.toml -o out.csv --seed 1", m.JSON),
+        Target("table of a firmware", "table.h", "info {FILE} --json", m.TEXT),
+        Target("points", "points.csv", "trajectory {FILE} --method cubic --json", m.TEXT),
+        Target("diagnosis", "diagnosis.json", "budget calib.json --diagnosis {FILE} --json", m.JSON),
     )  # fmt: skip
 
 
 def make_files(folder: Path) -> None:
     """Write the good files."""
-    columns = columns_of()
+    columns = bundled(slice(0, 12, 2))
     for name in ("log.csv", "log.parquet"):
         hallsym.write_log(columns, folder / name)
     import h5py
@@ -336,12 +306,11 @@ def make_files(folder: Path) -> None:
     bench_files.write_mdf(folder / "packed.mf4", group, compression=1)
     bench_files.write_mdf(folder / "old.mdf", group, "3.30")
     (folder / "packed.csv.gz").write_bytes(gzip.compress((folder / "log.csv").read_bytes()))
-    with h5py.File(folder / "runs.h5", "w") as file:
-        for run in np.unique(columns["run"]):
-            for name, values in columns.items():
-                if name != "run":
-                    file[f"run_{run}/{name}"] = values[columns["run"] == run]
-    make_containers(folder, columns)
+    runs = {name: values for name, values in columns.items() if name != "run"} | {"Run": columns["run"]}
+    lab_files.hdf5("run_{run}/{name}", runs=True)(folder / "runs.h5", dict(runs))
+    lab_files.archive(folder / "runs.zip", dict(runs))
+    lab_files.sheets_of_runs(folder / "runs.xlsx", dict(runs))
+    lab_files.database(folder / "log.sqlite", columns)
     (folder / "folder").mkdir()
     hallsym.write_log(columns, folder / "folder" / "log.parquet")
     meta = {
@@ -368,43 +337,11 @@ def make_files(folder: Path) -> None:
     lines = [f"{a!r},{b!r}" for a, b in zip((100 * t).tolist(), (50 * np.sin(3 * t)).tolist(), strict=True)]
     (folder / "points.csv").write_text("\n".join(["x_um,y_um", *lines, ""]), encoding="utf-8")
     with contextlib.redirect_stdout(io.StringIO()):
-        arguments = [
-            "trajectory",
-            folder / "points.csv",
-            "--method",
-            "cubic",
-            "-o",
-            folder / "curve.json",
-        ]
-        assert main([str(a) for a in arguments]) == 0, arguments
-        fleet = ["fleet", "log.csv", "-o", "fleet.csv", "--workers", "1"]
+        assert main(["trajectory", "points.csv", "--method", "cubic", "-o", "curve.json"]) == 0
         with patch.object(Path, "unlink"):  # a journal stays where a fleet was stopped
-            assert main(fleet) in (0, 3)
-        assert main(["codegen", "calib.json", "-o", "c", UNDETERMINED]) in (0, 3)
+            assert main(["fleet", "log.csv", "-o", "fleet.csv", "--workers", "1"]) in (0, 3)
+        assert main(["codegen", "calib.json", "-o", "c", "--allow-undetermined"]) in (0, 3)
     (folder / "diagnosis.json").write_text(json.dumps(DIAGNOSIS, indent=1), encoding="utf-8")
-
-
-def make_containers(folder: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write an archive and a workbook of runs, and a database of all of them."""
-    import xlsxwriter
-
-    with (
-        zipfile.ZipFile(folder / "runs.zip", "w") as archive,
-        xlsxwriter.Workbook(folder / "runs.xlsx") as book,
-    ):
-        for run in np.unique(columns["run"]):
-            part = {name: values[columns["run"] == run] for name, values in columns.items()}
-            text = io.BytesIO()
-            _csv(part, text)
-            archive.writestr(f"run_{run}.csv", text.getvalue())
-            sheet = book.add_worksheet(f"run {run}")
-            for k, (name, values) in enumerate(part.items()):
-                sheet.write_column(0, k, [name, *values.tolist()])
-    with contextlib.closing(sqlite3.connect(folder / "log.sqlite")) as base:
-        base.execute(f"create table log ({', '.join(f'{name} real' for name in columns)})")
-        rows = zip(*(values.tolist() for values in columns.values()), strict=True)
-        base.executemany(f"insert into log values ({', '.join('?' * len(columns))})", rows)
-        base.commit()
 
 
 def _sensors() -> str:
@@ -435,7 +372,7 @@ class Workshop:
             self.good = {t.file: (folder / t.file).read_bytes() for t in targets()}
             self.codes: dict[str, int] = {}
             self.said = {t.name: self._numbers(t) for t in targets()}
-            self.columns = columns_of()
+            self.columns = bundled(slice(0, 12, 2))
 
     def _numbers(self, target: Target) -> Any:
         code, out, err, _ = self.call(target)
@@ -445,8 +382,7 @@ class Workshop:
 
     def call(self, target: Target) -> tuple[int, str, str, float]:
         """Run the command of a target; returns exit code, both outputs and the time."""
-        arguments = [a.replace("{FILE}", target.file) for a in target.arguments]
-        return called(arguments)
+        return called(target.command.replace("{FILE}", target.file).split())
 
     def case(self, target: Target, seed: int) -> Outcome:
         """Damage the file of a target in the way that a seed says, and judge what its command does."""
@@ -482,16 +418,16 @@ class Workshop:
             return Outcome(target.name, name, SAME, seconds, sentence)
         if code != self.codes[target.name] or _notes(found) != _notes(self.said[target.name]):
             return Outcome(target.name, name, SAID, seconds, sentence)
-        read = target.file.endswith(".csv") and "--json" in target.arguments
+        read = target.file.endswith(".csv") and "--json" in target.command
         torn = read and not data.endswith((b"\n", b"\r"))
         if (target.checked or torn) and not name.startswith("columns"):
             return Outcome(target.name, name, SILENT, seconds, sentence, "other numbers in silence")
         return Outcome(target.name, name, OTHER, seconds, sentence)
 
     def _read(self, target: Target, out: str) -> Any:
-        if "--json" in target.arguments:
+        if "--json" in target.command:
             return json.loads(out)
-        return Path("out.csv").read_text(encoding="utf-8") if "out.csv" in target.arguments else out
+        return Path("out.csv").read_text(encoding="utf-8") if "out.csv" in target.command else out
 
 
 def called(arguments: list[str]) -> tuple[int, str, str, float]:

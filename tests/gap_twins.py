@@ -215,6 +215,15 @@ def _d(x: np.ndarray, n: int = 1) -> np.ndarray:
     return x
 
 
+def add(f: Callable[[Motion], np.ndarray]) -> Inject:
+    """Return what adds `f` to the readings."""
+
+    def inject(m: Motion, _: np.random.Generator) -> None:
+        m.reading = m.reading + f(m)
+
+    return inject
+
+
 def listed(rng: np.random.Generator) -> Mapping[str, Inject]:
     """One draw of every effect, about twice the noise floor where it shows at all."""
     w = lambda: rng.uniform(0.5, 1.0, 3)[:, None] * rng.choice([-1.0, 1.0])  # noqa: E731
@@ -223,12 +232,6 @@ def listed(rng: np.random.Generator) -> Mapping[str, Inject]:
     slip, when, who = rng.uniform(0.01, 0.02), rng.uniform(0.3, 0.7), int(rng.integers(3))
     hum, phase = rng.choice([50.0, 60.0]) + rng.uniform(-0.05, 0.05), rng.uniform(0, 6.28, 3)[:, None]
     arms = free(2) * 0.02
-
-    def add(f: Callable[[Motion], np.ndarray]) -> Inject:
-        def inject(m: Motion, _: np.random.Generator) -> None:
-            m.reading = m.reading + f(m)
-
-        return inject
 
     def play(m: Motion) -> np.ndarray:
         width, out = 6e-5, np.zeros_like(m.reading)
@@ -350,12 +353,6 @@ def unlisted(rng: np.random.Generator) -> Mapping[str, Inject]:
         rng.uniform(20, 35),
     )
     a = rng.uniform(0.5, 1.0, 3)[:, None]
-
-    def add(f: Callable[[Motion], np.ndarray]) -> Inject:
-        def inject(m: Motion, _: np.random.Generator) -> None:
-            m.reading = m.reading + f(m)
-
-        return inject
 
     def screw(m: Motion, _: np.random.Generator) -> None:
         m.reference[0] += 1.8e-6 * np.sin(2 * np.pi * m.pose[0] / per)

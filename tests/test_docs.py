@@ -37,7 +37,7 @@ LISTED = (
     "data/encoder/README.md",
 )  # fmt: skip
 LONG = {
-    "budget", "campaign", "codegen", "concepts", "controller", "diagnose", "evaluate", "extend",
+    "README", "budget", "campaign", "codegen", "concepts", "controller", "diagnose", "evaluate", "extend",
     "fleet", "halbach", "howto", "logs", "plan", "power", "report", "rotary", "self_calibration",
     "sensitivity", "sorting", "tables", "tolerances", "trajectory",
 }  # fmt: skip

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from twins import bundled
 
 import hallsym
 from hallsym.errors import InputError, commanded
@@ -18,10 +19,7 @@ from hallsym.errors import InputError, commanded
 @pytest.fixture(scope="module")
 def columns() -> dict[str, np.ndarray]:
     """Some runs of the bundled campaign, at other heights."""
-    log = hallsym.bundled_campaign()
-    run = log.array("run").astype(int)
-    chosen = np.isin(run, log.runs[:12])
-    return {c: run[chosen] if c == "run" else log.array(c)[chosen] for c in log.columns}
+    return bundled(slice(12))
 
 
 @pytest.fixture(scope="module")

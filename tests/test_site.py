@@ -144,7 +144,14 @@ def faults_of(seen: dict[str, Any]) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("words", "page"), [("whiteness", "statistics.html"), ("controller", "controller.html")]
+    ("words", "page"),
+    [
+        ("whiteness", "statistics.html"),
+        ("controller", "controller.html"),
+        ("lookup+table", "rotary.html"),
+        ("stepper", "tables.html"),
+        ("interferometer", "tutorials/stage.html"),
+    ],
 )
 def test_the_search_works_from_a_file(site, chromium, words, page):
     seen = chromium.look(site / "search.html", query=f"?q={words}")

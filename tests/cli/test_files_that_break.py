@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from twins import bundled
 
 import hallsym
 from hallsym.cli.main import main
@@ -24,11 +25,7 @@ SETTINGS = "".join(f"[[setting]]\nz_m = {k}e-9\n" for k in range(20000))
 
 
 def columns():
-    log = hallsym.bundled_campaign()
-    run = log.array("run").astype(int)
-    chosen = np.isin(run, log.runs[:12:2])
-    found = {c: run[chosen] if c == "run" else log.array(c)[chosen] for c in log.columns}
-    return found
+    return bundled(slice(0, 12, 2))
 
 
 @pytest.fixture

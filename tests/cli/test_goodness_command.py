@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from twins import bundled
 
 from hallsym import bundled_campaign, load_fit, write_log
 from hallsym.cli.main import main
@@ -106,7 +107,7 @@ def test_evaluate_says_of_a_recording_what_fit_says(capsys, tmp_path, wrong, cod
     """The same sentence on stderr, beside a calibration of the machine as it was."""
     calibration, log = tmp_path / "calib.json", bundled_campaign()
     assert run(capsys, "fit", CAMPAIGN, "--solver", "direct", "-o", calibration)[0] == 0
-    columns = {c: log.array(c).copy() for c in log.columns}
+    columns = bundled(slice(15))
     write_log(columns | wrong(columns), tmp_path / "wrong.parquet")
     noise = [w for c, s in log.noise.std.items() for w in ("--noise", f"{c}={s}")]
     fitted = run(capsys, "fit", tmp_path / "wrong.parquet", *noise, "--solver", "direct")

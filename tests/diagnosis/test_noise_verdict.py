@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gap_twins import SIGMA, Inject, Motion, gains, machine, unlisted
+from gap_twins import SIGMA, Inject, Motion, add, gains, machine, unlisted
 
 from hallsym.diagnosis import Diagnosis, diagnose
 from hallsym.log import Log, Noise
@@ -97,9 +97,7 @@ def test_a_gap_is_not_taken_for_noise(inject: Inject) -> None:
 
 @pytest.mark.slow
 def test_an_effect_beside_larger_noise_is_explained() -> None:
-    def cubic(m: Motion, _: np.random.Generator) -> None:
-        m.reading = m.reading * (1 + 4e5 * m.reading**2)
-
+    cubic = add(lambda m: 4e5 * m.reading**3)
     log = machine("multisine", (cubic,), seed=3, thin=6, pink=0.0, curvature=0.0)
     d = diagnose(stated_as(log, 1 / 1.4))
     assert (d.verdict, d.ranked[0]) == ("explained", "odd_nonlinearity")

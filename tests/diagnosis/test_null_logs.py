@@ -28,7 +28,8 @@ def rows() -> list[dict]:
     [
         ("vibration", "rotary", 8, False, 30007),  # as steady as a tone in few short runs
         ("vibration", "stage", 8, False, 50367),  # the references' noise makes an acceleration of its own
-        ("t3", "stage", 24, False, 30219),  # tails heavier than the body says, and no spikes
+        # tails heavier than the body says, and no spikes
+        pytest.param("t3", "stage", 24, False, 30219, marks=pytest.mark.slow),
     ],
 )
 def test_noise_of_few_runs_is_no_gap(kind, machine, runs, stated, seed):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from twins import COLUMNS, HALL, SIGMAS, TRUTH, cost_on, phi, pm, record, true_model, with_noise
+from twins import COLUMNS, HALL, SIGMAS, TRUTH, cost_on, phi, pm, record, true_model, white, with_noise
 
 from hallsym.estimation.calibration import coverage_factor
 from hallsym.estimation.covariance import Uncertainty, uncertainty
@@ -16,8 +16,9 @@ MODEL = true_model()
 
 
 def one(seed: int, *, sigma=SIGMAS, samples: int = 50, **noise) -> tuple[np.ndarray, Uncertainty]:
-    """Optimum and uncertainties of one recording; what is held stays at the truth."""
-    cost = cost_on(with_noise(record(seed=seed, samples=samples, sigma=sigma, **noise)), MODEL, sigma)
+    """Optimum and uncertainties of one recording; fixed parameters stay at the truth."""
+    made = record(seed=seed, samples=samples, sigma=sigma, **noise) if noise else white(seed, samples, sigma)
+    cost = cost_on(with_noise(made), MODEL, sigma)
     found = determine(cost, MODEL.nominal)
     p = refit(cost, MODEL.nominal, found.fixed)
     return p, uncertainty(cost.at(p), found)

@@ -131,15 +131,13 @@ def stated(columns):
     return Log.from_arrays(columns, Noise.given({c: s for c, s in STATED.items() if c in columns}, columns))
 
 
-@pytest.mark.parametrize("make", [angle_log, voltage_log])
 @pytest.mark.parametrize(
-    ("reference", "a", "correction"),
+    ("make", "reference", "a", "correction"),
     [
-        (lambda a: 2 * a, BOTH, "scale angle_ref_rad 0.5"),
-        (lambda a: a / 7, 7 * BOTH, "scale angle_ref_rad 7"),
-        (np.degrees, BOTH, "scale angle_ref_rad deg"),
-        (lambda a: np.degrees(a) % 360, BOTH, "scale angle_ref_rad deg"),
-        (np.radians, 3 * BOTH, "scale angle_ref_rad 57.2957795"),
+        (angle_log, lambda a: 2 * a, BOTH, "scale angle_ref_rad 0.5"),
+        (voltage_log, lambda a: a / 7, 7 * BOTH, "scale angle_ref_rad 7"),
+        (angle_log, lambda a: np.degrees(a) % 360, BOTH, "scale angle_ref_rad deg"),
+        (voltage_log, np.degrees, BOTH, "scale angle_ref_rad deg"),
     ],
 )
 def test_a_reference_of_another_scale_is_claimed_with_what_puts_it_right(make, reference, a, correction):
@@ -290,7 +288,9 @@ def test_the_bundled_encoder_gives_its_truth_back():
 # -- logs beside the repository --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("case", ["dev_016", "dev_017", "dev_018", "dev_019", "dev_020"])
+@pytest.mark.parametrize(
+    "case", ["dev_016", *(pytest.param(f"dev_0{k}", marks=pytest.mark.slow) for k in range(17, 21))]
+)
 def test_cases_of_another_plant_give_the_gap_that_they_state(case):
     folder = BESIDE / "cases"
     if not folder.is_dir():
@@ -333,16 +333,19 @@ def test_recorded_encoders_calibrate_to_what_their_reference_repeats():
             assert fit.errors.rows()["holdout"]["rmse"]["angle_rad"] < most * rest, file.name
 
 
-def test_a_recorded_resolver_loads_as_it_is():
+@pytest.mark.parametrize(
+    ("name", "most"),
+    [("divider_on_excitation", 2.0), pytest.param("normal_connection", 6.0, marks=pytest.mark.slow)],
+)
+def test_a_recorded_resolver_loads_as_it_is(name, most):
     folder = BESIDE / "real" / "rotary-resolver-amci"
     if not folder.is_dir():
         pytest.skip("no folder of a recorded resolver beside the repository")
     columns = {"angle_deg": "resolver_deg", "angle_ref_deg": "ref_deg", "speed_deg_s": "vel_deg_s"}
-    for name, most in (("normal_connection", 6.0), ("divider_on_excitation", 2.0)):
-        log = hallsym.read_log(folder / f"{name}.csv", columns=columns, drop_bad=True)
-        fit = hallsym.fit(log, "rotary", solver="direct", drop_bad=True)
-        assert fit.errors.rows()["fitted"]["rmse"]["angle_rad"] < np.radians(most), name
-        assert not any("isolated spikes" in note for note in fit.notes)  # it rests half of the time
+    log = hallsym.read_log(folder / f"{name}.csv", columns=columns, drop_bad=True)
+    fit = hallsym.fit(log, "rotary", solver="direct", drop_bad=True)
+    assert fit.errors.rows()["fitted"]["rmse"]["angle_rad"] < np.radians(most)
+    assert not any("isolated spikes" in note for note in fit.notes)  # it rests half of the time
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from twins import bundled
 
 import hallsym
 from hallsym.errors import InputError
@@ -16,10 +17,7 @@ from hallsym.log import open_source, read_column_file, read_log
 @pytest.fixture(scope="module")
 def columns() -> dict[str, np.ndarray]:
     """Ten runs of the bundled campaign."""
-    log = hallsym.bundled_campaign()
-    run = log.array("run").astype(int)
-    chosen = np.isin(run, log.runs[:20:2])
-    return {c: run[chosen] if c == "run" else log.array(c)[chosen] for c in log.columns}
+    return bundled(slice(0, 20, 2))
 
 
 LAB = {

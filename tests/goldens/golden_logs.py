@@ -116,7 +116,7 @@ LOGS: dict[str, Recorded] = {
     "stage30_table6": Recorded(lambda: stage(2, "stage30", "stage30"), DIRECT),
     # an offset, a third harmonic
     "rotary_ideal_offset": Recorded(lambda: encoder(34, "rotary_ideal")),
-    "rotary_third_wave": Recorded(lambda: encoder(35, "rotary", 4e-3), diagnosed="always"),
+    "rotary_third_wave": Recorded(lambda: encoder(35, "rotary", 4e-3)),
 }
 
 

@@ -1,11 +1,12 @@
 """The table of mistakes that a lab makes: what each does to a log, what must be said, and how it ends.
 
 A row is added where a mistake is learnt; `test_mistakes.py` makes each of them in every log it applies to.
+`LOG` are those that a log reveals by itself, `FIT` those that its model reveals.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -80,7 +81,7 @@ def _base(name: str) -> tuple[Arrays, Noise]:
     return arrays, Noise({column: Sigma(value, "given") for column, value in sigma.items()})
 
 
-# -- what a log reveals by itself ------------------------------------------------------------------------
+# -- how they are made ---------------------------------------------------------------------------------------
 
 READINGS = ("hall_a_m", "hall_b_m", "hall_c_m")
 REFERENCES = ("x_ref_m", "y_ref_m", "rz_ref_rad")
@@ -97,9 +98,41 @@ def put(column: str, rows: object, value: object) -> Make:
     return make
 
 
-def scale(column: str, factor: float) -> Make:
-    """Record a column in another unit."""
-    return lambda arrays: {**arrays, column: arrays[column] * factor}
+def by(change: float | Callable[[np.ndarray], np.ndarray], *columns: str, run: int | None = None) -> Make:
+    """Change columns by a factor or a function, in one run or in all."""
+
+    def make(arrays: Arrays) -> None:
+        at = slice(None) if run is None else arrays["run"] == run
+        for column in columns:
+            x = arrays[column][at]
+            arrays[column][at] = change(x) if callable(change) else change * x
+
+    return make
+
+
+def exchanged(one: str, other: str, run: int | None = None) -> Make:
+    """Exchange two columns, in one run or in all."""
+
+    def make(arrays: Arrays) -> None:
+        at = slice(None) if run is None else arrays["run"] == run
+        kept = arrays[one][at].copy()
+        arrays[one][at] = arrays[other][at]
+        arrays[other][at] = kept
+
+    return make
+
+
+def late(columns: tuple[str, ...], samples: int) -> Make:
+    """Record columns some samples late, run by run."""
+
+    def make(arrays: Arrays) -> None:
+        for run in np.unique(arrays["run"]):
+            rows = of_run(int(run))(arrays)
+            for name in columns:
+                x = arrays[name][rows]
+                arrays[name][rows] = np.concatenate([np.full(samples, x[0]), x[:-samples]])
+
+    return make
 
 
 def keep(rows: Callable[[Arrays], np.ndarray]) -> Make:
@@ -117,9 +150,7 @@ def without_rows(run: int, first: int) -> Make:
     return keep(rows)
 
 
-def rails(
-    columns: tuple[str, ...], share: float, noise: float = 0.0, thin: int = 1, high_only: bool = False
-) -> Make:
+def rails(columns: tuple[str, ...], share: float, noise: float = 0.0, high_only: bool = False) -> Make:
     """Cut readings off so that a share of the samples lies on the rails; `noise` is added behind them."""
 
     def make(arrays: Arrays) -> Arrays:
@@ -128,18 +159,6 @@ def rails(
             low, high = np.quantile(x, [share / 2, 1 - share / 2])
             low, high = (-np.inf, np.quantile(x, 1 - share)) if high_only else (low, high)
             arrays[name] = np.clip(x, low, high) + noise * np.random.default_rng(0).standard_normal(len(x))
-        return {name: values[::thin] for name, values in arrays.items()}
-
-    return make
-
-
-def both(*makes: Make) -> Make:
-    """Make several mistakes, one after the other."""
-
-    def make(arrays: Arrays) -> Arrays:
-        for one in makes:
-            changed = one(arrays)
-            arrays = arrays if changed is None else changed
         return arrays
 
     return make
@@ -176,20 +195,14 @@ def pasted(columns: tuple[str, ...], source: int, to: int) -> Make:
     return make
 
 
-def appended(share: float, renumbered: bool = True) -> Make:
-    """Append the beginning of a log to it, at a later time."""
-
-    def make(arrays: Arrays) -> Arrays:
-        n = int(share * len(arrays["run"]))
-        again = {name: values[:n].copy() for name, values in arrays.items()}
-        again["t_s"] += arrays["t_s"][-1] + 1.0
-        again["run"] += arrays["run"].max() + 1
-        if not renumbered:
-            again["run"][:] = arrays["run"][-1]
-            again["t_s"] = arrays["t_s"][-1] + 2e-3 * (1 + np.arange(n))
-        return {name: np.concatenate([arrays[name], again[name]]) for name in arrays}
-
-    return make
+def appended(arrays: Arrays) -> Arrays:
+    """Append a log to itself, at a later time, under other numbers."""
+    again = {
+        **arrays,
+        "t_s": arrays["t_s"] + arrays["t_s"][-1] + 1.0,
+        "run": arrays["run"] + arrays["run"].max() + 1,
+    }
+    return {name: np.concatenate([arrays[name], again[name]]) for name in arrays}
 
 
 def clock_step(run: int, seconds: float) -> Make:
@@ -212,13 +225,6 @@ def one_number_for(first: int, second: int) -> Make:
     return make
 
 
-def shuffled(arrays: Arrays) -> Arrays:
-    """Write the samples of a log in another order, run by run."""
-    order = np.random.default_rng(0).permutation(len(arrays["run"]))
-    order = order[np.argsort(arrays["run"][order], kind="stable")]
-    return {name: values[order] for name, values in arrays.items()}
-
-
 def slower(column: str, times: int) -> Make:
     """Record a column at a lower rate than the others."""
     return lambda arrays: {
@@ -226,174 +232,118 @@ def slower(column: str, times: int) -> Make:
     }  # fmt: skip
 
 
-_FIRST = of_run(2, 0, 100)
-_MIDDLE = of_run(2, 200, 300)
-_LAST = of_run(2, -100)
-_REPAIR = r".*--drop-bad"
+def of(on: tuple[str, ...], found: Literal["log", "fit"], ends: Ends, rows: Mapping[str, tuple[Make, str]]):
+    prefix = "encoder: " if on == ENCODER else ""
+    return tuple(Mistake(prefix + name, make, says, ends, found, on) for name, (make, says) in rows.items())
+
+
+def undone_by(text: str) -> str:
+    """Return what must be said: the option that undoes the mistake."""
+    return rf"undo it with --correct '{text}'"
+
+
+_TURN, _PLATES, _DEGREE = 2 * np.pi, ("v_sin_v", "v_cos_v"), 180 / np.pi
+_UNIT = undone_by("scale angle_ref_rad {}")
 _RAILS = r"undo it with --correct 'clipped hall_a_m -"
+_REVERSED = r"turns against angle_ref_rad .*; v_sin_v is taken with its sign reversed"
 
-
-def of_stage(name: str, make: Make, says: str, ends: Ends) -> Mistake:
-    return Mistake(name, make, says, ends, _found(says))
-
-
-def of_encoder(name: str, make: Make, says: str, ends: Ends) -> Mistake:
-    return Mistake(f"encoder: {name}", make, says, ends, _found(says), on=ENCODER)
-
-
-def _found(says: str) -> Literal["log", "fit"]:
-    return "fit" if "'" in says or "one rate" in says else "log"  # what only the fit says
-
-
-RECORDING = (
-    of_stage(
-        "NaN in two samples",
-        put("hall_a_m", [450, 900], np.nan),
-        r"hall_a_m .* 2 of \d+ values are NaN .* row 451 \(run 0\): repair" + _REPAIR,
-        "refusal",
-    ),
-    of_stage(
-        "a column of NaN", put("hall_b_m", slice(None), np.nan), r"hall_b_m .*no finite.*record", "refusal"
-    ),
-    # the clock
-    of_stage(
-        "two recordings under one number",
-        one_number_for(1, 2),
-        r"t_s .* runs backwards 1 times, first in row 1001 \(run 1\).*number the runs",
-        "refusal",
-    ),
-    of_stage(
-        "a sample written twice",
-        keep(lambda a: np.sort(np.r_[np.arange(len(a["run"])), 1700])),
-        r"t_s .* repeats 1 times, first in row 1702 \(run 3\).*sort",
-        "refusal",
-    ),
-    of_stage(
-        "time in ms",
-        scale("t_s", 1e3),
-        r"usual step of 2 s; if that is 2 ms, say --column t_ms=t_s",
-        "remark",
-    ),
-    of_stage(
-        "time in us", scale("t_s", 1e6), r"t_s .* step of 2000 s; if that is 2000 ms, say --column", "claim"
-    ),
-    of_stage(
-        "time in ms, said to be us", scale("t_s", 1e-6), r"In run \d .* covers .*units of .* and t_s", "claim"
-    ),
-    of_stage("a clock set forward", clock_step(2, 10.0), r"t_s .* misses 5000 ticks.*\(run 2\)", "remark"),
-    of_stage(
-        "a tenth of the samples lost",
-        keep(lambda a: np.random.default_rng(0).random(len(a["run"])) > 0.1),
-        r"t_s .* misses \d+ ticks ",
-        "remark",
-    ),
-    # runs
-    of_stage("a run of 5 samples", without_rows(3, 5), r"Run 3 .* has 5 samples .* cut short", "remark"),
-    of_stage("a run of 10 samples", without_rows(3, 10), r"Run 3 .* has 10 samples .* cut short", "remark"),
-    of_stage(
-        "runs of 10 samples",
-        keep(lambda a: np.concatenate([np.flatnonzero(a["run"] == r)[::50] for r in np.unique(a["run"])])),
-        r"usual run .* has 10 samples: ",
-        "remark",
-    ),
-    of_stage(
-        "a run that comes back",
-        lambda a: {**a, "run": np.where(a["run"] == 4, 1, a["run"])},
-        r"Run 1 .*comes back after run 3.*sort",
-        "refusal",
-    ),
-    # dead and coarse channels
-    of_stage(
-        "a dead channel", put("hall_c_m", slice(None), 1e-4), r"hall_c_m .* never changes; .*probe", "claim"
-    ),
-    of_stage(
-        "a channel dead in a run",
-        lambda a: put("hall_b_m", of_run(4)(a), 1e-4)(a),
-        r"hall_b_m .* run 4,.*wiring",
-        "claim",
-    ),
-    of_stage(
-        "a channel logged twice",
-        lambda a: {**a, "hall_b_m": a["hall_a_m"]},
-        r"hall_a_m and hall_b_m .* logged twice",
-        "claim",
-    ),
-    # rails
-    of_stage("20 % on the rails, with noise", rails(("hall_a_m",), 0.2, noise=5e-7), _RAILS, "claim"),
-    of_stage(
-        "12 % on one rail", rails(("hall_c_m",), 0.12, high_only=True), r"'clipped hall_c_m -inf", "claim"
-    ),
-    of_stage("8 % on the rails, with noise", rails(("hall_a_m",), 0.08, noise=5e-7), _RAILS, "claim"),
-    # old samples and dropped channels
-    of_stage(
-        "a reading frozen to the end of a run",
-        hold(("hall_a_m",), _LAST),
-        r"hall_a_m .* 100 .* run 2,.*old",
-        "claim",
-    ),
-    of_stage(
-        "a reference frozen to the end of a run",
-        hold(("y_ref_m",), _LAST),
-        r"y_ref_m .* 100 .* run 2,.*old",
-        "claim",
-    ),
-    of_stage(
-        "a channel that drops out",
-        hold(("hall_c_m",), _MIDDLE, 0.0),
-        r"hall_c_m .* run 2, 0 m.*dropped",
-        "claim",
-    ),
-    of_stage(
-        "a reading frozen for a fifth of the log",
-        hold(("hall_a_m",), lambda a: slice(600, 600 + len(a["run"]) // 5)),
-        r"hall_a_m .* (holds one value|never changes)",
-        "claim",
-    ),
-    of_stage(
-        "a reference at a tenth of the rate",
-        slower("x_ref_m", 10),
-        r"x_ref_m .* about 10 times.* record all columns at one rate",
-        "claim",
-    ),
-    # the same samples twice
-    of_stage(
-        "a log appended to itself",
-        appended(1.0),
-        r"Columns .* the same samples in runs 0 and \d+ \(and \d+ more pairs\): remove a run",
-        "claim",
-    ),
-    of_stage(
-        "another run's reference",
-        pasted(REFERENCES, 1, 4),
-        r"x_ref_m, y_ref_m, rz_ref_rad .* runs 1 and 4",
-        "claim",
-    ),
-    of_stage(
-        "another run's everything",
-        pasted(MOVING, 1, 4),
-        r"Columns .* in runs 1 and 4: remove",
-        "claim",
-    ),
-    # encoders
-    of_encoder(
-        "a plate dead in a run",
-        lambda a: put("v_cos_v", of_run(2)(a), 0.0)(a),
-        r"v_cos_v .* run 2, 0 V.*dropped",
-        "claim",
-    ),
-    of_encoder(
-        "20 % on the rails, with noise",
-        rails(("v_sin_v", "v_cos_v"), 0.2, noise=3.5e-4),
-        r"'clipped v_sin_v,v_cos_v ",
-        "claim",
-    ),
-    of_encoder(
-        "12 % on one rail", rails(("v_cos_v",), 0.12, high_only=True), r"'clipped v_cos_v -inf", "claim"
-    ),
-    of_encoder(
-        "a reference frozen to the end",
-        hold(("angle_ref_rad",), of_run(2, -60)),
-        r"angle_ref_rad .* 60 .* run 2,",
-        "claim",
-    ),
-)
+LOG = (
+    *of(STAGE, "log", "refusal", {
+        "NaN in two samples": (put("hall_a_m", [450, 900], np.nan),
+                               r"hall_a_m .* 2 of \d+ values are NaN .* row 451 \(run 0\): rep.*--drop-bad"),
+        "a column of NaN": (put("hall_b_m", slice(None), np.nan), r"hall_b_m .*no finite.*record"),
+        "two recordings under one number": (
+            one_number_for(1, 2),
+            r"t_s .* runs backwards 1 times, first in row 1001 \(run 1\).*number the runs"),
+        "a sample written twice": (keep(lambda a: np.sort(np.r_[np.arange(len(a["run"])), 1700])),
+                                   r"t_s .* repeats 1 times, first in row 1702 \(run 3\).*sort"),
+        "a run that comes back": (lambda a: {**a, "run": np.where(a["run"] == 4, 1, a["run"])},
+                                  r"Run 1 .*comes back after run 3.*sort"),
+    }),
+    *of(STAGE, "log", "remark", {
+        "time in ms": (by(1e3, "t_s"), r"usual step of 2 s; if that is 2 ms, say --column t_ms=t_s"),
+        "a clock set forward": (clock_step(2, 10.0), r"t_s .* misses 5000 ticks.*\(run 2\)"),
+        "a tenth of the samples lost": (keep(lambda a: np.random.default_rng(0).random(len(a["run"])) > 0.1),
+                                        r"t_s .* misses \d+ ticks "),
+        "a run of 5 samples": (without_rows(3, 5), r"Run 3 .* has 5 samples .* cut short"),
+        "a run of 10 samples": (without_rows(3, 10), r"Run 3 .* has 10 samples .* cut short"),
+        "runs of 10 samples": (
+            keep(lambda a: np.concatenate([np.flatnonzero(a["run"] == k)[::50] for k in range(57)])),
+            r"usual run .* has 10 samples: "),
+    }),
+    *of(STAGE, "log", "claim", {
+        "time in us": (by(1e6, "t_s"), r"t_s .* step of 2000 s; if that is 2000 ms, say --column"),
+        "time in ms, said to be us": (by(1e-6, "t_s"), r"In run \d .* covers .*units of .* and t_s"),
+        "a dead channel": (put("hall_c_m", slice(None), 1e-4), r"hall_c_m .* never changes; .*probe"),
+        "a channel dead in a run": (hold(("hall_b_m",), of_run(4), 1e-4), r"hall_b_m .* run 4,.*wiring"),
+        "a channel logged twice": (lambda a: {**a, "hall_b_m": a["hall_a_m"]},
+                                   r"hall_a_m and hall_b_m .* logged twice"),
+        "a reading frozen to the end of a run": (hold(("hall_a_m",), of_run(2, -100)),
+                                                 r"hall_a_m .* 100 .* run 2,.*old"),
+        "a reference frozen to the end of a run": (hold(("y_ref_m",), of_run(2, -100)),
+                                                   r"y_ref_m .* 100 .* run 2,.*old"),
+        "a channel that drops out": (hold(("hall_c_m",), of_run(2, 200, 300), 0.0),
+                                     r"hall_c_m .* run 2, 0 m.*dropped"),
+        "a reading frozen for a fifth of the log": (
+            hold(("hall_a_m",), lambda a: slice(600, 600 + len(a["run"]) // 5)),
+            r"hall_a_m .* (holds one value|never changes)"),
+        "a log appended to itself": (appended,
+                                     r"the same samples in runs 0 and \d+ \(and \d+ more pairs\): remove"),
+        "another run's reference": (pasted(REFERENCES, 1, 4), r"x_ref_m, y_ref_m, rz_ref_rad .* 1 and 4"),
+        "another run's everything": (pasted(MOVING, 1, 4), r"Columns .* in runs 1 and 4.*: remove"),
+    }),
+    *of(ENCODER, "log", "claim", {
+        "a plate dead in a run": (hold(("v_cos_v",), of_run(2), 0.0), r"v_cos_v .* run 2, 0 V.*dropped"),
+        "a reference frozen to the end": (hold(("angle_ref_rad",), of_run(2, -60)),
+                                          r"angle_ref_rad .* 60 .* run 2,"),
+    }),
+)  # fmt: skip
+FIT = (
+    *of(STAGE, "fit", "claim", {
+        "20 % on the rails, with noise": (rails(("hall_a_m",), 0.2, noise=5e-7), _RAILS),
+        "12 % on one rail": (rails(("hall_c_m",), 0.12, high_only=True), r"'clipped hall_c_m -inf"),
+        "8 % on the rails, with noise": (rails(("hall_a_m",), 0.08, noise=5e-7), _RAILS),
+        "a reference at a tenth of the rate": (slower("x_ref_m", 10),
+                                               r"x_ref_m .* about 10 times.* record all columns at one rate"),
+        "x in mm": (by(1e3, "x_ref_m"), undone_by("scale x_ref_m mm")),
+        "Rz in degrees": (by(_DEGREE, "rz_ref_rad"), undone_by("scale rz_ref_rad deg")),
+        "a reading in mm": (by(1e3, "hall_a_m"), undone_by("scale hall_a_m mm")),
+        "all readings in mm": (by(1e3, *READINGS), undone_by("scale hall_a_m,hall_b_m,hall_c_m mm")),
+        "converted twice": (by(1e-3, "x_ref_m"), undone_by("scale x_ref_m 1000")),
+        **{f"{c} inverted": (by(-1, c), undone_by(f"sign {c}")) for c in (*REFERENCES, *READINGS)},
+        "x and y exchanged": (exchanged("x_ref_m", "y_ref_m"), undone_by("exchange x_ref_m y_ref_m")),
+        "A and B exchanged": (exchanged("hall_a_m", "hall_b_m"), undone_by("exchange hall_a_m hall_b_m")),
+        "all readings inverted": (by(-1, *READINGS), r"'sign x_ref_m,.*' would do as well; "
+                                  + undone_by("sign hall_a_m,hall_b_m,hall_c_m")),
+        "a channel inverted in a run": (by(-1, "hall_a_m", run=3), undone_by("sign hall_a_m in 3")),
+        "a reference inverted in a run": (by(-1, "y_ref_m", run=3), undone_by("sign y_ref_m in 3")),
+        "a unit in a run": (by(1e3, "x_ref_m", run=4), undone_by("scale x_ref_m mm in 4")),
+        "two channels exchanged in a run": (exchanged("hall_a_m", "hall_c_m", 3),
+                                            undone_by("exchange hall_a_m hall_c_m in 3")),
+        **{f"references {n} samples late": (late(REFERENCES, n), rf"'delay x_ref_m,y_ref_m,rz_ref_rad {n}'")
+           for n in (1, 2, 3)},
+    }),
+    *of(ENCODER, "fit", "claim", {
+        "20 % on the rails, with noise": (rails(_PLATES, 0.2, noise=3.5e-4), r"'clipped v_sin_v,v_cos_v "),
+        "12 % on one rail": (rails(("v_cos_v",), 0.12, high_only=True), r"'clipped v_cos_v -inf"),
+        "degrees for rad": (by(_DEGREE, "angle_ref_rad"), _UNIT.format("deg")),
+        "rad for degrees": (by(1 / _DEGREE, "angle_ref_rad"), _UNIT.format("57.2957795")),
+        "turns for rad": (by(1 / _TURN, "angle_ref_rad"), _UNIT.format("rev")),
+        "gradians for rad": (by(400 / _TURN, "angle_ref_rad"), _UNIT.format("grad")),
+        "mrad for rad": (by(1e3, "angle_ref_rad"), _UNIT.format("mrad")),
+        "degrees for rad in one run": (by(_DEGREE, "angle_ref_rad", run=1), _UNIT.format("deg in 1")),
+        "counts of another resolution": (by(lambda a: a % _TURN / 4, "angle_ref_rad"), _UNIT.format("4")),
+        "mV for V": (by(1e3, *_PLATES), r"--correct 'scale v_sin_v,v_cos_v mv'"),
+        "mV for V in one column": (by(1e3, "v_cos_v"), r"--correct 'scale v_cos_v mv'"),
+        "plates exchanged in one run": (exchanged(*_PLATES, 2), r"--correct 'exchange v_sin_v v_cos_v in 2'"),
+        "the reference inverted in one run": (by(-1, "angle_ref_rad", run=2),
+                                              r"--correct 'sign angle_ref_rad in 2'"),
+        "a reference that stands in one run": (by(0, "angle_ref_rad", run=1),
+                                               r"--correct 'clipped angle_ref_rad .* inf"),
+    }),
+    *of(ENCODER, "fit", "remark", {
+        "an inverted plate": (by(-1, "v_cos_v"), _REVERSED),
+        "exchanged plates": (exchanged(*_PLATES), _REVERSED),
+        "an inverted reference": (by(-1, "angle_ref_rad"), _REVERSED),
+    }),
+)  # fmt: skip

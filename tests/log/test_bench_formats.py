@@ -259,14 +259,22 @@ def test_wrong_clocks(tmp_path: Path, suffix: str) -> None:
         read_log(tmp_path / "log.csv", clock="Hall:linear")
 
 
-def test_a_missing_library_is_one_sentence(tmp_path: Path) -> None:
-    with hidden([*LIBRARY.values(), "mcap"], tmp_path):
-        for suffix, extra in ((".tdms", "tdms"), (".mf4", "mdf"), (".mcap", "mcap")):
-            path = tmp_path / f"log{suffix}"
-            path.write_bytes(b"something")
-            with pytest.raises(InputError, match=rf"pip install 'hallsym\[{extra}\]'\.") as error:
-                read_log(path)
-            assert one_sentence(str(error.value))
+@pytest.mark.parametrize(
+    ("suffix", "extra"),
+    [
+        (".tdms", "tdms"),
+        pytest.param(".mf4", "mdf", marks=pytest.mark.slow),
+        pytest.param(".mcap", "mcap", marks=pytest.mark.slow),
+    ],
+)
+def test_a_missing_library_is_one_sentence(tmp_path: Path, suffix: str, extra: str) -> None:
+    (tmp_path / f"log{suffix}").write_bytes(b"something")
+    with (
+        hidden([*LIBRARY.values(), "mcap"], tmp_path),
+        pytest.raises(InputError, match=rf"pip install 'hallsym\[{extra}\]'\.") as error,
+    ):
+        read_log(tmp_path / f"log{suffix}")
+    assert one_sentence(str(error.value))
 
 
 def test_clocks_that_count_from_different_starts_are_refused(tmp_path: Path) -> None:

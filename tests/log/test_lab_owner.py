@@ -5,27 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from lab_files import FILES, obeyed, recording
+from lab_files import FILES, obeyed
 
-RIGHT = 0.9
-"""Share of the files that end right: 50 of 54 do."""
+UNSOLVED = {"MATLAB matrices", "columns numbered by pandas", "labels above names"}
+QUICK = {
+    "decimal commas", "no units", "counts with scale and offset", "runs side by side", "folder of runs",
+    "two files, moments", "workbook", "HDF5, attributes", "HDF5, records", "TDMS", "MATLAB struct",
+    "JSON lines", "parquet", "averaged counts", "an encoder without units", "a column of words, lost samples",
+    "no names", "noise of a channel that is not there", "two files of other hours",
+    "a folder with another table",
+}  # fmt: skip
+"""One of each kind of question; `slow` are those that ask the same of another file."""
+NAMES = [
+    pytest.param(name, marks=[
+        *([] if name in QUICK else [pytest.mark.slow]),
+        *([pytest.mark.xfail(strict=True, reason="not solved yet")] if name in UNSOLVED else []),
+    ]) for name in FILES
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("name", list(FILES))
-def test_each_file_can_be_written_and_its_owner_knows_its_columns(name: str, tmp_path: Path) -> None:
-    file = FILES[name]
-    written = file.write(tmp_path, recording(file.family))
-    assert any(tmp_path.iterdir())
-    assert set(written.known) <= set(recording(file.family))
-
-
-@pytest.mark.slow
-def test_obeying_ends_in_the_right_answer(tmp_path: Path) -> None:
-    wrong = {}
-    for name in FILES:
-        folder = tmp_path / name.replace("/", " ")
-        folder.mkdir()
-        outcome = obeyed(name, folder)
-        if not outcome.right:
-            wrong[name] = outcome.why
-    assert len(wrong) <= (1 - RIGHT) * len(FILES), wrong
+@pytest.mark.parametrize("name", NAMES)
+def test_obeying_twice_ends_in_the_right_answer(name: str, tmp_path: Path) -> None:
+    outcome = obeyed(name, tmp_path)
+    assert outcome.right, f"{outcome.why}\n{outcome.printed}"

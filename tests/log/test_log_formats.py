@@ -252,15 +252,6 @@ def test_a_table_of_a_database_is_a_log(tmp_path: Path) -> None:
     assert read_log(tmp_path / "log.sqlite", sheet="samples").rows == 50
 
 
-def test_compound_datasets_are_columns(tmp_path: Path) -> None:
-    rows = np.zeros(50, [("t_s", float), ("x_ref_um", float)])
-    rows["t_s"], rows["x_ref_um"] = np.arange(50) * 0.1, np.arange(50)
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["log/table"] = rows
-    log = read_log(tmp_path / "a.h5")
-    assert np.allclose(log.array("x_ref_m"), rows["x_ref_um"] * 1e-6, rtol=1e-15, atol=0)
-
-
 def test_files_are_runs_in_natural_order_and_notes_are_none(tmp_path: Path) -> None:
     for day, first in (("monday", 0.0), ("tuesday", 1.0)):
         write_log({"x_ref_m": first + np.arange(3.0)}, tmp_path / f"{day}.csv")
@@ -340,13 +331,6 @@ def test_runs_with_names_are_numbered_in_their_order(tmp_path: Path) -> None:
     (tmp_path / "bad.csv").write_text("run,x_ref_um\n1,1\n1x,2\n2,3\n")
     with pytest.raises(InputError, match="Line 3, column 'run'"):
         read_log(tmp_path / "bad.csv").runs  # noqa: B018
-
-
-def test_noise_of_a_channel_that_is_not_there_is_said(tmp_path: Path) -> None:
-    write_log(stage_arrays(), tmp_path / "log.csv")
-    (tmp_path / "meta.json").write_text('{"noise_1sigma": {"hall_m": 5e-7, "channel_v": 1e-3}}')
-    said = "meta.json states the noise of channel_v, which the log does not have."
-    assert said in read_log(tmp_path).notes
 
 
 @pytest.mark.parametrize("kind", ["text", "typed"])

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mangled import rows, variants, write_workbook
+from twins import bundled
 
 import hallsym
 from hallsym.errors import InputError
@@ -18,10 +19,7 @@ from hallsym.log import Log, read_log
 @pytest.fixture(scope="module")
 def columns() -> dict[str, np.ndarray]:
     """Some runs of the bundled campaign, at other heights and tilts."""
-    log = hallsym.bundled_campaign()
-    run = log.array("run").astype(int)
-    chosen = np.isin(run, log.runs[:12:2])
-    return {c: run[chosen] if c == "run" else log.array(c)[chosen] for c in log.columns}
+    return bundled(slice(0, 12, 2))
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as effort
 from hypothesis import strategies as st
-from twins import HALL, SIGMAS, phi, pm, record, true_model, with_noise
+from twins import HALL, SIGMAS, phi, pm, record, true_model, white, with_noise
 
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, fit
@@ -211,7 +211,7 @@ def test_recalibrated_machines_scatter_as_stated():
     fits_only, fit_stated = [], []
     for seed in range(n):
         rng = np.random.default_rng(10_000 + seed)
-        known = fit(with_noise(record(seed=seed)), model, solver="direct", loss="none")
+        known = fit(with_noise(white(seed)), model, solver="direct", loss="none")
         found = dict(zip(model.names, known.values, strict=True))
         hall, vertical = np.array([SIGMAS[c] for c in HALL]), np.array([SIGMAS[c] for c in STATE])
         m = m_true + rng.normal(0, hall / 2)
