@@ -2,7 +2,9 @@
 
 They are as wide as finite results allow: an interval evaluation of all steps, over every table within them
 and every input within the limits of such a table, stays below the largest number, divides by nothing that may
-be zero and takes whole numbers of what is one. So every accepted table gives finite numbers.
+be zero and takes whole numbers of what is one. So every accepted table gives finite numbers. Gains stay away
+from zero by their ends alone: the largest terms of a gain at the largest limits leave a share of its least
+value at rest.
 """
 
 import re
@@ -27,26 +29,34 @@ LEAST_LIMIT = 2.0**-10
 """Share of a limit of the calibration below which a range is empty, or -0."""
 HEADROOM = 2.0**-8
 """Share of the largest number that no step exceeds: rounding of each is counted in it."""
-SURE = 1 - 1e-5
-"""Share of a least gain that rounding of the check leaves at least."""
+DIGITS = 4
+"""Of the ends of what a gain is made of."""
+STEPS = 2.0**0.125
+"""Ratio between the ratios that are tried for gains."""
 
 
-def accepted(d: Decoupler, most: float, before: Ends | None = None) -> dict[str, tuple[float, float]]:
+def kept_ends(before: Ends | None, values: Mapping[str, Sequence[float]]) -> Ends | None:
+    """Return the ends of code that shall stay as it is, if its table has these entries.
+
+    Raises `InputError` where it does not accept the values of one.
+    """
+    if before is None or before.keys() != values.keys():  # of another layout is refused as such
+        return None
+    for name, own in values.items():
+        low, high = before[name]
+        if not (low <= min(own) and max(own) <= high):
+            raise InputError(
+                f"The calibration's {name}, {own[0]:.3g}, is not within {low:.3g} to {high:.3g}, "
+                "which the code in the folder accepts; generate the folder again with --force."
+            )
+    return before
+
+
+def accepted(d: Decoupler, most: float) -> dict[str, tuple[float, float]]:
     """Return least and greatest value of each number and array of the table; `most`: the largest number.
 
-    `before`: those of code that shall stay as it is. Raises `InputError` where nothing bounds the results,
-    and where the table is not one that the code accepts.
+    Raises `InputError` where nothing bounds the results.
     """
-    wanted = _values(d)
-    if before is not None and before.keys() == wanted.keys():  # of another layout is refused as such
-        for name, values in wanted.items():
-            low, high = before[name]
-            if not (low <= min(values) and max(values) <= high):
-                raise InputError(
-                    f"The calibration's {name}, {values[0]:.3g}, is not within {low:.3g} to {high:.3g}, "
-                    "which the code in the folder accepts; generate the folder again with --force."
-                )
-        return dict(before)
     if widest := any_accepted(d, most):
         return widest
     raise InputError(
@@ -84,17 +94,12 @@ def _lists(record: Mapping[str, Any]) -> bool:
     return all(isinstance(record.get(name, []), list) for name in ("parameters", "arrays"))
 
 
-def _values(d: Decoupler) -> dict[str, Sequence[float]]:
-    numbers: dict[str, Sequence[float]] = {e.name: (e.value,) for e in d.entries}
-    return numbers | {a.name: a.values for a in d.arrays}
-
-
 def _by_unit(d: Decoupler) -> dict[str, float]:
-    """Return for each entry the largest of its unit, limits too; of a term of a gain what takes all of it."""
+    """Return for each entry the largest of its unit, limits too."""
     sizes: dict[str, float] = {}
     for e in (*d.table, *d.limits):
         sizes[e.unit] = max(sizes.get(e.unit, 0.0), abs(e.value))
-    return {e.name: sizes[e.unit] or 1.0 for e in d.table} | dict(_terms(d))
+    return {e.name: sizes[e.unit] or 1.0 for e in d.table}
 
 
 def _by_form(d: Decoupler) -> dict[str, float]:
@@ -141,16 +146,46 @@ def _within(d: Decoupler, ratio: float, sizes: Mapping[str, float] | None) -> di
     for a in d.arrays:
         size = max(map(abs, a.values))
         out[a.name] = (-32768.0, 32767.0) if a.integers else _both(ratio * (size or 1.0), digits)
-    return out | {e.name: (-2 * d.known(c), 2 * d.known(c)) for e, c in zip(d.offsets, d.pose, strict=True)}
+    offsets = {e.name: (-2 * d.known(c), 2 * d.known(c)) for e, c in zip(d.offsets, d.pose, strict=True)}
+    return out | dict(_of_gains(d, ratio)) | offsets
 
 
-def _terms(d: Decoupler) -> Iterator[tuple[str, float]]:
-    """Yield the entry of each term of a margin, and the size at which it takes all of the rest."""
-    values = {e.name: abs(e.value) for e in d.table}
-    for margin in d.margins:
-        for entry, columns in margin.terms:
-            reach = prod(max(map(abs, d.ends(c))) for c in columns)
-            yield entry, values[margin.rest] / reach if reach else 0.0
+def _of_gains(d: Decoupler, ratio: float) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Yield the ends of gains at rest, of their terms, and of the limits of what these are multiplied by.
+
+    Gains and limits may differ from the calibration by one ratio, terms by its cube or more: the widest up to
+    `ratio` for which the terms of each gain take no more than a share of it. Terms are what recalibrations
+    move most. A small one may be as large as the mean of its gain's.
+    """
+    values, gains, sizes = {e.name: abs(e.value) for e in d.table}, [m for m in d.margins if m.terms], {}
+    reach = {c: max(map(abs, d.ends(c))) for m in gains for _, columns in m.terms for c in columns}
+    for m in gains:
+        own = {e: values[e] * prod(reach[c] for c in columns) / values[m.rest] for e, columns in m.terms}
+        total = sum(own.values())
+        least = min(total or LEAST_GAIN, 1 - LEAST_GAIN - total) / len(own)
+        sizes[m.rest] = {e: max(size, least) for e, size in own.items()}
+
+    def taken(m: Margin, wide: float) -> float:
+        return sum(sizes[m.rest][e] * wide ** len(columns) for e, columns in m.terms)
+
+    wide = ratio
+    while wide > 1.0 and any(wide**4 * taken(m, wide) > 1 - LEAST_GAIN for m in gains):
+        wide = max(wide / STEPS, 1.0)
+    for c, most in reach.items():
+        name, far = short(c), _rounded(wide * most, ceil, DIGITS)
+        if d.box.symmetric(c):
+            yield f"limit_{name}", (_rounded(LEAST_LIMIT * most, floor, DIGITS), far)
+        else:
+            yield from ((f"{side}_{name}", (-far, far)) for side in ("low", "high"))
+    for m in gains:
+        rest = _outward(values[m.rest] / wide, values[m.rest] * wide, DIGITS)
+        positive = next(e.value for e in d.table if e.name == m.rest) > 0
+        yield m.rest, rest if positive else (-rest[1], -rest[0])
+        free = (1 - LEAST_GAIN) * values[m.rest] / wide / taken(m, wide)
+        for e, columns in m.terms:
+            far = prod(reach[c] for c in columns)
+            most = max(free * sizes[m.rest][e] / far, values[e]) if far else 0.0
+            yield e, _both(most, DIGITS)
 
 
 def _outward(least: float, greatest: float, digits: int) -> tuple[float, float]:
@@ -171,7 +206,6 @@ def _rounded(value: float, to: Callable[[float], int], digits: int) -> float:
 def finite(d: Decoupler, ends: Ends, most: float, graphs: Sequence[Graph]) -> bool:
     """Whether all steps, of these graphs, give numbers of less than `most` of every table within `ends`."""
     known = {name: Enclosure(*pair) for name, pair in ends.items()}
-    gains = {m.step: m for m in d.margins if m.step}
     for column in d.inputs:
         name = short(column)
         if d.box.symmetric(column):
@@ -185,8 +219,6 @@ def finite(d: Decoupler, ends: Ends, most: float, graphs: Sequence[Graph]) -> bo
             return False
         if not all(e.most < HEADROOM * most for e in every):  # not of one that is not a number either
             return False
-        if step.name in gains:
-            found = _kept(found, gains[step.name], ends)
         if step.most is not None:
             (end,) = enclose([ca.SX(step.most)], known, None)
             found = Enclosure(max(float(found.low), -end.high), min(float(found.high), end.high))
@@ -204,12 +236,3 @@ def _of_step(step: Step, own: Graph, known: Mapping[str, Enclosure]) -> tuple[li
         most = (1 << step.first) - 1 if step.below else (2**32 - 1) >> step.first
         return every, Enclosure(0.0, float(most))
     return every, found
-
-
-def _kept(now: Enclosure, margin: Margin, ends: Ends) -> Enclosure:
-    """A gain of which its terms leave a tenth, as the check sees to it."""
-    low, high = sorted(map(abs, ends[margin.rest]))
-    least, greatest = SURE * LEAST_GAIN * low, (2 - LEAST_GAIN) * high / SURE
-    if ends[margin.rest][0] < 0:
-        return Enclosure(max(float(now.low), -greatest), min(float(now.high), -least))
-    return Enclosure(max(float(now.low), least), min(float(now.high), greatest))

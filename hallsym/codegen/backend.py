@@ -8,8 +8,8 @@ import struct
 import textwrap
 import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
 from itertools import product
@@ -17,6 +17,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from hallsym.codegen import faults
+from hallsym.codegen.accepted import Ends, kept_ends
 from hallsym.codegen.bounds import Bounds
 from hallsym.codegen.decoupler import Decoupler, flag_bit, short, unit
 from hallsym.codegen.naming import PREFIX
@@ -27,6 +29,8 @@ from hallsym.output import commented
 
 STEP = "misra-c2012-8.7:decoupler.c"
 """Deviation: the function is external for its user, not for its library."""
+UNION = "misra-c2012-19.2:decoupler_check.c"
+"""Deviation: the bytes of a number are read through a union, which C99 defines."""
 VERSION = 3
 """Of the generated interface and of the head of the table."""
 BINARY = "table/decoupler_params.bin"
@@ -96,11 +100,13 @@ class Stored:
 class Backend(ABC):
     """What is computed, printed, run and proved of a decoupler in one arithmetic: float, double, or integers.
 
-    `record`: what the table came from (model, sha256 of the calibration, options), for its JSON form.
+    `record`: what the table came from (model, sha256 of the calibration, options), for its JSON form. `kept`:
+    least and greatest values of the table of code that shall stay as it is.
     """
 
     decoupler: Decoupler
     record: Mapping[str, Any]
+    kept: Ends | None = field(default=None, kw_only=True)
 
     batch: ClassVar[int] = BATCH
     """Random samples that are drawn at a time."""
@@ -251,6 +257,8 @@ class Backend(ABC):
 
     tree: ClassVar[str]
     """Folder of templates."""
+    why_ends: ClassVar[str]
+    """What C says of the least and greatest values of a table."""
 
     @property
     @abstractmethod
@@ -272,6 +280,24 @@ class Backend(ABC):
     @abstractmethod
     def layout(self) -> int:
         """CRC-32 over names, units and arithmetic: code and table belong together if it is the same."""
+
+    @cached_property
+    def accepted(self) -> Ends:
+        """Least and greatest value of each number and row of the table: those of code that stays, if any."""
+        values = {e.name: e.values.ravel().tolist() for e in self.entries}
+        return kept_ends(self.kept, values) or self._accepted()
+
+    @abstractmethod
+    def _accepted(self) -> Ends:
+        """Return the least and the greatest value of each number and row, in its own numbers."""
+
+    @abstractmethod
+    def _just_outside(self, name: str) -> list[str]:
+        """Return, in C, the numbers next to the ends of an entry, and what is no number."""
+
+    def _ends_of(self, name: str) -> dict[str, float]:
+        """Return the ends of an entry, for the JSON form of the table."""
+        return dict(zip(("least", "greatest"), self.accepted[name], strict=True))
 
     @abstractmethod
     def _json(self) -> dict[str, Any]:
@@ -414,6 +440,83 @@ class Backend(ABC):
         }
         return made | {"table/decoupler_params.json": self.json(), BINARY: self.binary}
 
+    @property
+    def numbers(self) -> list[Stored]:
+        """The entries without rows."""
+        return [e for e in self.entries if not e.values.ndim]
+
+    def _check(self) -> dict[str, Any]:
+        """The fields of `decoupler_check()`: the ends of all numbers, in one list; rows, and empty ranges."""
+        d, rows = self.decoupler, []
+        for e in self.entries:
+            if e.values.ndim and e.values.dtype.kind == "f":
+                low, high = self._ends_in_c(e)
+                fields = {"name": e.name, "count": len(e.values), "low": low, "high": high}
+                rows += lines_of("common/fragments/row_outside.c", fields)
+        sides = [ends(d, c) for c in self.limited if not d.box.symmetric(c)]
+        filled = " && ".join(f"({low} <= {high})" for low, high in sides)
+        return {
+            **self._ends_checked(),
+            "rows_outside": rows,
+            "check_limits": found_bad(f"!({filled})", "LIMITS") if filled else [],
+        }
+
+    def _ends_checked(self) -> dict[str, Any]:
+        """The fields of the loop over ends, from the first number that has any to the last."""
+        numbers = list(self.numbers)
+        while numbers and self._any(numbers[0]):
+            numbers.pop(0)
+        while numbers and self._any(numbers[-1]):
+            numbers.pop()
+        if not numbers:
+            return {field: [] for field in ("number_at", "ends_listed", "beyond_ends")}
+        kinds = [self._found_bad_by(e) for e in numbers]
+        names = list(dict.fromkeys(kinds))
+        kind = names[-1]
+        for name in names[-2::-1]:
+            last = len(kinds) - kinds[::-1].index(name)
+            kind = f"((k < {last}U) ? {name} : {kind})"
+        size, count = numbers[0].values.itemsize, len(kinds) - kinds.count("DECOUPLER_BAD_ZEROS")
+        places = ["NUMBERS"] * (count > 0) + ["ZEROS_LESS"] * (count < len(kinds))
+        fields = {
+            "number": C_TYPES[numbers[0].values.dtype.str[1:]], "size": size, "first": numbers[0].name,
+            "limits_to": count * size, "ranges": len(numbers), "kind": kind, "why_ends": self.why_ends,
+            "place": places[0] if len(places) == 1 else f"((k < {count}U) ? NUMBERS : ZEROS_LESS)",
+            "ends": [f"{{{', '.join(self._ends_in_c(e))}}}, /* {e.name} */" for e in numbers],
+        }  # fmt: skip
+        parts = {"number_at": "number", "ends_listed": "ends", "beyond_ends": "beyond_ends"}
+        return {field: lines_of(f"common/fragments/{name}.c", fields) for field, name in parts.items()}
+
+    def _any(self, entry: Stored) -> bool:
+        """Whether an entry may be any number."""
+        return not self._just_outside(entry.name)
+
+    def _found_bad_by(self, entry: Stored) -> str:
+        """Return the finding of a number beyond its ends."""
+        limit = entry.name in {e.name for e in self.decoupler.limits}
+        return f"DECOUPLER_BAD_{'ZEROS' if entry in self.offsets else 'LIMITS' if limit else 'NUMBER'}"
+
+    def _ends_in_c(self, entry: Stored) -> list[str]:
+        own = float if entry.values.dtype.kind == "f" else int
+        return [self._literal(own(end)) for end in self.accepted[entry.name]]
+
+    def _faults(self) -> Iterator[str]:
+        """Lines of C that make a table faulty, and ask whether that is found; or that leave it good."""
+        d = self.decoupler
+        yield from faults.of_words()
+        for e in self.entries:
+            place = f"table.{e.name}[{len(e.values) - 1}]" if e.values.ndim else f"table.{e.name}"
+            bad, outside = self._found_bad_by(e), self._just_outside(e.name)
+            for value in outside:
+                yield from faults.expect([f"{place} = {value};"], bad)
+            for value in self._ends_in_c(e) if outside and not bad.endswith("LIMITS") else ():
+                yield from faults.expect([f"{place} = {value};"])
+        values = {e.name: e.values.item() for e in self.numbers}
+        zero = self._literal(0 * self.offsets[0].values.item())
+        yield from faults.of_limits(d, self.limited, zero, values, self.accepted)
+        beyond = [f"table.{e.name} = {v};" for e in self.offsets for v in self._just_outside(e.name)]
+        yield from faults.of_several(d, self.limited, beyond[:1])
+
     def _flags_raised(self, most: str) -> dict[str, list[str]]:
         """A table whose flags are all raised, by their largest least value, whatever else a vector raises."""
         flags = self.decoupler.flags
@@ -503,6 +606,7 @@ class Backend(ABC):
             "hashed": self.hashed[1],
             "hash_short": short_hash,
             "hash_long": long_hash,
+            **self._check(),
             **self._fields(errors, notes),
         }
 
@@ -546,7 +650,7 @@ def status_bit(name: str) -> str:
     return f"DECOUPLER_STATUS_{name}"
 
 
-def found(condition: str, what: str) -> list[str]:
+def found_bad(condition: str, what: str) -> list[str]:
     """Return C of `decoupler_check()` that says a finding where a condition holds."""
     return [f"if ({condition})", "{", f"    found |= DECOUPLER_BAD_{what};", "}"]
 

@@ -156,15 +156,13 @@ class Lookup(Step):
 class Margin:
     """What must not come near zero in the box: entry `rest` plus, for each of `terms`, entry * columns.
 
-    `column`: the input it belongs to. `decoupler_check()` refuses a table whose terms, at their largest
-    within the limits, leave less than a tenth of `rest`.
+    `column`: the input it belongs to. The least and greatest values of a table leave a tenth of `rest` where
+    the terms are at their largest within the limits.
     """
 
     column: str
     rest: str
     terms: tuple[tuple[str, tuple[str, ...]], ...] = ()
-    step: str = ""
-    """The step that adds them up, where there is one."""
 
 
 @dataclass(frozen=True)
@@ -230,10 +228,10 @@ class Decoupler:
     limits: tuple[Entry, ...]
     offsets: tuple[Entry, ...]
     steps: tuple[Step, ...]
-    margins: tuple[Margin, ...]
     box: Box
     exact: Callable[[np.ndarray], np.ndarray]
     symbols: Mapping[str, ca.SX]
+    margins: tuple[Margin, ...] = ()
     at_pose: tuple[Step, ...] = ()
     """Non-linear models: the same with the pose given, for the zero; empty for the others."""
     flags: tuple[Flag, ...] = ()

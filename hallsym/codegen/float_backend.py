@@ -11,9 +11,9 @@ from zlib import crc32
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen import accepted, backend, faults, residual
+from hallsym.codegen import accepted, backend, residual
 from hallsym.codegen.backend import COUNT, VERSION, Backend, Port, Stored, ends
-from hallsym.codegen.bounds import LEAST_GAIN, Bounds, pose_bounds, step_errors
+from hallsym.codegen.bounds import Bounds, pose_bounds, step_errors
 from hallsym.codegen.cost import firmware_cost
 from hallsym.codegen.decoupler import FAULT, ROOT, Array, Decoupler, Entry, Step, short, steps_on_arrays, unit
 from hallsym.codegen.float_c import Real, shared_steps, statements
@@ -29,13 +29,9 @@ FPU = {4: "-mfloat-abi=hard -mfpu=fpv4-sp-d16", 8: "-mfloat-abi=soft"}
 """Compiler options of its floating-point unit by bytes of a number; it has no double."""
 MOST_STEPS = 20
 """Steps of the arithmetic that the report lists."""
-UNIONS = ("misra-c2012-19.2:decoupler.c", "misra-c2012-19.2:decoupler_check.c")
+UNION = "misra-c2012-19.2:decoupler.c"
 """Deviation: the bits of a number are read through a union, which C99 defines."""
 FRAGMENTS = "float/fragments/"
-GAIN_LOST = (
-    "((found & (DECOUPLER_BAD_NUMBER | DECOUPLER_BAD_LIMITS)) == 0U) && (gain_lost(&bytes[NUMBERS]) != 0U)"
-)
-"""Gains are looked at where all numbers are some."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +89,9 @@ class FloatBackend(Backend):
 
     real: Real
     jacobian: bool = False
-    kept: accepted.Ends | None = None
-    """Least and greatest values of the table of code that shall stay as it is."""
 
     tree: ClassVar[str] = "float"
+    why_ends: ClassVar[str] = "every table within these ends gives finite numbers, by interval arithmetic"
 
     @property
     def hashed(self) -> tuple[int, int]:
@@ -263,13 +258,14 @@ class FloatBackend(Backend):
 
     def _json(self) -> dict[str, Any]:
         d = self.decoupler
-        ends = {name: {"least": low, "greatest": high} for name, (low, high) in self.accepted.items()}
         numbers = [
             {"name": e.name, "value": float(self.real.dtype(e.value)), "unit": e.unit, "meaning": e.meaning}
-            | ends[e.name]
+            | self._ends_of(e.name)
             for e in d.entries
         ]
-        rows = [{k: v for k, v in vars(a).items() if k != "integers"} | ends[a.name] for a in d.arrays]
+        rows = [
+            {k: v for k, v in vars(a).items() if k != "integers"} | self._ends_of(a.name) for a in d.arrays
+        ]
         return {"parameters": numbers} | ({"arrays": rows} if rows else {})
 
     def _literal(self, value: Any) -> str:
@@ -284,7 +280,12 @@ class FloatBackend(Backend):
 
     def _of_input(self, port: Port) -> dict[str, Any]:
         d, c = self.decoupler, port.column
-        return {"kind": "reading" if c in d.model.channels else "measured state"}
+        names = [f"{side}_{short(c)}" for side in ("limit", "low", "high")]
+        far = max(abs(v) for name in names for v in self.accepted.get(name, ()))
+        return {
+            "kind": "reading" if c in d.model.channels else "measured state",
+            "far": self.real.constant(far),
+        }
 
     def _of_output(self, port: Port) -> dict[str, Any]:
         d, c = self.decoupler, port.column
@@ -301,11 +302,14 @@ class FloatBackend(Backend):
     def _fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
         d, c = self.decoupler, self.real.constant
         work, slopes = firmware_cost(d), self.slopes.records() if self.jacobian else []
+        least = self.bounds.least_gain
+        gains = [{"column": commented(column), "share": f"{v:.4f}"} for column, v in least.items()]
         common = {
             "real": self.type,
             **backend.taken(d),
             "builtin_fabs": self.real.fabs,
             "zero": c(0.0),
+            "one": c(1.0),
             "ieee": lines_of(f"{FRAGMENTS}ieee.c", {}),
             "out": self._outputs(errors),
             "in": self._inputs(),
@@ -314,18 +318,18 @@ class FloatBackend(Backend):
             "slope_units": ", ".join(dict.fromkeys(record["unit"] for record in slopes)),
             # build files
             "deviations": [
-                *UNIONS[not any(map(self.by_size, d.inputs)) :],
+                *([UNION] if any(map(self.by_size, d.inputs)) else []),
+                backend.UNION,
                 *([] if d.at_pose and not d.redundancy else [backend.STEP]),
             ],
             "cpu": f"{M4} {FPU[self.real.size]}",
             "machine": "mps2-an386",
             # proofs
             "eva_slopes": self._if_jacobian("eva_slopes.c"),
+            "every_table": list(self._every_table()),
             # report
             "notes": "\n".join(f"- {commented(note)}" for note in (*d.said, *d.of_faults, *notes)),
-            "gain": [
-                {"column": commented(c), "share": f"{v:.4f}"} for c, v in self.bounds.least_gain.items()
-            ],
+            "least_gains": lines_of(f"{FRAGMENTS}least_gains.md", {"gain": gains}) if gains else [],
             "arithmetic": [f"    {s.name} = {s.expression}" for s in d.steps]
             if len(d.steps) <= MOST_STEPS
             else [f"    {len(d.steps)} steps, see decoupler.c"],
@@ -333,7 +337,7 @@ class FloatBackend(Backend):
             "moves": work.moves,
             "instructions": work.instructions,
         }
-        parts = (self._header(common), self._step(common), self._check(), self._selftest())
+        parts = (self._header(common), self._step(common), self._selftest())
         for part in (*parts, self._range_tests(common)):
             common |= part
         return common
@@ -362,7 +366,6 @@ class FloatBackend(Backend):
             "pose_units": units(d.pose),
             "said": [f" * {line}" for text in (*d.said, *d.of_faults) for line in textwrap.wrap(text, 110)],
             "known": ", ".join(dict.fromkeys(f"{d.known(c):.6g} {unit(c)}" for c in d.pose)),
-            "least_gain": f"{LEAST_GAIN:g}",
             "jacobian_type": self._if_jacobian("jacobian_type.h", common),
             "jacobian_function": self._if_jacobian("jacobian.h", common),
         }
@@ -490,64 +493,19 @@ class FloatBackend(Backend):
             "suspect": suspect,
         }  # fmt: skip
 
-    @cached_property
-    def accepted(self) -> accepted.Ends:
-        """Least and greatest value of each number and row of the table: those of code that stays, if any."""
-        return accepted.accepted(self.decoupler, float(np.finfo(self.real.dtype).max), self.kept)
+    def _accepted(self) -> accepted.Ends:
+        """As wide as finite results allow."""
+        return accepted.accepted(self.decoupler, float(np.finfo(self.real.dtype).max))
 
-    def _check(self) -> dict[str, Any]:
-        d, real, found = self.decoupler, self.real, self.accepted
-        numbers = [e.name for e in (*d.table, *d.limits)]
-        listed = [*numbers, *(e.name for e in d.offsets)]
-        rows = [
-            line
-            for a in d.arrays
-            if not a.integers
-            for line in lines_of(f"{FRAGMENTS}row_outside.c", {
-                "name": a.name, "count": len(a.values), "low": real.constant(found[a.name][0]),
-                "high": real.constant(found[a.name][1]),
-            })
-        ]  # fmt: skip
-        sided = [ends(d, c) for c in d.inputs if not d.box.symmetric(c)]
-        filled = [f"({low} <= {high})" for low, high in sided]
-        gains = list(self._gains(numbers))
-        fields = {
-            "real": self.type, "size": real.size, "zero": real.constant(0.0), "one": real.constant(1.0),
-            "share": real.constant(round(1 - LEAST_GAIN, 6)), "count": len(gains),
-        }  # fmt: skip
-        listed_gains = textwrap.wrap(", ".join(f"{k}U" for k in gains), 100)
-        of_gains = [f"static const uint16_t gains[{len(gains)}] = {{", *(f"    {k}" for k in listed_gains)]
-        return {
-            **fields,
-            "first": numbers[0],
-            "ranges": len(listed),
-            "ends": [f"{{{', '.join(map(real.constant, found[name]))}}}, /* {name} */" for name in listed],
-            "entries": len(d.table),
-            "zeros_at": len(numbers),
-            "limits_to": len(numbers) * real.size,
-            "rows_outside": rows,
-            "gain_lost": lines_of(f"{FRAGMENTS}gain_lost.c", {**fields, "gains": [*of_gains, "};"]})
-            if gains
-            else [],
-            "check_limits": backend.found("!(" + " && ".join(filled) + ")", "LIMITS") if filled else [],
-            "check_gains": backend.found(GAIN_LOST, "GAIN") if gains else [],
-        }
-
-    def _gains(self, numbers: Sequence[str]) -> Iterator[int]:
-        """Yield four times a place in the table, plus what is there for `gain_lost`."""
-        d, place = self.decoupler, {name: 4 * k for k, name in enumerate(numbers)}
-        first = None
-        for margin in d.margins:
-            if not margin.terms:
-                continue
-            first = margin.rest if first is None else first
-            yield place[margin.rest]
-            for entry, columns in margin.terms:
-                yield place[entry] + 1
-                for c in columns:
-                    sides = ("limit",) if d.box.symmetric(c) else ("low", "high")
-                    yield from (place[f"{side}_{short(c)}"] + k for k, side in enumerate(sides, 2))
-        yield from () if first is None else (place[first],)  # ends the last one
+    def _just_outside(self, name: str) -> list[str]:
+        if any(a.integers for a in self.decoupler.arrays if a.name == name):
+            return []
+        real = self.real.dtype
+        just = [
+            np.nextafter(real(end), real(k * np.inf))
+            for end, k in zip(self.accepted[name], (-1, 1), strict=True)
+        ]
+        return [self._input(float(value)) for value in (np.nan, np.inf, -np.inf, *just)]
 
     # -- self-test and proofs ------------------------------------------------------------------------------
 
@@ -594,6 +552,15 @@ class FloatBackend(Backend):
             "faults": list(self._faults()),
         }
 
+    def _every_table(self) -> Iterator[str]:
+        """Lines of C that give each number of a table every value between its ends, for Frama-C EVA."""
+        for e in self.entries:
+            kind = "" if e.values.dtype.kind == "i" else f"{self.type}_"
+            between = f"Frama_C_{kind}interval({', '.join(self._ends_in_c(e))})"
+            place = f"table.{e.name}{'[k]' if e.values.ndim else ''} = {between};"
+            loop = f"for (uint32_t k = 0U; k < {len(e.values)}U; k++)" if e.values.ndim else ""
+            yield from [loop, "{", f"    {place}", "}"] if loop else [place]
+
     @property
     def _near(self) -> float:
         """What roundings of a pose at its largest zero, and iterations, may leave [m, rad], and some."""
@@ -618,39 +585,6 @@ class FloatBackend(Backend):
     @property
     def _most(self) -> str:
         return "FLT_MAX" if self.real.size == 4 else "DBL_MAX"
-
-    def _faults(self) -> Iterator[str]:
-        d, c, ends, real = self.decoupler, self.real.constant, self.accepted, self.real.dtype
-        reach = {column: max(map(abs, d.ends(column))) for column in d.inputs}
-        values = [self._input(value) for value in (np.nan, np.inf, -np.inf)]
-        own = {name for m in d.margins for name in (m.rest, *(entry for entry, _ in m.terms))}
-        found = dict.fromkeys((e.name for e in d.limits), "DECOUPLER_BAD_LIMITS")
-        found |= dict.fromkeys((e.name for e in d.offsets), "DECOUPLER_BAD_ZEROS")
-
-        def write(name: str, value: float) -> str | None:
-            low, high = ends[name]
-            return f"table.{name} = {c(value)};" if low <= value <= high else None
-
-        yield from faults.of_words()
-        for stored in self.entries:
-            if stored.values.dtype.kind != "f":
-                continue
-            last = f"[{len(stored.values) - 1}]" if stored.values.ndim else ""
-            sides = [real(end) for end in ends[stored.name]]
-            just = [np.nextafter(end, real(k * np.inf)) for end, k in zip(sides, (-1, 1), strict=True)]
-            for value in (*values, *map(c, map(float, just))):
-                what = found.get(stored.name, "DECOUPLER_BAD_NUMBER")
-                yield from faults.expect([f"table.{stored.name}{last} = {value};"], what)
-            if stored.name not in own and stored.name not in found and not last:
-                for end in sides:
-                    yield from faults.expect([f"table.{stored.name} = {c(float(end))};"])
-        yield from faults.of_limits(d, self.limited, c(0.0), ends)
-        yield from faults.of_margins(d, reach, write)
-        beyond = f"table.{d.offsets[0].name} = {c(3.0 * d.known(d.pose[0]))};"
-        yield from faults.of_several(d, self.limited, beyond, "DECOUPLER_BAD_NUMBER")
-        for zero in d.offsets:
-            for end in ends[zero.name]:
-                yield from faults.expect([f"table.{zero.name} = {c(end)};"])
 
     def _input(self, value: float) -> str:
         cast = "" if self.real.size == 4 else "(double)"  # math.h has them as float

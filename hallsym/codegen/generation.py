@@ -153,6 +153,7 @@ def generate(
     }
     if observer is None and "observer" in chosen:
         observer = Observer(**{**chosen["observer"], "said": tuple(chosen["observer"].get("said", ()))})
+    kept = accepted_of(before)
     if arithmetic == "q31":
         for option, unwanted in (
             ("double", double),
@@ -161,10 +162,9 @@ def generate(
         ):
             if unwanted:
                 raise InputError(f"--{option} belongs to --arithmetic float; leave it out, or the integers.")
-        backend: Backend = _integers(fit, record, box, given, chosen.get("plan"), ranges or {})
+        backend: Backend = _integers(fit, record, box, given, chosen.get("plan"), ranges or {}, kept)
     else:
         real = DOUBLE if double else FLOAT
-        kept = accepted_of(before)
         slopes = jacobian or "jacobian" in chosen
         backend = _floats(fit, record, box, given, real, slopes, observer, kept)
     errors = backend.errors()
@@ -200,7 +200,7 @@ def _floats(
     variant: dict[str, Any] = {"jacobian": "reading"} if jacobian else {}
     variant |= {} if observer is None else {"observer": asdict(observer)}
     record = {**record, **_recorded({**found.options, **variant}, given)}
-    backend = FloatBackend(found, record, real, jacobian, kept)
+    backend = FloatBackend(found, record, real, jacobian, kept=kept)
     check_gains(backend.bounds)
     for column, error in backend.bounds.error.items():
         if not error < max(-backend.bounds.low[column], backend.bounds.high[column]):  # grows without end
@@ -219,6 +219,7 @@ def _integers(
     given: Mapping[str, Any],
     plan: Sequence[int] | None,
     ranges: Collection[str],
+    kept: Ends | None,
 ) -> IntegerBackend:
     if fit.model.family.decoder == "wave":
         raise float_instead(fit.model)
@@ -234,7 +235,8 @@ def _integers(
     check_gains(pose_bounds(found))
     check_same(found)
     made = integer_program(found, plan, **{name: value for name, value in given.items() if value is not None})
-    return IntegerBackend(made.d, {**record, **_recorded({**made.options, "plan": made.plan}, given)}, made)
+    chosen = _recorded({**made.options, "plan": made.plan}, given)
+    return IntegerBackend(made.d, {**record, **chosen}, made, kept=kept)
 
 
 def _recorded(options: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The files of a decoupler in 32-bit integers, for a controller without a floating-point unit."""
 
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil, floor, pi
@@ -10,9 +10,9 @@ from zlib import crc32
 
 import numpy as np
 
-from hallsym.codegen import backend, faults
+from hallsym.codegen import accepted, backend
 from hallsym.codegen.backend import COUNT, VERSION, Backend, Port, Stored, ends
-from hallsym.codegen.bounds import LEAST_GAIN, Bounds
+from hallsym.codegen.bounds import Bounds
 from hallsym.codegen.decoupler import flag_bit, short, unit
 from hallsym.codegen.integer_c import LARGEST, MASK, UNIT, Program, Reciprocal, helpers
 from hallsym.codegen.naming import identifier
@@ -35,6 +35,7 @@ class IntegerBackend(Backend):
     program: Program
 
     tree: ClassVar[str] = "q31"
+    why_ends: ClassVar[str] = "with gains within these ends none comes to nothing"
     hashed = (4096, 100_000)
     batch: ClassVar[int] = 1 << 62
     type: ClassVar[str] = "q31"
@@ -160,10 +161,32 @@ class IntegerBackend(Backend):
             table.append(Stored(a.name, a.values.astype(f"<i{a.bits // 8}"), note))
         return [*table, *offsets]
 
-    @property
-    def numbers(self) -> list[Stored]:
-        """The entries without rows."""
-        return [e for e in self.entries if not e.values.ndim]
+    def _accepted(self) -> accepted.Ends:
+        """Those of the same table in floating point where they fit, and all integers of what it has not.
+
+        What makes an angle may be any integers.
+        """
+        p, d = self.program, self.decoupler
+        found, out = accepted.accepted(d, float(np.finfo(np.float32).max)), {}
+        exponents = {name: e for name, (_, e) in p.table.items()} | {
+            f"{side}_{short(c)}": p.inputs[c] for c in self.limited for side in ("limit", "low", "high")
+        }
+        for e in self.entries:
+            kind = np.iinfo(e.values.dtype)
+            low, high = kind.min if p.angles else -kind.max, kind.max
+            if e in self.offsets and e.name not in p.unsigned:
+                low, high = -2 * KNOWN, 2 * KNOWN
+            elif e.name in exponents and e.name in found and not (p.angles and e.name in p.table):
+                scaled = [v * 2.0 ** exponents[e.name] for v in found[e.name]]
+                low, high = max(low, floor(scaled[0])), min(high, ceil(scaled[1]))
+            out[e.name] = float(low), float(high)
+        return out
+
+    def _just_outside(self, name: str) -> list[str]:
+        low, high = map(int, self.accepted[name])
+        if name in self.program.arrays or name in self.program.unsigned:
+            return []
+        return [_integer(int(v), False) for v in (low - 1, high + 1) if -MOST - 1 <= v <= MOST]
 
     @cached_property
     def layout(self) -> int:
@@ -177,15 +200,23 @@ class IntegerBackend(Backend):
         return crc32("\n".join(rows).encode())
 
     def _json(self) -> dict[str, Any]:
-        numbers = [{"name": e.name, "value": int(e.values), "meaning": e.note} for e in self.numbers]
+        numbers = [
+            {"name": e.name, "value": int(e.values), "meaning": e.note, **self._ends_of(e.name)}
+            for e in self.numbers
+        ]
         rows = [
-            {"name": a.name, "values": a.values.tolist(), "unit_turn": 2.0 ** (a.shift - 32)}
+            {
+                "name": a.name,
+                "values": a.values.tolist(),
+                "unit_turn": 2.0 ** (a.shift - 32),
+                **self._ends_of(a.name),
+            }
             for a in self.program.arrays.values()
         ]
         return {"exponents": self.exponents, "parameters": numbers} | ({"arrays": rows} if rows else {})
 
     def _literal(self, value: Any) -> str:
-        return str(value)
+        return _integer(int(value), False)
 
     def _templates(self) -> dict[str, str]:
         """Angles are proved as a whole: no reciprocal is in them; every angle that is read is tried."""
@@ -235,7 +266,11 @@ class IntegerBackend(Backend):
             "said": [*lines_of(f"{FRAGMENTS}binary_angles.txt", {}), *said] if p.angles else said,
             "known_bit": [] if p.angles else [KNOWN_BIT],
             # build files
-            "deviations": [backend.STEP, *([SHIFTS] if p.shifts else [])],
+            "deviations": [
+                *([backend.UNION] if self._check()["number_at"] else []),
+                backend.STEP,
+                *([SHIFTS] if p.shifts else []),
+            ],
             "cpu": "-mcpu=cortex-m0 -mthumb",
             "machine": "microbit",
             # report
@@ -244,7 +279,7 @@ class IntegerBackend(Backend):
             "products": sum(line.operation == "mul" for line in p.lines),
             "pose_names": ", ".join(short(c) for c in d.pose),
         }
-        for part in (self._step(common), self._check(), self._selftest(), self._proofs()):
+        for part in (self._step(common), self._selftest(), self._proofs()):
             common |= part
         return common
 
@@ -284,35 +319,6 @@ class IntegerBackend(Backend):
             ),
         }
 
-    def _check(self) -> dict[str, Any]:
-        p, d = self.program, self.decoupler
-        sides = {c: ends(d, c) for c in self.limited}
-        within = [
-            f"({high} >= 0)" if d.box.symmetric(c) else f"({low} <= {high})"
-            for c, (low, high) in sides.items()
-        ]
-        gains = []
-        for margin in d.margins if not p.angles else ():
-            e_rest, terms = p.table[margin.rest][1], []
-            for name, columns in margin.terms:
-                text, e = f"size(p->{name})", p.table[name][1]
-                for c in columns:
-                    low, high = sides[c]
-                    reach = f"size({high})" if d.box.symmetric(c) else f"(size({low}) + size({high}))"
-                    text, e = f"(({text} * {reach}) >> 31U)", e + p.inputs[c] - 31
-                terms.append(f"({text} >> {e - e_rest}U)" if e >= e_rest else f"({text} << {e_rest - e}U)")
-            share = round((1 - LEAST_GAIN) * 1024)
-            if not terms:
-                gains.append(f"(p->{margin.rest} == 0)")
-                continue
-            spread = " + ".join(terms)
-            gains.append(f"(({spread}) >= ((size(p->{margin.rest}) * {share}U) >> 10U))")
-        return {
-            "size": lines_of(f"{FRAGMENTS}size.c", {}) if any("size(" in text for text in gains) else [],
-            "check_limits": backend.found("!(" + "\n    && ".join(within) + ")", "LIMITS") if within else [],
-            "check_gains": backend.found("\n    || ".join(gains), "GAIN") if gains else [],
-        }
-
     # -- self-test and proofs ------------------------------------------------------------------------------
 
     def _selftest(self) -> dict[str, Any]:
@@ -331,6 +337,7 @@ class IntegerBackend(Backend):
             **self._flags_raised(str(MOST)),
             **self._known(),
             "fault_includes": [],
+            "ieee": [],
             "faults": list(self._faults()),
         }
 
@@ -347,21 +354,6 @@ class IntegerBackend(Backend):
                 refused += ["bad += (decoupler_zero(&table, in, &pose) == DECOUPLER_STATUS_KNOWN) ? 0U : 1U;"]
             refused += [] if angle else [f"pose.{port.member} = 0;"]
         return {"known_poses": len(rows), "known_rows": rows, "refused": refused}
-
-    def _faults(self) -> Iterator[str]:
-        p, d = self.program, self.decoupler
-        reach = {c: max(map(abs, d.ends(c))) for c in d.inputs}
-        reach |= {c: sum(map(abs, d.ends(c))) for c in d.inputs if not d.box.symmetric(c)}  # as it is checked
-
-        def write(name: str, value: float) -> str | None:
-            q = round(value * 2.0 ** p.table[name][1]) if name in p.table else None
-            return f"table.{name} = {q};" if q is not None and abs(q) <= MOST else None
-
-        yield from faults.of_words()
-        yield from faults.of_limits(d, self.limited)
-        if not p.angles:
-            yield from faults.of_margins(d, reach, write)
-        yield from faults.of_several(d, self.limited, None, "" if p.angles else "DECOUPLER_BAD_GAIN")
 
     def _proofs(self) -> dict[str, Any]:
         """Every divisor through its reciprocal, and the arithmetic for Frama-C EVA.

@@ -36,7 +36,6 @@ INTEGERS = {
     "encoder in integers": lambda: generate(fit_of("meng volts"), arithmetic="q31"),
     "angle in integers": lambda: generate(fit_of("meng angle"), arithmetic="q31"),
 }
-"""Each bit pattern is a number: only those are refused that leave a range or a gain nothing."""
 SLOW = {"array over a longer row": made_of_travel, "six coordinates": lambda: made_of_arrays(QUICK)}
 
 PROGRAM = """
@@ -112,14 +111,14 @@ int main(void)
 """
 
 
+OF_INTEGERS = {
+    "FIRST": "24U", "COUNT": "(LENGTH - 24U) / 4U", "AT": "24U + 4U * k",
+    "END": "(VALUE)((to == 0U) ? 0x80000000UL : 0x7FFFFFFFUL)",
+}  # fmt: skip
 OF_NUMBERS = {
     "FIRST": "NUMBERS", "COUNT": "(sizeof(ends) / sizeof(ends[0]))",
     "END": "(to == 0U) ? ends[k].least : ends[k].greatest",
     "AT": "k * sizeof(ends[k].least) + ((k < ZEROS_AT) ? NUMBERS : ZEROS_LESS)",
-}  # fmt: skip
-OF_INTEGERS = {
-    "FIRST": "24U", "COUNT": "(LENGTH - 24U) / 4U", "AT": "24U + 4U * k",
-    "END": "(VALUE)((to == 0U) ? 0x80000000UL : 0x7FFFFFFFUL)",
 }  # fmt: skip
 
 
@@ -132,14 +131,12 @@ def test_an_accepted_table_gives_numbers(case, tmp_path):
     folder, backend = written(code, tmp_path / "fw"), code.backend
     far = "2e9" if case in INTEGERS else "1e30"
     low, high = (", ".join(f"{v!r}" for v in side[:, 0].tolist()) for side in backend.span)
-    numbers = [e.name for e in backend.decoupler.entries]
-    of_numbers = [] if case in INTEGERS else [backend.accepted[name] for name in numbers]
     fields = {
-        "ENDS": ", ".join(f"{{{pair[0]!r}, {pair[1]!r}}}" for pair in of_numbers) or "{0, 0}",
+        "ENDS": ", ".join(f"{{{', '.join(backend._ends_in_c(e))}}}" for e in backend.numbers),
         "TABLES": f"{TABLES}U", "INPUTS": f"{len(backend.inputs)}U", "LOW": low, "HIGH": high,
         "VALUE": backend.inputs[0].type, "FAR": far,
         "LEAST": "0" if backend.inputs[0].type == "uint32_t" else f"-{far}",
-        "ZEROS_AT": f"{len(backend.decoupler.table) + len(backend.decoupler.limits)}U",
+        "ZEROS_AT": f"{len(backend.numbers) - len(backend.offsets)}U",
     }  # fmt: skip
     text = PROGRAM
     for name, value in ((OF_INTEGERS if case in INTEGERS else OF_NUMBERS) | fields).items():
@@ -163,7 +160,8 @@ def test_a_table_of_another_calibration_is_accepted_within_the_ends_of_the_code(
         low, high = ends[entry.name]
         assert low <= entry.value <= high
     path = tmp_path / "fw/table/decoupler_params.json"
-    path.write_text(path.read_text().replace('"greatest": 2000.0', '"greatest": 0.5'))
+    greatest = f'"greatest": {ends["gain_hall_a"][1]}'
+    path.write_text(path.read_text().replace(greatest, '"greatest": 0.5'))
     with pytest.raises(
         InputError, match=r"gain_hall_a, 1\.\d+, is not within .* the code in the folder accepts"
     ):

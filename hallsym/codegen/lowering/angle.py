@@ -25,7 +25,6 @@ from hallsym.codegen.decoupler import (
     Decoupler,
     Flag,
     Lookup,
-    Margin,
     Redundancy,
     Watched,
     short,
@@ -99,9 +98,10 @@ class _Assembly(Collected):
         self.begin(model, inputs)
         flags: tuple[Flag, ...] = ()
         if self.curve.angle_only:
-            margin, phase = self._reading(), self.symbols["phase"]
+            phase = self._reading()
         else:
-            margin, phase = self._ellipse(), self._arctangent()
+            self._ellipse()
+            phase = self._arctangent()
             flags = (
                 Flag("FIELD", "field", "least_field", f"field below {WEAK:g} of its amplitude: no magnet"),
                 residual.flag(),
@@ -109,7 +109,7 @@ class _Assembly(Collected):
         self._finish(phase, self.symbols[f"zero_{short(model.pose[0])}"])
         ends, share = self.given.over({c: self._ends(c) for c in inputs}), self.curve.share
         return self.finished(
-            model, inputs, ends, margins=(margin,), flags=flags, approximation=self._left,
+            model, inputs, ends, flags=flags, approximation=self._left,
             exact=lambda given: self.curve.angle(self.curve.phase(given))[None] * share,
             cut=CUT * share * self.correction.slope if isinstance(self.correction, Grid) else 0.0,
             bounded=Rounding(self.curve, self.correction, WEAK, [ends.ends[c] for c in inputs]),
@@ -120,16 +120,15 @@ class _Assembly(Collected):
 
     # -- steps -------------------------------------------------------------------------------------------
 
-    def _reading(self) -> Margin:
+    def _reading(self) -> ca.SX:
         """The phase that is read, either branch taken."""
         (channel,) = self.curve.model.channels
         name = f"gain_{short(channel)}"
         gain = self.entry(name, 1.0, "1", f"phase per {channel}, 1", "value")
         read = odd_series.wrapped(gain * self.symbols[channel])  # of at most a turn, by the limits
-        self.step("phase", read, "[rad] as read, either branch", most=PI)
-        return Margin(channel, name)
+        return self.step("phase", read, "[rad] as read, either branch", most=PI)
 
-    def _ellipse(self) -> Margin:
+    def _ellipse(self) -> None:
         off = []
         for channel, center in zip(self.curve.model.channels, self.curve.center, strict=True):
             name, symbol = short(channel), si_symbol(channel)
@@ -152,7 +151,6 @@ class _Assembly(Collected):
         self.entry("least_field", WEAK**2, "1", about, "sign")
         self.step("field", x * x + y * y, "[1] square of the amplitude, 1 as calibrated")
         self.redundancy = residual.summed(self, self._watched(off))
-        return Margin(self.curve.model.channels[0], "least_field")
 
     def _watched(self, off: list[ca.SX]) -> list[Watched]:
         """Add what is left of readings: beside the circle of two, off the plane of the ellipse of more."""

@@ -23,7 +23,6 @@ from hallsym.codegen.decoupler import (
     Collected,
     Decoupler,
     Flag,
-    Margin,
     Redundancy,
     Trial,
     short,
@@ -547,7 +546,7 @@ class Assembly:
         made.keep((*(short(c) for c in model.pose), *(flag.step for flag in flags), *left))
         leaves = self.leaves()
         return made.finished(
-            model, inputs, ends, margins=(Margin(inputs[0], self.never_zero),), exact=self.exact,
+            model, inputs, ends, exact=self.exact,
             flags=flags, redundancy=redundancy, leaves=leaves, drawn=self.drawn_of_box,
             bounded=PoseByPose(model.pose, inputs, tuple(made.steps), tuple(made.table), self.drawn_of_box),
             said=self.said(leaves), evident=False,
@@ -585,11 +584,6 @@ class Assembly:
                 Seen(group.channels, group.phasor, readings, at, read[list(group.channels)], u, f"_{name}")
             )
         return contradictions(made, waves, found.weight**-0.5, dict(enumerate(linear[3:])), tilted)
-
-    @property
-    def never_zero(self) -> str:
-        """An entry that decoupler_check() looks at: a wavelength over 2 pi."""
-        return f"lc_{self.names[0]}"
 
     @property
     def flags(self) -> tuple[Flag, ...]:

@@ -14,9 +14,8 @@ from math import pi
 
 import casadi as ca
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
-from hallsym.codegen.lowering.phasors import TURN, Phasor, Sample, phasor_of
+from hallsym.codegen.lowering.phasors import Phasor, Sample, Window, levelled, phasor_of
 from hallsym.errors import InputError
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
@@ -124,10 +123,6 @@ Term = tuple[str, tuple[int, ...], int]
 """Kind, numbers of the rotations that it is multiplied by, and 0 for its real or 1 for its imaginary part."""
 
 
-APART = 1.0
-"""Wavelengths that two arrays are at least apart on the board."""
-
-
 @dataclass(frozen=True, eq=False)
 class Group:
     """Channels that see one array: their numbers, the pose coordinate it repeats along, its phasor."""
@@ -205,18 +200,12 @@ def groups_of(
 
     `middle` (6,): pose in the middle of the box; `heights`: range of the third coordinate [m].
     """
-    sample = Sample(model, p, middle, heights).levelled((3, 4, 5))
-    axes = sample.axes()
-    found: list[Group] = []
-    for axis in (0, 1):
-        own = [k for k in range(len(model.channels)) if axes[k] == axis]
-        if not own:
-            continue
-        places = np.array([_lever(sample, own, axis, turn) for turn in (3, 4, 5)]).T
-        lc = sample.analysed(own, axis, np.zeros(6))[0]
-        for members in together(places, APART * 2 * pi * lc):
-            channels = tuple(own[k] for k in members)
-            found.append(Group(channels, axis, phasor_of(sample, channels, axis, weight, exact=False)))
+    sample = Sample(model, p, middle, heights)
+    found = [
+        Group(tuple(w.own[k] for k in members), w.axis, phasor_of(w, members, weight, exact=False))
+        for w in levelled(sample, np.zeros(len(middle)), Window.of_period)
+        for members, _ in w.arrays()
+    ]
     check_along(model, [group.axis for group in found])
     return tuple(found), sample.at
 
@@ -229,21 +218,3 @@ def check_along(model: Model, axes: Sequence[int]) -> None:
             "Six coordinates are decoded from three arrays or more, along both axes; the readings of "
             f"{model.name} show {along[0]} along {model.pose[0]} and {along[1]} along {model.pose[1]}."
         )
-
-
-def _lever(sample: Sample, own: Sequence[int], axis: int, turn: int) -> np.ndarray:
-    """Return what a rotation moves the wave by under each channel [m / rad]: the larger of two parts."""
-    move = np.zeros(6)
-    move[turn] = TURN
-    ends = [sample.analysed(own, axis, sign * move)[2][:, 0] for sign in (-1, 1)]
-    change = sample.analysed(own, axis, np.zeros(6))[0] * np.log(ends[1] / ends[0]) / (2 * TURN)
-    return np.asarray(
-        np.where(np.abs(change.imag).max() > np.abs(change.real).max(), change.imag, change.real)
-    )
-
-
-def together(places: np.ndarray, apart: float) -> list[list[int]]:
-    """Return the numbers of places (n, d) that are nearer than `apart` to another of their kind."""
-    near = np.abs(places[:, None] - places).max(axis=2) < apart
-    count, kind = connected_components(near, directed=False)
-    return [np.flatnonzero(kind == k).tolist() for k in range(count)]

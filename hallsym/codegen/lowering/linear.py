@@ -170,7 +170,7 @@ class _Assembly(Collected):
             total = rest if small is None else small + rest
             self.step(f"now_{name}", total, f"[{base}] {about}")
             of = tuple((t.entry, t.columns) for t in terms)
-            margins.append(Margin(channel, f"gain_{name}", of, f"now_{name}"))
+            margins.append(Margin(channel, f"gain_{name}", of))
         return tuple(margins)
 
     def _shares(self, own: list[int], monomials: "_Monomials") -> None:

@@ -10,12 +10,14 @@ follows. Weighted least squares turn readings into u + g(u), g the share of the 
 fixed point.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import pi
 
+import casadi as ca
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from hallsym.errors import InputError
 from hallsym.model import Model
@@ -32,8 +34,14 @@ SETTLED = 1e-13
 ROUNDS = 30
 LOST = 1e-12
 """Share of the largest reading below which a harmonic is rounding of the analysis."""
-LEVELLING = 5
-"""Steps to the level pose."""
+LEVELLING = 4
+"""Steps to the level pose: each squares what it is off by."""
+LEVEL = 1e-12
+"""Rotation [rad] that is rounding of the analysis."""
+LOOKED_AT = 3
+"""Channels that a wavelength is fitted to."""
+APART = 1.0
+"""Wavelengths that two arrays are at least apart on the board."""
 TURN = 1e-4
 """Rotation [rad] by which slopes and levers are measured."""
 FORM = 1e-9
@@ -143,13 +151,14 @@ def phasor(
     """
     columns = list(model.pose)
     sample = Sample(model, p, np.zeros(len(columns)), ends, columns.index(height))
-    return phasor_of(sample, range(len(model.channels)), columns.index(along), weight)
+    window = Window.of_period(sample, columns.index(along), range(len(model.channels)))
+    return phasor_of(window, range(len(model.channels)), weight)
 
 
 class Sample:
-    """Readings of a model over places along one coordinate and a range of heights.
+    """Readings of a model about a pose, `at` (n_pose,), over places along a coordinate and heights.
 
-    `middle` (n_pose,): the other coordinates; `height`: number of the coordinate that the wave decays along.
+    `ends`: of the heights [m]; `height`: number of the coordinate that waves decay along.
     """
 
     def __init__(
@@ -158,15 +167,25 @@ class Sample:
         self.model, self.height, self.at = model, height, np.array(middle, dtype=float)
         self.p, self.run = np.asarray(p, dtype=float), on_arrays(model.reading)
         self.middle, self.half = (ends[0] + ends[1]) / 2, (ends[1] - ends[0]) / 2
-        self.z = np.tile(np.linspace(*ends, HEIGHTS), PLACES)
+        self.z = np.linspace(*ends, HEIGHTS)
         self.known: dict[int, float] = {}
 
-    def readings(self, axis: int, x: np.ndarray, move: np.ndarray) -> np.ndarray:
-        """Return readings (n_channels, s) at places `x` (s,) and the heights, moved by `move` (n_pose,)."""
-        pose = np.tile((self.at + move)[:, None], len(x))
+    def poses(self, axis: int, x: np.ndarray, z: np.ndarray, move: np.ndarray | None = None) -> np.ndarray:
+        """Return poses (n_pose, s) at displacements `x` and heights `z` (s,), moved by `move` (n_pose,)."""
+        pose = np.tile(self.at[:, None], len(x))
         pose[axis] += x
-        pose[self.height] = self.z + move[self.height]
-        return np.asarray(self.run(self.p, np.zeros(len(self.model.offsets)), list(pose), [])[0])
+        pose[self.height] = z
+        return np.asarray(pose if move is None else pose + move[:, None])
+
+    def readings(self, axis: int, x: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return readings (n_channels, s) there."""
+        pose = list(self.poses(axis, x, z))
+        return np.asarray(self.run(self.p, np.zeros(len(self.model.offsets)), pose, [])[0])
+
+    def swings(self, axis: int, x: np.ndarray) -> np.ndarray:
+        """Return by how much each channel varies over places at each height, (n_channels, HEIGHTS)."""
+        seen = self.readings(axis, np.repeat(x, HEIGHTS), np.tile(self.z, len(x)))
+        return np.asarray(seen.reshape(-1, len(x), HEIGHTS).std(axis=1))
 
     def lc(self, axis: int) -> float:
         """Return the wavelength over 2 pi along a coordinate as far as the model says it, or the decay
@@ -175,85 +194,136 @@ class Sample:
         if column in self.model.period:
             return self.model.period[column] / (2 * pi)
         if axis not in self.known:
-            x = np.repeat(np.random.default_rng(0).uniform(-1, 1, PLACES) * WIDE, HEIGHTS)
-            seen = self.readings(axis, x, np.zeros(len(self.at))).reshape(-1, PLACES, HEIGHTS)
-            low, *_, high = seen.std(axis=1)[seen.std(axis=(1, 2)).argmax()]
+            swings = self.swings(axis, np.random.default_rng(0).uniform(-1, 1, PLACES) * WIDE)
+            low, *_, high = swings[swings.sum(axis=1).argmax()]
             self.known[axis] = 2 * self.half / max(abs(float(np.log(high / low))), 1e-9)
         return self.known[axis]
 
-    def axes(self) -> np.ndarray:
-        """Return for each channel which of the first two coordinates it follows more."""
-        x = np.repeat(np.random.default_rng(0).uniform(-1, 1, PLACES) * WIDE, HEIGHTS)
-        swings = []
-        for axis in (0, 1):
-            seen = self.readings(axis, x, np.zeros(len(self.at))).reshape(-1, PLACES, HEIGHTS)
-            swings.append(seen.std(axis=1).mean(axis=1))
-        return np.asarray(np.argmax(swings, axis=0))
-
-    def levelled(self, turns: Sequence[int]) -> "Sample":
-        """Turn the middle to where waves are periodic: the mover level, whatever its reference says.
-
-        Gauss-Newton steps on what the form leaves, of the coordinates `turns`.
-        """
-        axes = self.axes()
-        owns = [(a, np.flatnonzero(axes == a)) for a in (0, 1) if (axes == a).any()]
-
-        def left(move: np.ndarray) -> np.ndarray:
-            out = []
-            for axis, own in owns:
-                self.analysed(own.tolist(), axis, move)
-                out.append(self.rest.ravel())
-            return np.concatenate(out)
-
-        for _ in range(LEVELLING):
-            at = left(np.zeros(len(self.at)))
-            if np.abs(at).max() < FORM:
-                break
-            moves = TURN * np.eye(len(self.at))[list(turns)]
-            slopes = np.array([(left(move) - at) / TURN for move in moves]).T
-            self.at[list(turns)] -= np.linalg.lstsq(slopes, at, rcond=None)[0]
-        return self
-
     def rising(self, axis: int) -> float:
         """1 where the field grows with the height, -1 where it falls."""
-        x = np.repeat(np.arange(PLACES) * (2 * pi * self.lc(axis) / PLACES), HEIGHTS)
-        seen = self.readings(axis, x, np.zeros(len(self.at)))
-        swing = seen.reshape(-1, PLACES, HEIGHTS).std(axis=1).sum(axis=0)
-        return 1.0 if swing[-1] > swing[0] else -1.0
+        low, *_, high = self.swings(axis, period_of(self.lc(axis))).sum(axis=0)
+        return 1.0 if high > low else -1.0
 
-    def analysed(
-        self, channels: Sequence[int], axis: int, move: np.ndarray, exact: bool = False
-    ) -> tuple[float, np.ndarray, np.ndarray]:
-        """Return lc, offsets (n,) and factors (n, HARMONICS) of the powers of u, the pose moved by `move`.
+    def followed(self, half: np.ndarray) -> dict[int, list[int]]:
+        """Return the channels that follow each of the first two coordinates, seen beyond a box of `half`."""
+        swings = []
+        for axis in (0, 1):
+            reach = half[axis] + 4 * pi * self.lc(axis) + WIDE
+            x = np.random.default_rng(0).uniform(-1, 1, 8 * PLACES) * reach
+            swings.append(self.swings(axis, x).mean(axis=1))
+        follows = np.argmax(swings, axis=0)
+        return {axis: np.flatnonzero(follows == axis).tolist() for axis in (0, 1) if (follows == axis).any()}
 
-        `exact`: refuse readings that have another form.
+
+def period_of(lc: float) -> np.ndarray:
+    """Return places over a period (PLACES,)."""
+    return np.arange(PLACES) * (2 * pi * lc / PLACES)
+
+
+class Window:
+    """What channels read along a coordinate, as an offset and powers of u.
+
+    `x`: displacements [m], from `place` (n,) of each channel, at every height; `rough`: about the wavelength
+    over 2 pi, which is found. `length`: of the wave that they are under.
+    """
+
+    def __init__(
+        self, sample: Sample, axis: int, channels: Sequence[int], x: np.ndarray, place: np.ndarray,
+        rough: float, length: float = np.inf,
+    ) -> None:  # fmt: skip
+        self.sample, self.axis, self.own = sample, axis, list(channels)
+        self.place, self.length, self.lc = place, length, rough
+        pose = ca.SX.sym("pose", len(sample.at))
+        read = ca.vertsplit(sample.model.reading(sample.p, np.zeros(len(sample.model.offsets)), pose, []))
+        self.read = [on_arrays(ca.Function("reading", [pose], [read[k]])) for k in channels]
+        self.x, self.z = np.repeat(x, HEIGHTS), np.tile(sample.z, len(x))
+        some = np.unique(np.linspace(0, len(place) - 1, LOOKED_AT).astype(int))
+        self.lc = self.fitted(some.tolist(), settle=True)[0]
+
+    @classmethod
+    def of_period(cls, sample: Sample, axis: int, channels: Sequence[int]) -> "Window":
+        """Return the window of waves that do not end: a period from the middle on."""
+        lc = sample.lc(axis)
+        return cls(sample, axis, channels, period_of(lc), np.zeros(len(channels)), lc)
+
+    def fitted(
+        self, some: Sequence[int] | None = None, move: np.ndarray | None = None, settle: bool = False
+    ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+        """Return lc, offsets (n,), factors (n, HARMONICS) of the powers of u from each place, and what is
+        left (s, n) of the largest reading; of `some` channels, the pose moved by `move` (n_pose,).
+
+        `settle`: with the wavelength that leaves least.
         """
-        lc, rising = self.lc(axis), self.rising(axis)
-        x = np.repeat(np.arange(PLACES) * (2 * pi * lc / PLACES), HEIGHTS)
-        seen = self.readings(axis, x, move)[list(channels)]
-        u = (self.z - self.middle) * rising - self.half + 1j * x
+        sample, half, lc = self.sample, self.sample.half, self.lc
+        seen = np.array([
+            self.read[k](list(sample.poses(self.axis, self.x + self.place[k], self.z, move)))[0][0]
+            for k in (range(len(self.own)) if some is None else some)
+        ])  # fmt: skip
+        u = (self.z - sample.middle) * sample.rising(self.axis) - half + 1j * self.x
         scale = np.abs(seen - seen.mean(axis=1, keepdims=True)).max()
         for _ in range(ROUNDS):
             design, slopes = _basis(u, lc)
             found, *_ = np.linalg.lstsq(design, seen.T, rcond=None)
             rest = seen.T - design @ found
+            if not settle:
+                break
             turned = slopes @ found
             turned = turned - design @ np.linalg.lstsq(design, turned, rcond=None)[0]
             move_lc = float((turned * rest).sum() / max((turned * turned).sum(), 1e-300))
             if np.abs(rest).max() <= 1e-13 * scale or abs(move_lc) < SETTLED:
                 break
             lc *= float(np.exp(np.clip(move_lc, -0.1, 0.1)))
-        self.rest = rest / scale
-        if exact and not np.abs(rest).max() <= FORM * scale:
-            raise InputError(
-                f"C is generated for sums of waves that decay as they are short; what {self.model.name} with "
-                f"{', '.join(self.model.effects) or 'no effect'} reads differs from that by "
-                f"{np.abs(rest).max() / scale:.2g} of its swing: generate from a calibration without that "
-                "effect."
-            )
         factor = found[1 : HARMONICS + 1] + 1j * found[HARMONICS + 1 :]
-        shrink = np.exp(-np.arange(1, HARMONICS + 1) * self.half / lc)
-        return lc, found[0], (factor * shrink[:, None]).T
+        shrink = np.exp(-np.arange(1, HARMONICS + 1) * half / lc)
+        return lc, found[0], (factor * shrink[:, None]).T, rest / scale
+
+    def slopes(self, k: int, step: float) -> np.ndarray:
+        """What a coordinate moves height (real) and place (imaginary part) of each channel by, (n,)."""
+        move = step * np.eye(len(self.sample.at))[k]
+        up, down = (self.fitted(move=by)[2][:, 0] for by in (move, -move))
+        return np.asarray(self.lc * np.log(up / down) / (2 * step))
+
+    def off_level(self) -> np.ndarray:
+        """Rotations (3,) by which the mover is off level, as a step across the array says; NaN of the other.
+
+        A rigid body turned about x and y by small angles: a step across lifts it, turned about z moves it.
+        """
+        out = np.full(3, np.nan)
+        across, sign = self.slopes(1 - self.axis, pi / 2 * self.lc).mean(), 1.0 if self.axis == 0 else -1.0
+        out[self.axis] = -sign * self.sample.rising(self.axis) * across.real
+        out[2] = sign * across.imag
+        return out
+
+    def arrays(self) -> list[tuple[list[int], np.ndarray]]:
+        """Return the numbers of the channels of each array, and its lever: what rotations move its height and
+        place by, complex (3,) or (0,) [m / rad]."""
+        turns = range(3, len(self.sample.at))
+        levers = np.array([self.slopes(k, TURN) for k in turns]).reshape(len(turns), len(self.own))
+        spread = np.concatenate([levers.real, levers.imag]).T
+        near = np.abs(spread[:, None] - spread).max(axis=2, initial=0.0) < APART * 2 * pi * self.lc
+        count, kind = connected_components(near, directed=False)
+        found = [np.flatnonzero(kind == k).tolist() for k in range(count)]
+        return [(members, levers[:, members].mean(axis=1)) for members in found]
+
+
+def levelled(
+    sample: Sample, half: np.ndarray, window: Callable[[Sample, int, list[int]], Window]
+) -> list[Window]:
+    """Return the windows of the channels of each axis, the pose of a mover turned to where it is level.
+
+    `half` of the box (n_pose,), beyond which it is seen what channels follow.
+    """
+    if len(sample.at) <= sample.height + 1:
+        return [window(sample, 0, list(range(len(sample.model.channels))))]
+    axes = sample.followed(half)
+    windows = [window(sample, axis, own) for axis, own in axes.items()]
+    for _ in range(LEVELLING):
+        each = np.array([w.off_level() for w in windows])
+        off = np.nansum(each, axis=0) / np.maximum(np.isfinite(each).sum(axis=0), 1)
+        if np.abs(off).max() < LEVEL:
+            break
+        sample.at[3:] -= off
+    return [window(sample, axis, own) for axis, own in axes.items()]
 
 
 def _basis(u: np.ndarray, lc: float) -> tuple[np.ndarray, np.ndarray]:
@@ -265,25 +335,30 @@ def _basis(u: np.ndarray, lc: float) -> tuple[np.ndarray, np.ndarray]:
     return np.vstack([one, powers.real, -powers.imag]).T, np.vstack([0 * one, slopes.real, -slopes.imag]).T
 
 
-def phasor_of(
-    sample: Sample, channels: Sequence[int], axis: int, weight: np.ndarray, exact: bool = True
-) -> Phasor:
-    """Return the phasor of some channels along a coordinate; `weight`: 1 / variance of all readings.
+def phasor_of(window: Window, members: Sequence[int], weight: np.ndarray, exact: bool = True) -> Phasor:
+    """Return the phasor of some channels of a window; `weight`: 1 / variance of all readings.
 
     `exact`: refuse readings that have another form.
     """
-    model = sample.model
-    lc, offset, factor = sample.analysed(channels, axis, np.zeros(len(sample.at)), exact=exact)
+    sample, model, channels = window.sample, window.sample.model, [window.own[k] for k in members]
+    lc, offset, factor, rest = window.fitted(members, settle=True)
+    left = float(np.abs(rest).max())
+    if exact and not left <= FORM:
+        raise InputError(
+            f"C is generated for sums of waves that decay as they are short; what {model.name} with "
+            f"{', '.join(model.effects) or 'no effect'} reads differs from that by {left:.2g} of its swing: "
+            "generate from a calibration without that effect."
+        )
     strongest = np.exp(sample.half / lc) ** np.arange(1, HARMONICS + 1)
     size = np.abs(factor).max(axis=0) * strongest
-    lost = max(LOST, 10 * float(np.abs(sample.rest).max()))
+    lost = max(LOST, 10 * left)
     harmonics = tuple(n for n in range(2, HARMONICS + 1) if size[n - 1] > lost * size[0])
     matrix = np.stack([factor[:, 0].real, -factor[:, 0].imag], axis=1)
-    scaled = matrix.T * weight[list(channels)]
+    scaled = matrix.T * weight[channels]
     if np.linalg.matrix_rank(matrix, 1e-6 * np.abs(matrix).max()) < 2:
         raise InputError(
             f"Place and height are decoded from sums that see the wave at different places; the "
             f"{len(channels)} of {model.name} do not tell cosine from sine."
         )
     weights = np.linalg.solve(scaled @ matrix, scaled)
-    return Phasor(lc, sample.rising(axis), sample.middle, offset, factor, weights, harmonics)
+    return Phasor(lc, sample.rising(window.axis), sample.middle, offset, factor, weights, harmonics)

@@ -23,9 +23,9 @@ from hallsym.codegen import residual
 from hallsym.codegen.decoupler import Box, Collected, Decoupler, Flag, Redundancy, Watched, short
 from hallsym.codegen.lowering import wave_steps
 from hallsym.codegen.lowering.arrays import LOST, NEAR, TRIALS, Assembly, ends_and_leaves
-from hallsym.codegen.lowering.arrays_fit import APART, Reference, check_along, together
-from hallsym.codegen.lowering.passing import NeverEnds, passes, readings
-from hallsym.codegen.lowering.phasors import HARMONICS, PLACES, TURN, WIDE, Phasor, Sample
+from hallsym.codegen.lowering.arrays_fit import Reference, check_along
+from hallsym.codegen.lowering.passing import NeverEnds, passed
+from hallsym.codegen.lowering.phasors import HARMONICS, PLACES, WIDE, Phasor, Sample, Window, levelled
 from hallsym.codegen.lowering.remainders import UNKNOWNS
 from hallsym.codegen.lowering.wave_steps import Pair, wave_of
 from hallsym.errors import InputError, counted
@@ -46,7 +46,6 @@ FAR = 30
 lift a mover out of sight on the way."""
 ENDED = 0.05
 """Share of its swing that a channel may have there."""
-LEVELLING = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +171,7 @@ def ends(model: Model, p: np.ndarray, middle: np.ndarray, heights: tuple[float, 
     for axis in (0, 1):
         x = np.random.default_rng(0).uniform(-1, 1, PLACES) * WIDE
         z, far = np.full(PLACES, sample.middle), FAR * 2 * pi * sample.lc(axis)
-        here, away = (readings(sample, axis, x + by, z).std(axis=1).max() for by in (0.0, far))
+        here, away = (sample.readings(axis, x + by, z).std(axis=1).max() for by in (0.0, far))
         if not away < ENDED * here:
             return False
     return True
@@ -188,76 +187,28 @@ def rows_of(
     middle, half = box
     height = Reference.height_of(middle)
     sample = Sample(model, p, middle, (middle[height] - half[height], middle[height] + half[height]), height)
-    several = len(middle) > height + 1
-    axes = _followed(sample, half) if several else {0: list(range(len(model.channels)))}
-    seen = [_Seen(sample, axis, own, half) for axis, own in axes.items()]
-    if several:
-        for _ in range(LEVELLING):
-            sample.at[3:] -= np.nan_to_num(np.nanmean([s.off_level() for s in seen], axis=0))
-        seen = [_Seen(sample, axis, own, half) for axis, own in axes.items()]
-    rows, lc = [row for s in seen for row in s.rows()], float(np.mean([s.lc for s in seen]))
-    if several:
+    windows = levelled(sample, half, lambda sample, axis, own: passed(sample, axis, own, half))
+    rows, lc = [row for w in windows for row in _rows(w)], float(np.mean([w.lc for w in windows]))
+    if len(middle) > height + 1:
         check_along(model, [row.axis for row in rows])
     at = np.concatenate([middle[:3], sample.at[3:]])
     wide = half + np.abs(middle - at)
     return Rows(model, p, weight, at, wide, accuracy, tuple(rows), lc, sample.rising(0))
 
 
-def _followed(sample: Sample, half: np.ndarray) -> dict[int, list[int]]:
-    """Return the channels that follow each axis."""
-    swings = []
-    for axis in (0, 1):
-        reach = half[axis] + 4 * pi * sample.lc(axis) + WIDE
-        x = sample.at[axis] + np.random.default_rng(0).uniform(-1, 1, 8 * PLACES) * reach
-        swings.append(readings(sample, axis, x, np.full(len(x), sample.middle)).std(axis=1))
-    follows = np.argmax(swings, axis=0)
-    return {axis: np.flatnonzero(follows == axis).tolist() for axis in (0, 1) if (follows == axis).any()}
-
-
-class _Seen:
-    """The channels of one axis, as the mover passes them."""
-
-    def __init__(self, sample: Sample, axis: int, own: Sequence[int], half: np.ndarray) -> None:
-        self.sample, self.axis, self.own = sample, axis, list(own)
-        rough = sample.lc(axis)
-        reach = 4 * half[axis] + 8 * pi * rough + WIDE
-        self.passed, self.window, self.lc = passes(sample, axis, own, reach, rough)
-
-    def _slopes(self, k: int, step: float) -> np.ndarray:
-        """What a coordinate moves height (real) and place (imaginary part) of each channel by, (n,)."""
-        moves, channels = (
-            step * np.eye(len(self.sample.at))[k] * np.array([[1.0], [-1.0]]),
-            range(len(self.own)),
+def _rows(window: Window) -> list[Row]:
+    """Return the rows of an axis: channels that one array passes at one place across it."""
+    place = window.place + window.sample.at[window.axis]
+    _, offset, factor, _ = window.fitted()
+    factor = factor * np.exp(-1j * np.arange(1, HARMONICS + 1) * place[:, None] / window.lc)
+    out = []
+    for members, lever in window.arrays():
+        order = sorted(members, key=lambda k: place[k])
+        channels = tuple(window.own[k] for k in order)
+        out.append(
+            Row(channels, window.axis, place[order], offset[order], factor[order], lever, window.length)
         )
-        up, down = np.array([[self.window.fitted(j, self.lc, m)[0][1] for j in channels] for m in moves])
-        return np.asarray(self.lc * np.log(up / down) / (2 * step))
-
-    def off_level(self) -> np.ndarray:
-        """Rotations (3,) by which the mover is off level, as a step across the array says; NaN of the other.
-
-        A rigid body turned about x and y by small angles: a step across lifts it, turned about z moves it.
-        """
-        out = np.full(3, np.nan)
-        across, sign = self._slopes(1 - self.axis, pi / 2 * self.lc).mean(), 1.0 if self.axis == 0 else -1.0
-        out[self.axis] = -sign * self.sample.rising(self.axis) * across.real
-        out[2] = sign * across.imag
-        return out
-
-    def rows(self) -> list[Row]:
-        """Return the rows of the axis: channels that one array passes at one place across it."""
-        turns = range(3, len(self.sample.at))
-        levers = np.array([self._slopes(k, TURN) for k in turns]).reshape(len(turns), len(self.own))
-        spread = np.concatenate([levers.real, levers.imag]).T
-        fitted = [self.window.fitted(k, self.lc)[0] for k in range(len(self.own))]
-        out = []
-        for members in together(spread, APART * 2 * pi * self.lc) if turns else [list(range(len(self.own)))]:
-            order = sorted(members, key=lambda k: self.passed.place[k])
-            out.append(Row(
-                tuple(self.own[k] for k in order), self.axis, self.passed.place[order],
-                np.array([fitted[k][0].real for k in order]), np.array([fitted[k][1:] for k in order]),
-                levers[:, order].mean(axis=1), self.passed.length,
-            ))  # fmt: skip
-        return out
+    return out
 
 
 MARGINS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -592,11 +543,6 @@ class _Assembly(Assembly):
                 made.step(f"rest_{s}", made.symbols[f"weight_{s}"] * off)
                 watched.append(Watched(f"rest_{s}", (number,), f"off_{s}"))
         return residual.summed(made, watched) if watched else None
-
-    @property
-    def never_zero(self) -> str:
-        """An entry that decoupler_check() looks at: a wavelength over 2 pi."""
-        return "lc"
 
     @property
     def flags(self) -> tuple[Flag, ...]:

@@ -19,7 +19,6 @@ from hallsym.codegen.decoupler import (
     Collected,
     Decoupler,
     Flag,
-    Margin,
     Redundancy,
     Step,
     Values,
@@ -128,7 +127,7 @@ class _Assembly:
         values = made.values(inputs, ends)
         made.keep((*map(short, model.pose), "inside", *(redundancy.steps if redundancy else ())))
         return made.finished(
-            model, inputs, ends, margins=(Margin(inputs[0], "lc"),), exact=self._exact,
+            model, inputs, ends, exact=self._exact,
             flags=(
                 Flag("FIELD", "inside", "least_inside", wave_steps.FIELD),
                 *((residual.flag(),) if redundancy else ()),

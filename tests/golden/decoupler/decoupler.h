@@ -38,7 +38,6 @@ extern "C" {
 #define DECOUPLER_BAD_CRC 0x04UL /**< something but the zeros has changed */
 #define DECOUPLER_BAD_NUMBER 0x08UL /**< an entry is beyond its least or greatest value, or no number */
 #define DECOUPLER_BAD_LIMITS 0x10UL /**< a range is empty, or wider than the code is for */
-#define DECOUPLER_BAD_GAIN 0x20UL /**< a gain falls below 0.1 of itself within the limits */
 #define DECOUPLER_BAD_ZEROS 0x40UL /**< zeros have changed otherwise than by decoupler_zero() */
 /** @} */
 

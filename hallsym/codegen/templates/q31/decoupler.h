@@ -50,8 +50,8 @@ extern "C" {
 #define DECOUPLER_BAD_VERSION 0x01UL /**< made for another interface */
 #define DECOUPLER_BAD_LAYOUT 0x02UL /**< made for other code, or of another length */
 #define DECOUPLER_BAD_CRC 0x04UL /**< something but the zeros has changed */
-#define DECOUPLER_BAD_LIMITS 0x10UL /**< a range is empty */
-#define DECOUPLER_BAD_GAIN 0x20UL /**< a gain comes too near zero within the limits */
+#define DECOUPLER_BAD_NUMBER 0x08UL /**< an entry is beyond its least or greatest value */
+#define DECOUPLER_BAD_LIMITS 0x10UL /**< a range is empty, or wider than the code is for */
 #define DECOUPLER_BAD_ZEROS 0x40UL /**< zeros have changed otherwise than by decoupler_zero() */
 /** @} */
 

@@ -3,11 +3,13 @@
 
 #include <stddef.h>
 
-@CRC@
+@IEEE@
 
-@SIZE@
+@CRC@
+@NUMBER_AT@
 uint32_t decoupler_check(const decoupler_params_t *p)
 {
+    @ENDS_LISTED@
     const uint8_t *bytes = (const uint8_t *)p;
     uint32_t found = 0U;
     if (p->version != DECOUPLER_VERSION)
@@ -22,11 +24,12 @@ uint32_t decoupler_check(const decoupler_params_t *p)
     {
         found |= DECOUPLER_BAD_CRC;
     }
-    if ((decoupler_crc(&bytes[ZEROS], LENGTH - ZEROS) != p->zeros_crc))
+    if (decoupler_crc(&bytes[ZEROS], LENGTH - ZEROS) != p->zeros_crc)
     {
         found |= DECOUPLER_BAD_ZEROS;
     }
+    @BEYOND_ENDS@
+    @ROWS_OUTSIDE@
     @CHECK_LIMITS@
-    @CHECK_GAINS@
     return found;
 }

@@ -1,0 +1,4 @@
+/* @WHY_ENDS@ */
+static const ends_t ends[@RANGES@] = {
+    @ENDS@
+};
