@@ -266,12 +266,12 @@ def read_json(path: str | Path, what: str, remedy: str, make: str = "") -> Any:
     """Return what a JSON file holds; NaN, infinities and numbers beyond `MOST_NUMBER` are refused."""
     text = read_text(path, what, NO_JSON, remedy, make)
     with reading(path, what, NO_JSON, remedy):
-        data = json.loads(text, object_pairs_hook=_once, parse_constant=_no_number)
-        place = next((place for place, x in _numbers(data) if abs(x) > MOST_NUMBER), None)
-    if place is not None:
+        data = json.loads(text, object_pairs_hook=_once)
+        wrong = next(((place, x) for place, x in _numbers(data) if not abs(x) <= MOST_NUMBER), None)
+    if wrong is not None:
         raise InputError(
-            f"{what} {quoted(path)} must hold numbers of magnitude {MOST_NUMBER:g} at most; '{place}' is "
-            f"larger, so {remedy}."
+            f"{what} {quoted(path)} must hold numbers of magnitude {MOST_NUMBER:g} at most; '{wrong[0]}' is "
+            f"{wrong[1]:g}, so {remedy}."
         )
     return data
 
@@ -283,10 +283,6 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         keys = [key for key, _ in pairs]
         raise ValueError(f"key {next(key for key in keys if keys.count(key) > 1)!r} is given twice")
     return found
-
-
-def _no_number(text: str) -> Any:
-    raise ValueError(f"{text} is no number")
 
 
 def _neighbour(path: Path) -> str:

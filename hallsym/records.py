@@ -1,5 +1,6 @@
 """Results as plain numbers for JSON, and JSON data as the records that they must be."""
 
+import json
 import re
 from collections.abc import Iterable
 from typing import Any, TypeVar
@@ -28,10 +29,18 @@ def plain(record: Any) -> Any:
     """
     import msgspec  # here, because most commands read and write no record
 
-    def builtin(value: Any) -> Any:
-        return str(value) if isinstance(value, str) else value.item()  # a finding, a number of NumPy
+    return msgspec.json.decode(msgspec.json.encode(record, enc_hook=_builtin))
 
-    return msgspec.json.decode(msgspec.json.encode(record, enc_hook=builtin))
+
+def builtins(record: Any) -> Any:
+    """Return a record as plain JSON data; a number that is not finite stays, for `json_text` to refuse."""
+    import msgspec
+
+    return json.loads(json.dumps(msgspec.to_builtins(record, str_keys=True, enc_hook=_builtin)))
+
+
+def _builtin(value: Any) -> Any:
+    return str(value) if isinstance(value, str) else value.item()  # a finding, a number of NumPy
 
 
 def structured(raw: Any, kind: type[Kind], where: str, remedy: str) -> Kind:

@@ -249,7 +249,7 @@ def targets() -> tuple[Target, ...]:
         Target("database", "log.sqlite", "info {FILE} --json", m.BYTES),
         Target("workbook", "runs.xlsx", "info {FILE} --json", m.BYTES),
         Target("CSV log, as text", "log.csv", "info {FILE}", m.TEXT),
-        Target("column file, suggested", "log.csv", "info {FILE} --suggest out.csv", m.TEXT),
+        Target("column file, suggested", "log.csv", "info {FILE} --write out.csv", m.TEXT),
         Target("sensors, sort", "sensors.csv", "sort {FILE} --field 0mT,475mT --json", m.TEXT),
         Target("calibration", "calib.json", "evaluate {FILE} log.parquet --json", m.JSON),
         Target("calibration, info", "calib.json", "info {FILE} --json", m.JSON),

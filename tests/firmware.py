@@ -6,9 +6,9 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -17,6 +17,7 @@ import pytest
 import hallsym
 from hallsym import Fit, Model, Parameter
 from hallsym.codegen import Decoupler, Generated
+from hallsym.estimation.calibration import CovarianceRecord, FittedParameter
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.families.stage import models as stage
@@ -37,15 +38,21 @@ def with_effect(effect: Callable[[Model], Model], value: float = 0.0) -> Fit:
     base = calibration()
     model = effect(base.model)
     values = np.append(base.values, np.full(len(model.names) - len(base.values), value))
-    return _fitted(model, values)
+    return known(model, values)
 
 
-def _fitted(model: Model, values: np.ndarray) -> Fit:
-    n = len(values)
-    return replace(
-        calibration(), model=model, values=values, std=np.zeros(n), determined=np.ones(n, bool),
-        covariance=np.zeros((n, n)), offsets={},
-    )  # fmt: skip
+def known(model: Model, values: np.ndarray, **fields: Any) -> Fit:
+    """Return that calibration with another model, whose parameters are known exactly."""
+    parameters = {
+        p.name: FittedParameter(
+            float(value), p.unit, 0.0, True, False, False, p.nominal, p.lower, p.upper
+        )
+        for p, value in zip(model.parameters, values, strict=True)
+    }  # fmt: skip
+    exact = CovarianceRecord(list(model.names), "", "", np.zeros((len(values), len(values))).tolist())
+    return calibration().changed(
+        model=model, parameters=parameters, covariance_record=exact, zero_deviations={}, **fields
+    )
 
 
 def height_quadratic(model: Model) -> Model:
@@ -67,18 +74,18 @@ def four_probes() -> Fit:
     )
     model = stage.stage31(layout)
     rng = np.random.default_rng(7)
-    known = {"theta_A": 0.01, "theta_D": -0.02, "eta_A": 0.87, "eta_B": 0.7, "eta_C": 0.86, "eta_D": 0.95}
-    known |= {f"a_{k}": float(rng.uniform(-200, 0)) for k in "ABCD"}
-    known |= {f"{q}_{k}": float(rng.uniform(-70, 70)) for q in "bc" for k in "ABCD"}
+    given = {"theta_A": 0.01, "theta_D": -0.02, "eta_A": 0.87, "eta_B": 0.7, "eta_C": 0.86, "eta_D": 0.95}
+    given |= {f"a_{k}": float(rng.uniform(-200, 0)) for k in "ABCD"}
+    given |= {f"{q}_{k}": float(rng.uniform(-70, 70)) for q in "bc" for k in "ABCD"}
     sigmas = {c: Sigma(s, "given") for c, s in zip(model.channels, (5e-7, 1e-6, 5e-7, 2e-6), strict=True)}
-    return replace(_fitted(model, model.vector(known)), noise=Noise(sigmas), offsets={})
+    return known(model, model.vector(given), noise=Noise(sigmas))
 
 
 def plain(name: str, **values: float) -> Fit:
     """A stage model at gains, and couplings, that are not nominal."""
     model = hallsym.build(name)
-    known = {"eta_A": 0.87, "eta_B": 0.7, "eta_C": 0.86, "theta_A": 0.01, "theta_C": -0.02} | values
-    return _fitted(model, model.vector(known))
+    given = {"eta_A": 0.87, "eta_B": 0.7, "eta_C": 0.86, "theta_A": 0.01, "theta_C": -0.02} | values
+    return known(model, model.vector(given))
 
 
 CASES: dict[str, Callable[[], Fit]] = {

@@ -68,7 +68,7 @@ def test_a_number_that_is_not_finite_is_refused_by_name(tmp_path, number):
 def test_names_of_a_file_reach_no_terminal(capsys, tmp_path):
     lines = ["run,t_s,hall_a_m,\x1b[31mx\x9b\u202e_m", *(f"1,{k},{k}e-6,0" for k in range(9)), ""]
     (tmp_path / "log.csv").write_text("\n".join(lines), encoding="utf-8")
-    for options in ([], ["--suggest", "c.toml"], ["--json"]):
+    for options in ([], ["--write", "c.toml"], ["--json"]):
         arguments = ["info", "log.csv", *options]
         main([str(tmp_path / a) if "." in a else a for a in arguments])
         said = capsys.readouterr()

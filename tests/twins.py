@@ -10,8 +10,10 @@ from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
+from msgspec import structs
 
 from hallsym import bundled_campaign
+from hallsym.estimation import Fit
 from hallsym.estimation.factors import summarise
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.families import build, published
@@ -188,3 +190,14 @@ def bundled(runs: slice) -> dict[str, np.ndarray]:
     run = log.array("run").astype(int)
     chosen = np.isin(run, log.runs[runs])
     return {c: run[chosen] if c == "run" else log.array(c)[chosen] for c in log.columns}
+def with_arrays(fit: Fit, covariance: np.ndarray | None = None, **columns: np.ndarray) -> Fit:
+    """A calibration with other arrays, such as `values` or `std`, in the order of its parameters."""
+    parameters = fit.parameters
+    for name, column in columns.items():
+        key = "value" if name == "values" else name
+        given = dict(zip(fit.model.names, column.tolist(), strict=True))
+        parameters = {n: structs.replace(p, **{key: given[n]}) for n, p in parameters.items()}
+    record = fit.covariance_record
+    if covariance is not None:
+        record = structs.replace(record, matrix=covariance.tolist())
+    return fit.changed(parameters=parameters, covariance_record=record)

@@ -4,13 +4,14 @@ Independent of hallsym's own families: B(x, z) = sum_h A_h exp(-h z / lc) cos(h 
 in tesla at the gap z, times gain, plus offset (Maguire, UBC 2015, chapter 2).
 """
 
-from dataclasses import replace
 from math import pi
 
 import casadi as ca
 import numpy as np
-from firmware import calibration
+from firmware import known
+from msgspec import structs
 
+from hallsym.estimation.calibration import LogRecord
 from hallsym.log import Noise, Sigma
 from hallsym.model import Family, Model, Parameter, PoseMetric
 
@@ -80,11 +81,9 @@ def calibrated(model=None, values=VALUES, gaps=(0.004, 0.01), sigma=1e-4):
     """A calibration of a wave at known parameters over a range of gaps [m]."""
     model = model or sums()
     p = model.vector({k: v for k, v in values.items() if k in model.names})
-    n = len(p)
-    return replace(
-        calibration(), model=model, values=p, std=np.zeros(n), determined=np.ones(n, bool), offsets={},
-        covariance=np.zeros((n, n)), noise=Noise({c: Sigma(sigma, "given") for c in model.channels}),
-        log={"span": {"x_ref_m": [-0.03, 0.03], "z_ref_m": list(gaps)}, "sha256": 64 * "0"},
+    return known(
+        model, p, noise=Noise({c: Sigma(sigma, "given") for c in model.channels}),
+        log=LogRecord(span={"x_ref_m": (-0.03, 0.03), "z_ref_m": gaps}, sha256=64 * "0"),
     )  # fmt: skip
 
 
@@ -160,6 +159,6 @@ def calibrated_planar(count=6, gaps=(0.0045, 0.0085), travel=0.0145, tilt=0.01, 
     values = {f"g{k}": 4 * (1 + 0.01 * rng.standard_normal()) for k in range(n)}
     values |= {f"o{k}": 2e-3 * rng.standard_normal() for k in range(n)}
     fit = calibrated(model, values)
-    span = {c: [-travel, travel] for c in ("x_ref_m", "y_ref_m")} | {"z_ref_m": list(gaps)}
-    span |= {f"r{a}_ref_rad": [-tilt, tilt] for a in "xyz"}
-    return replace(fit, log={**fit.log, "span": span})
+    span = dict.fromkeys(("x_ref_m", "y_ref_m"), (-travel, travel)) | {"z_ref_m": gaps}
+    span |= {f"r{a}_ref_rad": (-tilt, tilt) for a in "xyz"}
+    return fit.changed(log=structs.replace(fit.log, span=span))

@@ -139,7 +139,7 @@ def _position(options: Namespace) -> int:
         "calibration": str(options.file),
         "log": None if log is None else str(options.log),
         "model": fit.model.name,
-        "covariance": fit.covariance_method,
+        "covariance": fit.covariance_record.method,
         "at": fit.model.rest | at,
         "budgets": {c: b.to_dict() for c, b in budgets.items()},
         "monte_carlo": {c: v.to_dict() for c, v in found.items()} or None,
@@ -150,7 +150,7 @@ def _position(options: Namespace) -> int:
     pictures = _pictures(options, worst or budgets, grid, worst=bool(worst))
     coverage = f"{100 * settings.level:g} %" if settings.level else f"k = {settings.coverage:g}"
     place = position_words(fit.model.rest | at, fit.model.period)
-    basis = f"fit covariance: {fit.covariance_method}"
+    basis = f"fit covariance: {fit.covariance_record.method}"
     more: list[Block | str] = [comparison_table(list(found.values()))] if found else []
     more += [recorded_table(recorded, f"U ({coverage}), recorded workspace")] if recorded else []
     more += [recorded_table(grid.over(), f"U ({coverage}), map")] if grid and options.range else []
@@ -175,7 +175,7 @@ def _with_noise(fit: Fit, given: Sequence[str]) -> Fit:
     values = dict(map(common.assignment, given))
     columns = (*fit.model.channels, *fit.model.state, *fit.model.references)
     check_noise_keys(values, columns, "--noise")
-    return replace(fit, noise=Noise.given(values, columns).merged(fit.noise))
+    return fit.changed(noise=Noise.given(values, columns).merged(fit.noise))
 
 
 def _map(

@@ -69,39 +69,38 @@ def plots(
     return save(draw, folder, getattr(options, "plot_format", "png"), ", ".join(brief))
 
 
-def log_options(parser: ArgumentParser) -> None:
-    """Options of every command that reads a log."""
-    group = file_options(parser, "reading the log", "hall_a_um=HallA")
-    add_options(group, """
-        --column-file TOML              the same as a file: [columns] hall_a_um = "HallA"
-        --join FILE <repeat>            another file of the same log (repeat): more runs where it has the
-            same columns, else columns that are read at the times of the slower file
-        --clock GROUP:HOW               of several files, or of groups of one (TDMS, MDF, MCAP, HDF5), with
-            clocks of their own: whose samples become the rows, and how others are read there: Hall:linear
-            or Hall:nearest
-        --counts-per-turn N <float>     of an angle in counts, as in --column angle_count=raw: 16384 for 14
-            bits
-        --drop-bad                      leave out bad samples and runs and go on; they are counted
-        --noise COLUMN=SIGMA <repeat>   1 sigma in SI: --noise hall_m=5e-7 (repeat); estimated from the log
-            where not given""")  # fmt: skip
-
-
+LOG_OPTIONS = """
+    --column OURS=THEIRS <repeat>   our name, ending with the unit their column is in, such as
+        hall_a_um=HallA (repeat); of an angle in counts also those of a turn:
+        angle_count=raw,counts_per_turn=16384
+    --format FORMAT                 csv, parquet and others that are listed below; by the ending if not given
+    --delimiter DELIMITER           of a text file: ';', tab, blank; recognised where it is not given
+    --decimal SIGN                  of its numbers: . or , where both would be possible
+    --sheet SHEET                   of a workbook or a database that has several
+    --column-file TOML              the same as a file: [columns] hall_a_um = "HallA"
+    --join FILE <repeat>            another file of the same log (repeat): more runs where it has the same
+        columns, else columns that are read at the times of the slower file
+    --clock GROUP:HOW               of several files, or of groups of one (TDMS, MDF, MCAP, HDF5), with clocks
+        of their own: whose samples become the rows, and how others are read there: Hall:linear or
+        Hall:nearest
+    --drop-bad                      leave out bad samples and runs and go on; they are counted
+    --noise COLUMN=SIGMA <repeat>   1 sigma in SI: --noise hall_m=5e-7 (repeat); estimated from the log where
+        not given"""
+"""Options of every command that reads a log, explained by 'hallsym info --help'."""
 FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet", "clock")
-"""Options that say what a file is."""
+"""Those that say what a file is."""
 
 
-def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
-    """Options of every command that reads a table, of any format; returns their group."""
-    group = parser.add_argument_group(title)
-    add_options(group, f"""
-        --column OURS=THEIRS <repeat>   our name, ending with the unit their column is in: --column
-            {example} (repeat)
-        --format FORMAT                 csv, parquet and others that 'hallsym info --help' lists; by the
-            ending if not given
-        --delimiter DELIMITER           of a text file: ';', tab, blank; recognised where it is not given
-        --decimal SIGN                  of its numbers: . or , where both would be possible
-        --sheet SHEET                   of a workbook or a database that has several""")  # fmt: skip
-    return group
+def log_options(parser: ArgumentParser, options: str = LOG_OPTIONS, *, explained: bool = False) -> None:
+    """Add the options that say how a log, or a table, is read; where they are not explained, their names."""
+    named = ", ".join(re.findall(r"^ *(--[\w-]+)", options, re.M))
+    said = None if explained else f"{named}: see 'hallsym info --help'"
+    add_options(parser.add_argument_group("reading the file", said), options, hidden=not explained)
+
+
+def table_options(parser: ArgumentParser) -> None:
+    """Add those options that a table of anything has."""
+    log_options(parser, LOG_OPTIONS.partition("\n    --column-file")[0])
 
 
 def model_options(parser: ArgumentParser, default: str) -> None:
@@ -189,7 +188,6 @@ def reading_of(options: Namespace) -> dict[str, Any]:
         "columns": dict(parse_column_option(text) for text in options.column),
         "noise": dict(assignment(text) for text in options.noise),
         "column_file": options.column_file,
-        "counts_per_turn": options.counts_per_turn,
         **{name: getattr(options, name) for name in FILE_OPTIONS},
     }
 
@@ -259,12 +257,12 @@ def say(
     wrote: Sequence[str | Path] = (),
     then: Sequence[str] = (),
 ) -> None:
-    """Print the JSON record; or what is said, the answer first, then notes, files written, the next command.
+    """Print the JSON record with its format; or the answer, then notes, files written, the next command.
 
     `then`: the words of that command.
     """
     if options.json:
-        print(json_text(record))
+        print(json_text({"format": f"hallsym {options.command} 1", **record}))
         return
     progress.ended()
     content = said()
@@ -295,10 +293,10 @@ def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:
     for name, text in (known.read_with if known else {}).items():
         words += [f"--{name}", text] if getattr(options, name, None) is None else []
     words += [word for noise in options.noise for word in ("--noise", noise)]
-    for option in ("counts_per_turn", "column_file", *FILE_OPTIONS, "machine", "effects"):
+    for option in ("column_file", *FILE_OPTIONS, "machine", "effects"):
         value = getattr(options, option, None)
         if value is not None:
-            words += [f"--{option.replace('_', '-')}", f"{value:g}" if isinstance(value, float) else value]
+            words += [f"--{option.replace('_', '-')}", value]
     return [*words, *samples_words(options)]
 
 

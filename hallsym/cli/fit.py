@@ -109,9 +109,9 @@ def run(options: Namespace) -> int:
     )
     if result.goodness and not several:
         goodness = replace(result.goodness, next_command=_diagnose(options, result))
-        result = replace(result, goodness=goodness)
+        result = result.changed(goodness=goodness)
     wrote = _saved(options, result)
-    parts = list(zip([log["name"] for log in result.logs], logs, result.by_log, strict=False))
+    parts = list(zip([log.name for log in result.logs], logs, result.by_log, strict=False))
     for name, log, part in parts or [("", logs[0], result)]:
         folder = options.plots and Path(options.plots) / name
         wrote += common.fit_pictures(options, log, part, folder)

@@ -1,7 +1,7 @@
 """`hallsym info`: what a file holds, or what hallsym knows."""
 
 import shlex
-from argparse import SUPPRESS, Namespace
+from argparse import Namespace
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import accumulate, zip_longest
@@ -69,12 +69,10 @@ def add(sub: Any) -> None:
             a model or an effect; several files are one log: runs where they have the same columns, else
             joined by their times
         --write TOML <optional, alone={COLUMN_FILE}>  of a log whose columns have other names: write a
-            column file with the best guess for each, to be checked (default {COLUMN_FILE})""")  # fmt: skip
-    parser.add_argument("--suggest", dest="write", nargs="?", const=COLUMN_FILE, help=SUPPRESS)
-    add_options(parser, """
+            column file with the best guess for each, to be checked (default {COLUMN_FILE})
         --model MODEL                   what --write is for, such as stage31 (default: by the names)
     """)  # fmt: skip
-    log_options(parser)
+    log_options(parser, explained=True)
 
 
 def run(options: Namespace) -> int:

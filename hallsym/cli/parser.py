@@ -56,18 +56,20 @@ def parser_of(commands: Sequence[str]) -> ArgumentParser:
 _OPTION = re.compile(r"((?:-\w, )?[\w-]+)(?: ([^\s<]+))?(?: <([^>]*)>)?(?:  +(.*))?")
 
 
-def add_options(parser: Any, table: str) -> None:
+def add_options(parser: Any, table: str, *, hidden: bool = False) -> None:
     """Add options from a table: a line each with names, METAVAR, `<how>` where that is to be said, and help.
 
     A line that is indented further goes on with the one before. Without a METAVAR an option is a switch.
     `how`, with commas: `int`, `float` or `seed`; `=default`; `required`; `repeat` (a list); `optional`,
     `several` or `any` number of words; `alone=value` of an optional one without a word; choices as `a|b`.
+    `hidden`: from the help page.
     """
     for text in re.sub(r"\n {2,}(?=\S)", " ", textwrap.dedent(table)).strip().split("\n"):
         found = _OPTION.fullmatch(text.strip())
         if found is None:
             raise ValueError(f"not a line of options: {text!r}")
         names, metavar, how, said = found.groups()
+        said = argparse.SUPPRESS if hidden else said
         made: dict[str, Any] = {"help": said, "metavar": metavar}
         for word in filter(None, (how or "").split(", ")):
             kind, _, value = word.partition("=")

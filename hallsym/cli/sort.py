@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import FILE_OPTIONS, built, command, file_options, model_options, progress_of, say
+from hallsym.cli.common import FILE_OPTIONS, built, command, model_options, progress_of, say, table_options
 from hallsym.cli.parser import add_options
 from hallsym.errors import InputError, require
 from hallsym.estimation import load_fit
@@ -44,7 +44,7 @@ def add(sub: Any) -> None:
         --field LIST                    fields of reading_0, reading_1, ..., such as 0mT,475mT, where the
             table has none
         -o, --output FILE               csv: a row a sensor; json: everything""")  # fmt: skip
-    file_options(parser, "reading the table", "reading_mv=Hall")
+    table_options(parser)
     _matching_options(parser)
 
 

@@ -26,7 +26,7 @@ def box_of(
     columns = (*model.pose, *model.state, *model.channels)
     ends: dict[str, tuple[float, float]] = {}
     alike = _alike((*model.channels, *model.state), entries)
-    span = fit.log.get("span", {})
+    span = fit.log.span
     for column, reference in zip((*model.pose, *model.state), (*model.references, *model.state), strict=True):
         if column in model.period and reference not in model.absolute:  # what repeats is known all round
             ends[column] = (-model.period[column], model.period[column])
@@ -56,7 +56,7 @@ def box_of(
 
 def shortened(fit: Fit, box: Box) -> list[str]:
     """Return a sentence for each state column of which the box leaves a part of what was recorded out."""
-    out, span = [], fit.log.get("span", {})
+    out, span = [], fit.log.span
     for column in fit.model.state:
         if box.one_limit.get(column) and column in span:
             (low, high), most = span[column], box.ends[column][1]

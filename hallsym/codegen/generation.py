@@ -35,6 +35,7 @@ from hallsym.codegen.observer import Observer
 from hallsym.codegen.templates import LICENSE
 from hallsym.errors import InputError, quoted, require
 from hallsym.estimation.calibration import Fit
+from hallsym.records import builtins
 
 ARITHMETICS = ("float", "q31")
 REPLACED = (
@@ -348,7 +349,7 @@ def digest_of(fit: Fit) -> str:
         "effects": list(fit.model.effects),
         "parameters": dict(zip(fit.model.names, fit.values.tolist(), strict=True)),
         "noise": fit.noise.std,
-        "log": dict(fit.log),
+        "log": builtins(fit.log),
     }
     return sha256(json.dumps(record, sort_keys=True).encode())
 

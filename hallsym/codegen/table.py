@@ -93,7 +93,7 @@ def export_table(
     used = model if keep_reference else own
     needed = [n for n, symbol in zip(model.names, ca.vertsplit(used.symbols.parameters), strict=True)
               if ca.depends_on(used.symbols.reading, symbol)]  # fmt: skip
-    fit = replace(fit, undetermined_by_log=tuple(n for n in fit.undetermined_by_log if n in needed))
+    fit = fit.changed(undetermined_by_log=tuple(n for n in fit.undetermined_by_log if n in needed))
     check(fit, allow_undetermined)
     raw = _raw(fit, used, motor_steps)
     usual = layout.entries if layout.at_reading else motor_steps or layout.entries
@@ -190,7 +190,7 @@ def _made(raw: np.ndarray, layout: Layout, count: int, old: MakerTable | None) -
 
 def _notes(fit: Fit, layout: Layout, like: bool, kept: bool) -> Iterator[str]:
     """Yield what the user of a table should know."""
-    yield from notes_of(replace(fit, corrections=()))
+    yield from notes_of(fit.changed(corrections=()))
     effects = (e.name for e in fit.model.family.effects if e.link == "reference")
     if known := [name for name in effects if name in fit.model.effects]:
         what = "is in the table" if kept else "is left out of the table (--keep-reference puts it in)"

@@ -79,7 +79,7 @@ def examine(setup: Setup) -> Examined:
     if others is not setup and not setup.over and (again := select(others)).effects:
         setup, selection = others, again
     if selection.stopped:
-        setup = replace(setup, fit=replace(setup.fit, notes=(*setup.fit.notes, selection.stopped)))
+        setup = replace(setup, fit=setup.fit.changed(notes=(*setup.fit.notes, selection.stopped)))
     found = validate(setup, selection)
     noise = noise_of_rest(found.counted, setup.runs)
     verdict = decide(setup, found, noise)

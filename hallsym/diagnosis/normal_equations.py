@@ -276,8 +276,9 @@ def eliminated(
     across = np.add.reduceat(offsets[0], first) if len(first) < len(run) else offsets[0]
     follow = solve(across[:, :, :z], across[:, :, z:]) if z else across
     np.negative(follow, out=follow)
-    for low in range(0, len(run) if z else 0, UNITS):
-        at = slice(low, low + UNITS)
+    step = min(UNITS, max(1, ENTRIES // max(1, z * len(i))))
+    for low in range(0, len(run) if z else 0, step):
+        at = slice(low, low + step)
         by = follow[of_run[at]]
         for M, part in zip(made, offsets[:, at], strict=True):
             half = part[:, :, z:] + 0.5 * part[:, :, :z] @ by

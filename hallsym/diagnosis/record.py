@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from hallsym.diagnosis.policy import Policy
+from hallsym.estimation.calibration import LogRecord
 from hallsym.estimation.residual_noise import ResidualNoise
 from hallsym.records import plain, schema_of, structured
 from hallsym.shown import Shown
@@ -274,18 +275,6 @@ class Sizes:
     def rows(self) -> dict[str, dict[str, Size]]:
         """Outputs, then sensors, by column; a decoded angle is both and counts once."""
         return self.outputs | {c: s for c, s in self.sensors.items() if c not in self.outputs}
-
-
-@dataclass(frozen=True)
-class LogRecord:
-    """The log that was diagnosed. `span`: least and greatest value by column of reference and state."""
-
-    path: str | None = None
-    sha256: str | None = None
-    rows: int = 0
-    runs: int = 0
-    holdout: tuple[int, ...] = ()
-    span: dict[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, repr=False)

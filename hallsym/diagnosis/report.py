@@ -21,7 +21,6 @@ from hallsym.diagnosis.record import (
     Estimate,
     FoundEffect,
     Gap,
-    LogRecord,
     Metric,
     ModelLeft,
     NoiseFloor,
@@ -147,8 +146,6 @@ def report(
         gap_after = Gap({c: v * power for c, v in cured.rmse.items()}, cured.peak, ends)
     given = {s.source == "given" for s in setup.fit.noise.sigmas.values()}
     source = "stated and estimated" if len(given) == 2 else "stated" if given == {True} else "estimated"
-    log = setup.fit.log
-    span = {column: (low, high) for column, (low, high) in log["span"].items()}
     return Diagnosis(
         verdict=verdict,
         sentence=sentence(setup, verdict, named, alike.instead_of, metric, noise),
@@ -172,7 +169,7 @@ def report(
         smaller_findings=smaller_findings(setup, selection, found, effects if quiet else ()),
         threshold=setup.threshold,
         model=setup.fit.model.name,
-        log=LogRecord(log["path"], log["sha256"], log["rows"], log["runs"], tuple(log["holdout"]), span),
+        log=setup.fit.log,
         notes=tuple(dict.fromkeys(setup.fit.notes)),
         seconds=perf_counter() - setup.began,
         versions=dict(setup.fit.versions),

@@ -149,7 +149,7 @@ def base_of(log: Log, result: Fit) -> Base:
         covariance=point.covariance.mean(axis=0),
         free=tuple(k for k, n in enumerate(result.model.names) if n not in result.fixed),
         pose_weights=result.model.family.pose_metric.weights(result.model.pose, log.meta.gap_length_scale_m),
-        holdout=frozenset(result.log["holdout"]),
+        holdout=frozenset(result.log.holdout),
         sigma=sigma,
         keep=result.keep and remembered(result.keep, wired.rows),
     )
@@ -205,7 +205,7 @@ def prepare(
     result = fit(log, inspected, accept=(ALL,), **asked)
     if result.goodness and result.goodness.sentence and (wires := _wires(log, result)):
         result = fit(log, inspected, corrections=wires, accept=(ALL,), **asked)
-    result = replace(result, model=model)
+    result = result.changed(model=model)
     base = base_of(log, result)
     if log.rows > CACHED_ROWS:
         say("decimating the log")
@@ -218,7 +218,7 @@ def prepare(
                 f"The log is long: every {every}. sample of it is diagnosed, and parameters are as certain "
                 "as these make them. hallsym fit takes all of them."
             )
-            result = replace(result, notes=(*result.notes, long))
+            result = result.changed(notes=(*result.notes, long))
     if arrow := sys.modules.get("pyarrow"):  # it keeps the memory that it read a file with
         arrow.default_memory_pool().release_unused()
     return Setup(
@@ -276,7 +276,7 @@ def _first_fit(log: Log, found: Fit, policy: Policy) -> tuple[np.ndarray | None,
     spikes = None
     if found.keep is not None and found.source is not None:
         spikes = np.concatenate([found.keep(block) for block in found.source.blocks()]) == 0
-    base = replace(base_of(counted_off(log), replace(found, keep=None)), policy=policy)
+    base = replace(base_of(counted_off(log), found.changed(keep=None)), policy=policy)
     remembers = _remembers(base, spikes)
     return spikes, 1 if remembers < 2 else int(policy.memories * remembers)
 

@@ -49,7 +49,7 @@ class Survey:
     duration_s: float
     variance: float
     fast: float
-    colour: np.ndarray
+    autocorrelation: np.ndarray
     inflation: float
     kurtosis: float
     values: tuple[np.ndarray, ...]
@@ -77,7 +77,7 @@ def survey(base: Base, runs: frozenset[int]) -> Survey:
         duration_s=float(times[-1][-1] - times[0][0]) if times else 0.0,
         variance=variance,
         fast=_mean(np.hstack([np.diff(r, 2) for r in rest]) ** 2) / 6,
-        colour=colour,
+        autocorrelation=colour,
         inflation=inflation,
         kurtosis=fourth / max(variance, NIL) ** 2,
         values=values,

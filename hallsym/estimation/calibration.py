@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 import numpy as np
+from msgspec import structs
 from scipy.special import ndtri, stdtrit
 
 from hallsym.errors import InputError, nearest, quoted
@@ -23,29 +26,71 @@ from hallsym.log import Foreign, Log, Meta, Noise, Sigma
 from hallsym.log.batches import Weigh
 from hallsym.model import Family, Model
 from hallsym.model.effect import read_text
-from hallsym.records import plain, schema_of, structured
+from hallsym.records import builtins, schema_of, structured
 from hallsym.shown import Shown, decoding
 
-FORMAT = "hallsym calibration 1"
+FORMAT: Final = "hallsym calibration 1"
+ErrorRows = Mapping[str, Mapping[str, Mapping[str, float]] | None]
+"""RMSE and peak by pose coordinate, of rows such as "fitted"; None of one without a run."""
 INTERVAL = 0.95
 """Probability that an interval holds the true value."""
 MANY = 200.0
 """Degrees of freedom from which on Student's interval is a normal one, to 1 %."""
 
 
-# -- the file: the one statement of its format, validated and published as JSON Schema --------------------
+# -- the file: one definition of its format, its JSON Schema and the object -------------------------------
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 
 
-class _Record(msgspec.Struct, forbid_unknown_fields=True):
+def coverage_factor(degrees_of_freedom: float | np.ndarray, level: float = INTERVAL) -> np.ndarray:
+    """Return half of an interval over the standard uncertainty: Student's t, normal for infinite ones."""
+    half = 0.5 + 0.5 * level
+    dof = np.asarray(degrees_of_freedom, dtype=float)
+    finite = np.isfinite(dof)
+    return np.where(finite, stdtrit(np.where(finite, dof, 1.0), half), ndtri(half))
+
+
+class _Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A record in which every key is known."""
 
 
-class ParameterRecord(_Record):
-    """One parameter in SI; `std` is null where the data do not determine it, a bound where there is none."""
+class Estimate(_Record, frozen=True):
+    """A value in SI with its standard uncertainty, None where the data do not determine it."""
+
+    value: float
+    std: NotNegative | None
+    unit: str
+
+
+class _Interval:
+    """What has a value and its standard uncertainty; `degrees_of_freedom`: of `std`, None if infinite."""
+
+    value: float
+    std: float | None
+    degrees_of_freedom: float | None
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of `std`; infinite where the noise is as stated."""
+        return _or(self.degrees_of_freedom, np.inf)
+
+    @property
+    def factor(self) -> float:
+        """Half of the 95 % interval over `std`, by Student's t where the uncertainty itself was estimated."""
+        return float(coverage_factor(self.dof))
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """The 95 % interval; None where the data do not determine the value."""
+        half = self.factor * (self.std or 0.0)
+        return None if self.std is None else (self.value - half, self.value + half)
+
+
+class FittedParameter(_Interval, _Record, frozen=True):
+    """One parameter in SI; `std` is None where the data do not determine it, a bound where there is none."""
 
     value: float
     unit: str
@@ -59,18 +104,18 @@ class ParameterRecord(_Record):
     degrees_of_freedom: Positive | None = None
 
 
-class CombinationRecord(_Record):
-    """A combination that the data determine; `factors` by parameter, of a linear one."""
+class CombinationEstimate(_Interval, _Record, frozen=True):
+    """A combination that the data determine although its parameters are not; `factors` of a linear one."""
 
     expression: str
     value: float
-    std: float
+    std: NotNegative
     unit: str
     factors: dict[str, float] | None = None
     degrees_of_freedom: Positive | None = None
 
 
-class CovarianceRecord(_Record):
+class CovarianceRecord(_Record, frozen=True):
     """Covariance of the parameters in the order `parameters`, in SI."""
 
     parameters: list[str]
@@ -95,7 +140,7 @@ class LowerBound:
     near: bool
 
 
-class SolverRecord(_Record):
+class SolverRecord(_Record, frozen=True):
     """How the optimum was found."""
 
     name: str
@@ -109,35 +154,30 @@ class SolverRecord(_Record):
     lower_bound: LowerBound | None = None
 
 
-class LogRecord(_Record):
-    """The log that was fitted; `span`: least and greatest value by column."""
+class LogRecord(_Record, frozen=True):
+    """A log; `span`: least and greatest value by column of reference and state."""
 
-    rows: Count = 0
-    runs: Count = 0
-    holdout: list[int] = []
     path: str | None = None
     sha256: str | None = None
-    span: dict[str, tuple[float, float]] = {}
+    rows: Count = 0
+    runs: Count = 0
+    holdout: tuple[int, ...] = ()
+    span: Mapping[str, tuple[float, float]] = {}
 
 
-class OwnRecord(_Record):
-    """A parameter that one log has of its own; `std` is null where the log does not determine it."""
+class FittedLogRecord(_Record, frozen=True):
+    """One of several logs that were fitted together; `runs`: from its own run to that of the calibration.
 
-    value: float
-    std: NotNegative | None
-    unit: str
-
-
-class FittedLogRecord(_Record):
-    """One of several logs that were fitted together; `runs`: from its own run to that of the calibration."""
+    `parameters`: those that the log has of its own.
+    """
 
     name: str
     held_out: bool
     log: LogRecord
     runs: dict[int, int]
-    errors: dict[str, dict[str, dict[str, float | None]] | None]
+    errors: ErrorRows
     noise: dict[str, Sigma]
-    parameters: dict[str, OwnRecord]
+    parameters: dict[str, Estimate]
     residual_over_noise: float | None = None
 
 
@@ -159,89 +199,66 @@ class Claim:
     rivals: tuple[str, ...] = ()
 
 
-class CalibrationRecord(_Record):
-    """A calibration file; everything is in SI."""
+_KEYS = {"error_rows": "errors", "goodness": "goodness_of_fit", "covariance_record": "covariance"}
+"""Keys of the file whose field has another name."""
 
-    format: Literal["hallsym calibration 1"]
-    model: str
-    added: list[str]
-    parameters: dict[str, ParameterRecord]
-    combinations: list[CombinationRecord]
-    errors: dict[str, dict[str, dict[str, float | None]] | None]
+
+class Fitted(msgspec.Struct, kw_only=True, frozen=True, eq=False, forbid_unknown_fields=True, rename=_KEYS):
+    """What a calibration file holds and the result of a fit has alike; everything is in SI.
+
+    `covariance`: zero rows for fixed parameters. `zero_deviations`: run -> zero deviations delta [m] in
+    reading space. `noise_floor`: RMSE that the stated noise alone would leave, by pose coordinate. `claims`:
+    what is wrong with the recording, or with the result, and was not accepted. `columns`: how the columns of
+    the log were mapped, `read_with`: options that it was read with, so that the next log of the machine is
+    read alike. `goodness_of_fit`: null only in a file of an earlier version.
+    """
+
+    goodness: GoodnessOfFit | None = None
+    parameters: dict[str, FittedParameter]
+    combinations: tuple[CombinationEstimate, ...]
+    error_rows: ErrorRows
     noise: dict[str, Sigma]
-    noise_floor: dict[str, float | None]
+    noise_floor: Mapping[str, float | None]
     status: str
     message: str
     seconds: float
-    notes: list[str]
-    undetermined_by_log: list[str]
-    structural: list[str]
+    notes: tuple[str, ...]
+    undetermined_by_log: tuple[str, ...]
+    structural: tuple[str, ...]
     solver: SolverRecord
-    covariance: CovarianceRecord
-    zero_bounds: dict[str, tuple[float | None, float | None]]
+    covariance_record: CovarianceRecord
     zero_deviations: dict[int, dict[str, float]]
-    layout: list[dict[str, Any]]
     log: LogRecord
     versions: dict[str, str]
     columns: dict[str, Foreign] = {}
     read_with: dict[str, str] = {}
-    corrections: list[str] = []
     claims: tuple[Claim, ...] = ()
-    wiring: list[tuple[str, int]] | None = None
-    effects: list[str] = []
-    own_effects: list[str] = []
-    goodness_of_fit: GoodnessOfFit | None = None
-    logs: list[FittedLogRecord] = []
+    logs: tuple[FittedLogRecord, ...] = ()
+
+
+class Calibration(Fitted, kw_only=True, frozen=True, eq=False):
+    """A calibration file: a fit and, in words, its model and the corrections of its log.
+
+    `added`: effects that the model was given. `corrections`: mistakes of the recording that were undone, the
+    sign of a sensor mounted the other way round last; an earlier version had them as `wiring`.
+    """
+
+    format: Literal["hallsym calibration 1"]
+    model: str
+    added: tuple[str, ...]
+    layout: tuple[dict[str, Any], ...]
+    zero_bounds: dict[str, tuple[float | None, float | None]]
+    effects: tuple[str, ...] = ()
+    own_effects: tuple[str, ...] = ()
+    corrections: tuple[str, ...] = ()
+    wiring: tuple[tuple[str, int], ...] | None = None
+
+
+_IF_ANY = ("columns", "read_with", "logs")
+"""Keys that a file has where there is something to say."""
 
 
 # -- what a fit returns ------------------------------------------------------------------------------------
-
-
-def coverage_factor(degrees_of_freedom: float | np.ndarray, level: float = INTERVAL) -> np.ndarray:
-    """Return half of an interval over the standard uncertainty: Student's t, normal for infinite ones."""
-    half = 0.5 + 0.5 * level
-    dof = np.asarray(degrees_of_freedom, dtype=float)
-    finite = np.isfinite(dof)
-    return np.where(finite, stdtrit(np.where(finite, dof, 1.0), half), ndtri(half))
-
-
-@dataclass(frozen=True)
-class CombinationEstimate:
-    """A combination that the data determine although its parameters are not: value and 1 sigma in `unit`.
-
-    `degrees_of_freedom`: of `std`; infinite where the noise is as stated.
-    """
-
-    expression: str
-    value: float
-    std: float
-    unit: str
-    factors: Mapping[str, float] | None = None
-    """Of a linear combination: factor by parameter."""
-    degrees_of_freedom: float = np.inf
-
-    @property
-    def half_width(self) -> float:
-        """Half of the 95 % interval."""
-        return float(coverage_factor(self.degrees_of_freedom)) * self.std
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the record; infinite degrees of freedom are None."""
-        return {**vars(self), "degrees_of_freedom": _number(self.degrees_of_freedom)}
-
-
-@dataclass(frozen=True)
-class FittedParameter:
-    """One parameter of a fit in SI; `std` and `interval` (95 %) are None where the data do not determine it.
-
-    `factor`: half of the interval over `std`, by Student's t where the uncertainty itself was estimated.
-    """
-
-    value: float
-    std: float | None
-    interval: tuple[float, float] | None
-    factor: float
-    unit: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,70 +286,86 @@ class Joint:
         return float(gradient @ self.values), float(np.sqrt(max(gradient @ self.covariance @ gradient, 0.0)))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Fit(Shown):
-    """What `fit` returns and `calib.json` holds.
+class Fit(Shown, Fitted, kw_only=True, frozen=True, eq=False, dict=True, weakref=True,
+          rename=lambda name: f"live {name}"):  # fmt: skip
+    """What `fit` returns: the calibration of `calib.json`, and what a fit just made has beside it.
 
-    `values`, `std`, `determined`: (n,) in the order of `model.parameters`; `std` is nan where the data do
-    not determine the parameter. `covariance`: (n, n), zero rows for fixed parameters. `degrees_of_freedom`:
-    (n,) of `std`, for Student's t; infinite where the noise is as stated. `fixed` stayed at nominal,
-    `at_bound` ended at a bound. `offsets`: run -> zero deviations delta [m] in reading space. `noise_floor`:
-    RMSE that the stated noise alone would leave, by pose coordinate.
+    `corrections`: mistakes of the recording that were undone. Not saved: `errors`, `keep` (weights that took
+    outliers out), `source` (the log), `likelihood` (the cost of the fitted runs, for profiles and refits),
+    `determination` (what those runs determine), `turned` (whether the sign of sensors is all that was undone:
+    a side to mount), `joint` (of several logs fitted together, the parameters of all), `by_log` (the fit log
+    by log, held-out logs last).
     """
 
-    model: Model
-    values: np.ndarray
-    std: np.ndarray
-    determined: np.ndarray
-    covariance: np.ndarray
-    covariance_method: str
-    covariance_reason: str
-    degrees_of_freedom: np.ndarray
-    fixed: tuple[str, ...]
-    structural: tuple[str, ...]
-    at_bound: tuple[str, ...]
-    combinations: tuple[CombinationEstimate, ...]
-    offsets: Mapping[int, np.ndarray]
     noise: Noise
     noise_floor: Mapping[str, float]
-    status: str
-    message: str
-    solver: Mapping[str, Any]
-    """How the optimum was found: the entries of `SolverRecord`."""
-    log: Mapping[str, Any]
-    """The log that was fitted: the entries of `LogRecord`."""
-    seconds: float
-    goodness: GoodnessOfFit | None = None
-    """None only for a calibration that an earlier version saved."""
-    notes: tuple[str, ...] = ()
+    model: Model
+    corrections: tuple[Correction, ...] = ()
     errors: Errors | None = None
     keep: Weigh | None = None
-    """Weights that took outliers out of the fit; not saved."""
     source: Log | None = None
-    """The log itself; not saved, its hash is."""
     likelihood: Cost | None = None
-    """The cost of the fitted runs: what profiles and refits need; not saved."""
     determination: Determination | None = None
-    """What those runs determine; not saved."""
-    undetermined_by_log: tuple[str, ...] = ()
-    corrections: tuple[Correction, ...] = ()
-    """Mistakes of the recording that were undone, the sign of a sensor mounted the other way round last."""
     reversed: bool = False
-    """Whether that sign is all that was undone: a side to mount; not saved."""
-    claims: tuple[Claim, ...] = ()
-    """What is wrong with the recording, or with the result, and was not accepted."""
-    columns: Mapping[str, Foreign] = field(default_factory=dict)
-    """How the columns of the log were mapped, so that the next log of the machine is read alike."""
-    read_with: Mapping[str, str] = field(default_factory=dict)
-    """Options that the log was read with (`decimal`, `sheet`, ...), for what the next one leaves open."""
-    versions: Mapping[str, str] = field(default_factory=dict)
-    error_rows: Mapping[str, Any] = field(default_factory=dict)
     joint: Joint | None = None
-    """Where several logs were fitted together: the parameters of all of them; not saved."""
     by_log: tuple[Fit, ...] = ()
-    """The fit log by log, held-out logs last; not saved, `logs` is."""
-    logs: tuple[Mapping[str, Any], ...] = ()
-    """What is saved of each log: name, errors, noise, the parameters that it has of its own."""
+
+    def changed(self, **fields: Any) -> Fit:
+        """Return the fit with other values of some fields."""
+        return structs.replace(self, **fields)
+
+    def _column(self, key: str, default: float) -> np.ndarray:
+        return np.array([_or(getattr(self.parameters[n], key), default) for n in self.model.names])
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """Values in SI, (n,) in the order of `model.parameters`."""
+        return self._column("value", np.nan)
+
+    @cached_property
+    def std(self) -> np.ndarray:
+        """Standard uncertainties, (n,); nan where the data do not determine the parameter."""
+        return self._column("std", np.nan)
+
+    @cached_property
+    def degrees_of_freedom(self) -> np.ndarray:
+        """Degrees of freedom of `std`, (n,), for Student's t; infinite where the noise is as stated."""
+        return self._column("degrees_of_freedom", np.inf)
+
+    @cached_property
+    def determined(self) -> np.ndarray:
+        """Whether the data determine each parameter, (n,)."""
+        return self._column("determined", False).astype(bool)
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the parameters, (n, n), in the order of `model.parameters`."""
+        order = [self.covariance_record.parameters.index(n) for n in self.model.names]
+        matrix = np.array(self.covariance_record.matrix, dtype=float).reshape(len(order), len(order))
+        return matrix[np.ix_(order, order)]
+
+    @cached_property
+    def offsets(self) -> dict[int, np.ndarray]:
+        """Run -> zero deviations in the order of `model.offsets`."""
+        return {
+            run: np.array([found[zero.name] for zero in self.model.offsets])
+            for run, found in self.zero_deviations.items()
+        }
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """Names of the parameters that stayed at their nominal values."""
+        return tuple(n for n in self.model.names if self.parameters[n].held)
+
+    @property
+    def at_bound(self) -> tuple[str, ...]:
+        """Names of the parameters that ended at a bound."""
+        return tuple(n for n in self.model.names if self.parameters[n].at_bound)
+
+    @property
+    def sha256(self) -> str | None:
+        """Hash of the log that was fitted; None where several were."""
+        return self.source.sha256 if self.source else self.log.sha256
 
     @property
     def assignment(self) -> Assignment | None:
@@ -340,20 +373,9 @@ class Fit(Shown):
         return assignment_of(self.corrections, self.model.channels)
 
     @property
-    def half_width(self) -> np.ndarray:
-        """Half of the 95 % interval of every parameter, (n,); nan where the data do not determine it."""
-        return coverage_factor(self.degrees_of_freedom) * self.std
-
-    @property
     def params(self) -> dict[str, FittedParameter]:
         """The parameters by name: value, standard uncertainty, 95 % interval and unit."""
-        intervals, factors = self.conf_int(), coverage_factor(self.degrees_of_freedom)
-        return {
-            p.name: FittedParameter(
-                float(self.values[k]), _number(self.std[k]), intervals[p.name], float(factors[k]), p.unit
-            )
-            for k, p in enumerate(self.model.parameters)
-        }
+        return self.parameters
 
     def conf_int(self, level: float = INTERVAL) -> dict[str, tuple[float, float] | None]:
         """Return the interval of each parameter that holds the true value with probability `level`, in SI.
@@ -374,7 +396,7 @@ class Fit(Shown):
     def correlation(self) -> np.ndarray:
         """Correlation of every two parameters, (n, n); nan where the data do not determine one of them."""
         with np.errstate(invalid="ignore", divide="ignore"):
-            return self.covariance / np.outer(self.std, self.std)
+            return np.asarray(self.covariance / np.outer(self.std, self.std))
 
     def predict(self, frame: Any) -> dict[str, np.ndarray]:
         """Return the pose that is decoded from readings: `{"run": (n,), "x_m": (n,), ...}`, in SI.
@@ -403,63 +425,62 @@ class Fit(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the readable record that `save` writes and `hallsym fit --json` prints."""
-        model = self.model
-        lower, upper = model.bounds
-        parameters = {
-            name: {
-                "value": float(self.values[k]),
-                "unit": model.parameters[k].unit,
-                "std": _number(self.std[k]),
-                "degrees_of_freedom": _number(self.degrees_of_freedom[k]),
-                "determined": bool(self.determined[k]),
-                "held": name in self.fixed,
-                "at_bound": name in self.at_bound,
-                "nominal": model.parameters[k].nominal,
-                "lower": _number(lower[k]),
-                "upper": _number(upper[k]),
-            }
-            for k, name in enumerate(model.names)
-        }
-        mapped = {ours: foreign.to_dict() for ours, foreign in self.columns.items()}
-        return {
+        model, added = self.model, added_effects(self.model)
+        names = zip(Fitted.__struct_fields__, Fitted.__struct_encode_fields__, strict=True)
+        same = {key: found for name, key in names if (found := getattr(self, name)) or key not in _IF_ANY}
+        said = {
             "format": FORMAT,
-            "goodness_of_fit": None if self.goodness is None else self.goodness.to_dict(),
+            "goodness_of_fit": self.goodness and self.goodness.to_dict(),
             "model": model.name,
-            "effects": list(model.effects),
-            "added": list(added_effects(model)),
-            "own_effects": [e for e in added_effects(model) if not known_effect(e, model.family)],
-            "parameters": parameters,
-            "combinations": [c.to_dict() for c in self.combinations],
-            "errors": dict(self.error_rows),
-            "noise": {c: {"value": s.value, "source": s.source} for c, s in self.noise.sigmas.items()},
-            "noise_floor": dict(self.noise_floor),
-            "status": self.status,
-            "message": self.message,
-            "seconds": self.seconds,
-            "notes": list(self.notes),
-            "undetermined_by_log": list(self.undetermined_by_log),
-            "structural": list(self.structural),
-            "solver": dict(self.solver),
-            "covariance": {
-                "parameters": list(model.names),
-                "method": self.covariance_method,
-                "reason": self.covariance_reason,
-                "matrix": self.covariance.tolist(),
-            },
-            "zero_bounds": {z.name: [_number(z.lower), _number(z.upper)] for z in model.offsets},
-            "zero_deviations": {
-                str(run): dict(zip((z.name for z in model.offsets), np.asarray(d).tolist(), strict=True))
-                for run, d in self.offsets.items()
-            },
+            "effects": model.effects,
+            "added": added,
+            "own_effects": [e for e in added if not known_effect(e, model.family)],
             "corrections": [one.text for one in self.corrections],
-            "claims": plain(self.claims),
             "layout": [dict(part.entry) for part in model.layout],
-            "log": {**self.log, "sha256": self.source.sha256 if self.source else self.log["sha256"]},
-            **({"columns": mapped} if mapped else {}),
-            **({"read_with": dict(self.read_with)} if self.read_with else {}),
-            **({"logs": [dict(one) for one in self.logs]} if self.logs else {}),
-            "versions": dict(self.versions),
+            "zero_bounds": {z.name: (_number(z.lower), _number(z.upper)) for z in model.offsets},
+            "log": structs.replace(self.log, sha256=self.sha256),
         }
+        return builtins({**said, **same, **said})
+
+
+def calibrated(
+    model: Model,
+    values: np.ndarray,
+    std: np.ndarray,
+    covariance: np.ndarray,
+    *,
+    method: str,
+    reason: str,
+    determined: Iterable[bool],
+    degrees_of_freedom: Iterable[float],
+    held: Sequence[str],
+    at_bound: Sequence[str] = (),
+    offsets: Mapping[int, np.ndarray],
+    corrections: tuple[Correction, ...] = (),
+    **fields: Any,
+) -> Fit:
+    """Return a fit from arrays in the order of `model.parameters`; `fields`: others, as `Fit` names them.
+
+    `values`, `std`: (n,), nan where there is no uncertainty; `covariance`: (n, n), by `method` for `reason`;
+    `degrees_of_freedom` of `std`: infinite where the noise is as stated. `offsets`: run -> zero deviations.
+    """
+    columns = (model.parameters, values, std, determined, degrees_of_freedom)
+    parameters = {
+        p.name: FittedParameter(
+            float(value), p.unit, _number(sigma), bool(known), p.name in held, p.name in at_bound,
+            p.nominal, _number(p.lower), _number(p.upper), _number(dof),
+        )
+        for p, value, sigma, known, dof in zip(*columns, strict=True)
+    }  # fmt: skip
+    names = [zero.name for zero in model.offsets]
+    return Fit(
+        model=model, parameters=parameters, corrections=corrections,
+        covariance_record=CovarianceRecord(list(model.names), method, reason, covariance.tolist()),
+        zero_deviations={
+            run: dict(zip(names, np.asarray(d).tolist(), strict=True)) for run, d in offsets.items()
+        },
+        **fields,
+    )  # fmt: skip
 
 
 def load_fit(
@@ -493,11 +514,11 @@ def load_fit(
             )
     entries, names = record.parameters, model.names
     _same(names, entries, f"parameters of {where}")
-    _same(names, record.covariance.parameters, f"covariance of {where}")
+    _same(names, record.covariance_record.parameters, f"covariance of {where}")
     offsets = [zero.name for zero in model.offsets]
     for run, deviations in record.zero_deviations.items():
         _same(offsets, deviations, f"zero deviations of run {run} in {where}")
-    matrix = record.covariance.matrix
+    matrix = record.covariance_record.matrix
     if len(matrix) != len(names) or any(len(row) != len(names) for row in matrix):
         raise InputError(
             f"The covariance of {where} must have {len(names)} rows and columns, one per parameter; fit the "
@@ -507,7 +528,7 @@ def load_fit(
     if lacking:
         raise InputError(f"The noise of {lacking[0]} is missing in {where}; fit the log again.")
     _same(model.pose, record.noise_floor or model.pose, f"noise floor of {where}")
-    tables = (record.errors, *(one.errors for one in record.logs))
+    tables = (record.error_rows, *(one.errors for one in record.logs))
     for rows in filter(None, (rows for table in tables for rows in table.values())):
         for what in ("rmse", "peak"):
             _same(model.pose, rows.get(what, ()), f"errors ({what}) of {where}")
@@ -517,61 +538,29 @@ def load_fit(
                 f"'wiring' of {where} must pair {', '.join(model.channels)} with 1 or -1; it has "
                 f"{[channel, sign]!r}: fit the log again."
             )
-    column = {k: np.array([_or(getattr(entries[n], k), np.nan) for n in names]) for k in ("value", "std")}
-    return Fit(
-        model=model,
-        values=column["value"],
-        std=column["std"],
-        determined=np.array([entries[n].determined for n in names]),
-        covariance=np.array(matrix, dtype=float).reshape(len(names), len(names)),
-        covariance_method=record.covariance.method,
-        covariance_reason=record.covariance.reason,
-        degrees_of_freedom=np.array([_or(entries[n].degrees_of_freedom, np.inf) for n in names]),
-        fixed=tuple(n for n in names if entries[n].held),
-        structural=tuple(record.structural),
-        at_bound=tuple(n for n in names if entries[n].at_bound),
-        combinations=tuple(
-            CombinationEstimate(
-                c.expression, c.value, c.std, c.unit, c.factors, _or(c.degrees_of_freedom, np.inf)
-            )
-            for c in record.combinations
-        ),
-        offsets={run: np.array([d[zero] for zero in offsets]) for run, d in record.zero_deviations.items()},
-        noise=Noise(record.noise),
-        noise_floor={c: _or(v, np.nan) for c, v in record.noise_floor.items()},
-        status=record.status,
-        message=record.message,
-        goodness=record.goodness_of_fit,
-        solver=plain(record.solver),
-        log=plain(record.log),
-        seconds=record.seconds,
-        notes=tuple(record.notes),
-        undetermined_by_log=tuple(record.undetermined_by_log),
-        corrections=(
-            *map(read_correction, record.corrections),
-            *as_corrections(tuple(record.wiring or ()), model.channels[: len(record.wiring or ())]),
-        ),
-        claims=record.claims,
-        columns=record.columns,
-        read_with=record.read_with,
-        logs=tuple(plain(one) for one in record.logs),
-        versions=record.versions,
-        error_rows=record.errors,
-    )
+    fields = {name: getattr(record, name) for name in Fitted.__struct_fields__} | {
+        "noise": Noise(record.noise),
+        "noise_floor": {c: _or(v, np.nan) for c, v in record.noise_floor.items()},
+    }
+    wired = record.wiring or ()
+    corrections = (
+        *map(read_correction, record.corrections), *as_corrections(wired, model.channels[: len(wired)]),
+    )  # fmt: skip
+    return Fit(model=model, corrections=corrections, **fields)
 
 
-def read_record(raw: Any, path: str | Path) -> CalibrationRecord:
+def read_record(raw: Any, path: str | Path) -> Calibration:
     """Return the JSON data of a calibration file as a record. Raises `InputError` that names the place."""
-    return structured(raw, CalibrationRecord, f"calibration {quoted(path)}", "fit the log again")
+    return structured(raw, Calibration, f"calibration {quoted(path)}", "fit the log again")
 
 
 def calibration_schema() -> dict[str, Any]:
     """Return the JSON Schema of a calibration file, from the types that `load_fit` checks it against."""
-    return schema_of(CalibrationRecord, "hallsym calibration")
+    return schema_of(Calibration, "hallsym calibration")
 
 
 def _model(
-    record: CalibrationRecord,
+    record: Calibration,
     own: Mapping[str, Callable[[Model], Model]],
     families: Sequence[Family],
     where: str,
@@ -585,7 +574,7 @@ def _model(
             raise InputError(f"Bounds of {name} in {where} are inverted; fit the log again.")
     for name, entry in record.parameters.items():
         changes[name]["nominal"] = entry.nominal
-    meta = Meta(probes=[dict(entry) for entry in record.layout])
+    meta = Meta(probes=[*map(dict, record.layout)])
     model = build(record.model, meta=meta, added=tuple(record.added), own=own, families=families)
     return model.with_parameters(changes)
 
@@ -602,7 +591,7 @@ def _same(wanted: Sequence[str], found: Iterable[str], where: str) -> None:
 
 
 def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return float(value) if isfinite(value) else None
 
 
 def _or(value: float | None, default: float) -> float:

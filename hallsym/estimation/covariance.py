@@ -212,8 +212,9 @@ def uncertainty(point: Point, found: Determination) -> Uncertainty:
     dof = np.full(len(p), np.inf)
     dof[free] = known.degrees_of_freedom(np.eye(len(free)))
 
-    def dof_of(gradient: np.ndarray) -> float:
-        return float(known.degrees_of_freedom(gradient[None, free])[0])
+    def dof_of(gradient: np.ndarray) -> float | None:
+        of_it = float(known.degrees_of_freedom(gradient[None, free])[0])
+        return of_it if np.isfinite(of_it) else None
 
     combinations, lost = _combinations(cost, p, covariance, found, determined, dof_of)
     loose = [n for k, n in enumerate(model.names) if _by_log(model, k, found, determined, at_bound)]
@@ -376,7 +377,7 @@ def _combinations(
     covariance: np.ndarray,
     found: Determination,
     determined: np.ndarray,
-    dof_of: Callable[[np.ndarray], float],
+    dof_of: Callable[[np.ndarray], float | None],
 ) -> tuple[tuple[CombinationEstimate, ...], list[str]]:
     """Named combinations that are determined, then linear ones for what they leave; and named ones lost."""
     model = cost.summary.model
@@ -389,7 +390,7 @@ def _combinations(
             continue
         if std > 0 and found.slack(gradient) <= max(std, 1e-9 * abs(value)):
             dof = dof_of(gradient)
-            out.append(CombinationEstimate(named.expression, value, std, named.unit, degrees_of_freedom=dof))
+            out.append(CombinationEstimate(named.expression, value, std, named.unit, None, dof))
             known.append(gradient)
         else:
             lost.append(named.expression)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
@@ -21,6 +22,7 @@ from hallsym.families.recording import corrected
 from hallsym.log import Fault, Log, Noise, as_log, usable
 from hallsym.log.phase import LISTED, at_rest, continuous, rehomed
 from hallsym.model import Inspection, Model
+from hallsym.records import named
 from hallsym.shown import Shown
 from hallsym.units import readable
 
@@ -87,9 +89,11 @@ class Evaluation(Shown):
     @property
     def applied(self) -> Fit:
         """The calibration as it decodes `decoded`: with the offsets and the noise of this log."""
-        return replace(
-            self.calibration, offsets=self.offsets, noise=self.noise, noise_floor=self.noise_floor, errors=None,
-            log={**self.calibration.log, "holdout": []}, corrections=(), keep=None,
+        names = [zero.name for zero in self.model.offsets]
+        return self.calibration.changed(
+            zero_deviations={run: named(names, found) for run, found in self.offsets.items()},
+            noise=self.noise, noise_floor=self.noise_floor, errors=None, corrections=(), keep=None,
+            log=structs.replace(self.calibration.log, holdout=()),
         )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:

@@ -82,7 +82,7 @@ def fit(
     MODEL` lists those of any model. Names that are other ones are mapped by `hallsym.read_log(log,
     columns={"hall_a_um": "HallA"})`.
 
-    Returns a `Fit`: `values`, `std`, `half_width` (n,) in the order of `model.names`; `value(name)`;
+    Returns a `Fit`: `values`, `std` (n,) in the order of `model.names`; `value(name)`;
     `covariance` (n, n); `errors.rows()` with rmse and peak of the decoded pose, before and after, on fitted
     and holdout runs; `goodness`; `notes`. `summary()` is what the command prints, `to_dataframe()` the
     parameters, `plot()` a picture, `save(path)` the calibration.
@@ -185,7 +185,7 @@ def _claimed(result: Fit, mistakes: Sequence[Claim], asked: Asked) -> Fit:
     odd = [note for note in result.notes if isinstance(note, Fault)]
     notes = [str(note) if note in odd else note for note in result.notes]
     if ALL in asked.accept:
-        return replace(result, notes=tuple(notes))
+        return result.changed(notes=tuple(notes))
     values = implausible(result)
     assumed = values if {one.name for one in values} == {LAYOUT} and not stated(result) else []
     if any(one.correction for one in mistakes):
@@ -196,8 +196,7 @@ def _claimed(result: Fit, mistakes: Sequence[Claim], asked: Asked) -> Fit:
     assumed = [] if any((one.explains or 0.0) > WHOLLY for one in mistakes) else assumed
     found = [*map(_claim, assumed), *mistakes, *map(_claim, odd)]
     notes = [note for note in notes if note not in odd]
-    return replace(
-        result,
+    return result.changed(
         claims=tuple(one for one in found if one.name not in asked.accept),
         notes=(*notes, *(one.text for one in found if one.name in asked.accept)),
     )

@@ -68,7 +68,7 @@ def pressed(fit: Fit) -> list[str]:
     ends = [names.index(n) for n in fit.at_bound]
     fixed = [names.index(n) for n in fit.fixed]
     free = [k for k in np.flatnonzero(fit.determined).tolist() if k not in ends]
-    scale = max(fit.solver["cost_per_degree_of_freedom"], 1.0)
+    scale = max(fit.solver.cost_per_degree_of_freedom, 1.0)
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     whitened = information / np.outer(size, size)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -54,7 +53,7 @@ class Decoder:
 
 def is_own(fit: Fit, log: Log) -> bool:
     """Return whether a log is the one that was fitted."""
-    return bool(log.sha256 == fit.to_dict()["log"]["sha256"])
+    return bool(log.sha256 == fit.sha256)
 
 
 def predicted(fit: Fit, frame: Any) -> dict[str, np.ndarray]:
@@ -67,7 +66,7 @@ def predicted(fit: Fit, frame: Any) -> dict[str, np.ndarray]:
             f"The calibration undoes mistakes of its log, so {log.name} must have the columns "
             f"{', '.join(model.references)} too."
         )
-    known = fit if is_own(fit, log) else replace(fit, offsets={})
+    known = fit if is_own(fit, log) else fit.changed(zero_deviations={})
     read = as_read(log, model, fit.corrections) if referenced else log
     return _decoded(known, read, model.references if referenced else (), errors=False)
 

@@ -7,12 +7,20 @@ calibration with a record of each.
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from time import perf_counter
-from typing import Any
 
 import numpy as np
+from msgspec import structs
 
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import CombinationEstimate, Fit, Joint, LowerBound
+from hallsym.estimation.calibration import (
+    CombinationEstimate,
+    Estimate,
+    Fit,
+    FittedLogRecord,
+    Joint,
+    LogRecord,
+    LowerBound,
+)  # fmt: skip
 from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.decoding import Errors, ErrorTable
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
@@ -140,7 +148,7 @@ def several_fit(
         for k, (name, fit, known) in enumerate(zip(names, fits, renumbered, strict=True))
     )
     whole = _whole(fits[: len(members)], numbers, sharing, solution, estimate, bound, began)
-    return replace(whole, by_log=tuple(fits), logs=records)
+    return whole.changed(by_log=tuple(fits), logs=records)
 
 
 def _goodness(members: Sequence[LogFit], free: int) -> list[GoodnessOfFit]:
@@ -187,31 +195,24 @@ def _renamed(c: CombinationEstimate, named: Mapping[str, str], suffix: str) -> C
         for joint, name in named.items():
             expression = expression.replace(joint, name)
         factors = {named[n]: value for n, value in factors.items()}
-    return replace(c, expression=expression, factors=factors)
+    return structs.replace(c, expression=expression, factors=factors)
 
 
 def _record(
     name: str, held_out: bool, fit: Fit, sharing: Sharing, numbers: Mapping[int, int]
-) -> dict[str, Any]:
+) -> FittedLogRecord:
     """Return what is saved of one log beside the calibration."""
-    at = [fit.model.names.index(n) for n in sharing.own]
-    return {
-        "name": name,
-        "held_out": held_out,
-        "log": {**fit.log, "sha256": fit.source.sha256 if fit.source else None},
-        "runs": {str(run): number for run, number in numbers.items()},
-        "errors": dict(fit.error_rows),
-        "noise": {c: {"value": s.value, "source": s.source} for c, s in fit.noise.sigmas.items()},
-        "parameters": {
-            fit.model.names[k]: {
-                "value": float(fit.values[k]),
-                "std": float(fit.std[k]) if np.isfinite(fit.std[k]) else None,
-                "unit": fit.model.parameters[k].unit,
-            }
-            for k in at
-        },
-        "residual_over_noise": fit.goodness.residual_over_noise if fit.goodness else None,
-    }
+    own = {n: fit.parameters[n] for n in sharing.own}
+    return FittedLogRecord(
+        name=name,
+        held_out=held_out,
+        log=structs.replace(fit.log, sha256=fit.sha256),
+        runs=dict(numbers),
+        errors=fit.error_rows,
+        noise=fit.noise,
+        parameters={n: Estimate(p.value, p.std, p.unit) for n, p in own.items()},
+        residual_over_noise=fit.goodness.residual_over_noise if fit.goodness else None,
+    )
 
 
 def _whole(
@@ -225,20 +226,16 @@ def _whole(
 ) -> Fit:
     """Return the fit of all logs; parameters of which each log has its own are those of the last log."""
     last, noise = fits[-1], _noise(fits)
-    holdout = tuple(known[r] for f, known in zip(fits, numbers, strict=True) for r in f.log["holdout"])
+    holdout = tuple(known[r] for f, known in zip(fits, numbers, strict=True) for r in f.log.holdout)
     tables = [fit.errors for fit in fits if fit.errors]
     errors = Errors(
         _tables([own.designed for own in tables], numbers), _tables([own.fitted for own in tables], numbers),
         holdout,
     )  # fmt: skip
-    counts = np.array([fit.log["rows"] for fit in fits], dtype=float)
+    counts = np.array([fit.log.rows for fit in fits], dtype=float)
     floors = np.array([list(fit.noise_floor.values()) for fit in fits])
     floor = np.sqrt(counts / counts.sum() @ floors**2)
-    solver = {
-        **last.solver,
-        "cost_per_degree_of_freedom": estimate.cost_per_dof,
-        "lower_bound": bound and dict(vars(bound)),
-    }
+    solver = structs.replace(last.solver, cost_per_degree_of_freedom=estimate.cost_per_dof, lower_bound=bound)
     worst = max(fits, key=lambda fit: fit.goodness.residual_over_noise if fit.goodness else 0.0)
     limits = max((fit.goodness for fit in fits if fit.goodness), key=lambda each: each.limit)
     goodness = replace(
@@ -246,22 +243,22 @@ def _whole(
         next_command=worst.goodness.next_command if worst.goodness else "",
     )  # fmt: skip
     names = sharing.joint.names
-    return replace(
-        last,
-        offsets={
-            known[r]: z for fit, known in zip(fits, numbers, strict=True) for r, z in fit.offsets.items()
+    return last.changed(
+        zero_deviations={
+            known[r]: z
+            for fit, known in zip(fits, numbers, strict=True)
+            for r, z in fit.zero_deviations.items()
         },
         noise=noise,
         noise_floor=dict(zip(last.model.pose, floor.tolist(), strict=True)),
         solver=solver,
-        log={
-            "path": ", ".join(str(f.log["path"] or name) for f, name in zip(fits, sharing.logs, strict=True)),
-            "sha256": None,
-            "rows": sum(fit.log["rows"] for fit in fits),
-            "runs": sum(fit.log["runs"] for fit in fits),
-            "holdout": list(holdout),
-            "span": {column: list(ends) for column, ends in errors.fitted.span.items()},
-        },
+        log=LogRecord(
+            path=", ".join(str(f.log.path or name) for f, name in zip(fits, sharing.logs, strict=True)),
+            rows=sum(fit.log.rows for fit in fits),
+            runs=sum(fit.log.runs for fit in fits),
+            holdout=holdout,
+            span=errors.fitted.span,
+        ),
         seconds=perf_counter() - began,
         goodness=goodness,
         notes=_notes(fits, numbers, sharing),
@@ -278,7 +275,7 @@ def _whole(
 
 def _noise(fits: Sequence[Fit]) -> Noise:
     """Return the noise of every column over the samples of all logs (rms)."""
-    counts = np.array([fit.log["rows"] for fit in fits], dtype=float)
+    counts = np.array([fit.log.rows for fit in fits], dtype=float)
     out = {}
     for column, sigma in fits[-1].noise.sigmas.items():
         own = np.array([fit.noise[column].value for fit in fits])

@@ -11,7 +11,7 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.estimation import outliers
-from hallsym.estimation.calibration import Fit, LowerBound
+from hallsym.estimation.calibration import Fit, LogRecord, LowerBound, SolverRecord, calibrated
 from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.decoding import (
     Errors,
@@ -398,14 +398,14 @@ def fit_of(
     command = diagnose_command(whole, model, added_effects(model))
     offsets = deviations_of(state.everywhere)
     delta = np.array(list(offsets.values()))
-    return Fit(
-        model=model,
-        values=state.p,
-        std=estimate.std,
+    return calibrated(
+        model,
+        state.p,
+        estimate.std,
+        estimate.covariance,
+        method=estimate.method,
+        reason=estimate.reason,
         determined=estimate.determined,
-        covariance=estimate.covariance,
-        covariance_method=estimate.method,
-        covariance_reason=estimate.reason,
         degrees_of_freedom=estimate.degrees_of_freedom,
         fixed=tuple(model.names[k] for k in found.fixed),
         structural=found.structural,
@@ -416,25 +416,24 @@ def fit_of(
         noise_floor=state.noise_floor,
         status=state.search.status,
         message=state.search.message,
-        solver={
-            "name": task.asked.solver,
-            "loss": task.asked.loss,
-            "cost": state.search.cost,
-            "cost_per_degree_of_freedom": estimate.cost_per_dof,
-            "evaluations": state.search.evaluations,
-            "starts": state.search.starts,
-            "share_at_optimum": state.search.share,
-            "seed": task.asked.seed,
-            "lower_bound": bound and dict(vars(bound)),
-        },
-        log={
-            "path": None if task.log.path is None else str(task.log.path),
-            "sha256": None,
-            "rows": task.log.rows,
-            "runs": len(state.everything.summary.runs),
-            "holdout": list(task.holdout),
-            "span": {c: list(ends) for c, ends in errors.fitted.span.items()} if errors else {},
-        },
+        solver=SolverRecord(
+            name=task.asked.solver,
+            loss=task.asked.loss,
+            cost=state.search.cost,
+            cost_per_degree_of_freedom=estimate.cost_per_dof,
+            evaluations=state.search.evaluations,
+            starts=state.search.starts,
+            share_at_optimum=state.search.share,
+            seed=task.asked.seed,
+            lower_bound=bound,
+        ),
+        log=LogRecord(
+            path=None if task.log.path is None else str(task.log.path),
+            rows=task.log.rows,
+            runs=len(state.everything.summary.runs),
+            holdout=tuple(task.holdout),
+            span=errors.fitted.span if errors else {},
+        ),
         seconds=perf_counter() - began,
         goodness=replace(
             with_noise(estimate.goodness, task.log, state.point, task.noise, solved.keep),

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, counted, listed, require
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation.calibration import Fit, LogRecord, SolverRecord, calibrated
 from hallsym.estimation.self_calibration import (
     MOTION,
     NONE,
@@ -208,36 +208,29 @@ def self_fit_of(
         for c in model.channels
     }
     fixed = (*tuple(p.name for p in model.parameters if p.width == 0), "zero")
-    fit = Fit(
-        model=model,
-        values=np.array([values[n] for n in model.names]),
-        std=spread,
+    fit = calibrated(
+        model, np.array([values[n] for n in model.names]), spread, np.diag(np.nan_to_num(spread) ** 2),
         determined=np.array([n not in unknown and n not in fixed for n in model.names]),
-        covariance=np.diag(np.nan_to_num(spread) ** 2),
-        covariance_method="no reference",
-        covariance_reason="the scatter of turns, and the misfit of one field under the heads",
+        method="no reference",
+        reason="the scatter of turns, and the misfit of one field under the heads",
         degrees_of_freedom=np.full(len(model.names), np.inf),
         fixed=fixed,
         structural=(),
-        at_bound=(),
         combinations=(),
         offsets={},
         noise=Noise(sigma | {c: Sigma(0.0, "given") for c in model.references}),
         noise_floor=dict.fromkeys(model.pose, 0.0),
         status="converged",
         message="",
-        solver={
-            "name": f"reference {found.reference}", "loss": "none", "cost": 0.0,
-            "cost_per_degree_of_freedom": 1.0, "evaluations": 1, "starts": 1, "share_at_optimum": 1.0,
-            "seed": 0,
-        },
-        log={
-            "path": None if log.path is None else str(log.path), "sha256": None, "rows": len(x),
-            "runs": len(runs), "holdout": [], "span": {},
-        },
+        solver=SolverRecord(
+            name=f"reference {found.reference}", loss="none", cost=0.0, cost_per_degree_of_freedom=1.0,
+            evaluations=1, starts=1, share_at_optimum=1.0, seed=0,
+        ),
+        log=LogRecord(path=None if log.path is None else str(log.path), rows=len(x), runs=len(runs)),
         seconds=found.seconds,
-        notes=notes_of(found),
+        notes=tuple(notes_of(found)),
         undetermined_by_log=tuple(n for n in model.names if n in unknown),
+        error_rows={},
         source=log,
         columns=dict(log.table.mapping),
         read_with=dict(log.table.source.read_with),

@@ -208,7 +208,7 @@ def _row(result: SelfFit, left: float | None, middle: float, spread: float) -> d
         verdict, reason = UNDETERMINED, result.sentence
     row: dict[str, Any] = {
         "verdict": verdict, "reason": reason, "model": fit.model.name, "effects": ",".join(fit.model.effects),
-        "rows": fit.log["rows"], "runs": fit.log["runs"], "seconds": fit.seconds,
+        "rows": fit.log.rows, "runs": fit.log.runs, "seconds": fit.seconds,
         "left_rad": left, "turns": float(sum(found.turns)),
     }  # fmt: skip
     for p, value, std in zip(fit.model.parameters, fit.values, fit.std, strict=True):

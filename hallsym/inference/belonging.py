@@ -165,7 +165,7 @@ def belonging(seen: Evaluation, *, false_alarm: float = FALSE_ALARM) -> Belongin
         known.model.with_parameters({n: {"nominal": known.value(n)} for n in known.model.names}),
         solver="direct",
         holdout=(),
-        loss=known.solver["loss"],
+        loss=known.solver.loss,
         start=known.values,
     )
     assert after.goodness is not None
@@ -173,7 +173,7 @@ def belonging(seen: Evaluation, *, false_alarm: float = FALSE_ALARM) -> Belongin
     if after.likelihood is not None and after.source is not None:
         left = noise_at(after.source, after.likelihood.at(after.values), after.noise.std, after.keep)
     memory = 1.0 if left is None or left.white else left.memory
-    factors = [1.0 if f.covariance_method == BY_RUNS else memory for f in (known, after)]
+    factors = [1.0 if f.covariance_record.method == BY_RUNS else memory for f in (known, after)]
     one, two = (_estimates(f, factor) for f, factor in zip((known, after), factors, strict=True))
     units = {p.name: p.unit for p in known.model.parameters}
     units |= {c.expression: c.unit for c in known.combinations}
@@ -204,7 +204,7 @@ def _notes(known: Fit, left: ResidualNoise | None) -> tuple[str, ...]:
             "The calibration is of an earlier version and does not say what it left; residual errors are held"
             " against its noise alone."
         )
-    elif known.log["runs"] - len(known.log["holdout"]) == 1:
+    elif known.log.runs - len(known.log.holdout) == 1:
         notes.append("The calibration is of one run, which cannot show whether its noise is white.")
     if left is not None and not left.white and left.memory > 1:
         notes.append(
@@ -225,7 +225,7 @@ def _estimates(found: Fit, factor: float) -> dict[str, tuple[float, float, float
         for name, (value, std, dof), known in zip(found.model.names, columns, found.determined, strict=True)
         if known and name not in found.at_bound
     }
-    return out | {c.expression: (c.value, more * c.std, c.degrees_of_freedom) for c in found.combinations}
+    return out | {c.expression: (c.value, more * c.std, c.dof) for c in found.combinations}
 
 
 def _not_identified(known: Fit, after: Fit) -> dict[str, str]:
@@ -279,12 +279,12 @@ def _independent(found: Fit, goodness: GoodnessOfFit, left: ResidualNoise | None
     A few runs cannot show how a mean square scatters: that of coloured noise, or of heavy tails, scatters by
     more than that of as many independent Gaussian readings.
     """
-    fitted, K = 1 - len(found.log["holdout"]) / max(found.log["runs"], 1), len(found.model.channels)
+    fitted, K = 1 - len(found.log.holdout) / max(found.log.runs, 1), len(found.model.channels)
     inflation = 1.0
     if left is not None:
         error = 2 * np.log(left.interval[1] / left.ratio) / coverage_factor(np.inf)  # relative, of the square
         inflation = max(1.0, float(0.5 * error**2 * left.samples * K))
-    return max(1.0, min(goodness.degrees_of_freedom, fitted * found.log["rows"] * K / inflation))
+    return max(1.0, min(goodness.degrees_of_freedom, fitted * found.log.rows * K / inflation))
 
 
 def _together(

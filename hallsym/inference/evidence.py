@@ -182,8 +182,8 @@ def _fitted_again(known: Fit, log: Log) -> tuple[Fit, tuple[str, ...]]:
         log,
         model,
         solver="direct",
-        holdout=known.log["holdout"] if own else None,
-        loss=known.solver.get("loss", "auto"),
+        holdout=known.log.holdout if own else None,
+        loss=known.solver.loss,
         start=known.values,
     )
     if own:
@@ -202,5 +202,5 @@ def _fitted_again(known: Fit, log: Log) -> tuple[Fit, tuple[str, ...]]:
 
 
 def _same_log(known: Fit, log: Log) -> bool:
-    said = known.log.get("sha256")
+    said = known.sha256
     return said is not None and said == log.sha256

@@ -103,7 +103,7 @@ def _asked(evidence: Evidence) -> Iterator[Asked]:
     known = {c.expression: c for c in model.combinations}
     for c in told.combinations:
         if c.expression in known:
-            yield combination(model, known[c.expression]), c.std, c.degrees_of_freedom
+            yield combination(model, known[c.expression]), c.std, c.dof
         elif c.factors is not None:
             gradient = [c.factors.get(name, 0.0) for name in model.names]
-            yield linear(model, gradient, c.unit, c.expression), c.std, c.degrees_of_freedom
+            yield linear(model, gradient, c.unit, c.expression), c.std, c.dof

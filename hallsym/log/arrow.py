@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.columns import T
+from hallsym.log.columns import T, stems_of
 from hallsym.log.table import Arrays, Source, load
-from hallsym.log.text.cells import stems_of
 from hallsym.units import Array
 
 DAY_S = 86_400.0

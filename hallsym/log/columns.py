@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -255,7 +257,8 @@ def _binding(
         if counts is None:
             raise InputError(
                 f"Column '{foreign.name}' of {where} is an angle in counts; say how many make a turn with "
-                "--counts-per-turn 16384 (14 bits), or as counts_per_turn in the column file or meta.json."
+                f"--column {ours}={foreign.name},counts_per_turn=16384 (14 bits), or in the column file or "
+                "meta.json."
             )
         name, factor, asked = f"{stem}_rad", 2 * math.pi / counts, asked or ours
     scale, offset = factor * (foreign.sign * foreign.scale), factor * foreign.offset + zero
@@ -416,3 +419,129 @@ def fastest(column: str) -> float:
     """Return the speed, in the column's SI unit per second, that no motion has."""
     unit = split_unit(column)[1]
     return _FASTEST.get(unit.si, math.inf) if unit else math.inf
+
+
+# -- names with units, as headers have them ----------------------------------------------------------------
+
+_WORDS = {
+    "°": "deg", "º": "deg", "degree": "deg", "degrees": "deg", "grad": "", "°c": "degc", "celsius": "degc",
+    "deg c": "degc", "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us", "micron": "um",
+    "microns": "um", "micrometer": "um", "micrometre": "um", "millimeter": "mm", "millimetre": "mm",
+    "meter": "m", "metre": "m", "volt": "v", "volts": "v", "ampere": "a", "amp": "a", "tesla": "t",
+    "kelvin": "k", "rad/s": "rad_s", "°/s": "deg_s", "deg/s": "deg_s", "1/min": "rpm", "u/min": "rpm",
+    "min-1": "rpm", "r/min": "rpm", "m/s": "m_s", "mm/s": "mm_s", "counts": "count", "cts": "count",
+    "inc": "count", "lsb": "count", "digit": "count", "digits": "count", '"': "arcsec", "″": "arcsec",
+    "''": "arcsec", "arcseconds": "arcsec", "′": "arcmin", "arcminutes": "arcmin", "turn": "rev",
+    "turns": "rev", "urad": "urad",
+}  # fmt: skip
+_EXACT = {
+    "V": "v", "mV": "mv", "uV": "uv", "A": "a", "mA": "ma", "T": "t", "mT": "mt", "uT": "ut", "Hz": "hz",
+    "kHz": "khz", "K": "k",
+}  # fmt: skip
+"""Units in which a capital letter is another size: mV is not MV."""
+_ANY_CASE = set(UNITS) - {unit for unit in _EXACT.values() if len(unit) > 1} - {"k", "t"}
+UNITS_AS_WRITTEN = frozenset({*_WORDS, *_EXACT, *_ANY_CASE})
+NO_UNIT = ("", "-", "--", "1", "[]", "[-]", "()", "(-)", "n/a", "none", "#", "[1]")
+"""What a row of units says of a column without one."""
+LONGEST_UNIT = 12
+"""Characters of a unit that is not known."""
+_BRACKETS = re.compile(r"(.*?)[\s_]*[\[({<]\s*([^\])}>]*?)\s*[\])}>]")
+_BEHIND = (
+    re.compile(r"([^/]*[^/\s])\s*/\s*(\S+?(?:/\S+)?)"),
+    re.compile(r"(.*\S)\s+in\s+(\S+)"),
+    re.compile(r"(.*\S),\s*(\S+)"),
+    re.compile(r"(.*\S)_([µμ°]\S*)"),
+)
+
+
+_PROGRAMS = {"X_Value": ("t", "s")}
+"""Names that a program gives whatever is recorded: LabVIEW's of the time in its measurement files."""
+_PLAIN = re.compile(r"(.*\S)\s+(\S+)")
+_SURE = {
+    "um", "nm", "mm", "urad", "mrad", "nrad", "deg", "mdeg", "arcmin", "arcsec", "ms", "us", "mv", "uv", "mt",
+    "ut", "rpm", "degc",
+}  # fmt: skip
+"""Units that are no words: x um is x in micrometres, Hall A and y min are names."""
+
+
+def unit_of(text: str) -> str | None:
+    """Return hallsym's name of a unit as people write it; None for what is none.
+
+    >>> unit_of("[µm]"), unit_of("°"), unit_of("mV"), unit_of("MV")
+    ('um', 'deg', 'mv', None)
+    """
+    plain = unicodedata.normalize("NFKC", text).strip().replace("μ", "u").replace("º", "°")
+    for left, right in ("[]", "()", "{}", "<>"):
+        if plain.startswith(left) and plain.endswith(right):
+            plain = plain[1:-1].strip()
+    if plain in _EXACT:
+        return _EXACT[plain]
+    folded = plain.lower()
+    if folded in _WORDS:
+        return _WORDS[folded] or None
+    return folded if folded in _ANY_CASE or (plain in UNITS and plain not in "kt") else None
+
+
+def split_header(text: str) -> tuple[str, str | None]:
+    """Return name and unit of a header's cell; the unit is None where none stands in it.
+
+    >>> split_header("x_ref [µm]"), split_header("Hall A / mV"), split_header("hall_a_m")
+    (('x_ref', 'um'), ('Hall A', 'mv'), ('hall_a_m', None))
+    """
+    if text in _PROGRAMS:
+        return _PROGRAMS[text]
+    match = _BRACKETS.fullmatch(text)
+    if match and match[1]:
+        unit = unit_of(match[2])
+        if unit or match[2].lower() in NO_UNIT:
+            return match[1], unit
+        return text, None
+    for pattern in _BEHIND:
+        match = pattern.fullmatch(text)
+        unit = unit_of(match[2]) if match else None
+        if match and unit:
+            return match[1], unit
+    plain = _PLAIN.fullmatch(text)
+    if plain and unit_of(plain[2]) in _SURE:
+        return plain[1], unit_of(plain[2])
+    return text, None
+
+
+_AGAIN = re.compile(r"(.+)\.\d+")
+"""A name that pandas has numbered, since another column has it too."""
+
+
+def stems_of(
+    texts: Sequence[str], stated: Sequence[str | None] = (), where: str = ""
+) -> dict[str, tuple[str, str | None]]:
+    """Return headers' own texts and units by their names without unit, or by the text where two are alike.
+
+    `stated`: units that the file states elsewhere. Columns of one name are numbered. `where`: a file whose
+    names may be wrong: refuse a column of ours that is there twice, and a column with two units.
+    """
+    texts = [text or f"(column {k})" for k, text in enumerate(texts, 1)]
+    same = Counter(texts)
+    bare = [m[1] if (m := _AGAIN.fullmatch(text)) and m[1] in texts else text for text in texts]
+    groups, times, seen = Counter(text.rpartition("/")[0] for text in bare), Counter(bare), Counter[str]()
+    parts = []
+    for k, text in enumerate(bare):
+        before, _, last = text.rpartition("/")
+        group = f"{before}/" if before and groups[before] > 1 else ""  # then it is a group of channels
+        stem, unit = split_header(last if group else text)
+        if where and times[text] > 1 and (text == "run" or split_unit(text)[1]):
+            raise InputError(f"Column names of {where} must differ; '{text}' stands there twice: rename one.")
+        seen[text] += 1
+        number = f" {seen[text]}" if times[text] > 1 else ""
+        texts[k] = f"{text}{number}" if same[texts[k]] > 1 else texts[k]
+        other = stated[k] if k < len(stated) else None
+        if where and unit and other and unit != other:
+            raise InputError(
+                f"The unit of column '{group}{stem}' of {where} must be one; the names say {unit}, the line"
+                f" below {other}."
+            )
+        parts.append((f"{group}{stem}{number}", other or unit))
+    often = Counter(stem for stem, _ in parts)
+    return {
+        stem if often[stem] == 1 else text: (text, unit)
+        for text, (stem, unit) in zip(texts, parts, strict=True)
+    }

@@ -16,10 +16,10 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest, quoted
 from hallsym.log.arrow import source_of
-from hallsym.log.columns import RUN_WORDS, TIME_WORDS, listed
+from hallsym.log.columns import RUN_WORDS, TIME_WORDS, listed, split_header, stems_of
 from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.table import Arrays, Source, load
-from hallsym.log.text.cells import is_number, split_header, stems_of
+from hallsym.log.text.cells import is_number
 from hallsym.units import split_unit
 
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, quoted
+from hallsym.log.columns import unit_of
 from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.table import TIME, load
-from hallsym.log.text.cells import unit_of
 from hallsym.log.vectors import Vectors
 from hallsym.units import Array
 

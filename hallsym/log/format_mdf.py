@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import quoted
+from hallsym.log.columns import split_header, unit_of
 from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.table import TIME, load
-from hallsym.log.text.cells import split_header, unit_of
 from hallsym.log.vectors import Vectors
 from hallsym.units import Array
 

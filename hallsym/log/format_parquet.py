@@ -10,8 +10,8 @@ from typing import Any
 
 from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import Memory, Timed, distinct, is_numeric, is_time, source_of
+from hallsym.log.columns import stems_of
 from hallsym.log.table import IN_MEMORY_ROWS, load
-from hallsym.log.text.cells import stems_of
 from hallsym.log.vectors import MOST_COLUMNS
 from hallsym.units import UNITS, Array
 

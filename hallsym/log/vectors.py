@@ -11,10 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.columns import RUN_WORDS, TIME_WORDS
+from hallsym.log.columns import RUN_WORDS, TIME_WORDS, split_header, stems_of, unit_of
 from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.table import Arrays, Source
-from hallsym.log.text.cells import split_header, stems_of, unit_of
 from hallsym.units import UNITS, Array
 
 MOST_COLUMNS = 100

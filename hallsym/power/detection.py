@@ -25,6 +25,7 @@ from hallsym.log import Log
 from hallsym.model import Effect, Model
 from hallsym.power.injection import Injection, generator, injections, sized
 from hallsym.power.simulated_machine import decimated, machine_of, simulated_noise
+from hallsym.records import builtins
 
 NO_EFFECT = "no effect"
 """Name of a trial without an injection."""
@@ -320,7 +321,7 @@ def detection_power(
         rows=bench.truth.base.log.rows,
         model=setup.fit.model.name,
         outputs=setup.fit.model.pose,
-        log={**setup.fit.log, "holdout": list(setup.holdout)},
+        log=builtins(setup.fit.log) | {"holdout": list(setup.holdout)},
         complete=complete,
         notes=tuple(dict.fromkeys((not_tested, *setup.fit.notes))),
         seconds=perf_counter() - began,

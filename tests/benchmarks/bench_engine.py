@@ -76,7 +76,7 @@ def direct(samples: int, stated: bool) -> Row:
     known = fit(exact, MODEL, solver="direct", loss="none")
     task = ByHand(exact)
     seconds, cost = least(TURNS, lambda: gauss_newton(task))
-    assert abs(cost / known.solver["cost"] - 1) < 1e-9
+    assert abs(cost / known.solver.cost - 1) < 1e-9
 
     def ours() -> Any:
         log = in_memory(columns) if stated else Log.from_arrays(columns)

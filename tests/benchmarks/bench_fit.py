@@ -215,11 +215,11 @@ def compare(samples: int, turns: int) -> None:
         ("scipy, from our start", *least(turns, lambda: scipy_sparse(task, task.start))),
     ]  # fmt: skip
     print(
-        f"| 57 x {samples}, cost {exact.solver['cost']:.6f} | s | x by hand | x direct | cost above |\n"
+        f"| 57 x {samples}, cost {exact.solver.cost:.6f} | s | x by hand | x direct | cost above |\n"
         "|---|---|---|---|---|"
     )
     for name, seconds, cost in rows:
-        above = "" if cost is None else f"{cost - exact.solver['cost']:.1e}"
+        above = "" if cost is None else f"{cost - exact.solver.cost:.1e}"
         print(f"| {name} | {seconds:.3g} | {seconds / by_hand:.3g} | {seconds / direct:.3g} | {above} |")
     uncertainty(found, hybrid, turns)
 

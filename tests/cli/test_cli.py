@@ -229,6 +229,22 @@ def test_a_full_disk_leaves_the_old_calibration(capsys, written, tmp_path, monke
 # -- what good input gives -------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("words", "form"),
+    [
+        ("info", "hallsym info 1"),
+        ("info CALIB", "hallsym calibration 1"),
+        ("budget CALIB", "hallsym budget 1"),
+        ("evaluate CALIB LOG", "hallsym evaluate 1"),
+        ("sensitivity CALIB --plan", "hallsym sensitivity 1"),
+    ],
+)
+def test_json_begins_with_its_format(capsys, written, words, form):
+    known = {"CALIB": Path(__file__).parents[1] / "golden" / "calib.json", "LOG": written()}
+    _, out, _ = run(capsys, *(known.get(word, word) for word in words.split()), "--json")
+    assert next(iter(json.loads(out).items())) == ("format", form)
+
+
 def test_json_has_every_field_and_agrees_with_the_saved_file(capsys, written, tmp_path):
     path = tmp_path / "calib.json"
     code, out, _ = run(capsys, "fit", written(), "--holdout", "2,7,12", "-o", path, "--json")
@@ -386,9 +402,9 @@ def test_a_table_that_wraps_has_the_noise_of_its_steps(capsys, tmp_path):
     count = np.round((at + 2.0) / 360 * 16384 + np.random.default_rng(0).normal(0, 1, 200)) % 16384
     table = np.column_stack([at, count])
     np.savetxt(tmp_path / "knots.csv", table, delimiter=",", header="ref_angle_deg,raw_count", comments="")
-    names = ("angle_ref_deg=ref_angle_deg", "angle_count=raw_count")
+    names = ("angle_ref_deg=ref_angle_deg", "angle_count=raw_count,counts_per_turn=16384")
     words = [word for name in names for word in ("--column", name)]
-    code, out, _ = run(capsys, "info", tmp_path / "knots.csv", *words, "--counts-per-turn", 16384)
+    code, out, _ = run(capsys, "info", tmp_path / "knots.csv", *words)
     assert code == 0
     reference, reading = (line.split() for line in out.splitlines() if line.startswith("angle_"))
     assert reference[4:] == ["0", "deg", "estimated"]

@@ -11,6 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 from firmware import SANITIZED, instructions, need, passes, ran, undefined_symbols, written
+from msgspec import structs
 from waves import LENGTH, SIX, calibrated, calibrated_planar
 
 import hallsym
@@ -132,7 +133,7 @@ def test_two_arrays_do_not_give_six_coordinates():
         channels=fit.model.channels[:6],
     )
     with pytest.raises(InputError, match="show 2 along x_m and 0 along y_m"):
-        hallsym.generate(replace(calibrated(half, fit.model.named(fit.values)), log=fit.log))
+        hallsym.generate(calibrated(half, fit.model.named(fit.values)).changed(log=fit.log))
 
 
 # -- the C itself --------------------------------------------------------------------------------------------
@@ -165,7 +166,8 @@ def test_the_family_of_movers_is_decoded_so_whatever_its_reference_calls_level()
     model = planar.halbach_planar()
     values = {"a1": 0.62, "a5": -0.01, "rx0": 1e-3, "ry0": -2e-3, "rz0": 5e-4, "x0": 1e-3, "y0": -5e-4}
     fit = calibrated(model, values)
-    fit = replace(fit, log={**fit.log, "span": {**fit_of(QUICK).log["span"], "x_ref_m": [-0.04, 0.04]}})
+    span = {**fit_of(QUICK).log.span, "x_ref_m": (-0.04, 0.04)}
+    fit = fit.changed(log=structs.replace(fit.log, span=span))
     code = hallsym.generate(fit, accuracy=2e-6)
     assert code.decoupler.inputs[-1] == "x_near_m"  # what the log recorded of y lies within a period
     pose = poses(QUICK, 500)

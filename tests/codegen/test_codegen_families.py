@@ -3,12 +3,10 @@
 Independent facts: numpy's `where` and `abs` for what the C branches on; the bits of a million samples.
 """
 
-from dataclasses import replace
-
 import casadi as ca
 import numpy as np
 import pytest
-from firmware import calibration, passes, proved_by_eva, written
+from firmware import known, passes, proved_by_eva, written
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,6 +17,7 @@ from hallsym.codegen.bounds import pose_bounds
 from hallsym.codegen.box import box_of
 from hallsym.codegen.intervals import Enclosure, enclose
 from hallsym.codegen.lowering import lower
+from hallsym.estimation.calibration import LogRecord
 from hallsym.log import Noise, Sigma
 from hallsym.model import Family
 
@@ -66,10 +65,7 @@ def fit():
     """A calibration of the family."""
     model = folding()
     noise = Noise({c: Sigma(5e-7, "given") for c in model.channels})
-    return replace(
-        calibration(), model=model, values=np.array([2.5]), std=np.zeros(1), determined=np.ones(1, bool),
-        covariance=np.zeros((1, 1)), noise=noise, offsets={}, log={"span": {"x_ref_m": [-4e-4, 4e-4]}},
-    )  # fmt: skip
+    return known(model, np.array([2.5]), noise=noise, log=LogRecord(span={"x_ref_m": (-4e-4, 4e-4)}))
 
 
 @pytest.mark.slow

@@ -6,20 +6,20 @@ suspect.
 """
 
 import ctypes
-from dataclasses import replace
 from functools import cache
 from math import pi
 
 import numpy as np
 import pytest
 from firmware import CASES as STAGES
-from firmware import STRICT, made, need, proved_by_eva, ran, written
+from firmware import STRICT, known, made, need, proved_by_eva, ran, written
 from waves import LENGTH, VALUES, calibrated, calibrated_planar, sums
 
 import hallsym
 from hallsym.codegen import residual
 from hallsym.codegen.box import box_of
 from hallsym.codegen.lowering import lower
+from hallsym.estimation.calibration import LogRecord
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.families.rotary import models as rotary
 from hallsym.log import Noise, Sigma
@@ -36,7 +36,7 @@ def encoder():
     model = rotary.rotary(rotary.two_voltages())
     p = model.vector({"Vx": 0.02, "Vy": -0.03, "Ax": 1.02, "Ay": 0.99, "beta": 0.02})
     noise = Noise({c: Sigma(3e-4, "given") for c in (*model.channels, *model.references)})
-    return replace(calibrated(sums(3)), model=model, values=p, noise=noise, log={"span": {}})
+    return known(model, p, noise=noise, log=LogRecord())
 
 
 FITS = {
@@ -309,12 +309,12 @@ def test_the_flag_of_four_probes_is_proved(tmp_path):
 def test_noise_that_the_fit_leaves_widens_the_limit():
     fit = fit_of("five sums")
     left = dict.fromkeys(fit.model.channels, 3.0)
-    worse = replace(fit, goodness=GoodnessOfFit(3.0, 9.0, 1e4, {}, left, 1, "col_0_v", 3.0, 2.9))
+    worse = fit.changed(goodness=GoodnessOfFit(3.0, 9.0, 1e4, {}, left, 1, "col_0_v", 3.0, 2.9))
 
     def least(some):
         return -next(e.value for e in lower(some, box_of(some)).table if e.name == residual.LEAST)
 
-    plain = replace(fit, goodness=None)
+    plain = fit.changed(goodness=None)
     assert 4 < least(worse) / least(plain) < 9.1
 
 

@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 from firmware import Library, need, passes, written
+from msgspec import structs
 from waves import calibrated
 
 import hallsym
@@ -40,7 +41,7 @@ def fit_of(count):
     )
     span = {c: [-STROKE, STROKE] for c in ("x_ref_m", "y_ref_m")} | {"z_ref_m": list(GAPS)}
     span |= {f"r{a}_ref_rad": [-TILT, TILT] for a in "xyz"}
-    return replace(fit, log={**fit.log, "span": span})
+    return fit.changed(log=structs.replace(fit.log, span=span))
 
 
 def read(count, poses=60):

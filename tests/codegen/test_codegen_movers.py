@@ -4,12 +4,12 @@ Independent facts: the finite field of magnetised rectangles at a known pose, ex
 as much as the mover does, also where sensors come and go; what says the period changes nothing else.
 """
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from firmware import SANITIZED, instructions, need, passes, ran, written
+from msgspec import structs
 from waves import LENGTH, SIX, calibrated
 
 import hallsym
@@ -48,7 +48,7 @@ def fit_of(length=ARRAY, reach=REACH):
     fit = calibrated(array_edges(halbach_planar(layout(length))), VALUES, gaps=GAPS)
     span = {"x_ref_m": [-reach, reach], "y_ref_m": [-reach, reach], "z_ref_m": list(GAPS)}
     span |= {f"r{a}_ref_rad": [-TILT, TILT] for a in "xyz"}
-    return replace(fit, log={**fit.log, "span": span})
+    return fit.changed(log=structs.replace(fit.log, span=span))
 
 
 @cache

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from firmware import calibration, need, ran
+from firmware import calibration, known, need, ran
 from hypothesis import given
 from hypothesis import strategies as st
 from test_codegen_correction import fit_of
@@ -54,7 +54,7 @@ def foreign(*channels):
     )
     model = hallsym.families.stage.models.stage31(layout)
     sigmas = {c: fit.noise.sigmas[old] for c, old in zip(channels, fit.model.channels, strict=True)}
-    return replace(fit, model=model, noise=Noise(sigmas))
+    return known(model, fit.values, noise=Noise(sigmas))
 
 
 @pytest.mark.parametrize("arithmetic", ["float", "q31"])

@@ -5,12 +5,12 @@ layout number is that of names, exponents and lines, so the same number is the s
 """
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from firmware import CASES, calibration, made, need, ran
 from test_codegen_correction import fit_of
+from twins import with_arrays
 
 from hallsym.cli.main import main
 from hallsym.codegen import generate
@@ -27,7 +27,7 @@ def drawn(fit, reach, count, seed=0):
     lower_bound, upper_bound = fit.model.bounds
     share = np.random.default_rng(seed).uniform(-1, 1, (count, len(reach)))
     for row in fit.values + share * reach:
-        yield replace(fit, values=np.clip(row, lower_bound, upper_bound))
+        yield with_arrays(fit, values=np.clip(row, lower_bound, upper_bound))
 
 
 def half_of_geometry(fit):
@@ -78,9 +78,9 @@ def test_the_command_recalibrates_by_the_plan_of_the_folder(tmp_path, capsys):
     source = (folder / "decoupler.c").read_bytes()
     gains = np.array([name.startswith("eta_") for name in fit.model.names])
     noise = Noise({c: Sigma(s.value, "given") for c, s in fit.noise.sigmas.items()})
-    moved = replace(fit, values=np.where(gains, 0.97 * fit.values, fit.values * 1.3), noise=noise)
+    moved = with_arrays(fit, values=np.where(gains, 0.97 * fit.values, fit.values * 1.3)).changed(noise=noise)
     lower_bound, upper_bound = fit.model.bounds
-    moved = replace(moved, values=np.clip(moved.values, lower_bound, upper_bound))
+    moved = with_arrays(moved, values=np.clip(moved.values, lower_bound, upper_bound))
     moved.save(tmp_path / "calib.json")
     # a folder of its own would get other exponents
     assert (
@@ -89,7 +89,9 @@ def test_the_command_recalibrates_by_the_plan_of_the_folder(tmp_path, capsys):
     assert main([*base, "--params-only"]) == 0
     assert (folder / "decoupler.c").read_bytes() == source
     assert "as stated" in ran(folder, "make", "check")
-    far = replace(fit, values=np.where([n[:2] == "a_" for n in fit.model.names], 6 * fit.values, fit.values))
+    far = with_arrays(
+        fit, values=np.where([n[:2] == "a_" for n in fit.model.names], 6 * fit.values, fit.values)
+    )
     far.save(tmp_path / "calib.json")
     assert main([*base, "--params-only"]) == 2
     said = capsys.readouterr().err

@@ -4,7 +4,6 @@ Independent facts: the model's own readings at a known angle; numpy's arctangent
 both plates leaves an angle alone; a wrap is a whole turn; the interval [-pi, pi]; a million samples.
 """
 
-from dataclasses import replace
 from functools import cache
 from math import pi
 
@@ -15,8 +14,8 @@ from firmware import (
     PATHS,
     TESTED,
     Library,
-    calibration,
     instructions,
+    known,
     need,
     passes,
     proved_by_eva,
@@ -32,6 +31,7 @@ from hallsym.cli.main import main
 from hallsym.codegen.generation import notes_of
 from hallsym.codegen.lowering.odd_series import ARCTANGENT, SINE, arctangent_error, sine_error, wrapped
 from hallsym.errors import InputError
+from hallsym.estimation.calibration import LogRecord
 from hallsym.families import effects
 from hallsym.families.recording import Correction
 from hallsym.families.rotary import FAMILY
@@ -65,13 +65,10 @@ LATER = [*(pytest.param(*c, marks=pytest.mark.slow) for c in QUICK if c not in B
 def calibrated(model, values):
     """A calibration of an encoder at known parameters."""
     p = model.vector({k: v for k, v in values.items() if k in model.names})
-    n = len(p)
-    return replace(
-        calibration(), model=model, values=p, std=np.zeros(n), determined=np.ones(n, bool), offsets={},
-        covariance=np.zeros((n, n)), degrees_of_freedom=np.full(n, np.inf), errors=None, error_rows={},
-        noise_floor={},
+    return known(
+        model, p, errors=None, error_rows={}, noise_floor={},
         noise=Noise({c: Sigma(3e-4, "given") for c in (*model.channels, *model.references)}),
-        log={"span": {"angle_ref_rad": [0.0, 12.0], "temperature_degc": [20.0, 30.0]}, "sha256": 64 * "0"},
+        log=LogRecord(span={"angle_ref_rad": (0.0, 12.0), "temperature_degc": (20.0, 30.0)}, sha256=64 * "0"),
     )  # fmt: skip
 
 
@@ -303,5 +300,5 @@ def test_the_command_writes_it(tmp_path, capsys):
 
 def test_a_reading_that_the_fit_took_with_another_sign_is_said():
     turned = (Correction("sign", ("angle_rad",)),)
-    fit = replace(calibrated(rotary.rotary(LAYOUTS["angle"]), ELLIPSE), corrections=turned)
+    fit = calibrated(rotary.rotary(LAYOUTS["angle"]), ELLIPSE).changed(corrections=turned)
     assert notes_of(fit)[-1] == "The fit took angle_rad from -angle_rad: give it so here too."

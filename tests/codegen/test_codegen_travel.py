@@ -4,12 +4,12 @@ Independent facts: the finite field of magnetised rectangles at a known pose; ha
 fits all readings with that field; a place moves by as much as the mover does, also where sensors come and go.
 """
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from firmware import SANITIZED, need, passes, ran, written
+from msgspec import structs
 from waves import calibrated
 
 import hallsym
@@ -29,7 +29,7 @@ def fit_of(count=18, reach=REACH):
     """A board of 18 columns at 10 mm, an array of three periods, a third of it over no sensor at the ends."""
     places = [(j - (count - 1) / 2) * 0.01 for j in range(count)]
     fit = calibrated(ends.array_edges(halbach(columns(places, length_m=0.09))), VALUES, gaps=GAPS, sigma=1e-3)
-    return replace(fit, log={**fit.log, "span": {"x_ref_m": [-reach, reach], "z_ref_m": list(GAPS)}})
+    return fit.changed(log=structs.replace(fit.log, span={"x_ref_m": (-reach, reach), "z_ref_m": GAPS}))
 
 
 @cache

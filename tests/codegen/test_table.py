@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from twins import with_arrays
 
 import hallsym
 from hallsym.cli.main import main
@@ -258,11 +258,11 @@ def test_other_machines_and_calibrations_that_no_table_holds_are_refused() -> No
     with pytest.raises(InputError, match="A table corrects the angle of a chip or of two voltages"):
         export_table(stage, "simplefoc")
     fit = chip()
-    far = replace(fit, values=fit.values * np.where(np.array(fit.model.names) == "Vx", 0, 1) + 1.5 * (
+    far = with_arrays(fit, values=fit.values * np.where(np.array(fit.model.names) == "Vx", 0, 1) + 1.5 * (
         np.array(fit.model.names) == "Vx"))  # fmt: skip
     with pytest.raises(InputError):
         export_table(far, "simplefoc")
-    open_ = replace(fit, undetermined_by_log=("Vx",))
+    open_ = fit.changed(undetermined_by_log=("Vx",))
     with pytest.raises(InputError, match="does not determine Vx"):
         export_table(open_, "simplefoc")
     assert export_table(open_, "simplefoc", allow_undetermined=True).undetermined == ("Vx",)

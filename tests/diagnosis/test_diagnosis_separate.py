@@ -9,8 +9,9 @@ import pytest
 import hallsym
 from hallsym.codegen import cost_of
 from hallsym.diagnosis import Diagnosis, Estimate, FoundEffect, Separation, Statement
-from hallsym.diagnosis.record import Gap, LogRecord, Metric, NoiseFloor, Shrinkage, SmallerFinding
+from hallsym.diagnosis.record import Gap, Metric, NoiseFloor, Shrinkage, SmallerFinding
 from hallsym.diagnosis.report import firmware_cost, operations
+from hallsym.estimation.calibration import LogRecord
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.output import PROSE

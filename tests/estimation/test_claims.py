@@ -84,7 +84,7 @@ def test_every_wiring_is_noticed_and_put_right_by_its_corrections(unequal, order
             assert result.goodness.material
     result = fit(log, "stage31", solver="direct", corrections=corrections)
     same(right, result)
-    assert result.solver["cost"] == pytest.approx(right.solver["cost"], rel=1e-9)
+    assert result.solver.cost == pytest.approx(right.solver.cost, rel=1e-9)
     for row in ("rmse", "peak"):
         for name, value in right.error_rows["fitted"][row].items():
             assert result.error_rows["fitted"][row][name] == pytest.approx(value, rel=1e-6)

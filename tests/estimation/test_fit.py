@@ -115,15 +115,15 @@ def test_another_layout_and_finite_rotation_are_fitted_too():
 
 def test_hybrid_and_direct_reach_the_same_cost(log, found):
     hybrid = fit(log, "stage31", solver="hybrid")
-    assert hybrid.solver["cost"] == pytest.approx(found.solver["cost"], rel=1e-9)
+    assert hybrid.solver.cost == pytest.approx(found.solver.cost, rel=1e-9)
     same(found, hybrid)
 
 
 @pytest.mark.parametrize("solver", ["tlbo", "screening"])
 def test_every_named_solver_reaches_it(log, found, solver):
     result = fit(log, "stage31", solver=solver)
-    assert result.solver["name"] == solver
-    assert result.solver["cost"] == pytest.approx(found.solver["cost"], rel=1e-9)
+    assert result.solver.name == solver
+    assert result.solver.cost == pytest.approx(found.solver.cost, rel=1e-9)
 
 
 def test_the_same_seed_gives_the_same_fit(log):
@@ -151,7 +151,7 @@ def test_held_out_runs_take_no_part(columns, log):
     two = fit(with_noise(disturbed(columns)), "stage31", solver="direct", holdout=HELD, loss="none")
     # the centre of the features is taken from the first block, so agreement is to rounding
     same(one, two)
-    assert one.log["holdout"] == list(HELD)
+    assert one.log.holdout == tuple(HELD)
     assert two.error_rows["holdout"]["rmse"]["x_m"] > 5 * one.error_rows["holdout"]["rmse"]["x_m"]
     assert two.error_rows["fitted"]["rmse"]["x_m"] == pytest.approx(
         one.error_rows["fitted"]["rmse"]["x_m"], rel=1e-6
@@ -175,7 +175,7 @@ def test_held_out_runs_take_no_part_in_the_noise_either(columns):
 def test_meta_names_runs_to_hold_out(columns, found):
     log = with_noise(columns)
     meta = Log(log.table, log.noise, Meta(holdout=(5,)))
-    assert fit(meta, "stage31", solver="direct").log["holdout"] == [5]
+    assert fit(meta, "stage31", solver="direct").log.holdout == (5,)
     same(fit(meta, "stage31", solver="direct", holdout=()), found)
 
 

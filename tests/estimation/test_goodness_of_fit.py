@@ -268,28 +268,28 @@ def test_the_optimum_is_as_near_to_the_bound_as_coefficients_allow(name):
     """Noisy reference, gains that follow the height, tied coefficients: the ratio is that of chi-squares."""
     model = true_model(name)
     result = fit(with_noise(record(name, seed=9)), model, solver="direct")
-    found = result.solver["lower_bound"]
+    found = result.solver.lower_bound
     freedom = result.goodness.degrees_of_freedom
-    more = freedom * (found["expected"] - 1)
-    assert found["ratio"] >= 1
-    assert found["ratio"] == pytest.approx(found["expected"], abs=5 * np.sqrt(2 * max(more, 1.0)) / freedom)
-    assert found["near"]
+    more = freedom * (found.expected - 1)
+    assert found.ratio >= 1
+    assert found.ratio == pytest.approx(found.expected, abs=5 * np.sqrt(2 * max(more, 1.0)) / freedom)
+    assert found.near
 
 
 @pytest.mark.slow
 def test_a_bound_that_is_in_the_way_costs():
     tight = MODEL.with_parameters({"eta_B": {"nominal": 0.695, "lower": 0.65, "upper": 0.695}})
-    free = fit(with_noise(record(seed=8)), MODEL, solver="direct").solver["lower_bound"]
+    free = fit(with_noise(record(seed=8)), MODEL, solver="direct").solver.lower_bound
     result = fit(with_noise(record(seed=8)), tight, solver="direct", accept=["all"])
-    found = result.solver["lower_bound"]
+    found = result.solver.lower_bound
     assert result.at_bound == ("eta_B",)
-    assert found["cost"] == pytest.approx(free["cost"], rel=0.01)
-    assert found["ratio"] > 1.5 * free["ratio"]
-    assert not found["near"]
+    assert found.cost == pytest.approx(free.cost, rel=0.01)
+    assert found.ratio > 1.5 * free.ratio
+    assert not found.near
 
 
 def test_models_without_exact_statistics_have_no_bound():
     log = read_log(ROOT / "data" / "campaign")
     result = fit(log, "stage31", effects=("time_skew",), solver="direct")
-    assert result.solver["lower_bound"] is None
+    assert result.solver.lower_bound is None
     assert result.goodness.sentence is None

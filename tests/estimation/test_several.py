@@ -42,8 +42,8 @@ def test_logs_with_shared_parameters_are_one_log(logs):
     several = fit([with_noise(log) for log in logs], "stage31", solver="direct")
     assert several.values == pytest.approx(one.values, rel=1e-9, abs=1e-12)
     assert several.std == pytest.approx(one.std, rel=1e-6, nan_ok=True)
-    assert several.solver["cost"] == pytest.approx(one.solver["cost"], rel=1e-12)
-    assert several.solver["lower_bound"]["ratio"] == pytest.approx(one.solver["lower_bound"]["ratio"])
+    assert several.solver.cost == pytest.approx(one.solver.cost, rel=1e-12)
+    assert several.solver.lower_bound.ratio == pytest.approx(one.solver.lower_bound.ratio)
     assert several.goodness.cost_per_degree_of_freedom == pytest.approx(
         one.goodness.cost_per_degree_of_freedom
     )
@@ -71,7 +71,7 @@ def test_each_log_counts_by_its_own_noise(logs):
     alone = fit(quiet, "stage31", solver="direct", loss="none")
     both = fit([quiet, loud], "stage31", solver="direct", loss="none")
     known = alone.determined & both.determined
-    assert both.covariance_method == alone.covariance_method == "likelihood"
+    assert both.covariance_record.method == alone.covariance_record.method == "likelihood"
     assert both.std[known] == pytest.approx(alone.std[known] / np.sqrt(1.01), rel=2e-3)
     assert [part.noise["hall_a_m"].value for part in both.by_log] == pytest.approx([
         quiet.noise["hall_a_m"].value, 10 * quiet.noise["hall_a_m"].value
@@ -144,15 +144,15 @@ def test_a_held_out_log_changes_nothing_and_is_judged(logs):
     judged = fit([with_noise(logs[0])], "stage31", solver="direct", holdout_logs=[with_noise(logs[1])])
     assert np.array_equal(judged.values, alone.values)
     last = judged.by_log[-1]
-    assert judged.logs[-1]["held_out"]
+    assert judged.logs[-1].held_out
     assert last.error_rows["fitted"] is None
     assert last.error_rows["holdout"]["rmse"]["x_m"] == pytest.approx(1.36e-6, rel=0.1)
 
 
 def test_runs_of_the_same_number_are_told_apart(logs):
     numbers = fit([with_noise(log) for log in logs], "stage31", solver="direct").logs
-    assert numbers[0]["runs"]["0"] == 100
-    assert numbers[1]["runs"]["12"] == 212
+    assert numbers[0].runs[0] == 100
+    assert numbers[1].runs[12] == 212
 
 
 # -- files, commands, sentences ----------------------------------------------------------------------------
@@ -170,10 +170,9 @@ def test_the_command_and_the_calibration_it_writes(tmp_path, capsys, logs):
     assert "stage31 on 2 logs" in text
     assert (tmp_path / "calib.before.json").is_file()
     known = load_fit(out)
-    assert [log["name"] for log in known.logs] == ["before", "after"]
-    assert known.logs[1]["parameters"]["eta_A"]["value"] == known.value("eta_A")
+    assert [log.name for log in known.logs] == ["before", "after"]
+    assert known.logs[1].parameters["eta_A"].value == known.value("eta_A")
     assert load_fit(tmp_path / "calib.before.json").value("eta_A") != known.value("eta_A")
-    assert known.to_dict()["logs"] == list(known.logs)
     assert main(["evaluate", out, paths[0]]) == 0
     assert main(["info", out]) == 0
 

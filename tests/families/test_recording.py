@@ -3,8 +3,6 @@
 Each mistake is made in numpy here, with no code of the package.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -242,7 +240,7 @@ def test_a_calibration_keeps_corrections_and_claims_and_reads_the_next_log_with_
     texts = ["exchange hall_a_m hall_b_m", "sign x_ref_m in 4"]
     result = fit(with_noise(mistaken), "stage31", solver="direct", corrections=texts[:1])
     claim = Claim("sign", "It is inverted.", (X,), (4,), texts[1], 0.98, ("sign hall_c_m in 4",))
-    result = replace(result, claims=(claim,))
+    result = result.changed(claims=(claim,))
     result.save(tmp_path / "calib.json")
     back = load_fit(tmp_path / "calib.json")
     assert (back.corrections, back.claims) == (result.corrections, result.claims)

@@ -1,11 +1,10 @@
 """A ring under several Halls: read as it is, fitted with a reference, decoded in C for any heads."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from firmware import passes, written
+from firmware import known, passes, written
 from rings import ONE, ring
+from twins import with_arrays
 
 import hallsym
 from hallsym.codegen import generate
@@ -90,11 +89,7 @@ def test_c_of_several_heads_gives_the_angle_within_a_period(pairs, heads, arithm
     values = bent.vector(
         fit.model.named(fit.values) | {f"t{pairs}c": 0.3 * ONE / pairs, f"t{2 * pairs}s": 0.2 * ONE}
     )
-    std = np.zeros(len(values))
-    fit = replace(
-        fit, model=bent, values=values, std=std, determined=std == 0, covariance=np.diag(std),
-        degrees_of_freedom=np.full(len(values), np.inf),
-    )  # fmt: skip
+    fit = known(bent, values, noise=fit.noise, log=fit.log)
     made = generate(fit, arithmetic=arithmetic)
     angle = np.random.default_rng(0).uniform(-np.pi / pairs, np.pi / pairs, 500)
     x = on_arrays(bent.reading)(values, np.zeros(0), [angle], [])[0]
@@ -141,4 +136,4 @@ def test_c_refuses_waves_that_one_moment_cannot_tell() -> None:
     model = build("rings3", meta=log.meta, added=("turn_waves:count=2",))
     fit = hallsym.fit(log, model, solver="direct")
     with pytest.raises(InputError, match="from one period to the next"):
-        generate(replace(fit, values=fit.values + 1e-3))
+        generate(with_arrays(fit, values=fit.values + 1e-3))

@@ -208,7 +208,7 @@ def test_noise_of_the_reference_is_tangential(sigma, reference):
     fit = hallsym.fit(ellipse_log(1, sigma, reference)[0], "rotary_ideal", solver="direct", loss="none")
     std = dict(zip(fit.model.names, fit.covariance.diagonal() ** 0.5, strict=True))
     cost = fit.goodness.cost_per_degree_of_freedom
-    scale = np.sqrt(max(cost, 1.0)) if "scaled" in fit.covariance_method else 1.0
+    scale = np.sqrt(max(cost, 1.0)) if "scaled" in fit.covariance_record.method else 1.0
     assert std["zero"] == pytest.approx(scale * np.hypot(sigma, reference) / np.sqrt(800), rel=0.03)
     assert std["A"] == pytest.approx(scale * sigma / np.sqrt(800), rel=0.03)
 

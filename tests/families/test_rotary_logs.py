@@ -243,7 +243,7 @@ def test_counts_become_angles(tmp_path):
 @pytest.mark.parametrize(
     ("per_turn", "says"),
     [
-        (None, "is an angle in counts; say how many make a turn with --counts-per-turn"),
+        (None, "is an angle in counts; say how many make a turn with --column angle_count="),
         (0, "must be a number of 2 or more"),
         (float("nan"), "must be a number of 2 or more"),
     ],

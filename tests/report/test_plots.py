@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -160,7 +159,7 @@ def test_corrections_of_the_fit_are_applied(
         raise EnoughError
 
     monkeypatch.setattr(plots, "look_over", stop)
-    wired = replace(fitted, corrections=(Correction("sign", (b,)), Correction("exchange", (a, b))))
+    wired = fitted.changed(corrections=(Correction("sign", (b,)), Correction("exchange", (a, b))))
     with pytest.raises(EnoughError):
         saved(swapped, wired, tmp_path)
     np.testing.assert_array_equal(seen[0].array(a), log.array(a))

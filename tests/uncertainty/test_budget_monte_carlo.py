@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy import stats
-from twins import record, with_noise
+from twins import record, with_arrays, with_noise
 
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, fit
@@ -166,7 +166,7 @@ def test_the_linear_budget_of_a_position_is_confirmed(effects, settings):
 
 def test_each_source_alone_has_the_scatter_it_is_given():
     """Every input by itself, through the decoder: 5000 draws know u to 1 %, five times that is allowed."""
-    known = replace(fitted(), covariance=1e-12 * fitted().covariance)
+    known = with_arrays(fitted(), covariance=1e-12 * fitted().covariance)
     every = position_budget(known, SOMEWHERE, FULL)
     names = [s.name for s in every["x_m"].sources[1:]]
     listed = independent_inputs(known, FULL)
@@ -193,7 +193,7 @@ def test_the_linear_result_fails_near_a_zero_of_the_gain():
 
 
 def test_a_covariance_from_few_runs_has_longer_tails():
-    few = replace(
+    few = with_arrays(
         fitted(), covariance=1e3 * fitted().covariance,
         degrees_of_freedom=np.full(len(fitted().values), 5.0),
     )  # fmt: skip
@@ -201,7 +201,7 @@ def test_a_covariance_from_few_runs_has_longer_tails():
     assert budget.factor > 2.3
     found = position_monte_carlo(few, SOMEWHERE, FULL, rng=rng(), trials=40_000)["x_m"]
     normal = position_monte_carlo(
-        replace(few, degrees_of_freedom=fitted().degrees_of_freedom),
+        with_arrays(few, degrees_of_freedom=fitted().degrees_of_freedom),
         SOMEWHERE,
         FULL,
         rng=rng(),

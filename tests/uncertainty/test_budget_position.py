@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as effort
 from hypothesis import strategies as st
-from twins import HALL, SIGMAS, phi, pm, record, true_model, white, with_noise
+from twins import HALL, SIGMAS, phi, pm, record, true_model, white, with_arrays, with_noise
 
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, fit
@@ -132,7 +132,7 @@ def test_noise_averages_and_steps_do_not(averaged, zeroed, scale):
 @pytest.mark.parametrize("level", [None, 0.99])
 def test_a_map_holds_the_budgets_of_its_points(level):
     settings = replace(EVERYTHING, level=level)
-    known = replace(fitted(), degrees_of_freedom=np.linspace(3.0, 8.0, len(fitted().values)))
+    known = with_arrays(fitted(), degrees_of_freedom=np.linspace(3.0, 8.0, len(fitted().values)))
     fixed = {"rz_rad": 1e-4, "rx_rad": 2e-4}
     axes = {"x_m": [-3e-4, 0.0, 2e-4], "y_m": [1e-4, 4e-4], "z_m": [-2e-4, 0.0, 2.5e-4]}
     found = uncertainty_map(known, {**axes, "y_m": [1e-4, 2e-4, 4e-4]}, settings, fixed=fixed)
@@ -173,17 +173,15 @@ def test_over_a_log_is_the_budget_of_every_sample():
     ],
 )
 def test_what_has_no_budget(change, at, words):
-    known = replace(fitted(), **change)
+    known = with_arrays(fitted(), **change)
     with pytest.raises(InputError, match=words) as caught:
         position_budget(known, at)
     assert str(caught.value).count(". ") == 0
 
 
 def test_notes_say_what_the_budget_does_not_hold():
-    known = replace(
-        fitted(),
+    known = with_arrays(fitted(), at_bound=np.array(fitted().model.names) == "eta_B").changed(
         undetermined_by_log=("a_A",),
-        at_bound=("eta_B",),
         goodness=replace(fitted().goodness, cost_per_degree_of_freedom=4.0, residual_over_noise=2.0),
     )
     said = " ".join(notes(known, Settings()))

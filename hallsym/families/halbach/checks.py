@@ -118,7 +118,7 @@ def _under_arrays(model: Model, known: dict[str, Array], pose: np.ndarray, name:
 
 def implausible(fit: Any) -> Iterator[Fault]:
     """Yield the claim that a gap ends below zero: its zero is that of another place."""
-    low = min(fit.log["span"].get("z_ref_m", (0.0,)))
+    low = min(fit.log.span.get("z_ref_m", (0.0,)))
     if low < 0:
         yield Fault(
             f"z_ref_m goes down to {1e3 * low:.3g} mm, and a gap between array and sensors cannot be below "

@@ -17,6 +17,7 @@ from typing import IO, NamedTuple, cast
 
 from hallsym.errors import InputError
 from hallsym.log.arrow import time_form
+from hallsym.log.columns import stems_of, unit_of
 from hallsym.log.text.cells import (
     MISSING,
     POINT,
@@ -26,9 +27,7 @@ from hallsym.log.text.cells import (
     is_number,
     is_unit_row,
     spellings_of,
-    stems_of,
     unit_behind,
-    unit_of,
 )
 
 BLANKS = " "

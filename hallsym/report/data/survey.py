@@ -201,7 +201,7 @@ def look_over(log: Log, fit: Fit, keep: Weigh | None = None) -> Survey:
 
 def held_out(fit: Fit) -> tuple[int, ...]:
     """Return the held-out runs, also of a fit that was read back."""
-    return fit.errors.holdout if fit.errors else tuple(fit.log.get("holdout", ()))
+    return fit.errors.holdout if fit.errors else fit.log.holdout
 
 
 def worst_first(survey: Survey, floor: Mapping[str, float], most: int) -> list[int]:

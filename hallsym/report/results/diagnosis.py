@@ -67,7 +67,7 @@ def diagnosis_content(
             shared.runs_section(series),
             Section("parameters", "Parameters", _parameters(d, fit)),
             Section("notes", "Other checks", [Items(_notes(d))]),
-            shared.origin_section(asdict(d.log), d.versions, command),
+            shared.origin_section(d.log, d.versions, command),
         ],
         [
             "",

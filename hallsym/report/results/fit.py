@@ -11,7 +11,7 @@ import numpy as np
 
 from hallsym.errors import InputError, counted
 from hallsym.estimation import Fit, evaluate
-from hallsym.estimation.calibration import MANY, coverage_factor
+from hallsym.estimation.calibration import MANY, LogRecord, coverage_factor
 from hallsym.estimation.decoding import residuals
 from hallsym.estimation.goodness_of_fit import diagnose_command
 from hallsym.estimation.likelihood import cost_near
@@ -55,7 +55,7 @@ def fit_content(fit: Fit, *, found: Sequence[Block | str] = (), log: Log | None 
     repeating = [] if fit.logs or log is None else periodic_blocks(fit, log)
     notes = [*circumstances(fit), *(f"note: {note}" for note in fit.notes)]
     return Content(
-        f"Calibration of {fit.model.name}: {shared.called(fit.log['path'])}",
+        f"Calibration of {fit.model.name}: {shared.called(fit.log.path)}",
         "\n".join([*(f"claim: {one.text}" for one in fit.claims), verdict(fit)]),
         [
             Section("repeating", "Errors that repeat", repeating),
@@ -99,12 +99,12 @@ def amiss(fit: Fit) -> bool:
 
 def basis(fit: Fit) -> str:
     """Return model, log and samples that a calibration rests on."""
-    log, fitted = fit.log, [each["name"] for each in fit.logs if not each["held_out"]]
-    used = log["runs"] - len(log["holdout"])
-    name = counted(len(fitted), "log") if fitted else log["path"] or "a log in memory"
-    runs = f"{counted(used, 'run')} fitted" if log["runs"] > 1 else "fitted"
-    held = f", {len(log['holdout'])} held out" if log["holdout"] else ""
-    samples = counted(log["rows"], "sample")
+    log, fitted = fit.log, [each.name for each in fit.logs if not each.held_out]
+    used = log.runs - len(log.holdout)
+    name = counted(len(fitted), "log") if fitted else log.path or "a log in memory"
+    runs = f"{counted(used, 'run')} fitted" if log.runs > 1 else "fitted"
+    held = f", {len(log.holdout)} held out" if log.holdout else ""
+    samples = counted(log.rows, "sample")
     return f"{fit.model.name} on {name}: {samples}, {runs}{held}; {fit.status} in {fit.seconds:.2f} s"
 
 
@@ -117,10 +117,10 @@ def periodic_blocks(fit: Fit, log: Log | None) -> list[Block | str]:
 def circumstances(fit: Fit) -> list[str]:
     """Return the sentences on solver, uncertainty and noise."""
     s = fit.solver
-    how = f"{s['name']}: {s['evaluations']} evaluations"
-    if s["starts"] > 1:
-        same = round(s["share_at_optimum"] * s["starts"])
-        how += f"; {same} of {s['starts']} refined starts reached this optimum"
+    how = f"{s.name}: {s.evaluations} evaluations"
+    if s.starts > 1:
+        same = round(s.share_at_optimum * s.starts)
+        how += f"; {same} of {s.starts} refined starts reached this optimum"
     by_source: dict[str, list[str]] = {}
     for channel, sigma in fit.noise.sigmas.items():
         factor, unit, name = readable(channel, fit.model.period)
@@ -129,7 +129,7 @@ def circumstances(fit: Fit) -> list[str]:
     return [
         f"solver: {how}{_bounded(fit)}",
         _goodness(fit),
-        f"uncertainty: {fit.covariance_method} ({fit.covariance_reason}){_interval(fit)}",
+        f"uncertainty: {fit.covariance_record.method} ({fit.covariance_record.reason}){_interval(fit)}",
         f"noise (1 sigma) {noise}",
     ]
 
@@ -152,14 +152,14 @@ def _interval(fit: Fit) -> str:
 
 def _bounded(fit: Fit) -> str:
     """How near the cost is to what no parameters can undercut."""
-    bound = fit.solver.get("lower_bound")
+    bound = fit.solver.lower_bound
     if not bound:
         return ""
     said = (
-        f"; cost {number(bound['ratio'], 4)} x the lower bound, a linear fit with "
-        f"{bound['coefficients']} free coefficients ({number(bound['expected'], 4)} by their number alone)"
+        f"; cost {number(bound.ratio, 4)} x the lower bound, a linear fit with "
+        f"{bound.coefficients} free coefficients ({number(bound.expected, 4)} by their number alone)"
     )
-    if bound["near"]:
+    if bound.near:
         return said
     limits = f", or the bounds of {', '.join(fit.at_bound)}, cost" if fit.at_bound else " costs"
     return f"{said}: the form of the model{limits} that much, whatever the start"
@@ -167,7 +167,7 @@ def _bounded(fit: Fit) -> str:
 
 def _goodness(fit: Fit) -> str:
     """Cost per degree of freedom with its expected scatter, and where most is left."""
-    cost, fitted = fit.solver["cost_per_degree_of_freedom"], fit.goodness
+    cost, fitted = fit.solver.cost_per_degree_of_freedom, fit.goodness
     said = f"goodness of fit: cost per degree of freedom {cost:.3f}"
     if fitted is not None:
         more = ", more than noise" if fitted.significant else ""
@@ -192,9 +192,9 @@ def several_blocks(fit: Fit) -> list[Block | str]:
     rows = {}
     for log in fit.logs:
         for kind, said in (("fitted", ""), ("holdout", ", held out")):
-            if log["errors"].get(kind):
-                rows[f"{log['name']}{said}"] = log["errors"][kind]
-    own = fit.logs[0]["parameters"]
+            if log.errors.get(kind):
+                rows[f"{log.name}{said}"] = log.errors[kind]
+    own = fit.logs[0].parameters
     return [
         shared.error_table(fit.model.pose, rows, periodic=fit.model.period, title="by log"),
         *(_own(fit, p) for p in fit.model.parameters if p.name in own),
@@ -204,15 +204,16 @@ def several_blocks(fit: Fit) -> list[Block | str]:
 def _own(fit: Fit, parameter: Parameter) -> Table:
     """Return one parameter log by log, with how it changed since the first."""
     factor, unit = parameter_unit(parameter.unit)
-    logs = [log for log in fit.logs if parameter.name in log["parameters"]]
+    logs = [log for log in fit.logs if parameter.name in log.parameters]
     since = [] if fit.joint is None else ["since the first (1 sigma)"]
     head = [f"{parameter.name} by log", "value (1 sigma)", "unit", *since]
     rows = []
     for log in logs:
-        value, std = (log["parameters"][parameter.name][key] for key in ("value", "std"))
-        row = [log["name"], concise(factor * value, None if std is None else factor * std), unit]
+        found = log.parameters[parameter.name]
+        value, std = found.value, found.std
+        row = [log.name, concise(factor * value, None if std is None else factor * std), unit]
         if fit.joint is not None and log is not logs[0]:
-            moved, sigma = fit.joint.change(parameter.name, logs[0]["name"], log["name"])
+            moved, sigma = fit.joint.change(parameter.name, logs[0].name, log.name)
             row.append(concise(factor * moved, factor * sigma))
         rows.append([*row, *[""] * (len(head) - len(row))])
     return Table(head, rows, f"{parameter.name} by log")
@@ -258,14 +259,14 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
         seen = evaluate(fit, log)
         next_command = diagnose_command(log.path, fit.model, added_effects(fit.model))
         goodness = replace(seen.goodness, what="The calibration", next_command=next_command)
-        log, fit = seen.decoded, replace(seen.applied, goodness=goodness)
+        log, fit = seen.decoded, seen.applied.changed(goodness=goodness)
     found = gather(log, fit, label="fitted", before=nominal_of(log, fit))
     if same and _above_recorded(found, fit):
         found = gather(log, fit, label="fitted", keep=_spikes(log, fit), before=nominal_of(log, fit))
     survey, pose, period = found.survey, fit.model.pose, fit.model.period
     rows = {LABELS.get(k, k): v for k, v in fit.error_rows.items()} if same and fit.error_rows else {
         "nominal": survey.nominal.over(), "this log": survey.fitted.over()}  # fmt: skip
-    held = tuple(r for r in fit.log["holdout"] if same)
+    held = tuple(r for r in fit.log.holdout if same)
     judged = "held out" if held else "fitted" if same else "this log"
     known = survey.fitted.interval(held or survey.runs)
     more = {f"95 % interval, {judged}": shared.interval_row(known, pose, period)} if known else {}
@@ -274,7 +275,7 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
     notes = [*circumstances(fit), *_notes(log, fit, found, same)]
     described = verdict(fit).partition("; next: ")[0].rstrip(".")  # the card has the next command
     answer = " ".join([f"{described}.", *_identifiable(fit)])
-    origin = {"path": log.path and str(log.path), "sha256": log.sha256}
+    origin = LogRecord(str(log.path) if log.path else None, log.sha256)
     why, next_command = _next(fit, calibration)
     return replace(
         said,
@@ -302,10 +303,10 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
 
 def _next(fit: Fit, calibration: str) -> tuple[str, str]:
     if fit.goodness and fit.goodness.sentence:
-        own = diagnose_command(fit.log["path"], fit.model, added_effects(fit.model))
+        own = diagnose_command(fit.log.path, fit.model, added_effects(fit.model))
         return "Next, find out what the model leaves:", fit.goodness.next_command or own
     if fit.undetermined_by_log:
-        words = ["hallsym", "sensitivity", calibration, str(fit.log["path"] or "LOG")]
+        words = ["hallsym", "sensitivity", calibration, str(fit.log.path or "LOG")]
         return "Next, see which recording determines the rest:", shlex.join(words)
     words = ["hallsym", "codegen", calibration, "-o", "firmware"]
     return "Next, write the decoder for the controller:", shlex.join(words)
@@ -329,7 +330,7 @@ def _identifiable(fit: Fit) -> list[str]:
 
 
 def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Facts:
-    runs, holdout = found.survey.runs, [r for r in fit.log["holdout"] if same]
+    runs, holdout = found.survey.runs, [r for r in fit.log.holdout if same]
     fitted = [r for r in runs if r not in holdout]
     count = int(np.diff(found.survey.edges).sum())
     judged = f"{len(holdout)} ({shared.numbers(holdout)})" if holdout else "none"
@@ -342,7 +343,7 @@ def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Facts:
         ("model", f"{fit.model.name}{' with ' + ', '.join(added) if added else ''}"),
         ("runs fitted", used),
         ("runs held out", judged if same else None),
-        ("calibrated on", None if same else fit.log["path"] or "a log in memory"),
+        ("calibrated on", None if same else fit.log.path or "a log in memory"),
         ("noise floor", "what the noise of readings and reference alone leaves"),
         (
             "nominal",

@@ -9,6 +9,7 @@ from typing import Any
 
 from hallsym.errors import InputError, counted
 from hallsym.estimation import Fit
+from hallsym.estimation.calibration import LogRecord
 from hallsym.log.columns import in_a_row
 from hallsym.report.content import Block, Facts, Figure, Heading, Note, Runs, Section, Table, Words
 from hallsym.report.data.gather import Cells, RunSeries
@@ -253,12 +254,12 @@ def _remark(fit: Fit, k: int) -> str:
     return f"not identifiable from {which}; {done}"
 
 
-def origin_section(log: Mapping[str, Any], found: Mapping[str, Any], command: str) -> Section:
+def origin_section(log: LogRecord, found: Mapping[str, Any], command: str) -> Section:
     """Return where the page comes from: command, log, its hash, versions."""
     pairs = [
         ("command", command),
-        ("log", log.get("path") or "a log in memory"),
-        ("sha256 of the log", log.get("sha256")),
+        ("log", log.path or "a log in memory"),
+        ("sha256 of the log", log.sha256),
         ("versions", ", ".join(f"{part} {version}" for part, version in found.items())),
     ]
     code = frozenset({"command", "log", "sha256 of the log"})
