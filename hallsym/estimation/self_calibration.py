@@ -43,6 +43,8 @@ STEADY = 0.05
 """Share by which the speed, averaged over a period or `WINDOW` of a turn, may leave its median where it is
 constant."""
 WINDOW = 0.125
+HOLDOUT = 3
+"""Turns of a run from which on its last one is held out."""
 RUNNING = 0.2
 """The same where it may change: a rotor that is slower than this share of its median speed is at its stop."""
 PRIOR = np.radians(1.5)
@@ -61,9 +63,10 @@ NONLINEAR = 0.002
 waves per period (data sheets state a linearity of .1 to 1.5 %). Heads that bend differently look like a wave
 of the table, and nothing shows it: it is counted in the standard errors."""
 JOINS = 3.0
-"""A head sees the field of the first two if its misfit is at most so many times theirs."""
-FAR, TRIAL = 3.0, 5
-"""The same beyond `JOINS` after so many steps: the field under a head that is farther is another."""
+"""A head sees the field of the first two if, `TRIAL` steps from their solution, the misfit is at most so many
+times theirs."""
+TRIAL = 5
+"""Newton steps that bring a head that does see it within a few percent of its misfit."""
 DEAD = 0.05
 """Share of the largest amplitude below which a head is dead."""
 ROUNDS, SETTLED = 40, 1e-8
@@ -184,20 +187,19 @@ def stretch_of(
 ) -> Stretch:
     """Return the longest stretch in which a run turns in one direction, at constant speed if that is known.
 
-    Raises `InputError` for a run that makes too few turns.
+    Nothing is known with `NONE`: the stretch of constant speed where it is long enough to learn from and to
+    judge by, else any. Raises `InputError` for a run that makes too few turns.
     """
     u = plane.phase(x) / pairs
     total = abs(u[-1] - u[0])
     window = max(round(len(u) * TURN / max(total, TURN) * max(1 / pairs, WINDOW)), 2)
     if len(u) > 2 * window and total > TURN:
         speed = (u[window:] - u[:-window]) / (time[window:] - time[:-window])
-        usual = np.median(speed)
-        near = np.abs(speed / usual - 1) < STEADY if reference == CONSTANT else speed / usual > RUNNING
-        edges = np.flatnonzero(np.diff(np.r_[0, near.astype(int), 0]))
-        first, last = max(
-            zip(edges[::2], edges[1::2], strict=True), key=lambda e: e[1] - e[0], default=(0, 0)
-        )
-        u, time, x = (v[first : last + window] for v in (u, time, x))
+        share = speed / np.median(speed)
+        steady, runs = _longest(np.abs(share - 1) < STEADY, window), _longest(share > RUNNING, window)
+        enough = np.ptp(u[steady]) >= HOLDOUT * TURN if steady.stop > steady.start else False
+        use = steady if reference == CONSTANT or (reference == NONE and enough) else runs
+        u, time, x = u[use], time[use], x[use]
     if len(u) < 2 or abs(u[-1] - u[0]) < LEAST_TURNS * TURN:
         made = abs(u[-1] - u[0]) / TURN if len(u) else 0.0
         raise InputError(
@@ -206,6 +208,18 @@ def stretch_of(
             "least (two and one more to judge it): let it turn further, or state the pole pairs."
         )
     return Stretch(run, time, x, u)
+
+
+def _longest(good: np.ndarray, window: int) -> slice:
+    """Return the samples of the longest stretch of which no mean over a `window` is bad.
+
+    `good`: of the mean that begins at each sample. A good mean may hold a piece of a ramp: the samples that
+    it shares with a bad one are left out.
+    """
+    edges = np.flatnonzero(np.diff(np.r_[0, good.astype(int), 0]))
+    first, last = max(zip(edges[::2], edges[1::2], strict=True), key=lambda e: e[1] - e[0], default=(0, 0))
+    ramps = first > 0, last < len(good)
+    return slice(first + window * ramps[0], max(last + window * (1 - ramps[1]), first + window * ramps[0]))
 
 
 OPEN_BELOW = 0.05
@@ -293,29 +307,31 @@ def on_grid(parts: Sequence[Stretch], size: int) -> tuple[np.ndarray, np.ndarray
 
 
 def closure_of(
-    parts: Sequence[Stretch], plane: Plane, pairs: int, count: int, jig: Jig | None = None
+    parts: Sequence[Stretch],
+    plane: Plane,
+    pairs: int,
+    count: int,
+    jig: Jig | None = None,
+    begin: Closure | None = None,
 ) -> Closure | None:
     """Return the table from the heads that see one field; None where no two heads do.
 
-    `jig`: places and heights that are known.
+    `jig`: places and heights that are known. `begin`: the table of the same readings without it.
     """
     grid, x, _, noise = on_grid(parts, 8 * max(count, 32))
     amplitude = np.hypot(*plane.shape.T)
     if jig is not None:
-        return _closed(grid, x, noise, pairs, count, jig, known=True)
+        return _closed(grid, x, noise, pairs, count, jig, begin, known=True)
     alive = np.flatnonzero(amplitude > DEAD * amplitude.max()).tolist()
     both, spectra = list(combinations(alive, 2)), _spectra(x, count)
     alike = [_place(spectra[a], spectra[b], pairs)[1] for a, b in both]
     found = _closed(grid, x, noise, pairs, count, _begin(spectra, both[int(np.argmax(alike))], pairs))
     for head in alive:
         if head not in found.jig.heads:
-            begin = _begin(spectra, sorted((*found.jig.heads, head)), pairs)
-            limit = JOINS * max(found.misfit, noise if noise > 0 else 0.0)
-            wider = _closed(grid, x, noise, pairs, count, begin, rounds=TRIAL)
-            if wider.misfit < FAR * limit:
-                wider = _closed(grid, x, noise, pairs, count, begin)
-            if wider.misfit < limit:
-                found = wider
+            wider = _begin(spectra, sorted((*found.jig.heads, head)), pairs)
+            trial = _closed(grid, x, noise, pairs, count, wider, found, rounds=TRIAL)
+            if trial.misfit < JOINS * max(found.misfit, noise if noise > 0 else 0.0):
+                found = _closed(grid, x, noise, pairs, count, trial.jig, trial)
     return found if found.misfit < DEAD * amplitude.max() else None
 
 
@@ -354,10 +370,11 @@ def _closed(
     pairs: int,
     count: int,
     jig: Jig,
+    start: Closure | None = None,
     known: bool = False,
     rounds: int = ROUNDS,
 ) -> Closure:
-    """Solve (1) from the places of a jig; of a `known` jig only k0 is free.
+    """Solve (1) from the places of a jig and the table of `start`; of a `known` jig only k0 is free.
 
     f and the o of each head are linear: they are eliminated, as the offsets of a run are. The others are one
     vector: h (2 waves), then k0, k1, k2, p of each head but the first. The standard errors hold what a bend
@@ -368,7 +385,8 @@ def _closed(
     powers = np.tile(np.array([s**0, s, s**2]), 2)  # of cosine and sine coefficients
     sigma = noise if noise > 0 else 1e-3 * float(x.std())
     own = np.column_stack([jig.heights, jig.places])
-    begin = np.concatenate([np.zeros(2 * count), own.ravel()])
+    table = np.zeros(2 * count) if start is None else coefficients(start.table)
+    begin = np.concatenate([table, own.ravel()])
     told = (
         np.zeros(own.shape) if known else np.tile([0.0, *[(HEIGHT * pairs) ** -2] * 2, 0.0], (heads - 1, 1))
     )
@@ -727,12 +745,14 @@ def self_calibrate(
     *,
     orders: Sequence[int] = (),
     jig: Jig | None = None,
+    begin: Closure | None = None,
 ) -> SelfCalibration:
     """Calibrate an encoder without a reference.
 
     `runs`: run -> times (samples,) and readings (samples, heads). `phases`: nominal electrical phases of the
     heads [rad]. `reference`: one of `REFERENCES`. `orders`: waves per turn of the table, `waves_of(pairs)` by
-    default; `jig`: what a fleet knows. The last whole turn of each run is held out where it has three.
+    default; `jig`: what a fleet knows; `begin`: what the readings say without it. The last whole turn of each
+    run is held out where it has `HOLDOUT` of them.
 
     Raises `InputError` for readings that do not turn.
     """
@@ -745,7 +765,7 @@ def self_calibrate(
                 f"Hall {head + 1} is dead: it moves by {max(size):.3g}, the largest by {others:.3g}."
             )
     plane = plane_of(np.concatenate([x for _, x in runs.values()]), phases)
-    found = [stretch_of(run, t, x, pairs, plane, reference) for run, (t, x) in runs.items()]
+    found = [stretch_of(run, t - t[0], x, pairs, plane, reference) for run, (t, x) in runs.items()]
     # the ends of a record may be ramps: the plane of what turns
     plane = plane_of(np.concatenate([p.readings for p in found]), phases)
     found = [Stretch(p.run, p.time, p.readings, plane.phase(p.readings) / pairs) for p in found]
@@ -754,7 +774,7 @@ def self_calibrate(
         plane = Plane(plane.offset, plane.shape * [1.0, -1.0])
         found = [Stretch(p.run, p.time, p.readings, -p.u) for p in found]
     found = in_step(found, pairs, reference)
-    train = [p.cut(0, np.floor(p.turns) - 1) if p.turns >= 3 else p for p in found]
+    train = [p.cut(0, np.floor(p.turns) - 1) if p.turns >= HOLDOUT else p for p in found]
     train = [p.cut(0, np.floor(p.turns + 0.02)) if p.turns >= 1 else p for p in train]
     count = max((*orders, waves_of(pairs)))
     most = int(min(len(p.u) / p.turns for p in train) / 4)
@@ -766,7 +786,7 @@ def self_calibrate(
     count = min(count, most)
     # a hundredth of a turn more where it goes on: whole turns from every angle
     ahead = [whole.cut(0, part.turns + 0.01) for part, whole in zip(train, found, strict=True)]
-    closure = closure_of(ahead, plane, pairs, count, jig)
+    closure = closure_of(ahead, plane, pairs, count, jig, begin)
     n = np.arange(1, count + 1)
     unknown, s_own = _told_by_readings(closure, pairs, count, jig)
     whole = np.zeros(count, complex) if closure is None else np.where(unknown, 0j, closure.table)
@@ -783,7 +803,7 @@ def self_calibrate(
     h = coefficients(np.where(np.isin(n, orders or n), [w.sensor for w in waves], 0j))
     drive = coefficients(np.array([w.motion if w.verdict == MOTION and w.motion else 0j for w in waves]))
     left: dict[str, tuple[float, float]] = {}
-    judged = [p.cut(np.floor(p.turns) - 1, np.floor(p.turns)) for p in found if p.turns >= 3]
+    judged = [p.cut(np.floor(p.turns) - 1, np.floor(p.turns)) for p in found if p.turns >= HOLDOUT]
     nominal = plane_of_nominal(plane, phases)
     for name, at, table in (("nominal", nominal, None), ("ellipse", plane, None), ("table", plane, h)):
         sums = np.zeros(2)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, counted, one_line
-from hallsym.estimation.self_calibration import CONSTANT, Jig, SelfCalibration, self_calibrate
+from hallsym.estimation.self_calibration import CONSTANT, Closure, Jig, SelfCalibration, self_calibrate
 from hallsym.estimation.without_reference import (
     SelfFit,
     model_for_table,
@@ -79,12 +79,13 @@ class Ring:
     reference: str
     orders: tuple[int, ...]
     jig: Jig | None = None
+    begin: Closure | None = None
 
 
 def calibrated(ring: Ring) -> SelfCalibration:
     """Return one ring calibrated; a function of a module, for workers."""
     return self_calibrate(
-        ring.runs, ring.pairs, ring.phases, ring.reference, orders=ring.orders, jig=ring.jig
+        ring.runs, ring.pairs, ring.phases, ring.reference, orders=ring.orders, jig=ring.jig, begin=ring.begin
     )
 
 
@@ -164,7 +165,9 @@ def ring_fleet(
     found: dict[str, SelfCalibration] = {}
     failed: dict[str, str] = {}
     for turn in ("each by itself", "with the jig"):
-        work = [replace(ring, jig=jig) for _, ring in asked.values() if ring.name not in failed]
+        alone = {name: one.closure for name, one in found.items()}
+        rings = [ring for _, ring in asked.values() if ring.name not in failed]
+        work = [replace(ring, jig=jig, begin=alone.get(ring.name)) for ring in rings]
         found = {}
         for ring, told in completed(calibrated, work, workers=workers):
             if isinstance(told, Failed):

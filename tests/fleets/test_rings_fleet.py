@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rings import ONE, recorded, ring
+from rings import ONE, TURN, recorded, ring
 
 from hallsym.cli.main import main
 from hallsym.errors import InputError
@@ -23,11 +23,14 @@ def log_of(x: np.ndarray, pairs: int = 4) -> Log:
 
 
 def rings_of(count: int) -> dict[str, Log]:
-    """Rings of 4 pole pairs on one jig, whose drive has .1 deg at wave 10 of its own angle."""
+    """Rings of 4 pole pairs on one jig, whose drive starts from rest and has .1 deg at wave 10."""
     out = {}
+    before = np.arange(240)[::-1] + 1.0
+    ramp = 0.3 - TURN / 600 * (before - before**2 / 480)
     for k in range(count):
         own = ring(50 + k, pairs=4, places=PLACES, jitter=0.0)
-        out[f"ring{k}"] = log_of(recorded(own, k, rows=600, turns=4.1, kinematic=0.1 * ONE, order=10)[1])
+        x = recorded(own, k, rows=600, turns=4.3, kinematic=0.1 * ONE, order=10)[1]
+        out[f"ring{k}"] = log_of(np.concatenate([own.readings(ramp), x]))
     return out
 
 
@@ -39,7 +42,7 @@ def test_a_fleet_finds_the_drive_and_names_what_is_wrong() -> None:
     dead[:, 1] = 2048
     still = x[:200].repeat(10, axis=0)
     last = x.copy()
-    last[1900:] += 60 * np.sin(np.arange(len(x) - 1900) / 9.0)[:, None] * np.array([1, -1, 0])
+    last[2260:] += 60 * np.sin(np.arange(len(x) - 2260) / 9.0)[:, None] * np.array([1, -1, 0])
     logs |= {"dead": log_of((dead - 2048) / 900), "still": log_of((still - 2048) / 900)}
     logs |= {"bent": log_of((last - 2048) / 900)}
     found = ring_fleet(logs, "rings3", workers=1)
