@@ -9,13 +9,13 @@ from typing import Any
 from hallsym.output import printable
 
 LONGEST = 300
-"""Characters of a message: what a terminal shows in three or four lines."""
+"""Characters of a message: three or four lines of a terminal."""
 _LONGEST_WORD = 120
 """Characters of one word (a path, say) of a message that would be too long with all of it."""
 
 
 class InputError(ValueError):
-    """Bad input: its message is one sentence with what, where, what was expected and what to do.
+    """Bad input: its message is one sentence with fault, place, expectation and remedy.
 
     The message is one line of at most `LONGEST` characters, as `printable` shows them. It advises options
     where a command is carried out (`commanded`), else the arguments of Python that they stand for.
@@ -23,7 +23,7 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: object = "", claims: Sequence[Any] = ()) -> None:
-        """Take the sentence; `claims`: of a fit that could not be made, what its recording has wrong."""
+        """Take the sentence; `claims`: on the recording of a fit that failed."""
         text = str(message)
         super().__init__(one_line(text if os.environ.get(_COMMANDED) else in_python(text)))
         self.claims = tuple(claims)
@@ -129,7 +129,7 @@ def quoted(name: object) -> str:
 
 
 def summary(error: BaseException, most: int = 100) -> str:
-    """Return what an exception of a library says, on one line of at most `most` characters."""
+    """Return the message of an exception of a library, on one line of at most `most` characters."""
     text = " ".join(str(error).split()) or type(error).__name__
     return (text if len(text) <= most else f"{text[: most - 3]}...").rstrip(".")
 
@@ -162,8 +162,8 @@ def listed(names: Sequence[str]) -> str:
 def counted(number: int, thing: str) -> str:
     """Return a count with its noun.
 
-    >>> counted(1, "run"), counted(22, "held-out run")
-    ('1 run', '22 held-out runs')
+    >>> counted(1, "run"), counted(22, "holdout run")
+    ('1 run', '22 holdout runs')
     """
     plural = "es" if thing.endswith("ch") else "s"
     return f"{number} {thing}{'' if number == 1 else plural}"

@@ -1,9 +1,9 @@
 """Files: read behind one boundary, written whole or not at all, and never an output in the place of an input.
 
-Every reader opens its file in `reading`, and only calls of libraries stand inside: whatever they raise
-becomes one sentence, and what they return is judged outside, so that a mistake of ours is not taken for a
-damaged file. A file that is written appears under its name when it is complete: a reader sees the old one or
-the new one. What one command reads and writes is known by identity (`Task`).
+Every reader opens its file in `reading`, with only calls of libraries inside: their exceptions become one
+sentence, and their results are checked outside, so that a defect of hallsym does not look like a damaged
+file. A written file appears under its name when it is complete: a reader sees the old one or the new one.
+Inputs and outputs of a command are identified by inode (`Task`).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _TASK: ContextVar[Task | None] = ContextVar("hallsym_task", default=None)
 
 @contextmanager
 def task() -> Iterator[Task]:
-    """Keep the inputs of what runs inside apart from its outputs; outside of a task nothing is refused."""
+    """Refuse outputs that are inputs of the same task; outside of a task nothing is refused."""
     token = _TASK.set(Task())
     try:
         yield _TASK.get() or Task()

@@ -1,10 +1,10 @@
-"""The one loop around every global method, and local refinement of what it found.
+"""The loop around every global method, and local refinement of its result.
 
 The loop keeps budget, bounds, best so far, history, status and interruption. A global method is never the end
-(`hybrid`): the best few points that are apart are refined.
+(`hybrid`): the best few separated points are refined.
 
-And where it begins and what it leaves: a Latin hypercube (McKay, Beckman & Conover, Technometrics 21 (1979)
-239, doi:10.1080/00401706.1979.10489755), thinned so that the kept points are apart.
+Starts come from a Latin hypercube (McKay, Beckman & Conover, Technometrics 21 (1979) 239,
+doi:10.1080/00401706.1979.10489755), of which separated points are kept.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from solvers.tlbo import gbtlbo, shtlbo, tlbo
 SOLVERS: tuple[Solver, ...] = (tlbo, gbtlbo, shtlbo)
 EXPLORERS = (*(solver.__name__ for solver in SOLVERS), "screening")
 COLLAPSED = 1e-10
-"""Widths of the box within which a whole class counts as one point."""
+"""Widths of the box within which a whole population counts as one point."""
 SEPARATION = 0.05
 """Root mean square distance of two starts, in widths of the box."""
 
@@ -72,14 +72,14 @@ def best_separated(
 def screened_starts(
     problem: Problem, n: int, keep: int, rng: np.random.Generator, *, separation: float = SEPARATION
 ) -> Population:
-    """Evaluate a Latin hypercube of `n` points at once, and keep the best `keep` that are apart."""
+    """Evaluate a Latin hypercube of `n` points at once, and keep the best `keep` separated ones."""
     problem.require_finite_box("screened_starts")
     sample = latin_hypercube(n, problem.lower, problem.upper, rng)
     return best_separated(problem.evaluate(sample), keep, problem, separation)
 
 
 def reflect(x: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Fold what is outside back in, as often as it takes; what is inside stays as it is, to the bit.
+    """Reflect points outside back into the box; points inside stay as they are, to the bit.
 
     The bounds act as mirrors, so a candidate any number of widths away still lands inside in one step.
     Clipping instead piles candidates up on the faces of the box, where differences between them vanish.
@@ -110,7 +110,7 @@ def minimize(
     solver: a name from `SOLVERS`, or a generator function of the same form (see `Solver`).
     budget: rows of `problem.cost` that may be evaluated, met exactly: the last generation is cut short.
         The default is the paper's: a class of 100, then 100 generations of two phases.
-    size: rows of the population, 100 unless told.
+    size: rows of the population, 100 by default.
     start: `(k, dim)` points to begin with, clipped into the box; a Latin hypercube fills up the rest.
 
     A search that is interrupted (Ctrl-C) returns its best point so far.
@@ -152,7 +152,7 @@ def minimize(
 
 
 class _Run:
-    """What the driver keeps about one search."""
+    """State of one search."""
 
     def __init__(self, problem: Problem, budget: int, first: FloatArray) -> None:
         self.problem, self.budget = problem, budget
@@ -213,7 +213,7 @@ def _first(problem: Problem, size: int, start: ArrayLike | None, rng: np.random.
 
 @dataclass(frozen=True, eq=False)
 class HybridResult(Result):
-    """A `Result` that also shows how it came about.
+    """A `Result` with its global and local stages.
 
     explored: the global stage.
     local: one result per refined start, user's starts first.
@@ -238,10 +238,10 @@ def hybrid(
     same: float = 1e-6,
     size: int | None = None,
 ) -> HybridResult:
-    """Explore the box, refine the best few points that are apart, and return the best of all.
+    """Explore the box, refine the best few separated points, and return the best of all.
 
     starts: `(k, dim)` points of the user; they join the global stage and are all refined themselves.
-    keep: how many points of the final population to refine at most, each `separation` from the others in widths
+    keep: how many points of the final population to refine at most, `separation` from the others in widths
         of the box (root mean square). A class that has collapsed leaves one.
     budget: evaluations of the global stage.
     global_solver: a name from `SOLVERS`, or "screening", one Latin hypercube of `budget` points.

@@ -3,8 +3,8 @@
 Waechter & Biegler, Mathematical Programming 106 (2006) 25, doi:10.1007/s10107-004-0559-y.
 
 IPOPT sees `u = x / unit` (unit: about the width of the box, 1 where that is infinite) and the cost divided by
-its value and slope at the start: so its tolerances are relative, and a cost of 1e-12 square metres is not
-taken for solved before it began.
+its value and slope at the start, so its tolerances are relative, and a cost of 1e-12 square metres does not
+count as solved at the start.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ QUIET = {"print_time": False, "show_eval_warnings": False, "error_on_fail": Fals
 STRICT = {"print_level": 0, "sb": "yes", "bound_relax_factor": 0.0}  # never a step outside the bounds
 ROUNDS = 4
 ROOM = 320 << 20
-"""Bytes of address space for IPOPT and the buffer of CasADi's OpenBLAS, which asks for it without end."""
+"""Bytes of address space for IPOPT and the buffer of CasADi's OpenBLAS."""
 CURVED = "the cost curves down there"
 SATISFIED = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")
 CTRL_C = ("NonIpopt_Exception_Thrown", "User_Requested_Stop")  # what CasADi >= 3.8 makes of it

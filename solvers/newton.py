@@ -161,7 +161,7 @@ class _Descent:
         return better
 
     def adapt(self, ratio: float) -> None:
-        """Damping from what was gained over what was promised.
+        """Damping from the ratio of actual to predicted decrease.
 
         In a narrow curved valley the damping just short of failure is the fastest: the factor by which it
         falls shrinks with a failure and grows again with successes in a row.

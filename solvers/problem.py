@@ -75,7 +75,7 @@ class Problem:
                 raise misuse(name, f"Problem, in {where},", "finite", bound)
 
     def evaluate(self, x: FloatArray) -> Population:
-        """Cost of every row of `x (n, dim)`; what is not finite becomes +inf."""
+        """Cost of every row of `x (n, dim)`; a value that is not finite becomes +inf."""
         cost = np.asarray(self.cost(x), dtype=float)
         if cost.shape != (len(x),):
             raise misuse("cost", "Problem", f"a function that returns shape ({len(x)},)", cost.shape)
@@ -84,7 +84,7 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Population:
-    """Points and what they cost: `x (n, dim)`, `cost (n,)`."""
+    """Points and their costs: `x (n, dim)`, `cost (n,)`."""
 
     x: FloatArray
     cost: FloatArray
@@ -120,7 +120,7 @@ Solver = Callable[..., Iterator[Population]]
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What a solver hands back, whatever happened.
+    """Result of a solver.
 
     x (dim,), cost: the best point evaluated.
     status: "converged", "budget", "interrupted" or "failed"; message: what that means here, and what to do.

@@ -190,6 +190,8 @@ def bundled(runs: slice) -> dict[str, np.ndarray]:
     run = log.array("run").astype(int)
     chosen = np.isin(run, log.runs[runs])
     return {c: run[chosen] if c == "run" else log.array(c)[chosen] for c in log.columns}
+
+
 def with_arrays(fit: Fit, covariance: np.ndarray | None = None, **columns: np.ndarray) -> Fit:
     """A calibration with other arrays, such as `values` or `std`, in the order of its parameters."""
     parameters = fit.parameters

@@ -11,14 +11,14 @@ GROUPS = {
     },
     "understand": {
         "sensitivity": "what a log, or a plan, determines of each parameter",
-        "diagnose": "where the gap lies, which effect makes it, how far it shrinks",
+        "diagnose": "where the gap lies, which effect causes it, how far it shrinks",
         "report": "one HTML page of a saved calibration",
     },
     "plan": {
         "plan": "choose what to record next, within your ranges and your time",
         "simulate": "write the log a known machine would record",
         "budget": "uncertainty of the decoded position, or any budget by the GUM",
-        "tolerances": "which tolerance of the machine is worth money, or what known deviations make",
+        "tolerances": "which tolerance of the machine to tighten, or the error by known deviations",
         "trajectory": "a curve through points or of an expression, with the error it makes",
     },
     "use": {

@@ -66,8 +66,8 @@ def _position_options(parser: ArgumentParser) -> None:
         --at COLUMN=VALUE <repeat>      pose and vertical state of the budget: --at x_um=100 --at z_um=250
             (repeat; default 0)
         --settings TOML                 averaging, ADC, zeroing, vertical sensors, scale of the reference
-        --diagnosis JSON                what 'hallsym diagnose LOG -o FILE.json' saved: what the model
-            leaves, and which models the log does not exclude, join the budget
+        --diagnosis JSON                file of 'hallsym diagnose LOG -o FILE.json': adds the model error, and
+            the models that the log does not exclude, to the budget
         --range COLUMN=LOW:HIGH <repeat>  map U over two pose coordinates and the first state, such as x, y
             and Z: --range x_um=-300:300 (repeat; what is not given is what LOG recorded)""")  # fmt: skip
 

@@ -30,7 +30,7 @@ def add(sub: Any) -> None:
         sub, "capture", run,
         "Write the lines of numbers that a board prints on a serial port as a log (.parquet or .csv), until\n"
         "Ctrl-C, --lines or --duration. Numbers are separated by commas, semicolons, tabs or blanks; labels\n"
-        "before them (sin:0.31) are left out. Lines that are lost or no numbers are counted and told.",
+        "before them (sin:0.31) are left out. Lost lines and lines without numbers are counted and reported.",
         EPILOG,
     )  # fmt: skip
     add_options(parser, """
@@ -38,7 +38,7 @@ def add(sub: Any) -> None:
         --baud N <int=115200>           bits a second (default 115200)
         --columns NAMES <required>      names of the numbers of a line, with their units: v_sin_mv,v_cos_mv.
             The board's own time is t_s, t_ms or t_us; without it t_s is the time of arrival. 'counter'
-            counts lines, so that lost ones are told; 'skip' is not kept
+            counts lines, so that lost ones are reported; 'skip' is not kept
         -o, --output LOG <required>     log to write: .parquet or .csv
         --lines N <int>                 end after so many lines
         --duration S <float>            end after so many seconds
@@ -67,7 +67,7 @@ def run(options: Namespace) -> int:
 
 @contextmanager
 def stopping() -> Iterator[Callable[[], bool]]:
-    """Let the first Ctrl-C end the capture, so that what has come is written; a second one acts as usual."""
+    """Let the first Ctrl-C end the capture, and write the received lines; a second one acts as before."""
     pressed: list[int] = []
     before: Any = None
 

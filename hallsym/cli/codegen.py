@@ -48,7 +48,7 @@ def add(sub: Any) -> None:
             (repeat; default: as recorded)
         --arithmetic ARITHMETIC <float|q31>  float (default), or q31: 32-bit integers, for a controller
             without a floating-point unit
-        --accuracy COLUMN=ANGLE         encoders: what the correction of the angle may leave besides
+        --accuracy COLUMN=ANGLE         encoders: largest error of the correction of the angle besides
             rounding, as angle_mrad=1 (default: angle_nrad=30, of q31 angle_urad=10); a coarser one takes
             fewer waves or a smaller table; magnet arrays: of a place, as x_um=0.1
         --correction CORRECTION <{"|".join(CORRECTIONS)}>  encoders: a series of waves, or a table of 64 to
@@ -57,8 +57,8 @@ def add(sub: Any) -> None:
             several decouplers then fit in one image
         --license SPDX                  SPDX expression in every file, such as MIT (default: {LICENSE},
             yours to license)
-        --predict LOG                   with decoupler_predict(): position and speed at the time that the
-            controller asks for, by an observer whose bandwidth leaves least of this log
+        --predict LOG                   with decoupler_predict(): position and speed at a time that the
+            controller states, by an observer whose bandwidth has the least error on this log
         --bandwidth HZ <float>          of --predict, in place of the log's
         --latency SECONDS <float=0.0>   of --predict: from the pose to the timestamp of its sample, which a
             prediction adds (default: 0)

@@ -1,4 +1,4 @@
-"""What the commands share: options, opening logs, progress, and how results are said."""
+"""Shared parts of the commands: options, opening logs, progress, and output of results."""
 
 import math
 import re
@@ -301,7 +301,7 @@ def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:
 
 
 def samples_words(options: Namespace) -> list[str]:
-    """Words of a command on the same log that no calibration remembers: further files, samples left out."""
+    """Words of a command on the same log that no calibration holds: further files, samples left out."""
     words = [word for path in options.join for word in ("--join", path)]
     return [*words, *(["--drop-bad"] if options.drop_bad else [])]
 

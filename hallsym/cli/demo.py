@@ -66,7 +66,7 @@ def reproduce(on_progress: Callable[[str], None] | None = None) -> tuple[Log, Fi
     steps.append(_step("Model (30), each height by itself", 4, 30, _joined(each)))
     rows = full.errors.rows()
     steps.append(_step("Model (31), fitted runs", 8, 31, rows["fitted"]))
-    steps.append(_step("Model (31), held-out runs", 8, 31, rows["holdout"]))
+    steps.append(_step("Model (31), holdout runs", 8, 31, rows["holdout"]))
     return log, full, steps
 
 
@@ -83,7 +83,7 @@ def demonstration(steps: list[dict[str, Any]], result: Fit) -> Content:
     said = content(result)
     return replace(
         said,
-        answer=f"On held-out runs Model (31) decodes to {sizes}.",
+        answer=f"On holdout runs Model (31) decodes to {sizes}.",
         first=[beside_paper(steps), said.answer, *said.first],
     )
 

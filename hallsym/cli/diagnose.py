@@ -1,4 +1,4 @@
-"""`hallsym diagnose`: where the gap lies, which effect makes it, how far it shrinks."""
+"""`hallsym diagnose`: where the gap lies, which effect causes it, how far it shrinks."""
 
 import shlex
 from argparse import Namespace
@@ -40,7 +40,7 @@ def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
         sub, "diagnose", run,
-        "Fit a model on a log, find the error that it leaves above the noise, which effect causes it, and\n"
+        "Fit a model on a log, find the residual error above the noise, which effect causes it, and\n"
         "how far the error shrinks with that effect in the model, judged on holdout runs.",
         "examples:\n"
         "  hallsym diagnose LOG --model stage31\n"
@@ -50,16 +50,16 @@ def add(sub: Any) -> None:
     )  # fmt: skip
     add_options(parser, f"""
         log LOG                         log, or a folder with log and meta.json
-        --power EFFECTS <optional, alone={EVERY}>  instead: what 'no gap' is worth: inject effects (by name;
-            all take an hour or two, Ctrl-C keeps what was done) into its motion and noise, and diagnose
-            each simulated log blind
+        --power EFFECTS <optional, alone={EVERY}>  instead: the detection power behind 'no gap': inject
+            effects (by name; all take an hour or two, Ctrl-C keeps the results so far) into its motion and
+            noise, and diagnose each simulated log blind
         --repeats REPEATS <int={REPEATS}>  trials of each size with --power (default {REPEATS})
         --holdout RUNS                  runs to judge on (default: the log's own, else every fifth)
     """)  # fmt: skip
     own_option(parser)
     add_options(parser, """
         --threshold THRESHOLD <float>   relative decrease of the gap that counts (default 0.05)
-        --budget SECONDS <float>        end the search after so long with what it knows, which a note says
+        --budget SECONDS <float>        end the search after so long with the result so far and a note
             (default: no limit)
         -o, --output FILE <repeat>      save the diagnosis: .html for one page to read and print, anything
             else for JSON (repeat)""")  # fmt: skip
@@ -117,7 +117,7 @@ def run(options: Namespace) -> int:
 def _power(
     options: Namespace, log: Log, model: Model | Fit, holdout: tuple[int, ...] | None, own: tuple[Effect, ...]
 ) -> int:
-    """Say which effects a diagnosis of this log would find, and from which size on."""
+    """Report which effects a diagnosis of this log would find, and above which size."""
     found = detection_power(
         log,
         model,
@@ -136,7 +136,7 @@ def _power(
 
 
 def _page(options: Namespace, seen: Examined) -> str:
-    """The page of a diagnosis, with maps and series of what the model leaves, before and after."""
+    """The page of a diagnosis, with maps and series of the residual error, before and after."""
     first = seen.fit
     after = None if seen.after is None else version_of(seen.after, "after")
     shown = gather(seen.before.log, first, label="before", keep=first.keep, after=after)

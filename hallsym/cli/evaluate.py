@@ -39,9 +39,9 @@ def add(sub: Any) -> None:
     common.own_option(parser)
     add_options(parser, f"""
         --by-run                        all errors of each log, one line per run
-        --own-zero                      estimate the zero of a reference that turns from each run too: it
-            was homed or coupled anew
-        --false-alarm P <float={FALSE_ALARM}>  probability that a log which belongs is said not to (default
+        --own-zero                      estimate the zero of a periodic reference from each run too: it was
+            homed or coupled anew
+        --false-alarm P <float={FALSE_ALARM}>  familywise false-alarm rate of the tests of a log (default
             {FALSE_ALARM:g})""")  # fmt: skip
     common.plots_options(parser)
     common.log_options(parser)

@@ -41,8 +41,8 @@ def add(sub: Any) -> None:
         --motor-steps N <int>           full steps in a turn of the stepper that was the reference: its
             waves, N/4 a turn and multiples, are left out; tables by full steps have N entries (default:
             200)
-        --keep-reference                put into the table what the calibration knows of its reference's own
-            error (default: left out)
+        --keep-reference                include the error of the reference that the calibration estimated
+            (default: left out)
         --allow-undetermined            use values that the log does not determine""")  # fmt: skip
     own_option(parser)
 
@@ -81,5 +81,5 @@ def _content(made: Exported, options: Namespace) -> Content:
     blocks: list[Block | str] = [Table(head, rows, "error over the turn")]
     if made.calibrated is not None:
         rest = degrees(made.calibrated)
-        blocks.append(f"what the calibration itself leaves on its log comes on top: rms {number(rest)} deg")
+        blocks.append(f"the residual error of the calibration on its log adds to it: rms {number(rest)} deg")
     return Content("Correction table", answer, first=blocks)

@@ -29,7 +29,7 @@ def add(sub: Any) -> None:
         sub, "fit", run,
         "Calibrate a model on a log of Hall readings beside a reference. Prints errors before and after,\n"
         "parameters with standard uncertainties in parentheses (on the last two digits), and what the data\n"
-        "determine instead of parameters they cannot tell apart. Where the model does not describe the log,\n"
+        "determine in place of parameters that are confusable. Where the model does not describe the log,\n"
         "the report begins with that, and the exit code is 3; the calibration is written all the same.",
         "examples:\n"
         "  hallsym fit campaign.parquet -o calib.json --plots pictures\n"
@@ -73,10 +73,10 @@ def run(options: Namespace) -> int:
     common.refuse_twice(options.logs)
     if options.reference:
         return _without_reference(options, machine)
-    apart = options.per_log or options.holdout_log
-    if not apart and (files := common.runs_in_files(options, options.logs)):
+    separate = options.per_log or options.holdout_log
+    if not separate and (files := common.runs_in_files(options, options.logs)):
         options.logs, options.join = files[:1], [*files[1:], *options.join]
-    several = len(options.logs) > 1 or bool(apart)
+    several = len(options.logs) > 1 or bool(separate)
     logs, judged = _opened(options, options.logs, machine), _opened(options, options.holdout_log, machine)
     for log in (*logs, *judged):
         check_referenced(log, model_of(log, options.model))
@@ -121,14 +121,14 @@ def run(options: Namespace) -> int:
 
 def _without_reference(options: Namespace, machine: Machine) -> int:
     """Calibrate an encoder whose log has no reference; 3 where waves of its table are not separated."""
-    apart = {
+    separate = {
         "--holdout": options.holdout, "--holdout-log": options.holdout_log, "--per-log": options.per_log,
         "--correct": options.correct,
     }  # fmt: skip
-    if len(options.logs) > 1 or any(apart.values()):
-        given = [name for name, value in apart.items() if value] or ["several logs"]
+    if len(options.logs) > 1 or any(separate.values()):
+        given = [name for name, value in separate.items() if value] or ["several logs"]
         raise InputError(
-            f"With --reference one log is calibrated, its last turn held out; leave {given[0]} out "
+            f"With --reference one log is calibrated, its last turn as holdout; leave {given[0]} out "
             "(runs of a "
             "log may be recordings at several speeds)."
         )
@@ -173,7 +173,7 @@ def _saved(options: Namespace, result: Fit) -> list[str | Path]:
 
 
 def _diagnose(options: Namespace, result: Fit) -> str:
-    """Return the command that finds what the model leaves, with the options that were given."""
+    """Return the command that diagnoses the residual, with the options that were given."""
     words = ["hallsym", "diagnose", options.logs[0], "--model", plain(result.model).name]
     words += [word for effect in added_effects(result.model) for word in ("--effect", effect)]
     words += ["--holdout", options.holdout] if options.holdout else []
@@ -203,7 +203,7 @@ def exit_code(result: Fit, *, said: bool = True) -> int:
         common.warn(f"the solver did not converge ({result.status}): {result.message}.")
         if result.status == "interrupted":
             return INTERRUPTED
-        # a mistake that explains what is left is the cause: it is put right first
+        # a mistake that explains the residual is the cause: correct it first
         return NOT_DESCRIBED if any(one.explains for one in result.claims) else NOT_CONVERGED
     if result.undetermined_by_log:
         what = few(result.undetermined_by_log)

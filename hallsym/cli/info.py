@@ -1,4 +1,4 @@
-"""`hallsym info`: what a file holds, or what hallsym knows."""
+"""`hallsym info`: the content of a file, or the models, effects and solvers of hallsym."""
 
 import shlex
 from argparse import Namespace
@@ -55,8 +55,8 @@ def add(sub: Any) -> None:
     parser = command(
         sub, "info", run,
         "Describe a log (columns, runs, motion, noise, what is wrong with it), a saved calibration, a\n"
-        "saved curve or a campaign file. A model by name: its chain of links, parameters, offsets, effects it\n"
-        "can take. An effect by name: what it means, its numbers, the parameters it adds, what recording\n"
+        "saved curve or a campaign file. A model by name: its links, parameters, offsets and possible\n"
+        "effects. An effect by name: what it means, its numbers, the parameters it adds, what recording\n"
         "separates it from others. corrections: what --correct of fit takes. Without an argument: the\n"
         "models, effects and solvers there are.\n\n"
         "examples:\n  hallsym info campaign.parquet\n  hallsym info stage31\n  hallsym info hysteresis\n"
@@ -147,7 +147,7 @@ def _opened(options: Namespace) -> Opened:
 
 
 def _head(source: Source) -> list[Block | str]:
-    """What a file was recognised as, and its first rows under its own names, as many as fit."""
+    """The recognised form of a file, and its first rows under its own names, as many as fit."""
     rows = source.head(SHOWN_ROWS, SHOWN_COLUMNS)
     names = source.names[:SHOWN_COLUMNS]
     units = [f" [{source.units[name]}]" if name in source.units else "" for name in names]
@@ -182,7 +182,9 @@ def _write(options: Namespace) -> int:
         "rest": list(found.rest),
     }
     options.column_file = options.write
-    chosen = ["--model", found.model.name] if options.model or (found.told and not found.by_columns) else []
+    chosen = (
+        ["--model", found.model.name] if options.model or (found.recognised and not found.by_columns) else []
+    )
     command = ["hallsym", "fit", options.file, *chosen, *reading_words(options)]
     check = f"Check {options.write}"
     if found.open:
@@ -190,7 +192,7 @@ def _write(options: Namespace) -> int:
         check += f": in it the unit of {open} is open; remove the # of the right line of each"
     columns = tuple(si_name(g.ours) for g in found.guesses) + found.rest
     notes = [] if described else layout_notes(found.model.name, Meta(columns=columns))
-    if not found.told:
+    if not found.recognised:
         unknown = "nothing in the file tells what sensor it is of"
         remedy = f"say it with --model ('hallsym info' lists them), or name the columns in {options.write}"
         notes = [f"{unknown}: {remedy}."]
@@ -262,7 +264,7 @@ def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], Content]:
     runs = f" in {counted(len(log.runs), 'run')}" if len(log.runs) > 1 else ""
     answer = f"{log.name}: {counted(log.rows, 'sample')}{runs}"
     if log.meta.holdout:
-        answer += f"; held out by its meta.json: {few([*map(str, log.meta.holdout)])}"
+        answer += f"; holdout by its meta.json: {few([*map(str, log.meta.holdout)])}"
     known = log.table.source.recognised  # stands above the first rows already
     others = [f"note: {note}" for note in notes if not known or known not in note]
     answer += f"; {counted(len(others), 'remark')}" if others else "; nothing wrong was found"

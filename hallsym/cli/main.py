@@ -1,4 +1,4 @@
-"""The command line: `hallsym fit LOG --model stage31 -o calib.json`, and what belongs to it."""
+"""The command line: `hallsym fit LOG --model stage31 -o calib.json`."""
 
 import mmap
 import os
@@ -155,6 +155,6 @@ def _bug(error: Exception) -> str:
 
 
 def _silence(stream: TextIO) -> None:
-    """Let the rest of what is printed go nowhere, so that nothing is raised when the interpreter ends."""
+    """Discard further output, so that nothing is raised when the interpreter ends."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

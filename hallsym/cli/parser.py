@@ -1,4 +1,4 @@
-"""The parser of the command line: what is misspelt is named with the nearest word there is."""
+"""The parser of the command line, which suggests the nearest word for a misspelt one."""
 
 import argparse
 import re

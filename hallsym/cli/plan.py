@@ -27,7 +27,7 @@ def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = common.command(
         sub, "plan", run,
-        "Choose vertical settings and trajectories that tell most about the parameters, from the ranges,\n"
+        "Choose vertical settings and trajectories with most information about parameters, from the ranges,\n"
         "frequencies and time that you state, and write them as a campaign file that a lab can follow and\n"
         "'hallsym simulate' runs.",
         "examples:\n"
@@ -73,7 +73,7 @@ def run(options: Namespace) -> int:
         known = load_fit(options.values) if options.values else None
         log = common.open_log(options, machine, known, options.after)
     show("finding values")
-    model, values, told = _truth(options, machine, log)
+    model, values, known_by = _truth(options, machine, log)
     noise, source = _noise(options, ranges, model, values, log)
     show("choosing runs")
     found = plan(
@@ -86,7 +86,7 @@ def run(options: Namespace) -> int:
         f"the settings ({settings}) are best for {model.name} as it is: record a few runs elsewhere too, and "
         "hold them out of the fit, to see whether the model is right between them."
     )
-    notes = [told, source, advice]
+    notes = [known_by, source, advice]
     written = [options.output] if options.output else []
     if options.output:
         groups = [f"{n} x {setting}; {trajectory}" for n, setting, trajectory in found.groups()]

@@ -15,7 +15,7 @@ EVERY_S = 5.0
 REDRAWN_S = 0.1
 """Seconds between two drawings of the line on a terminal."""
 SURE = 0.02
-"""Share of the work from which on the time that it took tells how much is left."""
+"""Share of the work above which the time that it took tells how much is left."""
 LEAST_S = 1.0
 """Time that work takes at least before it is said how long it took."""
 
@@ -23,7 +23,7 @@ _SHOWN: list["Meter"] = []
 
 
 class Meter:
-    """Shows what is done now, and how long it will take or has taken; `end` takes the line away."""
+    """Shows the current step, and the time that remains or passed; `end` removes the line."""
 
     def __init__(self, stream: TextIO | None = None, now: Callable[[], float] = monotonic) -> None:
         """Begin the clock; `stream` is stderr by default."""

@@ -25,10 +25,10 @@ def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = common.command(
         sub, "sensitivity", run,
-        "Say per parameter what the data determine: value, standard uncertainty, 95 % interval, strongest\n"
-        "correlations, what it does to the decoded pose, and a verdict: determined, weak, at bound, not\n"
-        "determined (and what is instead), no effect. Null directions are named, those that no recording\n"
-        "determines apart from those that this one leaves. With --plan: the same before any recording.",
+        "State for each parameter: value, standard uncertainty, 95 % interval, strongest correlations,\n"
+        "effect on the decoded pose, and a verdict: determined, weak, at bound, not determined (and which\n"
+        "combinations are), no effect. Null directions are listed, structural ones and those of this\n"
+        "recording. With --plan: the same before any recording.",
         "examples:\n"
         "  hallsym sensitivity calib.json LOG --plots pictures\n"
         "  hallsym sensitivity --model stage31 --plan                  the paper's campaign, before data\n"

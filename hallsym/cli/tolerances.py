@@ -1,4 +1,4 @@
-"""`hallsym tolerances`: which tolerance of a machine is worth money, and what known deviations make."""
+"""`hallsym tolerances`: which tolerance of a machine to tighten, and errors by known deviations."""
 
 from argparse import Namespace
 from typing import Any
@@ -21,7 +21,7 @@ def add(sub: Any) -> None:
     parser = common.command(
         sub, "tolerances", run,
         "Draw machines with every parameter in its tolerance, read them with the nominal decoder, and say\n"
-        "how much of the error each tolerance makes: fall of the rms error if it is exact, Sobol\n"
+        "how much of the error each tolerance causes: decrease of the rms error if it is exact, Sobol\n"
         "indices with 95 % intervals. With --along, one machine with known deviations along a coordinate:\n"
         "the error by cause, each effect alone, then all together.",
         "examples:\n"

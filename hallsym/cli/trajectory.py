@@ -81,7 +81,7 @@ def run(options: Namespace) -> int:
 
 
 def _check(options: Namespace) -> None:
-    """Refuse what does not go together, before anything is computed."""
+    """Refuse incompatible options before anything is computed."""
     if (options.points_file is None) == (options.curve is None):
         raise InputError("Give either a file of POINTS or the nominal --curve.")
     for name in ("range", "value", "points"):
@@ -114,7 +114,7 @@ def _saved(options: Namespace) -> int:
 
 
 def about_curve(curve: trajectory.Curve) -> tuple[dict[str, Any], str]:
-    """Return what a saved curve is, as a record and in words."""
+    """Return the description of a saved curve, as a record and in words."""
     record = {
         "method": curve.method,
         "control_points": curve.control_points,
@@ -129,7 +129,7 @@ def about_curve(curve: trajectory.Curve) -> tuple[dict[str, Any], str]:
 
 
 def _choice(options: Namespace) -> tuple[trajectory.Choice, list[str]]:
-    """Return the curve that is chosen, and what has to be said about the file of points."""
+    """Return the curve that is chosen, and notes on the file of points."""
     data: trajectory.Nominal | trajectory.Points
     if options.curve:
         pairs = [read_value(text) for text in options.value]
@@ -159,7 +159,7 @@ def _write(curve: trajectory.Curve, options: Namespace) -> list[Path]:
 
 
 def _made(curve: trajectory.Curve, path: Path, options: Namespace) -> Callable[[], object]:
-    """Make one output, as its suffix says; returns what writes it."""
+    """Make one output by its suffix; returns a function that writes it."""
     kind = path.suffix.lower()
     if kind == ".json":
         return partial(curve.save, path)

@@ -309,7 +309,7 @@ class Backend(ABC):
 
     @property
     def pad(self) -> int:
-        """Bytes between the CRC of the offsets and the offsets, which begin at a multiple of their own size."""
+        """Bytes between the CRC of the offsets and the offsets, which are aligned to their own size."""
         return 0
 
     @property

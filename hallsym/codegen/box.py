@@ -25,13 +25,13 @@ def box_of(
     model = fit.model
     columns = (*model.pose, *model.state, *model.channels)
     ends: dict[str, tuple[float, float]] = {}
-    alike = _alike((*model.channels, *model.state), entries)
+    one_limit = _one_limit((*model.channels, *model.state), entries)
     span = fit.log.span
     for column, reference in zip((*model.pose, *model.state), (*model.references, *model.state), strict=True):
         if column in model.period and reference not in model.absolute:  # what repeats is known all round
             ends[column] = (-model.period[column], model.period[column])
         elif reference in span:
-            ends[column] = _rounded(column, *_recorded(reference, *span[reference]), alike.get(column))
+            ends[column] = _rounded(column, *_recorded(reference, *span[reference]), one_limit.get(column))
     for column, (low, high) in (given or {}).items():
         require(column in columns, "A range", f"that of one of {', '.join(columns)}", column, columns)
         if not (np.isfinite([low, high]).all() and low < high):
@@ -44,14 +44,14 @@ def box_of(
             )
         ends[column] = (float(low), float(high))
         if low != -high:  # what is asked for is not cut
-            alike.pop(column, None)
+            one_limit.pop(column, None)
     for column in (*model.pose, *model.state):
         if column not in ends:
             raise InputError(
                 f"The calibration does not say over which {column} it was recorded (it was saved by an older "
                 f"hallsym); fit the log again, or give --range {column}=LOW:HIGH."
             )
-    return Box(ends, alike)
+    return Box(ends, one_limit)
 
 
 def shortened(fit: Fit, box: Box) -> list[str]:
@@ -69,7 +69,7 @@ def shortened(fit: Fit, box: Box) -> list[str]:
     return out
 
 
-def _alike(columns: Sequence[str], entries: Collection[str]) -> dict[str, bool]:
+def _one_limit(columns: Sequence[str], entries: Collection[str]) -> dict[str, bool]:
     """Return whether a table has one limit for both ends of a column, where it has any."""
     found = {}
     for column in columns:
@@ -89,16 +89,16 @@ def _recorded(column: str, low: float, high: float) -> tuple[float, float]:
     return low, high
 
 
-def _rounded(column: str, low: float, high: float, alike: bool | None) -> tuple[float, float]:
+def _rounded(column: str, low: float, high: float, one_limit: bool | None) -> tuple[float, float]:
     """Recorded ends to three digits; as one limit if nearly symmetric, or if code that is there has one."""
     low, high = float(f"{low:.3g}"), float(f"{high:.3g}")
     around = low < 0 < high
-    if alike and not around:
+    if one_limit and not around:
         raise InputError(
             f"{column} was recorded from {low:g} to {high:g}, without zero, and the code that is there has "
             "one limit for both ends; generate the folder again with --force."
         )
-    if alike or (alike is None and around and min(-low, high) >= NEARLY * max(-low, high)):
+    if one_limit or (one_limit is None and around and min(-low, high) >= NEARLY * max(-low, high)):
         return -min(-low, high), min(-low, high)
     if low == high:  # a column that never moved: some room for its noise
         room = max(abs(low) * 1e-3, 1e-9)

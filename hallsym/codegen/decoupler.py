@@ -481,7 +481,7 @@ OPERATIONS: Mapping[str, Callable[..., np.ndarray]] = {
 
 
 def steps_on_arrays(d: Decoupler, real: type = float) -> Callable[..., list[np.ndarray]]:
-    """Return `run(inputs, coefficients and offsets)`: pose (n_pose, s), what flags look at, if any, and what is
+    """Return `run(inputs, coefficients + offsets)`: pose (n_pose, s), what flags look at, if any, and what is
     left of each reading that is watched, if any.
 
     `inputs` (n_inputs, s) and the constants (n,) or (n, 1) are of the type `real`.

@@ -187,7 +187,7 @@ class FloatBackend(Backend):
         return {c: (1 - 2.0**-7) * d.known(c) if c in d.model.period else 2.0**-12 for c in d.pose}
 
     def hashed_step(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Half of the samples have no offsets, a quarter each those of a reset at one end and at the other."""
+        """Half of the samples have no offsets, a quarter those of a reset at either end."""
         kind = backend.mix(np.asarray(numbers, dtype=np.uint32) ^ np.uint32(0x85EBCA6B)) & np.uint32(3)
         sign: np.ndarray = np.select([kind == 2, kind == 3], [1, -1], 0).astype(self.real.dtype)
         offsets = np.array([self.real.dtype(self.reset[c]) * sign for c in self.decoupler.pose])

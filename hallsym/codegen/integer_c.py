@@ -385,8 +385,8 @@ class Compiler:
         for entry in d.table:
             if entry.name in least:  # in the exponent of the step that it is compared with
                 continue
-            alike = max(abs(o.value) for o in d.table if o.unit == entry.unit)
-            most = alike if abs(entry.value) * LIKE >= alike else alike / LIKE
+            largest = max(abs(o.value) for o in d.table if o.unit == entry.unit)
+            most = largest if abs(entry.value) * LIKE >= largest else largest / LIKE
             known[entry.name] = self._constant(entry.name, entry.value, self._exponent(-most, most))
         for entry in d.offsets:
             known[entry.name] = Fixed(entry.name, 0, 0.0, 0.0)

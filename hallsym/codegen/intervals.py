@@ -121,8 +121,8 @@ def _extreme(operation: Operation, operations: Sequence[Operation]) -> tuple[str
 def _same(a: int, b: int, operations: Sequence[Operation]) -> bool:
     """Whether two operations are the same expression."""
     x, y = operations[a], operations[b]
-    alike = (x.op, x.symbol, x.value, len(x.args)) == (y.op, y.symbol, y.value, len(y.args))
-    return a == b or (alike and all(_same(k, j, operations) for k, j in zip(x.args, y.args, strict=True)))
+    same_node = (x.op, x.symbol, x.value, len(x.args)) == (y.op, y.symbol, y.value, len(y.args))
+    return a == b or (same_node and all(_same(k, j, operations) for k, j in zip(x.args, y.args, strict=True)))
 
 
 def _enclosed(op: str, args: list[Enclosure], digits: int | None) -> Enclosure:

@@ -153,7 +153,7 @@ class Followed:
     column: str
     speeds: tuple[float, ...]
     """Upper end of each range [unit/s]."""
-    held: tuple[float, ...]
+    last: tuple[float, ...]
     predicted: tuple[float, ...]
 
 
@@ -188,8 +188,8 @@ def observer_of(
     said = [
         f"{one.column} predicted {1e3 * time:.3g} ms ahead is off, rms, by {one.predicted[-1]:.2g} "
         f"{unit(one.column)} at up to {one.speeds[-1]:.2g} {unit(one.column)}/s, and by "
-        f"{one.predicted[0]:.2g} at up to {one.speeds[0]:.2g}; the last pose held by {one.held[-1]:.2g} and "
-        f"{one.held[0]:.2g}, of the log with the noise of its reference."
+        f"{one.predicted[0]:.2g} at up to {one.speeds[0]:.2g}; the last pose held by {one.last[-1]:.2g} and "
+        f"{one.last[0]:.2g}, of the log with the noise of its reference."
         for one in followed(fit, log_, best, time)
     ]
     about = (
@@ -205,12 +205,12 @@ def followed(fit: Fit, log_: Log, observer: Observer, ahead: float | None = None
     step = observer.period_s if ahead is None else ahead
     found = [_errors(fit, run, [observer], step) for run in _runs(fit, log_)]
     speed = np.hstack([f[0][:, f[3][0]] for f in found])
-    held = np.hstack([f[1][:, f[3][0]] for f in found])
+    last = np.hstack([f[1][:, f[3][0]] for f in found])
     predicted = np.hstack([f[2][:, 0, f[3][0]] for f in found])
     out = []
     for k, c in enumerate(fit.model.pose):
         order = np.array_split(np.argsort(np.abs(speed[k])), SPEEDS)
-        rms = [[float(np.sqrt(np.mean(e[k, i] ** 2))) for i in order] for e in (held, predicted)]
+        rms = [[float(np.sqrt(np.mean(e[k, i] ** 2))) for i in order] for e in (last, predicted)]
         ends = tuple(float(np.abs(speed[k, i]).max()) for i in order)
         out.append(Followed(c, ends, tuple(rms[0]), tuple(rms[1])))
     return tuple(out)

@@ -413,14 +413,14 @@ class _Judgement:
                 f"Without its suspect the {d.quantity} is off by at most {_listed(found.without)}; "
                 "out->suspect is the number of that reading, from 1."
             )
-        alike = [w for w, known in zip(d.watched, self.isolable, strict=True) if not known]
-        if any(w.error for w in alike):
+        ambiguous = [w for w, known in zip(d.watched, self.isolable, strict=True) if not known]
+        if any(w.error for w in ambiguous):
             out.append(
                 "Which readings count changes from place to place, so a suspect is named, and nothing is "
                 "decoded without it."
             )
-        elif alike:
-            names = ["; ".join(", ".join(d.model.channels[i] for i in w.readings) for w in alike)]
+        elif ambiguous:
+            names = ["; ".join(", ".join(d.model.channels[i] for i in w.readings) for w in ambiguous)]
             out.append(
                 f"A fault cannot be told from one of another reading, and nothing is decoded without it, of: "
                 f"{names[0]}."

@@ -1,4 +1,4 @@
-"""Where the gap between model and machine lies, which effect makes it, and how far it shrinks.
+"""Where the gap between model and machine lies, which effect causes it, and how far it shrinks.
 
 >>> import hallsym
 >>> from hallsym.diagnosis import diagnose

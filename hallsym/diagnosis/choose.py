@@ -1,4 +1,4 @@
-"""Effects by name alone: what a log says of their numbers (a width, an instant, a frequency, a rail)."""
+"""Effects by name alone: their numbers (a width, an instant, a frequency, a rail) are found from a log."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -25,10 +25,10 @@ def model_on(
     drop_bad: bool = False,
     on_progress: Callable[[str], None] | None = None,
 ) -> Model:
-    """Return `model` with effects in the order given; numbers that are left open are those `log` shows.
+    """Return `model` with effects in the order given; open numbers are estimated from `log`.
 
-    Arguments as for `fit`. A number that is left open is found as a diagnosis finds it: by scores on the runs
-    that are not held out, the model so far fitted to them.
+    Arguments as for `fit`. An open number is found as a diagnosis finds it: by scores on the runs
+    outside the holdout, the model so far fitted to them.
 
     Raises `InputError` for an effect that the log does not show at all, such as hum without a line.
     """
@@ -49,7 +49,7 @@ def model_on(
 
 
 def _shown(setup: Setup, effect: Effect) -> Model:
-    """The model of a fit with one effect, in the form that its residual shows best."""
+    """The model of a fit with one effect, in the variant that explains most of its residual."""
     base, runs = setup.base, setup.runs
     seen = survey(base, runs)
     facts = facts_of(base, seen)
@@ -58,7 +58,7 @@ def _shown(setup: Setup, effect: Effect) -> Model:
     screen.weigh(seen.autocorrelation, louder=seen.fast)
     exact = refitted(base, screen, runs, lambda s: s.p_value < setup.policy.certain)
     if not exact:
-        reason = trouble.get(effect.name, "nothing in what the model leaves looks like it")
+        reason = trouble.get(effect.name, "nothing in the residual looks like it")
         raise InputError(
             f"Effect {effect.name} cannot be found in {setup.log.name}: {reason}; give its numbers as "
             f"{effect.name}:{effect.lacking(effect.name)[0]}=..., or leave it out."

@@ -1,15 +1,15 @@
-"""Curves of a residual over what it may depend on: fitted, left out run by run, and tested against chance.
+"""Curves of a residual over coordinates: fitted, cross-validated run by run, and tested.
 
 Coordinates are states, readings, motion, time, places on an axis or within its period. Per sensor the
 residual may have an offset and a gain that follow the coordinate smoothly: linear interpolation between
-knots, bending penalised. What a curve explains is counted on runs that it was not fitted on, so that it
-cannot exceed what is there. Its significance rests on signs (`p_values`): without the effect the blocks'
-products with the curve are as often positive as negative, whatever the noise within a block. Blocks count
-alike, however large their residual. Products of a block with itself and with its neighbour in the same run
-are left out, so that correlation in time does not count.
+knots with a penalty on curvature. The explained part is measured on runs that the curve was not fitted to, so
+it cannot be too large. Significance comes from sign flips (`p_values`): without the effect the products of
+blocks with the curve are as often positive as negative, whatever the noise within a block. All blocks have
+the same weight, however large their residual. Products of a block with itself and with its neighbour in the
+same run are left out, so that autocorrelation does not count.
 
-What a curve, or a gain of every run, predicts on runs (or stretches) that it was not fitted on is lack of
-fit, whatever the noise floor is said to be.
+The part of the residual that a curve, or a gain of every run, predicts on runs (or stretches) that it was not
+fitted to is lack of fit, whatever the stated noise floor.
 """
 
 from collections.abc import Iterable, Iterator
@@ -39,7 +39,7 @@ from hallsym.log.core import edges_of
 from hallsym.units import readable
 
 RIDGE = 1e-3
-"""Pull of coefficients towards 0, over the squares of their column: what no group determines stays 0."""
+"""Ridge over the squares of a column: coefficients that no group determines stay 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ def regression(
 
 
 def lengths(gram: np.ndarray) -> np.ndarray:
-    """Return the lengths (n,) of columns, to scale them by; what never moves has no coefficient."""
+    """Return the lengths (n,) of columns, to scale them by; infinite for a column that never moves."""
     length = np.sqrt(np.maximum(np.diag(gram), 0.0))  # differences of sums may round below 0
     return np.maximum(length, NIL * max(length.max(initial=0.0), 1e-140))
 
@@ -86,7 +86,7 @@ def ridge(gram: np.ndarray) -> np.ndarray:
 
 
 def others(parts: np.ndarray) -> np.ndarray:
-    """Sum of all parts but one, for each; a difference to the total would leave rounding where nothing is."""
+    """Sum of all parts but one, for each; the total less one part would leave rounding in place of 0."""
     if len(parts) < 2:
         return parts[:0]
     out = np.zeros_like(parts)
@@ -97,7 +97,7 @@ def others(parts: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Coordinate:
-    """What a residual may depend on: its `name`, the `column` behind it, the unit of that.
+    """A coordinate that a residual may depend on: its `name`, its `column` and the unit of that.
 
     `gain`: it may also change the gain. `own`: every sensor has its own, from `sensed` or `rate`. `fine`: the
     residual may have fine structure over it. `of`: several columns that together are the coordinate, and
@@ -134,10 +134,10 @@ class Coordinate:
 
 
 def coordinates(r: ResidualTable) -> tuple[Coordinate, ...]:
-    """Return what a residual may depend on, from the most telling to the least.
+    """Return the coordinates that a residual may depend on, in the order of preference.
 
     Of two that explain the same the first is named. Where all references are periodic, their place within the
-    period says all that the readings and the pose could say.
+    period stands for readings and pose.
     """
     model = r.base.model
     words, references = model.family.words, model.references
@@ -215,24 +215,24 @@ def hats(x: np.ndarray, at: np.ndarray) -> np.ndarray:
 BENDS = (0.01, 0.3, 10.0)
 """Weights of the bending penalty against the data that are tried, from free knots to nearly a straight line.
 
-The curve that predicts runs left out best is taken: a free one runs wild beyond its runs, a stiff one follows
-no bend."""
+The penalty with the smallest cross-validated error is taken: a free curve overfits, a stiff one has no
+bend."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
     """How a residual follows the coordinate that it was fitted `over`.
 
-    `beta`: (K, features) offsets at the m places `over.at`, then gains, if any: the residual is offset +
-    gain * sensed / scale [m]. `left`: (folds, K, features) the same with runs left out in turn, `foreseen`:
-    (K, n) what that predicts of them, `explained`: whitened squares that this removes. `statistic`: (draws,)
-    with random signs, that of the log first.
+    `beta`: (K, features) offsets at the m places `over.at`, then gains, if any: the residual is offset + gain
+    * sensed / scale [m]. `left`: (folds, K, features) the same with runs left out in turn, `cross_validated`:
+    (K, n) its cross-validated prediction, `explained`: whitened squares that this removes. `statistic`:
+    (draws,) with random signs, that of the log first.
     """
 
     over: "Smooth | FineMap"
     beta: np.ndarray
     left: np.ndarray
-    foreseen: np.ndarray
+    cross_validated: np.ndarray
     explained: float
     statistic: np.ndarray
 
@@ -243,7 +243,7 @@ class Curve:
 
     @property
     def coordinate(self) -> Coordinate:
-        """What the residual follows."""
+        """The coordinate."""
         return self.over.coordinate
 
     @property
@@ -275,7 +275,7 @@ class Curve:
 
 
 class Smooth:
-    """Smooth curves over one coordinate: what does not depend on the residual is computed once.
+    """Smooth curves over one coordinate; everything independent of the residual is computed once.
 
     `at`: places at which there is an offset. `scale`: of the expected reading, by which gains are stated.
     """
@@ -320,7 +320,7 @@ class Smooth:
         return np.asarray((coefficients[:, None] @ phi)[:, 0])
 
     def curve(self, residual: np.ndarray) -> Curve:
-        """Return the curve of a residual (K, n): the bending penalty that predicts runs left out best."""
+        """Return the curve of a residual (K, n), with the penalty of the smallest cross-validated error."""
         fits = self._fits(residual)
         z = np.max([f.statistic for f in fits], axis=0)
         return replace(max(fits, key=lambda f: f.explained), statistic=z)
@@ -345,18 +345,18 @@ class Smooth:
             left = np.stack([fit.left_out for fit in each], axis=1)
             beta = np.array([fit.all for fit in each])
             parts = zip(left, self.folds, strict=True)
-            foreseen = np.hstack([(own[:, None] @ self.phi[:, :, s])[:, 0] for own, s in parts])
-            explained = float((foreseen * (r.precision @ (2 * residual - foreseen))).sum())
+            predicted = np.hstack([(own[:, None] @ self.phi[:, :, s])[:, 0] for own, s in parts])
+            explained = float((predicted * (r.precision @ (2 * residual - predicted))).sum())
             statistic = of_products(q, r.run_of(r.block), r.base.policy)
-            out.append(Curve(self, beta, left, foreseen, explained, statistic))
+            out.append(Curve(self, beta, left, predicted, explained, statistic))
         return out
 
 
 class FineMap:
-    """Offsets in many narrow bins of a coordinate, each drawn towards 0 by what its samples can tell.
+    """Offsets in many narrow bins of a coordinate, each shrunk towards 0 by its precision.
 
-    No bin is narrower than 8 sigma of what places it, which is in the residual. There are up to 96: with
-    twice as many a ripple is predicted no better on runs left out.
+    No bin is narrower than 8 sigma of the coordinate's noise, which is in the residual. There are up to 96:
+    twice as many predict a ripple no better on runs left out.
     """
 
     scale = 1.0
@@ -389,8 +389,8 @@ class FineMap:
         of_blocks *= level_weights(r, residual, r.block)[:, None, None]
         scores = (of_blocks * np.sqrt(weight / (N + self.prior))).reshape(len(of_blocks), -1)
         z = of_products(scores @ scores.T, r.run_of(r.block), r.base.policy)
-        foreseen = left[_index(r.fold), np.arange(len(residual))[:, None], self.bin]
-        return Curve(self, S / (N + self.prior), left, foreseen, explained, z)
+        predicted = left[_index(r.fold), np.arange(len(residual))[:, None], self.bin]
+        return Curve(self, S / (N + self.prior), left, predicted, explained, z)
 
     def _bin(self, x: np.ndarray, r: ResidualTable) -> np.ndarray:
         return np.clip(((_by_sensor(x, r) - self.low) / self.width).astype(int), 0, self.bins - 1)
@@ -404,7 +404,7 @@ class FineMap:
 
 
 def over(r: ResidualTable, c: Coordinate) -> Iterator[Smooth | FineMap]:
-    """Yield what fits a residual over a coordinate: nothing where that does not vary."""
+    """Yield the fitters of a residual over a coordinate: none where that does not vary."""
     values = c.values(r)
     if values is not None:
         yield Smooth(r, c, values)
@@ -413,7 +413,7 @@ def over(r: ResidualTable, c: Coordinate) -> Iterator[Smooth | FineMap]:
 
 
 def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Return what a gain of its own in every run explains, its statistic (draws,), what it foresees (K, n).
+    """Return the squares that a gain for each run explains, its statistic (draws,) and prediction (K, n).
 
     Each stretch of a run is predicted by the other stretches of the same run. The first draw is the log.
     """
@@ -421,7 +421,7 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray
     cross = sums(r.sensed * (r.precision @ residual), r.part).T
     gram = np.array([r.sensed[:, s] @ r.sensed[:, s].T * r.precision for s in parts])
     run = r.run[edges_of(r.part)[:-1]]
-    explained, total, variance, third, foreseen = 0.0, 0.0, 0.0, 0.0, np.zeros_like(residual)
+    explained, total, variance, third, predicted = 0.0, 0.0, 0.0, 0.0, np.zeros_like(residual)
     signs = drawn(len(parts))
     even = level_weights(r, residual, r.part)[:, None] * cross
     for number in np.unique(run):
@@ -432,19 +432,19 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray
         found = regression(gram[at], cross[at], penalty)
         explained += float(found.squares.sum())
         for k, gain in zip(at, found.left_out, strict=True):
-            foreseen[:, parts[k]] = gain[:, None] * r.sensed[:, parts[k]]
+            predicted[:, parts[k]] = gain[:, None] * r.sensed[:, parts[k]]
         q = even[at] @ np.linalg.solve(gram[at].sum(axis=0) + penalty, even[at].T)
         q[np.abs(np.subtract.outer(at, at)) <= 1] = 0.0
         total = total + ((signs[:, at] @ q) * signs[:, at]).sum(axis=1)
         variance, third = (a + b for a, b in zip((variance, third), moments(q), strict=True))
     enough = len(parts) >= r.base.policy.fewest
-    return explained, of_sums(total + np.zeros(len(signs)), variance, third, enough=enough), foreseen
+    return explained, of_sums(total + np.zeros(len(signs)), variance, third, enough=enough), predicted
 
 
 def level_weights(r: ResidualTable, residual: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Return 1 / rms of the whitened residual in each group: a few wild blocks do not decide on their own.
+    """Return 1 / rms of the whitened residual in each group, so that a few large blocks do not decide alone.
 
-    It is 0 for a group that is fitted exactly, such as a single knot with a zero of its own.
+    It is 0 for a group that is fitted exactly, such as a single knot with an offset.
     """
     size = means(r.whitened_squares(residual), group)
     some = size > NIL * size.mean()
@@ -476,9 +476,9 @@ def _penalty(size: np.ndarray, m: int, bend: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Shape:
-    """How far a family of curves lowers the gap metric of runs it was not fitted on, and its p-value.
+    """Cross-validated decrease of the gap metric by a family of curves, and its p-value.
 
-    `name`: of the coordinate that the residual may depend on.
+    `name`: of the coordinate.
     """
 
     name: str
@@ -494,28 +494,28 @@ class LackOfFit:
     tones: float = 0.0
 
     def best(self, level: float) -> Shape | None:
-        """Return the family that explains most and is no chance (level corrected for all tried)."""
+        """Return the significant family that explains most (level corrected for all tried)."""
         tried = max(len(self.shapes), 1)
         return next((s for s in self.shapes if s.p_value * tried < level and s.drop > 0), None)
 
 
 @found_once
 def lack_of_fit(base: Base, runs: frozenset[int]) -> LackOfFit:
-    """Hold the families of curves against what `base` leaves on `runs`."""
+    """Test the families of curves on the residual of `base` on `runs`."""
     r = residual_table(base, runs)
     if r is None:
         return LackOfFit(())
     whole = max(r.metric(r.residual), 1e-300)
 
-    def shape(name: str, foreseen: np.ndarray, p: float) -> Shape:
-        return Shape(name, 1 - r.metric(r.residual - foreseen) / whole, p)
+    def shape(name: str, predicted: np.ndarray, p: float) -> Shape:
+        return Shape(name, 1 - r.metric(r.residual - predicted) / whole, p)
 
-    _, z, foreseen = run_gains(r, r.residual)
-    shapes = [shape("gain of its own", foreseen, float((z >= z[0]).mean()))]
+    _, z, predicted = run_gains(r, r.residual)
+    shapes = [shape("gain of its own", predicted, float((z >= z[0]).mean()))]
     for c in coordinates(r):
         for each in over(r, c):
             curve = each.curve(r.residual)
-            shapes.append(shape(c.name, curve.foreseen, curve.p_value))
+            shapes.append(shape(c.name, curve.cross_validated, curve.p_value))
     return LackOfFit(tuple(sorted(shapes, key=lambda s: -s.drop)), tones(base, runs))
 
 
@@ -523,8 +523,8 @@ def lack_of_fit(base: Base, runs: frozenset[int]) -> LackOfFit:
 
 
 LOBE = 4
-"""Frequencies that a line takes in a spectrum with Hann's window, the width of its main lobe: so many at the
-slow end are drift, and a median over four lobes is what lies between lines."""
+"""Frequencies in the main lobe of a line in a spectrum with Hann's window: so many at the slow end are drift,
+and a median over four lobes is the level between lines."""
 
 
 def tones(base: Base, runs: Iterable[int]) -> float:
@@ -556,9 +556,9 @@ def tones(base: Base, runs: Iterable[int]) -> float:
 def _steady(run: np.ndarray, power: np.ndarray, certain: np.ndarray, policy: Policy) -> bool:
     """Return whether lines have the same power (segments, frequencies) all through a run, unlike noise.
 
-    Of few segments some noise is steady by chance, so no more of the other frequencies may be as steady than
-    a false alarm has; of many, all noise is nearly as steady, so the line must be by a good part more. Runs
-    of one segment are held against each other.
+    With few segments some noise is steady by chance, so no more of the other frequencies may be as steady
+    than the false-alarm rate allows; with many, all noise is nearly as steady, so the line must be clearly
+    more so. Runs of one segment are compared with each other.
     """
     _, index, count = np.unique(run, return_inverse=True, return_counts=True)
     alone = count[index] == 1

@@ -1,4 +1,4 @@
-"""Decoded errors: of a version of a model on some samples, and as waves per period."""
+"""Decoded errors of a model on some samples, and their waves per period."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -47,7 +47,7 @@ def errors_of(base: Base) -> Callable[[Block], np.ndarray]:
 
 
 def decoded_errors(base: Base, runs: Iterable[int], keep: Weigh | None = None) -> DecodedErrors:
-    """Decode the samples of some runs that `keep` does not leave out, and return their errors."""
+    """Return the decoded errors of some runs, without samples that `keep` leaves out."""
     (found,) = error_tables(
         base.log, base.model, [(base.p, base.offsets)], np.diag(base.covariance), keep,
         sigma=base.sigma, among=frozenset(runs),
@@ -58,19 +58,19 @@ def decoded_errors(base: Base, runs: Iterable[int], keep: Weigh | None = None) -
 
 
 FIRST = 12
-"""Waves per period up to which all are looked at, beside those that an effect is known by.
+"""Largest order of the waves per period that are fitted, beside those that effects declare.
 
-A log covers a period if samples lie in each half of the shortest of them."""
+A log covers a period if samples lie in each half of the shortest wave."""
 
 
 def waves(model: Base, after: Base | None) -> tuple[Waves, ...]:
     """Return the waves of the error of each periodic coordinate; none for a pose that has no such coordinate.
 
-    `model`, `after`: without and with what was found.
+    `model`, `after`: without and with the found effects.
     """
     pose, known = model.model.pose, model.model.family.waves
-    alike = np.diag(nominal_variance(model.model, np.diag(model.covariance)))
-    plain = replace(model, p=designed(model.model, model.p), covariance=alike)
+    plain_covariance = np.diag(nominal_variance(model.model, np.diag(model.covariance)))
+    plain = replace(model, p=designed(model.model, model.p), covariance=plain_covariance)
     bases = [base for base in (plain, model, after) if base is not None]
     orders = [n for n in sorted({*range(1, FIRST + 1), *known}) if 2 * n <= model.log.rows]
     periodic = [k for k, c in enumerate(pose) if c in model.model.period]

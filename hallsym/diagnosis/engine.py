@@ -1,13 +1,13 @@
-"""`diagnose`: where the gap is, which effect makes it, and how far it shrinks once that effect is added.
+"""`diagnose`: where the gap is, which effect causes it, and how far it shrinks with that effect.
 
-The stages lead one way, each from typed records to a typed record:
+Each stage takes typed records and returns one:
 
     prepare    the model fitted on the fit runs                                   -> Setup
     select     screening by scores, greedy search with exact refits               -> Selection
     validate   the selected effects on the holdout runs, faults of samples        -> Validation
-    decide     the noise that is left, the verdict                                -> Verdict
-    confusable effects the log cannot tell apart, recordings that separate them   -> Confusable
-    report     everything of these                                                -> Diagnosis
+    decide     the residual noise, the verdict                                    -> Verdict
+    confusable effects that are confusable, recordings that separate them         -> Confusable
+    report     all of these                                                       -> Diagnosis
 """
 
 from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ from hallsym.model import Effect, Model
 
 @dataclass(frozen=True, eq=False)
 class Examined:
-    """A diagnosis with what it rests on: the `fit` that was diagnosed, the model `before` and `after`.
+    """A diagnosis with the `fit` that was diagnosed and the models `before` and `after`.
 
     `after` holds the effects that were found; it is None where the verdict names none.
     """
@@ -59,7 +59,7 @@ def diagnose(
     `model`: a name, a Model, or a Fit whose model is taken; the log's own base model by default. `holdout`:
     runs to judge on; the log's own, else every fifth. `effects`: the user's own, beside the catalogue.
     `threshold`: relative decrease of the gap metric that counts; the log's own, else 5 %. `budget`: seconds
-    after which the search ends with what it knows, which a note says. `policy`: all other thresholds.
+    after which the search ends with the result so far and a note. `policy`: all other thresholds.
 
     Raises `InputError` for a log that the model cannot have produced or with too few runs to hold any out.
     """
@@ -85,16 +85,16 @@ def examine(setup: Setup) -> Examined:
     verdict = decide(setup, found, noise)
     named = findings(setup, found)
     quiet = verdict in QUIET
-    alike = Confusable((), (), ()) if quiet else confusable(setup, found, named, verdict)
-    diagnosis = report(setup, selection, found, named, verdict, alike, noise)
+    confused = Confusable((), (), ()) if quiet else confusable(setup, found, named, verdict)
+    diagnosis = report(setup, selection, found, named, verdict, confused, noise)
     return Examined(diagnosis, setup.fit, setup.base, found.base if diagnosis.effects else None)
 
 
 def without_events(setup: Setup, base: Base) -> Setup:
     """Return the setup with holdout runs that step at `base` moved to the fitted ones.
 
-    An offset that changes within a run is known from that run alone. The nearest other run judges in its
-    place, the later one of two: a step is seen after it.
+    An offset that changes within a run is known from that run alone. The nearest other run takes its place,
+    the later one of two, since a step shows after it.
     """
     tables = (residual_table(base, frozenset(runs)) for runs in (setup.runs, setup.holdout))
     stepped = {s.run for s in change_points(*(t for t in tables if t)) if s.p_value < setup.policy.certain}

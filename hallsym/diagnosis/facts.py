@@ -1,8 +1,8 @@
-"""What effects may know of a log before they are tried: length, columns, rails, hum, steps.
+"""Facts of a log that effects may use before they are tried: length, columns, rails, hum, steps.
 
-A reading jumps once, as a mount that slips makes it, within a run or between runs. A step within one run
-(`change_points`) is held against the largest step that each other run seems to have, for random signs of the
-runs say nothing of it: noise of any memory makes such steps in every run, of much the same size.
+A reading jumps once, as when a mount slips, within a run or between runs. A step within one run
+(`change_points`) is compared with the largest apparent step of each other run, since sign flips have no power
+there: noise of any autocorrelation makes such steps in every run, of much the same size.
 """
 
 from collections.abc import Collection
@@ -29,8 +29,7 @@ from hallsym.model import Facts, Model
 class ChangePoint:
     """The largest step within a run: channel, instant [s since the log began] and size [its unit].
 
-    `p_value`: that noise makes as large a step in any of the runs. `squares`: whitened squares that it takes
-    off the residual.
+    `p_value`: of a step as large in any of the runs. `squares`: whitened squares that it explains.
     """
 
     run: int
@@ -45,7 +44,7 @@ def change_points(*tables: ResidualTable) -> tuple[ChangePoint, ...]:
     """Return the largest step of each run that is long enough, with p-values; none of too few runs.
 
     Offset and sensitivity step together, as those of a probe that moves do; the run has both of its own.
-    `tables`: the residual on fitted and on held-out runs, each of which may step.
+    `tables`: the residual on fitted and on holdout runs, each of which may step.
     """
     found, levels = list[ChangePoint](), list[float]()
     for r in tables:
@@ -71,10 +70,10 @@ def change_points(*tables: ResidualTable) -> tuple[ChangePoint, ...]:
 def instants(r: ResidualTable, holdout: Collection[int], slow: float) -> tuple[tuple[int, float], ...]:
     """Return, for each channel, the instant [s since the log began] at which a step explains most.
 
-    A step of gain and offset is taken off the residual, beside a gain of the channel and the mean of each
-    run. Held-out runs take no part, but say on which side of it they lie where the others leave it open, like
-    their zero deviation. It lies within a run, a fitted one, if it explains more there than any between runs
-    does by more than noise: `slow` is the variance of a slow average of the whitened residual.
+    A step of gain and offset is fitted to the residual, beside a gain of the channel and the mean of each
+    run. Holdout runs take no part, except that they decide on which side of the step they lie where fitted
+    runs leave that open. The step lies within a fitted run if it explains more there than any step between
+    runs, by more than noise: `slow` is the variance of a slow average of the whitened residual.
     """
     within, _ = _within(r.run)
     first, fitted = within == 0, ~np.isin(r.run, list(holdout))
@@ -118,7 +117,7 @@ def steps(
     counted: np.ndarray | float = 1.0,
     lasting: bool = True,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what a step at each sample of `at` takes off the squares of `y`, its coefficients, all squares.
+    """Return the squares of `y` that a step at each sample of `at` explains, its coefficients, all squares.
 
     `y`, `x`: (n,) residual of a channel and its expected reading, both 0 where a sample is not `counted`.
     Offset and sensitivity step; coefficients (2, k) are theirs. A `lasting` step goes on in all runs after
@@ -140,7 +139,7 @@ def steps(
         return (np.cumsum(each[::-1])[::-1] - each)[own] * lasting
 
     def whole(values: np.ndarray) -> np.ndarray:
-        """Sum over all that a sensitivity is common to."""
+        """Sum over all samples that share a sensitivity."""
         return np.full(len(at), values.sum()) if lasting else np.bincount(index, values)[own]
 
     def centred(values: np.ndarray) -> np.ndarray:
@@ -176,9 +175,9 @@ def switched_runs(r: ResidualTable) -> tuple[tuple[int, ...], float]:
     """Return the runs whose offset forms a level of its own beside the others, and the p-value of two levels.
 
     None where runs are too few. Offsets are the mean whitened residuals of each run, along the direction in
-    which they differ most; the split into two levels is the one that explains most of their squares. A run of
-    either side says of itself, held out or not, on which level it lies. The first run is always on the other
-    level. The p-value is the share of as many Gaussian offsets that split as well by chance.
+    which they differ most; the split into two levels is the one that explains most of their squares. Every
+    run, fitted or holdout, is assigned by its own offset. The first run is always on the other level. The
+    p-value is the share of draws of as many Gaussian offsets that split as well.
     """
     edges = edges_of(r.run)
     runs, n = r.run[edges[:-1]], np.diff(edges)
@@ -209,9 +208,9 @@ def _shares_by_chance(n: tuple[int, ...], channels: int) -> np.ndarray:
 
 
 def _levels(mean: np.ndarray, n: np.ndarray) -> np.ndarray:
-    """Return offsets (draws, runs) of the means (draws, runs, K) of n samples each, along what differs most.
+    """Return offsets of the means (draws, runs, K) of n samples along the direction of most variance.
 
-    Their unit is of no account.
+    Their unit is arbitrary.
     """
     mean = mean - (n @ mean / n.sum())[:, None]
     vectors, _, _ = np.linalg.svd(np.sqrt(n)[:, None] * mean, full_matrices=False)
@@ -243,7 +242,7 @@ def _slips(base: Base, r: ResidualTable, found: Survey) -> tuple[tuple[int, floa
 
 
 def facts_of(base: Base, found: Survey) -> Facts:
-    """Return what effects may know of the log; searched numbers come from the residual of `base`."""
+    """Return the facts of the log for effects; searched numbers come from the residual of `base`."""
     model, log, warm = base.model, base.log, "temperature_degc"
     r, values = table_of(base, frozenset(log.runs)), _readings(log, model)
     several = len(model.channels) > len(model.pose) and not model.offsets
@@ -265,7 +264,7 @@ def facts_of(base: Base, found: Survey) -> Facts:
 
 
 def _readings(log: Log, model: Model) -> np.ndarray:
-    """Return the readings, evenly thinned to about `ROOM` samples, (K, n)."""
+    """Return the readings, evenly decimated to about `ROOM` samples, (K, n)."""
     thin = max(1, log.rows // ROOM)
     return np.hstack([np.array(b.columns(model.channels))[:, ::thin] for b in batches(log, model.channels)])
 

@@ -1,6 +1,6 @@
-"""Faults of samples, which no equation of a model holds: spikes, stale samples, jitter, steps of values.
+"""Faults of samples, which no model equation describes: spikes, stale samples, jitter, steps of values.
 
-They are judged on what the best model leaves. What each costs is what the gap would lose without it.
+They are tested on the residual of the best model. The cost of each is the decrease of the gap without it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -41,7 +41,7 @@ class Fault:
 
     @property
     def record(self) -> RecordingFault:
-        """What is known of such faults."""
+        """The record of this fault."""
         return FAULTS[self.name]
 
 
@@ -54,7 +54,7 @@ def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
     def certain(fault: Fault | None) -> bool:
         return fault is not None and fault.p_value * tested < base.policy.certain
 
-    # of single samples the largest: a few spikes beside jitter are not what makes its scatter
+    # of single samples the largest: a few spikes beside jitter do not cause its scatter
     first = max(filter(certain, of_samples(found, base.policy)), key=lambda f: f.power, default=None)
     chip = _chip(base, found)
     out = [f for f in (first, chip, _steps(base, found, chip)) if f is not None and certain(f)]
@@ -62,12 +62,13 @@ def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
 
 
 def of_samples(found: Survey, policy: Policy) -> Iterator[Fault]:
-    """Yield what single samples may be, by precedence, each with the p-value that it has by itself.
+    """Yield faults of single samples, by precedence, each with its uncorrected p-value.
 
-    The residual is split into what a time shift explains (z) and the rest, each into body and tail. The body
-    is judged by quartiles, which rare samples do not move: its growth with speed is jitter. What the mean of
-    squares has beyond that is the tail: samples that are late, or spikes. Spikes are held against what the
-    body makes expect, late ones against as many that are early: noise has both, however heavy its tails.
+    The residual is split into the part that a time shift explains (z) and the rest, each into body and tail.
+    The body is measured by quartiles, which are robust to rare samples: its growth with speed is jitter. The
+    excess of the mean square is the tail: late samples, or spikes. The number of spikes is compared with the
+    number expected from the body, that of late samples with that of early ones: noise has both, however heavy
+    its tails.
     """
     (z, size, rest), K = found.instants, len(found.values)
     n, bins, across = len(z), 2 * policy.fewest, max(K - 1, 1)
@@ -110,7 +111,7 @@ def of_samples(found: Survey, policy: Policy) -> Iterator[Fault]:
 
 
 def exceeds(values: np.ndarray, freedom: int, limit: float, white: np.ndarray) -> float:
-    """Return the probability that one of `values` exceeds `limit`, as far as their body says.
+    """Return the probability that one of `values` exceeds `limit`, extrapolated from their body.
 
     `values`: (n,) squared distances with `freedom` directions; `white`: the same of white noise of variance 1
     that went the same way. Median and upper 5 % (the upper end of its 95 % interval) give the scale and the
@@ -147,14 +148,14 @@ def _filtered(directions: int) -> np.ndarray:
 
 
 def _events(far: np.ndarray) -> int:
-    """Count groups of neighbouring samples: what lasts for several samples happened once."""
+    """Count groups of neighbouring samples: an event of several samples counts once."""
     return int(np.count_nonzero(np.diff(far.astype(int), prepend=0) > 0))
 
 
 def _growth(z: np.ndarray, size: np.ndarray, bins: int, quartile: float) -> tuple[float, float, float]:
     """Variance of z at rest, its growth with size^2 and the error of that, from quartiles in bins of speed.
 
-    `quartile`: of z^2 at unit variance. The error is what the bins scatter by about the line.
+    `quartile`: of z^2 at unit variance. The error is the scatter of the bins about the line.
     """
     parts = np.array_split(np.argsort(size), bins)
     x = np.array([np.mean(size[b] ** 2) for b in parts])
@@ -170,7 +171,7 @@ def _growth(z: np.ndarray, size: np.ndarray, bins: int, quartile: float) -> tupl
 def _steps(base: Base, found: Survey, chip: Fault | None) -> Fault | None:
     """The fault that readings come in steps."""
     steps = found.adc_step
-    # a chip's levels lie as evenly as steps nearly everywhere, and are named by what makes them
+    # a chip's levels are nearly as even as steps; they are reported as levels of the chip
     half = base.policy.half
     if not steps.any() or (chip and steps.max() > half * chip.parameters["distance"].value):
         return None
@@ -220,10 +221,10 @@ def cordic(
 
     With them, how likely it is that as many values are levels of any that were tried.
 
-    The zero register of a chip may turn all of them by any angle. `spread`: rms of what a model leaves [rad].
-    `step`: equal steps between the values where they have them: levels less than two of them apart are not
-    told from a rounding, and not looked for. Nor are levels that equal steps of any size are nearer to: a
-    rounding, or a motor that goes from step to step.
+    The zero register of a chip may shift all of them by any angle. `spread`: rms of the residual [rad].
+    `step`: equal steps between the values, if any: levels at a distance of less than two steps look like
+    rounding and are not searched. Nor are levels that equal steps of some size fit better: rounding, or a
+    stepper.
     """
     v = np.unique(np.round(np.mod(values, tau) / NIL)) * NIL
     tried = [
@@ -247,11 +248,11 @@ def _hits(v: np.ndarray, k: Levels) -> tuple[int, float, int]:
     width, reach = tau / bins, TOLERANCE * k.distance
     at = np.sort(np.mod(np.concatenate([k.angles, k.angles + pi]), tau))  # all of a turn
     centres = (np.arange(bins) + 0.5) * width
-    cost = np.minimum(_apart(centres, at) ** 2, reach**2)
+    cost = np.minimum(_distance(centres, at) ** 2, reach**2)
     total = np.fft.irfft(np.fft.rfft(_held(v, bins)) * np.conj(np.fft.rfft(cost)), bins)
     best = float(np.argmin(total)) * width
     for _ in range(2):  # offsets between those tried
-        off = _apart(np.mod(v - best, tau), at)
+        off = _distance(np.mod(v - best, tau), at)
         near = np.abs(off) <= reach
         if not near.any():
             return 0, reach, bins
@@ -275,7 +276,7 @@ def _held(v: np.ndarray, bins: int) -> np.ndarray:
     return np.bincount((v / tau * bins).astype(int) % bins, minlength=bins).astype(float)
 
 
-def _apart(angles: np.ndarray, at: np.ndarray) -> np.ndarray:
+def _distance(angles: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Signed distance of each angle within a turn from the nearest of `at`."""
     round_ = np.concatenate([at[-1:] - tau, at, at[:1] + tau])
     after = np.clip(np.searchsorted(round_, angles), 1, len(round_) - 1)
@@ -287,7 +288,7 @@ def _apart(angles: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 
 def without_tail(base: Base) -> Weigh:
-    """Return weights 0 for samples that are far off the model, on top of those left out already."""
+    """Return weights 0 for samples far off the model, in addition to those left out already."""
     residual = residuals(base.model, base.p, base.offsets)
     whiten, K = base.whiten, len(base.model.channels)
     limit = far_from(K, base.log.rows, base.policy)
@@ -307,10 +308,10 @@ def assignments(channels: int) -> int:
 
 
 def assignment_p(base: Base, log: Log, runs: Sequence[int]) -> float:
-    """Return the p-value of the readings of `log` being wired as the model has them, across `runs`.
+    """Return the p-value, over `runs`, of the nominal channel assignment of the readings of `log`.
 
-    `base` holds the log as rewired. The score of a run is what its readings differ by from the rewired ones,
-    times what the model leaves of them; its noise is the same times what is left after rewiring.
+    `base` holds the log with corrected assignment. The score of a run is the product of the change of its
+    readings by the correction with their residual before it; its noise, the product with the residual after.
     """
     wanted, whiten, found = frozenset(runs), base.whiten, []
     for now, was in zip(pieces(base, wanted), pieces(replace(base, log=log), wanted), strict=True):

@@ -1,12 +1,11 @@
 """Where a gap lies: which share of the excess goes with a coordinate, a sensor, a frequency, a run, a link.
 
-Coordinates are taken one after the other, the one that explains most of what is still there first, so that
-shares add up to at most the whole and nothing is said twice. Each share is counted on runs that the curve was
-not fitted on. Everything that is tried is tested with the same random signs of the runs (`p_values`), also
-the effects of the catalogue, and each p-value is corrected for all of it by the largest statistic of all.
-Frequencies and single runs are few numbers; they are corrected for their count (Bonferroni). An output or a
-sensor is named when it has more than its part: noise that is larger than it was stated is larger everywhere,
-and is no place where a gap lies.
+Coordinates are taken one after the other, the one that explains most of the remaining residual first, so that
+shares add up to at most 1. Each share is measured on runs that the curve was not fitted to. All coordinates
+and all effects of the catalogue are tested with the same sign flips of the runs (`p_values`), and each
+p-value is corrected for all of them by the maximum statistic. Frequencies and single runs are few; they are
+corrected for their number (Bonferroni). An output or a sensor is named if it has more than its part of the
+excess: noise larger than stated is larger everywhere and is not localised.
 """
 
 from collections.abc import Mapping, Sequence
@@ -57,26 +56,26 @@ def located(
     *,
     noisy: bool = False,
 ) -> Located:
-    """Return the statements with what they rest on.
+    """Return the statements with their curves.
 
-    `screened`: the catalogue at `base`, for the links of the chain. `faults`: of samples, their power as a
-    part of `variance`, the whitened residual's. `noisy`: the residual is noise, which has a spectrum and lies
-    at no frequency.
+    `screened`: the catalogue at `base`, for the links of the chain. `faults`: of samples, with their power as
+    a part of `variance`, that of the whitened residual. `noisy`: the residual is noise, which is localised at
+    no frequency.
     """
-    fitted, held = both(base, runs)
-    steps = _steps([r for r in (fitted, held) if r is not None])
+    fitted, holdout = both(base, runs)
+    steps = _steps([r for r in (fitted, holdout) if r is not None])
     if fitted is None or fitted.excess <= base.policy.negligible * fitted.residual.size:
         return Located(tuple(steps), ())
     powers = [(p, p.statistics(fitted.block)) for p in (outputs(fitted), sensors(fitted))]
     others = [z for _, each in powers for z in each]
     if screened and screened.top is not None:
         others.append(screened.top)
-    statements, curves, joint = _coordinates(fitted, held, others)
+    statements, curves, joint = _coordinates(fitted, holdout, others)
     if not statements and not clear(fitted):
         return Located(tuple(steps), tuple(curves))
-    told = sum(s.share for s in statements)
-    mains, octaves = of_frequencies(fitted, frozenset(runs) - base.holdout, told)
-    if mains and mains[0].share > told:
+    explained = sum(s.share for s in statements)
+    mains, octaves = of_frequencies(fitted, frozenset(runs) - base.holdout, explained)
+    if mains and mains[0].share > explained:
         statements, mains = [*mains, *statements], []
     said = list[Statement]()
     if screened and screened.scores:
@@ -86,8 +85,8 @@ def located(
         said = of_links(base, counted, powers[0][0], bad)
     for p, statistics in powers:
         said += of_powers(p, [joint.p_value(z[0]) for z in statistics], base.policy)
-    said += [*mains, *(() if noisy else octaves), *of_runs(fitted, told)]
-    if steps and steps[0].share > told:
+    said += [*mains, *(() if noisy else octaves), *of_runs(fitted, explained)]
+    if steps and steps[0].share > explained:
         statements = [*steps, *statements]
     else:
         said = [*steps, *said]
@@ -99,12 +98,12 @@ def located(
 
 
 def _statement(by: str, at: str, share: float, p: float, text: str) -> Statement:
-    """Return what `share` of the excess does, in words."""
+    """Return a statement on a `share` of the excess, in words."""
     return Statement(by, at, share, p, f"{percent(share)} of the excess {text}")
 
 
 def clear(r: ResidualTable) -> bool:
-    """Whether the excess is more than chance: block by block, so that memory of the noise does not count."""
+    """Whether the excess is significant: block by block, so that autocorrelation does not count."""
     return beyond(means(r.squares - len(r.residual), r.part)) < r.base.policy.certain
 
 
@@ -113,21 +112,20 @@ def clear(r: ResidualTable) -> bool:
 
 def _coordinates(
     r: ResidualTable,
-    held: ResidualTable | None,
+    holdout: ResidualTable | None,
     others: Sequence[np.ndarray],
 ) -> tuple[list[Statement], list[Curve], Joint]:
-    """Coordinates one after the other, each with what it explains beyond those before.
+    """Return coordinates in order, each with the part it explains beyond those before.
 
-    Of those that explain nearly the same the most telling is named. A gain of its own in every run is named
-    where no coordinate explains most of what it does. `held`: the residual on held-out runs, of whose excess
-    each curve, as fitted, explains a part too. `others`: statistics of all that is no coordinate, which
-    p-values are corrected for too. The tests that are returned are those of all coordinates, beside which the
-    rest is tested.
+    Of several that explain nearly the same the first in `coordinates` is named. A gain for each run is named
+    where no coordinate explains most of its part. `holdout`: the residual on holdout runs, on which each
+    fitted curve is evaluated too. `others`: further statistics for which p-values are corrected. The returned
+    tests are those of all coordinates.
     """
     excess, policy = r.excess, r.base.policy
     every = [each for c in coordinates(r) for each in over(r, c)]
     statements, curves, joints, left = list[Statement](), list[Curve](), list[Joint](), r.residual
-    apart = np.zeros(0) if held is None else held.residual
+    left_there = np.zeros(0) if holdout is None else holdout.residual
     while True:
         taken = [c.coordinate.name for c in curves]
         found = [t.curve(left) for t in every if t.coordinate.name not in taken]
@@ -154,9 +152,9 @@ def _coordinates(
         statement = described(first, share, chance(first.statistic[0]))
         if statements:
             statement = replace(statement, text=f"a further {statement.text}")
-        if held is not None and held.excess > 0 and (says := first.says(held)) is not None:
-            before, apart = held.whitened_squares(apart).sum(), apart - says
-            part = (before - held.whitened_squares(apart).sum()) / held.excess
+        if holdout is not None and holdout.excess > 0 and (says := first.says(holdout)) is not None:
+            before, left_there = holdout.whitened_squares(left_there).sum(), left_there - says
+            part = (before - holdout.whitened_squares(left_there).sum()) / holdout.excess
             statement = replace(statement, held_out=float(np.clip(part, -1.0, 1.0)))
         statements.append(statement)
         curves.append(first)
@@ -176,7 +174,7 @@ def described(c: Curve, share: float, p: float) -> Statement:
 
 
 def _part(c: Curve, policy: Policy) -> str:
-    """Whether the gain or the offset follows the coordinate above all, and which part of several."""
+    """Which follows the coordinate most, gain or offset, and which part of several."""
     names = [readable(n)[2].capitalize() for n in c.coordinate.of] if c.coordinate.gain else []
     if names:
         offset, gain = (c.offset**2).sum(axis=0).reshape(2, len(names))
@@ -194,7 +192,7 @@ def _part(c: Curve, policy: Policy) -> str:
 
 
 NAMES = {"sensed": "reading_m", "rate": "reading_rate_m_s"}
-"""What JSON calls the columns that every sensor has for itself."""
+"""Names in JSON of columns that every sensor has for itself."""
 
 
 def shape(c: Curve) -> CurveShape:
@@ -236,7 +234,7 @@ def _size(curve: np.ndarray) -> float:
 
 
 def _steps(tables: Sequence[ResidualTable]) -> list[Statement]:
-    """Return the steps within runs that are certain, and what they take of the excess of their side."""
+    """Return the significant steps within runs, and their parts of the excess of their side."""
     side = {run: r for r in tables for run in set(r.run.tolist())}
     out = []
     for s in change_points(*tables):
@@ -250,16 +248,17 @@ def _steps(tables: Sequence[ResidualTable]) -> list[Statement]:
     return sorted(out, key=lambda s: -s.share)
 
 
-def of_runs(r: ResidualTable, told: float) -> list[Statement]:
+def of_runs(r: ResidualTable, explained: float) -> list[Statement]:
     """Whether one run has much more than its part of the excess.
 
-    A square counts up to the largest that noise makes in so many samples, so no few wild samples are a run.
+    A square counts up to the largest that noise makes in so many samples, so that a few outliers do not
+    count.
     """
     policy = r.base.policy
     squares = np.minimum(r.squares, statistic_at(1 / len(r.run), len(r.residual))) - len(r.residual)
     level, each = np.log(means(squares, r.run) + len(r.residual)), sums(squares, r.run)
     k, U = int(np.argmax(level)), len(level)
-    if policy.fewest > U or each[k] <= 0 or told > policy.half:
+    if policy.fewest > U or each[k] <= 0 or explained > policy.half:
         return []
     p = min(1.0, U * beyond_one(float(level[k]), np.delete(level, k)))
     share = float(np.clip(each[k] / max(squares.sum(), 1e-300), 0.0, 1.0))
@@ -270,7 +269,7 @@ def of_runs(r: ResidualTable, told: float) -> list[Statement]:
 
 
 def of_frequencies(
-    r: ResidualTable, runs: frozenset[int], told: float
+    r: ResidualTable, runs: frozenset[int], explained: float
 ) -> tuple[list[Statement], list[Statement]]:
     """Return statements on the mains and on octaves of the residual on `runs`.
 
@@ -288,7 +287,7 @@ def of_frequencies(
     for band, (power, white) in powers.items():
         part, share = float(white.sum() / np.sum(everything)), float((power - white).sum()) / excess
         p = min(1.0, len(powers) * beyond((power - white) / everything))
-        named = band.mains or told <= policy.half
+        named = band.mains or explained <= policy.half
         if p < policy.certain and named and share >= part + policy.minor:
             worth.append((share, band, p))
     mains, octaves, rest = list[Statement](), list[Statement](), 1.0
@@ -321,9 +320,9 @@ def _joined(worth: Sequence[Worth]) -> list[Worth]:
 
 @dataclass(frozen=True, eq=False)
 class Powers:
-    """Squares of outputs or sensors on some samples: `squares` (k, n) and what noise makes of them (k,).
+    """Squares of outputs or sensors on some samples: `squares` (k, n) and their means by noise (k,).
 
-    `weight`: (k,) what each counts by: outputs as in the gap metric, sensors by their own noise.
+    `weight`: (k,) of each: outputs as in the gap metric, sensors by their own noise.
     """
 
     kind: str
@@ -380,7 +379,7 @@ def sizes(
     for side, r in residues.items():
         if r is None:
             continue
-        told, of_outputs, of_sensors = clear(r), outputs(r), sensors(r)
+        explained, of_outputs, of_sensors = clear(r), outputs(r), sensors(r)
         noise = np.array([floors[side].get(c, 0.0) for c in of_outputs.names])
         rms = np.sqrt(of_sensors.squares.mean(axis=1))
         for store, p, size, least in (
@@ -395,7 +394,7 @@ def sizes(
                     rms=float(size[k]),
                     noise=float(least[k]),
                     above=float(np.sqrt(above[k])),
-                    share=float(above[k] * p.weight[k] / total) if told and total > 0 else None,
+                    share=float(above[k] * p.weight[k] / total) if explained and total > 0 else None,
                     p_value=beyond(over[k]),
                 )
     return out
@@ -405,7 +404,7 @@ def sizes(
 
 
 def of_links(base: Base, scored: Sequence[Score], out: Powers, faults: Sequence[Fault]) -> list[Statement]:
-    """Return statements on the links that can surely take up much of the excess.
+    """Return statements on the links whose effects significantly explain much of the excess.
 
     `scored`: effects at `base`, each by its own score: the gap metric, cross-validated, and the p-value for
     all that was tried. `out`: of the outputs. `faults`: of samples, with `power` as part of the excess.
@@ -437,7 +436,7 @@ def of_links(base: Base, scored: Sequence[Score], out: Powers, faults: Sequence[
 
 
 def _link_of(base: Base, score: Score) -> str:
-    """Return the link that an effect acts on; one that does not say it is placed by the step that it adds."""
+    """Return the link that an effect acts on; if not stated, that of the step that it adds."""
     if score.effect.link in LINKS:
         return score.effect.link
     old = {id(step) for _, step in base.model.steps}

@@ -1,10 +1,9 @@
-"""What a candidate's columns and the residual have in common because both hold the noise of the references.
+"""Errors in variables: the bias of a score because columns and residual both contain the references' noise.
 
 The columns of an effect are functions of the logged pose, and so is the residual. Noise of the pose moves
-both, so their product has a mean that no effect made: a score that says so much of every log is no evidence.
-It is measured: every reference is moved by noise of its size and of the residual's colour, and derived
-columns with it; the product of what that changes is expected to be the bias. Colour matters to derived
-columns only: an acceleration goes with coloured noise otherwise than with white noise.
+both, so their product has a non-zero mean without any effect. The bias is simulated: every reference is moved
+by noise of its size with the autocorrelation of the residual, and derived columns with it; the product of the
+changes estimates the bias. Autocorrelation matters to derived columns only, such as an acceleration.
 """
 
 from __future__ import annotations
@@ -27,15 +26,15 @@ WHITE = np.array([1.0, 0.0])
 
 
 class _Moved:
-    """A log with some columns moved by noise of standard deviation `sizes`; `colour`: autocorrelation.
+    """A log with noise of standard deviation `sizes` and an autocorrelation added to some columns.
 
     Its last half is tapered (the flat-top window of Politis and Romano 1995), so that a resonance keeps its
-    width: what a computed acceleration has of it depends on how sharp it is.
+    width, on which a computed acceleration depends.
     """
 
-    def __init__(self, log: Any, sizes: Mapping[str, float], colour: np.ndarray) -> None:
-        self.log, self.sizes, n = log, sizes, len(colour)
-        tapered = colour * np.minimum(1.0, 2 * (1 - np.arange(n) / n))
+    def __init__(self, log: Any, sizes: Mapping[str, float], autocorrelation: np.ndarray) -> None:
+        self.log, self.sizes, n = log, sizes, len(autocorrelation)
+        tapered = autocorrelation * np.minimum(1.0, 2 * (1 - np.arange(n) / n))
         spectrum = np.maximum(np.fft.rfft(np.append(tapered, tapered[:0:-1])).real, 0.0)
         weights = np.fft.fftshift(np.fft.irfft(np.sqrt(spectrum), 2 * n - 1))
         self.weights = weights / np.sqrt((weights**2).sum())
@@ -65,12 +64,12 @@ def shared_noise(
     candidates: Mapping[str, tuple[Model, Sequence[str]]],
     t: NormalEquations,
     length: int | None,
-    colour: np.ndarray = WHITE,
+    autocorrelation: np.ndarray = WHITE,
 ) -> np.ndarray:
-    """Return what noise alone makes of the whitened products with the residual, (units of `t`, columns).
+    """Return the whitened products with the residual that noise alone makes, (units of `t`, columns).
 
-    Columns are [parameters | candidates]. `length`: samples of a stretch, None for whole runs. `colour`:
-    autocorrelation of the residual at lags 0, 1, ... Nothing where no reference has noise.
+    Columns are [parameters | candidates]. `length`: samples of a stretch, None for whole runs.
+    `autocorrelation`: of the residual at lags 0, 1, ... Nothing where no reference has noise.
     """
     work = Columns(base, candidates)
     out, own, column = np.zeros((len(t.runs), work.n + work.count)), work.z + work.n, work.column
@@ -78,7 +77,7 @@ def shared_noise(
     sizes = {c: s for c in logged if (s := base.sigma.get(c, 0.0)) > 0}
     if not sizes or not work.count:
         return out
-    log: Any = _Moved(base.log, sizes, colour)
+    log: Any = _Moved(base.log, sizes, autocorrelation)
     share_windows(base.log, log)
     every = max(1, base.log.rows // ROOM)
     seen: dict[int, int] = {}

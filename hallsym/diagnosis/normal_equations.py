@@ -2,8 +2,8 @@
 
 One pass over the log stacks, sample by sample, the columns [offsets | parameters | effects | residual]: the
 derivatives of the reading with respect to each, and the residual of the model. Of each run only the products
-of these columns are kept, twice: weighted by the noise of the readings (what a fit minimises) and mapped to
-the decoded pose (what the gap metric measures). The offsets of a run are eliminated at once. With these
+of these columns are kept, twice: weighted by the noise of the readings (the cost of a fit) and mapped to the
+decoded pose (the gap metric). The offsets of a run are eliminated at once. With these
 matrices any set of effects can be fitted, cross-validated and judged without reading the log again.
 """
 
@@ -29,7 +29,7 @@ class Products(NamedTuple):
     """Products of columns: `border` (..., rows, c) of the model's own ones and the residual with all columns,
     `inner` (..., e) of each candidate's with each other, matrix by matrix.
 
-    Products between two candidates are nobody's business. The residual is the last row and column.
+    Products between two candidates are not kept. The residual is the last row and column.
     """
 
     border: np.ndarray
@@ -59,7 +59,7 @@ class Products(NamedTuple):
 def slopes_of(models: Sequence[tuple[Model, Sequence[str]]]) -> list[ca.SX]:
     """Return d reading / d some parameters of each model, at their nominal values, without entries of 0.
 
-    What models share of their expressions, their slopes share too.
+    Slopes share the subexpressions that models share.
     """
     slopes: list[ca.SX] = []
     at: dict[int, tuple[ca.SX, ca.SX]] = {}
@@ -79,7 +79,7 @@ def entries(slope: ca.SX) -> np.ndarray:
 
 
 class Graph(NamedTuple):
-    """What computes columns: `run(p, offsets, pose, state)` returns the readings and two lots of slopes.
+    """Compiled columns: `run(p, offsets, pose, state)` returns the readings and two sets of slopes.
 
     `state`: the columns that it reads. `near`: channel and column of the slopes by offsets and parameters,
     (2, rows), `far`: of those by candidates, channel by channel.
@@ -92,7 +92,7 @@ class Graph(NamedTuple):
 
 
 def _graph(model: Model, free: Sequence[int], candidates: Sequence[tuple[Model, Sequence[str]]]) -> Graph:
-    """Return what computes the readings of a model and all slopes: what they share is computed once."""
+    """Compile the readings of a model and all slopes; common subexpressions are computed once."""
     s = model.symbols
     reading = s.full(s.reading)
     own = ca.jacobian(reading, ca.vertcat(s.offsets, s.parameters[list(free)]))
@@ -125,7 +125,7 @@ class NormalEquations:
     `whitened`, `decoded`: of each unit, weighted by the noise and mapped to the pose. `count`: (units,)
     samples. `runs`: the runs of each unit, `unit_of`: that of each run and stretch of it. `span`: columns of
     each candidate, by its key; the base's parameters are under "". `places`: of its products in
-    `Products.inner`. `follow`: (runs, offsets, c) how the offsets of a run of `order` follow the other
+    `Products.inner`. `follow`: (runs, offsets, c) offsets of a run of `order` as functions of the other
     columns; none with candidates. `spoiled`: candidates whose slope is not finite somewhere; their columns
     are 0. `offsets`: (units, offsets, c) products with the run's own offsets, in units in which these are
     orthonormal, which over a whole run add up to 0; None where every unit is a whole run.
@@ -166,9 +166,9 @@ class NormalEquations:
 
 
 UNITS = 64
-"""Runs whose matrices are kept one by one; beyond that neighbouring runs are pooled."""
+"""Most runs whose matrices are kept singly; of more, neighbouring runs are pooled."""
 ENTRIES = 500_000
-"""Derivatives of the readings, and products of them, that are held at once: 4 MB each."""
+"""Derivatives of the readings, and products of them, in memory at once: 4 MB each."""
 
 
 def normal_equations(
@@ -181,8 +181,8 @@ def normal_equations(
     """Read the log once and return the tangents of `candidates`: key -> (extended model, new parameters).
 
     New parameters are taken at their nominal value, where they have no effect. `length`: samples of a unit,
-    where a run is to be several. `decoded`: with the products mapped to the pose; a step of a fit has no
-    need of them, and without them they mean nothing.
+    where a run is split into several. `decoded`: also map products to the pose, which the step of a fit does
+    not need; without it they are not valid.
     """
     work, runs, groups = Columns(base, candidates), base.log.runs, pooled(base)
     pool = {run: k for k, group in enumerate(groups) for run in group}
@@ -212,7 +212,7 @@ def normal_equations(
         groups = [(number,) for number in run.tolist()]
     whitened, output = (Products(*(x[: len(groups)] for x in M)) for M in made)
     units = np.arange(len(run)) if length else np.array([pool[number] for number in run.tolist()])
-    follow, offsets = eliminated(work, (whitened, output), offsets[:, : len(run)], run, units)
+    follow, of_offsets = eliminated(work, (whitened, output), offsets[:, : len(run)], run, units)
     return NormalEquations(
         whitened,
         output,
@@ -221,11 +221,11 @@ def normal_equations(
         dict(zip(parts, units.tolist(), strict=True)),
         work.span,
         work.places,
-        # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
+        # needed for steps only, not for scores of candidates, and a log may have many runs
         follow[:, :, :0].copy() if work.count else follow,
         tuple(dict.fromkeys(run.tolist())),
         frozenset(work.spoiled),
-        offsets,
+        of_offsets,
     )
 
 
@@ -235,7 +235,7 @@ def pooled(base: Base) -> list[tuple[int, ...]]:
     for run in base.log.runs:
         groups.append((run,))
         if len(groups) > 2 * UNITS:
-            sides = ([g for g in groups if (g[0] in base.holdout) is held] for held in (True, False))
+            sides = ([g for g in groups if (g[0] in base.holdout) is inside] for inside in (True, False))
             groups = [tuple(chain(*side[k : k + 2])) for side in sides for k in range(0, len(side), 2)]
     return groups
 
@@ -317,8 +317,8 @@ class Columns:
     columns. `span`, `places`: as in `NormalEquations`. `pairs`: the columns, offsets not counted, of each
     product within a candidate. `channel`, `column`: (rows,) of each row of the `count` columns of candidates,
     rows of one channel together at `of_channel`. `own`: the rows (r,) of each candidate, column by column,
-    which begin at `ends`. `most`: samples whose columns are held at
-    once. `spoiled`: candidates that were not finite somewhere; their rows are 0 there.
+    which begin at `ends`. `most`: samples whose columns are in memory at once. `spoiled`: candidates that
+    were not finite somewhere; their rows are 0 there.
     """
 
     def __init__(
@@ -387,7 +387,7 @@ class Columns:
         return A, rows
 
     def to_pose(self, batch: Batch) -> np.ndarray:
-        """Return what turns readings into the decoded pose, rotation as length: (pose, K, samples)."""
+        """Return d pose / d reading, rotation as length: (pose, K, samples)."""
         base, model = self.base, self.base.model
         spread = base.to_pose(batch.columns(model.references), batch.columns(model.state))
         return spread * base.pose_weights[:, None, None]
@@ -426,7 +426,7 @@ def stacked_products(
 
 
 def _decoded(D: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Return (own, n_pose, blocks, samples): what the columns `near` are as an error of the pose."""
+    """Return the columns `near` mapped to errors of the pose, (own, n_pose, blocks, samples)."""
     out = np.empty((len(near), len(D), *near.shape[2:]))
     for k, column in enumerate(near):
         np.einsum("ikbs,kbs->ibs", D, column, out=out[k])

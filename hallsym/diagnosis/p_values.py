@@ -1,17 +1,17 @@
-"""P-values of everything that is tried, from random signs of the runs' scores.
+"""P-values of all tests of a log, from sign flips of the runs' scores.
 
-Without an effect the score of a run, what its candidate columns and its residual have in common, is as likely
-positive as negative, whatever the noise within a run is like: correlated, heavy in its tails or louder in one
-run than in another. So the signs of whole runs (stretches of runs, where there are few) are drawn at random,
-and the statistic of every variant of every effect is computed for each draw. An effect is as significant as
-the share of draws in which the largest statistic of all exceeds its own (Westfall and Young 1993).
+Without an effect the score of a run, the product of its candidate columns with its residual, is as likely
+positive as negative, whatever the noise within the run: autocorrelated, heavy-tailed or larger in one run
+than in another. So the signs of whole runs (of stretches, where runs are few) are drawn at random, and the
+statistic of every variant of every effect is computed for each draw. The p-value of an effect is the share of
+draws in which the maximum statistic exceeds its own (Westfall and Young 1993).
 
-The score is the effective one: the model's own parameters are taken out of the candidate's columns, so that
-the residual may be that of a fit (Hemerik, Goeman and Finos 2020); it is fitted again with each draw. What it
-is compared with is what the candidate, fitted to these signs, leaves of the scores of whole runs: an effect
-that is there leaves little, and one that few runs show is no less certain for it. Noise that goes on from one
-stretch to the next moves score and scatter of a run alike, so the statistic has the same distribution with
-stretches that are independent (the subcluster wild bootstrap of MacKinnon and Webb 2018).
+The score is the effective one: the model's parameters are projected out of the candidate's columns, so that
+the residual may be that of a fit (Hemerik, Goeman and Finos 2020); it is fitted again with each draw. Its
+scale is the part of the scores of whole runs that the candidate, fitted to these signs, does not explain: a
+real effect leaves little, also one that few runs show. Noise that extends from one stretch to the next
+changes score and scatter of a run in the same way, so the statistic has the distribution of independent
+stretches (the subcluster wild bootstrap of MacKinnon and Webb 2018).
 """
 
 from collections.abc import Sequence
@@ -34,9 +34,9 @@ def statistic_at(p: float, freedom: float) -> float:
 def beyond(values: np.ndarray, noise: np.ndarray | None = None) -> float:
     """Return the one-sided p-value of the sum of independent `values` being above 0 (Student's t).
 
-    The values are one number per run or block of runs, so that what happens within a run may be correlated.
-    `noise`: what of each value the effect itself does not explain, where that is known: a strong effect in
-    few runs scatters and is no less certain for it.
+    The values are one number per run or block of runs, so that samples within a run may be correlated.
+    `noise`: the part of each value that the effect does not explain, where known: a strong effect in few runs
+    scatters and is no less certain.
     """
     n = len(values)
     if n < 2:
@@ -72,10 +72,10 @@ def stretch(samples: float, runs: int, policy: Policy) -> int | None:
 
 
 def clusters(run: np.ndarray, policy: Policy, memories: float = 0.0) -> np.ndarray:
-    """Return which units (units,) scatter together: those of a run, or of parts of it that are independent.
+    """Return the cluster of each unit (units,): its run, or an independent part of it.
 
-    `run`: (units,) where each lies, in order. `memories`: of the residual that a unit lasts. Where runs are
-    few there are at least as many parts as say something of a scatter.
+    `run`: (units,) of each, in order. `memories`: length of a unit in correlation lengths of the residual.
+    Where runs are few there are at least as many parts as an estimate of scatter needs.
     """
     _, index, inverse, counts = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
     long = (counts * memories / policy.memories).astype(int)
@@ -84,12 +84,12 @@ def clusters(run: np.ndarray, policy: Policy, memories: float = 0.0) -> np.ndarr
     return np.unique(inverse * len(run) + within * parts // counts[inverse], return_inverse=True)[1]
 
 
-def memory(colour: np.ndarray, policy: Policy) -> float:
-    """Return the samples after which a residual has forgotten, infinity where no end of it is seen.
+def memory(autocorrelation: np.ndarray, policy: Policy) -> float:
+    """Return the correlation length of a residual in samples, infinity if it exceeds the lags given.
 
-    `colour`: autocorrelation at lags 0, 1, ...
+    `autocorrelation`: at lags 0, 1, ...
     """
-    ended = np.flatnonzero(colour < policy.forgotten)
+    ended = np.flatnonzero(autocorrelation < policy.forgotten)
     return float(ended[0]) if len(ended) else np.inf
 
 
@@ -117,9 +117,8 @@ class SignFlips:
     ) -> None:
         """Take the products of some runs, the model's own parameters as fitted to them.
 
-        `noise`: (units, columns) what columns have in common with the residual by the references' noise.
-        `memories`: of the residual that a unit lasts. `joined`: whether noise goes on from run to
-        run, which have no offsets to take it.
+        `noise`: (units, columns) products of columns and residual by the references' noise. `memories`: as in
+        `clusters`. `joined`: whether noise continues from run to run, since runs have no offsets.
         """
         self.units = t.units(runs)
         self.t, self.own = t, t.span[""].stop
@@ -144,9 +143,9 @@ class SignFlips:
     def statistic(self, key: str) -> np.ndarray | None:
         """Return the statistic (1 + FLIPS,) of a candidate, None where the model absorbs all of it.
 
-        First the observed one, then with random signs: the squared score over what the candidate leaves of
-        the scores of the clusters. It is given as a power of it that is symmetric, with mean 0 and
-        variance 1, so that effects of any size and noise of any level compare.
+        First the observed one, then with random signs: the squared score over the part of the clusters'
+        scores that the candidate does not explain. It is transformed by a power to be symmetric, with mean 0
+        and variance 1, so that statistics of all effects are comparable.
         """
         found = self._effective(key)
         if found is None:
@@ -170,7 +169,7 @@ class SignFlips:
         return standardised(squares / np.maximum(beside, NIL * (score**2).sum()))
 
     def kept(self, key: str) -> float:
-        """Return the part of what a candidate explains that the references' noise has not made, 0 to 1."""
+        """Return the part of the explained squares that is not due to the references' noise, 0 to 1."""
         found = self._effective(key)
         if found is None:
             return 0.0
@@ -204,7 +203,7 @@ class SignFlips:
 def standardised(q: np.ndarray) -> np.ndarray:
     """Return positive statistics as a power that makes them symmetric, with mean 0 and variance 1.
 
-    The first one, which is the observed one, has no part in what they are standardised by.
+    The first one, the observed one, takes no part in mean and variance.
     """
     logarithm = np.log(np.maximum(q, 1e-300))
     logarithm -= np.median(logarithm)
@@ -219,8 +218,8 @@ def of_products(q: np.ndarray, run: np.ndarray, policy: Policy) -> np.ndarray:
     """Return the statistic (1 + FLIPS,) of products `q` (units, units) of the units' scores, observed first.
 
     `run`: (units,) where each lies. Products within a cluster, and of neighbours in the same run, are left
-    out, so that noise that goes on from one to the next does not count. The sum is given as the normal score
-    of the gamma distribution with the mean, variance and skewness that the signs give it.
+    out, so that noise that extends from one to the next does not count. The sum is given as the normal score
+    of a gamma distribution with the mean, variance and skewness of its sign flips.
     """
     k, cluster = np.arange(len(q)), clusters(run, policy)
     near = (np.abs(k[:, None] - k) <= 1) & (run[:, None] == run)
@@ -265,7 +264,7 @@ def least_p(units: int) -> float:
 
 
 def searched(z: np.ndarray, tried: float) -> np.ndarray:
-    """Return the statistic of a variant whose numbers were searched among `tried` others than were scored.
+    """Return the statistic of a variant whose numbers were found by another search among `tried` values.
 
     The observed one counts as the largest of so many; with random signs the same numbers are kept, and their
     statistic stands for that of the largest.
@@ -278,10 +277,10 @@ def searched(z: np.ndarray, tried: float) -> np.ndarray:
 
 
 class Joint:
-    """Tests whose statistics were drawn with the same signs, corrected for each other."""
+    """Tests that share the same sign flips, corrected for each other."""
 
     def __init__(self, statistics: Sequence[np.ndarray]) -> None:
-        """Take everything that is tried, (draws,) each, the observed one first; of nothing, p is 1."""
+        """Take the statistics of all tests, (draws,) each, the observed one first; without any, p is 1."""
         self.top = np.max(statistics, axis=0) if len(statistics) else np.array([np.inf])
 
     def p_value(self, statistic: float) -> float:

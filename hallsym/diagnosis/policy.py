@@ -32,44 +32,44 @@ class Policy:
     step). Of a gap of twice the floor, a tenth of the excess is 14 % above the floor: a gap of its
     own."""
     half: float = 0.5
-    """Part from which on something is the larger one: of the threshold, for a first, certain effect to be
+    """Part above which something is the larger one: of the threshold, for a first, certain effect to be
     taken up, and that a refit must keep of its score; of what a parameter alone makes, that the others
     must leave; of far samples that have others around them; of the best effect's gain, for an effect to
     be refitted exactly; of a curve that one sensor makes if named. A majority. An effect may be worth
     twice as much on the holdout runs, which decide."""
     fewest: int = 6
-    """Runs, or units of time, from which on their scatter says something: for an interval of the
-    shrinkage, signs, a single run among others, pieces of a short recording. Student's t of 6 is 2.6
-    standard errors wide, of 4 it is 3.2."""
+    """Fewest runs, or units of time, whose scatter is used: for an interval of the shrinkage, sign flips,
+    a single run among others, pieces of a short recording. With 6 of them Student's interval is 2.6
+    standard errors wide, with 4 it is 3.2."""
 
     # noise: what is independent, and what its tails are like
 
     fewest_units: int = 24
-    """Runs from which on runs are the units of signs; of fewer, stretches are, so that there are about as
-    many. So many units have 2^23 different signs, far more than are drawn."""
+    """Fewest runs for which runs are the units of sign flips; else stretches are, about as many. So many
+    units have 2^23 different signs, far more than are drawn."""
     forgotten: float = 0.02
-    """Autocorrelation below which a residual's memory ends. Noise has it by chance after some 10,000
-    readings."""
+    """Autocorrelation below which the correlation length of a residual ends. Noise has it by chance after
+    some 10,000 readings."""
     memories: float = 4.0
-    """Memories of a residual from which on stretches of it are independent. The scores of neighbouring
-    stretches of an autoregressive residual then have a correlation of 3 %."""
+    """Correlation lengths of a residual above which stretches of it are independent. The scores of
+    neighbouring stretches of an autoregressive residual then have a correlation of 3 %."""
     heavy: float = 5.0
-    """Kurtosis from which on chi-square is not trusted. That of Student's t of 7 degrees of freedom."""
+    """Kurtosis above which chi-square is not used. That of Student's t of 7 degrees of freedom."""
     tails: float = 2.0
-    """Factor to which the body of noise with heavy tails tells how many samples lie beyond that.
+    """Factor within which the body of heavy-tailed noise predicts the number of samples in its tails.
     Student's t of 3 degrees of freedom in every reading and reference has up to 1.5 times as many."""
     smooth: float = 0.25
-    """Correlation of neighbouring time shifts from which on they are no jitter, which has none. White
-    noise has -0.08 after the running median, noise with a memory of 3 samples 0.3, a gap of the model
-    that is sampled finely nearly 1."""
+    """Correlation of neighbouring time shifts above which they are no jitter, which has none. White noise
+    has -0.08 after the running median, noise correlated over 3 samples 0.3, a finely sampled gap of the
+    model nearly 1."""
 
     # input: which runs judge, and which gap counts
 
     worth_reporting: float = WORTH_REPORTING
-    """Relative decrease of the gap metric from which on a gap is worth reporting. A choice; the user
+    """Relative decrease of the gap metric above which a gap is worth reporting. A choice; the user
     (--threshold) or the log (meta.json) may state another."""
     holdout_every: int = 5
-    """One run of so many is held out where neither the user nor the log names holdout runs. A fifth of
+    """One run of so many is holdout where neither the user nor the log names holdout runs. A fifth of
     the runs judges, as in 5-fold cross-validation."""
 
     # selection and verdict
@@ -81,18 +81,18 @@ class Policy:
     """Effects refitted exactly in one step. Cost: a refit takes about five passes over the log."""
     starts: int = 3
     """Starts refitted of an effect whose numbers were searched on a grid. The score of one grid point,
-    such as a rail, says little of where a refit ends."""
+    such as a rail, is a poor predictor of the result of a refit."""
     as_good: float = 10.0
-    """Difference of BIC up to which a variant with as few parameters as another effect explains as much;
-    at twice that, unneeded parameters make an effect no competitor of a plainer one. What Kass and
-    Raftery (1995) call very strong."""
+    """Difference of BIC below which a variant with as few parameters as another effect explains as much;
+    above twice that, an effect with needless parameters does not compete with a plainer one. "Very strong"
+    evidence of Kass and Raftery (1995)."""
 
     # confusable effects
 
     separated: float = 5.0
-    """Standard deviations at which something is certain without a test: two effects are told apart (of a
-    slow average), a coordinate varies (of its noise). The convention of 5 sigma."""
+    """Standard deviations at which something is certain without a test: two effects differ (of a slow
+    average), a coordinate varies (of its noise). The convention of 5 sigma."""
 
 
 POLICY = Policy()
-"""The thresholds of a diagnosis that is given no others."""
+"""The default thresholds of a diagnosis."""

@@ -54,9 +54,9 @@ class CurveShape:
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What no effect explains: `share` of the gap above the noise floor that is left (squares).
+    """The unexplained rest: `share` of the gap above the noise floor (squares).
 
-    `curve`: over the coordinate that most of it goes with, None where there is none.
+    `curve`: over the coordinate that explains most of it, None where there is none.
     """
 
     share: float
@@ -78,9 +78,9 @@ class NotExcluded:
 
 @dataclass(frozen=True)
 class ModelLeft:
-    """What the error of the model adds to the uncertainty of a position, for `hallsym budget --diagnosis`.
+    """Contribution of the model error to the uncertainty of a position, for `hallsym budget --diagnosis`.
 
-    `rest`: standard uncertainty by output of what is left above the noise, without its shape where
+    `rest`: standard uncertainty by output of the residual above the noise, without its shape where
     `shape_counts`: `unexplained.curve` holds that then. `candidates`: the named model first, then the others
     that the log does not exclude; none where there is no other.
     """
@@ -149,8 +149,8 @@ class Shrinkage:
 class Significance:
     """Whether any effect of the catalogue is there at all.
 
-    `p_value`: by random signs of `units` scores, each of a "run" or of a "stretch" of one (`unit`), corrected
-    for all that was tried. `least`: the smallest p-value that so many units can give.
+    `p_value`: by sign flips of `units` scores, each of a "run" or of a "stretch" of one (`unit`), corrected
+    for all tests. `least`: the smallest p-value that so many units can give.
     """
 
     p_value: float
@@ -174,10 +174,9 @@ class FoundEffect:
 
     `shrinkage`: 1 - gap with it / gap without it, on runs that took part in neither fit nor choice;
     `interval`: as of `Shrinkage`, None too for a fault of the recording. `share`: part of the excess above
-    the noise floor that it closes. `p_value`: of its absence, corrected for everything that was tried.
-    `cost`: firmware cost. `text`: what `--effect` takes to fit it, empty for a fault of the recording.
-    `at_bound`: parameters that ended at a bound, without uncertainty. `note`: that, and what to do about a
-    fault.
+    the noise floor that it closes. `p_value`: of its absence, corrected for all tests. `cost`: firmware cost.
+    `text`: the argument of `--effect`, empty for a fault of the recording. `at_bound`: parameters that ended
+    at a bound, without uncertainty. `note`: that, and the remedy of a fault.
     """
 
     name: str
@@ -196,11 +195,11 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Statement:
-    """Where the gap lives: `share` of the excess above the noise floor that goes with `by` (at `at`).
+    """Where the gap lies: `share` of the excess above the noise floor that goes with `by` (at `at`).
 
-    `share`: 0 to 1, on fitted runs; a statement on a coordinate counts only what those before it leave, so
-    the shares of coordinates add up to at most 1. `held_out`: the same on the holdout runs, with the curve
-    fitted on the others; None where it does not apply. `text`: all of it in words, and what only words tell.
+    `share`: 0 to 1, on fitted runs; coordinates are counted on the residual of those before them, so their
+    shares add up to at most 1. `held_out`: the same on the holdout runs, with the curve fitted to the others;
+    None where it does not apply. `text`: the statement in words.
     """
 
     by: str
@@ -215,7 +214,7 @@ class Statement:
 class Separation:
     """The recording that would separate the members of a group, as the catalogue has it.
 
-    `sigma_now`: standard deviations by which this log tells the closest of them apart; it takes 5.
+    `sigma_now`: standard deviations between the closest of them on this log; 5 separate them.
     """
 
     group: tuple[str, ...]
@@ -227,7 +226,7 @@ class Separation:
 class Waves:
     """Amplitude of the harmonic of the error that repeats `per_turn` times per period of a coordinate. SI.
 
-    `designed`: of the nominal sensor, only its offsets fitted, None where nominal parameters do not decode the
+    `designed`: of the nominal sensor with fitted offsets, None where nominal parameters do not decode the
     readings; `model`: of the diagnosed model; `after`: with the effects found, None without any. `causes`:
     effects of the catalogue that make it. `coordinate`: the periodic one of a pose of several.
     """
@@ -241,17 +240,17 @@ class Waves:
 
     @property
     def absorbed(self) -> bool:
-        """Whether the model's own parameters absorb most of it, so no effect can be told from them."""
+        """Whether the model's own parameters absorb most of it, so that effects are confusable with them."""
         return self.designed is not None and self.model < 0.5 * self.designed
 
 
 @dataclass(frozen=True)
 class Size:
-    """How large the gap of one output or sensor is, in SI.
+    """Size of the gap of one output or sensor, SI.
 
     `noise`: its floor; `above`: root of the difference of the squares of `rms` and `noise`. `share`: of the
-    excess of all outputs, as the gap metric weighs them, or of all sensors; None where the excess as a whole
-    is no more than chance. `p_value`: of no excess; noise larger than stated is an excess too.
+    excess of all outputs, as the gap metric weighs them, or of all sensors; None where the total excess is
+    not significant. `p_value`: of no excess; noise larger than stated is an excess too.
     """
 
     rms: float
@@ -281,14 +280,14 @@ class Sizes:
 class Diagnosis(Shown):
     """The answer of `diagnose`: verdict, where, which effect, how far the gap shrinks. SI units throughout.
 
-    `verdict`: "no gap", "explained", "unexplained", or "noise larger than stated". `ranked`: names that carry
-    evidence, best first. `groups`: names that this log cannot tell apart. `where`: what the gap goes with;
-    `remaining`: what the unexplained rest goes with, `unexplained`: share and shape of that rest, only if the
-    verdict is "unexplained". `model_error`: what the budget of a position takes of it. `size`: the gap per
+    `verdict`: "no gap", "explained", "unexplained", or "noise larger than stated". `ranked`: names with
+    evidence, best first. `groups`: confusable names. `where`: where the gap lies; `remaining`: where the
+    unexplained rest lies, `unexplained`: share and shape of that rest, only if the verdict is "unexplained".
+    `model_error`: its contribution to the budget of a position. `size`: the gap per
     output and sensor, on fitted and on holdout runs. `waves`: the harmonics of the error over each periodic
     coordinate. `next_step`: the arguments of `hallsym fit LOG` that fit the model with the effects found.
-    `noise`: that is left, None where the log is too short to tell. `held_out`: what judges: a run, or a piece
-    of a recording of too few.
+    `noise`: of the residual, None if the log is too short. `held_out`: the unit of the holdout: a run, or a
+    piece of a recording with too few.
     """
 
     verdict: str
@@ -338,7 +337,7 @@ class Diagnosis(Shown):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], where: str = "the diagnosis") -> "Diagnosis":
-        """Return the diagnosis that `to_dict` turned into JSON data; `where`: its name in an error.
+        """Return the diagnosis from the JSON data of `to_dict`; `where`: its name in an error.
 
         Raises `InputError` that names the key which is missing or holds something else.
         """

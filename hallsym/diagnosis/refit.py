@@ -18,7 +18,7 @@ from solvers import bounded_step, gauss_newton
 
 @dataclass(frozen=True, eq=False)
 class Refitted:
-    """A model fitted on some runs: where it is, its tangents there, and what it leaves.
+    """A model fitted on some runs: its parameters, its tangents there, and its residual.
 
     `cost`: whitened squares over the fitted runs. `covariance`: of the free parameters if the residual is
     white and of unit variance.
@@ -33,7 +33,7 @@ class Refitted:
     def decoded(self) -> np.ndarray:
         """Products of the tangents mapped to the pose, rotation as length: (units, c, c).
 
-        Made when they are asked for: steps on the way to a fit, and fits that are rejected, have no need.
+        Computed on first use, since intermediate steps and rejected fits do not need them.
         """
         return normal_equations(self.base).output
 
@@ -57,7 +57,7 @@ class Refitted:
         return float(self.tangents.count[self.fitted].sum()) * len(self.base.model.channels)
 
     def bic(self, size: int, inflation: float = 1.0) -> float:
-        """Return the BIC of `size` parameters, slow averages `inflation` times as noisy as of white noise."""
+        """Return the BIC of `size` parameters, with `inflation` times the variance of slow averages."""
         return float(bic(self.cost, self.readings / inflation, size, self.readings))
 
     def variance(self, inflation: float) -> float:
@@ -65,7 +65,7 @@ class Refitted:
         return max(self.cost / self.readings, 1e-12) * inflation
 
     def distance(self, other: "Refitted") -> float:
-        """Return the whitened squared distance of two residuals: how far a log separates the models."""
+        """Return the whitened squared distance of two residuals: the separation of the models by this log."""
         known = frozenset(run for unit in self.fitted for run in self.tangents.runs[unit])
         return sum(
             float((((one.residual - two.residual) * one.used) ** 2).sum())
@@ -105,7 +105,7 @@ class Refitted:
         return tuple(np.array(self.base.free, dtype=int)[~seen(self.base, self.products)].tolist())
 
     def covariance(self) -> np.ndarray:
-        """Covariance of all parameters for a residual of variance 1; 0 where held, unseen or at a bound."""
+        """Covariance of all parameters for a residual of variance 1; 0 where fixed, unseen or at a bound."""
         moving = np.flatnonzero(~np.isin(self.base.free, (*self.at_bound(), *self.unseen())))
         free = np.array(self.base.free, dtype=int)[moving]
         M = self.products[np.ix_(moving, moving)]
@@ -117,8 +117,8 @@ class Refitted:
 def with_model(base: Base, model: Model) -> Base:
     """Return `base` with an extended model, new parameters at their nominal values."""
     p = model.vector(dict(zip(base.model.names, base.p.tolist(), strict=True)))
-    held = {base.model.names[k] for k in range(len(base.p)) if k not in base.free}
-    free = tuple(k for k, q in enumerate(model.parameters) if q.name not in held and q.width > 0)
+    fixed = {base.model.names[k] for k in range(len(base.p)) if k not in base.free}
+    free = tuple(k for k, q in enumerate(model.parameters) if q.name not in fixed and q.width > 0)
     return replace(base, model=model, p=p, free=free)
 
 
@@ -145,10 +145,10 @@ def refit(base: Base, runs: Sequence[int]) -> Refitted:
 
 
 def seen(base: Base, M: np.ndarray) -> np.ndarray:
-    """Return which of the free parameters the log shows at all, from the products M of their columns.
+    """Return which of the free parameters affect the log, from the products M of their columns.
 
-    One that changes no cost over all of its bounds stays where it is: a wave that is 0 wherever a sample was
-    taken has a column of rounding errors, which would be scaled up to explain noise.
+    One that does not change the cost within its bounds stays fixed: a wave that is 0 at every sample has a
+    column of rounding errors, which would be scaled up to explain noise.
     """
     free = np.array(base.free, dtype=int)
     lower, upper = base.model.bounds

@@ -1,4 +1,4 @@
-"""The Diagnosis, put together from what the stages found, and what the log cannot tell apart.
+"""The Diagnosis, assembled from the results of the stages, and the confusable effects.
 
 Confusable effects are exact refits that leave the same residual; a recording would separate them.
 """
@@ -37,7 +37,7 @@ from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import by_name
 from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Setup
-from hallsym.diagnosis.validation import QUIET, Held, Validation, Verdict, closed
+from hallsym.diagnosis.validation import QUIET, Validated, Validation, Verdict, closed
 from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit, noise_text
 from hallsym.errors import InputError, counted, listed
 from hallsym.estimation.residual_noise import ResidualNoise
@@ -48,7 +48,7 @@ from hallsym.model import Model, ways_text
 
 @dataclass(frozen=True, eq=False)
 class Confusable:
-    """Groups that this log cannot tell apart, what separates each, and all names that carry evidence."""
+    """Groups of confusable effects, recordings that separate each, and all names with evidence."""
 
     groups: tuple[tuple[str, ...], ...]
     separate: tuple[Separation, ...]
@@ -57,14 +57,14 @@ class Confusable:
     """Models that the log does not exclude, each with everything else that was found in place."""
 
     def instead_of(self, name: str) -> list[str]:
-        """Return what the log cannot tell from an effect."""
+        """Return the effects that are confusable with this one."""
         return [other for group in self.groups if name in group for other in group if other != name][:SHOWN]
 
 
 def confusable(
     setup: Setup, found: Validation, effects: Sequence[FoundEffect], verdict: Verdict
 ) -> Confusable:
-    """Return the effects that this log cannot tell apart: exact refits that leave the same residual.
+    """Return the effects that are confusable on this log: exact refits that leave the same residual.
 
     `ranked`: the effects by share, members of their groups, and, where they explain the gap, other effects
     that the log does not exclude in their place. An effect that does not lower the gap on the holdout runs
@@ -72,8 +72,8 @@ def confusable(
     """
     policy, pairs = setup.policy, setup.base.model.family.pairs
     separate, fits, possible = list[Separation](), list[Refitted](), list[str]()
-    for held in found.effects:
-        one, rest = held.exact, {h.name for h in found.effects} - {held.name}
+    for validated in found.effects:
+        one, rest = validated.exact, {h.name for h in found.effects} - {validated.name}
         variance = one.fit.variance(found.inflation)  # of slow averages
         limit = policy.separated**2 * variance
         rivals = [r for r in one.rivals if r.fit.cost - one.fit.cost < limit]
@@ -107,7 +107,7 @@ def smaller_findings(
     known = {h.name for h in found.effects}
     for score in by_name(selection.last):
         p, shrinkage = score.p_value, 1 - score.ratio
-        # what is worth more was judged, and not selected
+        # larger ones were validated, and not selected
         small = setup.policy.minor * setup.threshold <= shrinkage < setup.threshold
         if p < setup.policy.certain and small and score.effect.name not in known:
             out.append(SmallerFinding(score.effect.name, shrinkage, p))
@@ -123,12 +123,12 @@ def report(
     found: Validation,
     effects: tuple[FoundEffect, ...],
     verdict: Verdict,
-    alike: Confusable,
+    confused: Confusable,
     noise: ResidualNoise | None = None,
 ) -> Diagnosis:
     """Return the diagnosis.
 
-    `effects`: what was found; `alike`: what the log cannot tell apart; `noise`: that is left.
+    `effects`: found; `confused`: the confusable ones; `noise`: of the residual.
     """
     quiet = verdict in QUIET
     named = () if quiet else effects
@@ -148,22 +148,22 @@ def report(
     source = "stated and estimated" if len(given) == 2 else "stated" if given == {True} else "estimated"
     return Diagnosis(
         verdict=verdict,
-        sentence=sentence(setup, verdict, named, alike.instead_of, metric, noise),
+        sentence=sentence(setup, verdict, named, confused.instead_of, metric, noise),
         held_out=setup.held_out,
         noise_floor=NoiseFloor(dict(found.floor.outputs), source),
         gap_before=found.before.gap,
         gap_after=gap_after,
         metric=metric,
         shrinkage=_shrinkage(found, metric, share, quiet),
-        ranked=alike.ranked,
-        groups=alike.groups,
+        ranked=confused.ranked,
+        groups=confused.groups,
         effects=named,
         where=where.statements,
         size=_size(setup, found, plain),
         remaining=rest.statements if rest else (),
         unexplained=left,
-        model_error=model_error(setup, found, gap_after, after, rest, left, alike),
-        separate_by=alike.separate,
+        model_error=model_error(setup, found, gap_after, after, rest, left, confused),
+        separate_by=confused.separate,
         validation_runs=setup.holdout,
         not_testable=selection.not_testable,
         smaller_findings=smaller_findings(setup, selection, found, effects if quiet else ()),
@@ -181,20 +181,20 @@ def report(
 
 
 def _shrinkage(found: Validation, metric: Metric, share: float, quiet: bool) -> Shrinkage:
-    """Return how far the gap shrinks; a channel assignment and faults of samples count by what they are."""
+    """Return how far the gap shrinks, with a corrected channel assignment and without faulty samples."""
     added, judged = len(found.base.p) - len(found.start.base.p), found.judged
     if quiet or judged is None:
         return Shrinkage(1 - metric.after / metric.before, None, share, 0 if quiet else added)
     start = found.start
-    held = [u for u in range(len(start.output)) if u not in set(start.fitted.tolist())]
-    rewired = start.gap(np.array(held)) / found.before.metric if found.miswired and held else 1.0
+    holdout = [u for u in range(len(start.output)) if u not in set(start.fitted.tolist())]
+    rewired = start.gap(np.array(holdout)) / found.before.metric if found.miswired and holdout else 1.0
     scale = found.metric / found.after.metric * min(rewired, 1.0)
     value, interval = 1 - scale * (1 - judged.value), judged.interval(scale)
     return Shrinkage(value, interval, share, added, len(judged.before), judged.policy.fewest)
 
 
 def unexplained(found: Located, share: float) -> Unexplained:
-    """Return what is left, as `located` found it; `share`: part of the gap above the noise floor."""
+    """Return the unexplained rest, as `located` found it; `share`: part of the gap above the noise floor."""
     return Unexplained(share, shape(found.curves[0]) if found.curves else None)
 
 
@@ -209,8 +209,7 @@ def _located(
     """Return where the gap lies and, if it is unexplained, where the rest lies.
 
     Faults of samples count by their power over all of the excess. `plain`: the fit without effects on all
-    samples. `loud`: noise that is larger than its floor; the excess is what exceeds that, for noise lies
-    nowhere.
+    samples. `loud`: noise larger than its floor, which is not localised: the excess is counted above it.
     """
     gap, runs, floor, start = Located((), ()), setup.base.log.runs, found.floor.metric, found.start.base
     if loud is not None:
@@ -230,10 +229,10 @@ def _located(
 def _size(setup: Setup, found: Validation, plain: Base) -> Sizes:
     """Return how large the gap of `plain` is over the noise floor, channels as they were logged."""
     start = setup.as_logged(plain)
-    fitted, held = both(start, setup.base.log.runs)
+    fitted, holdout = both(start, setup.base.log.runs)
     errors = {"fitted": decoded_errors(start, setup.runs), "held_out": found.before}
     floors = {"fitted": setup.floor_fitted.outputs, "held_out": setup.floor.outputs}
-    return sizes({"fitted": fitted, "held_out": held}, errors, floors)
+    return sizes({"fitted": fitted, "held_out": holdout}, errors, floors)
 
 
 # -- sentences, and the next command -----------------------------------------------------------------------
@@ -249,7 +248,7 @@ def sentence(
 ) -> str:
     """Return the diagnosis in one or two sentences.
 
-    `instead_of`: effect -> what the log cannot tell from it. `noise`: that is left.
+    `instead_of`: effect -> effects confusable with it. `noise`: of the residual.
     """
     judges, unit = f"{setup.held_out}s", gap_unit(setup.fit.model.pose)
     before, after, floor = (gap_text(v, unit) for v in (gap.before, gap.after, gap.floor))
@@ -268,19 +267,19 @@ def sentence(
         return f"{hidden}, but the residual of the readings has a shape; no known effect explains it."
     if not effects:
         return f"{said}; no known effect explains it."
-    alike = [(e.name, instead_of(e.name)) for e in effects]  # such as time_skew (or first_order_lag)
-    named = listed([f"{name} (or {' or '.join(others)})" if others else name for name, others in alike])
+    confused = [(e.name, instead_of(e.name)) for e in effects]  # such as time_skew (or first_order_lag)
+    named = listed([f"{name} (or {' or '.join(others)})" if others else name for name, others in confused])
     rest = "" if verdict == "explained" else "; the rest has no known cause"
     open_ = closed(gap.before, gap.after, gap.floor) < 1 - setup.policy.minor
     if verdict == "explained" and open_ and noise is not None and noise.larger:
-        rest = f"; what is left follows nothing that is logged: noise, {noise.ratio:.3g} x the noise floor"
+        rest = f"; the rest depends on no logged quantity: noise, {noise.ratio:.3g} x the noise floor"
     return f"{said}. With {named} it falls to {after}{rest}."
 
 
 def next_step(setup: Setup, found: Validation) -> tuple[str, ...]:
     """Return the arguments of `hallsym fit LOG` that fit the model with the effects found, in their order.
 
-    The pieces of a split recording are no runs of the log on disk, so they are not held out.
+    The pieces of a split recording are no runs of the log on disk, so they are no holdout runs of it.
     """
     variants = [e.exact.score.variant for e in found.effects]
     texts = [v.text for v in variants if v.text]
@@ -306,12 +305,12 @@ def model_error(
     metric: float,
     lies: Located | None,
     rest: Unexplained | None,
-    alike: Confusable,
+    confused: Confusable,
 ) -> ModelLeft:
-    """Return what the model leaves beyond the noise, and the models that the log does not exclude.
+    """Return the model error beyond the noise, and the models that the log does not exclude.
 
-    `gap`, `metric`: the error that is left on the holdout runs. `lies`, `rest`: where it lies and
-    its shape, where it is unexplained.
+    `gap`, `metric`: the remaining error on the holdout runs. `lies`, `rest`: its place and shape if it is
+    unexplained.
     """
     floor = found.floor.outputs
     known = metric <= found.floor.metric * (1 + setup.policy.negligible)
@@ -321,7 +320,7 @@ def model_error(
     counts = curve is not None and curve.line and curve.column.removeprefix("d0_") in placed
     share = lies.statements[0].share if lies is not None and lies.statements and counts else 0.0
     left = float(np.sqrt(max(1 - share, 0.0)))
-    models = found.fit, *alike.fits  # each with its probability by BIC
+    models = found.fit, *confused.fits  # each with its probability by BIC
     bic = np.array([f.bic(len(f.base.free), found.inflation) for f in models])
     weight = np.exp(-0.5 * (bic - bic.min()))
     return ModelLeft(
@@ -330,7 +329,7 @@ def model_error(
         candidates=tuple(
             NotExcluded(tuple(added_effects(f.base.model)), f.base.values, float(w))
             for f, w in zip(models, weight / weight.sum(), strict=True)
-            if alike.fits
+            if confused.fits
         ),
     )
 
@@ -339,14 +338,14 @@ def model_error(
 
 
 def findings(setup: Setup, found: Validation) -> tuple[FoundEffect, ...]:
-    """Return what was found, by share of the excess; a wrong channel assignment wins a tie.
+    """Return the findings by share of the excess; a wrong channel assignment wins a tie.
 
-    What does not lower the error on the holdout runs is no finding.
+    An effect that does not lower the error on the holdout runs is not a finding.
     """
     if found.metric >= found.before.metric:
         return ()
     fit, known = found.fit, np.maximum(np.diag(found.fit.covariance()), 0.0)
-    spread = np.sqrt(known * fit.variance(1.0) * found.inflation)  # of the slow averages of what is left
+    spread = np.sqrt(known * fit.variance(1.0) * found.inflation)  # of the slow averages of the residual
     out = [_effect(found, e, spread) for e in found.effects]
     scale, before = found.metric / found.after.metric, found.before.metric
     share = _share(found, (1 - scale**2) * found.after.metric**2)
@@ -357,9 +356,9 @@ def findings(setup: Setup, found: Validation) -> tuple[FoundEffect, ...]:
     return tuple(sorted(out, key=lambda e: -e.share))
 
 
-def _effect(found: Validation, held: Held, spread: np.ndarray) -> FoundEffect:
-    score, fit = held.exact.score, found.fit
-    model, before = fit.base.model, held.without.base.model
+def _effect(found: Validation, validated: Validated, spread: np.ndarray) -> FoundEffect:
+    score, fit = validated.exact.score, found.fit
+    model, before = fit.base.model, validated.without.base.model
     stuck, unseen = fit.at_bound(), fit.unseen()
     index = {n: model.names.index(n) for n in score.model.names if n in model.names and n not in before.names}
     ended = tuple(n for n, j in index.items() if j in stuck)
@@ -376,10 +375,10 @@ def _effect(found: Validation, held: Held, spread: np.ndarray) -> FoundEffect:
             )
             for n, j in index.items()
         },
-        p_value=held.p_value,
-        shrinkage=held.judged.value,
-        interval=held.judged.interval(),
-        share=_share(found, held.errors.metric**2 - found.after.metric**2),
+        p_value=validated.p_value,
+        shrinkage=validated.judged.value,
+        interval=validated.judged.interval(),
+        share=_share(found, validated.errors.metric**2 - found.after.metric**2),
         cost=firmware_cost(before, model, fit.base.p),
         text=score.variant.text,
         at_bound=ended,
@@ -388,7 +387,7 @@ def _effect(found: Validation, held: Held, spread: np.ndarray) -> FoundEffect:
 
 
 def _note(ended: Sequence[str], blind: Sequence[str]) -> str:
-    """Return what qualifies an effect: parameters at their bounds or unseen."""
+    """Return the qualification of an effect: parameters at their bounds or without effect on the log."""
     said = []
     if ended:
         bound = "its bound" if len(ended) == 1 else "their bounds"
@@ -403,7 +402,7 @@ def _note(ended: Sequence[str], blind: Sequence[str]) -> str:
 
 
 def _repaired(setup: Setup, fault: Fault, shrinkage: float, share: float) -> FoundEffect:
-    """Return a fault of the recording, which no model holds, as an effect that was found."""
+    """Return a fault of the recording, which no model describes, as a found effect."""
     repair = (
         "the channel assignment is corrected" if fault.name in ASSIGNMENT_FAULTS else "a repair, not a model"
     )
@@ -423,9 +422,9 @@ def _repaired(setup: Setup, fault: Fault, shrinkage: float, share: float) -> Fou
 
 def _assignment(setup: Setup, base: Base) -> Fault:
     """Return exchanged or inverted channels; `base`: the fit with the channels put right."""
-    channels, wiring = base.model.channels, setup.miswired or ()
-    swapped = [c for c, (source, _) in zip(channels, wiring, strict=True) if source != c]
-    flipped = [source for source, sign in wiring if sign < 0]
+    channels, assigned = base.model.channels, setup.miswired or ()
+    swapped = [c for c, (source, _) in zip(channels, assigned, strict=True) if source != c]
+    flipped = [source for source, sign in assigned if sign < 0]
     text = f"{' and '.join(swapped)} exchanged" if swapped else f"{' and '.join(flipped)} inverted"
     p = assignment_p(base, setup.log, setup.runs) * assignments(len(channels))
     return Fault("channel_swap" if swapped else "sign_inversion", text, 1.0, {}, p)

@@ -1,6 +1,6 @@
-"""The residual of a model, sample by sample, beside what it may depend on, and where it lies in frequency.
+"""The residual of a model, sample by sample, beside the coordinates it may depend on, and its spectrum.
 
-At most `ROOM` samples are held, evenly decimated, so that memory does not grow with the log.
+At most `ROOM` samples are kept, evenly decimated, so that memory does not grow with the log.
 """
 
 from collections import Counter
@@ -22,18 +22,18 @@ from hallsym.log.quality.scan import FEWEST_SAMPLES
 from hallsym.model.arrays import on_arrays
 
 ROOM = 60_000
-"""Samples that are held."""
+"""Most samples that are kept."""
 PARTS = 4
-"""Stretches of a run at least, so that a gain of its own can be told from noise."""
+"""Fewest stretches of a run, so that a gain of that run can be distinguished from noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualTable:
-    """Residual of the readings of `base` on some runs and what it may depend on.
+    """Residual of the readings of `base` on some runs and the quantities it may depend on.
 
     `residual`, `sensed`, `rate`: (K, n) residual, expected reading at the smoothed reference, and its rate.
     `columns`: (n,) each; of a periodic reference also `phase_<reference>`, the place within its period.
-    `decoding`: (n_pose, K, n) turns a residual into an error of the decoded pose. `fold`, `block`, `part`:
+    `decoding`: (n_pose, K, n) maps a residual to an error of the decoded pose. `fold`, `block`, `part`:
     (n,) index of the group of runs, of the block for significance, of the stretch of a run.
     """
 
@@ -73,7 +73,7 @@ class ResidualTable:
 
     @property
     def excess(self) -> float:
-        """Sum of the whitened squares above what the noise explains."""
+        """Sum of the whitened squares above those of the noise."""
         return float(self.squares.sum()) - self.residual.size
 
     def decoded(self, residual: np.ndarray) -> np.ndarray:
@@ -87,7 +87,7 @@ class ResidualTable:
 
 
 def table_of(base: Base, runs: frozenset[int]) -> ResidualTable | None:
-    """Return what `base` leaves on `runs`; None where no sample of them counts."""
+    """Return the residual of `base` on `runs`; None where no sample of them counts."""
     model, back = base.model, np.linalg.inv(base.whiten)
     stride = max(1, -(-base.log.rows // ROOM))
     seen = Counter[int]()
@@ -106,7 +106,7 @@ def table_of(base: Base, runs: frozenset[int]) -> ResidualTable | None:
             out.setdefault(name, []).append(values)
     if not out or sum(len(v) for v in out["run"]) == 0:
         return None
-    joined = {c: np.concatenate(out.pop(c), axis=-1) for c in list(out)}  # one column at a time is held twice
+    joined = {c: np.concatenate(out.pop(c), axis=-1) for c in list(out)}  # column by column, to save memory
     residual, rate, run, place = (joined.pop(name) for name in ("residual", "rate", "run", "place"))
     pose, smooth, state = (
         [joined[c] for c in names]
@@ -123,13 +123,13 @@ def table_of(base: Base, runs: frozenset[int]) -> ResidualTable | None:
 
 
 residual_table = found_once(table_of)
-"""The same, kept for as long as the base lives."""
+"""The same, cached for the life of the base."""
 
 
 def both(base: Base, runs: Sequence[int]) -> tuple[ResidualTable | None, ResidualTable | None]:
-    """Return the residual on those of `runs` that are fitted and on those that are held out."""
-    held = base.holdout.intersection(runs)
-    return residual_table(base, set(runs) - held), residual_table(base, held)
+    """Return the residual on the fitted and on the holdout runs among `runs`."""
+    holdout = base.holdout.intersection(runs)
+    return residual_table(base, set(runs) - holdout), residual_table(base, holdout)
 
 
 def slices(group: np.ndarray) -> list[slice]:
@@ -153,7 +153,7 @@ def phase(reference: str) -> str:
 
 
 def at_rest(x: np.ndarray, sigma: float) -> np.ndarray:
-    """Return where an axis was: its mean where all that moved it is noise, which is part of the residual."""
+    """Return the place of an axis: its mean where it moved by noise alone, which is part of the residual."""
     return x if len(x) == 0 or np.std(x) > STILL * sigma else np.full(len(x), x.mean())
 
 
@@ -193,7 +193,7 @@ class FrequencyBand:
 
     @property
     def name(self) -> str:
-        """What a person calls it."""
+        """Plain name."""
         if self.mains:
             return f"the mains, {self.low:g} Hz"
         return f"{self.low:g} to {self.high:g} Hz" if self.low else f"less than {self.high:g} Hz"
@@ -217,7 +217,7 @@ def spectrum(found: Iterable[Piece]) -> Spectrum:
         white = twice * len(r)
         for band, here in _bands(f).items():
             floor = white
-            if band.mains:  # a line stands out from what is beside it, whatever its colour
+            if band.mains:  # a line stands out from its neighbours, whatever the spectrum
                 beside = np.convolve(here, np.ones(2 * int(here.sum()) + 1), "same") > 0
                 floor = np.maximum(white, power[beside & ~here].mean() if (beside & ~here).any() else 0.0)
             runs = out.setdefault(band, {})

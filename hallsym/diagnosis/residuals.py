@@ -19,9 +19,9 @@ from hallsym.model.arrays import on_arrays
 from hallsym.model.derived import campaign_time, rate, run_time
 
 FOLDS = 11
-"""Groups of runs left out in turn; a prime, so that they do not fall in step with settings that recur."""
+"""Groups of runs left out in turn; a prime, so that they do not coincide with recurring settings."""
 NIL = 1e-9
-"""Relative squares below which a column is rounding: the model absorbs it, or it never moves."""
+"""Relative squares below which a column is rounding: absorbed by the model, or constant."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class Base:
 
     @property
     def joined(self) -> bool:
-        """Whether noise goes on from run to run: they have no offsets to take it."""
+        """Whether noise continues from run to run, since runs have no offsets."""
         return self.timed and not self.model.offsets
 
     @property
@@ -87,7 +87,7 @@ class Base:
         return batches(extended(self.log, model, self.sigma, self.values), columns_of(model))
 
     def to_pose(self, pose: Sequence[np.ndarray], state: Sequence[np.ndarray]) -> np.ndarray:
-        """Return what turns readings at some samples into the decoded pose, (n_pose, K, samples)."""
+        """Return d pose / d reading at some samples, (n_pose, K, samples)."""
         (gain,) = decoding_gain(self.model)(self.p, pose, state, self.weight)
         return np.asarray(gain).reshape(len(self.model.channels), len(self.model.pose), -1).swapaxes(0, 1)
 
@@ -97,7 +97,7 @@ _FOUND: WeakKeyDictionary[Base, dict[tuple[str, frozenset[int]], Any]] = WeakKey
 
 
 def found_once(look: Callable[[Base, frozenset[int]], Found]) -> Callable[[Base, Iterable[int]], Found]:
-    """Return `look` with what it finds of a base on some runs kept for as long as the base lives."""
+    """Return `look` with its results for a base and runs cached for the life of the base."""
 
     @wraps(look)
     def looked_up(base: Base, runs: Iterable[int]) -> Found:
@@ -129,9 +129,9 @@ class Piece:
 
 
 def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
-    """Yield the whitened residual of some runs beside what it may depend on.
+    """Yield the whitened residual of some runs beside the quantities it may depend on.
 
-    Residuals of a log whose batches are kept (`is_cached`) are kept too, for the next call with the same base.
+    Residuals of a log whose batches are cached (`is_cached`) are cached for the next call with the same base.
     """
     model = base.model
     rates = (rate(c, order) for order in range(4) for c in model.references)
@@ -160,7 +160,7 @@ def _kept(base: Base, _: frozenset[int]) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def _residual_of(base: Base) -> Callable[[Batch], tuple[np.ndarray, np.ndarray]]:
-    """Return what computes the whitened residual of a batch and the rate of the expected reading, (K, n)."""
+    """Compile the whitened residual of a batch and the rate of the expected reading, (K, n)."""
     model, whiten = base.model, base.whiten
     run = model.remember("reading and its rate", lambda: _reading_and_rate(model))
     rates = [rate(c).name for c in model.references]

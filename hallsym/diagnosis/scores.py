@@ -34,15 +34,15 @@ class Candidate(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """What one variant of an effect would explain, to first order.
+    """Score of one variant of an effect: the squares that it would explain, to first order.
 
     `gain`: decrease of the whitened squares on the fitted runs. `size`: parameters added, searched numbers
     included. `bic`: Bayesian information criterion with the effect. `ratio`: gap metric over that without the
-    effect, cross-validated within the fitted runs; what the references' noise makes of it does not count.
-    `p_value`: from random signs of the runs' scores, corrected for all that was tried; `statistic`: what it
-    rests on. `absorbed`: the model's own parameters can do the same. `place`: of the effect in the catalogue,
-    usual causes first. `kept`: part of the gain that the references' noise has not made. `p_by_noise`: the
-    p-value by the spectrum of the noise alone, 1 where that is not known.
+    effect, cross-validated within the fitted runs, without the bias by the references' noise. `p_value`: from
+    sign flips of the runs' scores, corrected for all tests; `statistic`: its statistic. `absorbed`: the
+    model's own parameters can do the same. `place`: of the effect in the catalogue, usual causes first.
+    `kept`: part of the gain that is not due to the references' noise. `p_by_noise`: the p-value by the
+    spectrum of the noise alone, 1 where that is not known.
     """
 
     effect: Effect
@@ -61,14 +61,14 @@ class Score:
 
     @property
     def key(self) -> str:
-        """What the candidate is called."""
+        """Key of the candidate."""
         return f"{self.effect.name}|{self.variant.label}"
 
 
 def candidates(
     base: Base, catalogue: Sequence[Effect], facts: Facts
 ) -> tuple[dict[str, Candidate], dict[str, str]]:
-    """Return every variant of every effect that this log can show, and why it cannot show others."""
+    """Return every variant of every testable effect, and why others are not testable on this log."""
     out: dict[str, Candidate] = {}
     trouble: dict[str, str] = {}
     for effect in catalogue:
@@ -106,10 +106,10 @@ class Screen:
 
     One pass for all candidates, or for as many as have `PRODUCTS` together. `scores`: best first, by BIC,
     with p-values once they are weighed. `length`: samples of the stretches that are the units of p-values,
-    None where runs are; `lasting`: of a unit. `significance`: that any of them is there at all. `tables`: the
-    products of each pass, until they are weighed. `top`: the largest statistic of all with each draw of
-    signs, that of the log first. `refits`: models that were fitted to weigh them. `spoiled`: candidates whose
-    readings are not finite.
+    None where runs are; `lasting`: of a unit. `significance`: of any effect at all. `tables`: the products of
+    each pass, until p-values are computed. `top`: the maximum statistic of each draw of signs, that of the
+    log first. `refits`: models that were fitted for the p-values. `spoiled`: candidates whose readings are
+    not finite.
     """
 
     def __init__(
@@ -149,22 +149,22 @@ class Screen:
 
     def weigh(
         self,
-        colour: np.ndarray,
+        autocorrelation: np.ndarray,
         remembers: float | None = None,
         peak: float = np.inf,
         louder: float = 1.0,
     ) -> None:
-        """Give the scores their p-values, for noise with the autocorrelation `colour`.
+        """Give the scores their p-values, for noise with this autocorrelation.
 
-        `remembers`: samples after which the noise has forgotten; None: as `colour` says, and of slices of a
-        recording not at all. `peak`: of the spectrum of the stated noise (`spectrum_peak`); infinity where it
-        was not stated. `louder`: variance of the noise over that which was stated. Nobody knows then whether
-        it is the references', so everything is tested with their noise as stated and as loud, and the larger
-        p-value counts.
+        `remembers`: correlation length of the noise in samples; None: that of `autocorrelation`, and 0 for
+        slices of a recording. `peak`: of the spectrum of the stated noise (`spectrum_peak`); infinity where
+        it was not stated. `louder`: variance of the noise over the stated one. It may be that of the
+        references, so everything is tested with their noise as stated and as loud, and the larger p-value
+        counts.
         """
         sizes = (1.0, louder) if louder > (1 + self.base.policy.negligible) ** 2 else (1.0,)
         variants = Counter(s.effect.name for s in self.scores)
-        flips = {k: f for table in self.tables for k, f in self._flips(table, colour, remembers, sizes)}
+        flips = dict(each for t in self.tables for each in self._flips(t, autocorrelation, remembers, sizes))
         drawn: dict[str, list[np.ndarray]] = {}
         for s in self.scores:
             z = [] if s.absorbed else [f.statistic(s.key) for f in flips[s.key]]
@@ -174,7 +174,7 @@ class Screen:
         joints = [Joint(each) for each in zip(*filter(None, drawn.values()), strict=True)] or [Joint(())]
         self.top = joints[0].top if any(drawn.values()) else None
         most = {s.effect.name: max(variants[s.effect.name], s.variant.tried) for s in self.scores}
-        # weighted Bonferroni: each test has its part of the error rate, signs have what is left
+        # weighted Bonferroni: each test has its part of the error rate, sign flips the rest
         part = self.base.policy.minor
         of_signs = 1.0 - part * np.isfinite(peak)
         out = []
@@ -197,7 +197,7 @@ class Screen:
     def _ratio(self, score: Score, peak: float) -> float:
         """Return the gap metric with a candidate over that without, on the same runs less its optimism.
 
-        Runs that were left out are foreseen by fewer: six runs at heights of their own extrapolate.
+        Fits without some runs extrapolate more: six runs at different heights.
         """
         if not np.isfinite(peak):
             return np.inf
@@ -207,14 +207,14 @@ class Screen:
         return float(np.sqrt(max(1 - squares * real * score.kept, 0.0)))
 
     def _flips(
-        self, table: "Table", colour: np.ndarray, remembers: float | None, sizes: Sequence[float]
+        self, table: "Table", autocorrelation: np.ndarray, remembers: float | None, sizes: Sequence[float]
     ) -> Iterator[tuple[str, list[SignFlips]]]:
-        """Yield what flips the signs of each candidate, for noise of the references of these variances."""
+        """Yield the sign flips of each candidate, for noise of the references of these variances."""
         new = {key: (c.model, c.new) for key, c in table.tried.items()}
         base = self.base
-        noise = shared_noise(base, new, table.t, self.length, colour)
+        noise = shared_noise(base, new, table.t, self.length, autocorrelation)
         if remembers is None:
-            remembers = 0.0 if base.sliced else memory(colour, base.policy)
+            remembers = 0.0 if base.sliced else memory(autocorrelation, base.policy)
         memories = self.lasting / max(remembers, NIL)
         flips = [
             SignFlips(table.t, self.runs, size * noise, base.policy, memories=memories, joined=base.joined)
@@ -290,7 +290,7 @@ class Regressions:
 class Solved(NamedTuple):
     """Fits to F stacks of units: `by` (F, n + k + 1) makes what is left of the columns.
 
-    `plain`, `left`: (F,) squares without and with the candidate; `absorbed`: the parameters can do the same.
+    `plain`, `left`: (F,) squares without and with the candidate; `absorbed`: the model's parameters suffice.
     """
 
     by: np.ndarray
@@ -302,8 +302,8 @@ class Solved(NamedTuple):
 class Table:
     """Products of candidates and of the model's own parameters, from which they are scored on some runs.
 
-    `fitted`: fits to the runs, judged on the same; `foreseen`: without groups of them in turn, judged on
-    each.
+    `fitted`: fits to the runs, judged on the same; `cross_validated`: without groups of them in turn, judged
+    on each.
     """
 
     def __init__(self, t: NormalEquations, tried: dict[str, Candidate], runs: Sequence[int]) -> None:
@@ -314,7 +314,7 @@ class Table:
         groups = np.array([among & np.isin(run, own[k::FOLDS]) for k in range(min(FOLDS, len(own)))])
         self.readings = float(among @ t.count)
         self.fitted = Regressions(self, among[None], among[None])
-        self.foreseen = Regressions(self, among & ~groups, groups)
+        self.cross_validated = Regressions(self, among & ~groups, groups)
 
     def score(self, key: str) -> Score:
         """Return the score of a candidate."""
@@ -327,7 +327,7 @@ class Table:
             gain=max(float(found.plain[0] - found.left[0]), 0.0),
             size=size,
             bic=float(bic(found.left[0], N, size, N)),
-            ratio=self.foreseen.ratio(key),
+            ratio=self.cross_validated.ratio(key),
             p_value=1.0,
             absorbed=bool(found.absorbed[0]),
         )

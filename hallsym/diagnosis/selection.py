@@ -1,4 +1,4 @@
-"""Selection: a greedy search that screens the catalogue, refits what is promising and keeps the best."""
+"""Selection: a greedy search that screens the catalogue, refits promising effects and keeps the best."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,8 +24,8 @@ from hallsym.model import Effect, Facts, Model
 class Exact:
     """An effect refitted exactly.
 
-    Of a selected one, `squares_before`: whitened squares that were left without it; `rivals`: the others that
-    were refitted for its place.
+    Of a selected one, `squares_before`: whitened squares without it; `rivals`: the others that were refitted
+    in its place.
     """
 
     score: Score
@@ -50,11 +50,11 @@ def refitted(
 ) -> list["Exact"]:
     """Refit the promising effects exactly and return them, best first; none if none is `worth` it.
 
-    Promising are those that explain nearly as much as the best one that is worth it, and lower the gap of
-    runs that are left out. An effect whose refit does not `stand`, or that no start brings to parameters that
-    its cause can have, is left out. There are no further refits once the search is `over`; at most
-    `Policy.most_refits` effects are refitted, each from at most `Policy.starts` starts. What was fitted to
-    weigh the screen is not fitted again.
+    Promising are those that explain nearly as much as the best one that is worth it, with a cross-validated
+    decrease of the gap. An effect whose refit does not `stand`, or that reaches no plausible parameters from
+    any start, is left out. There are no further refits once the search is `over`; at most
+    `Policy.most_refits` effects are refitted, each from at most `Policy.starts` starts. Refits of the screen
+    are reused.
     """
     policy, scored = base.policy, screen.scores
     # an effect goes by the best of its variants that are worth it: one with more numbers may be less certain
@@ -92,12 +92,12 @@ def ordered(exact: Sequence[Exact], scored: Sequence[Score], worth: Callable[[Sc
 
 
 def _simpler_first(exact: list[Exact], scored: Sequence[Score]) -> list[Exact]:
-    """Put an effect with fewer parameters first if it explains nearly all that the best one does.
+    """Put an effect with fewer parameters first if it explains nearly as much as the best one.
 
-    Real machines have small imperfections of every kind. Many parameters take some of them along, which with
-    enough samples is significant and yet no evidence. The best effect stays first if it has a variant with as
-    few parameters that explains as much. Of two effects that fit the same on this log, the one with fewer
-    searched numbers goes first, then the one that comes first in the catalogue.
+    Real machines have small imperfections of every kind. Many parameters absorb some of them, which with
+    enough samples is significant but no evidence. The best effect stays first if it has a variant with as few
+    parameters that explains as much. Of two effects that fit equally well on this log, the one with fewer
+    searched numbers goes first, then the one that is first in the catalogue.
     """
     if not exact:
         return exact
@@ -126,7 +126,7 @@ def _simpler(e: Exact, best: Exact, scored: Sequence[Score]) -> bool:
 
 
 def _same(a: Exact, b: Exact) -> bool:
-    """Return whether two effects of one size leave the same, to less than the noise of one reading."""
+    """Return whether two effects of one size have the same cost, to less than the noise of one reading."""
     return a.score.size == b.score.size and abs(b.fit.cost - a.fit.cost) * a.fit.readings <= a.fit.cost
 
 
@@ -139,10 +139,10 @@ def plain_pairs_first(
 ) -> list[Exact]:
     """Put a plain effect first if it and a second explain as much as the flexible best one, by BIC.
 
-    An effect with many parameters may take small imperfections along and so explain more than the plain cause
-    does. Then the plain cause and one of the imperfections together explain as much with no more parameters,
-    and the flexible effect with a second one leaves nearly as much as these two. The catalogue is screened at
-    most `Policy.most_refits` times for it, and not once the search is `over`.
+    An effect with many parameters may absorb small imperfections and so explain more than the plain cause.
+    Then the plain cause and one of the imperfections together explain as much with no more parameters, and
+    the flexible effect with a second one explains hardly more than these two. This screens the catalogue at
+    most `Policy.most_refits` times, and not once the search is `over`.
     """
     if not exact:
         return exact
@@ -180,10 +180,10 @@ def _first(first: Exact, exact: Sequence[Exact]) -> list[Exact]:
 
 
 def cancels(fit: Refitted, names: Sequence[str]) -> bool:
-    """Return whether parameters of the same readings and unit undo each other.
+    """Return whether parameters of the same readings and unit cancel each other.
 
-    Then all of them make less than half of what one alone makes, such as a cubic and a quintic term.
-    Parameters that do nothing where the others are nil, such as a rail of what is not clipped, have no size.
+    Then all of them together make less than half of the error that one alone makes, such as a cubic and a
+    quintic term. Parameters without effect while the others are 0, such as an unreached rail, have no size.
     """
     model = fit.base.model
     (slope,) = slopes_of([(model, names)])
@@ -202,7 +202,7 @@ def cancels(fit: Refitted, names: Sequence[str]) -> bool:
 
 
 def _alone(fit: Refitted, names: Sequence[str]) -> float:
-    """What some parameters of a fit make by themselves."""
+    """The errors that some parameters of a fit make by themselves."""
     base = fit.base
     these = np.isin(base.model.names, names)
     return moved(fit, np.where(these, base.p - base.model.nominal, 0.0))
@@ -211,7 +211,7 @@ def _alone(fit: Refitted, names: Sequence[str]) -> float:
 def moved(fit: Refitted, by: np.ndarray) -> float:
     """Return the gap metric, to first order, of moving the parameters (n,) of `fit` by this much.
 
-    What repeats follows as far as it lowers the metric: a zero is mounting, and another one undoes no cause.
+    Offsets of periodic coordinates follow as far as they lower the metric: they belong to the mounting.
     """
     units, model = fit.fitted, fit.base.model
     free = list(fit.base.free)
@@ -226,7 +226,7 @@ def moved(fit: Refitted, by: np.ndarray) -> float:
 
 
 def select(setup: Setup) -> "Selection":
-    """Add effects while they lower the gap metric by the threshold; then hold each against the catalogue.
+    """Add effects while they lower the gap metric by the threshold; then test each against the catalogue.
 
     Where an effect is replaced, the catalogue is tested again on the new residual.
     """
@@ -242,7 +242,7 @@ def select(setup: Setup) -> "Selection":
 
 @dataclass(eq=False)
 class Selection:
-    """The greedy search on the fitted runs, and what it selected.
+    """The greedy search on the fitted runs, and the selected effects.
 
     `start`: the fit without effects; `fit`: with all `effects`. `refits`: fits with some of the effects.
     `not_testable`: effect -> why this log cannot show it. `screened`: every screening; `last`: scores of the
@@ -258,7 +258,7 @@ class Selection:
     screened: list[Screen] = field(default_factory=list)
     last: list[Score] = field(default_factory=list)
     of_values: float = 0.0
-    """Share of the gap that the values of the readings make, as steps do: no effect can take it away."""
+    """Share of the gap due to the values of the readings, such as steps: no effect can remove it."""
     cut_short: bool = False
     """Whether the budget ended the search before it was done."""
 
@@ -269,7 +269,7 @@ class Selection:
 
     @property
     def stopped(self) -> str:
-        """What was left out for the budget, in a sentence; empty if nothing was."""
+        """A sentence on effects left out for the budget; empty if none was."""
         if not self.cut_short:
             return ""
         tested, known = {s.effect.name for each in self.screened for s in each.scores}, self.setup.catalogue
@@ -285,7 +285,7 @@ class Selection:
 
     @property
     def significance(self) -> Significance:
-        """That any effect is there: of one recording, with the others in place."""
+        """Significance of any effect at all: of one recording, with the others in place."""
         first = [s.significance for s in self.screened if s.base is self.start.base][-1]
         confirmed = self.effects if self.setup.base.sliced else []
         return replace(first, p_value=min((e.score.p_value for e in confirmed), default=first.p_value))
@@ -312,9 +312,9 @@ class Selection:
             self.fit = exact[0].fit
 
     def worth(self, score: Score, beside: int) -> bool:
-        """Return whether an effect is no chance and lowers the gap enough, and `beside` others is needed.
+        """Return whether an effect is significant and lowers the gap enough, and is needed `beside` others.
 
-        A first effect that is certain is taken up from half the threshold on: it may be worth more on the
+        A first effect that is certain is selected above half the threshold: it may be worth more on the
         holdout runs, which decide.
         """
         policy, certain = self.policy, score.p_value < self.policy.certain
@@ -324,7 +324,7 @@ class Selection:
         return score.p_value < policy.false_alarm and max(score.ratio, np.sqrt(self.of_values)) <= 1 - level
 
     def needed(self) -> bool:
-        """Return whether what is left may hold another effect: it is above the floor, or that is unknown."""
+        """Return whether the residual may hold another effect: it exceeds the floor, or that is unknown."""
         floor = self.setup.floor_fitted
         unknown = floor.uncertain > 1 + self.policy.negligible
         return unknown or self.fit.metric > floor.metric * (1 + self.policy.negligible)
@@ -339,11 +339,11 @@ class Selection:
         return exact
 
     def screen(self, at: Refitted, remembers: float | None = None) -> tuple[Screen, Facts]:
-        """Screen the catalogue at `at`, for noise that forgets after so many samples; None: as it seems."""
+        """Screen the catalogue at `at`, for noise of this correlation length in samples; None: estimated."""
         found = survey(at.base, self.runs)
         facts = facts_of(at.base, found)
-        told = faults(at.base, found, self.setup.tested)
-        self.of_values = sum(f.power for f in told if f.record.of_values)
+        of_kind = faults(at.base, found, self.setup.tested)
+        self.of_values = sum(f.power for f in of_kind if f.record.of_values)
         tried, trouble = candidates(at.base, self.setup.catalogue, facts)
         screen = Screen(at.base, tried, self.runs, over=self.over)
         self.weigh(screen, found, remembers)
@@ -357,14 +357,14 @@ class Selection:
         return screen, facts
 
     def weigh(self, screen: Screen, found: Survey, remembers: float | None) -> None:
-        """Weigh a screen by the noise that the best effect leaves.
+        """Compute the p-values of a screen for the residual noise with the best effect.
 
-        A slow effect makes a residual that remembers as long as it lasts, a fast one is no noise. So what the
-        best effect leaves tells whether stretches depend on each other, whether the noise is louder than
-        stated, and how much of it a column may collect, where it was stated.
+        A slow effect makes a residual that is correlated over its duration, a fast one looks like noise. So
+        the residual of the best effect shows whether stretches depend on each other, whether the noise is
+        louder than stated, and how much of it a column may collect, where it was stated.
         """
-        base, colour, peak, louder = screen.base, found.autocorrelation, np.inf, found.fast
-        lasting = screen.lasting >= self.policy.memories * memory(colour, self.policy)
+        base, autocorrelation, peak, louder = screen.base, found.autocorrelation, np.inf, found.fast
+        lasting = screen.lasting >= self.policy.memories * memory(autocorrelation, self.policy)
         whole = screen.length is None or base.sliced or lasting
         offsets = (
             len(base.model.offsets) > 0
@@ -376,14 +376,16 @@ class Selection:
             seen = survey(left.base, self.runs)
             louder = seen.fast
             if not whole:
-                colour = min(colour, seen.autocorrelation, key=lambda c: memory(c, self.policy))
+                autocorrelation = min(
+                    autocorrelation, seen.autocorrelation, key=lambda c: memory(c, self.policy)
+                )
             peak = spectrum_peak(left.base, self.runs) if offsets else np.inf
             if base.joined and not base.sliced:
                 remembers = memory_of_recording(left.base, frozenset(self.runs))
-        screen.weigh(colour, remembers, peak, louder)
+        screen.weigh(autocorrelation, remembers, peak, louder)
 
     def stands(self, exact: Exact, at: Refitted) -> bool:
-        """Return whether a refit keeps what its score promised, and its parameters do not undo each other.
+        """Return whether a refit keeps the decrease of its score, and its parameters do not cancel.
 
         It must keep half of the threshold, and lower BIC.
         """
@@ -394,7 +396,7 @@ class Selection:
         return keeps and not cancels(exact.fit, new)
 
     def reconsider(self) -> bool:
-        """Hold each effect against the catalogue, the others in place; return whether any was replaced."""
+        """Test each effect against the catalogue, the others in place; return whether any was replaced."""
         before, replaced = [f.name for f in self.effects], False
         for k, effect in enumerate(self.effects):
             if k + 1 == len(before) and not replaced:
@@ -410,10 +412,10 @@ class Selection:
         return [f.name for f in self.effects] != before
 
     def confirm(self) -> None:
-        """Of slices of one recording, test the effects again by the memory of what all of them leave.
+        """For slices of one recording, test the effects again by the autocorrelation of the final residual.
 
-        While effects are missing what is left remembers as long as they last: slices count as independent.
-        In the end those that are not depend on each other; if no effect is there beyond chance then, none is.
+        While effects are missing, the residual is correlated over their duration: slices count as
+        independent. In the end the dependence between slices counts; effects must be significant with it.
         """
         remembers = memory_of_recording(self.fit.base, frozenset(self.runs))
         tested: list[Exact] = []
@@ -428,7 +430,7 @@ class Selection:
         self.last = self.screen(self.fit, remembers)[0].scores
 
     def drop(self, *effects: Exact) -> None:
-        """Go on without some effects."""
+        """Continue without some effects."""
         self.fit = self.without(*effects)
         self.effects = [e for e in self.effects if e not in effects]
 
@@ -443,7 +445,7 @@ class Selection:
 
     @property
     def others(self) -> list[Refitted]:
-        """What some runs might have selected instead: one effect left out, or another in its place."""
+        """Alternatives that some runs might have selected: one effect left out, or another in its place."""
         out: list[Refitted] = []
         for e in self.effects:
             without = self.without(e)

@@ -1,4 +1,4 @@
-"""What a diagnosis starts from: the log, its fit, the runs that fit and those that judge, the catalogue."""
+"""The setup of a diagnosis: the log, its fit, the fitted and the holdout runs, the catalogue."""
 
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -38,7 +38,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Floor:
-    """What noise alone leaves of the decoded pose on some runs: rmse by output, and as gap metric [m or rad].
+    """Decoded error by noise alone on some runs: rmse by output, and as gap metric [m or rad].
 
     `uncertain`: factor within which it is known, 1 if stated.
     """
@@ -49,13 +49,13 @@ class Floor:
 
     @property
     def least(self) -> float:
-        """The least that noise may leave: an estimate may hold steps between readings."""
+        """The least error by noise: an estimate may include steps between readings."""
         return self.metric / self.uncertain
 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What every stage of a diagnosis reads and none changes.
+    """The input of every stage of a diagnosis, which none changes.
 
     `log`: as it was fitted, with the channels as they were logged. `base`: the fit as the point where
     tangents are taken, channels assigned. Of a long log both hold every m-th sample. `holdout`: the runs that
@@ -82,7 +82,7 @@ class Setup:
 
     @cached_property
     def floor(self) -> Floor:
-        """What noise alone leaves on the runs that judge."""
+        """The error by noise alone on the holdout runs."""
         return self._floor(self.holdout)
 
     @cached_property
@@ -112,23 +112,23 @@ class Setup:
 
     @property
     def held_out(self) -> str:
-        """What judges: holdout runs, or pieces of a recording of too few."""
+        """The unit of the holdout: a run, or a piece of a recording with too few."""
         piece = "time slice" if self.base.timed else "knot group"
-        return f"held-out {piece}" if self.split else "holdout run"
+        return f"holdout {piece if self.split else 'run'}"
 
     @property
     def miswired(self) -> Assignment | None:
         """The channel assignment that was found, where channels are exchanged or inverted; else None.
 
-        On which side a sensor is mounted is no fault, unless the log states its model, which has a side.
+        The side of a sensor is no fault, unless the log states its model, which has a side.
         """
-        model, wiring = self.fit.model, self.fit.assignment
+        model, found = self.fit.model, self.fit.assignment
         if self.fit.reversed and not self.log.meta.base_model:
             return None
-        if wiring is None or len(model.channels) == 1:  # the sign of one channel is a direction, not a wire
+        if found is None or len(model.channels) == 1:  # the sign of one channel is a direction
             return None
-        wrong = any(source != c or sign < 0 for c, (source, sign) in zip(model.channels, wiring, strict=True))
-        return wiring if wrong else None
+        wrong = any(source != c or sign < 0 for c, (source, sign) in zip(model.channels, found, strict=True))
+        return found if wrong else None
 
     def as_logged(self, base: Base) -> Base:
         """Return `base` on all samples, with the channels as they were logged."""
@@ -174,7 +174,7 @@ def prepare(
     policy: Policy = POLICY,
     on_progress: Say | None = None,
 ) -> Setup:
-    """Fit the model on the fit runs: what every stage of a diagnosis, and the detection power, starts from.
+    """Fit the model to the fitted runs: the start of every stage of a diagnosis and of the detection power.
 
     Arguments as for `diagnose`.
     """
@@ -185,20 +185,20 @@ def prepare(
         raise InputError(f"Input budget of diagnose must be 0 s or more; instead received {budget:g}.")
     log, drop_bad = readable(at_rest(log, model), model, drop_bad)
     whole = log
-    held, pieces = _whole_runs(log, holdout, policy), tuple[int, ...]()
+    chosen, pieces = _whole_runs(log, holdout, policy), tuple[int, ...]()
     known = None if timed else _known(log, model)
     if known is not None:
         log = replace(log, noise=known.noise)
-    if not held and holdout is None:
+    if not chosen and holdout is None:
         log, pieces = _pieces(log, model, known, policy)
     if TIME not in log.columns:
         log = counted_off(log)
-    held, sliced = held or pieces, log.recording is not None
-    if not held:
+    chosen, sliced = chosen or pieces, log.recording is not None
+    if not chosen:
         raise _too_short(log, policy)
     say("fitting the model")
     asked: dict[str, Any] = {
-        "solver": "direct", "holdout": held, "loss": "auto" if timed or not pieces else "none",
+        "solver": "direct", "holdout": chosen, "loss": "auto" if timed or not pieces else "none",
         "drop_bad": drop_bad, "on_progress": say,
     }  # fmt: skip
     inspected = _inspecting(model, whole) if pieces else model
@@ -215,17 +215,17 @@ def prepare(
         base = base_of(log, result)
         if every > 1:
             long = (
-                f"The log is long: every {every}. sample of it is diagnosed, and parameters are as certain "
-                "as these make them. hallsym fit takes all of them."
+                f"The log is long: every {every}. sample of it is diagnosed, and uncertainties are "
+                "those of these samples. hallsym fit uses all of them."
             )
             result = result.changed(notes=(*result.notes, long))
-    if arrow := sys.modules.get("pyarrow"):  # it keeps the memory that it read a file with
+    if arrow := sys.modules.get("pyarrow"):  # frees the memory that reading the file took
         arrow.default_memory_pool().release_unused()
     return Setup(
         log=log,
         fit=result,
         base=replace(base, model=model.family.direct(base.model), timed=timed, sliced=sliced, policy=policy),
-        holdout=held,
+        holdout=chosen,
         threshold=level,
         split=bool(pieces),
         catalogue=(*model.family.catalogue, *effects),
@@ -248,13 +248,13 @@ def _pieces(log: Log, model: Model, known: Fit | None, policy: Policy) -> tuple[
     """
     if log.rows < fewest(policy) or model.offsets or log.meta.holdout:
         return log, ()
-    # a turn goes on from piece to piece: a short turn of the reference counts from one zero
+    # a turn continues from piece to piece: a short turn of the reference counts from one zero
     log = continuous(replace(log, noise=noise_of(log, model)), model)
     return split(log, policy, *(() if known is None else _first_fit(log, known, policy)))
 
 
 def _known(log: Log, model: Model) -> Fit | None:
-    """Return the fit of a log without time: its knots show their noise only side by side."""
+    """Return the fit of a log without time, whose noise shows only between neighbouring knots."""
     try:
         return fit(log, model, solver="direct", accept=(ALL,))
     except InputError:
@@ -262,16 +262,16 @@ def _known(log: Log, model: Model) -> Fit | None:
 
 
 def _wires(log: Log, result: Fit) -> tuple[str, ...]:
-    """Return the corrections of exchanged or inverted channels that explain what a fit leaves."""
+    """Return the corrections of exchanged or inverted channels that explain the residual of a fit."""
     mounted = corrected(log, result.corrections)
     found = assigned(mounted, result.model)
     return tuple(one.text for one in (*result.corrections, *found)) if found else ()
 
 
 def _first_fit(log: Log, found: Fit, policy: Policy) -> tuple[np.ndarray | None, int]:
-    """Return which knots are spikes, judged among their neighbours, and the knots of a block.
+    """Return which knots are spikes among their neighbours, and the number of knots in a block.
 
-    Blocks are as long as what the fit leaves remembers, so that no block foretells its neighbours.
+    Blocks have the correlation length of the residual, so that no block predicts its neighbours.
     """
     spikes = None
     if found.keep is not None and found.source is not None:
@@ -282,9 +282,9 @@ def _first_fit(log: Log, found: Fit, policy: Policy) -> tuple[np.ndarray | None,
 
 
 def _remembers(base: Base, spikes: np.ndarray | None) -> int:
-    """Return the knots after which the decoded error has forgotten, lines and what repeats taken off.
+    """Return the correlation length of the decoded error in knots, without lines and periodic parts.
 
-    It has where white noise may be as correlated (Bartlett).
+    It ends where white noise may be as correlated (Bartlett).
     """
     model, n, decode = base.model, base.log.rows, errors_of(base)
     error = base.pose_weights[:, None] * np.hstack([decode(block) for block in base.log.blocks()])
@@ -311,7 +311,7 @@ def _inspecting(model: Model, whole: Log) -> Model:
 
 
 def readable(log: Log, model: Model, drop_bad: bool) -> tuple[Log, bool]:
-    """Return the log without what no fit can use, and whether samples that cannot be read were left out."""
+    """Return the log without unusable samples, and whether unreadable ones were left out."""
     columns = logged_columns(model)
     if not drop_bad:
         with suppress(InputError):
@@ -329,7 +329,7 @@ def _whole_runs(log: Log, holdout: Sequence[int] | None, policy: Policy) -> tupl
 
 
 def _too_short(log: Log, policy: Policy) -> InputError:
-    """Return what is wrong with a log of which nothing can be held out."""
+    """Return the error for a log that is too short for a holdout."""
     least, few = fewest(policy), "too few to hold any out and still choose an effect on the others"
     short = log.rows < least
     if short and len(log.runs) == 1 and not log.timed:
@@ -355,7 +355,7 @@ TIME = "t_s"
 
 
 def fewest(policy: Policy) -> int:
-    """Return the samples that a recording must have to be taken to pieces."""
+    """Return the least number of samples of a recording that is split into pieces."""
     return policy.fewest * FEWEST_SAMPLES
 
 
@@ -364,14 +364,14 @@ def split(
 ) -> tuple[Log, tuple[int, ...]]:
     """Return the log in pieces as runs, with a note that says how it was done, and the pieces to hold out.
 
-    With time, pieces are stretches of it, every second held out. Without, samples are knots, of which every
-    second is held out, or every second stretch of at least `length` where knots foretell their neighbours; a
+    With time, pieces are stretches of it; every second is holdout. Without, samples are knots, of which every
+    second is holdout, or every second stretch of at least `length` where knots predict their neighbours; a
     counter stands for the time that the log does not have. `spikes` (samples,) are left out.
     """
     n, timed = log.rows, TIME in log.columns
     at, count = np.arange(n), piece_count(n, timed, length, policy)
     piece = at * count // n if timed or length > 1 else knot_group(at, count)
-    held = tuple(range(1, count, 2))
+    chosen = tuple(range(1, count, 2))
     order = np.argsort(piece, kind="stable")
     notes = []
     if spikes is not None and spikes.any():
@@ -385,11 +385,11 @@ def split(
         "groups of single knots, each round the turn" if length == 1 else f"stretches of {n // count} knots"
     )
     how = f"{count} {'slices of time' if timed else knots}"
-    short = Log.from_arrays(columns, log.noise, replace(log.meta, holdout=held), log.name)
+    short = Log.from_arrays(columns, log.noise, replace(log.meta, holdout=chosen), log.name)
     short = of_recording(short) if timed else short
     what = counted(len(log.runs), "run") if timed or len(log.runs) > 1 else "A table of knots"
-    notes.append(f"{what} cannot be held out whole: taken as {how}, every other one held out.")
-    return replace(short, notes=(*log.notes, *notes), path=log.path, counted=not timed), held
+    notes.append(f"{what} cannot be held out whole: taken as {how}, every other one as holdout.")
+    return replace(short, notes=(*log.notes, *notes), path=log.path, counted=not timed), chosen
 
 
 def of_recording(log: Log) -> Log:
@@ -408,12 +408,11 @@ def counted_off(log: Log) -> Log:
 def piece_count(n: int, timed: bool, length: int, policy: Policy) -> int:
     """How many pieces of `n` samples: those fitted are the folds, or as many as have the samples of a run.
 
-    With time there are up to 100 of them: a score of 50 scatters as Gauss has it, and of a machine that
-    rests half of the time many still say something. Of knots an odd number is fitted, so that each group
-    takes every phase of a pattern of two or four; groups go round the turn, so that waves of it do not lean
-    on another.
+    With time there are up to 100 of them: a score of 50 is nearly Gaussian, and enough pieces are in motion
+    if a machine rests half of the time. Of knots an odd number is fitted, so that each group takes every
+    phase of a pattern of two or four; groups extend round the turn, so that its waves stay orthogonal.
     """
-    lasting = int(10 * policy.memories)  # slices of noise that remembers ten samples are independent
+    lasting = int(10 * policy.memories)  # slices of noise that is correlated over ten samples are independent
     if timed and n >= 2 * FOLDS * lasting:
         return min(100, n // lasting // 2 * 2)
     at = np.arange(n)
@@ -426,9 +425,9 @@ def piece_count(n: int, timed: bool, length: int, policy: Policy) -> int:
 
 
 def knot_group(at: np.ndarray, count: int) -> np.ndarray:
-    """Return the group of `count` that each knot belongs to; odd groups are held out.
+    """Return the group of `count` that each knot belongs to; odd groups are the holdout.
 
-    Of four knots every second is held out, the other ones in the next four, so that a pattern of two or four
+    Of four knots every second is holdout, in the next four the others, so that a pattern of two or four
     knots (a stepper's) is seen on both sides.
     """
     return 2 * (at // 2 % (count // 2)) + (at + at // 4) % 2
@@ -442,7 +441,7 @@ PER_PERIOD = 12
 
 
 def kept(base: Base, every: int, most: int) -> Log:
-    """Return every so many samples of the first `most` of each run that the fit has not left out."""
+    """Return a decimation of the first `most` samples of each run, without those that the fit left out."""
     log = base.log
     if every == 1 and most >= log.rows and base.keep is None:
         return log
@@ -458,12 +457,14 @@ def kept(base: Base, every: int, most: int) -> Log:
         for column in log.columns:
             values = np.full(n, block.run) if column == "run" else block.data[column]
             parts[column].append(values[keep])
-    columns = {c: np.concatenate(parts.pop(c)) for c in log.columns}  # one column at a time is held twice
+    columns = {
+        c: np.concatenate(parts.pop(c)) for c in log.columns
+    }  # one column at a time is twice in memory
     return Log.from_arrays(columns, log.noise, log.meta, log.name)
 
 
 def spacing(base: Base, rows: int) -> int:
-    """Return how many samples one stands for where `rows` are wanted: fewer if motion or mains need more."""
+    """Return the decimation that leaves about `rows`, or less of one if motion or mains need it."""
     known, every = 1, -(-base.log.rows // rows)
     beyond = every + 1
     while beyond - known > 1:
@@ -473,20 +474,20 @@ def spacing(base: Base, rows: int) -> int:
 
 
 def _resolved(base: Base, every: int) -> bool:
-    """Return whether every so many samples show motion, turns of what turns, and mains.
+    """Return whether a decimation resolves the motion, its turns, and the mains.
 
     A sine of `PER_PERIOD` samples a period has second differences of (2 sin(pi / PER_PERIOD))^2 of itself;
     six times the variance of the noise is in them too.
     """
     model, step, count = base.model, list[float](), 0
-    moved, bent, turned = np.zeros((3, len(model.pose)))
+    moved, bent, stepped = np.zeros((3, len(model.pose)))
     period = np.array([model.period.get(c, np.inf) for c in model.pose])
     for block in base.log.blocks(("t_s", *model.references), 1 << 16):
         t, x = block.data["t_s"][::every], np.array([block.data[c] for c in model.references])
         if len(t) < FEWEST_SAMPLES:
             continue
         x = np.array([v if np.isinf(p) else np.unwrap(v, period=p) for v, p in zip(x, period, strict=True)])
-        turned += (np.diff(x) ** 2).mean(axis=1) * len(t)  # at the full rate, where no turn is lost
+        stepped += (np.diff(x) ** 2).mean(axis=1) * len(t)  # at the full rate, where no turn is lost
         x = x[:, ::every]
         step.append(float(np.median(np.diff(t))))
         moved += x.var(axis=1) * len(t)
@@ -499,6 +500,6 @@ def _resolved(base: Base, every: int) -> bool:
     most = (2 * np.sin(np.pi / PER_PERIOD)) ** 4
     return bool(
         weights @ (bent / count - 6 * noise) <= most * (weights @ (moved / count - noise).clip(0.0))
-        and (every * np.sqrt((turned / count - 2 * noise).clip(0.0)) * PER_PERIOD <= period).all()
+        and (every * np.sqrt((stepped / count - 2 * noise).clip(0.0)) * PER_PERIOD <= period).all()
         and 2 * (MAINS_HZ[-1] + MAINS_REACH_HZ) * np.median(step) <= 1
     )

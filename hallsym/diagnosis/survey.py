@@ -1,7 +1,7 @@
-"""Survey of a residual: its memory and spectrum, hum of the mains, what its samples show one by one.
+"""Survey of a residual: its autocorrelation and spectrum, hum of the mains, single samples.
 
-No model holds these findings (an outlier has no equation), or they are numbers from which effects are
-searched (a mains frequency).
+These findings have no model equation (an outlier), or they are starting values of effects (a mains
+frequency).
 """
 
 import math
@@ -21,29 +21,29 @@ from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ
 from hallsym.log.quality.scan import FEWEST_SAMPLES
 
 SEGMENT = 64
-"""Samples over which the memory of a residual is added up: half of what a spectrum of it resolves."""
+"""Lags over which the autocorrelation of a residual is summed: half of a spectral segment."""
 WINDOW = 9
-"""Samples of the running median that takes out what changes smoothly: stale stretches of up to 4 stay."""
+"""Samples of the running median that removes smooth changes: stale stretches of up to 4 stay."""
 TOLERANCE = 0.25
-"""How near a value must be to one of some levels, in distances of neighbouring ones, to be one of them.
+"""Largest distance of a value from its level, over the spacing of the levels.
 
-It leaves room for a rounding to counts of half that distance; half of all values would be as near."""
+It allows for rounding to counts of half that spacing; half of all values would be as near by chance."""
 ORDER = 20
 """Lags of the autoregression: a resonance, and the beginning of 1/f noise within a run."""
 LEAST = 1e-9
-"""P-value by the spectrum that is not gone below: nobody knows the tails of real noise so far out."""
+"""Least p-value by the spectrum: the tails of real noise are unknown so far out."""
 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """What the residual shows by itself.
+    """Statistics of the residual alone.
 
     `variance`: of the whitened residual (1: the stated noise). `fast`: the same from second differences.
-    `colour`: (SEGMENT,) autocorrelation at lags 0, 1, ... `inflation`: variance of a slow average over that
-    of white noise of the same size. `kurtosis`: 3 for Gaussian noise. `values`: different readings of each
-    channel among the samples looked at; `adc_step`: (K,) step between them, 0 for none, `step_p`: how likely
-    chance makes such steps. `lines_hz`: of hum, one near each frequency of the mains. `instants`: (3, n),
-    see `_instants`.
+    `autocorrelation`: (SEGMENT,) at lags 0, 1, ... `inflation`: variance of a slow average
+    over that of white noise of the same size. `kurtosis`: 3 for Gaussian noise. `values`: different readings
+    of each channel among the samples looked at; `adc_step`: (K,) step between them, 0 for none, `step_p`: how
+    likely chance makes such steps. `lines_hz`: of hum, one near each frequency of the mains. `instants`: (3,
+    n), see `_instants`.
     """
 
     duration_s: float
@@ -61,7 +61,7 @@ class Survey:
 
 @found_once
 def survey(base: Base, runs: frozenset[int]) -> Survey:
-    """Read the log once and return what the residual of `base` on `runs` shows by itself."""
+    """Read the log once and return the statistics of the residual of `base` on `runs`."""
     K = len(base.model.channels)
     times, rest, readings, instants = [], [np.zeros((K, 0))], [np.zeros((K, 0))], [np.zeros((3, 0))]
     for piece in pieces(base, runs):
@@ -70,14 +70,14 @@ def survey(base: Base, runs: frozenset[int]) -> Survey:
         readings.append(piece.readings)
         instants.append(_instants(piece))
     variance, fourth = (_mean(np.hstack(rest) ** power) for power in (2, 4))
-    colour, inflation = _memory(rest[1:], base.policy)
+    autocorrelation, inflation = _memory(rest[1:], base.policy)
     values = tuple(np.unique(np.concatenate(own)) for own in zip(*readings, strict=True))
     steps = [_step(v, base.policy) for v in values]
     return Survey(
         duration_s=float(times[-1][-1] - times[0][0]) if times else 0.0,
         variance=variance,
         fast=_mean(np.hstack([np.diff(r, 2) for r in rest]) ** 2) / 6,
-        autocorrelation=colour,
+        autocorrelation=autocorrelation,
         inflation=inflation,
         kurtosis=fourth / max(variance, NIL) ** 2,
         values=values,
@@ -93,7 +93,7 @@ def _mean(values: np.ndarray) -> float:
 
 
 def products_at_lags(rows: np.ndarray, lags: int | None = None) -> np.ndarray:
-    """Return the sums over rows (K, n) of products of values 0, 1, ... `lags` - 1 samples apart; of all n."""
+    """Return the sums over rows (K, n) of products of values at lags 0, 1, ... `lags` - 1; of all n."""
     n = rows.shape[1]
     power = (np.abs(np.fft.rfft(rows, 2 * n)) ** 2).sum(axis=0)
     own = np.asarray(np.fft.irfft(power, 2 * n)[: min(n, lags or n)])
@@ -103,7 +103,7 @@ def products_at_lags(rows: np.ndarray, lags: int | None = None) -> np.ndarray:
 def _memory(rest: Sequence[np.ndarray], policy: Policy) -> tuple[np.ndarray, float]:
     """Return the autocorrelation (SEGMENT,) of blocks (K, n), and the variance of a slow average for it.
 
-    The memory ends where white noise may be as correlated (Bartlett), at 95 %.
+    It is cut off where white noise may be as correlated (Bartlett), at 95 %.
     """
     centred = (r - r.mean(axis=1, keepdims=True) for r in rest)
     products = sum((products_at_lags(r, SEGMENT) for r in centred), np.zeros(SEGMENT))
@@ -114,10 +114,10 @@ def _memory(rest: Sequence[np.ndarray], policy: Policy) -> tuple[np.ndarray, flo
 
 
 def memory_of_recording(base: Base, runs: frozenset[int]) -> float:
-    """Return the samples after which the residual of `base` has forgotten, from run to run.
+    """Return the correlation length of the residual of `base` in samples, across runs.
 
-    It remembers to the last lag at which white noise would hardly be as correlated (Bartlett), all lags
-    counted; noise that remembers long may have forgotten earlier. What lies between slices is unknown.
+    It is the last lag at which white noise would hardly be as correlated (Bartlett, corrected for all lags),
+    an upper limit for slow noise. Gaps between slices are unknown.
     """
     found = list(pieces(base, runs))
     t = np.concatenate([p.t for p in found])
@@ -138,11 +138,11 @@ def memory_of_recording(base: Base, runs: frozenset[int]) -> float:
 def spectrum_peak(base: Base, runs: Iterable[int]) -> float:
     """Return the largest value of the spectrum of the whitened residual: 1 for white noise as assumed.
 
-    No column collects more of the noise, however slow it is. So the squares that a candidate takes off the
-    residual are held against chi-square times this value as well: signs have no power where one run, or four,
-    carry an effect. The spectrum is that of an autoregression of what the best effect leaves, and at one
-    period a run, which so few lags do not know, what is seen there. What is not in the catalogue stays in it
-    and raises it. At least 1, and infinity where heavy tails make it no measure of what a column collects.
+    No column collects more of the noise, however slow it is. So the squares that a candidate explains are
+    compared with chi-square times this value as well: sign flips have no power where one run, or four, carry
+    an effect. The spectrum is that of an autoregression of the residual with the best effect, and at one
+    period per run, beyond so few lags, the observed one. Effects outside the catalogue stay in it and raise
+    it. At least 1, and infinity where tails are too heavy for chi-square.
     """
     rest = [np.where(piece.used, piece.residual, 0.0) for piece in pieces(base, frozenset(runs))]
     count = max(sum(x.size for x in rest), 1)
@@ -165,9 +165,9 @@ def noise_of_rest(base: Base, runs: Sequence[int]) -> ResidualNoise | None:
 
 
 def _instants(piece: Piece) -> np.ndarray:
-    """Return the time shift that each residual asks for, the speed, and the rest squared: (3, n), whitened.
+    """Return the time shift that explains each residual, the speed, and the rest squared: (3, n), whitened.
 
-    What changes smoothly is a gap of the model and not of samples: a running median takes it out.
+    Smooth changes are a gap of the model and not of samples: a running median removes them.
     """
     quick = piece.residual - median_filter(piece.residual, size=(1, WINDOW), mode="nearest")
     size = np.linalg.norm(piece.speed, axis=0)
@@ -176,7 +176,7 @@ def _instants(piece: Piece) -> np.ndarray:
 
 
 def _step(v: np.ndarray, policy: Policy) -> tuple[float, float]:
-    """Step between the ascending values of a channel, 0 for none, and how likely that is by chance.
+    """Step between the ascending values of a channel, 0 for none, and its probability by chance.
 
     Of values without steps a distance is near a whole number of any step with probability 2 TOLERANCE.
     """
@@ -195,7 +195,7 @@ def _step(v: np.ndarray, policy: Policy) -> tuple[float, float]:
 
 
 FINER = 8
-"""Frequencies in what a block resolves: power between two of them is a straight line within 0.6 %."""
+"""Frequencies per resolution of a block: power between two of them is a straight line within 0.6 %."""
 
 
 class Blocks(NamedTuple):
@@ -229,9 +229,9 @@ class Blocks(NamedTuple):
         for start in range(0, len(f), step.shape[1]):
             here = slice(start, start + step.shape[1])
             k, own = np.arange(len(f[here])), low[here] - low[start]
-            turned = np.exp(-2j * np.pi * f[start] * shift)[:, None] * step[:, : len(k)]
+            phase = np.exp(-2j * np.pi * f[start] * shift)[:, None] * step[:, : len(k)]
             knots = self.amplitudes[..., low[start] : low[start] + own[-1] + 2]
-            at = np.tensordot(knots, turned, (0, 0))
+            at = np.tensordot(knots, phase, (0, 0))
             parts.append((1 - share[here]) * at[:, own, k] + share[here] * at[:, own + 1, k])
         return np.concatenate(parts, axis=1)
 
@@ -242,13 +242,13 @@ def hum(times: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> tuple[float,
     `times`: (n,) [s] of each block, evenly spaced; `rest`: its residual, (K, n). The power of the blocks
     tells where it is, and their phases where exactly.
     """
-    alike: dict[tuple[int, float], list[tuple[np.ndarray, np.ndarray]]] = {}
+    by_length: dict[tuple[int, float], list[tuple[np.ndarray, np.ndarray]]] = {}
     for t, r in zip(times, rest, strict=True):
         if len(t) > 2 * FEWEST_SAMPLES:
-            alike.setdefault((len(t), float(f"{t[-1] - t[0]:.9g}")), []).append((t, r))
-    if not alike:
+            by_length.setdefault((len(t), float(f"{t[-1] - t[0]:.9g}")), []).append((t, r))
+    if not by_length:
         return ()
-    blocks = [_blocks(*zip(*each, strict=True)) for each in alike.values()]
+    blocks = [_blocks(*zip(*each, strict=True)) for each in by_length.values()]
     longest = max(b.length for b in blocks)
     first, last = min(b.middle[0] for b in blocks), max(b.middle[-1] for b in blocks)
     span = max(last - first, longest)
@@ -263,7 +263,7 @@ def hum(times: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> tuple[float,
 
 
 def _blocks(times: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> Blocks:
-    """Differences of neighbouring samples are taken: what changes slowly has no power there."""
+    """Amplitudes of differences of neighbouring samples, in which slow changes have no power."""
     t, x = np.array(times), np.diff(rest)
     n, length = x.shape[-1], t[0, -1] - t[0, 0]
     ends = [FINER * length * (hz + np.array([-MAINS_REACH_HZ, MAINS_REACH_HZ])) for hz in MAINS_HZ]

@@ -1,10 +1,10 @@
-"""Validation: which effects hold on the holdout runs, how far the gap shrinks, what is left.
+"""Validation: which effects hold on the holdout runs, how far the gap shrinks, the residual.
 
 The shrinkage comes from nested cross-validation. Groups of runs are left out in turn. Without each, every
-effect stands once more against what else was refitted for its place, with the others there, and against none:
-BIC on the other runs chooses. What it chooses is moved to the minimum of the other runs by one Gauss-Newton
-step, and judged on the group. The holdout runs are a group that was left out from the beginning. So every run
-judges, and none took part in what it judges.
+effect competes again with its rivals, the others in place, and with no effect: BIC on the other runs decides.
+The chosen model is moved to the minimum of the other runs by one Gauss-Newton step, and evaluated on the
+group. The holdout runs are a group that was left out from the beginning. So every run is evaluated with
+models that were neither fitted nor chosen on it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,7 +37,7 @@ Squares = Mapping[tuple[int, ...], float]
 class Judged:
     """Squared decoded errors of the judging runs, `before` and `after`, (runs,) each.
 
-    Whole runs are the units: what happens within a run may be correlated.
+    Whole runs are the units, since errors within a run may be correlated.
     """
 
     before: np.ndarray
@@ -70,8 +70,8 @@ class Judged:
     def interval(self, scale: float = 1.0) -> tuple[float, float] | None:
         """Return the 95 % interval of the shrinkage on a new recording of as many runs; None of too few.
 
-        A new recording has these runs in another mixture: where each one got better, any mixture does.
-        `scale`: the gap that other repairs leave, over that without them.
+        A new recording has these runs in other proportions: if each one improved, any mixture does.
+        `scale`: the gap with other repairs over that without them.
         """
         n, outside = len(self.before), self.policy.false_alarm
         if n < self.policy.fewest:
@@ -94,8 +94,8 @@ class Judged:
 def _mixtures(n: int, outside: float) -> np.ndarray:
     """Return weights (4000, n) of `n` runs in a new recording: a Bayesian bootstrap (Rubin, 1981).
 
-    The ends of a 95 % interval are those of 100 draws on each side. The concentration gives a mean the
-    variance of Student's interval for the difference of two recordings.
+    100 draws lie beyond each end of a 95 % interval. The concentration gives a mean the variance of Student's
+    interval for the difference of two recordings.
     """
     wider = float(stdtrit(n - 1, 1 - outside / 2) / ndtri(1 - outside / 2))
     concentration = ((n - 1) / (2 * wider**2) - 1) / n  # below 6 runs none is so wide: nearly one run alone
@@ -110,10 +110,10 @@ def groups_of(runs: Sequence[int]) -> list[frozenset[int]]:
 def cross_validated(
     fit: Refitted, groups: Sequence[frozenset[int]], others: Sequence[Refitted] = ()
 ) -> dict[tuple[int, ...], float]:
-    """Return the squared decoded errors of each run as the other runs foresee them.
+    """Return the cross-validated (leave-one-group-out) squared decoded errors of each run.
 
-    A fitted run is judged by the fit moved to the minimum without its group, or by that of the `others` whose
-    BIC on the runs without the group is lower by more than a tie; the runs that were not fitted by `fit`.
+    A fitted run is evaluated with the fit moved to the minimum without its group, or with that of the
+    `others` whose BIC on the runs without the group is lower by more than a tie; holdout runs, with `fit`.
     """
     t = fit.tangents
     fitted = set(fit.fitted.tolist())
@@ -138,10 +138,10 @@ def _without(fit: Refitted, group: frozenset[int]) -> tuple[float, np.ndarray]:
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class Validated:
     """A selected effect, with the fit `without` it and the `errors` of that fit on the holdout runs.
 
-    `judged`: all effects against those without it, on every run that took no part.
+    `judged`: all effects against those without it, cross-validated.
     """
 
     exact: Exact
@@ -158,21 +158,21 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """What holds on the holdout runs, and what is left with it.
+    """The effects that hold on the holdout runs, and the residual with them.
 
-    `start`: the fit without effects; `dropped`: whether a selected effect does not hold.
-    `end`: the model with the effects that hold; `fit`: the same, fitted
-    without the samples that are faults by themselves. Errors on the holdout runs: `before` without effects,
-    `after` with them, `cured` also without faulty samples; `metric`: the gap without any fault of samples [m
-    or rad]. `rest`: the structure of what `end` leaves. `variance`: of the fitted samples' whitened residual;
-    `inflation`: variance of a slow average over that of white noise; `error`: standard error of the gap of
-    the holdout runs, over itself, by noise of this memory.
+    `start`: the fit without effects; `dropped`: whether a selected effect does not hold. `end`: the model
+    with the effects that hold; `fit`: the same, fitted without the samples that are faults by themselves.
+    Errors on the holdout runs: `before` without effects, `after` with them, `cured` also without faulty
+    samples; `metric`: the gap without any fault of samples [m or rad]. `rest`: the structure of the residual
+    of `end`. `variance`: of the fitted samples' whitened residual; `inflation`: variance of a slow average
+    over that of white noise; `error`: relative standard error of the gap of the holdout runs, for noise of
+    this autocorrelation.
     """
 
     start: Refitted
     end: Base
     fit: Refitted
-    effects: tuple[Held, ...]
+    effects: tuple[Validated, ...]
     dropped: bool
     judged: Judged | None
     before: DecodedErrors
@@ -194,7 +194,7 @@ class Validation:
 
     @property
     def counted(self) -> Base:
-        """The same on the samples that the gap counts: all but those that are a fault by themselves."""
+        """The same on the samples that the gap counts: all but faulty ones."""
         return self.base if self.cured is not self.after else self.base.on_all
 
     @property
@@ -204,9 +204,9 @@ class Validation:
 
 
 def validate(setup: Setup, selection: Selection) -> Validation:
-    """Judge on the holdout runs what was selected on the others.
+    """Evaluate on the holdout runs the effects that were selected on the others.
 
-    Samples that are a fault by themselves are left out, and the model is refitted without them.
+    Faulty samples are left out, and the model is refitted without them.
     """
     before = decoded_errors(setup.as_logged(selection.start.base), setup.holdout)
     selected = len(selection.effects)
@@ -253,9 +253,9 @@ def validate(setup: Setup, selection: Selection) -> Validation:
 
 
 def _error(left: Survey, values: float) -> float:
-    """Return the standard error of an rms of so many values, over itself, for noise as what is left.
+    """Return the relative standard error of an rms of so many values, for noise like the residual.
 
-    Of coloured noise and of noise with heavy tails as many values tell less.
+    Autocorrelation and heavy tails raise it.
     """
     alone = 1 + 2 * (left.autocorrelation[1:] ** 2).sum()
     return float(np.sqrt((max(left.kurtosis, 3.0) - 1) * alone / (4 * max(values, 1.0))))
@@ -264,13 +264,13 @@ def _error(left: Survey, values: float) -> float:
 # -- effects -------------------------------------------------------------------------------------------------
 
 
-def _holding(setup: Setup, selection: Selection, before: DecodedErrors) -> tuple[Held, ...]:
+def _holding(setup: Setup, selection: Selection, before: DecodedErrors) -> tuple[Validated, ...]:
     """Return the effects that hold; one whose interval of the shrinkage holds zero is dropped.
 
-    One that the spectrum of the noise shows stays: no other run foresees what a single one carries.
+    One that is significant by the spectrum of the noise stays: if one run carries it, no other predicts it.
     """
     while True:
-        effects = tuple(_held(setup, selection, e, before) for e in selection.effects)
+        effects = tuple(_validated(setup, selection, e, before) for e in selection.effects)
         shown = [e for e in effects if e.exact.score.p_by_noise >= setup.policy.false_alarm]
         weak = [(i[0], e.name) for e in shown if (i := e.judged.interval()) and i[0] <= 0]
         if not weak:
@@ -278,11 +278,11 @@ def _holding(setup: Setup, selection: Selection, before: DecodedErrors) -> tuple
         selection.drop(*(e.exact for e in shown if e.name == min(weak)[1]))
 
 
-def _held(setup: Setup, selection: Selection, effect: Exact, before: DecodedErrors) -> Held:
+def _validated(setup: Setup, selection: Selection, effect: Exact, before: DecodedErrors) -> Validated:
     """Return an effect beside the fit without it.
 
-    The score of an effect whose exact refit leaves far less than its score predicts says how well its tangent
-    fits, not whether the effect is there: the decrease on the judging runs is tested instead.
+    Where the exact refit of an effect explains far more than its score, the score tests its tangent and not
+    the effect: the decrease on the evaluated runs is tested instead.
     """
     without, alone = selection.without(effect), len(selection.effects) == 1
     errors = before if alone else decoded_errors(without.base.on_all, setup.holdout)
@@ -290,11 +290,11 @@ def _held(setup: Setup, selection: Selection, effect: Exact, before: DecodedErro
     p = effect.score.p_value
     if effect.fit.cost < setup.policy.half * (effect.squares_before - effect.score.gain):
         p = judged.p_value
-    return Held(effect, without, errors, p, judged)
+    return Validated(effect, without, errors, p, judged)
 
 
 def _judged(setup: Setup, selection: Selection, without: Refitted) -> Judged:
-    """Return all effects against the fit `without` some, on runs that took no part."""
+    """Return all effects against the fit `without` some, cross-validated."""
     groups = groups_of(setup.runs)
     after = cross_validated(selection.fit, groups, selection.others)
     return Judged.of(cross_validated(without, groups), after, setup.policy)
@@ -304,7 +304,7 @@ def _judged(setup: Setup, selection: Selection, without: Refitted) -> Judged:
 
 
 def cures(fault: Fault) -> float:
-    """Return the decrease of the metric without a fault."""
+    """Return the decrease of the metric by removing a fault."""
     return 1 - float(np.sqrt(max(1 - fault.power, 0.0)))
 
 
@@ -327,7 +327,7 @@ def remains(setup: Setup, found: Validation, rest: LackOfFit, metric: float) -> 
     """Return whether a residual of size `metric` is a gap although no effect is named for it.
 
     A shape that predicts other runs and is worth the threshold is a gap by itself. A residual without a shape
-    is a gap if it is above all that the floor may be, by more than chance.
+    is a gap if it significantly exceeds the upper limit of the floor.
     """
     if shaped(setup, rest):
         return True
@@ -341,12 +341,12 @@ QUIET = ("no gap", LARGER)
 
 
 def decide(setup: Setup, found: Validation, noise: ResidualNoise | None = None) -> Verdict:
-    """Return "explained" if what is named closes the gap, "no gap" if nothing is named and nothing is left.
+    """Return "explained" if the named causes close the gap, "no gap" if there is neither cause nor gap.
 
-    What is named must lower the gap by the threshold. A residual that is a gap by itself (`gap.remains`)
-    makes the verdict "unexplained", unless what is named closes nearly all of the excess above the noise
-    floor, or the excess is `noise` (of the model with what was found): then nothing is left to explain, and
-    without a name the noise is larger than stated.
+    Named causes must lower the gap by the threshold. A residual that is a gap by itself (`gap.remains`) makes
+    the verdict "unexplained", unless the causes close nearly all of the excess above the noise floor, or the
+    excess is `noise` (of the model with the found effects): then nothing remains to explain, and without a
+    cause the noise is larger than stated.
     """
     before, after = found.before.metric, found.metric
     named = found.named and 1 - after / before >= setup.threshold
@@ -366,10 +366,10 @@ def decide(setup: Setup, found: Validation, noise: ResidualNoise | None = None) 
 
 
 def material(setup: Setup, base: Base) -> bool:
-    """Return whether a fit says of `base`, found effects included, that it does not describe the fitted runs.
+    """Return whether `base`, found effects included, has lack of fit on the fitted runs.
 
-    What bends the fit of some runs may be small on those held out; and redundant readings may leave much that
-    moves no pose, of which an effect can be the cause without being worth the threshold.
+    An effect that changes the fit of some runs may be small on the holdout runs; and redundant readings may
+    have a residual that moves no pose, caused by an effect below the threshold.
     """
     known = setup.fit.goodness
     if known is None or base.model.effects == setup.base.model.effects:
@@ -382,7 +382,7 @@ def material(setup: Setup, base: Base) -> bool:
 
 
 def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, noise: ResidualNoise) -> bool:
-    """Return whether what `metric` has above the stated floor is worth reporting, and noise explains it.
+    """Return whether the excess of `metric` above the stated floor is worth reporting, and is noise.
 
     No function of the motion, the state and time may predict the threshold.
     """

@@ -5,7 +5,7 @@ The path of a fit, file by file:
 - `task`: one log as it is fitted: checked, reduced, judged, and the `Fit` that comes of it.
 - `factors`: the log, read once, becomes one small triangle per run, whose own offsets are eliminated.
 - `likelihood`: the cost of those runs with exact derivatives.
-- `claims`: mistakes of the recording that explain what the model leaves.
+- `claims`: mistakes of the recording that explain the residual.
 - `identifiable`: which parameters the data determine, and which are therefore fixed.
 - `optimum`: a closed-form start, global search, Newton, IPOPT; Gauss-Newton by passes over the log.
 - `outliers`, `decoding`: samples that are left out; errors of the decoded pose.

@@ -20,7 +20,7 @@ from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost
 from hallsym.families import added_effects, build, known_effect
-from hallsym.families.recording import Correction, Assignment, as_corrections, read_correction, assignment_of
+from hallsym.families.recording import Assignment, Correction, as_corrections, assignment_of, read_correction
 from hallsym.files import read_json
 from hallsym.log import Foreign, Log, Meta, Noise, Sigma
 from hallsym.log.batches import Weigh
@@ -292,9 +292,9 @@ class Fit(Shown, Fitted, kw_only=True, frozen=True, eq=False, dict=True, weakref
 
     `corrections`: mistakes of the recording that were undone. Not saved: `errors`, `keep` (weights that took
     outliers out), `source` (the log), `likelihood` (the cost of the fitted runs, for profiles and refits),
-    `determination` (what those runs determine), `turned` (whether the sign of sensors is all that was undone:
+    `determination` (what those runs determine), `reversed` (whether the sign of sensors is all that was undone:
     a side to mount), `joint` (of several logs fitted together, the parameters of all), `by_log` (the fit log
-    by log, held-out logs last).
+    by log, holdout logs last).
     """
 
     noise: Noise
@@ -353,7 +353,7 @@ class Fit(Shown, Fitted, kw_only=True, frozen=True, eq=False, dict=True, weakref
         }
 
     @property
-    def held(self) -> tuple[str, ...]:
+    def fixed(self) -> tuple[str, ...]:
         """Names of the parameters that stayed at their nominal values."""
         return tuple(n for n in self.model.names if self.parameters[n].held)
 
@@ -453,7 +453,7 @@ def calibrated(
     reason: str,
     determined: Iterable[bool],
     degrees_of_freedom: Iterable[float],
-    held: Sequence[str],
+    fixed: Sequence[str],
     at_bound: Sequence[str] = (),
     offsets: Mapping[int, np.ndarray],
     corrections: tuple[Correction, ...] = (),
@@ -467,7 +467,7 @@ def calibrated(
     columns = (model.parameters, values, std, determined, degrees_of_freedom)
     parameters = {
         p.name: FittedParameter(
-            float(value), p.unit, _number(sigma), bool(known), p.name in held, p.name in at_bound,
+            float(value), p.unit, _number(sigma), bool(known), p.name in fixed, p.name in at_bound,
             p.nominal, _number(p.lower), _number(p.upper), _number(dof),
         )
         for p, value, sigma, known, dof in zip(*columns, strict=True)

@@ -1,4 +1,4 @@
-"""Standard uncertainties of a fit: from the likelihood, or from what differs between runs.
+"""Standard uncertainties of a fit: from the likelihood, or from the scatter between runs.
 
 The scatter between runs: bias-reduced linearisation, CR2 (R. M. Bell and D. F. McCaffrey, Survey Methodology
 28 (2002) 169; with the offsets of the runs as absorbed effects: J. E. Pustejovsky and E. Tipton, J. Bus.
@@ -7,8 +7,8 @@ Econ. Stat. 36 (2018) 672, doi:10.1080/07350015.2016.1247004).
 Its coordinates are those in which the information of all runs together is the unit matrix: K K^T is the
 covariance by the likelihood, J_g = K^T I_g K is the leverage of run g, and the J_g add up to 1. If noise
 alone acts, the score t_g of a run at the optimum has the covariance J_g - J_g^2; (1 - J_g)^(-1/2) t_g has
-J_g, what the errors of that run bring into the estimate. The squares of those add up to the covariance of
-the estimate, whatever acts on a run as a whole.
+J_g, the contribution of that run's errors to the estimate. The sum of their squares is the covariance of the
+estimate, whatever acts on a run as a whole.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -28,18 +28,18 @@ from hallsym.model.influence import reading_slopes
 from hallsym.model.model import combination, linear
 
 TOGETHER = 128
-"""Runs that are computed at once: intermediate matrices of more cost memory and no time."""
+"""Runs per block: larger blocks cost memory and save no time."""
 ALONE = 1e-3
-"""1 - leverage below which a run determines a direction alone: its scores say nothing of its errors there."""
+"""1 - leverage below which a run determines a direction alone: its score does not show its error there."""
 
 
 @dataclass(frozen=True, eq=False)
 class RunScatter:
     """Scores of r runs about n parameters.
 
-    `root`: (n, n) K. `leverage`: (r, n, n) J. `scores`: (r, n) t. `by_noise`: (n, n) covariance by the noise
-    of what all runs bring into the estimate, 1 where all samples of a run are alike; `lost`: sum over runs of
-    the trace of J times what that run brings, by which scores are smaller.
+    `root`: (n, n) K. `leverage`: (r, n, n) J. `scores`: (r, n) t. `by_noise`: (n, n) covariance by noise of
+    the contributions of all runs, 1 where the noise of a run is stationary; `lost`: sum over runs of the
+    trace of J times the contribution of that run, by which scores are smaller.
     """
 
     root: np.ndarray
@@ -88,7 +88,7 @@ class RunScatter:
 
     @cached_property
     def ratio(self) -> float:
-        """Sum of squares of all scores over what noise predicts; 1 where there is nothing to compare."""
+        """Sum of squares of all scores over its expectation by noise; 1 without scores."""
         squares = float(np.einsum("ri,ri->", self.scores, self.scores))
         return squares / self.expected if self.expected > ALONE * len(self.root) else 1.0
 
@@ -122,8 +122,8 @@ class RunScatter:
     def covariance(self, least: float) -> np.ndarray:
         """Return the covariance of the parameters, (n, n).
 
-        A direction that one run determines alone has the scatter of all directions together, times what noise
-        predicts for it, and no less than `least` times that.
+        A direction that one run determines alone gets the variance by noise, scaled by the scatter of all
+        directions together and by no less than `least`.
         """
         parts = zip(_parts(len(self.scores)), self._adjusted(), strict=True)
         grown = np.concatenate(
@@ -161,9 +161,9 @@ def _parts(runs: int) -> Iterator[slice]:
 
 
 PLACES = 16_384
-"""Places of runs whose slopes are computed at once."""
+"""Most places whose slopes are computed at once."""
 OVERSTATED = 0.1
-"""Cost per degree of freedom below which noise was overstated or there is none (a plan): it tells nothing."""
+"""Cost per degree of freedom below which noise was overstated or there is none (a plan): it is not used."""
 AT_BOUND = 1e-6
 """Part of the width of its bounds within which a parameter counts as at one of them."""
 BY_RUNS = "runs as blocks"
@@ -203,7 +203,7 @@ def uncertainty(point: Point, found: Determination) -> Uncertainty:
     covariance = np.zeros((len(p), len(p)))
     known = _Estimate(covariance, "likelihood", "there was nothing to estimate")
     if len(free):
-        runs, more = point.information(1.0, free), _turning_noise_of(point, free)
+        runs, more = point.information(1.0, free), _excess_noise_of(point, free)
         scores = 0.5 * point.run_gradients[:, free]
         known = _estimate(runs, more, scores, cost.weights, fit)
         covariance[np.ix_(free, free)] = known.covariance
@@ -240,25 +240,25 @@ def _by_log(
     return not determined[k] and p.name not in found.structural and p.width > 0 and k not in at_bound
 
 
-def _turning_noise_of(point: Point, free: np.ndarray) -> np.ndarray | None:
-    """Return `_turning_noise` of the runs of all shares of a cost, in order; None where none has any."""
+def _excess_noise_of(point: Point, free: np.ndarray) -> np.ndarray | None:
+    """Return `_excess_noise` of the runs of all shares of a cost, in order; None where none has any."""
     cost, p = point.cost, point.p
     out, runs = np.zeros((len(cost.weights), len(free), len(free))), 0
-    turning = False
+    varying = False
     for part, chosen in cost.shares:
         at = slice(runs, runs + len(part.weights))
         own = np.flatnonzero(np.isin(free, chosen))
         place = np.searchsorted(chosen, free[own])
-        found = _turning_noise(point if part is cost else part.at(p[chosen]), place)
+        found = _excess_noise(point if part is cost else part.at(p[chosen]), place)
         if found is not None:
             out[at, own[:, None], own] = found
-            turning = True
+            varying = True
         runs = at.stop
-    return out if turning else None
+    return out if varying else None
 
 
-def _turning_noise(point: Point, free: np.ndarray) -> np.ndarray | None:
-    """What the covariance of each run's scores has beyond its information, (r, n, n) for n `free` parameters.
+def _excess_noise(point: Point, free: np.ndarray) -> np.ndarray | None:
+    """Covariance of each run's scores beyond its information, (r, n, n) for n `free` parameters.
 
     The cost weighs every residual of a run by the mean of their covariances C (`likelihood`). Where the
     noise of the reference acts along an ellipse, C goes round with the pose: scores g^T W r, g = dr/dp and W
@@ -270,7 +270,7 @@ def _turning_noise(point: Point, free: np.ndarray) -> np.ndarray | None:
         return None
     K, n = len(cost.reading_variance), len(free)
     out, W, poses = np.zeros((len(summary.runs), n, n)), point.W[:, None], len(model.pose)
-    for some in _alike(summary.places):
+    for some in _of_one_size(summary.places):
         places = np.array([summary.places[k] for k in some])  # (r, columns, s)
         r, _, s = places.shape
         columns = np.swapaxes(places, 0, 1).reshape(-1, r * s)
@@ -278,7 +278,7 @@ def _turning_noise(point: Point, free: np.ndarray) -> np.ndarray | None:
         found = reading_slopes(model, p, offsets, columns[:poses], columns[poses:])
         g, z, *by_columns = (v.reshape(r, s, K, v.shape[2]) for v in found)
         j = np.concatenate(by_columns, axis=3)
-        if z.shape[3]:  # what the offsets of a run leave of a slope
+        if z.shape[3]:  # slopes with the offsets of a run eliminated
             square, both = (_products(z, W[some] @ v) for v in (z, g))
             g = g - z @ solve(square, both)[:, None]
         g = g[..., free]
@@ -295,7 +295,7 @@ def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(np.swapaxes(left, 1, 2) @ right)
 
 
-def _alike(places: Sequence[np.ndarray]) -> Iterator[list[int]]:
+def _of_one_size(places: Sequence[np.ndarray]) -> Iterator[list[int]]:
     """Yield runs with one number of places (n_columns, samples), as many as are handled at once."""
     by_samples: dict[int, list[int]] = {}
     for k, own in enumerate(places):
@@ -309,7 +309,7 @@ def _alike(places: Sequence[np.ndarray]) -> Iterator[list[int]]:
 class _Estimate:
     """Covariance of the free parameters, and how it came about.
 
-    `scatter`: of the scores of the runs, where the covariance is theirs; else all directions have the `dof`.
+    `scatter`: of the scores of the runs, if the covariance is from them; else all directions have the `dof`.
     """
 
     covariance: np.ndarray
@@ -330,8 +330,8 @@ def _estimate(
 ) -> _Estimate:
     """Covariance by the likelihood, scaled where the noise is larger, or by the scatter between runs.
 
-    `runs`: (r, n, n) information of each run, overwritten. `more`: what the covariance of its scores by the
-    noise has beyond that, None where all samples are alike. `scores`: (r, n).
+    `runs`: (r, n, n) information of each run, overwritten. `more`: covariance of its scores beyond that, None
+    where the noise is stationary. `scores`: (r, n).
     """
     runs *= weights[:, None, None]
     known = None if more is None else runs + more * weights[:, None, None]
@@ -345,7 +345,7 @@ def _estimate(
     if n == 1:
         said += "one recording cannot show whether its noise is white, which is assumed"
         return _Estimate(scale * naive, method, said, dof)
-    # noise that is correlated within a run leaves less than stated there, and more between runs
+    # noise that is correlated within a run has a smaller residual there, and more scatter between runs
     size = fit.cost_per_degree_of_freedom if fit.contradicts else 1.0
     size = size if size > OVERSTATED else 1.0
     limit = size * float(chdtri(scatter.degrees_of_freedom, ndtr(-CERTAIN))) / scatter.degrees_of_freedom
@@ -379,7 +379,7 @@ def _combinations(
     determined: np.ndarray,
     dof_of: Callable[[np.ndarray], float | None],
 ) -> tuple[tuple[CombinationEstimate, ...], list[str]]:
-    """Named combinations that are determined, then linear ones for what they leave; and named ones lost."""
+    """Named combinations that are determined, then linear ones for the rest; and named ones lost."""
     model = cost.summary.model
     index = {name: k for k, name in enumerate(model.names)}
     out, known, lost = [], [], []

@@ -85,8 +85,8 @@ class Errors:
 
 
 def nominal_variance(model: Model, reading_variance: np.ndarray) -> np.ndarray:
-    """Return by which variance of each reading (K,) nominal parameters decode: readings of one unit are
-    alike, since a nominal decoder knows of no noise; else what is known."""
+    """Return the variance of each reading (K,) by which nominal parameters decode: equal for readings of one
+    unit, since a nominal decoder assumes no noise; else the known ones."""
     units = {channel.rpartition("_")[2] for channel in model.channels}
     return np.ones(len(model.channels)) if len(units) == 1 else np.asarray(reading_variance)
 
@@ -101,7 +101,7 @@ def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndar
     def decode(
         p: np.ndarray, offsets: np.ndarray, readings: list, states: list, reference: np.ndarray | None = None
     ) -> np.ndarray:
-        with np.errstate(all="ignore"):  # readings that no pose gives have none: nan
+        with np.errstate(all="ignore"):  # impossible readings have no pose: nan
             if reference is None or not repeats:
                 run = model.remember("decoded, on arrays", lambda: on_arrays(model.decoded))
                 return run(p, offsets, readings, states, weight)[0]
@@ -154,7 +154,7 @@ def gain_at(model: Model) -> Callable[..., list[np.ndarray]]:
 
 
 def slopes_by_column(model: Model) -> Callable[..., list[np.ndarray]]:
-    """Return `(p, pose, state) -> d reading / d column` on arrays, (columns * K, samples), offsets at zero."""
+    """Return `(p, pose, state) -> d reading / d column` on arrays, (columns * K, samples), offsets 0."""
 
     def made() -> Callable[..., list[np.ndarray]]:
         s = model.symbols
@@ -166,7 +166,7 @@ def slopes_by_column(model: Model) -> Callable[..., list[np.ndarray]]:
 
 
 def knows_rails(model: Model) -> bool:
-    """Return whether a model says what a reading does at its rail."""
+    """Return whether a model includes the rails of its readings."""
     return "saturation" in model.effects
 
 
@@ -326,7 +326,7 @@ def zero_shifts(
 ) -> dict[str, dict[int, float]]:
     """Return by reference that repeats and run the circular mean of the decoded error, in its unit.
 
-    That is by how much the zero of the reference differs from the calibration's. Other arguments as for
+    That is the shift of the zero of the reference since the calibration. Other arguments as for
     `error_tables`.
     """
     own = {c: model.period[c] for c in model.references if c in model.period}
@@ -348,7 +348,7 @@ def columns_of(model: Model) -> tuple[str, ...]:
 
 
 def logged_columns(model: Model) -> tuple[str, ...]:
-    """Return the columns that a log must hold: those a model reads, and what the computed ones need."""
+    """Return the columns that a log must hold: those a model reads, and inputs of computed ones."""
     made = {c.name for c in model.computed}
     needed = [c for m in model.computed for c in m.needs] + (["t_s"] if made else [])
     return tuple(dict.fromkeys(c for c in (*columns_of(model), *needed) if c not in made))

@@ -1,4 +1,4 @@
-"""A calibration on another log: errors of the decoded pose, whether it describes it, offsets that moved."""
+"""A calibration on another log: errors of the decoded pose, lack of fit, offsets that moved."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ class Judged:
 def judged(
     log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float], *, own_zero: bool = False
 ) -> Judged:
-    """Return what fixed parameters make of another log; each run's offsets are estimated from that run.
+    """Evaluate fixed parameters on another log; each run's offsets are estimated from that run.
 
-    `own_zero`: so is the zero of a reference that repeats, which the calibration has one of.
+    `own_zero`: so is the zero of a periodic reference.
     """
     cost = cost_near(log, model, p, noise)
     shifts = zero_shifts(log, model, p, offsets_of(cost, p), cost.reading_variance, noise)
@@ -61,18 +61,18 @@ def judged(
 
 
 MOSTLY = 0.5
-"""Share of the squared error from which on another zero is what to say first of it."""
+"""Share of the squared error above which a shifted zero is reported first."""
 REMEDY = "--own-zero estimates it"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Evaluation(Shown):
-    """What `evaluate` returns: errors of the decoded pose against the reference of a log, by run.
+    """Result of `evaluate`: errors of the decoded pose against the reference of a log, by run.
 
-    `table.over(runs)` gives rmse and peak by pose coordinate, SI. `goodness`: what is left, in multiples of
-    the noise. `noise_floor`: the error that noise alone would leave, by pose coordinate. `notes`: what has to
-    be said of the log. `calibration`, `log`: what was evaluated, and on what. `offsets`: zero deviations by
-    run. `decoded`: the log as it was decoded, channels as the model names them.
+    `table.over(runs)` gives rmse and peak by pose coordinate, SI. `goodness`: the residual in multiples of
+    the noise. `noise_floor`: the error by noise alone, by pose coordinate. `notes` on the log. `calibration`,
+    `log`: the inputs. `offsets`: zero deviations by run. `decoded`: the log as it was decoded, channels as
+    the model names them.
     """
 
     model: Model
@@ -115,8 +115,8 @@ def evaluate(
     """Decode a log with a calibration and compare it with the log's reference.
 
     `calibration`: a fit, or the path of a saved one. `log`: as `fit` takes it. The zero deviations of each
-    run are estimated from that run. `own_zero`: so is the zero of a reference that turns. `drop_bad`: leave
-    out bad samples.
+    run are estimated from that run. `own_zero`: so is the zero of a periodic reference. `drop_bad`: leave out
+    bad samples.
 
     Raises `InputError` for a log that is not of the machine that was calibrated, and for one whose units,
     signs or runs are wrong, as a fit of it does.

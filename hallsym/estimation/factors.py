@@ -1,8 +1,8 @@
 """Factors: a log of any length, reduced to one small triangle per run.
 
 The residual of a reading is linear in the features of `hallsym.model.features`, so the R factor of
-[features | readings] holds everything a least-squares cost can ask of a run, for any parameters and any zero
-deviations. QR, not Gram and Cholesky: it keeps the digits (docs/theory.md gives the measured error).
+[features | readings] is a sufficient statistic of a run for a least-squares cost, for any parameters and any
+offsets. QR, not Gram and Cholesky: it keeps the digits (docs/theory.md gives the measured error).
 
 A reading that is no polynomial of the columns, or not linear in the offsets of a run, or that reads columns
 made from the log (rates, memory), is replaced by its tangent at parameters p0 and offsets z0:
@@ -38,12 +38,12 @@ from hallsym.model.features import Features, Rows, find_features
 # -- lossless triangles of a polynomial reading --------------------------------------------------------------
 
 PIECE = 8000
-"""Entries of a piece that is reduced at once: fits the cache, and stays below the size at which BLAS starts
-threads, whose wake-up costs more than the work. Wide ones are four times as high as wide."""
+"""Entries of a piece that is reduced at once: fits the cache, and is below the size at which BLAS starts
+threads, whose start costs more than the work. Wide ones are four times as high as wide."""
 SLOPE_SAMPLES = 64
-"""Samples per block that estimate how reference noise enters; a weight needs no more."""
+"""Samples per block from which the effect of reference noise is estimated; a weight needs no more."""
 MOST_PLACES = 512
-"""Samples of a run whose pose is kept where the direction of the reference's noise goes round."""
+"""Samples of a run whose pose is kept where the direction of the reference's noise varies with the pose."""
 
 BY_RUN = ("triangles", "slopes", "counts", "first_state", "mean_state")
 """Arrays of run statistics, one row per run."""
@@ -51,7 +51,7 @@ BY_RUN = ("triangles", "slopes", "counts", "first_state", "mean_state")
 
 @dataclass(frozen=True, eq=False)
 class RunStatistics:
-    """The runs of a log as seen by one model.
+    """The run statistics of a log for one model.
 
     `triangles`: (runs, n, n), n = n_features + n_channels, readings last.
     `slopes`: (runs, pairs), mean product of d feature i / d column and d feature j / d column for each entry
@@ -104,14 +104,14 @@ class RunStatistics:
     def from_sources(self, sources: Mapping[str, tuple[str, float]]) -> "RunStatistics | None":
         """Return the statistics of the same samples whose columns hold those of others, times a factor.
 
-        None where the features are no monomials of these columns, or one is no feature then.
+        None where the features are no monomials of these columns, or a corrected one is no feature.
         """
         model, powers, columns = self.model, self.features.exponents, self.logged
         taken = [sources.get(c, (c, 1.0)) for c in columns]
-        held = [sources.get(c, (c, 1.0)) for c in model.channels]
+        sources_of = [sources.get(c, (c, 1.0)) for c in model.channels]
         if {*columns} & {*sources} and (powers.shape[1] > len(columns) or self.places):
             return None
-        if any(c not in columns for c, _ in taken) or any(c not in model.channels for c, _ in held):
+        if any(c not in columns for c, _ in taken) or any(c not in model.channels for c, _ in sources_of):
             return None
         origin = np.arange(powers.shape[1])
         origin[: len(columns)] = [columns.index(c) for c, _ in taken]
@@ -122,7 +122,7 @@ class RunStatistics:
         if min(place) < 0 or max(place[:k], default=-1) >= k or (origin[refs : len(columns)] < refs).any():
             return None
         size = np.prod(factor**powers, axis=1)
-        readings = [self.features.size + model.channels.index(c) for c, _ in held]
+        readings = [self.features.size + model.channels.index(c) for c, _ in sources_of]
         column, i, j = self.features.slope_pairs
         at = np.array(place)
         pairs = {tuple(pair): n for n, pair in enumerate(np.transpose([column, i, j]).tolist())}
@@ -132,7 +132,7 @@ class RunStatistics:
         return replace(
             self,
             centre=factor * self.centre[origin],
-            triangles=self.triangles[:, :, [*place, *readings]] * [*size, *(f for _, f in held)],
+            triangles=self.triangles[:, :, [*place, *readings]] * [*size, *(f for _, f in sources_of)],
             slopes=self.slopes[:, here] * (size[i] * size[j] / factor[column] ** 2),
             first_state=self.first_state[:, state[0]] * state[1],
             mean_state=self.mean_state[:, state[0]] * state[1],
@@ -216,7 +216,7 @@ def summarised(
 ) -> RunStatistics:
     """Read a log once and return the run statistics of given features.
 
-    `place(batch)`: what the features are taken at: one centre (n_variables,) for all, or offsets (z, samples).
+    `place(batch)`: where the features are taken: one centre (n_variables,) for all, or offsets (z, samples).
     """
     model, states = features.model, len(features.model.state)
     centre = np.zeros(0)
@@ -353,8 +353,8 @@ def _r(matrices: np.ndarray) -> np.ndarray:
 # -- triangles of tangents -----------------------------------------------------------------------------------
 
 READINGS, SAMPLES, SMALLEST = 360, 40, 5.0
-"""Readings, and poses and states at least, at which it is asked what no recording can determine; and decades
-below 1 [SI] that every second of them may be smaller by: a stage moves by 1e-4 m."""
+"""Fewest readings, and poses and states, for the structural null directions; and decades below 1 [SI] by
+which every second of them may be smaller: a stage moves by 1e-4 m."""
 
 
 @lru_cache(maxsize=64)
@@ -428,10 +428,10 @@ def _entries(jacobian: ca.SX) -> tuple[tuple[int, int], ...]:
 
 @dataclass(frozen=True, eq=False)
 class TangentFeatures(Features):
-    """Features of the tangent at the parameters `at`; a stand-in wherever `Features` serve a cost.
+    """Features of the tangent at the parameters `at`, with the interface of `Features`.
 
-    `noise`: (n_columns,) of the logged columns. Features are many where channels are: what noise makes of
-    them is kept as one matrix and not one for each column.
+    `noise`: (n_columns,) of the logged columns. Many channels have many features, so the covariance by noise
+    is kept as one matrix and not one for each column.
     """
 
     at: np.ndarray
@@ -490,8 +490,8 @@ class TangentFeatures(Features):
     def slope_rows(self, p: np.ndarray) -> np.ndarray:
         """Return d reading / d parameters, (rows, n), at random poses and states of all sizes up to 1.
 
-        Large ones tell curvature apart; of a reading that a rail cuts off there, small ones tell the rest.
-        Poses are about those that are typical of the model, if it states any.
+        Large ones determine curvature; where a rail cuts a reading off, small ones determine the rest. Poses
+        are about those that are typical of the model, if it states any.
         """
         model, rng = self.model, np.random.default_rng(0)
         count = max(SAMPLES, READINGS // len(model.channels))
@@ -569,9 +569,9 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 def eliminate(matrix: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Eliminate the first `count` unknowns of each run: its offsets.
 
-    `matrix`: (..., v, v) information, Hessian or products of columns. Returns what is left for the others,
-    (..., v - count, v - count), and how the offsets follow them, (..., count, v - count): at the minimum
-    `offsets = follow @ others`.
+    `matrix`: (..., v, v) information, Hessian or products of columns. Returns the Schur complement of the
+    others, (..., v - count, v - count), and `follow`, (..., count, v - count): at the minimum `offsets =
+    follow @ others`.
     """
     if count == 0:
         return matrix, np.zeros((*matrix.shape[:-2], 0, matrix.shape[-1]))

@@ -103,22 +103,22 @@ def fit(
     the user's effects by name. `start`: (n,) values to begin from instead of the closed form.
 
     `corrections`: mistakes of the recording to undo, as a claim states them (`"sign x_ref_m"`; `hallsym info
-    corrections` lists the forms). `accept`: names of claims that are none here, which become notes; samples
-    that such a claim would leave out stay. "all": every one, and no mistake is looked for.
+    corrections` lists the forms). `accept`: names of claims to overrule, which become notes; samples that
+    such a claim would leave out stay. "all": every claim, and no search for mistakes.
 
     `quick`: one pass over a log whose run statistics show nothing amiss, without error tables (`errors` is
-    None), the lower bound of the cost and a test of the colour of the noise; any other log is fitted as
-    without it.
+    None), the lower bound of the cost and a test of the autocorrelation of the noise; any other log is fitted
+    as without it.
 
     `log` may be a list of logs of one device, each with its runs and its noise: they share all parameters but
     those named in `per_log` (`"eta_A"`, or a pattern such as `"eta_*"`), of which each log has its own.
     `holdout_logs`: logs that take no part. `fit.by_log` are then the fits log by log, `fit.joint` the
     parameters of all logs with their covariance; `values` are those of the last log.
 
-    A model that has no run statistics (memory, rates, a term of higher order in the offsets) is fitted from the
+    A model without run statistics (memory, rates, a term of higher order in the offsets) is fitted from the
     optimum of the model without its effects by Gauss-Newton steps, one pass over the log each.
 
-    Raises `InputError` for a log that cannot be what the model needs.
+    Raises `InputError` for a log that does not suit the model.
     """
     began, say = perf_counter(), on_progress or silent
     _choice(solver, SOLVERS, "solver")
@@ -140,7 +140,7 @@ def fit(
 
 
 ALL = "all"
-"""What accepts every claim: no mistake is looked for."""
+"""Accepts every claim: no search for mistakes."""
 
 
 def _recording(log: Log, model: Model, asked: Asked, began: float) -> Fit:
@@ -166,21 +166,21 @@ def _recording(log: Log, model: Model, asked: Asked, began: float) -> Fit:
         return _claimed(result, (), asked)
     faults = [n for n in result.notes if isinstance(n, Fault) and n.runs]
     doubted = {n.name for n in faults if n.correction is None or not described(result)}
-    if doubted:  # what left samples out may be part of more: the fit looks at the samples as they are
+    if doubted:  # a fault that leaves samples out may be part of a larger one: fit all samples
         whole, _ = checked(log, model, asked, result.corrections, tuple(doubted))
         return _claimed(result, mistakes_of(whole, model) or claims_of(result, given), asked)
     return _claimed(result, claims_of(result, given), asked)
 
 
 WHOLLY = 0.99
-"""Share of the excess that a mistake explains where a layout that nobody stated is not in doubt beside it."""
+"""Share of the excess that a mistake must explain so that an assumed layout is not in doubt."""
 
 
 def _claimed(result: Fit, mistakes: Sequence[Claim], asked: Asked) -> Fit:
-    """Return a fit with its claims: `mistakes` that explain what it leaves, what is odd about the recording.
+    """Return a fit with its claims: `mistakes` that explain its residual, and anomalies of the recording.
 
-    What no machine has, and a reference that does not belong, are claims where no mistake explains them. A
-    layout that nobody stated is the first to doubt. Claims that the user accepts are notes.
+    Implausible values and a reference of another recording are claims where no mistake explains them. An
+    assumed layout is doubted first. Claims that the user accepts are notes.
     """
     odd = [note for note in result.notes if isinstance(note, Fault)]
     notes = [str(note) if note in odd else note for note in result.notes]
@@ -243,7 +243,7 @@ def _choice(name: str, known: Sequence[str], what: str) -> None:
 
 
 ROUNDS = 12
-"""Of taking outliers out and fitting again, at most."""
+"""Most rounds of rejecting outliers and refitting."""
 
 
 def fit_several(
@@ -258,7 +258,7 @@ def fit_several(
 ) -> tuple[Fit, Log | None]:
     """Return the fit of several logs, or of one `alone` with its log as it was logged.
 
-    `models`: of logs and held-out logs, in order.
+    `models`: of logs and holdout logs, in order.
     """
     every, model = [*logs, *holdout_logs], models[0]
     if not alone:
@@ -280,7 +280,7 @@ def fit_several(
         _end(one, together.of_log(solution, g), errors[g] if errors else None)
     if alone:
         return result_of(members[0], began), members[0].given
-    for one in others:  # decoded with the parameters of the others; all of its runs are held out
+    for one in others:  # decoded with the parameters of the others; all of its runs are holdout
         everything, known = one.begun.everything, members[-1].solution
         state = Solution(everything, everything, known.determination, known.search)
         _end(one, state, replace(one.task.errors(state, None), holdout=everything.summary.runs))
@@ -309,8 +309,8 @@ def _own_parameters(model: Model, per_log: Sequence[str], logs: int, holdout: bo
         raise InputError("Parameters per log need two logs at least; give another log, or leave them out.")
     if found and holdout:
         raise InputError(
-            f"A held-out log cannot have a {found[0]} of its own, since nothing of it is fitted; leave "
-            "per-log parameters or held-out logs out, or hold out some runs of that log."
+            f"A holdout log cannot have a {found[0]} of its own, since nothing of it is fitted; leave "
+            "per-log parameters or holdout logs out, or hold out some runs of that log."
         )
     return tuple(found)
 
@@ -322,7 +322,7 @@ def _opened(logs: Sequence[Log], model: Model, fitted: int, asked: Asked) -> lis
     if fitted > 1 and asked.holdout:
         known = {run for log in logs[:fitted] for run in log.runs}
         if lost := [run for run in asked.holdout if run not in known]:
-            raise InputError(f"Held-out run {lost[0]} is in none of the {fitted} logs.")
+            raise InputError(f"Holdout run {lost[0]} is in none of the {fitted} logs.")
     for k, log in enumerate(logs):
         asked.say(f"checking {log.name}")
         one = opened(log, model, asked, several=fitted > 1, judged=k >= fitted, centre=centre)
@@ -443,7 +443,7 @@ class _Together:
         return self.solve(self.asked.solver) if left < total else whole
 
     def _with_noise_left(self, state: Solution) -> Solution:
-        """Return the optimum with the noise that it leaves where that was estimated.
+        """Return the optimum with the noise of its residual where noise was estimated.
 
         The best point of a search that the user stopped is no optimum, and stays what it is.
         """
@@ -467,7 +467,7 @@ def _weighed(task: Task, weigh: Weigh, clean: Begun) -> Begun:
 
 
 def _left_out(total: float, left: float, loss: str) -> str:
-    """Return what to say of the weight that outliers lost."""
+    """Return a note on the weight that outliers lost."""
     share = f"{100 * (total - left) / total:.2g} %"
     if loss == "tukey":
         return f"Tukey's biweight took {share} of the weight."

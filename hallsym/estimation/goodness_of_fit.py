@@ -1,10 +1,10 @@
-"""Goodness of fit: what a fit leaves, in multiples of the noise, overall, by run and by channel.
+"""Goodness of fit: the residual in multiples of the noise, overall, by run and by channel.
 
-The cost of a fit whose model holds and whose noise is the stated one is chi-square distributed: its value per
-degree of freedom is 1 within sqrt(2 / dof). Two questions are asked of it, and they differ:
+If the model is right and the noise is as stated, the cost of a fit is chi-square distributed: its value per
+degree of freedom is 1 within sqrt(2 / dof). An excess answers two different questions:
 
-- Is it *significant*? Then the noise was not what it was said to be, or the model is not the machine, and the
-  standard uncertainties are scaled (`covariance`). With 80,000 readings one percent of noise is significant.
+- Is it *significant*? Then the noise is not as stated, or the model is wrong, and the standard uncertainties
+  are scaled (`covariance`). With 80,000 readings one percent of noise is significant.
 - Is it *material*? Then the report begins with it, and a command ends with exit code 3. That is a question of
   size: every real log has a few percent.
 """
@@ -25,15 +25,15 @@ from hallsym.model import Model
 KNOWN = 0.03
 """Relative uncertainty of a noise floor: n samples know a standard deviation to 1 / sqrt(2 n), 560 to 3 %."""
 WORTH_REPORTING = 0.05
-"""Relative decrease of the error from which on a gap is worth reporting, unless the user or the log has
+"""Relative decrease of the error above which a gap is worth reporting, unless the user or the log states
 another. A choice."""
 OUTWEIGHS = 2.0
-"""Cost per degree of freedom from which on one channel in one run counts for itself.
+"""Cost per degree of freedom above which one channel in one run counts by itself.
 
-There the model leaves as much as the noise does."""
+There the model error is as large as the noise."""
 CERTAIN = 3.0
-"""Standard deviations from which on a cost per degree of freedom contradicts 1, and the scatter between runs
-what noise predicts (the same probability, 0.13 %)."""
+"""Standard deviations above which a cost per degree of freedom contradicts 1, and the scatter between runs
+contradicts the noise (the same probability, 0.13 %)."""
 CHANCE = 0.01
 """Probability that noise alone makes the worst of all runs and channels count. The usual 1 %."""
 MAD = 1.4826
@@ -42,18 +42,17 @@ MAD = 1.4826
 
 @dataclass(frozen=True)
 class GoodnessOfFit:
-    """What a fit leaves, in multiples of the noise.
+    """The residual of a fit in multiples of the noise.
 
-    `residual_over_noise`: the decoded residual error over the noise floor. What sensors say against each
-    other moves no pose, and counts in `cost_per_degree_of_freedom`: 1 where model and noise hold.
-    `degrees_of_freedom`: effective ones of the residuals: the number of readings less that of the estimates,
-    fewer where noise is coloured. `by_run`, `by_channel`: rms residual over its standard deviation by noise.
-    `worst_run`, `worst_channel`: where one channel in one run leaves most, `worst` times the noise;
-    `worst_least` is the lower end of that multiple, at 99 % for all runs and channels together. `uncertain`:
-    factor within which the noise floor is known; `threshold`: relative decrease of the error that is worth
-    reporting. `noise`: what is left over the stated noise, if that is noise and makes the residual so large;
-    else 0. `what` is said not to describe the log where the residual is material; `next_command` finds the
-    cause.
+    `residual_over_noise`: the decoded residual error over the noise floor. Contradictions between sensors
+    move no pose; they count in `cost_per_degree_of_freedom`: 1 where model and noise are right.
+    `degrees_of_freedom`: effective ones: readings less estimates, fewer where noise is autocorrelated.
+    `by_run`, `by_channel`: rms residual over its standard deviation by noise. `worst_run`, `worst_channel`:
+    the channel in one run with the largest residual, `worst` times the noise; `worst_least` is the lower end
+    of that multiple, at 99 % for all runs and channels together. `uncertain`: factor within which the noise
+    floor is known; `threshold`: relative decrease of the error that is worth reporting. `noise`: the residual
+    over the stated noise, if it is noise; else 0. `what`: the model that does not describe the log where the
+    residual is material; `next_command` finds the cause.
     """
 
     residual_over_noise: float
@@ -83,22 +82,22 @@ class GoodnessOfFit:
 
     @property
     def noise_estimated(self) -> bool:
-        """Whether a good part of the noise floor is noise that nobody stated."""
+        """Whether a large part of the noise floor is estimated noise."""
         return self.uncertain > 1 + KNOWN
 
     @property
     def scatter(self) -> float:
-        """Standard deviation of the cost per degree of freedom where model and noise hold."""
+        """Standard deviation of the cost per degree of freedom where model and noise are right."""
         return float(np.sqrt(2.0 / self.degrees_of_freedom))
 
     @property
     def contradicts(self) -> bool:
-        """Whether the residual is not what the noise makes it, by however little: larger or smaller."""
+        """Whether the residual differs significantly from the noise: larger or smaller."""
         return abs(self.cost_per_degree_of_freedom - 1.0) > CERTAIN * self.scatter
 
     @property
     def significant(self) -> bool:
-        """Whether the residual is larger than the noise, by however little."""
+        """Whether the residual is significantly larger than the noise."""
         return self.contradicts and self.cost_per_degree_of_freedom > 1.0
 
     @property
@@ -109,13 +108,13 @@ class GoodnessOfFit:
 
     @property
     def sentence(self) -> str | None:
-        """What a report begins with; None where the model describes the log."""
+        """The first sentence of a report; None where the model describes the log."""
         numbers = self.said(f"{self.what} does not describe this log")
         return numbers and f"{numbers}; next: {self.next_command}".removesuffix("; next: ")
 
     @property
     def verdict(self) -> str:
-        """What a report begins with, whether the model describes the log or not."""
+        """The first sentence of a report, whether the model describes the log or not."""
         size = f"{self.residual_over_noise:#.3g} times the noise floor{self._guessed}"
         return self.sentence or f"{self.what} describes this log: residual error is {size}{self._more}."
 
@@ -128,7 +127,7 @@ class GoodnessOfFit:
         return f"; up to {_times(self.limit)} is not worth reporting" if self.significant else ""
 
     def said(self, what: str) -> str | None:
-        """Return `what` with the numbers that say so; None where all is well."""
+        """Return `what` with its numbers; None where the fit is good."""
         if not self.material:
             return None
         if self.noise:
@@ -143,12 +142,12 @@ class GoodnessOfFit:
 
     @property
     def where(self) -> str:
-        """Where most is left; a run is named only beside others, since a table of knots has none."""
+        """Place of the largest residual; a run is named only if there are several."""
         run = f"run {self.worst_run}, " if len(self.by_run) > 1 else ""
         return f"{run}channel {self.worst_channel}"
 
     def judged(self, uncertain: float, threshold: float | None = None) -> "GoodnessOfFit":
-        """Return the record for a floor known within a factor, and what the log calls worth reporting."""
+        """Return the record for a floor known within a factor, and the threshold of the log."""
         return replace(self, uncertain=uncertain, threshold=threshold or WORTH_REPORTING)
 
     def to_dict(self) -> dict[str, Any]:
@@ -209,7 +208,7 @@ def _inflation(ratio: np.ndarray, cell: np.ndarray) -> float:
     """Variance of the cost of a channel in a run over that of white noise, 1 or more.
 
     `ratio`: (r, K) mean squares over the noise's, `cell`: (r, 1) their degrees of freedom. Coloured noise has
-    fewer independent samples than samples, in every run alike; the median ignores runs that are wrong.
+    fewer independent samples than samples, in every run; the median ignores runs that are wrong.
     """
     usual = np.maximum(np.median(ratio, axis=0), 1e-300)
     spread = (ratio / usual - 1.0) / np.sqrt(2.0 / cell)
@@ -234,7 +233,7 @@ def _times(multiple: float) -> str:
 def uncertain(point: Point, noise: Noise, length_scale_m: float | None) -> float:
     """Return the factor within which the noise floor is known, as the pose metric weighs coordinates.
 
-    Each column counts by what it adds to the error: one that adds nothing may have any noise.
+    Each column counts by its contribution to the error.
     """
     known = {c: s.uncertain for c, s in noise.sigmas.items()}
     model = point.cost.summary.model
@@ -246,13 +245,13 @@ def uncertain(point: Point, noise: Noise, length_scale_m: float | None) -> float
 
 
 def noise_floor(point: Point) -> dict[str, float]:
-    """RMSE of the decoded pose that reading and reference noise alone would leave, by pose coordinate."""
+    """RMSE of the decoded pose by reading and reference noise alone, by pose coordinate."""
     (floor,) = _floors(point, {})
     return dict(zip(point.cost.summary.model.pose, floor.tolist(), strict=True))
 
 
 def _floors(point: Point, *factors: Mapping[str, float]) -> list[np.ndarray]:
-    """Return the noise floor (n_pose,) for `factors` by which the noise of a column is larger than said."""
+    """Return the noise floor (n_pose,) for noise of columns that is larger than stated by `factors`."""
     D, share, poses, state = _gains(point)
     model, m, floors, J = point.cost.summary.model, len(D), [], None
     if model.typical:  # the covariance of a residual is not the same all over a run
@@ -274,9 +273,9 @@ def _floors(point: Point, *factors: Mapping[str, float]) -> list[np.ndarray]:
 
 
 def residual_over_floor(point: Point) -> float:
-    """Return the decoded residual over what noise makes of it, as the pose metric weighs coordinates.
+    """Return the decoded residual over its size by noise, as the pose metric weighs coordinates.
 
-    Its squares are over the number of samples: below 1 by the degrees of freedom that a fit takes.
+    Mean squares are over the number of samples, not the degrees of freedom, so a good fit is below 1.
     """
     cost, model = point.cost, point.cost.summary.model
     D, share, _, _ = _gains(point)

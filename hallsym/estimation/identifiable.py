@@ -1,7 +1,7 @@
-"""What the data determine: null directions, fixed parameters, determined combinations.
+"""Identifiability: null directions, fixed parameters, identifiable combinations.
 
-Parameters are scaled by the width of their bounds, so "undetermined" has one meaning for all: the data move
-the standard uncertainty of a direction no further down than a quarter of that width.
+Parameters are scaled by the width of their bounds, so "undetermined" has one meaning for all: the standard
+uncertainty of a direction is above a quarter of that width.
 """
 
 from dataclasses import dataclass
@@ -34,8 +34,8 @@ class Determination:
     """Which parameters the data determine.
 
     `null`: (n, k) orthonormal basis of the undetermined directions, in parameters scaled by `scale`.
-    `structural`: names no recording can determine with this model. `fixed`: index of the k parameters that
-    stay at their nominal value so that the others can be estimated.
+    `structural`: names not identifiable from any recording with this model. `fixed`: index of the k
+    parameters that stay at their nominal value so that the others can be estimated.
     """
 
     scale: np.ndarray
@@ -57,7 +57,7 @@ def scales(model: Model) -> np.ndarray:
 
 
 def determine(cost: Cost, p: np.ndarray, fixed: tuple[int, ...] | None = None) -> Determination:
-    """Find the undetermined directions of a cost at `p` and choose what to hold, unless `fixed` says.
+    """Find the undetermined directions of a cost at `p` and choose the `fixed` parameters if not given.
 
     A motion no larger than the noise of its reference does not count (`information(2)`).
     """
@@ -84,7 +84,7 @@ def least_information(values: np.ndarray) -> np.ndarray:
 
 
 def structural_directions(cost: Cost, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return orthonormal bases of what no recording determines, (n, k), and of the other directions, (n, m).
+    """Return orthonormal bases of structurally undetermined directions, (n, k), and of the others, (n, m).
 
     Both in scaled parameters; fixed parameters are in neither.
     """
@@ -97,7 +97,7 @@ def structural_directions(cost: Cost, p: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _never(cost: Cost, p: np.ndarray, open_: np.ndarray) -> np.ndarray:
-    """Return an orthonormal basis (n, k) of what no recording determines: of a sum, what no share does."""
+    """Return a basis (n, k) of structurally undetermined directions: of a sum of costs, common to all."""
     shares = cost.shares
     if len(shares) == 1:
         return structural_null(cost.coefficients, feature_scale(cost), p, open_)
@@ -153,7 +153,7 @@ def structural_null(
     if rows is None:
         slope = coefficients.first(at)[1][0] * feature_scale[:, None, None]
         jacobian = (np.swapaxes(slope, 1, 2).reshape(-1, len(scale)) * scale)[:, open_]
-    else:  # large poses and small ones are heard alike
+    else:  # large and small poses have the same weight
         jacobian = (rows * scale)[:, open_]
         jacobian = jacobian / np.maximum(np.linalg.norm(jacobian, axis=1, keepdims=True), 1e-300)
     null = np.zeros((len(scale), int(open_.sum()) - rank))

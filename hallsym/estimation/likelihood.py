@@ -29,14 +29,14 @@ from hallsym.model.features import Features, Rows
 from hallsym.model.model import Combination, Signals, Step
 
 SPARSE = 4
-"""Features per channel, over those that move the channel, from which on only these are multiplied."""
+"""Features per channel, over those that move the channel, above which only these are multiplied."""
 
 
 @dataclass(frozen=True, eq=False)
 class Coefficients:
     """c(p) and E_l(p) of a model with their derivatives, as one CasADi call each.
 
-    Arrays have the axes (1 + n_offsets, n_features, n_channels), c first, then one E_l per zero.
+    Arrays have the axes (1 + n_offsets, n_features, n_channels), c first, then one E_l per offset.
     """
 
     features: Features
@@ -185,7 +185,7 @@ class Cost:
         return known
 
     def information(self, p: np.ndarray, noise_factor: float = 1.0) -> np.ndarray:
-        """Return what all runs are expected to tell of the parameters, (n, n); see `Point.information`."""
+        """Return the expected information of all runs on the parameters, (n, n); see `Point.information`."""
         return self.at(p).total_information(noise_factor)
 
 
@@ -282,10 +282,10 @@ class Point:
         return out
 
     def information(self, noise_factor: float = 1.0, free: np.ndarray | None = None) -> np.ndarray:
-        """Expected information of each run, shape (r, n, n), the offsets eliminated; of the parameters `free`.
+        """Expected information of each run, (r, n, n), the offsets eliminated; of the parameters `free`.
 
         The reference's own noise moves the features too; `noise_factor` times its expected share is taken
-        out (1: what the true motion tells; 2: nothing for a motion no larger than its noise).
+        out (1: the information of the true motion; 2: none for a motion no larger than its noise).
         """
         k = np.arange(len(self.p)) if free is None else free
         out = np.zeros((len(self.run_values), len(k), len(k)))
@@ -330,7 +330,7 @@ class _Runs:
         self.log, self.here = log, here
         self.R_f, R_m = (part[at] for part in cost.triangles)
         self.Q, base = cost.noise_in_features[at], c[0]
-        # a zero's own features have no slope, so X may leave the offsets out in Q X
+        # features of an offset have no slope, so X may leave the offsets out in Q X
         self.QX = self.Q @ base  # (r, f, K)
         self.covariance = np.diag(cost.reading_variance) + base.T @ self.QX
         self.W = np.linalg.inv(self.covariance)
@@ -546,7 +546,7 @@ class Sharing:
 
 
 def own_name(parameter: str, log: str) -> str:
-    """Return what the parameter of one log is called among those of all.
+    """Return the name of a parameter of one log among those of all.
 
     >>> own_name("eta_A", "night2")
     'eta_A[night2]'

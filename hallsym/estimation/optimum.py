@@ -16,7 +16,7 @@ import solvers
 from hallsym.estimation.factors import summarise_at
 from hallsym.estimation.goodness_of_fit import noise_floor
 from hallsym.estimation.identifiable import Determination, determine, scales
-from hallsym.estimation.likelihood import Cost, Point, Offsets, cost_near, cost_of, offsets_of
+from hallsym.estimation.likelihood import Cost, Offsets, Point, cost_near, cost_of, offsets_of
 from hallsym.log import UNRELATED, Fault, Log
 from hallsym.log.batches import Weigh
 from hallsym.model import Model
@@ -29,8 +29,8 @@ MOVED = 4.0
 class LinearFit:
     """Unconstrained coefficients of a merged cost, shape (n_features, n_channels).
 
-    `moved`: which features moved. `unexplained`: (n_channels,) share of each channel's variance that the
-    features leave, 0 for a channel that hears only noise.
+    `moved`: which features moved. `unexplained`: (n_channels,) unexplained share of each channel's variance,
+    0 for a channel with noise only.
     """
 
     coefficients: np.ndarray
@@ -63,14 +63,14 @@ def closed_form(cost: Cost, linear: LinearFit) -> np.ndarray:
     features = cost.summary.features
     if features.model.closed_form is None:
         return features.model.nominal
-    # a family thinks of columns that start at zero, not at the centre of the log
+    # the closed form of a family takes columns from zero, not from the centre of the log
     at_zero = features.shift(-cost.coefficients.centre) @ linear.coefficients
     named = {features.label(j): at_zero[j] for j in range(features.size)}
     return features.model.closed_form(features.model, named)
 
 
 FOREIGN = 0.5
-"""Share of a reading's variance that a reference leaves from which on they may be of different recordings."""
+"""Unexplained share of a reading's variance above which the reference may be of another recording."""
 
 
 def unrelated(model: Model, unexplained: np.ndarray, where: str) -> tuple[Fault, ...]:
@@ -92,14 +92,14 @@ def unrelated(model: Model, unexplained: np.ndarray, where: str) -> tuple[Fault,
 SOLVERS = ("hybrid", "direct", *solvers.EXPLORERS)
 """hybrid is SHTLBO and closed form; direct leaves the global search out; the others replace SHTLBO."""
 BUDGET, SIZE, KEEP = 4040, 40, 3
-"""Evaluations and class size of the global search; how many of its points are refined."""
+"""Evaluations and population of the global search; number of its points that are refined."""
 WARM: dict[str, Any] = {"mu_init": 1e-9, "bound_push": 1e-9, "bound_frac": 1e-9}
 """IPOPT's barrier for a start that is close already: 4 evaluations instead of 9."""
 SCREENED, ELSEWHERE = 100, 2
-"""Latin-hypercube points that are looked at, and how many of the best that are apart are refined too."""
+"""Latin-hypercube points that are evaluated, and how many of the best separated ones are refined too."""
 ROUNDING = 1e-14
-"""Part of the cost below which a promise of Newton's method is rounding: values are then good to 1e-5 of
-their standard uncertainty, where the usual 1e-12 leaves 4e-4."""
+"""Part of the cost below which the predicted decrease of Newton's method is rounding: values are then good to
+1e-5 of their standard uncertainty, with the usual 1e-12 to 4e-4."""
 SAME = 1e-6
 """Relative difference of cost within which two optima are the same."""
 
@@ -119,9 +119,9 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A solved fit: the costs of all runs and of the fitted ones, the optimum and what is determined there.
+    """A solved fit: the costs of all runs and of the fitted ones, the optimum and its identifiability.
 
-    `determination`: what was known before the search, and so what it fixed.
+    `determination`: before the search, with the parameters that it fixed.
     """
 
     everything: Cost
@@ -141,7 +141,7 @@ class Solution:
 
     @cached_property
     def noise_floor(self) -> dict[str, float]:
-        """The error that noise alone would leave, by pose coordinate."""
+        """The error by noise alone, by pose coordinate."""
         return noise_floor(self.point)
 
     @cached_property
@@ -151,11 +151,11 @@ class Solution:
 
     @cached_property
     def determined(self) -> Determination:
-        """What the fitted runs determine at the optimum, for what was fixed on the way there."""
+        """Identifiability from the fitted runs at the optimum, with the parameters that the search fixed."""
         return determine(self.fitted, self.p, self.determination.fixed)
 
     def offsets(self) -> dict[int, np.ndarray]:
-        """Zero displacements of every run, held-out ones included."""
+        """Zero displacements of every run, holdout ones included."""
         return offsets_of(self.everything, self.p)
 
 
@@ -180,7 +180,7 @@ def search(
     scaled, explored = Scaled(fitted.summary.model, first, free, found.scale[free]), None
     if solver != "direct":
         problem, rng = scaled.problem(merged), np.random.default_rng(seed)
-        # points far from every other start: the evidence that the optimum does not depend on the start
+        # points far from every other start, as evidence that the optimum does not depend on the start
         elsewhere = solvers.screened_starts(problem, SCREENED, ELSEWHERE, rng).x
         explored = solvers.hybrid(
             problem,
@@ -217,16 +217,16 @@ def search(
 def searched(
     fitted: Cost, merged: Cost, begin: np.ndarray, *, solver: str = "direct", seed: int = 0
 ) -> tuple[Determination, Search]:
-    """Return what `fitted` determines where a search begins, and the optimum; `begin`: (n,) values.
+    """Return the identifiability from `fitted` at the start of a search, and the optimum; `begin`: (n,).
 
-    What is not determined is fixed at its nominal value.
+    Undetermined parameters are fixed at their nominal values.
     """
     found, first = begin_at(fitted, begin)
     return found, search(fitted, merged, first, found, solver=solver, seed=seed)
 
 
 def begin_at(cost: Cost, begin: np.ndarray) -> tuple[Determination, np.ndarray]:
-    """Return what a cost determines at values (n,), and these within their bounds, the fixed ones nominal."""
+    """Return the identifiability at values (n,), and these within their bounds, the fixed ones nominal."""
     model = cost.summary.model
     first = np.clip(begin, *model.bounds)
     found = determine(cost, first)
@@ -236,7 +236,7 @@ def begin_at(cost: Cost, begin: np.ndarray) -> tuple[Determination, np.ndarray]:
 
 
 def _message(status: str, ended: solvers.Result, solver: str) -> str:
-    """What the status means, and what to do, in terms of what a user of `fit` can change."""
+    """Meaning of the status, and the remedy in terms of arguments of `fit`."""
     elsewhere = "--solver hybrid" if solver == "direct" else "another --seed"
     if status == "interrupted":
         return "stopped by the user; these are the best values so far"
@@ -331,20 +331,20 @@ PASSES, SETTLING = 40, 5
 """Passes over a log, and those before that settle the offsets of runs where the fit begins: a log that the
 model describes needs no more, and each pass settles them further."""
 DROP = 1e-3
-"""Decrease of the cost, per unit of what a degree of freedom leaves, that is not worth another pass: it moves
-no parameter by more than 0.03 standard uncertainties."""
+"""Decrease of the cost over the cost per degree of freedom below which there is no further pass: it moves no
+parameter by more than 0.03 standard uncertainties."""
 REMEDY = (
     "start the effect from other numbers (--effect NAME:number=VALUE; 'hallsym diagnose' finds some) "
     "or leave it out"
 )
-"""What helps where passes over the log do not converge."""
+"""Remedy where passes over the log do not converge."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Pass:
     """The cost of all runs, and of the fitted ones, linearised at `p`.
 
-    `before`: what the last pass found determined, None in the first.
+    `before`: identifiability at the last pass, None in the first.
     """
 
     everything: Cost
@@ -358,9 +358,9 @@ class _Pass:
 
     @cached_property
     def _found(self) -> tuple[Determination, np.ndarray]:
-        """What is determined here, and where the search begins.
+        """Identifiability here, and the start of the search.
 
-        What is fixed stays at its value while the rank does not change, else it goes to its nominal value.
+        Fixed parameters stay at their values while the rank does not change, else they become nominal.
         """
         found, before, model = determine(self.fitted, self.p), self.before, self.fitted.summary.model
         if before is not None and before.null.shape == found.null.shape:
@@ -395,7 +395,7 @@ def optimum(
     weigh: Weigh | None,
     say: Callable[[str], None],
 ) -> Solution:
-    """Minimise the cost of the runs that are not held out, from `start` (n,), inside the bounds."""
+    """Minimise the cost of the fitted runs, from `start` (n,), inside the bounds."""
     number, evaluations, before = count(1), 0, None
 
     def linearise(at: tuple[np.ndarray, Offsets]) -> _Pass:
@@ -420,6 +420,6 @@ def optimum(
             "budget": "the cost still falls",
             "stuck": "no step along the tangent lowers the cost any more",
         }[outcome] + f" after {passes} passes over the log"
-        # the minimum of the tangent is no optimum then: the best point that was passed is the result
+        # then the minimum of the tangent is no optimum: return the best point so far
         found = replace(found, p=best.p, cost=best.cost, status="not converged", message=f"{said}; {REMEDY}")
     return Solution(best.everything, best.fitted, best.determination, found)

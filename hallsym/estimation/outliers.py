@@ -12,24 +12,24 @@ from hallsym.model.arrays import median, medians
 
 WINDOW = 7
 SPIKE = 10.0
-"""Robust standard deviations off its neighbours that make a sample a gross outlier, unless others tell of
-smaller ones: at 7 the turning points of a raster would count."""
+"""Robust standard deviations from its neighbours above which a sample is a gross outlier, unless many spikes
+lower the limit: at 7 the turning points of a raster would count."""
 ABOUND, ODDS = 0.02, 100.0
-"""Share of a block's samples that are spikes from which on they tell of smaller ones, and the odds that a
-smaller jump must have to be one. Where there are few, the smaller ones do no harm."""
+"""Share of spikes in a block above which smaller jumps are tested too, and the odds required of such a jump.
+Where spikes are few, smaller ones do no harm."""
 MADE_FOR, CLEARLY = 0.1, 5.0
-"""Share of spikes in a column that the filter is made for, and standard deviations of their count beyond it
-from which on what it finds are no spikes: steps, corners and rounding of a smooth column look like many."""
+"""Largest share of spikes in a column, and standard deviations of their count above it beyond which they are
+no spikes: steps, corners and rounding of a smooth column look like many."""
 EXTRAPOLATED = 0.5
-"""Weight of what the two samples at either end are off: lines that end before a sample miss a curve by more
-than lines through it."""
+"""Weight of the deviations of the two samples at either end: extrapolated lines miss a curve by more than
+lines through it."""
 ROUNDS = 20
 AROUND = 41
-"""Samples around one whose own jumps say what is usual there: motion after rest, and ringing that lasts as
-long, are no spikes."""
+"""Samples around one whose jumps give the usual scale there: motion after rest, and ringing of that length,
+are no spikes."""
 MOSTLY_SPIKY, SPIKY_STD = 30, 0.38532
-"""Percentile of jumps that is usual where spikes are still among them, and where unit normal noise has it:
-two thirds of them may be spikes or have one beside them, as where a tenth of all samples are spikes."""
+"""Percentile of jumps that gives their usual scale, and its value for unit normal noise: two thirds of them
+may be spikes or neighbours of one, as where a tenth of all samples are spikes."""
 TUKEY = 4.685
 """Tukey's biweight constant: 95 % efficient for Gaussian noise."""
 
@@ -51,7 +51,7 @@ def column_spikes(columns: Sequence[str]) -> Filter:
 
     Each sample is compared with the median of six linear predictions from its four neighbours. The worst of
     each neighbourhood is replaced by it and the comparison repeated, so that a spike neither hides the next
-    one nor accuses a good one. A column in which too many do (`MADE_FOR`) accuses none.
+    one nor flags a good one. A column with too many (`MADE_FOR`) flags none.
     """
 
     def weigh(block: Block, wrong_for: set[str]) -> np.ndarray:
@@ -64,7 +64,7 @@ def column_spikes(columns: Sequence[str]) -> Filter:
 def _believed(
     found: np.ndarray, columns: Sequence[str], wrong_for: set[str], expected: float = 0.0
 ) -> np.ndarray:
-    """Return weights without what was found (columns, samples) where it is too much to be spikes.
+    """Return weights, without the findings (columns, samples) of columns with too many to be spikes.
 
     `expected`: share of samples that are known to be bad by other columns.
     """
@@ -118,9 +118,9 @@ def _predicted(x: np.ndarray) -> np.ndarray:
 
 
 def _usual(jump: np.ndarray, percent: int) -> np.ndarray:
-    """Return what jumps (c, samples) are usual around each: before, about or after it, whichever is most.
+    """Return the usual size of jumps (c, samples) before, around or after each sample, the largest of these.
 
-    Where a motion begins, only the neighbourhood after the sample is like it.
+    Where a motion begins, only the neighbourhood after the sample is similar.
     """
     n, half = jump.shape[1], AROUND // 2
     if n < AROUND:
@@ -136,7 +136,7 @@ def _usual(jump: np.ndarray, percent: int) -> np.ndarray:
 
 
 _AHEAD = np.linalg.pinv(np.vander(np.arange(1, 7), 3, increasing=True))[0]
-"""What the next six samples weigh in the parabola through them; it misses a sample by 2.05 sigma of noise."""
+"""Weights of the next six samples in the parabola through them; its prediction error is 2.05 sigma."""
 _PAIRS = np.triu_indices(5, 1)
 _OTHERS = np.array([[1, 2, 3, 4, 5], [0, 2, 3, 4, 5]])
 _RUN = _OTHERS[:, _PAIRS[1]] - _OTHERS[:, _PAIRS[0]]
@@ -162,11 +162,10 @@ def reject_spikes(
 ) -> Filter:
     """Return weights 0 for isolated spikes of any channel's residual against a running median, else 1.
 
-    What the model cannot explain but changes smoothly is kept: it is a gap, not an outlier. `covariance`:
-    (n_channels, n_channels) of one sample's residual by the stated noise; the scale is the larger of it and
-    of what the block itself shows. `suspects`: samples of weight 0 take no part in median and scale (those of
-    `column_spikes`, which do not change from one fit to the next). A channel in which spikes are many more
-    than suspects accuses none; `channels` names it.
+    A smooth residual is kept: it is a gap, not an outlier. `covariance`: (n_channels, n_channels) of one
+    sample's residual by the stated noise; the scale is the larger of it and of the block's own. `suspects`:
+    samples of weight 0 take no part in median and scale (those of `column_spikes`, which do not change from
+    one fit to the next). A channel with many more spikes than suspects flags none; `channels` names it.
     """
     stated = np.sqrt(np.diag(covariance))[:, None]
 
@@ -184,7 +183,7 @@ def reject_spikes(
                 spike[k] &= jump[k] > least[k] * 1.4826 * usual
             if np.array_equal(spike, before):
                 break
-            if _abound(side, spike):  # what turned out to be a spike speaks for nobody else
+            if _abound(side, spike):  # spikes take no part in the scale of others
                 good = good & ~spike.any(axis=0)
         return _believed(spike, channels or [str(k) for k in range(len(r))], wrong_for, suspected)
 
@@ -194,8 +193,8 @@ def reject_spikes(
 def _abound(side: np.ndarray, spike: np.ndarray) -> bool:
     """Whether there are many spikes (n_channels, samples), each by itself; `side`: of the median, +1 or -1.
 
-    Where those next to each other are on the same side more often than by chance (2 sigma), something moves
-    that the model does not know, such as a rail: that tells of no smaller spikes.
+    Where neighbours are on the same side more often than by chance (2 sigma), something moves outside the
+    model, such as a rail: that does not lower the limit for spikes.
     """
     pairs = spike[:, 1:] & spike[:, :-1]
     same = (side[:, 1:] * side[:, :-1] * pairs).sum()
@@ -203,7 +202,7 @@ def _abound(side: np.ndarray, spike: np.ndarray) -> bool:
 
 
 def _least(jump: np.ndarray, spike: np.ndarray) -> np.ndarray:
-    """Return the jump (n_channels,), in standard deviations, from which on a sample is a spike.
+    """Return the jump (n_channels,), in standard deviations, above which a sample is a spike.
 
     Share and size of the spikes found tell how many smaller ones hide below `SPIKE`: from here on a jump is
     ODDS times likelier one of them, spread evenly up to twice the median, than normal noise.
@@ -224,13 +223,13 @@ def _jumps(r: np.ndarray, good: np.ndarray, stated: np.ndarray) -> tuple[np.ndar
     middle = scipy.ndimage.median_filter(r[:, good], size=(1, WINDOW), mode="mirror")
     running = np.array([np.interp(at, at[good], row) for row in middle])
     off = [np.abs(r - near) for near in _expected(clean, running, good)]
-    jump = np.where(good, np.min(off, axis=0), off[0])  # a suspect has only the median to speak for it
+    jump = np.where(good, np.min(off, axis=0), off[0])  # a suspect is compared with the median only
     scale = np.maximum(1.4826 * np.median(jump[:, good], axis=1, keepdims=True), stated)
     return jump, scale, np.sign(r - running)
 
 
 def _expected(r: np.ndarray, median: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What a residual may be without being a spike: running median, line from either side (a kink), cubic.
+    """Predictions of a residual that is no spike: running median, line from either side (a kink), cubic.
 
     The two samples at either end, which have neighbours on one side only, may also go on as a parabola. Lines
     and curves go through `good` samples only; elsewhere the median stands for them.
@@ -250,7 +249,7 @@ def _expected(r: np.ndarray, median: np.ndarray, good: np.ndarray) -> tuple[np.n
 
 
 def too_many_note(columns: Sequence[str]) -> tuple[str, ...]:
-    """Return what to say of columns in which more samples seem spikes than the filter is made for."""
+    """Return a note on columns in which more samples seem spikes than the filter allows."""
     return (
         f"More than {100 * MADE_FOR:.0f} % of {' and '.join(columns)} seem spikes, which steps, corners and "
         "rounding do too: none of them was left out for that (--loss tukey weighs samples by their error).",

@@ -1,4 +1,4 @@
-"""Claims on the values of a fit: parameters at their bounds, and what its family says no machine has."""
+"""Claims on the values of a fit: parameters at their bounds, values outside the family's plausible range."""
 
 from collections.abc import Iterator
 from fnmatch import fnmatchcase
@@ -12,23 +12,24 @@ from hallsym.log import Fault
 from hallsym.log.quality.values import repeated
 
 PRESSED = 5.0
-"""Standard uncertainties by which a parameter must want to go beyond its bound: once in 10^6 by chance."""
+"""Standard uncertainties by which the score must press a parameter against its bound: once in 10^6 by
+chance."""
 FAR = 0.25
-"""Part of the width of its bounds that a parameter wants to go beyond them where fixed ones could make up for
-it: a position or an angle that is not at its nominal value moves others by less."""
+"""Part of the width of its bounds that a parameter would go beyond them although fixed ones could compensate:
+a position or an angle that is not at its nominal value moves others by less."""
 ALONE = 1e-6
-"""Part of what tells a parameter that must be left where those that are fixed are free."""
+"""Part of a parameter's information that must remain with the fixed parameters free."""
 
 
 def implausible(fit: Fit) -> list[Fault]:
-    """Return what no machine of the family has, and columns at a lower rate where they leave an excess."""
+    """Return claims on implausible values, and on columns at a lower rate where they leave an excess."""
     amiss = fit.goodness and fit.goodness.sentence
     slow = repeated(fit.source, logged_columns(fit.model)) if fit.source and amiss else ()
     return [*slow, *_at_bounds(fit), *fit.model.family.implausible(fit)]
 
 
 def stated(fit: Fit) -> bool:
-    """Return whether the log, or who asked for the fit, says where the sensors of its machine are."""
+    """Return whether the log or the user states where the sensors of the machine are."""
     meta, family = fit.source.meta if fit.source else None, fit.model.family
     if meta is None or meta.probes is not None or any(table in meta.raw for table in family.tables):
         return True
@@ -48,16 +49,16 @@ def _at_bounds(fit: Fit) -> Iterator[Fault]:
 
 
 OTHERS = (
-    "at the bounds of what the machine can be, so other parameters make up for it; widen the bounds "
+    "at the bounds of the plausible range, so other parameters compensate for it; widen the bounds "
     "(--machine FILE) if it can, or look for what is wrong with the recording"
 )
 
 
 def pressed(fit: Fit) -> list[str]:
-    """Return the parameters at a bound that would go beyond it, all others at their best.
+    """Return the parameters at a bound that would go beyond it, all others re-optimised.
 
-    By a score test of the fit's cost, its information scaled by what the model leaves. A parameter that
-    others which are fixed can make up for must want to go far.
+    By a score test of the fit's cost, its information scaled by the residual. A parameter that fixed ones can
+    compensate must go far beyond.
     """
     if fit.likelihood is None or not fit.at_bound:
         return []
@@ -78,10 +79,10 @@ def pressed(fit: Fit) -> list[str]:
 
     out = []
     for k in ends:
-        told = own(k, free) * size[k] ** 2
-        if told <= 0 or score[k] ** 2 <= PRESSED**2 * scale * told:
+        curvature = own(k, free) * size[k] ** 2
+        if curvature <= 0 or score[k] ** 2 <= PRESSED**2 * scale * curvature:
             continue
-        far = abs(score[k]) / told > FAR * fit.model.parameters[k].width
+        far = abs(score[k]) / curvature > FAR * fit.model.parameters[k].width
         if far or own(k, [*free, *fixed]) > ALONE:
             out.append(names[k])
     return out

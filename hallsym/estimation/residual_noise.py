@@ -1,13 +1,13 @@
-"""The noise that a model leaves: its size, its colour, whether it is white.
+"""Residual noise of a model: its size, its autocorrelation, whether it is white.
 
-What a model leaves is noise and, where it is not the machine, a function of where the machine was, how it
-moved, and when. Such functions are taken out first; what differs from
-run to run is left, and is modelled as an autoregression. Noise that is estimated from differences of
-neighbouring samples (`hallsym.log.estimate`) is 2 to 4 times too small where it is correlated: a first guess.
+The residual of a model is noise plus, where the model is wrong, a function of the place, the motion and the
+time. Such functions are projected out first; the rest, which differs from run to run, is modelled as an
+autoregression. Noise estimated from differences of neighbouring samples (`hallsym.log.estimate`) is 2 to 4
+times too small where it is correlated: a first guess.
 
-Each column and each run's offset takes some noise along, slow noise most of all. How much is simulated: noise
-of the estimated model goes through the same elimination, and what it loses is added (indirect inference:
-C. Gourieroux, A. Monfort, E. Renault, J. Appl. Econometrics 8 (1993) S85, doi:10.1002/jae.3950080507).
+Each projected column and each run's offset removes some noise, mostly slow noise. The loss is simulated with
+noise of the estimated model and added (indirect inference: C. Gourieroux, A. Monfort, E. Renault, J. Appl.
+Econometrics 8 (1993) S85, doi:10.1002/jae.3950080507).
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -35,11 +35,12 @@ ORDER = 3
 LAGS = 10
 """Lags over which the whiteness of noise is tested (Ljung and Box, Biometrika 65 (1978) 297)."""
 WHITE = 0.01
-"""P-value below which noise is called coloured: one white log in a hundred is."""
+"""P-value below which noise counts as autocorrelated: one white log in a hundred does."""
 DRAWS = 24
 """Simulated rows of noise for the loss by elimination: K / 24 of its variance is added to a covariance."""
 ROUNDS = 4
-"""Of correcting the autocovariance by simulation: each leaves about the square of the relative loss."""
+"""Rounds of correcting the autocovariance by simulation: each leaves about the square of the relative
+loss."""
 FAR = 6.0
 """Robust standard deviations beyond which a sample takes no part in correlations: a spike has none."""
 ROUNDING = 1e-9
@@ -49,31 +50,31 @@ TOGETHER = 8
 PIECE = 1024
 """Samples of all functions that are combined at once."""
 STABLE = 0.995
-"""Largest modulus of a root of the autoregression; beyond it noise wanders through the whole of a run."""
+"""Largest modulus of a root of the autoregression; beyond it noise is a drift over a whole run."""
 SETTLE = 500
 """Samples for which simulated noise runs before it counts: e^-2.5 of the most persistent noise is left."""
 GAUSSIAN, FLATTER = 3.0, 4.0
-"""Kurtosis of Gaussian noise, and standard errors below it from which on a signal is flatter: of 36 channels
-one in a thousand logs. A sine has 1.5."""
+"""Kurtosis of Gaussian noise, and standard errors below it at which a signal is bounded: of 36 channels one
+in a thousand logs. A sine has 1.5."""
 LONGEST = 1000
-"""Lags beyond which no correlation is left of the most persistent noise."""
+"""Lags beyond which the most persistent noise is uncorrelated."""
 COVERED = 0.975
 """Probability below the upper end of a two-sided 95 % interval."""
 FEWEST_RUNS = 6
-"""Runs from which on their scatter says how well a mean square is known."""
+"""Fewest runs whose scatter gives the uncertainty of a mean square."""
 
 
 @dataclass(frozen=True)
 class ResidualNoise:
-    """Noise that a model leaves, in multiples of the noise that was stated or estimated before.
+    """Residual noise of a model, in multiples of the noise that was stated or estimated before.
 
     `ratio`: standard deviation over all sensors, with its 95 % `interval`; `by_sensor`: the same of each
     sensor, `larger_in`: the sensors in which it is certainly larger. `white`: whether its samples may be
     independent; `whiteness_p`: probability that white noise is as correlated. `correlation`: of neighbouring
     samples, `memory`: variance of a slow average over that of white noise, `coefficients`: (ORDER,) of the
-    autoregression, the same for all sensors. `bounded`: whether it is flatter than Gaussian noise, such as a
-    wave, a sweep or steps between levels: no noise. `samples`: that were looked at. `within`: factor within
-    which it is the noise, were a gap in it.
+    autoregression, the same for all sensors. `bounded`: whether its kurtosis is below that of Gaussian noise,
+    such as of a wave, a sweep or steps between levels: no noise. `samples`: number used. `within`: factor
+    within which it is the noise, if it includes a gap.
     """
 
     ratio: float
@@ -91,14 +92,14 @@ class ResidualNoise:
 
     @property
     def larger(self) -> bool:
-        """Whether it is larger than the noise floor by more than a floor is uncertain."""
+        """Whether it is larger than the noise floor by more than the uncertainty of a floor."""
         return self.interval[0] > 1 + KNOWN
 
     @property
     def slow_on_top(self) -> bool:
         """Whether differences of neighbouring samples have the stated noise in full, and more is correlated.
 
-        Then it is not noise of another size but something slow on top of it.
+        Then something slow is added to the stated noise.
         """
         rho = correlations(np.array(self.coefficients), 3)
         fast = self.ratio * float(np.sqrt((6 - 8 * rho[1] + 2 * rho[2]) / 6))  # of second differences
@@ -112,7 +113,7 @@ class ResidualNoise:
         covariance: np.ndarray,
         weights: np.ndarray,
     ) -> float:
-        """Return the gap metric that this noise makes over that of a residual of `covariance` (K, K).
+        """Return the gap metric of this noise over that of a residual of `covariance` (K, K).
 
         A noisy sensor may count for more in the pose than in the residuals of all sensors. `state`: means.
         `weights`: (n_pose,) of the pose metric.
@@ -124,10 +125,10 @@ class ResidualNoise:
         return float(np.sqrt(real / known)) if known > 0 else self.ratio
 
     def makes(self, over: float, in_pose: float, uncertain: float, threshold: float) -> bool:
-        """Return whether this noise makes an error worth reporting, `over` times a floor, all by itself.
+        """Return whether this noise alone explains an error worth reporting, `over` times a floor.
 
-        `in_pose`: error that it makes over the floor, which is known within `uncertain`. Waves, steps between
-        levels and what is slow on top of the stated noise are no noise.
+        `in_pose`: error by this noise over the floor, which is known within `uncertain`. Waves, steps between
+        levels and slow changes added to the stated noise are no noise.
         """
         limit = limit_of(uncertain, threshold)
         sure = self.interval[0] > (1 + KNOWN) * uncertain and not self.bounded and not self.slow_on_top
@@ -136,7 +137,7 @@ class ResidualNoise:
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """A residual to take noise from.
+    """A residual whose noise is estimated.
 
     `values`: (K, n) residual of the readings. `covariance`: (K, K) that noise was said to give it. `run`:
     (n,) which run each sample is of, runs one after the other. `columns`: (m, n) functions that it may
@@ -152,10 +153,10 @@ class Residual:
 
 
 def _whitening(covariance: np.ndarray) -> np.ndarray | None:
-    """Return what makes noise of a covariance (K, K) independent and of size 1; None where it is singular.
+    """Return the whitening matrix of a covariance (K, K); None where it is singular.
 
-    Where the reference's noise acts on all readings alike and is far above theirs, as with columns exchanged,
-    rounding makes it so.
+    Rounding makes it so where the reference's noise is common to all readings and far above theirs, as with
+    exchanged columns.
     """
     try:
         return np.asarray(np.linalg.cholesky(np.linalg.inv(covariance)).T)
@@ -164,7 +165,7 @@ def _whitening(covariance: np.ndarray) -> np.ndarray | None:
 
 
 def residual_noise(r: Residual, channels: Sequence[str]) -> ResidualNoise | None:
-    """Return the noise of a residual; None where there is too little to tell it from what it may follow."""
+    """Return the noise of a residual; None where samples are too few to separate it from the columns."""
     work = _Elimination(r)
     if work.free <= 2 * LAGS or (whiten := _whitening(r.covariance)) is None:
         return None
@@ -180,7 +181,7 @@ def residual_noise(r: Residual, channels: Sequence[str]) -> ResidualNoise | None
     scaled = near / np.sqrt(body_of.covariances(near, 0))
     white = np.random.default_rng(0).standard_normal((DRAWS, left.shape[1] + SETTLE))
     seen = body_of.covariances(scaled, LAGS).mean(axis=0)
-    if not np.isfinite(seen).all():  # nothing, or numbers beyond all range, is left of a reading
+    if not np.isfinite(seen).all():  # the residual of a reading is 0 or out of range
         return None
     phi, kept = _autoregression(body_of, seen[: ORDER + 1], white)
     rho = correlations(phi, LONGEST)
@@ -188,7 +189,7 @@ def residual_noise(r: Residual, channels: Sequence[str]) -> ResidualNoise | None
     ratio, interval = work.size(left, kept, fewer)
     own = raw / np.sqrt(np.diag(r.covariance))[:, None]
     each = {c: work.size(row[None], kept, fewer) for c, row in zip(channels, own, strict=True)}
-    # Ljung and Box, against white noise that was eliminated alike
+    # Ljung and Box, against white noise with the same elimination
     pairs = np.array([float(p.sum()) for p in body_of.pairs])[1:]
     off = (seen / seen[0] - body_of.of_white(LAGS))[1:]
     whiteness_p = float(chdtrc(np.count_nonzero(pairs), float((off**2 * len(left) * pairs).sum())))
@@ -210,7 +211,7 @@ def residual_noise(r: Residual, channels: Sequence[str]) -> ResidualNoise | None
 
 
 class _Elimination:
-    """Takes columns and offsets of runs out of residuals, and sums products of what is left."""
+    """Projects columns and offsets of runs out of residuals, and sums products of the rest."""
 
     def __init__(self, r: Residual) -> None:
         self.used, n = r.used.astype(float), len(r.run)
@@ -245,7 +246,7 @@ class _Elimination:
         return out
 
     def left(self, values: np.ndarray) -> np.ndarray:
-        """Return what is left of rows (m, n) without columns and offsets; 0 where samples do not count."""
+        """Return rows (m, n) with columns and offsets projected out; 0 where samples do not count."""
         y = self._centred(values)
         y -= (y @ self.basis.T) @ self.basis
         return y
@@ -253,8 +254,8 @@ class _Elimination:
     def size(self, rows: np.ndarray, kept: float, fewer: float) -> tuple[float, tuple[float, float]]:
         """Return the rms of rows (m, n) before `kept` of their squares was left, and its 95 % interval.
 
-        `fewer`: samples over independent ones. The interval is that of such noise with the tails that the
-        rows have, or what the runs scatter by where that is more: noise is not the same in all of them.
+        `fewer`: samples over independent ones. The interval is that of such noise with the tails of the rows,
+        or the scatter of the runs where that is larger: noise differs between runs.
         """
         squares = rows**2
         mean = max(float(squares.mean(axis=0).sum()) / self.count, 1e-300)
@@ -298,14 +299,14 @@ class _Elimination:
 def _autoregression(work: _Elimination, seen: np.ndarray, white: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the coefficients whose noise has the autocovariance `seen` (ORDER + 1,) once it is eliminated.
 
-    Beside it the share of the variance of such noise that the elimination leaves.
+    And the share of the variance of such noise that the elimination leaves.
     """
     whole, kept = seen.copy(), 1.0
     for _ in range(ROUNDS):
         phi = _stable(solve_toeplitz(whole[:-1], whole[1:]))
         noise = autoregressive(phi, white)[:, SETTLE:]
         got = work.covariances(work.left(noise), ORDER).mean(axis=0)
-        # the noise as drawn has not quite its own covariance: what is lost is against what was drawn
+        # the drawn noise does not have exactly its covariance: the loss is relative to the draw
         drawn = work.covariances(noise, ORDER).mean(axis=0)
         kept = float(np.clip(got[0] / drawn[0], 0.05, 1.0))
         variance = seen[0] / kept
@@ -352,7 +353,7 @@ def correlations(phi: np.ndarray, lags: int) -> np.ndarray:
 
 
 ROOM = 8_000
-"""Samples that are looked at: of three channels they know the standard deviation of white noise to 0.5 %."""
+"""Samples that are used: of three channels they give the standard deviation of white noise to 0.5 %."""
 READINGS = 100_000
 """The same times the channels, of models of many channels."""
 SHARE = 20
@@ -366,9 +367,9 @@ STILL = 5.0
 
 Its logged place is then noise to 4 % of its variance, and that noise is in the residual too."""
 LEAST = 0.05
-"""Part of a first guess that a noise is at least, where stated ones beside it make all of a residual."""
+"""Least part of a first guess of a noise, where stated noise explains all of a residual."""
 SLOW = 5.0
-"""Noise over what differences of neighbouring samples have of it, from which on it is a disturbance.
+"""Ratio of noise to its size in differences of neighbouring samples above which it is a disturbance.
 
 Noise that is correlated over 10 samples has 4.3 times as much (first order, simulated), over 14 samples 5."""
 REACH = 2
@@ -409,10 +410,9 @@ def _noise_of(
 
 
 def _is_known(read: "_Read", model: Model, covariance: np.ndarray) -> bool:
-    """Return whether a residual certainly is independent noise of `covariance` (K, K), and nothing else.
+    """Return whether a residual certainly is independent noise of `covariance` (K, K).
 
-    It has that size within `KNOWN`, and no part of it that is larger than `KNOWN` can be a function of
-    anything that changes slowly: its correlations are certainly smaller.
+    It has that size within `KNOWN`, and its autocorrelations exclude a slow part larger than `KNOWN`.
     """
     data, values, used = read
     none = np.zeros((0, len(used)))
@@ -466,7 +466,7 @@ def _noise_of_knots(
 def noise_at(
     log: Log, point: Point, sigma: Mapping[str, float], keep: Weigh | None = None
 ) -> ResidualNoise | None:
-    """Return the noise that a fit leaves on its runs; `point`: of its cost at the optimum."""
+    """Return the residual noise of a fit on its runs; `point`: of its cost at the optimum."""
     model, covariance = point.cost.summary.model, point.covariance.mean(axis=0)
     return noise_left(log, model, point.p, offsets_of(point.cost, point.p), covariance, sigma, keep)
 
@@ -474,7 +474,7 @@ def noise_at(
 def with_noise(
     known: GoodnessOfFit, log: Log, point: Point, noise: Noise, keep: Weigh | None = None
 ) -> GoodnessOfFit:
-    """Return the goodness of a fit beside its floor, and where its excess is noise larger than stated, so.
+    """Return the goodness of a fit against its floor, marked as noise where its excess is noise.
 
     `point`: of its cost at the optimum, with `noise`.
     """
@@ -494,10 +494,10 @@ def with_noise(
 
 
 def noise_followed(log: Log, point: Point, noise: Noise, keep: Weigh | None = None) -> Noise | None:
-    """Return the noise with what a fit leaves in the place of what was estimated; None where that agrees.
+    """Return the noise with the residual noise in place of estimates; None where they agree.
 
-    Differences of neighbouring samples miss noise that is correlated, and take motion from sample to sample
-    for noise; what the fit leaves holds neither. `point`: of the fit with `noise`.
+    Differences of neighbouring samples miss correlated noise and include motion from sample to sample; the
+    residual has neither error. `point`: of the fit with `noise`.
     """
     model, sigma = point.cost.summary.model, noise.std
     guessed = {c for c in (*model.channels, *model.references) if noise[c].source == "estimated"}
@@ -519,17 +519,16 @@ def noise_followed(log: Log, point: Point, noise: Noise, keep: Weigh | None = No
 
 
 def _factor(left: ResidualNoise, point: Point, columns: Collection[str]) -> float:
-    """Return by what the noise of `columns` must be multiplied for a residual to have the noise `left`.
+    """Return the factor on the noise of `columns` for which a residual has the noise `left`.
 
-    1 where the residual does not contradict the noise, and where what is left is larger and no noise: waves,
-    steps between levels, or something so slow that differences of neighbouring samples have next to nothing
-    of it.
+    1 where the residual agrees with the noise, and where it is larger but no noise: waves, steps between
+    levels, or a change too slow for differences of neighbouring samples.
     """
     model, cost = point.cost.summary.model, point.cost
     own = np.array([c in columns for c in model.channels])
     precision = np.linalg.inv(point.covariance.mean(axis=0))
     readings = np.diag(np.where(own, cost.reading_variance, 0.0))
-    if any(c in columns for c in model.references):  # what is not the readings' own is the references'
+    if any(c in columns for c in model.references):  # the rest is due to the references
         readings = readings + point.covariance.mean(axis=0) - np.diag(cost.reading_variance)
     share = float(np.trace(precision @ readings)) / len(own)
     larger = left.interval[0] > 1.0 and not left.bounded and left.ratio < SLOW
@@ -581,7 +580,7 @@ def _read(
 
 
 def _columns(model: Model, data: Data, sigma: Mapping[str, float]) -> Iterator[np.ndarray]:
-    """Yield functions (n,) that a residual may follow, the most telling ones first."""
+    """Yield functions (n,) that a residual may follow, the most likely ones first."""
     made = {c.name for c in model.computed}
     edges = np.array(edges_of(data["run"]))
     data = data | {c: _at_rest(v, edges, sigma[c]) for c, v in data.items() if c in sigma}
@@ -625,7 +624,7 @@ def _cosines(x: np.ndarray, most: int) -> np.ndarray:
 
 
 def _within_runs(t: np.ndarray, lines: Data, edges: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield the time within a run and its square, and what coordinates remember of their direction."""
+    """Yield the time within a run and its square, and the play of coordinates."""
     t = _unit(t, edges)
     yield from (t, t * t)
     scaled = [x / max(float(np.std(x)), 1e-300) for x in lines.values()]
@@ -634,7 +633,7 @@ def _within_runs(t: np.ndarray, lines: Data, edges: np.ndarray) -> Iterator[np.n
 
 
 def _beside(x: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Return where the neighbours of each sample say that a coordinate is, by cubics through four of them.
+    """Return a coordinate interpolated from the neighbours of each sample, by cubics through four of them.
 
     The noise of a sample's own coordinate is in its residual: places beyond a turning point are noise.
     """

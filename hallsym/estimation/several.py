@@ -34,7 +34,7 @@ from hallsym.model import Model
 from hallsym.units import UNITS
 
 LIKE_A_UNIT = 0.1
-"""Relative distance of a ratio of gains from that of two units within which another unit is what it shows."""
+"""Relative distance of a ratio of gains from that of two units within which it shows another unit."""
 LEAST_RATIO = 5.0
 """Ratio of gains below which two logs of one device may differ: a repair, an air gap, a temperature."""
 
@@ -131,7 +131,7 @@ def several_fit(
     numbers: Sequence[Mapping[int, int]],
     began: float,
 ) -> Fit:
-    """Return the fit of the logs `members`; `judged`: those held out. `numbers`: per log run -> number."""
+    """Return the fit of the logs `members`; `judged`: the holdout logs. `numbers`: per log run -> number."""
     estimate = uncertainty(solution.point, solution.determined)
     free = int(np.count_nonzero(np.diag(estimate.covariance)))
     bound = None if sharing.own else lower_bound(solution.point, free)
@@ -141,7 +141,7 @@ def several_fit(
         fit_of(m, m.solution.determination, e, None, began)
         for m, e in zip((*members, *judged), own, strict=True)
     ]
-    # runs of held-out logs keep their numbers, since they stand in no table with others
+    # runs of holdout logs keep their numbers, since they stand in no table with others
     renumbered = [*numbers, *({run: run for run in m.solution.everything.summary.runs} for m in judged)]
     records = tuple(
         _record(name, k >= len(members), fit, sharing, known)
@@ -152,7 +152,7 @@ def several_fit(
 
 
 def _goodness(members: Sequence[LogFit], free: int) -> list[GoodnessOfFit]:
-    """Return what the fit leaves in each log; the parameters are shared out by samples."""
+    """Return the goodness of fit of each log; the degrees of freedom are shared by samples."""
     points = [m.solution.point for m in members]
     counts = np.array([point.cost.summary.counts.sum() for point in points])
     share = free * counts / max(counts.sum(), 1e-300)
@@ -183,7 +183,7 @@ def _own(estimate: Uncertainty, sharing: Sharing, g: int, goodness: GoodnessOfFi
 
 
 def _of(expression: str, sharing: Sharing, suffix: str) -> bool:
-    """Whether a named combination is of the log with this suffix, or of all."""
+    """Whether a named combination belongs to the log with this suffix, or to all."""
     others = [own_name("", log) for log in sharing.logs]
     return expression.endswith(suffix) or not any(expression.endswith(other) for other in others)
 
@@ -300,7 +300,7 @@ def _tables(tables: Sequence[ErrorTable], numbers: Sequence[Mapping[int, int]]) 
 
 
 def _notes(fits: Sequence[Fit], numbers: Sequence[Mapping[int, int]], sharing: Sharing) -> tuple[str, ...]:
-    """Return what is to be said of the logs, each note once, with the log that it is of."""
+    """Return the notes on the logs, each note once, with the name of its log."""
     out = [
         note.of(f"{log}: {note}") if isinstance(note, Fault) else f"{log}: {note}"
         for fit, log in zip(fits, sharing.logs, strict=True)
@@ -318,7 +318,7 @@ def _notes(fits: Sequence[Fit], numbers: Sequence[Mapping[int, int]], sharing: S
 
 
 def restricted(found: Determination, sharing: Sharing, g: int) -> Determination:
-    """Return what is determined of the parameters of one log."""
+    """Return the identifiability of the parameters of one log."""
     chosen, names = sharing.chosen[g], sharing.model.names
     place = {int(k): own for own, k in enumerate(chosen)}
     structural = [names[place[k]] for k, n in enumerate(sharing.joint.names)

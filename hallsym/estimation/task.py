@@ -1,4 +1,4 @@
-"""One fit as it goes round: solve, tabulate errors, take outliers out, refuse what is wrong."""
+"""The iterations of one fit: solve, tabulate errors, reject outliers, check the log."""
 
 import platform
 from collections.abc import Callable, Mapping, Sequence
@@ -61,7 +61,7 @@ def model_of(
 def checked(
     log: Log, model: Model, asked: "Asked", corrections: Sequence[Correction], accept: Sequence[str] = ()
 ) -> tuple[Log, list[str]]:
-    """Return a log without its mistakes and bad samples, and what is worth knowing about it.
+    """Return a log without its mistakes and bad samples, and notes on it.
 
     `accept`: claims beside those that the user accepts, whose samples stay.
     """
@@ -72,15 +72,15 @@ def checked(
 
 
 def held_out(log: Log, holdout: Sequence[int]) -> tuple[int, ...]:
-    """Return held-out runs, all of them in the log and not all of the log. Raises `InputError` for others."""
+    """Return holdout runs, all of them in the log and not all of the log. Raises `InputError` for others."""
     if not holdout:
         return ()
     runs = log.runs
     if unknown := [run for run in holdout if run not in runs]:
         known = ", ".join(map(str, runs)) if len(runs) <= 8 else f"{runs[0]}, {runs[1]}, ... {runs[-1]}"
-        raise InputError(f"Held-out run {unknown[0]} is not in the log; its runs are {known}.")
+        raise InputError(f"Holdout run {unknown[0]} is not in the log; its runs are {known}.")
     if set(runs) <= set(holdout):
-        raise InputError("Every run is held out; leave at least one to fit.")
+        raise InputError("All runs are holdout runs; leave at least one to fit.")
     return tuple(holdout)
 
 
@@ -88,7 +88,7 @@ Progress = Callable[[str], None]
 
 
 def silent(_: str) -> None:
-    """Tell nobody how far a fit is."""
+    """Report no progress."""
 
 
 LEAST_SIGMA = 1e-13
@@ -96,11 +96,11 @@ LEAST_SIGMA = 1e-13
 SUSPECT = 6.5
 """Peak error in noise floors above which outliers are looked for."""
 BEGIN = (2 / 3, 1 / 3)
-"""Where a parameter begins that did nothing at its nominal value: parts of the way to its upper bound. Two
-thirds of a share of up to 1.5 is all of it."""
+"""Starts of a parameter without effect at its nominal value: parts of the way to its upper bound. Two thirds
+of a share of up to 1.5 is all of it."""
 QUICKLY_KNOWN = 1.06
-"""Residual over a noise that was estimated from which on a log is looked at in full: three times its 1.2 %,
-and up to 3 % by which the least of several estimates is below their mean."""
+"""Residual over estimated noise above which a log is examined in full: three times its 1.2 %, and up to 3 %
+by which the least of several estimates is below their mean."""
 
 
 def noise_of(log: Log, model: Model | None, holdout: Sequence[int] = ()) -> Noise:
@@ -122,7 +122,7 @@ def noise_of(log: Log, model: Model | None, holdout: Sequence[int] = ()) -> Nois
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """How a fit was asked for; see `fit`."""
+    """The arguments of a fit; see `fit`."""
 
     solver: str = "direct"
     holdout: Sequence[int] | None = None
@@ -154,7 +154,7 @@ class Begun:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What stays the same while the fit of a log goes round.
+    """The constants of the iterations of a fit.
 
     `holdout`: runs that take no part. `known_noise`: of columns that the log neither states nor shows.
     `centre`: of the features, where other logs are fitted with this one; else the log's own.
@@ -173,16 +173,16 @@ class Task:
         return noise_of(self.log, self.model, self.holdout).merged(self.known_noise)
 
     def by_passes(self, first: Fit | None) -> "tuple[Task, Solution, Weigh | None]":
-        """Fit a model without run statistics, from `first`: the fit of what it is without its effects.
+        """Fit a model without run statistics, from `first`: the fit of the model without its effects.
 
-        Returns also the task with the noise that is left, and the weights that `first` gave.
+        Returns also the task with the residual noise, and the weights that `first` gave.
         """
         task, keep, begin = self, None, self.model.nominal
         if self.model.guess is not None and first is None:
             begin = self.model.vector(self.model.guess(self.model, self.log))
         if first is not None:
             task = replace(self, known_noise=first.noise)
-            # the corners that a rail cuts look like spikes to a model that knows of none
+            # the corners that a rail cuts look like spikes to a model without rails
             keep = None if knows_rails(self.model) else first.keep
             known = first.model.named(first.values)
             begin = self.model.vector({n: v for n, v in known.items() if n in self.model.names})
@@ -200,9 +200,9 @@ class Task:
         return optimum(self.log, self.model, self.noise.std, begin, self.holdout, keep, self.asked.say)
 
     def elsewhere(self, state: Solution, known: Sequence[str], keep: Weigh | None) -> Solution:
-        """Return a better optimum that begins where parameters of effects that seemed to do nothing act.
+        """Return a better optimum from starts at which parameters without effect at the optimum act.
 
-        A rail that the model does not reach is not felt: what it cuts has no slope where nothing is cut.
+        A rail that the model does not reach has no slope.
         `known`: parameters of the model without its effects.
         """
         lower, upper = self.model.bounds
@@ -218,28 +218,28 @@ class Task:
         return state
 
     def in_order(self, state: Solution) -> bool:
-        """Return whether the run statistics show that no run leaves more than noise in any channel.
+        """Return whether the run statistics show that no run has more than noise in any channel.
 
-        What they do not show is too small to matter: an isolated spike of s sigma among the n samples of a
-        run raises the mean square of its channel by s^2 / n, and is found where that is more than chance.
-        Where noise was estimated, that is beside the noise that all runs leave, which knows it better.
+        They miss only small faults: an isolated spike of s sigma among the n samples of a run raises the mean
+        square of its channel by s^2 / n, and is found where that is significant. Estimated noise is replaced
+        by the residual noise of all runs, which is more accurate.
         """
-        told = self.goodness(state)
-        left = told.cost_per_degree_of_freedom**0.5 if told.noise_estimated else 1.0
+        seen = self.goodness(state)
+        left = seen.cost_per_degree_of_freedom**0.5 if seen.noise_estimated else 1.0
         return (
-            told.sentence is None
+            seen.sentence is None
             and 1 / QUICKLY_KNOWN <= left <= QUICKLY_KNOWN
-            and told.worst_least <= max(left, 1.0)
+            and seen.worst_least <= max(left, 1.0)
         )
 
     def goodness(self, state: Solution) -> GoodnessOfFit:
-        """Return what a fit leaves, in multiples of the noise."""
+        """Return the goodness of fit."""
         fit = goodness_of(state.point, len(state.p) - len(state.determination.fixed))
         known = uncertain(state.point, self.noise, self.log.meta.gap_length_scale_m)
         return fit.judged(known, self.log.meta.gap_threshold_rel)
 
     def counting(self, what: str) -> Callable[[int], None] | None:
-        """Return a progress callback that says which share of the log is done; None where nobody listens."""
+        """Return a progress callback for the share of the log that is done; None without a listener."""
         if self.asked.say is silent:
             return None
         total = self.log.rows
@@ -278,7 +278,7 @@ class Task:
         return bool(np.any(errors.fitted.peak.max(axis=0) > SUSPECT * floor))
 
     def weigh(self, state: Solution, suspects: Weigh) -> outliers.Filter:
-        """Return what takes outliers out, judged by the residuals of the fit so far."""
+        """Return weights that reject outliers by the residuals of the fit so far."""
         residual = residuals(self.model, state.p, state.offsets())
         covariance = state.point.covariance.mean(axis=0)
         if self.asked.loss == "tukey":
@@ -288,11 +288,11 @@ class Task:
 
 @dataclass(eq=False)
 class LogFit:
-    """The fit of one log as it goes round, and how it ends.
+    """The fit of one log during its iterations, and its result.
 
     `given`: the log as it was logged, without the mistakes `corrections`: those that were asked for, and the
-    sign of a sensor that is mounted the other way round. `keep`: weights that took outliers out. `begun`: its
-    costs so far, of a model with run statistics. `errors`: None where nothing was amiss and nobody asked.
+    sign of a sensor that is mounted the other way round. `keep`: weights that reject outliers. `begun`: its
+    costs so far, of a model with run statistics. `errors`: None for a quick fit without faults.
     """
 
     task: Task
@@ -316,17 +316,17 @@ def opened(
 ) -> LogFit:
     """Check a log, without its mistakes, before it is fitted. Raises `InputError` for one that cannot be.
 
-    `several`: with others, so that held-out runs may be theirs. `judged`: it takes no part in the fit.
+    `several`: with others, so that holdout runs may be theirs. `judged`: it takes no part in the fit.
     """
     good, notes = checked(log, model, asked, asked.corrections)
     mounted = model.inspect(model, good) if model.inspect else Inspection()
-    turned = (Correction("sign", mounted.inverted),) if mounted.inverted else ()
-    given = corrected(good, turned)
+    reversal = (Correction("sign", mounted.inverted),) if mounted.inverted else ()
+    given = corrected(good, reversal)
     read = continuous(given, model)
-    held = log.meta.holdout if asked.holdout is None else tuple(asked.holdout)
-    held = tuple(r for r in held if r in read.runs) if several else held
-    task = Task(read, model, () if judged else held_out(read, held), asked, centre=centre)
-    return LogFit(task, given, (*asked.corrections, *turned), (*notes, *mounted.notes))
+    holdout = log.meta.holdout if asked.holdout is None else tuple(asked.holdout)
+    holdout = tuple(r for r in holdout if r in read.runs) if several else holdout
+    task = Task(read, model, () if judged else held_out(read, holdout), asked, centre=centre)
+    return LogFit(task, given, (*asked.corrections, *reversal), (*notes, *mounted.notes))
 
 
 COLLINEAR = 1e-8
@@ -335,10 +335,10 @@ of squares that they explain is rounding."""
 
 
 def lower_bound(point: Point, estimated: int) -> LowerBound | None:
-    """Return the bound for the optimum at `point`, where `estimated` parameters were free.
+    """Return the lower bound of the cost for the optimum at `point`, where `estimated` parameters were free.
 
-    Offsets of a run that multiply a changing state are free by themselves here too. None where nothing is
-    left over to compare with: as many free coefficients as readings.
+    Offsets of a run that multiply a changing state are free here too. None where there are as many free
+    coefficients as readings.
     """
     cost, summary, z = point.cost, point.cost.summary, point.cost.summary.features.n_zero
     K, left, products = len(cost.reading_variance), point.squares, point.feature_products
@@ -376,7 +376,7 @@ def result_of(solved: LogFit, began: float) -> Fit:
     point = state.point
     estimate = uncertainty(point, found)
     free = int(np.count_nonzero(np.diag(estimate.covariance)))
-    asked = solved.errors is not None  # a quick fit that found nothing amiss needs no further evidence
+    asked = solved.errors is not None  # a quick fit without faults needs no further evidence
     bound = lower_bound(point, free) if asked and exact(solved.task.model) else None
     return fit_of(solved, found, estimate, bound, began)
 
@@ -388,7 +388,7 @@ def fit_of(
     bound: LowerBound | None,
     began: float,
 ) -> Fit:
-    """Return the fit of a solved log, with what is determined of its parameters, and how certainly."""
+    """Return the fit of a solved log, with the identifiability and uncertainty of its parameters."""
     task, state, errors = solved.task, solved.solution, solved.errors
     model = task.model
     path = task.log.path

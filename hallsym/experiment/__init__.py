@@ -1,7 +1,7 @@
-"""What to record next: choose runs from ranges so that parameters or positions become most certain.
+"""Optimal experiments: choose runs from ranges that minimise the uncertainty of parameters or positions.
 
-`ranges` says what may be recorded and lists the runs, `study` says what each would tell, `criteria` what
-counts and which runs are best, `design` puts it together.
+`ranges` states the admissible recordings and lists the runs, `study` computes the information of each,
+`criteria` ranks choices, `design` returns the plan.
 """
 
 from hallsym.experiment.criteria import CRITERIA

@@ -1,4 +1,4 @@
-"""What a good plan is: information functions of the information matrix M (m, m), larger is better.
+"""Design criteria: information functions of the information matrix M (m, m), larger is better.
 
 Each phi is concave and phi(t M) = t phi(M) (Pukelsheim, Optimal Design of Experiments, SIAM 2006,
 doi:10.1137/1.9780898719109, ch. 5 and 6), so one bound holds for all: with any slope G of phi at any M,
@@ -136,8 +136,8 @@ def choose(
 ) -> np.ndarray:
     """Return how often each candidate is run, (candidates,).
 
-    A criterion with corners holds an exchange up where two runs would have to change at once: the choice for
-    the volume (D), which has none and is near the best for every criterion, is exchanged for `phi`.
+    A criterion with corners stops exchanges where two runs would have to change at once. So exchanges start
+    from the choice for the volume (D), which has none and is near the optimum of every criterion.
     """
     d = criterion("D", len(base), np.empty(0))
     counts = exchange(infos, base, greedy(infos, base, runs, d), d, rng)

@@ -1,4 +1,4 @@
-"""`plan`: choose what to record next, and say what it would determine."""
+"""`plan`: choose the next runs and predict the uncertainties with them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ FORMAT = "hallsym plan 1"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Shown):
-    """What to record next.
+    """A plan: the next runs.
 
     `campaign`: the chosen runs, setting by setting. `counts`: how often each candidate of `study` is run.
     `value`: the criterion of this choice. `before`, `after`: the worst-determined combination without these
@@ -100,12 +100,12 @@ def plan(
     after: Log | None = None,
     seed: int = 0,
 ) -> Plan:
-    """Choose the runs within `ranges` that tell most about the parameters of `model`.
+    """Choose the runs within `ranges` with the most information about the parameters of `model`.
 
-    `values`: parameter values by name, SI, over the nominal ones: what a run tells depends on them (with gain
-    slopes of zero the tied model loses its x0, y0). `noise`: 1 sigma by column; the ranges' own where not
-    given. `criterion`: one of `CRITERIA`. `runs`, `minutes`: over those of the ranges. `after`: a log that is
-    recorded already, to which the plan adds. `seed`: of the order in which exchanges are tried.
+    `values`: parameter values by name, SI, over the nominal ones: the information of a run depends on them
+    (with gain slopes of zero the tied model loses its x0, y0). `noise`: 1 sigma by column; the ranges' own
+    where not given. `criterion`: one of `CRITERIA`. `runs`, `minutes`: over those of the ranges. `after`: a
+    log that is recorded already, to which the plan adds. `seed`: of the order in which exchanges are tried.
 
     Raises `InputError` where nothing is admissible, or where the model stays undetermined.
     """
@@ -147,7 +147,7 @@ def _noise(model: Model, noise: Mapping[str, float]) -> dict[str, float]:
 
 
 def _recorded(log: Log, model: Model, p: np.ndarray) -> tuple[np.ndarray, int]:
-    """Information (n, n) of a log that was recorded, held-out runs left out, and its runs."""
+    """Information (n, n) of a log that was recorded, holdout runs left out, and its runs."""
     check_log(log, columns_of(model))
     sigma = noise_of(log, model, log.meta.holdout).std
     cost = cost_near(log, model, p, sigma).without(log.meta.holdout)
@@ -155,7 +155,7 @@ def _recorded(log: Log, model: Model, p: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _order(found: Study, counts: np.ndarray) -> list[int]:
-    """Chosen candidates setting by setting: vertical axes move as seldom as they can."""
+    """Chosen candidates setting by setting, with the fewest moves of vertical axes."""
 
     def place(k: int) -> tuple:
         return tuple(found.candidates[k].run.setting.get(axis, 0.0) for axis in found.model.state)

@@ -1,4 +1,4 @@
-"""What may be recorded: ranges of the axes, clock, time, frequencies (docs/plan.md), and the runs within."""
+"""Admissible recordings: ranges of the axes, clock, time, frequencies (docs/plan.md), and the runs within."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,14 +26,13 @@ Box = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True, eq=False)
 class Ranges:
-    """What may be recorded.
+    """Admissible recordings.
 
     `box`: lowest and highest position of each axis [m, rad]; an axis that is not named rests at 0.
     `excluded`: boxes that no run may touch. `levels` of each vertical axis between its ends, ends included.
-    `frequencies_hz` of the motion. `trajectories`: of `TRAJECTORIES`. `runs`, `minutes`: how much may be
-    recorded; None where it is not limited. `reset_s`: time between two runs. `noise`: 1 sigma by
-    column, may be empty. `reference`: what counts as one unit of uncertainty of each pose
-    coordinate in the criterion max-u; 1 um and 1 urad where not stated.
+    `frequencies_hz` of the motion. `trajectories`: of `TRAJECTORIES`. `runs`, `minutes`: limits, None for no
+    limit. `reset_s`: time between two runs. `noise`: 1 sigma by column, may be empty. `reference`: unit of
+    uncertainty of each pose coordinate in the criterion max-u; 1 um and 1 urad where not stated.
     """
 
     box: Box
@@ -74,7 +73,7 @@ class Ranges:
         return tidy(0.5 * (low + high)), tidy(0.5 * (high - low))
 
     def references(self, pose: tuple[str, ...]) -> np.ndarray:
-        """Return what counts as one unit of uncertainty of each pose coordinate, (n_pose,), SI."""
+        """Return the unit of uncertainty of each pose coordinate, (n_pose,), SI."""
         return np.array([self.reference.get(c, 1e-6) for c in pose])
 
     def allowed(self, runs: int | None, minutes: float | None) -> int:
@@ -182,7 +181,7 @@ MOST_CANDIDATES = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A run that could be recorded, and what a table calls its setting and its trajectory."""
+    """A run that could be recorded, with the names of its setting and its trajectory."""
 
     run: Run
     setting: str
@@ -201,15 +200,15 @@ class _Motion:
 def candidates(ranges: Ranges, model: Model) -> tuple[Candidate, ...]:
     """Return every run of `model` that the ranges allow; raises `InputError` when there is none.
 
-    Its pose moves; its state is held at settings.
+    Its pose moves; its state rests at settings.
     """
     _check_axes(ranges, model)
     found: list[Candidate] = []
-    held = [axis for axis in model.state if axis in ranges.box]
+    steady = [axis for axis in model.state if axis in ranges.box]
     for motion in _motions(ranges, model):
         for setting in _settings(ranges, model):
             if not any(_touches(zone, setting, motion) for zone in ranges.excluded):
-                place = {axis: value for axis, value in setting.items() if value or axis in held}
+                place = {axis: value for axis, value in setting.items() if value or axis in steady}
                 words = _words(place, motion, model)
                 run = Run(ranges.seconds_per_run, place, motion.signals, name=f"{words}; {motion.name}")
                 found.append(Candidate(run, words, motion.name))
@@ -232,7 +231,7 @@ def candidates(ranges: Ranges, model: Model) -> tuple[Candidate, ...]:
 
 
 def _check_axes(ranges: Ranges, model: Model) -> None:
-    """Refuse ranges of axes that the model has not, or in which its pose stands still."""
+    """Refuse ranges of axes that the model does not have, or in which its pose rests."""
     own = (*model.pose, *model.state)
     for axis in (*ranges.box, *(a for zone in ranges.excluded for a in zone)):
         if axis not in own:
@@ -284,7 +283,7 @@ def _settings(ranges: Ranges, model: Model) -> Iterator[dict[str, float]]:
 
 
 def _touches(zone: Box, setting: Mapping[str, float], motion: _Motion) -> bool:
-    """Whether the run comes into the zone on every axis that the zone names."""
+    """Whether the run enters the zone on every axis that the zone names."""
     return all(
         setting[axis] - motion.reach.get(axis, 0.0) <= high
         and setting[axis] + motion.reach.get(axis, 0.0) >= low

@@ -1,4 +1,4 @@
-"""What every choice of runs needs, computed once: the information of each candidate and what counts."""
+"""The information of each candidate run and the criterion, computed once for all choices."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,12 +18,12 @@ from hallsym.model.model import combination
 from hallsym.simulation import Campaign, Run, Signal, simulate
 
 RIDGE = 1e-9
-"""Share of a run's mean information that stands for what is known before anything is recorded, so that
-criteria have values for fewer runs than the model needs; no reported uncertainty contains it."""
+"""Ridge as a share of a run's mean information, so that criteria have values for fewer runs than the model
+needs; no reported uncertainty contains it."""
 MOST_RUNS = 500
 LEAST, PER_PERIOD = 512, 16
-"""A run is looked at in so many samples at least, and so many per period of its fastest signal; information
-of a longer recording is proportional to its samples."""
+"""Fewest samples of a simulated run, and per period of its fastest signal; information of a longer recording
+is proportional to its samples."""
 
 
 def planned_cost(
@@ -52,7 +52,7 @@ def _fastest(run: Run) -> float:
 
 @dataclass(frozen=True)
 class Worst:
-    """The combination of parameters, each over its bound width, that is known worst.
+    """The worst-determined combination of parameters, each over its bound width.
 
     `parameters`: the larger entries of the unit direction. `std`: its standard uncertainty as a share of the
     bound width; None where it is not determined.
@@ -70,11 +70,11 @@ class Worst:
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """Candidates with their information about what can be determined, in m coordinates.
+    """Candidates with their information in m identifiable coordinates.
 
-    `basis`: (n, m), parameters = basis @ coordinates. `infos`: (candidates, m, m), `known`: (m, m) of what is
-    recorded. `slopes`: (points, n_pose, m) of the decoded position over the workspace, SI. `names`,
-    `gradients`: what standard uncertainties are given for, (q, n).
+    `basis`: (n, m), parameters = basis @ coordinates. `infos`: (candidates, m, m), `known`: (m, m) of the
+    earlier recording. `slopes`: (points, n_pose, m) of the decoded position over the workspace, SI. `names`,
+    `gradients`: reported quantities, (q, n).
     """
 
     model: Model
@@ -98,22 +98,22 @@ class Study:
 
     @cached_property
     def base(self) -> np.ndarray:
-        """What is known before, with the ridge that makes it invertible."""
+        """Prior information, with the ridge that makes it invertible."""
         m = len(self.known)
         return self.known + RIDGE * np.trace(self.infos.mean(axis=0)) * np.eye(m)
 
     def information(self, counts: np.ndarray) -> np.ndarray:
-        """Return the information (m, m) of candidates run `counts` times, with what is known before."""
+        """Return the information (m, m) of candidates run `counts` times, with the prior information."""
         return self.known + np.tensordot(counts, self.infos, axes=1)
 
     def value(self, information: np.ndarray) -> float:
-        """Return the criterion of information (m, m) that is recorded in all."""
+        """Return the criterion of the total information (m, m)."""
         return float(self.criterion.values(information + self.base - self.known))
 
     def choose(self, runs: int) -> np.ndarray:
         """Return how often each candidate is run in the best choice of `runs` runs that is found.
 
-        The same for the same seed. Refuses what no such choice can determine, and says what is missing.
+        Reproducible by seed. Refuses parameters that no such choice determines, with what is missing.
         """
         weak = self.weak(self.known + runs * self.infos.sum(axis=0))
         if weak.shape[1]:
@@ -139,7 +139,7 @@ class Study:
         return self.directions @ vectors[:, values < least_information(values)]
 
     def least_runs(self) -> int:
-        """Return how few runs determine the model, chosen one by one for the volume (D)."""
+        """Return the least number of runs that determine the model, chosen one by one for the volume (D)."""
         d, counts = criterion("D", len(self.known), self.slopes), np.zeros(len(self.infos), dtype=int)
         for n in range(1, MOST_RUNS + 1):
             counts = greedy(self.infos, self.base, n, d, counts)
@@ -156,7 +156,7 @@ class Study:
         return _std(self.slopes, information).max(axis=0)
 
     def worst(self, information: np.ndarray) -> Worst:
-        """Return the combination that information (m, m) determines worst."""
+        """Return the worst-determined combination for information (m, m)."""
         values, vectors = np.linalg.eigh(information)
         direction = self.directions @ vectors[:, 0]
         determined = values[0] > least_information(values)
@@ -221,10 +221,9 @@ def study(
 def _quantities(
     model: Model, p: np.ndarray, scale: np.ndarray, null: np.ndarray, basis: np.ndarray
 ) -> tuple[tuple[str, ...], np.ndarray]:
-    """Return names and gradients (q, n) of what can be determined.
+    """Return names and gradients (q, n) of identifiable quantities.
 
-    Parameters, and the model's combinations of those that cannot: null directions leave them alone, and a
-    direction that is not fixed moves them.
+    Parameters, and the model's combinations of the others, which null directions do not move.
     """
 
     def determined(gradient: np.ndarray) -> bool:

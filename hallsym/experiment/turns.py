@@ -1,4 +1,4 @@
-"""What to record without a reference: open waves of the heads, turns and speeds for an accuracy."""
+"""Recordings without a reference: undetermined waves of the heads, turns and speeds for an accuracy."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,7 +8,7 @@ import numpy as np
 from hallsym.estimation.self_calibration import FEW, OPEN_BELOW
 
 RATIOS = (1.5, 2.0, 3.0)
-"""Ratios of two speeds that are weighed."""
+"""Ratios of two speeds that are compared."""
 
 
 def two_speeds(v_slow: float, v_fast: float, ratio: float) -> float:
@@ -37,7 +37,7 @@ def table_error(density: np.ndarray, turns: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class TurnPlan:
-    """Open waves of the heads, and turns for an accuracy [rad, mechanical]; None where nothing tells them."""
+    """Undetermined waves of the heads, and turns for an accuracy [rad, mechanical]; None if unknown."""
 
     pairs: int
     places: tuple[float, ...]
@@ -47,12 +47,12 @@ class TurnPlan:
 
     @property
     def open(self) -> tuple[int, ...]:
-        """Waves per turn that these heads leave open, whatever is recorded."""
+        """Waves per turn that these heads do not determine in any recording."""
         return tuple(int(n) + 1 for n in np.flatnonzero(self.seen < OPEN_BELOW))
 
     @property
     def turns(self) -> int | None:
-        """Whole turns for the accuracy, with what one and two turns cost."""
+        """Whole turns for the accuracy, with the loss by one and two turns."""
         if self.density is None or self.target is None:
             return None
         least = max(int(np.ceil(turns_for(self.density, self.target))), 1)

@@ -1,4 +1,4 @@
-"""The kinds of sensor: one folder per family, only physics. Models and effects are looked up here by name."""
+"""Families of sensors: one folder each, physics only. Models and effects are looked up here by name."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any

@@ -11,13 +11,13 @@ from hallsym.errors import require
 CHIP_STEPS = range(4, 15)
 """Steps that chips take: the error of 4 is 7 deg, that of 14 less than a count of 14 bits."""
 MOST_STEPS = 32
-"""Steps beyond which float64 knows nothing of another one's error, by far."""
+"""Most steps: the error of another one is far below the resolution of float64."""
 
 
 def cordic_angle(y: np.ndarray, x: np.ndarray, steps: int) -> np.ndarray:
     """Return the angle [rad] of (x, y) after `steps` rotations by atan(2^-k), k = 0 .. steps - 1, same shape.
 
-    The vector is turned into the right half plane first. What is left is at most atan(2^-(steps - 1)): for 8
+    The vector is rotated into the right half plane first. The error is at most atan(2^-(steps - 1)): for 8
     steps 0.007812 rad, which is 0.4476 deg. Volder, IRE Trans. Electron. Comput. 8 (1959) 330,
     doi:10.1109/TEC.1959.5222693.
 
@@ -37,7 +37,7 @@ def cordic_angle(y: np.ndarray, x: np.ndarray, steps: int) -> np.ndarray:
 
 
 def worst_of(steps: int) -> float:
-    """Return what `steps` steps leave at most [rad]: the last rotation.
+    """Return the largest error of `steps` steps [rad]: the last rotation.
 
     >>> round(worst_of(8), 6)
     0.007812
@@ -47,7 +47,7 @@ def worst_of(steps: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """What `steps` steps of CORDIC can answer: `angles` (n,) [rad] in half a turn about 0, ascending.
+    """Possible results of `steps` steps of CORDIC: `angles` (n,) [rad] in half a turn about 0, ascending.
 
     The other half turn has the same, half a turn on. `rms` and `worst`: of the error over a turn [rad].
     """
@@ -67,7 +67,7 @@ class Levels:
 def levels(steps: int) -> Levels:
     """Return the angles that `cordic_angle` gives, with its error, followed rotation by rotation.
 
-    They lie 2 atan(2^-(steps - 1)) apart, but where branches overlap, about 2^(steps + 0.7) a turn. The one
+    Their spacing is 2 atan(2^-(steps - 1)), but where branches overlap, about 2^(steps + 0.7) a turn. The one
     nearest is not always the answer, so the error is 1.26 times that of equal steps as many.
 
     >>> levels(8).angles.size, round(levels(8).rms, 6)

@@ -1,4 +1,4 @@
-"""Faults of a recording, which no model holds: what to do instead, and how each is injected."""
+"""Faults of a recording, which no model describes: their remedies, and how each is injected."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class Recording:
 
     @property
     def most(self) -> float:
-        """Largest size [unit] of what is added to a reading and still looks like one."""
+        """Largest size [unit] of an addition to a reading that still looks like one."""
         return 1e-2 if self.unit == "m" else 1.0
 
 
@@ -43,9 +43,9 @@ class Recording:
 class Injection:
     """An effect or a fault that can be given any size.
 
-    `make(amount, noise)`: the readings, (K, rows). `size(amount)`: its parameters. `most`: amount beyond
-    which it is no longer what its name says. `start`: an amount to begin the search from. `sized`: False
-    where there is nothing to scale (an exchanged channel). `name`, `link`: of the effect or fault.
+    `make(amount, noise)`: the readings, (K, rows). `size(amount)`: its parameters. `most`: largest amount for
+    which its name applies. `start`: an amount to begin the search from. `sized`: False where there is nothing
+    to scale (an exchanged channel). `name`, `link`: of the effect or fault.
     """
 
     form: str
@@ -65,9 +65,9 @@ Inject = Callable[[Recording, Draw], Injection | str]
 class RecordingFault:
     """A fault that no effect can model. `remedy`: what to do instead.
 
-    `inject(recording, draw)`: how it is injected, or why this recording cannot have it. `rare`: few
-    samples have it, which can be left out. `of_values`: the values of the readings tell it, whatever a model
-    leaves, so its error is known. `assignment`: the channels are assigned wrongly.
+    `inject(recording, draw)`: how it is injected, or why this recording cannot have it. `rare`: it concerns
+    few samples, which can be left out. `of_values`: it shows in the values of the readings themselves, so its
+    error is known. `assignment`: the channels are assigned wrongly.
     """
 
     name: str
@@ -81,7 +81,7 @@ class RecordingFault:
 
     @property
     def refusal(self) -> str:
-        """What a message says after the name of the fault."""
+        """Words of a message after the name of the fault."""
         return f"is a fault of the recording, which no model holds: {self.remedy}"
 
 
@@ -94,7 +94,7 @@ def _one(name: str, unit: str) -> Callable[[float], Size]:
 OUTLIERS = 0.003
 """Share of samples that are spikes."""
 HOLD = 3
-"""Samples for which a stale reading is held at most."""
+"""Most samples for which a stale reading is repeated."""
 MOST_SHARE = 0.3
 """Share of stale or clipped samples beyond which a recording is no longer one."""
 
@@ -118,7 +118,7 @@ def _stale(r: Recording, draw: Draw) -> Injection:
     def make(amount: float, noise: Noisy) -> np.ndarray:
         return r.clean - r.speed * r.step_s * ages(old < amount, length, r.run) + noise
 
-    return Injection(f"held for 1 to {HOLD} samples", make, _one("share", "1"), MOST_SHARE, 0.01)
+    return Injection(f"repeated for 1 to {HOLD} samples", make, _one("share", "1"), MOST_SHARE, 0.01)
 
 
 def ages(begins: np.ndarray, length: np.ndarray, run: np.ndarray) -> np.ndarray:
@@ -241,6 +241,6 @@ FAULTS = {
                        _wired(_invert, lambda names, pair, one: names[one]), assignment=True),
     )
 }  # fmt: skip
-"""By name: what a diagnosis may find and no fit can add."""
+"""By name: faults that a diagnosis may find and no fit can model."""
 ASSIGNMENT_FAULTS = tuple(fault.name for fault in FAULTS.values() if fault.assignment)
-"""Faults of the channel assignment: an angle from two channels cannot tell one from the other."""
+"""Faults of the channel assignment, which are confusable for an angle from two channels."""

@@ -340,8 +340,8 @@ def at_frequency(
 # -- effects that follow those functions, in one line for a family ------------------------------------------
 
 Follow = Callable[..., Model]
-"""`follow(model, effect, functions)`: how gains, or offsets, of a family follow functions of data; where all
-channels may follow them alike, `follow(model, effect, functions, shared)`."""
+"""`follow(model, effect, functions)`: adds functions of data to gains, or offsets, of a family; with common
+coefficients of all channels `follow(model, effect, functions, shared)`."""
 
 
 def _per(lead: str) -> Any:
@@ -376,10 +376,10 @@ def drifts(
 ) -> tuple[Effect, Effect, Effect, Effect]:
     """Return the drifts of gains and of offsets with temperature, then those over the campaign.
 
-    `gains`, `offsets`: how they follow functions of data; `what`: do the four, in words. Over the campaign
-    they follow polynomials, or an exponential: `parts` of the campaign are tried as its time constant, and it
-    may lie between them (`grid`). `per`: all channels alike is tried too. `separate`: other ways than the
-    usual ones, by name; `needs`: of drifts over the campaign.
+    `gains`, `offsets`: how they follow functions of data; `what`: the four in words. Over the campaign they
+    follow polynomials, or an exponential: `parts` of the campaign are tried as its time constant, and it may
+    lie between them (`grid`). `per`: also try common coefficients of all channels. `separate`: other
+    recordings than the usual ones, by name; `needs`: of drifts over the campaign.
     """
     temperature: dict[str, Number] = {"per": _per("")} if per else {}
     temperature["mean_degc"] = from_log(lambda facts: facts.temperature or 0.0, "mean temperature of the log")
@@ -519,7 +519,7 @@ def stop_operators(u: np.ndarray, edges: Sequence[int], widths: Sequence[float])
 
 
 def stop_state(motion: Travel, width: float) -> np.ndarray:
-    """Return state and d state / d width of a play whose state where a run begins nobody knows, (2, n).
+    """Return state and d state / d width of a play with an unknown state at the start of a run, (2, n).
 
     From every start s in [-1, 1] the state is clip(s + U, low, high): U the travel over the width, low and
     high the states from -1 and 1. Returned is the mean over all starts; once the motion has covered 2 width,

@@ -486,8 +486,8 @@ def as_corrections(assignment: Assignment, channels: Sequence[str]) -> tuple[Cor
             other = now.index(source)
             out.append(Correction("exchange", (channels[k], channels[other])))
             now[k], now[other] = now[other], now[k]
-    turned = tuple(c for c, (_, sign) in zip(channels, assignment, strict=True) if sign < 0)
-    return (*out, *([Correction("sign", turned)] if turned else []))
+    inverted = tuple(c for c, (_, sign) in zip(channels, assignment, strict=True) if sign < 0)
+    return (*out, *([Correction("sign", inverted)] if inverted else []))
 
 
 def as_read(log: Log, model: Model, corrections: Sequence[Correction] = ()) -> Log:

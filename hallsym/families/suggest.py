@@ -114,8 +114,8 @@ def likeness(ours: str, theirs: str, numbers: tuple[int, ...] = ()) -> float:
         fits = string.ascii_lowercase[place] == letters[0] and wanted - set(letters) <= found - set(digits)
         if fits and not named:
             return NUMBERED
-    told = ({REF}, {ANGLE})  # by the other columns, by the unit
-    return BARE if found and any(word <= wanted and wanted - word == found for word in told) else 0.0
+    recognised = ({REF}, {ANGLE})  # by the other columns, by the unit
+    return BARE if found and any(word <= wanted and wanted - word == found for word in recognised) else 0.0
 
 
 def numbers_of(names: tuple[str, ...]) -> tuple[int, ...]:
@@ -220,7 +220,7 @@ class Suggestion:
         return tuple(g.stem for g in self.guesses if g.open and g.stem not in OTHERS)
 
     @property
-    def told(self) -> bool:
+    def recognised(self) -> bool:
         """Whether anything in the file is like a column of the model."""
         return any(g.stem in _stems(self.model) for g in self.guesses)
 
@@ -534,10 +534,10 @@ def _with_unit(
         said = f"state {unit} per {stated}" if stated else f"whole numbers: counts, of so many {unit} each?"
         return guess.in_units(unit, *others, said=said, raw=stated or COUNTS)
     if expected is not None:
-        apart = {u.name: abs(np.log(u.factor * np.std(values) / np.std(expected)))
+        distance = {u.name: abs(np.log(u.factor * np.std(values) / np.std(expected)))
                  for u in UNITS.values() if u.si in kinds[:1]}  # fmt: skip
-        best = min(apart, key=lambda u: apart[u], default="")
-        if best and apart[best] < np.log(NEAR):
+        best = min(distance, key=lambda u: distance[u], default="")
+        if best and distance[best] < np.log(NEAR):
             return guess.in_units(best, said=BY_SIZE)
     said = BY_SIZE if len(units) == 1 else "its unit is not stated"
     return guess.in_units(*(u.name for u in units), said=said)

@@ -69,10 +69,10 @@ def fleet(
     before = len(rows)
     work = completed(partial(row_of, settings), left, workers=workers, scheduler=scheduler) if left else ()
     with journal:
-        for device, told in work:
-            if isinstance(told, Failed):
-                told = {"verdict": FAILED, "reason": one_line(told.reason)}
-            rows[device.name] = told
+        for device, outcome in work:
+            if isinstance(outcome, Failed):
+                outcome = {"verdict": FAILED, "reason": one_line(outcome.reason)}
+            rows[device.name] = outcome
             journal.add(device, rows[device.name])
             share = (len(rows) - before) / len(left)
             say(Step(f"devices, {len(rows)} of {len(devices)}", share))
@@ -126,8 +126,8 @@ class Journal:
         """Return what changes with the settings, and when the log of a device is recorded again."""
         path = Path(device.log)
         files = sorted(path.iterdir()) if path.is_dir() else [path]
-        told = [(p.name, p.stat().st_size, p.stat().st_mtime_ns) for p in files if p.is_file()]
-        return _digest(repr((self._settings, str(path), told)))
+        outcome = [(p.name, p.stat().st_size, p.stat().st_mtime_ns) for p in files if p.is_file()]
+        return _digest(repr((self._settings, str(path), outcome)))
 
     def done(self, device: Device) -> dict[str, Any] | None:
         """Return the row of a device whose log has not changed since; None for one that is to be fitted."""

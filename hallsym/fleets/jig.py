@@ -64,7 +64,7 @@ def jig_of(rings: Sequence[SelfCalibration]) -> Jig:
 
 # -- a fleet of rings ---------------------------------------------------------------------------------------
 
-APART = 5.0
+OUTLYING = 5.0
 """Robust standard deviations above the median of what is left from which on a ring does not repeat."""
 
 
@@ -169,11 +169,11 @@ def ring_fleet(
         rings = [ring for _, ring in asked.values() if ring.name not in failed]
         work = [replace(ring, jig=jig, begin=alone.get(ring.name)) for ring in rings]
         found = {}
-        for ring, told in completed(calibrated, work, workers=workers):
-            if isinstance(told, Failed):
-                failed[ring.name] = told.reason
+        for ring, outcome in completed(calibrated, work, workers=workers):
+            if isinstance(outcome, Failed):
+                failed[ring.name] = outcome.reason
             else:
-                found[ring.name] = told
+                found[ring.name] = outcome
             say(f"{turn}: {len(found)} of {counted(len(work), 'ring')}")
         jig = jig or jig_of(list(found.values()))
     assert jig is not None
@@ -200,7 +200,7 @@ def _row(result: SelfFit, left: float | None, middle: float, spread: float) -> d
     fit, found = result.fit, result.found
     verdict, reason = GOOD, ""
     degrees = np.degrees(1.0)
-    if left is not None and left > middle + APART * spread:
+    if left is not None and left > middle + OUTLYING * spread:
         verdict = AMISS
         reason = (
             f"it does not repeat: its last turn is off by {left * degrees:.2f} electrical deg, the "

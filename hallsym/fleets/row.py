@@ -117,7 +117,7 @@ def _diagnosed(log: Any, found: Fit, asked: Settings) -> dict[str, Any]:
     except InputError as error:
         return {"diagnosis": "not possible", "causes": "", "diagnosis_reason": one_line(str(error))}
     # the effects that were found, each with those that the log cannot tell from it
-    apart = {name: sorted(group) for group in result.groups for name in group}
-    causes = sorted({" or ".join(apart.get(e.name, [e.name])) for e in result.effects})
+    confusable = {name: sorted(group) for group in result.groups for name in group}
+    causes = sorted({" or ".join(confusable.get(e.name, [e.name])) for e in result.effects})
     reason = one_line(result.sentence)
     return {"diagnosis": result.verdict, "causes": " + ".join(causes), "diagnosis_reason": reason}

@@ -24,7 +24,7 @@ from scipy.special import chdtri, ndtri, stdtr
 FEWEST = 3
 """Devices that a spread needs."""
 CHANCE = 0.01
-"""Probability that a fleet without an outlying device is said to have one: 1.0 to 1.5 %, 5 to 200 devices."""
+"""Familywise false-alarm rate of outlying devices in a fleet: 1.0 to 1.5 %, 5 to 200 devices."""
 MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 MOSTLY = 0.75

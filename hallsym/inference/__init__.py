@@ -1,9 +1,9 @@
-"""What a fit is worth: what the data determine, parameter by parameter, in null directions and in the pose.
+"""Inference from a fit: identifiability and intervals of parameters, null directions and the pose.
 
-`evidence` is where the numbers come from: a fit with its log, or a plan. `profiles` gives intervals where a
-normal one is not good enough, which `intervals` says. `identifiability` names what cannot
-be told apart, judges each parameter, and says what other recordings would determine; `belonging` compares
-two recordings of one sensor and tests whether a log still belongs to a calibration.
+`evidence` is the source of the numbers: a fit with its log, or a plan. `intervals` decides where a normal
+interval is not good enough and takes one of `profiles`. `identifiability` names null directions, judges each
+parameter, and states what other recordings would determine; `belonging` compares two recordings of one sensor
+and tests whether a log still belongs to a calibration.
 """
 
 from hallsym.inference.belonging import (

@@ -1,9 +1,9 @@
 """Does a new log still belong to a calibration? Its residual error and each of its parameters are tested.
 
-The log is fitted anew from the calibration. What it leaves is compared with what the calibration left (F
-test), its parameters with the calibrated ones, each (Student's t) and together (Hotelling's T squared). The
-limits share one probability of a false alarm over all tests of a log (Sidak, J. Am. Stat. Assoc. 62 (1967)
-626, doi:10.1080/01621459.1967.10482935).
+The log is refitted from the calibration. Its residual is compared with that of the calibration (F test), its
+parameters with the calibrated ones, each (Student's t) and together (Hotelling's T squared). The limits share
+one familywise false-alarm rate over all tests of a log (Sidak, J. Am. Stat. Assoc. 62 (1967) 626,
+doi:10.1080/01621459.1967.10482935).
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from hallsym.estimation.residual_noise import ResidualNoise, noise_at
 from hallsym.log import Noise, Sigma
 
 FALSE_ALARM = 1 / 500
-"""Probability that a log which belongs to the calibration is said not to: one log in 500."""
+"""Familywise false-alarm rate: one in 500 logs that belong."""
 LEAST_FALSE_ALARM, MOST_FALSE_ALARM = 1e-6, 0.5
-"""Range of that probability: below it, the tails of the distributions are not known so well."""
+"""Range of that rate: below it, the tails of the distributions are not known well enough."""
 SMALLEST = np.finfo(float).tiny
 """Least p-value, so that its score is a number."""
 RESIDUAL, TOGETHER = "residual error", "parameters together"
@@ -85,10 +85,10 @@ class BelongingTest:
 class Belonging:
     """What `belonging` returns.
 
-    `false_alarm`: probability that a log which belongs is said not to, over all tests together. `refitted`:
-    residual error after a fit of this log, in multiples of the noise of the calibration; `floor`: of the
-    calibration itself. `tests`: what was tested, `changes`: values behind the tests of parameters.
-    `not_identified`: parameter -> why this log says nothing of it.
+    `false_alarm`: familywise false-alarm rate over all tests. `refitted`: residual error after a fit of this
+    log, in multiples of the noise of the calibration; `floor`: of the calibration itself. `tests`: one per
+    quantity, `changes`: values behind the tests of parameters. `not_identified`: parameter -> why this log
+    does not test it.
     """
 
     false_alarm: float
@@ -101,7 +101,7 @@ class Belonging:
 
     @property
     def beyond(self) -> tuple[BelongingTest, ...]:
-        """The tests that say that the log does not belong."""
+        """The tests beyond their limits."""
         return tuple(test for test in self.tests if test.beyond)
 
     @property
@@ -143,7 +143,7 @@ class Belonging:
 
 
 def check_false_alarm(chance: float) -> None:
-    """Refuse a probability that the tests cannot hold."""
+    """Refuse a false-alarm rate out of range."""
     known = LEAST_FALSE_ALARM <= chance <= MOST_FALSE_ALARM
     limits = f"{LEAST_FALSE_ALARM:g} to {MOST_FALSE_ALARM:g}"
     require(known, "The probability of a false alarm", limits, chance)
@@ -152,8 +152,8 @@ def check_false_alarm(chance: float) -> None:
 def belonging(seen: Evaluation, *, false_alarm: float = FALSE_ALARM) -> Belonging:
     """Say whether a log that `evaluate` decoded still belongs to the calibration, and what changed if not.
 
-    `false_alarm`: probability, over all tests of the log, that one which belongs is said not to. The noise of
-    the calibration holds for the log, unless the log states its own.
+    `false_alarm`: familywise false-alarm rate over all tests of the log. The noise of the calibration holds
+    for the log, unless the log states its own.
 
     Raises `InputError` for a log that cannot be fitted.
     """
@@ -169,7 +169,7 @@ def belonging(seen: Evaluation, *, false_alarm: float = FALSE_ALARM) -> Belongin
         start=known.values,
     )
     assert after.goodness is not None
-    left = None  # too short to tell; the noise of the calibration is taken to have the same correlation
+    left = None  # too short for an estimate; assume the correlation of the calibration
     if after.likelihood is not None and after.source is not None:
         left = noise_at(after.source, after.likelihood.at(after.values), after.noise.std, after.keep)
     memory = 1.0 if left is None or left.white else left.memory
@@ -201,7 +201,7 @@ def _notes(known: Fit, left: ResidualNoise | None) -> tuple[str, ...]:
     notes = []
     if known.goodness is None:
         notes.append(
-            "The calibration is of an earlier version and does not say what it left; residual errors are held"
+            "The calibration is of an earlier version and does not state its residual; errors are compared"
             " against its noise alone."
         )
     elif known.log.runs - len(known.log.holdout) == 1:
@@ -216,7 +216,7 @@ def _notes(known: Fit, left: ResidualNoise | None) -> tuple[str, ...]:
 def _estimates(found: Fit, factor: float) -> dict[str, tuple[float, float, float]]:
     """Return value, standard uncertainty and degrees of freedom of what a fit determines, by name.
 
-    Of parameters and combinations; their variances are taken `factor` times.
+    Of parameters and combinations; their variances are multiplied by `factor`.
     """
     more = float(np.sqrt(factor))
     columns = zip(found.values.tolist(), found.std.tolist(), found.degrees_of_freedom.tolist(), strict=True)
@@ -245,7 +245,7 @@ def _not_identified(known: Fit, after: Fit) -> dict[str, str]:
 
 
 def _residual(known: Fit, after: Fit, left: ResidualNoise | None, level: float) -> BelongingTest:
-    """Test whether the log leaves more than the calibration left: the ratio of two variances."""
+    """Test whether the residual of the log exceeds that of the calibration: the ratio of two variances."""
     new, old = after.goodness, known.goodness
     assert new is not None
     dof = _independent(after, new, left)
@@ -274,10 +274,10 @@ def welch(stds: tuple[float, float], dofs: tuple[float, float]) -> float:
 
 
 def _independent(found: Fit, goodness: GoodnessOfFit, left: ResidualNoise | None) -> float:
-    """Return the degrees of freedom of what a fit leaves: by its runs, or by how its noise scatters if fewer.
+    """Return the degrees of freedom of a residual: from the scatter of runs, or of its noise if fewer.
 
-    A few runs cannot show how a mean square scatters: that of coloured noise, or of heavy tails, scatters by
-    more than that of as many independent Gaussian readings.
+    A few runs do not show the scatter of a mean square, which is larger for autocorrelated or heavy-tailed
+    noise than for as many independent Gaussian readings.
     """
     fitted, K = 1 - len(found.log.holdout) / max(found.log.runs, 1), len(found.model.channels)
     inflation = 1.0
@@ -290,7 +290,7 @@ def _independent(found: Fit, goodness: GoodnessOfFit, left: ResidualNoise | None
 def _together(
     known: Fit, after: Fit, factors: Sequence[float], names: Sequence[str], level: float
 ) -> list[BelongingTest]:
-    """Test all parameters at once: a change along which they are correlated shows in none alone."""
+    """Test all parameters at once: a change along their correlation shows in none alone."""
     at = [known.model.names.index(name) for name in names]
     covariance = (factors[0] * known.covariance + factors[1] * after.covariance)[np.ix_(at, at)]
     moved, scale = (after.values - known.values)[at], unit_scale(covariance)

@@ -1,4 +1,4 @@
-"""Where a report's numbers come from: a fit with its log, or a campaign that is still a plan."""
+"""The evidence behind a report: a fit with its log, or a campaign that is planned."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -34,7 +34,7 @@ def visited(
     sigma: Mapping[str, float] | None = None,
     values: Mapping[str, float] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return offsets (n_offsets, s), pose (n_pose, s) and state (n_state, s) at about `most` samples of `log`.
+    """Return offsets (n_offsets, s), pose (n_pose, s), state (n_state, s) at about `most` samples of `log`.
 
     They are evenly spread over the samples. `offsets`: by run, 0 where a run is not in it. `sigma`: noise by
     column, `values`: parameters by name, for the columns that are computed.
@@ -51,16 +51,16 @@ def visited(
 
 
 MOVED = 5.0
-"""Standard uncertainties by which another log may move a parameter before the report says so."""
+"""Standard uncertainties by which another log may move a parameter without a note."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The likelihood at its optimum (`point`), what it determines (`found`), and how certainly.
+    """The likelihood at its optimum (`point`), its identifiability (`found`) and uncertainties.
 
-    `slopes`: d pose / d parameters over the workspace, (s, n_pose, n), the zero deviations held. `recorded`:
-    what to call the log or the plan; `log`: its samples. `amiss`: the sentence that a report begins with
-    where the model does not describe the log; it is the first of the notes too.
+    `slopes`: d pose / d parameters over the workspace, (s, n_pose, n), at fixed zero deviations. `recorded`:
+    name of the log or the plan; `log`: its samples. `amiss`: the first sentence of a report where the model
+    does not describe the log; also the first of the notes.
     """
 
     point: Point
@@ -89,7 +89,7 @@ class Evidence:
 
     @cached_property
     def information(self) -> np.ndarray:
-        """What all runs tell of the parameters, (n, n)."""
+        """Information of all runs about the parameters, (n, n)."""
         return self.point.total_information()
 
 
@@ -150,7 +150,7 @@ def _at(
 ) -> Evidence:
     """Return the evidence of a log at an optimum; `sigma`, `values` as for `visited`, `said`: notes.
 
-    Refuses a log with fewer readings than there is to estimate: no covariance can be formed.
+    Refuses a log with fewer readings than unknowns, for which there is no covariance.
     """
     cost, model = point.cost, point.cost.summary.model
     open_ = sum(p.width > 0 for p in model.parameters)

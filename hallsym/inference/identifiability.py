@@ -1,4 +1,4 @@
-"""`identify`: what the data determine, parameter by parameter, and what they do not."""
+"""`identify`: identifiability of each parameter, and null directions."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -39,10 +39,10 @@ FORMAT = "hallsym sensitivity 1"
 # -- directions that are not determined --------------------------------------------------------------------
 
 NAMED = 0.05
-"""Parameters that move less than this part of the leading one along a direction that a recording leaves are
-not named with it. A structural direction names all that move: none of them is determined."""
+"""Parameters that move less than this part of the leading one along a null direction of a recording are not
+named with it. A structural null direction names all that move: none of them is determined."""
 WIDE = 4
-"""Parameters of one direction above which what is determined of them is not said in a sentence."""
+"""Most parameters of one direction whose determined combinations are stated in a sentence."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class NullDirection:
 
     @property
     def is_wide(self) -> bool:
-        """Whether so many parameters change together that what is determined of them takes a table."""
+        """Whether the parameters are too many for a sentence on their determined combinations."""
         return len(self.parameters) > WIDE and len(self.determined) > 1
 
 
@@ -68,10 +68,10 @@ class NullSpace:
 
 
 def null_spaces(evidence: Evidence, stated: Sequence[CombinationEstimate]) -> tuple[NullSpace, NullSpace]:
-    """Return the directions that no recording determines, and those that this one leaves beyond them.
+    """Return the structural null directions, and the further ones of this recording.
 
-    The parameters of the former are read off at a point anywhere in the bounds: at the optimum itself an
-    angle near zero would hide that a parameter belongs. `stated`: combinations that are determined.
+    The parameters of the former are found at a random point within the bounds: at the optimum an angle near
+    zero could hide one. `stated`: combinations that are determined.
     """
     cost, found = evidence.cost, evidence.found
     open_ = np.array([p.width > 0 for p in evidence.model.parameters])
@@ -91,7 +91,7 @@ def _directions(
 ) -> tuple[NullDirection, ...]:
     """Return sparse directions that span the columns of `null`, in the order of their first parameter.
 
-    `least`: part of the leading parameter's motion from which on another one is named.
+    `least`: part of the leading parameter's motion above which another one is named.
     """
     out = []
     for row in echelon(null.T):
@@ -119,7 +119,7 @@ TRADED = 0.7
 
 @dataclass(frozen=True)
 class Verdict:
-    """`word` is one of `VERDICTS`; `because` says why, in a few words, where that needs saying."""
+    """`word` is one of `VERDICTS`; `because`: the reason in a few words, if any."""
 
     word: str
     because: str = ""
@@ -133,26 +133,26 @@ def verdict_on(
     correlated: Sequence[tuple[str, float]],
 ) -> Verdict:
     """Return the verdict on parameter k; `correlated`: names and correlations of the strongest others."""
-    parameter, told, value = evidence.model.parameters[k], evidence.uncertainty, evidence.p[k]
+    parameter, estimated, value = evidence.model.parameters[k], evidence.uncertainty, evidence.p[k]
     if parameter.width == 0:
         return Verdict("fixed")
-    if parameter.name in told.at_bound:
+    if parameter.name in estimated.at_bound:
         side = "lower" if abs(value - parameter.lower) < abs(parameter.upper - value) else "upper"
         bound = f"its {side} bound {getattr(parameter, side):g} {parameter.unit}"
         return Verdict("at bound", f"the data pull it to {bound}")
     shared = [d for d in structural.null if parameter.name in d.parameters]
-    if shared and not told.determined[k]:
+    if shared and not estimated.determined[k]:
         word = "not determined" if len(shared[0].parameters) > 1 else "no effect"
         return Verdict(word, _instead(parameter.name, *shared))
     if evidence.information[k, k] * evidence.found.scale[k] ** 2 < 1.0:
         return Verdict("no effect", "its whole range leaves no trace in these readings")
-    if not told.determined[k]:
+    if not estimated.determined[k]:
         lost = [d for d in practical.null if parameter.name in d.parameters]
         cause = "by this recording" if practical.null else "by any recording"
         return Verdict("not determined", _instead(parameter.name, *lost, cause=cause))
-    half = float(coverage_factor(told.degrees_of_freedom[k])) * told.std[k]
+    half = float(coverage_factor(estimated.degrees_of_freedom[k])) * estimated.std[k]
     share = 2 * half / parameter.width if np.isfinite(parameter.width) else 0.0
-    alone = told.std[k] / abs(value) if not share and value else 0.0
+    alone = estimated.std[k] / abs(value) if not share and value else 0.0
     if share > WEAK or alone > WEAK_ALONE:
         traded = [f"{n} (r = {r:+.2f})" for n, r in correlated if abs(r) > TRADED]
         spans = f"its interval spans {100 * share:.0f} % of its bounds"
@@ -172,15 +172,15 @@ def strongest(correlation: np.ndarray, names: Sequence[str], k: int) -> tuple[tu
 
 
 def _instead(name: str, *directions: NullDirection, cause: str = "by any recording") -> str:
-    """Return what is determined in the place of a parameter that is not, or what it may change with."""
+    """Return the determined combinations of a parameter that is not determined, or its null direction."""
     wide = next((d for d in directions if d.is_wide), None)
     if wide is not None:
         first, second, *more = (n for n in wide.parameters if n != name)
         return f"{cause}; it may change together with {first}, {second} and {len(more)} more"
     every = [text for d in directions for text in d.determined]
-    told = [text for text in every if mentions(text, (name,))] or every
-    if told:
-        only = list(dict.fromkeys(told))
+    estimated = [text for text in every if mentions(text, (name,))] or every
+    if estimated:
+        only = list(dict.fromkeys(estimated))
         return f"{cause}; only {listed(only)} {'are' if len(only) > 1 else 'is'} determined"
     alone = all(len(d.parameters) == 1 for d in directions)
     return cause if alone else f"{cause}, nor a combination of it"
@@ -193,15 +193,16 @@ SAMPLES = 20_000
 SHARED = 1e-6
 """Sine of the angle within which two structural null directions are one."""
 LEFT = 1e-3
-"""Part of a determined parameter that may lie along undetermined directions: they move it by less than a
+"""Largest part of a determined parameter along undetermined directions, which move it by less than a
 thousandth of its bounds."""
 
 
 @dataclass(frozen=True)
 class FurtherReport:
-    """What a log and one further recording determine together: `rank` of `of` directions.
+    """Identifiability with one further recording: `rank` of `of` directions.
 
-    `determined`: standard uncertainties, in SI, of the parameters that the same motion once more leaves open.
+    `determined`: standard uncertainties, in SI, of parameters that a repetition of the log does not
+    determine.
     """
 
     recording: str
@@ -230,10 +231,9 @@ def further_reports(evidence: Evidence) -> tuple[FurtherReport, ...]:
 def _together(
     evidence: Evidence, model: Model, columns: Mapping[str, np.ndarray], factor: float
 ) -> tuple[int, np.ndarray]:
-    """Return what the log and a recording of these columns, as `model` reads them, determine together.
+    """Return rank and standard uncertainties (n,) of the log with a recording of these columns by `model`.
 
-    That is the rank and standard uncertainties (n,), nan where there is none. `factor`: times as much as
-    these samples are recorded.
+    nan where there is none. `factor`: length of the recording over that of these samples.
     """
     n, scale = len(evidence.p), scales(evidence.model)
     p = np.concatenate([evidence.p, model.nominal[n:]])
@@ -243,7 +243,7 @@ def _together(
     information = (evidence.point.total_information(2.0) + factor * added) * np.outer(scale, scale)
     always, rest = structural_directions(evidence.cost, evidence.p)
     theirs = structural_directions(second, p)[0][:n]
-    basis = np.hstack([rest, always @ _apart(always, theirs)])
+    basis = np.hstack([rest, always @ _beyond(always, theirs)])
     values, vectors = np.linalg.eigh(basis.T @ information @ basis)
     good = values >= least_information(values)
     vectors = (basis @ vectors)[:, good]
@@ -252,7 +252,7 @@ def _together(
     return int(good.sum()), np.where(left < LEFT**2, scale * np.sqrt(variance), np.nan)
 
 
-def _apart(always: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+def _beyond(always: np.ndarray, theirs: np.ndarray) -> np.ndarray:
     """Return the directions (k, m) among the columns of `always` (n, k) that are not in those of `theirs`."""
     if always.shape[1] == 0 or theirs.shape[1] == 0:
         return np.eye(always.shape[1])
@@ -295,7 +295,7 @@ def _cost(evidence: Evidence, model: Model, p: np.ndarray, columns: Mapping[str,
 
 @dataclass(frozen=True)
 class Change:
-    """How far the decoded pose moves when something changes, over a workspace, by pose column, SI."""
+    """Change of the decoded pose over a workspace, by pose column, SI."""
 
     rms: Mapping[str, float]
     worst: Mapping[str, float]
@@ -308,11 +308,11 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class ParameterReport:
-    """What the data say of one parameter.
+    """Identifiability of one parameter.
 
-    `share`: width of the 95 % interval over that of the bounds, None without finite bounds.
-    `sigma`: what one standard uncertainty of it does to the decoded pose; `percent`: what 1 % of its value
-    does. Both over the recorded workspace, everything else held.
+    `share`: width of the 95 % interval over that of the bounds, None without finite bounds. `sigma`: change
+    of the decoded pose by one standard uncertainty of it; `percent`: by 1 % of its value. Both over the
+    recorded workspace, everything else fixed.
     """
 
     name: str
@@ -373,7 +373,7 @@ class Output:
 
 @dataclass(frozen=True, eq=False)
 class Offsets:
-    """The offsets that each run has of its own, its zero deviations; `values`, `std`: (runs, offsets)."""
+    """Per-run offsets, the zero deviations; `values`, `std`: (runs, offsets)."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -436,7 +436,7 @@ class Identifiability(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record that `hallsym sensitivity --json` prints."""
-        told = self.evidence.uncertainty
+        estimated = self.evidence.uncertainty
         return {
             "format": FORMAT,
             "model": self.model.name,
@@ -449,7 +449,7 @@ class Identifiability(Shown):
             "further": plain(self.further),
             "outputs": plain(self.outputs),
             "nuisance": self.offsets.to_dict(),
-            "uncertainty": {"method": told.method, "reason": told.reason},
+            "uncertainty": {"method": estimated.method, "reason": estimated.reason},
             "profiles": [p.to_dict() for p in self.intervals.profiles],
             "notes": list(self.evidence.notes),
             "partial": list(self.partial),
@@ -467,7 +467,7 @@ def identify(
     name: str = "the plan",
     on_progress: Callable[[str], None] | None = None,
 ) -> Identifiability:
-    """Return what the data determine of each parameter.
+    """Return the identifiability of each parameter.
 
     `known`: a fit, with `on` its log (not needed for a fit just made), another log (as `fit` takes it) or a
     campaign that is not recorded yet; or a model with a campaign. For a campaign: `values` are the machine's
@@ -481,10 +481,10 @@ def identify(
     evidence = _evidence(known, on, values, noise, name)
     intervals = intervals_of(evidence, profiles=profiles, say=say)
     say("looking for null directions")
-    told, names = evidence.uncertainty, evidence.model.names
-    spaces = null_spaces(evidence, told.combinations)
-    std = np.sqrt(np.where(told.determined, np.diag(told.covariance), np.nan))
-    correlation = told.covariance / np.outer(std, std)
+    estimated, names = evidence.uncertainty, evidence.model.names
+    spaces = null_spaces(evidence, estimated.combinations)
+    std = np.sqrt(np.where(estimated.determined, np.diag(estimated.covariance), np.nan))
+    correlation = estimated.covariance / np.outer(std, std)
     parameters = []
     for k, row in enumerate(correlation):
         correlated = strongest(row, names, k)
@@ -495,7 +495,7 @@ def identify(
         parameters=tuple(parameters),
         combinations=tuple(
             CombinationReport(c.expression, c.value, c.unit, c.std, intervals.of[c.expression])
-            for c in told.combinations
+            for c in estimated.combinations
         ),
         structural=spaces[0],
         practical=spaces[1],
@@ -534,8 +534,8 @@ def _parameter(
     verdict: Verdict,
 ) -> ParameterReport:
     parameter, value = evidence.model.parameters[k], float(evidence.p[k])
-    told, interval = evidence.uncertainty, intervals.of.get(parameter.name)
-    std = float(told.std[k]) if told.determined[k] else None
+    estimated, interval = evidence.uncertainty, intervals.of.get(parameter.name)
+    std = float(estimated.std[k]) if estimated.determined[k] else None
     share = None
     if interval is not None and np.isfinite(parameter.width):
         share = float((interval.high - interval.low) / parameter.width)
@@ -545,7 +545,7 @@ def _parameter(
         value=value,
         unit=parameter.unit,
         std=std,
-        degrees_of_freedom=float(told.degrees_of_freedom[k]),
+        degrees_of_freedom=float(estimated.degrees_of_freedom[k]),
         interval=interval,
         share=share,
         correlated_with=correlated,
@@ -556,7 +556,7 @@ def _parameter(
 
 
 def _outputs(evidence: Evidence) -> dict[str, Output]:
-    """Return what noise and the covariance of the parameters leave in each coordinate, over the workspace."""
+    """Return the uncertainty of each coordinate by noise and by the parameters, over the workspace."""
     slopes, pose = evidence.slopes, evidence.model.pose
     variance = np.einsum("spi,ij,spj->sp", slopes, evidence.uncertainty.covariance, slopes)
     left = Change.of(pose, np.sqrt(np.maximum(variance, 0.0)))

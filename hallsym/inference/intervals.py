@@ -23,8 +23,8 @@ class Interval:
     """A 95 % interval, in the unit of its quantity.
 
     `how`: "normal", "student" (t, where degrees of freedom are few) or "profile".
-    `ends`: "reached", or for a profile "at bound" (the bounds end it), "open" (the data never object inside
-    the bounds) or "failed", one per side.
+    `ends`: "reached", or for a profile "at bound" (the bounds end it), "open" (the threshold is not reached
+    within the bounds) or "failed", one per side.
     """
 
     low: float
@@ -95,13 +95,13 @@ Asked = tuple[Quantity, float | None, float]
 
 def _asked(evidence: Evidence) -> Iterator[Asked]:
     """Yield determined parameters and those at a bound, then determined combinations."""
-    model, told = evidence.model, evidence.uncertainty
+    model, estimated = evidence.model, evidence.uncertainty
     for k, name in enumerate(model.names):
-        if told.determined[k] or name in told.at_bound:
-            std = float(told.std[k]) if told.determined[k] else None
-            yield parameter(model, name), std, float(told.degrees_of_freedom[k])
+        if estimated.determined[k] or name in estimated.at_bound:
+            std = float(estimated.std[k]) if estimated.determined[k] else None
+            yield parameter(model, name), std, float(estimated.degrees_of_freedom[k])
     known = {c.expression: c for c in model.combinations}
-    for c in told.combinations:
+    for c in estimated.combinations:
         if c.expression in known:
             yield combination(model, known[c.expression]), c.std, c.dof
         elif c.factors is not None:

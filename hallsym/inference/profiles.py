@@ -1,12 +1,11 @@
-"""Profile likelihood: how far one quantity can move before the data object, everything else at its best.
+"""Profile likelihood of one quantity, all others re-optimised.
 
 F is -2 log likelihood up to a constant, so the interval of level q holds the values whose profile rises by
 at most chi2(q, 1) above the optimum: Venzon & Moolgavkar, Applied Statistics 37 (1988) 87,
 doi:10.2307/2347496.
 
 The minimiser p* of F + mu (g(p) - v)^2 has the least F of all points with its own g(p*), whatever v and mu:
-it lies on the profile. So no constraint has to be met, only v has to be steered until the rise is the
-threshold.
+it lies on the profile. So no constraint has to be met: v is adjusted until the rise is the threshold.
 """
 
 from collections.abc import Sequence
@@ -29,7 +28,7 @@ THRESHOLD = float(scipy.special.chdtri(1, 1 - INTERVAL))
 BOUND = 1e-6
 """A parameter this near to a bound, in widths, is at it."""
 ASYMMETRY, WIDTH = 0.02, 0.05
-"""What a normal interval may differ from the profile's, in half-widths: between sides, and on the whole."""
+"""Tolerances of a normal interval against the profile's, in half-widths: between sides, and in width."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +77,8 @@ def skewness(
     """Return the half-widths of an interval over those of the normal one, (lower, upper), without a profile.
 
     Arguments as for `profile`. nan on a side that meets a bound. F is evaluated twice, along the tangent of
-    the profile: it differs from the profile only in fourth order of the distance, and the third order, which
-    makes an interval lopsided, is all there.
+    the profile: it differs from the profile only in fourth order of the distance, and includes the third
+    order, the asymmetry.
     """
     began, aim, ratios = tangent(cost, p, quantity, fixed), float(np.sqrt(THRESHOLD)), np.full(2, np.nan)
     lower, upper = cost.summary.model.bounds
@@ -96,7 +95,7 @@ def skewness(
 
 
 def normal_enough(ratios: np.ndarray) -> bool:
-    """Return whether the normal interval will do for what `skewness` gives: symmetric, of the same width."""
+    """Return whether the normal interval is good enough by `skewness`: symmetric, of the same width."""
     return bool(abs(ratios.mean() - 1.0) <= WIDTH and 0.5 * abs(ratios[1] - ratios[0]) <= ASYMMETRY)
 
 
@@ -106,9 +105,9 @@ STIFF = 10.0
 CLOSE = 1e-4
 """The end of an interval is found when the root of the rise is this near to that of the threshold."""
 TRIES, STRETCH = 40, 4.0
-"""Points that are tried on a side, and how far one may go beyond the last, in distances from the estimate."""
+"""Most points on a side, and largest step beyond the last, in distances from the estimate."""
 WALL = 0.01
-"""How near [standard uncertainties] the walk goes to where the profile cannot be computed any more."""
+"""Smallest distance [standard uncertainties] of the walk from a point where the profile fails."""
 SOLVED = 1e-6
 """Part of the threshold that a point of the profile may still be above its minimum."""
 
@@ -193,7 +192,7 @@ class Walk:
         return Side(self.sign * np.inf, "open", f"{away} {self.name} has a rise of {near.rise:.3g}")
 
     def stopped(self, near: Point, far: Point | None, before: Point, found: Point) -> Side | None:
-        """Return what ends the walk: the threshold, the quantity's bound, or those of other parameters."""
+        """Return the end of the walk: the threshold, the quantity's bound, or bounds of other parameters."""
         if abs(found.root - self.aim) <= CLOSE * self.aim:
             step, value = found.root - before.root, found.value
             if abs(step) > CLOSE * self.aim:  # where the line through the last two points meets the threshold
@@ -210,7 +209,7 @@ class Walk:
         return None
 
     def next(self, before: Point, found: Point, near: Point, far: Point | None) -> float:
-        """Return the v to try: by the secant, inside the bracket, not too far beyond what is known."""
+        """Return the next v: by the secant, inside the bracket, not too far beyond known points."""
         step = found.root - before.root
         v = found.v + (self.aim - found.root) * (found.v - before.v) / step if step else np.nan
         if far is not None:
@@ -226,9 +225,9 @@ class Walk:
             guess = self.start.p + share * (v - self.start.value) * self.tangent.direction
         else:
             a, b = sorted(self.path, key=lambda point: abs(point.v - v))[:2]
-            apart = b.v - a.v
-            far = abs(apart) > 1e-3 * abs(v - a.v)
-            guess = a.p + (b.p - a.p) * ((v - a.v) / apart) if far else a.p
+            span = b.v - a.v
+            far = abs(span) > 1e-3 * abs(v - a.v)
+            guess = a.p + (b.p - a.p) * ((v - a.v) / span) if far else a.p
         begin = self.scaled.to_unit(np.clip(guess, *self.scaled.model.bounds))
         tolerance = SOLVED * self.threshold / max(abs(self.tangent.cost), self.threshold)
         found = solvers.newton(self.pulled(v), begin, tolerance=tolerance)
@@ -329,8 +328,8 @@ def profile(
     """Return the profile of `quantity` around the optimum `p` (n,) of `cost`.
 
     `fixed`: index of the parameters that stay as in `p`. `std`: about its standard uncertainty, the first
-    step; from the curvature of `cost` by default. `scale`: square of the standard uncertainty that is
-    believed over the likelihood's; the threshold is multiplied by it. `points`: further points per side,
+    step; from the curvature of `cost` by default. `scale`: squared ratio of the standard uncertainty to the
+    likelihood's; the threshold is multiplied by it. `points`: further points per side,
     about evenly spaced. For several quantities give `cost.anchored(p)`: what belongs to `p` is computed once.
     """
     began, threshold = tangent(cost, p, quantity, fixed), THRESHOLD * scale

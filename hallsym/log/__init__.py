@@ -1,4 +1,4 @@
-"""Sensor logs: read, check and write them; SI units, split into runs, with what is known of their noise."""
+"""Sensor logs: read, check and write them; SI units, split into runs, with their noise."""
 
 from hallsym.log.batches import Batch, Weigh, batches, remembered
 from hallsym.log.columns import MOST_RUN, Foreign, parse_column_option, read_column_file

@@ -50,7 +50,7 @@ class Timed(Source):
         )
 
     def reader(self, name: str) -> Callable[[Any], Array]:
-        """Return what makes arrays of the chunks of a column in one pass."""
+        """Return a function from the chunks of a column to arrays in one pass."""
         if name not in self.forms:
             return array_of
         self.clocks[name] = Seconds(*self.forms[name])
@@ -146,7 +146,7 @@ class Seconds:
             return whole.cast(arrow.timestamp("ns", "UTC" if "zone" in part else None))
         except arrow.ArrowInvalid as error:
             raise InputError(
-                f"{self.what} must hold {_called(self.form)} written alike in every line; one is not "
+                f"{self.what} must hold {_called(self.form)} in one form in every line; one is not "
                 f"({str(error)[:80]}): put it right, or leave the line out."
             ) from error
 

@@ -91,7 +91,7 @@ class Batch:
             first = k
 
     def layout(self, first: int, last: int) -> Callable[[np.ndarray], np.ndarray]:
-        """Return what lays (..., samples) out as (..., blocks, longest) for a group; ends are padded by 0."""
+        """Return the map (..., samples) to (..., blocks, longest); ends are padded by 0."""
         edges = self.edges[first : last + 1]
         lengths = np.diff(edges)
         longest = int(lengths.max())
@@ -176,7 +176,7 @@ def batches(
 
 
 def is_cached(log: Log) -> bool:
-    """Return whether the batches of a log are kept, and what is computed from them may be.
+    """Return whether the batches of a log, and results computed from them, are cached.
 
     Those of a view of a log with other numbers, which is read once, are not.
     """

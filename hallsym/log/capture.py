@@ -1,4 +1,4 @@
-"""Lines of numbers from a serial port, as a log: what a board prints, with times and with what was lost."""
+"""Lines of numbers from a serial port, as a log, with times and the number of lost lines."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ WRAPS = (1 << 8, 1 << 16, 1 << 32)
 READ_S = 0.05
 """Longest wait for bytes: how late Ctrl-C and the end of the capture are seen."""
 PIECE_S = 0.5
-"""Time after which what has come is handed to the writer."""
-ALIKE = 10
-"""Lines of numbers, all of another length than was named and none of that, that are no accident."""
+"""Time after which received lines are handed to the writer."""
+REPEATS = 10
+"""Lines of numbers of another length than named, without any of that length, that are no accident."""
 LONGEST = 1 << 16
 """Bytes without an end of line that are no line."""
 _LABEL = re.compile(rb"[A-Za-z_][\w ]*[:=]")
-"""What serial plotters have before a number."""
+"""Labels of serial plotters before a number."""
 
 
 @dataclass
@@ -179,7 +179,9 @@ def capture(
             arrived = last - begin + (at - last) * np.arange(1, len(found) + 1) / len(found)
             waiting.append(np.column_stack([np.array(found), arrived]))
             last = at
-        elif not reader.good and (at - begin > patience_s or max(reader.other.values(), default=0) >= ALIKE):
+        elif not reader.good and (
+            at - begin > patience_s or max(reader.other.values(), default=0) >= REPEATS
+        ):
             break
         if at - handed >= PIECE_S:
             hand()
@@ -197,7 +199,7 @@ def capture(
 
 
 def _none(reader: Lines, where: str, came: bytes) -> str:
-    """Return why no line has been taken of what `came`."""
+    """Return why no line of `came` was accepted."""
     if reader.other:
         return (
             f"Lines from {where} have {reader.other.most_common(1)[0][0]} numbers, such as "
@@ -210,4 +212,4 @@ def _none(reader: Lines, where: str, came: bytes) -> str:
             "--wait gives it more seconds."
         )
     shown = reader.example or came[:40].decode("ascii", "replace")
-    return f"What comes from {where} are no lines of numbers, such as {shown!r}: --baud may be another one."
+    return f"The data from {where} are no lines of numbers, such as {shown!r}: --baud may be another one."

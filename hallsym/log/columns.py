@@ -26,9 +26,9 @@ from hallsym.units import UNITS, Array, quantity, require_unit, si_name, split_u
 RUN = "run"
 RUN_WORDS = ("run", "pass", "scan", "sweep", "trial", "segment", "lauf", "fahrt", "messung", "measurement")
 TIME_WORDS = ("t", "time", "timestamp", "zeit", "clock", "elapsed", "temps")
-"""What people call runs, and the time."""
+"""Usual names of runs, and of the time."""
 T = "t"
-"""What a log calls its time: a column without its unit, and of times that a format gives."""
+"""Name of the time in a log, without its unit, and of times that a format gives."""
 _OPEN = re.compile(r"^# (\w+) = ", re.MULTILINE)
 
 
@@ -54,7 +54,7 @@ class Foreign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
 
     @property
     def option(self) -> str:
-        """What stands behind the equals sign of `--column`."""
+        """Text behind the equals sign of `--column`."""
         numbers = {k: v for k, v in self.to_dict().items() if k != "name"}
         return self.name + "".join(f",{k}={v!r}" for k, v in numbers.items())
 
@@ -90,7 +90,7 @@ class Binding:
 
 @dataclass(frozen=True)
 class ColumnFile:
-    """What a column file says: foreign columns by our name, and noise (1 sigma) in the stated units.
+    """Content of a column file: foreign columns by our name, and noise (1 sigma) in the stated units.
 
     `open`: names that stand in it as comments, for somebody to choose a unit.
     """
@@ -154,7 +154,7 @@ def bind(
     counts_per_turn: float | None = None,
     units: Mapping[str, str] | None = None,
 ) -> tuple[dict[str, Binding], list[str]]:
-    """Return the SI columns that a file with columns `found` offers, by SI name, and what to say of them.
+    """Return the SI columns that a file with columns `found` offers, by SI name, and notes on them.
 
     A file's own column whose name states its unit, or beside whose name the file does (`units`, by name),
     needs no mapping; one without a unit is left out. Angles in counts need `counts_per_turn`.

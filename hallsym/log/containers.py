@@ -85,7 +85,7 @@ def open_sqlite(path: Path, sheet: str | None = None) -> Source:
 # -- an archive --------------------------------------------------------------------------------------------
 
 MOST_BYTES = 10_000_000_000
-"""What an archive may hold: more is unpacked by who knows where there is room for it."""
+"""Largest content of an archive; the user unpacks a larger one."""
 
 
 def unpacked(path: Path, suffixes: Collection[str]) -> Path:
@@ -105,9 +105,9 @@ def _unpacked(path: Path, suffixes: tuple[str, ...], written: int) -> Path:
             raise InputError(f"Archive {quoted(path)} must hold a log or files that are runs; it holds none.")
         if size > MOST_BYTES:
             raise InputError(f"Archive {quoted(path)} holds {size / 1e9:.0f} GB; unpack it first.")
-        held = tempfile.TemporaryDirectory(prefix="hallsym-")
-        _UNPACKED.append(held)
-        folder = Path(held.name) / path.name
+        unpacked = tempfile.TemporaryDirectory(prefix="hallsym-")
+        _UNPACKED.append(unpacked)
+        folder = Path(unpacked.name) / path.name
         for member in members:
             target = folder / Path(member.filename).name if len(members) == 1 else folder / member.filename
             if not target.resolve().is_relative_to(folder.resolve()):

@@ -1,4 +1,4 @@
-"""The log: named SI channels, split into runs, with what is known of their noise."""
+"""The log: named SI channels, split into runs, with their noise."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class Block:
 class Log:
     """Recorded samples. Make one with `read_log` or `Log.from_arrays`; arrays are read-only views.
 
-    `notes` says what was assumed while reading; `path` is the data file (None for arrays). `counted`: `t_s`
-    is no clock but a counter of samples in its place. `recording`: the same samples as they were recorded,
-    where the runs are pieces of them: what is checked.
+    `notes` states assumptions of reading; `path` is the data file (None for arrays). `counted`: `t_s` is no
+    clock but a counter of samples. `recording`: the samples as recorded, where the runs are pieces of them;
+    checks use it.
     """
 
     table: TableLike
@@ -67,12 +67,12 @@ class Log:
 
     @property
     def name(self) -> str:
-        """What to call this log in a message: its path, or what `from_arrays` was told."""
+        """Name of this log in messages: its path, or the one given to `from_arrays`."""
         return self.table.where
 
     @property
     def short_name(self) -> str:
-        """What to call it in a sentence; a long path keeps its end."""
+        """Name in a sentence; a long path keeps its end."""
         return self.name if len(self.name) <= _LONGEST_NAME else f"...{self.name[3 - _LONGEST_NAME :]}"
 
     @property
@@ -86,7 +86,7 @@ class Log:
         return self
 
     def identity(self, column: str) -> Hashable:
-        """Return what tells a column from others of its name in logs of the same `source`."""
+        """Return a key that distinguishes a column from others of its name in logs of the same `source`."""
         return column
 
     @cached_property
@@ -196,7 +196,7 @@ class Drop:
     rows: tuple[tuple[int, int], ...] = ()
 
     def __or__(self, other: Drop) -> Drop:
-        """Leave out what either leaves out."""
+        """Return the union of both."""
         return Drop(
             tuple(dict.fromkeys(self.finite + other.finite)),
             self.forward or other.forward,

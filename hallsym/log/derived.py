@@ -47,7 +47,7 @@ class ExtendedLog:
         return self.log
 
     def identity(self, column: str) -> Hashable:
-        """Return the column's name; of a computed one also what its name does not say."""
+        """Return the column's name; of a computed one also its distinguishing key."""
         made = self.computed.get(column)
         return (made.name, made.key) if made else column
 

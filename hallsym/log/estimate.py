@@ -1,4 +1,4 @@
-"""Noise from the log itself: what smooth motion cannot explain."""
+"""Noise from the log itself: the part that smooth motion does not explain."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def estimate_noise(log: Log, channels: Sequence[str]) -> Noise:
     chosen = set(log.runs[:: -(-len(log.runs) // wanted)])
     most = max(1, _ENOUGH // len(chosen))
     taken: dict[int, int] = {}
-    alike: dict[int, list[list[Array]]] = {}  # time and channels of stretches of one length
+    by_length: dict[int, list[list[Array]]] = {}  # time and channels of stretches of one length
     for block in log.blocks((RUN, *(("t_s",) if timed else ()), *channels)):
         taken[block.run] = taken.get(block.run, 0) + 1
         if block.run not in chosen or taken[block.run] > most:
@@ -59,13 +59,13 @@ def estimate_noise(log: Log, channels: Sequence[str]) -> Noise:
         start = max(0, (length - _SAMPLES) // 2)
         t = block.data["t_s"] if timed else np.arange(length, dtype=float)
         part = [values[start : start + _SAMPLES] for values in (t, *(block.data[c] for c in channels))]
-        alike.setdefault(len(part[0]), []).append(part)
+        by_length.setdefault(len(part[0]), []).append(part)
     steps, spreads = [np.empty((0, len(channels)))], [np.empty((0, len(channels), len(_ORDERS)))]
-    for blocks in alike.values():
+    for blocks in by_length.values():
         times, rows = np.array([part[0] for part in blocks]), np.array([part[1:] for part in blocks])
         rows = rows.reshape(len(blocks), len(channels), -1)
-        turning = np.array([si_unit(name) == "rad" for name in channels])
-        turns = turning & (np.abs(np.diff(rows, axis=2)) > _TURN / 2).any(axis=2)
+        periodic = np.array([si_unit(name) == "rad" for name in channels])
+        turns = periodic & (np.abs(np.diff(rows, axis=2)) > _TURN / 2).any(axis=2)
         for b, k in np.argwhere(turns):
             rows[b, k] = unwrapped(rows[b, k], _TURN)
         steps.append(_coarse_steps(rows.reshape(-1, rows.shape[2])).reshape(len(blocks), -1))

@@ -17,7 +17,7 @@ from hallsym.units import Array
 
 IN_MEMORY_BYTES = 250_000_000
 COMPRESSED = 8
-"""What text of numbers becomes larger by when it is decompressed, at most."""
+"""Largest ratio of text of numbers to its compressed size."""
 AT_ONCE = 16
 """Pieces of text that pyarrow reads at once."""
 _TORN = "The last line of {} does not end with a newline: if the file was cut short, its last value is wrong."
@@ -88,13 +88,13 @@ class CsvSource(Timed):
 
     def _pieces(self) -> Iterator[str]:
         """Yield the clean lines from the first sample to the last one, in pieces."""
-        clean, footer, held = cleaning(self.dialect), self.dialect.footer, ""
+        clean, footer, kept = cleaning(self.dialect), self.dialect.footer, ""
         for piece in self.text.pieces(self.where, self.dialect.first - 1):
             cleaned = clean(piece)
             if footer:
-                parts = f"{held}{cleaned}".rsplit("\n", footer + 1)
+                parts = f"{kept}{cleaned}".rsplit("\n", footer + 1)
                 cleaned = f"{parts[0]}\n" if len(parts) > footer + 1 else ""
-                held = "\n".join(parts[1:] if cleaned else parts)
+                kept = "\n".join(parts[1:] if cleaned else parts)
             if cleaned:
                 yield cleaned
 
@@ -159,7 +159,7 @@ def _bad_cell(source: CsvSource, number: int, name: str, cell: str) -> InputErro
         remedy = f"; if a {what[other]} separates thousands, state --decimal {decimal}"
     elif as_float(cell, Convention(other)) is not None:
         said = f" with a decimal {what[decimal]}, not a {what[other]}"
-        remedy = f": write all numbers alike, or state --decimal {other}"
+        remedy = f": write all numbers in one form, or state --decimal {other}"
     return InputError(
         f"Line {number}, column '{name}' of {source.where} must be a number{said}; it is "
         f"'{cell[:40]}'{remedy}."
@@ -170,19 +170,19 @@ def _bad_cell(source: CsvSource, number: int, name: str, cell: str) -> InputErro
 
 
 BESIDE = ("", " ")
-"""What may stand beside a cell without a value."""
+"""Characters that may stand beside a cell without a value."""
 _BLANK = "\n", " ", "\t"
 
 
 def delimiter_of(dialect: Dialect) -> str:
-    """Return what separates the cells of clean lines."""
+    """Return the separator of the cells of clean lines."""
     return "\t" if dialect.delimiter == " " else dialect.delimiter
 
 
 def cleaning(dialect: Dialect) -> Callable[[str], str]:
-    r"""Return what takes comments, empty lines, blanks, names that come again and separators out of lines.
+    r"""Return the removal of comments, empty lines, blanks, repeated names and separators from lines.
 
-    Numbers that are written otherwise become usual ones. Each line ends with \n; what it returns is empty
+    Numbers in another notation become usual ones. Each line ends with \n; the result is empty
     where nothing is left.
     """
     empty = re.compile(rf"^[ \t{re.escape(dialect.delimiter)}]*\n", re.M)

@@ -93,11 +93,11 @@ def _topic(path: Path, name: str, rows: int, schema: Any, origin: int, left_out:
         return ((stamp.sec * 1_000_000_000 + stamp.nanosec if stamp else raw.log_time) - origin) * 1e-9
 
     def read(messages: Iterator[Any], names: Sequence[str], lo: int, hi: int) -> list[Array]:
-        held = [
+        values_of = [
             [time(message, raw) if n == TIME else _leaf(message, paths[n]) for n in names]
             for message, raw in islice(messages, hi - lo)
         ]
-        return [np.array([row[k] for row in held]) for k in range(len(names))]
+        return [np.array([row[k] for row in values_of]) for k in range(len(names))]
 
     since = "the stamps" if stamped else "the recording"
     first, last = (time(*end) for end in ends)

@@ -17,7 +17,7 @@ from hallsym.units import UNITS, Array
 
 _BUFFER = 1 << 20
 _THREADS = 131_072
-"""Rows from which on columns are decoded by several threads: starting them costs more than a shorter file."""
+"""Rows above which columns are decoded by several threads: starting them costs more than a shorter file."""
 
 
 class ParquetSource(Timed):

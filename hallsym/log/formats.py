@@ -16,7 +16,6 @@ from msgspec import structs
 
 from hallsym.errors import InputError, nearest, quoted, require
 from hallsym.files import reading, regular
-from hallsym.log.isolated import Isolated, about
 from hallsym.log.arrow import source_of
 from hallsym.log.columns import (
     RUN,
@@ -39,6 +38,7 @@ from hallsym.log.format_parquet import ParquetSource, open_feather, open_json
 from hallsym.log.format_tdms import open_tdms
 from hallsym.log.format_xlsx import open_workbook
 from hallsym.log.groups import Group, GroupedSource
+from hallsym.log.isolated import Isolated, about
 from hallsym.log.maker_tables import open_table
 from hallsym.log.meta import Meta, Noise, check_noise_keys
 from hallsym.log.quality.check import clean_log
@@ -52,7 +52,7 @@ from hallsym.units import Array, split_unit
 class Format:
     """A format's name, the suffixes that mean it, how to open it and what it is called.
 
-    `options`: what a reader may be told of it, by the names of `read_log`. `found`: whether a folder is
+    `options`: options of its reader, by the names of `read_log`. `found`: whether a folder is
     searched for it; code that lies beside logs is none.
     """
 
@@ -255,7 +255,7 @@ def read_log(
 
 
 class Opened(NamedTuple):
-    """What was opened: a single data file, the folder that was named, the columns, and the name of it all."""
+    """An opened log: a single data file, the folder that was named, the columns, and its name."""
 
     file: Path | None
     folder: Path | None
@@ -297,7 +297,7 @@ def files_of(path: str | Path) -> list[Path]:
             path = unpacked(path, suffixes)
     if path.is_dir():
         logs = [path / f"log{suffix}" for suffix in suffixes if (path / f"log{suffix}").is_file()]
-        found = logs[:1] or _alike(path.iterdir(), suffixes) or _alike(path.glob("*/*"), suffixes)
+        found = logs[:1] or _of_one_kind(path.iterdir(), suffixes) or _of_one_kind(path.glob("*/*"), suffixes)
     elif glob.has_magic(str(path)) and not path.exists():
         found = [Path(name) for name in glob.glob(str(path)) if Path(name).is_file()]
     else:
@@ -310,7 +310,7 @@ def files_of(path: str | Path) -> list[Path]:
     return [regular(file, "Log") for file in sorted(found, key=natural)]
 
 
-def _alike(paths: Iterable[Path], suffixes: Sequence[str]) -> list[Path]:
+def _of_one_kind(paths: Iterable[Path], suffixes: Sequence[str]) -> list[Path]:
     """Return the files of the suffix that most of them have: notes may lie beside runs."""
     known = (path for path in paths if path.suffix.lower() in suffixes and path.name[0] != ".")
     files = [path for path in known if path.is_file()]

@@ -15,8 +15,8 @@ from hallsym.log.columns import RUN, TIME_WORDS, T
 from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, TIME, Source, exact, joined
 from hallsym.units import UNITS, Array, split_unit
 
-RUN_APART = 1e6
-"""Seconds that runs are put apart where a clock starts again in each: longer than any run lasts."""
+RUN_SPACING_S = 1e6
+"""Seconds between runs where a clock starts again in each: longer than any run lasts."""
 
 
 class Group:
@@ -63,7 +63,7 @@ class Group:
         self.since = self.since if self.epoch is None else "a moment"
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
-        """Yield consecutive chunks of exactly `size` rows, the last one of what is left; also of `TIME`."""
+        """Yield consecutive chunks of exactly `size` rows, the last may be shorter; also of `TIME`."""
         clock = [self.clock, *([RUN] if self.by_run else [])] if TIME in names else []
         wanted = list(dict.fromkeys([*(name for name in names if name != TIME), *clock]))
         for piece in exact(self.source.chunks(wanted, size), size, wanted):
@@ -71,7 +71,7 @@ class Group:
 
     def _time(self, piece: Mapping[str, Array]) -> Array:
         time = piece[self.clock] * (self.seconds(self.clock) or 1.0) + self.shift
-        return np.asarray(time + RUN_APART * piece[RUN] if self.by_run else time)
+        return np.asarray(time + RUN_SPACING_S * piece[RUN] if self.by_run else time)
 
     def seconds(self, name: str) -> float:
         """Return the seconds of a channel's unit, 0 where it has another unit."""
@@ -244,8 +244,8 @@ class GroupedSource(Source):
             self.rows = rows
         self.small = rows <= IN_MEMORY_ROWS
         self.recognised = self._said(kind, filled)
-        told = self.others or (files and len(filled) > 1)
-        self.notes = (f"{where} is read as {self.recognised}.",) if told else ()
+        noted = self.others or (files and len(filled) > 1)
+        self.notes = (f"{where} is read as {self.recognised}.",) if noted else ()
         self.unstated = self._ask() if self.others and not self.method else ""
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
@@ -341,7 +341,7 @@ class GroupedSource(Source):
         """Yield columns at the samples of the master, those between which all groups were recorded."""
         wanted, (begin, end) = dict(_by_group(self.places, names)), self._shared()
         turns = {name: self._turn(name) for name in names}
-        fastest = max(g.rate for g in self.others)  # a chunk of it is held beside ours
+        fastest = max(g.rate for g in self.others)  # a chunk of it is in memory beside ours
         size = max(1, int(size * min(1.0, self.master.rate / fastest))) if fastest else size
         followers = [Follower(g, wanted[g], turns, self.where) for g in self.others if g in wanted]
         read = {name for follower in followers for name, _ in follower.wanted}
@@ -420,19 +420,19 @@ class Follower:
         self.group, self.wanted, self.turns, self.where = group, list(wanted), turns, where
         self.names = [TIME, *dict.fromkeys(channel for _, channel in wanted)]
         self._pieces = iter(group.chunks(self.names, AT_ONCE))
-        self._held = {name: np.empty(0, bool) for name in self.names}  # joined, they keep the type of others
+        self._buffer = {name: np.empty(0, bool) for name in self.names}  # joining keeps the other type
         self._more()
-        steps = np.diff(self._held[TIME][:FOR_PERIOD])
+        steps = np.diff(self._buffer[TIME][:FOR_PERIOD])
         self._longest = LONGEST_GAP * float(np.median(steps)) if len(steps) else np.inf
 
     def at(self, time: Array, method: str) -> dict[str, Array]:
         """Return the columns at rising times, each of shape (times,); NaN where the group has no value."""
-        while (not len(self._held[TIME]) or self._held[TIME][-1] < time[-1]) and self._more():
+        while (not len(self._buffer[TIME]) or self._buffer[TIME][-1] < time[-1]) and self._more():
             pass
-        own = self._held[TIME]
+        own = self._buffer[TIME]
         keep = max(0, min(int(np.searchsorted(own, time[0], "right")) - 1, len(own) - 2))
-        self._held = {name: values[keep:] for name, values in self._held.items()}
-        own = self._held[TIME]
+        self._buffer = {name: values[keep:] for name, values in self._buffer.items()}
+        own = self._buffer[TIME]
         if len(own) < 2:
             return {column: np.full(len(time), np.nan) for column, _ in self.wanted}
         after = np.searchsorted(own, time, "left").clip(1, len(own) - 1)
@@ -443,7 +443,7 @@ class Follower:
         share = np.divide(time - left, right - left, out=np.zeros(len(time)), where=right > left)
         out = {}
         for column, channel in self.wanted:
-            values, turn = self._held[channel], self.turns[column]
+            values, turn = self._buffer[channel], self.turns[column]
             if method == "nearest" or values.dtype.kind != "f" or turn is None:
                 found = values[np.where(share > 0.5, after, before)].astype(np.float64)
             else:
@@ -456,16 +456,16 @@ class Follower:
         piece = next(self._pieces, None)
         if piece is None:
             return False
-        check_rising(np.r_[self._held[TIME][-1:], piece[TIME]], self.group.name, self.where)
-        self._held = joined([self._held, piece], self.names)
+        check_rising(np.r_[self._buffer[TIME][-1:], piece[TIME]], self.group.name, self.where)
+        self._buffer = joined([self._buffer, piece], self.names)
         return True
 
 
 def _between(low: Array, high: Array, share: Array, turn: float) -> Array:
     """Return values at a share of the way from `low` to `high`.
 
-    An angle that begins again takes the short way. It begins again where two samples within one turn of zero
-    are more than half a turn apart.
+    An angle that wraps takes the short way. It wraps where two samples within one turn of zero differ by more
+    than half a turn.
     """
     step = high - low
     if turn:

@@ -1,4 +1,4 @@
-"""Decoding in a process of its own: a damaged file may crash that process, never the one that asks.
+"""Decoding in an isolated process: a damaged file may crash that process, never the caller.
 
 Some libraries in C crash on some damaged files, or take all memory and time. A decoder opens a file and sends
 its columns through a pipe; the operating system limits its memory and its time.
@@ -28,9 +28,9 @@ from hallsym.units import Array
 MEMORY = 3 << 29
 """Bytes that a decoder may map, its libraries (0.7e9) included, beside `EXPANSION` times the file."""
 EXPANSION = 8
-"""How many times larger than its file what it holds may be: deflate reaches that on smooth readings."""
+"""Largest ratio of the content of a file to its size: deflate reaches that on smooth readings."""
 SECONDS = 60
-"""Of the processor for one answer: 65,536 rows, or what the file holds."""
+"""Processor time for one answer: 65,536 rows, or the whole file."""
 _START = "import sys; sys.path[:] = sys.argv[1:]; from hallsym.log.isolated import serve; serve()"
 
 _IDLE: list[Decoder] = []

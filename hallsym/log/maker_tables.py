@@ -84,7 +84,7 @@ class Layout:
 
     @property
     def scaled(self) -> bool:
-        """Whether the file states what its largest entry means."""
+        """Whether the file states the scale of its largest entry."""
         return self.per_turn == FULL
 
     @property
@@ -129,7 +129,7 @@ BY_NAME = {one.name: one for one in (*LAYOUTS, CSV)}
 
 @dataclass(frozen=True, eq=False)
 class MakerTable:
-    """A table: entries (n,) in the unit of the file, and what the firmware holds beside it.
+    """A table: entries (n,) in the unit of the file, and further numbers of the firmware.
 
     `scale`: turns that the largest entry of moteus means. The place of an entry is (reading + `shift`)
     `sign`, the reading as the chip gives it [rad]. `decimals`: digits after the point.
@@ -237,9 +237,9 @@ def _configured(found: Found, text: str, source: str) -> Found:
     """Return a table of moteus with its scale, and with sign and offset of its source."""
     entry = rf"(?m)^(?:conf set )?motor_position\.sources\.{source}\.%s +(?P<value>{NUMBER})"
     names = ("compensation_scale", "sign", "offset", "cpr")
-    told = {name: match for name in names if (match := re.search(entry % name, text))}
-    value = {name: float(match["value"]) for name, match in told.items()}
-    if "compensation_scale" not in told:
+    matches = {name: match for name in names if (match := re.search(entry % name, text))}
+    value = {name: float(match["value"]) for name, match in matches.items()}
+    if "compensation_scale" not in matches:
         raise InputError(
             "A table of moteus needs motor_position.sources.N.compensation_scale beside it, as 'conf "
             "enumerate' prints it; firmware that has none keeps 32 numbers and is not read."
@@ -248,7 +248,7 @@ def _configured(found: Found, text: str, source: str) -> Found:
         found.table, scale=value["compensation_scale"], sign=-1 if value.get("sign", 1.0) < 0 else 1,
         shift=value.get("offset", 0.0) / (value.get("cpr") or 16384.0) * TURN,
     )  # fmt: skip
-    return Found(table, found.cells, told["compensation_scale"].span("value"))
+    return Found(table, found.cells, matches["compensation_scale"].span("value"))
 
 
 def replaced(text: str, table: MakerTable) -> str:

@@ -1,4 +1,4 @@
-"""What a log says of itself beside its samples (`meta.json`)."""
+"""Facts that a log states beside its samples (`meta.json`)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hallsym.records import schema_of, structured
 from hallsym.units import UNITS, quantity, split_unit
 
 _MISSPELT = 0.85
-"""Likeness (`difflib`) of a key with a known one from which on it is that one misspelt: a letter or two."""
+"""Similarity (`difflib`) of a key to a known one above which it is that one misspelt: a letter or two."""
 Positive = Annotated[float, msgspec.Meta(gt=0, le=1e100)]
 Run = Annotated[int, msgspec.Meta(ge=-(2**53), le=2**53)]
 
@@ -89,10 +89,10 @@ def meta_schema() -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Sigma:
-    """One standard deviation in the channel's SI unit, and whether a person gave it or we estimated it.
+    """One standard deviation in the channel's SI unit, stated or estimated.
 
-    `within`: factor within which an estimate is known. Noise that is correlated over two samples is read as
-    half of what it is by differences of neighbouring ones (measured: .27 for .515 um).
+    `within`: factor within which an estimate is known. Differences of neighbouring samples give half of a
+    noise that is correlated over two samples (measured: .27 for .515 um).
     """
 
     value: Annotated[float, msgspec.Meta(ge=0)]
@@ -133,7 +133,7 @@ class Noise(dict[str, Sigma]):
         return {channel: sigma.value for channel, sigma in self.items()}
 
     def merged(self, other: Noise) -> Noise:
-        """Return this noise with what only `other` knows added; what is here already stays."""
+        """Return this noise with further channels of `other`; existing ones stay."""
         return Noise({**other, **self})
 
     def __missing__(self, channel: str) -> Sigma:

@@ -1,8 +1,8 @@
-"""Columns that repeat, such as angles: a reference without jumps, and readings on its branch.
+"""Phase unwrapping of periodic columns, such as angles: a continuous reference, and readings on its branch.
 
-A model says which of its columns repeat and with which period (`Model.period`). A reading that is half a
-period or less from its reference, give or take one constant for the whole log (the zero is free), is then
-continuous wherever the reference turns, however often, and a residual is an ordinary number.
+A model states which of its columns are periodic and with which period (`Model.period`). A reading within half
+a period of its reference, less one constant for the whole log (the zero is free), is then continuous over any
+number of turns, and a residual is an ordinary number.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,8 +21,8 @@ from hallsym.model.arrays import on_arrays
 from hallsym.units import readable
 
 LOST = 2.0
-"""Where calibration makes what does not repeat smaller by more than this factor, that is no noise: the
-nominal parameters do not decode the readings (their circle does not go round the nominal centre, say)."""
+"""Factor by which calibration lowers the non-periodic error above which that is no noise: the nominal
+parameters do not decode the readings (for example, their circle does not enclose the nominal centre)."""
 
 
 def wrapped(values: np.ndarray, period: float) -> np.ndarray:
@@ -31,7 +31,7 @@ def wrapped(values: np.ndarray, period: float) -> np.ndarray:
 
 
 def nearest_turn(model: Model, p: np.ndarray) -> np.ndarray:
-    """Return parameters (n,) with those that repeat within half a period of zero."""
+    """Return parameters (n,) with periodic ones wrapped to half a period around zero."""
     out = np.array(p, dtype=float)
     for k, name in enumerate(model.names):
         if name in model.period:
@@ -40,9 +40,9 @@ def nearest_turn(model: Model, p: np.ndarray) -> np.ndarray:
 
 
 def designed(model: Model, p: np.ndarray) -> np.ndarray:
-    """Return nominal parameters (n,) with what no drawing states as in `p`.
+    """Return nominal parameters (n,) with those of the mounting as in `p`.
 
-    That is what repeats (a zero is mounting), and the common factor of amplitudes (`Model.amplitudes`).
+    These are periodic ones (a zero), and the common factor of amplitudes (`Model.amplitudes`).
     """
     out = np.where([name in model.period for name in model.names], p, model.nominal)
     these = np.isin(model.names, model.amplitudes)
@@ -79,10 +79,10 @@ def near(model: Model, pose: np.ndarray, reference: np.ndarray, p: np.ndarray | 
 
 
 def continuous(log: Log, model: Model) -> Log:
-    """Return the log with the columns of `model` that repeat made continuous; the log itself if none do.
+    """Return the log with unwrapped periodic columns of `model`; the log itself if there are none.
 
-    References are unwrapped along each run. A channel that repeats is brought next to its reference, less the
-    circular mean of their difference over the log.
+    References are unwrapped along each run. A periodic channel is moved to the branch of its reference, less
+    the circular mean of their difference over the log.
     """
     wraps = [c for c in model.references if c in model.period and c not in model.absolute]
     references = {c: model.period[c] for c in wraps}
@@ -91,23 +91,23 @@ def continuous(log: Log, model: Model) -> Log:
         return log
     log.table.require((*references, *channels))
     beside = {c: along for c in channels if (along := _reference_of(model, c))}
-    apart = homes(log, model)
+    shifts = homes(log, model)
     branches = {
-        c: _Branch(along, channels[c], _middle(log, c, along, channels[c], apart.get(along, {})))
+        c: _Branch(along, channels[c], _middle(log, c, along, channels[c], shifts.get(along, {})))
         for c, along in beside.items()
     }
-    table: Any = _Continuous(log.table, references, branches, apart)
+    table: Any = _Continuous(log.table, references, branches, shifts)
     return replace(log, table=table)
 
 
 def as_continuous(log: Log) -> Log:
-    """Return a log whose repeating columns are continuous already, as one that is not asked again."""
+    """Return a log whose periodic columns are continuous already, marked so."""
     table: Any = _Continuous(log.table, {}, {}, {})
     return replace(log, table=table)
 
 
 def followed(model: Model) -> tuple[str, ...]:
-    """Return the logged columns of the state that some reading follows."""
+    """Return the logged columns of the state on which some reading depends."""
     made = {c.name for c in model.computed}
     follows = ca.DM(model.reading.jac_sparsity(0, 3), 1).full()
     return tuple(c for k, c in enumerate(model.state) if follows[:, k].any() and c not in made)
@@ -138,11 +138,11 @@ def _reference_of(model: Model, channel: str) -> str | None:
 
 
 def home_notes(log: Log, model: Model, offsets: Mapping[int, np.ndarray]) -> tuple[str, ...]:
-    """Return what to say of a log whose runs have offsets: `offsets` by run [SI], beside that of `homes`."""
-    apart = log.table.apart if isinstance(log.table, _Continuous) else {}
+    """Return notes on a log whose runs have `offsets`, by run [SI], in addition to those of `homes`."""
+    home_of = log.table.shifts if isinstance(log.table, _Continuous) else {}
     notes = []
     for k, reference in enumerate(_homed_by(model, z.name) for z in model.offsets):
-        homed = apart.get(reference, {})
+        homed = home_of.get(reference, {})
         at = {run: homed[run] + offsets[run][k] for run in homed if run in offsets}
         if not at:
             continue
@@ -208,11 +208,11 @@ def _home(square: np.ndarray, right: np.ndarray) -> float:
     return float(np.angle((np.linalg.solve(square, right) if whole else right)[1]))
 
 
-def _middle(log: Log, channel: str, along: str, period: float, apart: Mapping[int, float]) -> float:
+def _middle(log: Log, channel: str, along: str, period: float, shifts: Mapping[int, float]) -> float:
     """Circular mean of channel - reference over the log."""
     total = 0j
     for block in log.blocks((channel, along)):
-        off = block.data[channel] - block.data[along] - apart.get(block.run, 0.0)
+        off = block.data[channel] - block.data[along] - shifts.get(block.run, 0.0)
         total += np.exp(2j * np.pi / period * off[np.isfinite(off)]).sum()
     return float(np.angle(total)) * period / (2 * np.pi)
 
@@ -227,9 +227,9 @@ class _Branch:
 
 
 class _Continuous(View):
-    """The table of a log whose repeating columns are continuous.
+    """The table of a log whose periodic columns are continuous.
 
-    `references`: period by column. `apart`: by reference and run, what is added to it.
+    `references`: period by column. `shifts`: by reference and run, added to it.
     """
 
     def __init__(
@@ -237,10 +237,10 @@ class _Continuous(View):
         table: Any,
         references: Mapping[str, float],
         channels: Mapping[str, _Branch],
-        apart: Mapping[str, Mapping[int, float]],
+        shifts: Mapping[str, Mapping[int, float]],
     ) -> None:
         super().__init__(table)
-        self.references, self.channels, self.apart = references, channels, apart
+        self.references, self.channels, self.shifts = references, channels, shifts
 
     def counts_per_turn(self, column: str) -> float | None:
         """Return the counts of a turn of a column that stays within one; None of one made continuous."""
@@ -267,7 +267,7 @@ class _Continuous(View):
     ) -> np.ndarray:
         """Return a reference without jumps of a period, run by run, going on from the piece before."""
         values, run, period = piece[column], piece[RUN], self.references[column]
-        out, home = np.array(values, dtype=float), self.apart.get(column, {})
+        out, home = np.array(values, dtype=float), self.shifts.get(column, {})
         for start, stop in pairwise(edges_of(run)):
             if stop == start:
                 continue

@@ -18,7 +18,7 @@ IN_MEMORY_ROWS = 2_000_000
 CHUNK_ROWS = 65_536
 
 TIME = "\0time"
-"""What a source calls the time of its samples, in seconds, that its format gives; no column has this name."""
+"""Name in a source of the time of its samples, in seconds, that its format gives; no column has this name."""
 Piece = dict[str, Array]
 RESTARTED = 0.01
 """Part of the time that has passed within which a clock that starts again is back at its first value; that of
@@ -29,12 +29,12 @@ class Source(ABC):
     """A file's columns under their own names; each format has one.
 
     `small`: whether whole columns may be kept in memory. `left_out`: why a vector cannot be a column, by its
-    name. `aliases`: short names by long name, a path in a struct or a group. `units`: what the file states
-    beside a name, by name (`hallsym.units`). `notes`: what has to be said about the file; `recognised`: what
-    it is, where that had to be found out. `unstated`: what has to be stated before samples are read together.
-    `read_with`: the options that it was read with, by name. `path`: where the file is on a disk. `ends`: time
-    of the first and the last sample [s] that its format gives, and `since` what it counts from. `clocks`:
-    columns of times, and what made seconds of each as it was read.
+    name. `aliases`: short names by long name, a path in a struct or a group. `units`: stated by the file
+    beside a name, by name (`hallsym.units`). `notes` on the file; `recognised`: its format, if that was not
+    stated. `unstated`: a question to answer before samples are read together. `read_with`: the options that
+    it was read with, by name. `path`: where the file is on a disk. `ends`: time of the first and the last
+    sample [s] that its format gives, and `since` what it counts from. `clocks`: columns of times, and what
+    made seconds of each as it was read.
     """
 
     names: tuple[str, ...]
@@ -63,7 +63,7 @@ class Source(ABC):
         return joined(list(self.chunks(names, CHUNK_ROWS)), names)
 
     def head(self, count: int, most: int) -> list[list[str]]:
-        """Return the first rows as text, of at most `most` columns; "" for what is no number."""
+        """Return the first rows as text, of at most `most` columns; "" for anything but a number."""
         columns = []
         for name in self.names[:most]:
             try:
@@ -119,21 +119,21 @@ def joined(parts: Sequence[Mapping[str, Array]], names: Sequence[str]) -> Piece:
 def exact(
     pieces: Iterable[Mapping[str, Array]], size: int, names: Sequence[str]
 ) -> Iterator[Mapping[str, Array]]:
-    """Yield pieces of any length in chunks of exactly `size` rows, the last one of what is left."""
-    held: list[Mapping[str, Array]] = []
+    """Yield pieces of any length in chunks of exactly `size` rows; the last one may be shorter."""
+    waiting: list[Mapping[str, Array]] = []
     count = 0
     for piece in pieces:
-        held.append(piece)
+        waiting.append(piece)
         count += len(piece[names[0]])
         if count < size:
             continue
-        whole = joined(held, names)
+        whole = joined(waiting, names)
         for lo in range(0, count - size + 1, size):
             yield {name: whole[name][lo : lo + size] for name in names}
         count %= size
-        held = [{name: whole[name][-count:] for name in names}] if count else []
+        waiting = [{name: whole[name][-count:] for name in names}] if count else []
     if count:
-        yield joined(held, names)
+        yield joined(waiting, names)
 
 
 class Arrays(Source):
@@ -161,7 +161,7 @@ class Table:
         """
         self.source, self.bindings, self.where = source, dict(bindings), where
         self.columns = tuple(self.bindings) if RUN in self.bindings else (RUN, *self.bindings)
-        self._held: Piece = {}
+        self._cache: Piece = {}
         self.open: tuple[str, ...] = ()
 
     @property
@@ -171,7 +171,7 @@ class Table:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What has to be said about runs; a table without time is none."""
+        """Notes on runs; a table without time has none."""
         said = "No column 'run': a run begins where t_s starts again, the first is number 0."
         return () if self.numbered else (said,)
 
@@ -182,7 +182,7 @@ class Table:
 
     def count(self) -> int:
         """Return the number of rows."""
-        return len(next(iter(self._held.values()))) if self._held else self.source.count()
+        return len(next(iter(self._cache.values()))) if self._cache else self.source.count()
 
     def pieces(self, columns: Sequence[str], size: int) -> Iterator[Piece]:
         """Yield `{column: values}` in consecutive pieces of about `size` rows; in memory it is one."""
@@ -230,16 +230,16 @@ class Table:
         return self.bindings[column].counts_per_turn if column in self.bindings else None
 
     def _hold(self, columns: Sequence[str]) -> Piece:
-        new = [name for name in columns if name not in self._held]
+        new = [name for name in columns if name not in self._cache]
         if new:
             converted = self._convert(new, self._read(self._sources(new)), Restarts())
             for values in converted.values():
                 values.flags.writeable = False
-            self._held.update(converted)
-        return {name: self._held[name] for name in columns}
+            self._cache.update(converted)
+        return {name: self._cache[name] for name in columns}
 
     def _sources(self, columns: Sequence[str]) -> list[str]:
-        """Return the file's names of what columns are computed from."""
+        """Return the file's names of the inputs of columns."""
         asked = [*columns, *(["t_s"] if RUN in columns and not self.numbered else [])]
         return list(dict.fromkeys(self.bindings[name].source for name in asked if name in self.bindings))
 

@@ -1,4 +1,4 @@
-"""Vectors by their path in a file of groups or structs: which are one table, runs, or on other clocks."""
+"""Vectors by their path in a file of groups or structs: grouped as one table, runs, or other clocks."""
 
 from __future__ import annotations
 
@@ -74,8 +74,8 @@ class Vectors(Source):
                 hi = min(lo + size, self.rows)
                 part = dict(zip(names, self.take(file, [self.own[n] for n in names], lo, hi), strict=True))
                 if short := next((name for name, values in part.items() if len(values) < hi - lo), None):
-                    held = lo + len(part[short])
-                    raise ValueError(f"channel '{short}' has {held} of its {self.rows} values")
+                    stored = lo + len(part[short])
+                    raise ValueError(f"channel '{short}' has {stored} of its {self.rows} values")
                 yield part
 
 

@@ -1,4 +1,4 @@
-"""What a sensor is: the chain of links from pose to reading, its parameters, and what follows from them."""
+"""The model of a sensor: the chain of links from pose to reading, parameters, and derived quantities."""
 
 from hallsym.model.arguments import Facts, one_of
 from hallsym.model.arrays import on_arrays

@@ -1,4 +1,4 @@
-"""The arguments of an effect: what each means, which values it may have, and which a diagnosis tries."""
+"""The arguments of an effect: meaning, allowed values, and values that a diagnosis tries."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,20 +11,19 @@ from hallsym.errors import InputError
 from hallsym.model.model import Model
 
 REQUIRED = Argument.empty
-"""Default of a number that only a log can tell."""
+"""Default of a number that must be estimated from a log."""
 
 
 @dataclass(frozen=True, eq=False)
 class Facts:
-    """What a log tells about the numbers of effects: its length, temperature, readings and residuals.
+    """Properties of a log from which numbers of effects follow: length, temperature, readings and residuals.
 
     `duration_s`: of the campaign. `temperature`: mean logged temperature [degC], None where none is
     logged. `extremes`: quantiles of each reading, (n_quantiles, n_channels), high and low in turn.
     `rails`: lowest and highest value of each channel where it repeats, else -inf and inf. `lines_hz`:
     mains frequencies seen in the residuals, of `lines_tried` independent ones. `instants`: channel and
-    moment [s] at which it may have slipped, of `instants_tried` that were compared. `on_runs`: runs in which
-    an external field may have been on, of `on_runs_tried` choices, and `on_runs_p`, the p-value that their
-    offsets are two levels.
+    time [s] of a possible slip, of `instants_tried` that were compared. `on_runs`: runs in which an external
+    field may have been on, of `on_runs_tried` choices; `on_runs_p`: p-value of two levels of their offsets.
     """
 
     duration_s: float
@@ -42,7 +41,7 @@ class Facts:
 
 
 def example_facts(model: Model) -> Facts:
-    """Return what a typical log of `model` may tell, for examples and tests."""
+    """Return the facts of a typical log of `model`, for examples and tests."""
     rails = [0.8 if c.endswith("_v") else 2e-4 for c in model.channels]
     return Facts(
         duration_s=60.0,
@@ -57,7 +56,7 @@ def example_facts(model: Model) -> Facts:
 
 @dataclass(frozen=True, eq=False)
 class Try:
-    """Values of numbers that a diagnosis tries together; the fields mean what they mean in a `Variant`."""
+    """Values of numbers that a diagnosis tries together; fields as in `Variant`."""
 
     numbers: Mapping[str, Any]
     label: str = ""
@@ -84,11 +83,11 @@ Tries = Callable[[str, Model, Facts], Iterable[Try]]
 
 @dataclass(frozen=True, eq=False)
 class Number:
-    """An argument of an effect: what it means, which values it may have, and which a diagnosis tries.
+    """An argument of an effect: meaning, allowed values, and values that a diagnosis tries.
 
-    `choices`: the only values, with what each means. `instead`: the number belongs to a second form of
-    the effect, which is given in place of the numbers without this mark. `grid`: the values
-    are places between which it may lie.
+    `choices`: the allowed values and their meanings. `instead`: the number belongs to a second form of the
+    effect, an alternative to the numbers without this mark. `grid`: the values are nodes between which it may
+    lie.
     """
 
     meaning: str
@@ -138,8 +137,8 @@ def one_of(
 ) -> Any:
     """Return an argument with few choices, each with its label; the first is the default if none is stated.
 
-    `valid`: also other values are taken, but not tried by a diagnosis. `when(value, model, facts)`:
-    whether a choice is tried.
+    `valid`: condition on other values, which are accepted but not tried by a diagnosis. `when(value, model,
+    facts)`: whether a choice is tried.
     """
 
     def tries(name: str, model: Model, facts: Facts) -> list[Try]:
@@ -162,10 +161,10 @@ def searched(
     grid: bool = False,
     when: Callable[[Any, Model, Facts], bool] = always,
 ) -> Any:
-    """Return an argument that is searched: each of `values`, or what `values(facts)` says of a log.
+    """Return an argument that is searched over `values`, or over `values(facts)` of a log.
 
     `label`: a format or a function of the value. `tried(facts)`: how many values were compared, by
-    default those of a grid. `grid`: the values are places between which it may lie.
+    default those of a grid. `grid`: the values are nodes between which it may lie.
     """
 
     def one(name: str, value: Any, count: int) -> Try:
@@ -181,7 +180,7 @@ def searched(
 
 
 def from_log(value: Callable[[Facts], Any], meaning: str, *, valid: Valid = ANY) -> Any:
-    """Return an argument that a log tells: `value(facts)`."""
+    """Return an argument that follows from a log: `value(facts)`."""
     return Number(meaning, lambda name, model, facts: [Try({name: value(facts)})], valid=valid)
 
 
@@ -193,12 +192,12 @@ def found(
     valid: Valid = ANY,
     instead: bool = False,
 ) -> Any:
-    """Return an argument that a rule finds on a log; its tries may state other numbers too (see `beside`)."""
+    """Return an argument whose trials a rule finds on a log; these may set other numbers (see `beside`)."""
     return Number(
         meaning, lambda name, model, facts: rule(model, facts), default, valid=valid, instead=instead
     )
 
 
 def beside(meaning: str, *, default: Any = REQUIRED, instead: bool = False) -> Any:
-    """Return an argument that the tries of another one state."""
+    """Return an argument that is set by the trials of another one."""
     return Number(meaning, lambda name, model, facts: [Try({})], default, instead=instead)

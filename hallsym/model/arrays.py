@@ -61,11 +61,11 @@ OPERATIONS: dict[int, tuple[str, Callable | None]] = {
     **{code: ("binary", operation) for code, operation in BINARY.items()},
     **{ca.OP_CONST: ("constant", None), ca.OP_INPUT: ("input", None), ca.OP_OUTPUT: ("output", None)},
 }
-"""How each operation of CasADi is carried out: it reads up to two places, and writes the last one."""
+"""Implementation of each CasADi operation: it reads up to two registers and writes the last one."""
 
 
 WORK, FEWEST = 12_000_000, 384
-"""Intermediate and final values that are held at once, 96 MB, and samples that are taken together at least.
+"""Largest number of values in memory at once, 96 MB, and least number of samples in a block.
 
 A graph of many magnets and sensors holds tens of thousands of values of each sample at once."""
 
@@ -76,8 +76,8 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
     Each input of `function`, a column of length n, is given as a sequence of n entries, scalars or arrays
     that broadcast together. Each output comes back as one array of shape `(rows, *samples)` (entries that
     depend on no sample are broadcast). Matrix outputs are flattened column by column, as CasADi stores them.
-    What is not finite comes back so, without a warning, as CasADi's own evaluation returns it. `out`: arrays
-    for the outputs, of that shape, where the caller has some.
+    Values that are not finite are returned without a warning, as CasADi does. `out`: arrays of that shape to
+    write the outputs to.
     `real`: type of the constants in the graph, for samples of another type than double.
 
     Raises `NotImplementedError` at once when the graph holds an operation without an array form.
@@ -148,13 +148,13 @@ def on_vectors(function: ca.Function) -> Callable[..., list[np.ndarray]]:
 
 
 def _compile(function: ca.Function, real: type) -> tuple[list, ...]:
-    """Return of all instructions the kind, the operation, two places they read and the one they write.
+    """Return lists over all instructions: kind, operation, two registers read and the register written.
 
-    A list of each, and the numbers of places are shared: a graph has hundreds of thousands of instructions,
-    and the many graphs of a diagnosis are most of its memory.
+    Numbers of registers are shared objects: a graph has hundreds of thousands of instructions, and the graphs
+    of a diagnosis take most of its memory.
     """
     kinds, operations, first, second, targets = program = tuple[list, ...]([] for _ in range(5))
-    # no tuple an instruction: so many of them keep the garbage collector busy
+    # no tuple per instruction: so many slow down the garbage collector
     of = list(range(1 + max(function.sz_w(), function.nnz_in(), function.nnz_out())))
     for k in range(function.n_instructions()):
         code = function.instruction_id(k)

@@ -1,9 +1,8 @@
-"""Derived columns: what no log holds but an effect needs, such as rates, time and memory of the motion.
+"""Derived columns: quantities that effects need and logs lack, such as rates, time and memory of the motion.
 
 A model names them among its `state` and carries how to compute them; `hallsym.log.derived` serves them beside
 the logged columns. Rates come from local polynomials whose window is as wide as the motion allows: wide
-windows average the noise of the reference, and a window is too wide once what it leaves is more than that
-noise.
+windows average the noise of the reference; a window is too wide once its residual exceeds that noise.
 """
 
 from __future__ import annotations
@@ -36,14 +35,14 @@ class Computed:
     needs: tuple[str, ...]
     rule: Callable[[Stretch], np.ndarray]
     at: Callable[[Mapping[str, float]], Computed] | None = None
-    """Of a column that depends on parameters (the width of a loop): the column at their values."""
+    """For a column that depends on parameters (the width of a loop): the column at given values."""
     key: str = ""
-    """Says what `name` does not, once it is taken at values."""
+    """Distinguishes columns of one `name` that are evaluated at different values."""
 
 
 @dataclass(eq=False)
 class Stretch:
-    """Consecutive samples of one run with context: `data[column]`, and what holds for the whole run.
+    """Consecutive samples of one run: `data[column]`, and properties of the whole run.
 
     `first_s`: time of the first sample of the run and `origin_s` of the log. `sigma`: noise by column.
     `halves`: smoothing windows chosen at the beginning of the run. `parts`: of several whole runs, one after
@@ -71,7 +70,7 @@ class Stretch:
 
     @property
     def edges(self) -> list[int]:
-        """Where its runs begin and the last one ends, (runs + 1,)."""
+        """First sample of each run and the end of the last run, (runs + 1,)."""
         return np.cumsum([0, *(len(part.data["t_s"]) for part in self.parts or (self,))]).tolist()
 
     def once(self, key: Hashable, make: Callable[[], T]) -> T:
@@ -104,7 +103,7 @@ class Stretch:
 
 
 def _grid(t: np.ndarray) -> tuple[float, bool, np.ndarray]:
-    """Step of the times, whether they have one, and times that do."""
+    """Time step, whether it is uniform, and times made uniform."""
     steps = np.diff(t)
     step = median(steps)
     even = bool(np.abs(steps - step).max() < 0.25 * step)
@@ -135,7 +134,7 @@ def _local(x: np.ndarray, half: int, order: int) -> np.ndarray:
 
 
 def widest_half(x: np.ndarray, sigma: float) -> int:
-    """Return the half width of the widest window that leaves no more than noise of deviation sigma."""
+    """Return the half width of the widest window whose residual is no larger than noise of std sigma."""
     best, level = HALVES[0], sigma**2
     for half in HALVES:
         if 2 * half + 1 > len(x):

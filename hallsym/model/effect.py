@@ -1,4 +1,4 @@
-"""An effect: one function `Model -> Model` whose signature tells the rest of the program all about it.
+"""An effect: one function `Model -> Model` whose signature defines it for the rest of the program.
 
     @effect(link="field", meaning="memory of the direction of motion",
             separate=Way("the same stroke at several speeds", "a loop keeps its width, a delay does not"))
@@ -7,8 +7,8 @@
 
 The signature is what `--effect hysteresis:half_width_m=6e-05` takes, what a calibration saves, what a
 diagnosis tries on a log and what the detection power injects. A name ends with the unit of its number. The
-default of a number says where its value comes from: `one_of` several choices, `searched` on a grid,
-`from_log` (a log tells it), `found` by a rule (several numbers at once), or a plain value.
+default of a number states the source of its value: `one_of` several choices, `searched` on a grid,
+`from_log`, `found` by a rule (several numbers at once), or a plain value.
 """
 
 import inspect
@@ -28,10 +28,9 @@ from hallsym.model.model import LINKS, Model
 class Variant:
     """One way in which an effect may act: `make(model) -> model`, new parameters at 0 for no effect.
 
-    `label` tells the variants of an effect apart; `text` is what `--effect` takes, `numbers` what it states.
-    `shapes` counts numbers that were searched and are no parameters of the model, `tried` how many of their
-    values were compared, for the significance. `by_itself`: p-value that its searched numbers have by
-    themselves, 1 where nothing is known of them.
+    `label` names the variant within its effect; `text` is the argument of `--effect`, `numbers` its values.
+    `shapes` counts searched numbers that are no parameters of the model, `tried` how many of their values
+    were compared, for the significance. `by_itself`: p-value of the searched numbers alone, 1 if unknown.
     """
 
     label: str
@@ -48,7 +47,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Way:
-    """A way to record an effect so that it shows by itself: `what` to record, and the `reason`, if stated."""
+    """A recording that isolates an effect: `what` to record, and the `reason`, if stated."""
 
     what: str
     reason: str = ""
@@ -70,12 +69,11 @@ def ways_text(ways: Iterable[Way]) -> str:
 class Effect:
     """A named cause of a model error; `effect(model, **numbers)` returns the model with it.
 
-    `link`: of the chain from pose to reading. `separate`: ways to record it so that it shows by itself.
-    `needs`: logged columns without which it cannot be tested. `label`: of a variant without numbers of
-    its own. `unless`: effects that already contain it. `waves`: waves of error per turn that it makes, of
-    a pose that turns. `possible(values)`: whether fitted parameters can belong to this cause. `inject`:
-    how it is injected, where not by its parameters. `diagnosed`: whether a diagnosis tries it.
-
+    `link`: of the chain from pose to reading. `separate`: recordings that isolate it. `needs`: logged columns
+    that a test of it requires. `label`: of a variant without numbers. `unless`: effects that contain it.
+    `waves`: waves of error per period of the pose that it causes. `possible(values)`: whether fitted
+    parameters can belong to this cause. `inject`: how it is injected, if not by its parameters. `diagnosed`:
+    whether a diagnosis tries it.
     """
 
     name: str
@@ -134,7 +132,7 @@ class Effect:
         return {n: stated.get(n, k.default) if n in names else None for n, k in self.numbers.items()}
 
     def lacking(self, text: str) -> tuple[str, ...]:
-        """Return the numbers that a text leaves open and only a log can tell."""
+        """Return the numbers that a text leaves open and that must be estimated from a log."""
         _, given = read_text(text)
         return min((self._open(names, given) for names in self.forms), key=len)
 
@@ -212,7 +210,7 @@ def effect(
     """Make a function `Model -> Model` an `Effect`; `about`: the fields of the record that are not usual.
 
     Name, meaning and numbers are those of the function, of the first line of its docstring and of its
-    signature if they are not stated. `separate`: one way to record it so that it shows by itself, or several.
+    signature if they are not stated. `separate`: one recording that isolates it, or several.
     """
     require(link in (*LINKS, "user"), "Link of an effect", f"one of {', '.join(LINKS)}", link)
     each = (separate,) if isinstance(separate, str | Way) else separate

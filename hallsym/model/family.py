@@ -1,7 +1,7 @@
-"""A family of sensors: all that shared code asks of one, in one record.
+"""A family of sensors: one record with everything that shared code needs to know about it.
 
-Shared code asks the record that a `Model` carries, never a name, so a family written outside the package is
-treated as hallsym's own: only text input (the name of a model, a saved calibration) needs a look-up.
+Shared code uses the record that a `Model` carries, never a name, so families outside the package are equal to
+hallsym's own: only text input (the name of a model, a saved calibration) needs a look-up.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class PoseMetric:
     arm_m: float = 0.35
 
     def weights(self, columns: Iterable[str], arm_m: float | None = None) -> np.ndarray:
-        """Return what an error of each pose coordinate or reference is multiplied by, (n,).
+        """Return the factor on the error of each pose coordinate or reference, (n,).
 
         The metric of several coordinates is the root of the summed squares of these products.
 
@@ -50,7 +50,7 @@ class PoseMetric:
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """What is simulated where nothing is said: tables of a campaign file, values and noise (1 sigma)."""
+    """Defaults of a simulation: tables of a campaign file, values and noise (1 sigma)."""
 
     campaign: Mapping[str, Any]
     values: Mapping[str, float]
@@ -63,7 +63,7 @@ def _itself(model: Model) -> Model:
 
 @dataclass(frozen=True, eq=False)
 class Further:
-    """A recording that a machine can make beside a log, for what the log leaves open.
+    """A further recording that a machine can make, for parameters that a log does not determine.
 
     `text`: what is recorded, in words. `moved(columns)`: those references of it that differ from the log's,
     from the columns of the log, (samples,) each. `read(model)`: the model as it reads in that recording,
@@ -82,13 +82,13 @@ def _plain_from_meta(make: Maker, meta: Any) -> Model:
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """What a kind of sensor tells the rest of the program.
+    """What a family of sensors declares to the rest of the program.
 
     `models`: makers, `default` the name of one (the first), `aliases`: other name -> name. `readings`: a
-    regular expression of the columns it is read in. `about`: what a message calls a log of it, such as
-    "a beam (hall_a_m, ...; y_ref_m)", `noun`: what the machine is called ("beam"). `from_meta(make, meta)`:
-    the model for the layout, columns and nominal values that a log states. `decoder`: how its pose is
-    computed in C, a kind that `hallsym.codegen` knows or a maker `(model, p, weight, box) -> Decoupler`.
+    regular expression of its reading columns. `about`: a log of it in messages, such as "a beam (hall_a_m,
+    ...; y_ref_m)"; `noun`: the machine in messages ("beam"). `from_meta(make, meta)`: the model for the
+    layout, columns and nominal values that a log states. `decoder`: how its pose is computed in C, a kind
+    that `hallsym.codegen` knows or a maker `(model, p, weight, box) -> Decoupler`.
     """
 
     name: str
@@ -96,7 +96,7 @@ class Family:
     default: str = ""
     readings: str = r"(hall|col|v)_\w+"
     references: tuple[str, ...] = ()
-    """Logged columns beside the pose, of all models. A record that does not state them asks its makers."""
+    """Logged columns beside the pose, of all models; empty: those that its makers state."""
     moved: tuple[str, ...] = ()
     """Coordinates and states that a campaign can move, of all models; likewise."""
     about: str = ""
@@ -107,13 +107,13 @@ class Family:
     tables: tuple[str, ...] = ()
     """Tables of a machine file and of meta.json that `from_meta` reads in `Meta.raw`, beside the probes."""
     effects: tuple[Effect, ...] = ()
-    """What a model may be extended by; where a log cannot tell two apart a diagnosis prefers the first."""
+    """Effects that a model may have; of two that are confusable a diagnosis prefers the first."""
     words: Mapping[str, str] = field(default_factory=dict)
-    """What a person calls a column, where its name does not say it: `z_m` -> "height Z"."""
+    """Plain names of columns: `z_m` -> "height Z"."""
     assumed: str = ""
-    """The layout that its models have where nobody states one, as a note says it."""
+    """The layout that its models assume by default, as a note states it."""
     together: str = ""
-    """What a person calls all state columns together."""
+    """Plain name of all state columns together."""
     example: Example | None = None
     tolerances: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Usual tolerances: effect as `--effect` takes it ("" for the models themselves) -> lines of a tolerance
@@ -121,17 +121,17 @@ class Family:
     direct: Callable[[Model], Model] = _itself
     """The same model in the form that is cheapest to evaluate sample by sample."""
     short: Callable[[Model], Model] = _itself
-    """The same model in a form that many effects do not blow up; done to each model with an effect."""
+    """The same model in a form that stays small with many effects; applied to each model with an effect."""
     pairs: bool = False
-    """Whether a diagnosis holds a flexible effect against pairs of plain ones."""
+    """Whether a diagnosis compares a flexible effect with pairs of plain ones."""
     most_effects: int = 3
     """Effects that a diagnosis adds at most."""
     at_bounds: tuple[tuple[str, str, str], ...] = ()
     """Claims on parameters that end at their bounds: name, pattern of the parameters, what it means."""
     implausible: Callable[[Any], Iterable[Any]] = lambda fit: ()
-    """Claims (`hallsym.log.Fault`) on a fit whose values no machine of the family has."""
+    """Claims (`hallsym.log.Fault`) on a fit with values outside the plausible range of the family."""
     further: tuple[Further, ...] = ()
-    """Recordings that its machines can make beside a log."""
+    """Further recordings that its machines can make."""
     decoder: str | Callable[..., Any] = "linear"
 
     @cached_property

@@ -1,8 +1,8 @@
 """Write a model's reading as a sum of data-only features with parameter-only coefficients.
 
 A reading that is polynomial in the logged columns (and in derived ones such as 1 - cos Rz) is linear in
-their monomials: reading = sum_j f_j(data) c_j(parameters, offsets). Found by differentiation, not declared by
-the family, so an effect that adds a term adds its features by itself.
+their monomials: reading = sum_j f_j(data) c_j(parameters, offsets). Features are found by differentiation, so
+an effect that adds a term needs to declare none.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -23,7 +23,7 @@ MAX_DEGREE = 6
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Slopes (1 + n_offsets, m, n) of the coefficients of m pairs of a `channel` and a `feature`, (m,) each."""
+    """Slopes (1 + n_offsets, m, n) of m coefficients, those of a `channel` (m,) and a `feature` (m,)."""
 
     channel: np.ndarray
     feature: np.ndarray
@@ -118,7 +118,7 @@ class Features:
 
     @cached_property
     def coefficients(self) -> ca.Function:
-        """`(parameters, offsets, centre) -> c`, shape (n_features, n_channels): Taylor terms at the centre."""
+        """`(parameters, offsets, centre) -> c`, (n_features, n_channels): Taylor terms at the centre."""
         s, (variables, centre) = self.model.symbols, self._variables
         rows = []
         for row in self.exponents:
@@ -158,7 +158,7 @@ class Features:
 
     @cached_property
     def expansion(self) -> tuple[Callable[..., Sequence[np.ndarray]], Callable[..., np.ndarray]]:
-        """The same, to be called with numbers."""
+        """The same as a function of numbers."""
         first, curvature = (on_vectors(function) for function in self.expressions)
         return first, lambda *inputs: curvature(*inputs)[0]
 
@@ -174,7 +174,7 @@ class Features:
 
     @property
     def everywhere(self) -> "Features":
-        """The features that have the same slopes at any point, one for all points of a tangent."""
+        """The features whose slopes do not depend on the point: one for all points of a tangent."""
         return self
 
     def linear(self, p: np.ndarray) -> tuple[np.ndarray, Rows] | None:
@@ -185,7 +185,7 @@ class Features:
         return None
 
     def slope_rows(self, p: np.ndarray) -> np.ndarray | None:
-        """Return rows (m, n) that show what no recording determines at `p`; None: the coefficients do."""
+        """Return rows (m, n) whose null space no recording determines at `p`; None: use the coefficients."""
         return None
 
     def label(self, j: int) -> str:
@@ -211,7 +211,7 @@ class Features:
 
     @cached_property
     def _shifts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Monomials i that a monomial j of the same or higher powers adds to when it is moved; how often."""
+        """Monomials i that a shifted monomial j of the same or higher powers contributes to; how often."""
         i, j = np.nonzero((self.exponents[None] >= self.exponents[:, None]).all(axis=2))
         pairs = zip(self.exponents[j].tolist(), self.exponents[i].tolist(), strict=True)
         return i, j, np.array([prod(map(comb, high, low)) for high, low in pairs], dtype=float)
@@ -269,7 +269,7 @@ def _of_low_degree(model: Model, variables: ca.SX) -> bool:
 
 
 def _reproduces(features: Features) -> bool:
-    """Check the expansion far from its centre: |u| or a step has derivatives, and is no polynomial."""
+    """Check the expansion far from its centre: |u| or a step has derivatives but is no polynomial."""
     model, rng = features.model, np.random.default_rng(0)
     s, (variables, _) = model.symbols, features._variables
     read = ca.Function("reading", [s.parameters, s.offsets, variables], [s.reading])

@@ -1,6 +1,6 @@
-"""How the decoded pose follows everything it is computed from: parameters, readings, state and offsets.
+"""Sensitivity of the decoded pose to all of its inputs: parameters, readings, state and offsets.
 
-The reading determines the pose implicitly, m = f(p, offsets, pose, state), so by the implicit function theorem
+The reading determines the pose implicitly, m = f(p, offsets, pose, state); by the implicit function theorem
 d pose / d m = D = (J^T W J)^-1 J^T W with J = df/dpose, and d pose / d u = -D df/du for every other input u.
 J and df/du are CasADi's exact Jacobians of the model's reading.
 """
@@ -42,7 +42,7 @@ def influence(
 ) -> Influence:
     """Return the slopes of the decoded pose at given poses and states.
 
-    `p`: (n,). `offsets`, `pose`, `state`: one scalar or (s,) array per zero, pose coordinate and state column.
+    `p`: (n,). `offsets`, `pose`, `state`: one scalar or (s,) array per offset, coordinate and state column.
     `weight`: 1/variance per channel, which matters only with more channels than coordinates (default 1).
     """
     by_p, by_zero, J, by_state = reading_slopes(model, p, offsets, pose, state)

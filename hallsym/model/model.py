@@ -2,9 +2,9 @@
 
     pose -> clock -> mechanics -> reference -> field -> transducer -> electronics -> reading
 
-A family builds the chain, an effect is a function `Model -> Model` that adds a step to one link. Everything
-else (readings, decoded pose, derivatives, generated code) is derived from the expressions that the steps
-leave behind, so there is one copy of the mathematics.
+A family builds the chain; an effect is a function `Model -> Model` that adds a step to one link. Readings,
+decoded pose, derivatives and generated code are derived from the expressions of the steps, so there is one
+copy of the mathematics.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
@@ -29,7 +29,7 @@ the reference is seen by each probe as a displacement."""
 
 @dataclass(frozen=True)
 class Parameter:
-    """One scalar of the device: name, nominal value and bounds in SI, unit, and what it means."""
+    """One scalar of the device: name, nominal value and bounds in SI, unit, and meaning."""
 
     name: str
     nominal: float
@@ -45,11 +45,11 @@ class Parameter:
 
 
 class Signals(dict):
-    """What flows along the chain: `name -> SX`. A step reads what it needs and replaces what it changes.
+    """The signals of the chain: `name -> SX`. A step reads those it needs and replaces those it changes.
 
     Keys set before the first step: the columns of pose and state. `derive` adds a data-only quantity (such
     as 1 - cos Rz) that is not polynomial in the columns, so that readings stay polynomial in data.
-    `functions`: what a step leaves for later ones to call with the signals of that moment.
+    `functions`: functions of the signals that a step provides for later steps.
     """
 
     def __init__(self, columns: Iterable[str]) -> None:
@@ -58,9 +58,9 @@ class Signals(dict):
         self.functions: dict[str, Callable[..., Any]] = {}
 
     def copied(self) -> "Signals":
-        """Return the signals for another chain that goes on from here.
+        """Return a copy of the signals for another chain that continues from here.
 
-        Raises `TypeError` where one is no expression, number or container: it may hold these signals.
+        Raises `TypeError` if one is no expression, number or container: it may refer to these signals.
         """
         out = Signals(())
         out.update({k: ca.SX(v) if isinstance(v, ca.SX) else _copied(v) for k, v in self.items()})
@@ -90,7 +90,7 @@ Step = Callable[[Signals, Mapping[str, ca.SX]], None]
 
 @dataclass(frozen=True, eq=False)
 class Combination:
-    """A readable function of the parameters, such as a lever arm: may be determined when they are not."""
+    """A readable function of the parameters, such as a lever arm: may be identifiable when they are not."""
 
     expression: str
     unit: str
@@ -100,7 +100,7 @@ class Combination:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What a family finds in a log before a fit: notes, and channels whose sign is that of the other side."""
+    """Result of a family's pre-fit check of a log: notes, and channels of reversed sign."""
 
     notes: tuple[str, ...] = ()
     inverted: tuple[str, ...] = ()
@@ -110,9 +110,9 @@ class Inspection:
 class Model:
     """A chain with its parameters; immutable, extended by `with_step`.
 
-    `pose` are the columns the sensor shall give (x, y, Rz), `references` the logged columns beside them,
-    `state` the measured columns the gain may depend on, `channels` the readings. `offsets` are the nuisance
-    parameters that each run has of its own (the zero deviations of Eq. (30)); a reading is linear in them.
+    `pose` are the columns that the sensor measures (x, y, Rz), `references` their logged references, `state`
+    the measured columns that the gain may depend on, `channels` the readings. `offsets` are the nuisance
+    parameters of each run (the zero deviations of Eq. (30)); a reading is linear in them.
     """
 
     name: str
@@ -132,31 +132,29 @@ class Model:
     computed: tuple[Computed, ...] = ()
     """How to make the columns among `state` that are not logged; `hallsym.log.derived` serves them."""
     texts: Mapping[str, str] = field(default_factory=dict)
-    """What an effect is saved as where its name does not say all: `hysteresis:half_width_m=6e-05`."""
+    """Text under which an effect with numbers is saved: `hysteresis:half_width_m=6e-05`."""
     period: Mapping[str, float] = field(default_factory=dict)
     """Pose coordinates, channels, references and parameters that repeat, each with its period [its unit]."""
     absolute: tuple[str, ...] = ()
-    """References among them that are logged as they are, such as an interferometer's beside a periodic field:
-    a step of more than half a period is a step."""
+    """References among them that do not wrap, such as an interferometer beside a periodic field."""
     homes: Mapping[str, str] = field(default_factory=dict)
-    """Offsets that are the origin of a periodic coordinate in each run: name of the zero -> coordinate."""
+    """Offsets that are the origin of a periodic coordinate in each run: name of the offset -> coordinate."""
     amplitudes: tuple[str, ...] = ()
-    """Parameters whose common factor scales all readings and moves no decoded pose: an air gap sets it, no
-    drawing."""
+    """Parameters whose common factor, set by the air gap, scales all readings and moves no decoded pose."""
     begin: "Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX] | None" = None
     """`(reading, parameters) -> pose` near which decoding begins; the zero pose otherwise."""
     formulas: "Mapping[str, Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX]]" = field(default_factory=dict)
     """Other closed forms `(reading, parameters) -> pose` by name, as a paper states them."""
     onward: "Callable[[np.ndarray, str, Mapping[str, float]], np.ndarray] | None" = None
-    """`(poses (n_pose, samples), coordinate, parameters) -> (n_pose, samples)`: how a pose changes, per unit
-    of the nominal period of a coordinate, on the way to the next pose that reads the same; only that
-    coordinate, and by as much, where it is None."""
+    """`(poses (n_pose, samples), coordinate, parameters) -> (n_pose, samples)`: change of the pose, per unit
+    of the nominal period of a coordinate, towards the next pose with the same readings; None: only that
+    coordinate changes, by its period."""
     guess: "Callable[[Model, Any], Mapping[str, float]] | None" = None
     """`(model, log) -> parameters` to begin from, of a model without run statistics; nominal otherwise."""
     typical: tuple[tuple[float, ...], ...] = ()
     """Poses over which noise is averaged where readings are not linear in the pose; else the zero pose."""
     inspect: "Callable[..., Inspection] | None" = None
-    """`(model, log, fitted=True)`: what the family says of a log before it is fitted, or judged. Raises
+    """`(model, log, fitted=True)`: the family's pre-fit check of a log that is fitted, or evaluated. Raises
     `InputError`."""
     before: "Model | None" = field(default=None, repr=False)
     """The model that this one was made from; it shares the expressions up to the first step that differs."""
@@ -227,7 +225,7 @@ class Model:
 
     @property
     def rest(self) -> dict[str, float]:
-        """Where pose and state are if nothing is said: the first typical pose if any is stated, else 0."""
+        """Default pose and state: the first typical pose if any is stated, else 0."""
         pose = self.typical[0] if self.typical else (0.0,) * len(self.pose)
         return dict(zip(self.pose, pose, strict=True)) | dict.fromkeys(self.state, 0.0)
 
@@ -281,7 +279,7 @@ class Model:
 
     @cached_property
     def _symbols(self) -> dict[tuple[str, str], ca.SX]:
-        """Symbols of parameters, offsets and columns by kind and name; the model before has the same ones."""
+        """Symbols of parameters, offsets and columns by kind and name, shared with the model before."""
         known = self.before._symbols if self.before else {}
         own = [("parameter", name) for name in (*self.names, *(z.name for z in self.offsets))]
         own += [("column", name) for name in (*self.pose, *self.state)]
@@ -344,7 +342,7 @@ class Model:
         return ca.Function("gain", [s.parameters, s.state], [ca.densify(s.full(s.gain))])
 
     def zero_scale(self, p: np.ndarray, first_state: np.ndarray) -> np.ndarray:
-        """Return what a run's offsets (z,) are multiplied by to be read; of states (runs, n_state) (runs, z).
+        """Return the factor from a run's offsets (z,) to readings; for states (runs, n_state), (runs, z).
 
         phi(0) of Eq. (31) where they are displacements, one per channel; else 1.
         """
@@ -401,7 +399,7 @@ class Model:
         )
 
     def _within_half(self, values: ca.SX, columns: tuple[str, ...]) -> ca.SX:
-        """Return values of columns, those that repeat within half a period of zero."""
+        """Return values of columns, periodic ones wrapped to half a period around zero."""
         periods = [self.period.get(c) for c in columns]
         return ca.vertcat(
             *(
@@ -419,7 +417,7 @@ class Model:
 
     @cached_property
     def noise_gain_at(self) -> ca.Function:
-        """d pose / d reading, `(parameters, pose, state, weight) -> (n_pose, n_channels)`, offsets at zero."""
+        """d pose / d reading, `(parameters, pose, state, weight) -> (n_pose, n_channels)`, offsets 0."""
         s, weight = self.symbols, ca.SX.sym("weight", len(self.channels))
         reading = ca.substitute(s.full(s.reading), s.offsets, ca.SX.zeros(len(self.offsets)))
         slope = _solve(ca.jacobian(reading, s.pose), ca.SX.eye(len(self.channels)), weight)
@@ -454,7 +452,7 @@ def _column(entries: Iterable[ca.SX]) -> ca.SX:
 
 @dataclass(frozen=True, eq=False)
 class Symbols:
-    """The symbolic chain of a model: its inputs as SX columns, and what comes out."""
+    """The symbolic chain of a model: its inputs as SX columns, and its outputs."""
 
     parameters: ca.SX
     offsets: ca.SX
@@ -467,7 +465,7 @@ class Symbols:
     displacement: ca.SX
 
     def full(self, expression: ca.SX) -> ca.SX:
-        """Return `expression` with derived quantities replaced by what they stand for."""
+        """Return `expression` with derived quantities replaced by their definitions."""
         if self.derived.numel() == 0:
             return expression
         return ca.substitute(expression, self.derived, self.derived_as)
@@ -497,7 +495,7 @@ def _solve(slope: ca.SX, residual: ca.SX, weight: ca.SX) -> ca.SX:
 class Quantity:
     """A named scalar g(p) of the n parameters of a model, with exact derivatives.
 
-    `lower`, `upper`: values that it cannot leave; infinite where only the bounds of the parameters count.
+    `lower`, `upper`: its bounds; infinite where only the bounds of the parameters apply.
     `symbol` (n,) and `expression` (scalar) define it in CasADi.
     """
 
@@ -554,7 +552,7 @@ def combination(model: Model, which: Combination) -> Quantity:
 
 
 def linear(model: Model, gradient: Sequence[float] | np.ndarray, unit: str, name: str = "") -> Quantity:
-    """Return the combination gradient . p; its name is what it reads like unless one is given."""
+    """Return the combination gradient . p; its name is its formula unless one is given."""
     factors = [float(factor) for factor in gradient]
     involved = [k for k, factor in enumerate(factors) if factor != 0.0]
     text = " + ".join(_term(factors[k], model.names[k]) for k in involved).replace("+ -", "- ")

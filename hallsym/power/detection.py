@@ -1,7 +1,7 @@
-"""What a diagnosis of this log can find: known effects injected into its own motion, diagnosed blind.
+"""Detection power on one log: known effects injected into its own motion, diagnosed blind.
 
-The fitted model is the simulated machine, the recorded motion its motion, and the noise is that of the log as
-it is: its size whatever was stated, its colour, in the reference too. Each effect of the catalogue and each
+The fitted model is the simulated machine, with the recorded motion and the actual noise of the log: its size,
+whatever was stated, and its autocorrelation, in the reference too. Each effect of the catalogue and each
 fault of samples is injected at sizes whose noise-free gap is a given multiple of the noise floor. Each
 simulated log is diagnosed as the real one would be, many times.
 """
@@ -34,12 +34,12 @@ RATIOS = (1.07, 1.3, 2.0)
 REPEATS = 20
 """Trials of each size: if all find it, it is found in at least 83 % (two-sided 95 %)."""
 ROWS = 30_000
-"""Samples to which a longer log is decimated: the fifth that judges knows a gap metric to 1 %."""
+"""Samples to which a longer log is decimated: the fifth that is holdout gives a gap metric to 1 %."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One injection and what the blind diagnosis said.
+    """One injection and the result of the blind diagnosis.
 
     `ratio`: gap over noise floor that was asked for, None where nothing can be scaled; `gap_m`: noise-free
     gap metric that was reached. `size`: parameter -> (value in SI, unit). `outcome`: "found" (named first),
@@ -64,7 +64,7 @@ class Trial:
 
     @property
     def noticed(self) -> bool:
-        """Whether the diagnosis said that there is a gap."""
+        """Whether the diagnosis found a gap."""
         return self.verdict not in QUIET
 
 
@@ -123,7 +123,7 @@ class Findable:
 
 @dataclass(frozen=True)
 class DetectionPower:
-    """What `detection_power` returns; `complete` is False where an interrupt ended it before all was tried.
+    """Result of `detection_power`; `complete` is False where an interrupt ended it early.
 
     `outputs`: names of the pose. `false_alarm_rate`: `found` is the share of logs without an effect in which
     the diagnosis said that there is a gap. Gaps are in m, or in rad where the pose is an angle alone.
@@ -160,9 +160,9 @@ class DetectionPower:
 
 
 class Bench:
-    """What all trials share: the simulated machine, its noise, and how a simulated log is diagnosed.
+    """The context of all trials: the simulated machine, its noise, and the settings of a diagnosis.
 
-    `reasons`: effect -> why it cannot be injected. `injections(repeat)`: what can be, by name, drawn anew for
+    `reasons`: effect -> why it cannot be injected. `injections(repeat)`: the others, by name, drawn anew for
     each repeat.
     """
 
@@ -276,12 +276,12 @@ def detection_power(
     drop_bad: bool = False,
     on_progress: Callable[[str], None] | None = None,
 ) -> DetectionPower:
-    """Return which effects a diagnosis of `log` would find, and from which size on.
+    """Return which effects a diagnosis of `log` would find, and above which size.
 
     `names`: effects and faults to try (default: all). `ratios`: gap over noise floor of the sizes, above 1.
     `repeats`: trials of each size, with other signs, instants and noise. `rows`: samples to decimate the log
     to. `model`, `holdout`, `effects`, `threshold` as in `diagnose`. The largest size of every effect is tried
-    first; a keyboard interrupt ends it early: what was done is returned with `complete` False.
+    first; a keyboard interrupt ends it early and returns the trials so far with `complete` False.
 
     Raises `InputError` for an unknown name, a ratio not above 1, and wherever `diagnose` does.
     """
@@ -339,7 +339,7 @@ def _wanted(names: Sequence[str] | None, catalogue: Sequence[Effect]) -> tuple[s
 
 
 def _findable(bench: Bench, name: str, trials: Sequence[Trial]) -> Findable:
-    """Return the result of one effect: found from the smallest size on above which most trials find it."""
+    """Return the result of one effect, with the smallest size above which most trials find it."""
     reason, injection = bench.reasons.get(name, ""), bench.injections(0).get(name)
     own = sorted(trials, key=lambda t: (t.ratio or 0.0, t.repeat))
     by_size = {ratio: [t for t in own if t.ratio == ratio] for ratio in dict.fromkeys(t.ratio for t in own)}

@@ -1,4 +1,4 @@
-"""Readings of a machine whose gap is known: an effect or fault, scaled until the gap is as wanted.
+"""Readings of a machine with a known gap: an effect or fault, scaled to the wanted gap.
 
 An effect acts through its own model, exactly; a fault of samples acts on the readings
 (`hallsym.families.faults`).
@@ -23,13 +23,13 @@ from hallsym.power.simulated_machine import SimulatedMachine, readings_of
 def sized(truth: SimulatedMachine, injection: Injection, ratio: float) -> tuple[float, float] | str:
     """Return the amount whose noise-free gap with the floor is `ratio` times the floor, and its gap metric.
 
-    Or why there is none.
+    Or the reason why there is none.
     """
     wanted, near = truth.floor_m * float(np.sqrt(ratio**2 - 1)), truth.base.policy.negligible
     tiny, seen = np.finfo(float).eps, dict[float, tuple[float, float]]()
 
     def over(level: float) -> float:
-        """Logarithm of the gap over what is wanted; `level`: logarithm of the amount."""
+        """Logarithm of the gap over the wanted one; `level`: logarithm of the amount."""
         if level not in seen:
             readings = injection.make(float(np.exp(level)), 0.0)
             finite = bool(np.isfinite(readings).all())
@@ -106,7 +106,7 @@ def injections(
 
 
 def _facts(truth: SimulatedMachine, rng: np.random.Generator) -> Facts:
-    """What the injected effects are built from: one instant, in the middle of a run, and one mains line."""
+    """Facts for the injected effects: one instant, in the middle of a run, and one mains line."""
     base, t, run = truth.base, truth.columns["t_s"], truth.recording.run
     warm = truth.columns.get("temperature_degc")
     third = len(truth.runs) // 3
@@ -135,7 +135,7 @@ def _effect(
     units = [model.parameters[k].unit for k in at]
     reach, each = np.maximum(np.abs(lower), np.abs(upper)), np.zeros(len(new))
     for unit in set(units):
-        same = np.array([u == unit for u in units]) & (raw > 0)  # the width of a loop shows not by itself
+        same = np.array([u == unit for u in units]) & (raw > 0)  # the width of a loop has no effect by itself
         total = float(np.sqrt((raw[same] ** 2).sum()))
         if total * reach[same].max(initial=0.0) > base.policy.negligible * truth.floor_m:
             each[same] = truth.floor_m / total

@@ -1,8 +1,8 @@
 """The simulated machine of the detection power: a fitted model on recorded motion, and its noise.
 
-The recorded reference, smoothed, vertical state, time and temperature are taken as the truth. The noise is
-that of the log as it is: as large and as correlated in time as what the fit leaves (`noise_of_rest`), in the
-readings and in the reference. What is stated of it is what the log states, and no more.
+The recorded reference, smoothed, vertical state, time and temperature are taken as the truth. The noise has
+the size and autocorrelation of the residual of the fit (`noise_of_rest`), in the readings and in the
+reference. The simulated logs state the noise that the log states.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -54,7 +54,7 @@ class SimulatedMachine:
         return of_recording(log) if base.sliced else log
 
     def gap(self, readings: np.ndarray) -> tuple[float, float]:
-        """Gap metric [m] of noise-free readings on the held-out runs: with the model fitted, and before."""
+        """Gap metric [m] of noise-free readings on the holdout runs: with the model fitted, and before."""
         t = normal_equations(replace(self.base, log=self.log(readings)))
         known, judged = t.units(self.runs), t.units(tuple(self.base.holdout))
         theta = coefficients(t.likelihood[known].sum(axis=0), np.arange(len(self.base.free)))
@@ -64,10 +64,10 @@ class SimulatedMachine:
 
 
 def decimated(base: Base, rows: int) -> tuple[Log, str]:
-    """Return about `rows` samples of `base.log`; those that the fit left out are left out here too.
+    """Return about `rows` samples of `base.log`, without those that the fit left out.
 
-    Samples are left out as far as motion and mains stay resolved, and then the ends of long runs. The text
-    says what was left out, "" for nothing.
+    The log is decimated as far as motion and mains stay resolved, then ends of long runs are cut. The text
+    states what was left out, "" for nothing.
     """
     log, every = base.log, spacing(base, rows)
     long = log.rows > rows * every
@@ -135,8 +135,8 @@ class SimulatedNoise:
     def draw(self, run: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Return noise of the readings, (K, rows), and of each reference, (rows,); every run begins anew."""
         size = np.concatenate([self.readings, list(self.reference.values())])
-        apart = SETTLE * np.cumsum(np.diff(run, prepend=run[0] - 1) != 0) if len(self.coefficients) else 0
-        at = np.arange(len(run)) + apart
+        gaps = SETTLE * np.cumsum(np.diff(run, prepend=run[0] - 1) != 0) if len(self.coefficients) else 0
+        at = np.arange(len(run)) + gaps
         white = rng.standard_normal((len(size), at[-1] + 1))
         noise = size[:, None] * autoregressive(self.coefficients, white)[:, at]
         K = len(self.readings)
@@ -144,9 +144,9 @@ class SimulatedNoise:
 
 
 def simulated_noise(base: Base, runs: Sequence[int], stated: bool = True) -> SimulatedNoise:
-    """Return noise like that which `base` leaves on `runs`.
+    """Return noise like the residual of `base` on `runs`.
 
-    It is white and as large as the noise floor where they are too short to tell. `stated`: whether that is.
+    It is white and as large as the noise floor if the runs are too short. `stated`: whether the floor is.
     """
     found, model = noise_of_rest(base, runs), base.model
     reference = {c: base.sigma[c] for c in model.references if base.sigma.get(c, 0.0) > 0}

@@ -1,4 +1,4 @@
-"""What a person reads: words, figures and pages, all drawn from the same typed results.
+"""Reports: words, figures and pages, all drawn from the same typed results.
 
 `hallsym.report(fit, "page.html")` writes the page of a result: the module itself is called.
 """

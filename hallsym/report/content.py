@@ -1,4 +1,4 @@
-"""What is said of a result: the answer in a sentence, tables, remarks and figures.
+"""The content of a report: the answer in a sentence, tables, remarks and figures.
 
 A terminal prints it (`printed`), a page lays it out (`document`), a notebook shows it (`fragment`).
 """
@@ -31,7 +31,7 @@ class Words:
 
 @dataclass(frozen=True)
 class Note:
-    """What explains a figure or a table of a page; a terminal leaves it out."""
+    """Explanation of a figure or a table of a page; a terminal leaves it out."""
 
     kind: ClassVar[str] = "note"
     words: str
@@ -141,11 +141,11 @@ class Section:
 
 @dataclass(frozen=True)
 class Content:
-    """All that is said of a result.
+    """The whole report of a result.
 
     `answer`: a sentence, the first line of a command and the card of a page, after the `word` of a page.
-    `state`: good, open or bad. `first`: what stands beside the answer. `command` comes next, `why` says what
-    for. `columns`: the numbers of the result in SI, for a file of a page.
+    `state`: good, open or bad. `first`: blocks beside the answer. `command`: the next one, `why`: its
+    purpose. `columns`: the numbers of the result in SI, for a file of a page.
     """
 
     title: str
@@ -161,7 +161,7 @@ class Content:
     """Of the result; of a log where it is given one."""
     footer: str = ""
     seconds: float | None = None
-    """How long it took, which a terminal says; a page of the same data is the same."""
+    """Computing time, for a terminal only, so that a page depends on the data alone."""
 
 
 # -- in a terminal ---------------------------------------------------------------------------------------

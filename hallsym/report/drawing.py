@@ -313,9 +313,9 @@ class _Svg(RendererBase):
             x, y = at + (off @ across) * across
             y = self.size[1] - y
             place = {"center": ' text-anchor="middle"', "right": ' text-anchor="end"'}.get(mtext.get_ha(), "")
-        turned = f' transform="rotate({-angle:g} {_px(x)} {_px(y)})"' if angle else ""
+        rotation = f' transform="rotate({-angle:g} {_px(x)} {_px(y)})"' if angle else ""
         fill = self._colour("fill", gc.get_rgb()) + ' font-weight="600"' * (prop.get_weight() == "bold")
-        self.parts.append(f'<text x="{_px(x)}" y="{_px(y)}"{place}{turned}{fill}>{escape(s)}</text>')
+        self.parts.append(f'<text x="{_px(x)}" y="{_px(y)}"{place}{rotation}{fill}>{escape(s)}</text>')
 
     def _colour(self, what: str, colour: Any) -> str:
         if colour is None:

@@ -1,4 +1,4 @@
-"""What a figure shows: panels with two axes each, and layers over them.
+"""A figure: panels with two axes each, and layers over them.
 
 Every figure of a page, of a file and of a session is a `Picture`; `hallsym.report.drawing` draws it. A layer
 draws itself over the axes of matplotlib, which is imported only then.
@@ -68,7 +68,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Look:
-    """Colour of lines and edges, colour of areas, and what tells them apart without colour.
+    """Colour of lines and edges, colour of areas, and the marks that distinguish them without colour.
 
     `width` of lines and `size` of markers in points; `dash`, `marker` and `hatch` as in matplotlib.
     """
@@ -119,7 +119,7 @@ def level(at: float, look: Look = FLOOR, label: str = "", *, up: bool = False) -
 
 
 def area(x: Any, low: Any, high: Any, look: Look) -> Layer:
-    """Return what lies between two lines."""
+    """Return the area between two lines."""
     return lambda ax: ax.fill_between(x, low, high, facecolor=look.face, linewidth=0)
 
 

@@ -1,4 +1,4 @@
-"""What every text is made of: aligned tables, values with their uncertainty, columns with their unit."""
+"""Text: aligned tables, values with their uncertainty, columns with their unit."""
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass

@@ -18,7 +18,7 @@ FIRST = 8
 
 
 def summary(result: Any) -> str:
-    """Return what the command of a result prints."""
+    """Return the text that the command of a result prints."""
     return fitted(printed(content(result)).rstrip())
 
 
@@ -46,7 +46,7 @@ def figure(result: Any, log: Any = None) -> Figure:
 
 
 def html(result: Any) -> str:
-    """Return what a notebook shows of a result: its answer, its first tables and its picture."""
+    """Return the view of a result in a notebook: its answer, its first tables and its picture."""
     said = _content_of(result)
     try:
         picture = said.picture and said.picture(None)
@@ -56,7 +56,7 @@ def html(result: Any) -> str:
 
 
 def content(result: Any) -> Content:
-    """Return all that is said of a result."""
+    """Return the whole report of a result."""
     more = {"log": result.source} if _kind(result) == "Fit" else {}
     return _content_of(result, **more)
 
@@ -85,7 +85,7 @@ _CONTENTS = {
     "Fleet": "fleet.fleet_content",
     "RingFleet": "self_calibration.ring_fleet_content",
 }
-"""What makes the content of each kind; its module is loaded when one is shown."""
+"""Maker of the content of each kind; its module is loaded when one is shown."""
 
 
 def _kind(result: Any) -> str:

@@ -52,7 +52,7 @@ def setting(
     units: bool = False,
     periodic: Collection[str] | None = None,
 ) -> str:
-    """Return `Z +250 Rx -500`, in um and urad; what is within `near` of zero is left out."""
+    """Return `Z +250 Rx -500`, in um and urad, without values within `near` of zero."""
     parts = []
     for column, value, least in zip(columns, point, np.broadcast_to(near, len(columns)), strict=True):
         if abs(value) > least:
@@ -75,7 +75,7 @@ def largest(values: np.ndarray) -> float:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Return significant digits: with an exponent only where there would be many zeros, nothing for nan.
+    """Return significant digits, with an exponent only for very large or small values, nothing for nan.
 
     >>> number(0.00123456), number(123456.0), number(2e-9), number(float("nan"))
     ('0.00123', '123000', '2e-09', '')

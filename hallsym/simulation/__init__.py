@@ -1,4 +1,4 @@
-"""Logs of machines that are known: campaigns, trajectories, noise, and the simulated machine."""
+"""Logs of known machines: campaigns, trajectories, noise, and the simulated machine."""
 
 from hallsym.simulation.campaign import (
     MOST_SAMPLES,

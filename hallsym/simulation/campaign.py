@@ -1,7 +1,7 @@
-"""A campaign: which runs are recorded, at which vertical settings, along which trajectories.
+"""A campaign: its runs, vertical settings and trajectories.
 
 A campaign is a TOML file (docs/campaign.md), or the paper's (`hallsym.simulation.paper`). A signal is a
-function of time that knows how a campaign file describes it, so a campaign that was made here can be written.
+function of time that carries its entry of a campaign file, so that a campaign can be written.
 """
 
 from collections.abc import Mapping, Sequence
@@ -120,9 +120,9 @@ def noise_table(file: Table) -> dict[str, float]:
     return {column: noise.positive(column) for column in noise.raw}
 
 
-def _run(entry: Table, folder: Path, held: Mapping[str, float], *, single: bool = False) -> Run:
-    """A run with axes `held` at a setting; a `single` one, [[run]], holds axes and has places of its own."""
-    setting, motion = dict(held), {}
+def _run(entry: Table, folder: Path, steady: Mapping[str, float], *, single: bool = False) -> Run:
+    """A run with axes `steady` at a setting; a `single` one, [[run]], states its own settings and places."""
+    setting, motion = dict(steady), {}
     name = entry.raw.get("name", "")
     require(isinstance(name, str), f"'name' of {entry.where}", "a text", name)
     for axis in (axis for axis in axes() if axis in entry):

@@ -17,7 +17,7 @@ BLOCK = 65_536
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """How the recorded columns differ from the truth.
+    """Noise of the recorded columns.
 
     `sigma`: column -> standard deviation of white Gaussian noise in the column's unit. `correlation_s`: > 0
     makes the noise of all columns first-order autoregressive with that time constant, same variance.
@@ -37,7 +37,7 @@ class NoiseModel:
     cordic_steps: int = 0
 
     def __post_init__(self) -> None:
-        """Refuse levels that no noise can have."""
+        """Refuse impossible levels."""
         for name, value in self.sigma.items():
             require(0 <= value < np.inf, f"Noise of {name}", "a number >= 0", value)
         for name in ("correlation_s", "outlier_size", "adc_step_m"):
@@ -103,7 +103,7 @@ def simulate_blocks(
 
 
 def _computed(model: Model, p: np.ndarray, stretch: Stretch) -> dict[str, np.ndarray]:
-    """Return the columns that are computed from others, as a fit computes them; 0 without what they need."""
+    """Return the columns that are computed from others, as a fit computes them; 0 without their inputs."""
     none, out = np.zeros(len(stretch.data["t_s"])), {}
     for column in model.computed:
         taken = column.at(model.named(p)) if column.at else column

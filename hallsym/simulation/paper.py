@@ -14,7 +14,7 @@ from hallsym.simulation.signals import sine
 DESIGNED = "stage15"
 """The paper's first model, with its layout."""
 ANGLE_NOISE = 0.3e-6
-"""Rz of the interferometers [rad]: two beams 0.4 m apart that differ by about 100 nm."""
+"""Rz of the interferometers [rad]: two beams at a distance of 0.4 m that differ by about 100 nm."""
 VERTICAL_NOISE = {"z_m": 12e-9, "rx_rad": 80e-9, "ry_rad": 80e-9}
 """Capacitive sensors of 12 nm (Section 5 of the paper) on a base of about 150 mm."""
 
@@ -59,8 +59,8 @@ def table8_noise(model: Model, values: Mapping[str, float] | None = None) -> Noi
     """Return noise levels for which the paper's machine, perfectly calibrated, shows Table 8's RMSE.
 
     Equal independent noise of the three probes reproduces Rz, 2.3057 urad, and then explains only .4 um of
-    the 1.54 um in Y: A and B both sense Y, so independent noise cannot do both. What is missing in X and Y is
-    common to the probes and is given to the reference.
+    the 1.54 um in Y: A and B both sense Y, so independent noise cannot do both. The rest in X and Y is common
+    to the probes and is attributed to the reference.
     """
     p = model.vector(published.values("table7_estimates") if values is None else values)
     table = published.table("table8_errors_model31")

@@ -1,4 +1,4 @@
-"""Signals: positions over time that know how a campaign file describes them."""
+"""Signals: positions over time, with their entries of a campaign file."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -68,19 +68,19 @@ def triangle(amplitude: float, frequency_hz: float) -> Signal:
 
 
 def steps(levels: list[float], dwell_s: float) -> Signal:
-    """Return `levels` in turn, each held for `dwell_s`, from the beginning again after the last."""
+    """Return `levels` in cyclic order, each for `dwell_s`."""
     require(levels, "'levels' of steps", "a list of one level or more", levels)
-    held = np.asarray(levels, dtype=float)
-    values = {"levels": held.tolist(), "dwell_s": dwell_s}
+    sequence = np.asarray(levels, dtype=float)
+    values = {"levels": sequence.tolist(), "dwell_s": dwell_s}
 
     def at(t: np.ndarray) -> np.ndarray:
-        return held[np.floor(t / dwell_s + 1e-9).astype(int) % len(held)]
+        return sequence[np.floor(t / dwell_s + 1e-9).astype(int) % len(sequence)]
 
     return Signal("steps", values, at, 1 / dwell_s)
 
 
 def ramp(rate: float, acceleration: float = 0.0) -> Signal:
-    """Return rate * t + acceleration * t^2 / 2: turning at a constant or a growing speed."""
+    """Return rate * t + acceleration * t^2 / 2: rotation at a constant or a growing speed."""
     values = {"rate": rate} | ({"acceleration": acceleration} if acceleration else {})
     return Signal("ramp", values, lambda t: rate * t + 0.5 * acceleration * t**2)
 

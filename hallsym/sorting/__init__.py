@@ -1,7 +1,7 @@
 """Sort sensors by gain, and choose from an inventory the sets that an array decodes best with.
 
-`readings` reads the table of a sorting bench, `bins` holds the probabilities, `sort` puts it together. After
-Maguire, UBC 2015, chapter 5. `influence` asks a model what a gain does to its pose, `match` chooses the sets.
+`readings` reads the table of a sorting bench, `bins` holds the probabilities, `sort` sorts. After Maguire,
+UBC 2015, chapter 5. `influence` is the sensitivity of a model's pose to gains, `match` chooses the sets.
 """
 
 from hallsym.sorting.bins import change_probability

@@ -1,4 +1,4 @@
-"""Bins of gain: which one a sensor belongs to, with what probability it is wrong, what repeats do.
+"""Bins of gain: the bin of a sensor, the probability that it is wrong, and of a change when repeated.
 
 A bin of width w holds gains within +- w / 2 of its centre 1 + k w, relative to the nominal gain.
 """
@@ -13,7 +13,7 @@ from hallsym.errors import require
 from hallsym.units import Array
 
 LOT = 30
-"""Fewest sensors whose own spread says what gains there are."""
+"""Fewest sensors whose spread is used as prior."""
 
 
 def bins_of(relative: Array, width: float) -> Array:
@@ -29,8 +29,8 @@ def wrong_probability(relative: Array, std: Array, dof: float, width: float) -> 
     """Return the probability (n,) that the true gain lies outside the bin that the measured one chose.
 
     `std` (n,) relative, of `dof` degrees of freedom. Before the measurement gains are taken as normal with
-    the robust mean and spread of all; where that spread is far above `std`, as in an unsorted lot, this
-    changes nothing; where a sorted bin is measured again, it does. Fewer than `LOT` sensors tell no spread.
+    the robust mean and spread of all; this matters where the spread is not far above `std`, as when a sorted
+    bin is measured again. Fewer than `LOT` sensors have no such prior.
     """
     k = bins_of(relative, width)
     middle = float(np.median(relative))

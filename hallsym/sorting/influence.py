@@ -1,9 +1,9 @@
-"""What an error of each channel's gain does to the decoded pose, from the model's own expressions.
+"""Sensitivity of the decoded pose to each channel's gain, from the model's expressions.
 
-If the gain of a channel grows by the part d, its reading grows by d times what the sensor makes of the field:
-the sum of p d reading / d p over the parameters that only its gain has (`Model.symbols.gain`), or its whole
-reading where a model has none. The decoder, which does not know, moves the pose by the weighted
-inverse of the model times that.
+If the gain of a channel grows by the part d, its reading grows by d times the part that is proportional to
+the gain: the sum of p d reading / d p over the parameters of its gain alone (`Model.symbols.gain`), or the
+whole reading if there are none. The decoder, with the nominal gain, moves the pose by the weighted inverse of
+the model times that.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hallsym.uncertainty.tolerances import Workspace, workspace_of
 from hallsym.units import Array
 
 SAME = 1e-9
-"""Relative differences of a quadratic form below which it treats all channels alike."""
+"""Relative differences of a quadratic form below which it is symmetric in all channels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ def influence_of_gains(
     values: Mapping[str, float] | None = None,
     where: Campaign | Workspace | None = None,
 ) -> Influence:
-    """Return what gain errors of a model's channels do to its pose.
+    """Return the sensitivity of a model's pose to gain errors of its channels.
 
     `values` over the nominal ones; `where`: campaign or workspace over which errors count (default: the
     model's typical poses, a period of a periodic coordinate; else its family's example, else the paper's
@@ -103,7 +103,7 @@ def influence_of_gains(
 
 
 def _part(model: Model, reading: ca.SX, channel: int) -> ca.SX:
-    """What the gain of a channel multiplies of its reading."""
+    """The part of the reading of a channel that is proportional to its gain."""
     s = model.symbols
     own = _gains(model)[channel]
     if not own:
@@ -154,7 +154,7 @@ def without_common(square: Array) -> tuple[Array, Array]:
 
 
 def is_symmetric(square: Array) -> bool:
-    """Return whether a form without common gain treats all its places alike: c (I - 1 1' / k).
+    """Return whether a form without common gain is symmetric in all its places: c (I - 1 1' / k).
 
     Sets of neighbours in gain are then the best ones.
     """

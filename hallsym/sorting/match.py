@@ -50,8 +50,8 @@ class Matching:
     """Sets of sensors chosen by a model, beside bins alone and sets drawn blindly.
 
     `sensors` (n,) names, `places` (k,) of a set; `floor`: rms error that the uncertainty of the gains alone
-    makes, whatever is chosen; `optimal`: whether no other sets can have less (neighbours, where the model
-    treats all channels alike).
+    makes, whatever is chosen; `optimal`: whether no other sets can have less (neighbours, where the model is
+    symmetric in all channels).
     """
 
     model: Model
@@ -137,7 +137,7 @@ def match_sensors(
     """Return sets of sensors for `model` whose gain mismatch makes the least error of the pose.
 
     `inventory`: sorted sensors, or their gains by name in any unit. `sets`: how many (default: as many as
-    there are sensors for). `members`: sensors that are summed into each channel and read alike. `values`,
+    there are sensors for). `members`: sensors that are summed with equal weight into each channel. `values`,
     `where`: as in `influence_of_gains`. A set's common gain is set in its decoder, so that only differences
     within a set count. Sets are stretches of neighbours in gain, compared with sets drawn from one bin each.
 
@@ -192,8 +192,8 @@ def _channels(values: Array, members: int) -> Array:
 def neighbours(gain: Array, size: int, sets: int) -> Array:
     """Return indices (sets, size) of disjoint stretches of the sorted gains with least variance in all.
 
-    Where a model treats all channels alike, these sets are the best ones: two that overlap lose by being put
-    apart.
+    Where a model is symmetric in all channels these sets are optimal: exchanging sensors of two neighbouring
+    sets raises the error.
     """
     order = np.argsort(gain, kind="stable")
     g = gain[order] - gain.mean()

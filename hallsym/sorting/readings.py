@@ -1,4 +1,4 @@
-"""What a sorting bench recorded: readings of sensors in known fields, a reference sensor beside them."""
+"""Records of a sorting bench: readings of sensors in known fields, with a reference sensor."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Readings:
     unit: str
     where: str
     notes: tuple[str, ...] = ()
-    """What has to be said about the file."""
+    """Notes on the file."""
 
     @property
     def gain_unit(self) -> str:

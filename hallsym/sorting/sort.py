@@ -20,8 +20,8 @@ WIDTH = 0.005
 """Width of a bin, relative: .5 % (Maguire, section 5.7)."""
 WINDOW = 25
 """Measurements of the reference sensor whose median is the drift: their noise falls to a quarter."""
-APART = 6.0
-"""Medians of the change of repeated sensors, 4 sigma, beyond which a change does not tell the scatter."""
+OUTLYING = 6.0
+"""Medians of the change of repeated sensors, 4 sigma, beyond which a change is an outlier."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Repeats:
 
 @dataclass(frozen=True, eq=False)
 class Sorting:
-    """Sensors that were sorted, all of shape (n,), and what the record says of the bench.
+    """Sorted sensors, all of shape (n,), and properties of the bench.
 
     `gain` [`unit`] and `offset` [`reading_unit`], `std` of the gain [`unit`] of `dof` degrees of freedom
     without the common scale of the known field, `measurements` of each. `repeatability` of one measurement,
@@ -100,7 +100,7 @@ class Sorting:
     def expected_wrong(self) -> tuple[float, float]:
         """Sensors expected in a wrong bin, and the standard deviation of their number.
 
-        The number grows as the repeatability, which `dof` leaves uncertain by 1 / sqrt(2 dof).
+        The number grows as the repeatability, whose relative uncertainty is 1 / sqrt(2 dof).
         """
         number = float(self.wrong.sum())
         return number, float(np.sqrt((self.wrong * (1 - self.wrong)).sum() + number**2 / (2 * self.dof)))
@@ -165,7 +165,7 @@ def sort_sensors(
     A gain is the slope of the line through a sensor's readings over the field, divided by the drift that the
     reference sensor shows, and averaged over the sensor's measurements.
 
-    Raises `InputError` where all fields are equal or nothing tells the repeatability.
+    Raises `InputError` where all fields are equal or the repeatability is unknown.
     """
     require(0 < width < 1, "The width of a bin", "a share of the gain above 0 and below 1", width)
     for value, what in ((nominal, "The nominal gain"), (repeatability, "The repeatability")):
@@ -283,17 +283,17 @@ def _scatter(
         return stated, np.inf, []
     if not groups:
         raise InputError(
-            f"Nothing in {readings.where} tells the repeatability of a gain: measure some 20 sensors"
+            f"The repeatability of a gain cannot be estimated from {readings.where}: measure some 20 sensors"
             " twice, or state it with --repeatability PERCENT."
         )
     away = [gain[g] / gain[g].mean() - 1 for g in groups]
     worst = np.array([np.abs(d).max() for d in away])
-    apart = worst > APART * np.median(worst)
-    kept = [d for d, out in zip(away, apart, strict=True) if not out]
+    outlying = worst > OUTLYING * np.median(worst)
+    kept = [d for d, out in zip(away, outlying, strict=True) if not out]
     dof = float(sum(len(d) - 1 for d in kept))
-    names = [readings.ids[sensor[g[0]]] for g, out in zip(groups, apart, strict=True) if out]
+    names = [readings.ids[sensor[g[0]]] for g, out in zip(groups, outlying, strict=True) if out]
     note = (
-        f"the measurements of {', '.join(names)} are too far apart to count for the repeatability:"
+        f"the measurements of {', '.join(names)} differ too much to count for the repeatability:"
         f" measure {'it' if len(names) == 1 else 'them'} again."
     )
     std = float(np.sqrt(sum(float(d @ d) for d in kept) / dof))

@@ -1,4 +1,4 @@
-"""How far a curve is from the nominal one everywhere: bounded between the points, not sampled.
+"""Bounds of the distance of a curve from the nominal one, rigorous between the points.
 
 In a part of the range the difference of both is its Taylor polynomial at the middle plus a remainder that
 ball arithmetic (Arb, in python-flint; Johansson, IEEE Trans. Comput. 66 (2017) 1281) encloses; the part that
@@ -20,10 +20,10 @@ from hallsym.trajectory.nominal import Nominal
 
 Array = np.ndarray
 ORDER = 9
-"""Of the Taylor polynomials; python-flint computes up to this power unless told otherwise."""
+"""Order of the Taylor polynomials; the default of python-flint."""
 BITS = 128
 LEAST = 1e-30
-"""Errors below this [m, rad] are not told apart."""
+"""Errors below this [m, rad] count as equal."""
 MOST_PARTS = 100_000
 NARROWEST = 1e-9
 """Share of the range below which a part without a bound is not cut again."""
@@ -48,8 +48,8 @@ def bound(
 ) -> Bound:
     """Return the bound of the error of `curve` over its range, or over `span`.
 
-    `rel`: how close `at_most` shall come to `at_least`. Raises `InputError` if other coordinates are stated
-    or nothing can be bounded.
+    `rel`: relative distance of `at_most` from `at_least`. Raises `InputError` if coordinates differ or there
+    is no bound.
     """
     if curve.coordinates != nominal.coordinates:
         ours, theirs = (", ".join(each.coordinates) for each in (curve, nominal))
@@ -103,20 +103,20 @@ class _Part:
         except (ValueError, ZeroDivisionError):  # a division by what may be 0
             return cls(low, high, np.inf, 0.0, np.inf)
         lengths = curve.lengths
-        turning = [k for k in range(len(thin)) if k not in lengths]
+        angular = [k for k in range(len(thin)) if k not in lengths]
         reach = sizes(thin, wide) @ half ** np.arange(ORDER + 1.0)
-        rotation = float(reach[turning].max(initial=0.0))
-        apart = across = [thin[k] for k in lengths], [wide[k] for k in lengths]
+        rotation = float(reach[angular].max(initial=0.0))
+        along = across = [thin[k] for k in lengths], [wide[k] for k in lengths]
         if is_polyline(curve):
-            across, within = _across(curve, middle, half, *apart)
-            apart = across if within else apart
-        upper = np.linalg.norm(sizes(*apart) @ half ** np.arange(ORDER + 1.0)) * (1 + 1e-12)
+            across, within = _across(curve, middle, half, *along)
+            along = across if within else along
+        upper = np.linalg.norm(sizes(*along) @ half ** np.arange(ORDER + 1.0)) * (1 + 1e-12)
         lower = np.linalg.norm([float(c[0].abs_lower()) for c in across[0]]) * (1 - 1e-12)
         return cls(low, high, float(np.nan_to_num(upper, nan=np.inf)), float(np.nan_to_num(lower)), rotation)
 
 
 def _around(low: float, high: float) -> tuple[float, float]:
-    """Middle of a part, and how far its ends are from there at most."""
+    """Middle of a part, and the largest distance of its ends from there."""
     middle = (low + high) / 2
     return middle, max(high - middle, middle - low) * (1 + 1e-15)
 
@@ -163,7 +163,7 @@ def is_polyline(curve: Curve) -> bool:
 def _across(
     curve: Curve, middle: float, half: float, thin: list[Any], wide: list[Any]
 ) -> tuple[tuple[list[Any], list[Any]], bool]:
-    """Differences across the chord, and whether the nearest points surely lie between its ends."""
+    """Differences across the chord, and whether the nearest points certainly lie between its ends."""
     from flint import arb, ctx
 
     form = curve.form

@@ -1,7 +1,7 @@
-"""Every method side by side, and the one that holds a tolerance with the fewest numbers to store.
+"""Compare methods, and choose the one within a tolerance with the fewest numbers to store.
 
-Of an expression each method takes the fewest points with which it holds, and its error is bounded over the
-whole range. Of points nothing is known between them: the error is that at the points.
+Of an expression each method takes the fewest points for the tolerance, and its error is bounded over the
+whole range. Of points the error is that at the points.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def chebyshev_nodes(n: int) -> Array:
 
 @dataclass(frozen=True)
 class Method:
-    """How points become a curve: `make(u, points, control)` of parameters (N,) in [0, 1], points (N, d).
+    """A method from points to a curve: `make(u, points, control)`, parameters (N,) in [0, 1], points (N, d).
 
     `least`, `most`: counts of points it is tried with, of control points where it is `fitted` (least
     squares). `nodes(count)`: where points are taken of an expression.
@@ -131,7 +131,7 @@ def method_named(name: str) -> Method:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A nominal curve or points with what a search needs again and again."""
+    """A nominal curve or points, with values that a search needs repeatedly."""
 
     source: Nominal | Points
 
@@ -297,14 +297,14 @@ def best_of(candidates: Sequence[Candidate], tolerance: float | None) -> Candida
     least = min(made, key=lambda c: c.error_m)
     if tolerance is None:
         return least
-    held = [c for c in made if c.error_m <= tolerance]
-    if not held:
+    met = [c for c in made if c.error_m <= tolerance]
+    if not met:
         raise InputError(
             f"No curve holds {1e6 * tolerance:.4g} um: the nearest is {least.method.name} with "
             f"{least.points} points, {1e6 * least.error_m:.4g} um; give more points or allow a larger "
             "tolerance."
         )
-    return min(held, key=lambda c: c.curve.form.numbers if c.curve else 0)
+    return min(met, key=lambda c: c.curve.form.numbers if c.curve else 0)
 
 
 def _candidate(
@@ -331,7 +331,7 @@ def _candidate(
         raise InputError("Least squares needs --control or a --tolerance.")
     most = min(method.most, taken) if method.fitted else method.most
     first = _first(lambda count: target.sampled(made(count)) <= tolerance, method.least, most)
-    for count in range(first, first + 4 if first else 0):  # what is sampled may just miss the largest error
+    for count in range(first, first + 4 if first else 0):  # samples may miss the largest error
         found = known(count)
         if found.error_m <= tolerance:
             return found
@@ -344,8 +344,8 @@ def _certified(target: Target, method: Method, curve: Curve, count: int) -> Cand
     if isinstance(source, Points):
         e = np.abs(target.errors(curve, source.shares, source.points))
         worst, least, kind = target.sampled(curve), None, "at the points"
-        turning = [k for k in range(len(curve.coordinates)) if k not in curve.lengths]
-        rotation = float(e[:, turning].max()) if turning else None
+        angular = [k for k in range(len(curve.coordinates)) if k not in curve.lengths]
+        rotation = float(e[:, angular].max()) if angular else None
         made_of: dict[str, Any] = {"points": count, "file": source.name}
     else:
         found = bound(curve, source)

@@ -19,8 +19,8 @@ from hallsym.trajectory.factorisation import BASES, Basis
 
 Array = np.ndarray
 FORMAT = "hallsym-curve-1"
-MOST_HELD = 1_000_000
-"""Numbers that evaluating holds at a time."""
+MOST_VALUES = 1_000_000
+"""Most numbers in memory during an evaluation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class FgForm:
 
     @property
     def numbers(self) -> int:
-        """How many numbers a controller has to store."""
+        """Number of values that a controller has to store."""
         return self.control.size
 
     def edges(self, least: int) -> Array:
@@ -49,7 +49,7 @@ class FgForm:
         control = self.control
         for _ in range(derivative):
             control = self._slope(control)
-        step = max(1, MOST_HELD // control.size)
+        step = max(1, MOST_VALUES // control.size)
         return np.concatenate([self._points(control, t[k : k + step]) for k in range(0, len(t), step)])
 
     def _points(self, control: Array, t: Array) -> Array:
@@ -99,7 +99,7 @@ class SplineForm:
 
     @property
     def numbers(self) -> int:
-        """How many numbers a controller has to store: control points and inner knots."""
+        """Number of values that a controller has to store: control points and inner knots."""
         return self.control.size + max(len(self.knots) - 2 * self.degree - 2, 0)
 
     def edges(self, least: int) -> Array:
@@ -141,8 +141,8 @@ Form = FgForm | SplineForm
 class Curve:
     """A parametric curve on [start, stop] of the user's parameter; coordinates in SI, named `x_m`, `rz_rad`.
 
-    `max_error_m`: largest distance from what it stands for, None if not known; `error_kind`: "bounded" (holds
-    everywhere) or "at the points". `method`: how it was made.
+    `max_error_m`: largest distance from the nominal curve, None if not known; `error_kind`: "bounded" (valid
+    everywhere) or "at the points". `method`: that made it.
     """
 
     form: Form

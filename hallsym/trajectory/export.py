@@ -35,8 +35,8 @@ def times(duration_s: float, step_s: float) -> Array:
 def at_times(curve: Curve, t_s: Array, duration_s: float) -> Mapping[str, Array]:
     """Return the coordinates of the curve at times (samples,).
 
-    It runs from start to stop in `duration_s`, at constant speed of the parameter. Before and after it stands
-    still. This is what a campaign follows.
+    It runs from start to stop in `duration_s`, at constant speed of the parameter, and rests before and
+    after. A campaign follows these.
     """
     require(0 < duration_s < np.inf, "The duration of a curve", "a positive number of seconds", duration_s)
     share = np.clip(np.asarray(t_s, float) / duration_s, 0.0, 1.0)
@@ -87,14 +87,14 @@ def gcode(curve: Curve, *, chord_m: float, duration_s: float | None = None) -> s
     axes = [names[name] for name in curve.coordinates if name in names]
     known = curve.max_error_m
     error = "not known" if known is None else f"{1e6 * known:.4g} um, {curve.error_kind}"
-    turning = [name for name in curve.coordinates if name not in names]
+    angular = [name for name in curve.coordinates if name not in names]
     points = 1e3 * curve(chord_points(curve, chord_m))[:, curve.lengths]
     feed = 60.0 if duration_s is None else 6e4 * curve.length() / duration_s
     lines = [
         f"(hallsym trajectory: {curve.method}, {curve.control_points} control points)",
         f"(error of the curve: {error}; rounding adds at most "
         f"{500 * 10.0**-DIGITS * len(axes) ** 0.5 * 2:.2g} um)",
-        *([f"({', '.join(turning)} cannot be written as G-code: left out)"] if turning else []),
+        *([f"({', '.join(angular)} cannot be written as G-code: left out)"] if angular else []),
         f"(chords within {1e6 * chord_m:.4g} um of the curve, {len(points) - 1} blocks)",
         "G21 G90 G17",
         f"G0 {_block(axes, points[0])}",

@@ -11,7 +11,7 @@ W(t, s) = f(t) g(s) - f(s) g(t), so each has a relative error of a few n u, howe
 factors to its right until the diagonal takes it up, and its last entry through the upper factors. Steps add,
 multiply and divide positive numbers: R is as accurate as the factors.
 
-Products of a thousand factors leave the range of float64: mantissas and exponents are kept apart. g^n would
+Products of a thousand factors leave the range of float64: mantissas and exponents are separate. g^n would
 multiply the rounding error of g by n: g and its powers are computed in numpy's longdouble.
 """
 
@@ -66,7 +66,7 @@ BASES = {basis.name: basis for basis in (BERNSTEIN, TRIGONOMETRIC)}
 
 
 def check_increasing(t: Array, name: str) -> None:
-    """Refuse parameters (points,) that repeat or are out of order; `name` says of what."""
+    """Refuse parameters (points,) that repeat or are out of order; `name`: of the curve."""
     steps = np.diff(t)
     if (steps <= 0).any():
         k = int(np.argmax(steps <= 0))

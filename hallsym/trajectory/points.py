@@ -28,7 +28,7 @@ class Points:
     coordinates: tuple[str, ...]
     name: str = "points"
     notes: tuple[str, ...] = ()
-    """What has to be said about the file."""
+    """Notes on the file."""
 
     @property
     def shares(self) -> Array:

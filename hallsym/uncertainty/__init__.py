@@ -1,8 +1,8 @@
 """Uncertainty budgets: stand-alone by the GUM, and of a decoded position, confirmed by Monte Carlo.
 
-`gum` is the arithmetic and a budget's file, `inputs` lists what a position is computed from, `position`
-propagates it linearly, `monte_carlo` as distributions. `along` is the error of known causes along a
-coordinate, `tolerances` what each tolerance of a machine is worth.
+`gum` is the arithmetic and a budget's file, `inputs` lists the inputs of a position, `position` propagates
+them linearly, `monte_carlo` as distributions. `along` is the error of known causes along a coordinate,
+`tolerances` the sensitivity to each tolerance of a machine.
 """
 
 from hallsym.uncertainty.along import ErrorModel, error_model, errors_along

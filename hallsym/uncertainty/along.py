@@ -1,4 +1,4 @@
-"""Error model: what known causes make of the decoded pose along one coordinate, alone and together."""
+"""Error model: errors of the decoded pose by known causes along one coordinate, alone and together."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -158,7 +158,7 @@ class ErrorModel:
 
     @property
     def expected_waves(self) -> dict[int, tuple[str, ...]]:
-        """Waves per period -> effects of the family that make them; empty where the range is no period."""
+        """Waves per period -> effects of the family that cause them; empty where the range is no period."""
         places = self.causes[0][2].at
         whole = self.model.period.get(self.coordinate)
         span = (places[1] - places[0]) * len(places)
@@ -190,7 +190,7 @@ class ErrorModel:
 
 TOGETHER = "all together"
 DEVIATION = "other values"
-"""Causes that are not one effect: all of them, and parameters that differ from the decoder's."""
+"""Names of further causes: all effects together, and parameters that differ from the decoder's."""
 
 
 def error_model(model: Model, values: Mapping[str, float], **about: Any) -> ErrorModel:
@@ -219,7 +219,7 @@ def error_model(model: Model, values: Mapping[str, float], **about: Any) -> Erro
 
 
 def _parameters_by_effect(model: Model, plain: Model) -> dict[str, tuple[str, ...]]:
-    """Return the parameters that each effect brings, in the order in which effects were added."""
+    """Return the parameters that each effect adds, in the order of the effects."""
     out, built = {}, plain
     for effect in model.effects:
         if effect not in built.effects:

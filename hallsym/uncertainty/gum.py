@@ -33,10 +33,10 @@ DISTRIBUTIONS = ("normal", "student", *DIVISORS)
 
 @dataclass(frozen=True)
 class Source:
-    """One input quantity: standard uncertainty `std` in `unit`, and what a unit of it does to the result.
+    """One input quantity: standard uncertainty `std` in `unit`, and its sensitivity.
 
-    `sensitivity`: d result / d input. `degrees_of_freedom`: how well `std` itself is known; infinite if it
-    is stated. Make one with `normal`, `rectangular` or `readings`.
+    `sensitivity`: d result / d input. `degrees_of_freedom`: of `std`; infinite if it is stated. Make one with
+    `normal`, `rectangular` or `readings`.
     """
 
     name: str
@@ -134,7 +134,7 @@ class Budget(Shown):
 
     @cached_property
     def variances(self) -> np.ndarray:
-        """What each source adds to u_c^2, its half of every covariance included, shape (n,)."""
+        """Contribution of each source to u_c^2, with half of each of its covariances, shape (n,)."""
         u = self.contributions
         return u * u if self.correlation is None else u * (self.correlation @ u)  # (13), (16)
 
@@ -153,8 +153,8 @@ class Budget(Shown):
     def degrees_of_freedom(self) -> float:
         """Effective degrees of freedom, Welch-Satterthwaite (G.2b); correlated sources count as one.
 
-        The formula wants independent terms, so a group of correlated sources enters with its own variance
-        and the least degrees of freedom within it.
+        The formula requires independent terms, so a group of correlated sources enters with its variance and
+        its least degrees of freedom.
         """
         total, below = float(self.variances.sum()), 0.0
         for group in self._groups():
@@ -211,7 +211,7 @@ class Budget(Shown):
         }
 
     def _groups(self) -> list[list[int]]:
-        """Sources that hang together through correlations."""
+        """Groups of correlated sources."""
         n = len(self.sources)
         if self.correlation is None:
             return [[i] for i in range(n)]
@@ -257,11 +257,11 @@ def with_curve(budget: Budget, curve: Curve, column: str | None = None) -> Budge
         )
     if any(source.name == CURVE for source in budget.sources):
         raise InputError(f"The budget of {budget.quantity!r} has a source {CURVE!r} already; rename it.")
-    turning = column is not None and column.endswith("_rad")
-    error = curve.source.get("max_error_rad") if turning else curve.max_error_m
+    is_angle = column is not None and column.endswith("_rad")
+    error = curve.source.get("max_error_rad") if is_angle else curve.max_error_m
     if error is None:
         raise InputError(
-            f"The curve does not state its error in {'angle' if turning else 'position'}; make it with "
+            f"The curve does not state its error in {'angle' if is_angle else 'position'}; make it with "
             "'hallsym trajectory', which does."
         )
     correlation = budget.correlation
@@ -282,7 +282,7 @@ SIZES: Mapping[str, tuple[tuple[str, ...], float]] = {
     "resolution": (("rectangular",), 0.5),
     "readings": (("student",), 1.0),
 }
-"""How large a source is: exactly one of these per source, with its unit (`half_width_nm`). The distributions
+"""Keys for the size of a source: exactly one per source, with its unit (`half_width_nm`). The distributions
 that it may have, the default first, and the half-width or standard uncertainty over what is stated."""
 TOP = ("quantity", "unit", "coverage_factor", "level", "source", "correlation")
 OTHERS = ("name", "distribution", "coverage_factor", "degrees_of_freedom")

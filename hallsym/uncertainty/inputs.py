@@ -1,12 +1,12 @@
-"""What a decoded position is computed from, each input once: its uncertainty and where it enters.
+"""The inputs of a decoded position, each once: its uncertainty and where it enters.
 
-A position is decoded from readings m and state s with parameters p and the offsets d of this reset, which come
+A position is decoded from readings m and state s with parameters p and the offsets d of this reset, that come
 from readings m0 averaged at a known pose q0 and state s0 (docs/budget.md):
 
     m0 = f(p, d, q0, s0)   gives d,      m = f(p, d, q, s)   gives q.
 
-The linear budget and Monte Carlo walk the same list of inputs; only the fitted parameters, which are
-correlated, stand beside it.
+The linear budget and Monte Carlo use the same list of inputs; only the fitted parameters, which are
+correlated, are separate.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -38,7 +38,7 @@ Zeroed = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """How positions are taken, in SI; everything has a default.
+    """Settings of a position measurement, in SI; everything has a default.
 
     `averaged`: readings averaged in one position. `adc_step`: step of the converter in the unit of a
     reading, 0 for none. `zero_averaged`: readings averaged at the zeroing. `zero_pose_std`: pose column ->
@@ -46,7 +46,7 @@ class Settings:
     are, where not given. `zero_at`: pose or state column -> where the zeroing is done, 0 where not given.
     `state_std`: state column -> standard uncertainty besides noise, of the vertical sensors since the
     calibration. `scale_std`: pose column -> relative standard uncertainty of the scale of the reference.
-    `model_error`: what the model leaves, of a diagnosis. `coverage` and `level` as in `Budget`.
+    `model_error`: of a diagnosis. `coverage` and `level` as in `Budget`.
     """
 
     averaged: int = 1
@@ -145,7 +145,7 @@ Place = tuple[str, int]
 
 @dataclass(frozen=True)
 class Input:
-    """One independent input: its source (sensitivity 1 as yet) and the places it enters, all alike."""
+    """One independent input: its source (sensitivity 1 so far) and the places it enters with equal weight."""
 
     source: Source
     places: tuple[Place, ...]
@@ -244,7 +244,7 @@ def slopes(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) ->
         )
         by_reading = found.offsets @ estimator(
             by_zero, weights(fit)
-        )  # through the offsets, which a reset gives
+        )  # through the offsets, which a reset determines
         places |= {"zero reading": by_reading, "zero state": -by_reading @ by_state}
         places |= {"zero pose": -by_reading @ by_pose}
         by_parameters = by_parameters - by_reading @ by_p
@@ -280,7 +280,7 @@ def weights(fit: Fit) -> np.ndarray:
 def check_gain(fit: Fit, state: np.ndarray, settings: Settings) -> None:
     """Refuse states (n_state, s) where a gain is not clearly on the side of zero it has at the reset."""
     model = fit.model
-    if not model.state:  # a gain that follows nothing cannot cross zero
+    if not model.state:  # a constant gain cannot cross zero
         return
     _, s0 = zero_point(model, settings)
     states = np.column_stack([s0, np.asarray(state, dtype=float).reshape(len(s0), -1)])
@@ -332,7 +332,7 @@ SHAPE, REST, SELECTED = "model error: shape", "model error: rest", "model select
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What is left of each reading over a coordinate, which is a column of the pose or the state.
+    """Shape of the residual of each reading over a coordinate, a column of the pose or the state.
 
     `grid`: (g,) ascending places [SI]. `value`, `std`: (K, g) in the unit of the reading, or relative to it
     for a `gain`. `period`: of the coordinate, None for a line.
@@ -357,9 +357,9 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class ModelError:
-    """What a diagnosis adds to the budget of a position.
+    """Contributions of a diagnosis to the budget of a position.
 
-    `rest`: pose column -> standard uncertainty of what is left and goes with nothing known [SI].
+    `rest`: pose column -> standard uncertainty of the unexplained residual without a shape [SI].
     """
 
     rest: Mapping[str, float]
@@ -408,7 +408,7 @@ def _reading(c: Candidate, model: Model, pose: np.ndarray, state: np.ndarray) ->
 
 
 def _shaped(shape: Shape, fit: Fit, pose: np.ndarray, state: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Square of the error that a shape makes, and the variance of the shape itself, (s, n_pose)."""
+    """Square of the error by a shape, and the variance of the shape itself, (s, n_pose)."""
     model = fit.model
     x = np.vstack([pose, state])[(*model.pose, *model.state).index(shape.column)]
 
@@ -428,7 +428,7 @@ def _shaped(shape: Shape, fit: Fit, pose: np.ndarray, state: np.ndarray, slope: 
 
 
 def read_model_error(path: str | Path, model: Model) -> ModelError:
-    """Read what `hallsym diagnose -o FILE.json` saved; `model`: of the calibration that is budgeted.
+    """Read a file of `hallsym diagnose -o FILE.json`; `model`: of the calibration of the budget.
 
     Raises `InputError` for a missing file, another record or a diagnosis of another model.
     """

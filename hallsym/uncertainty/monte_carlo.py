@@ -1,9 +1,9 @@
-"""Propagation of distributions: does the linear budget hold?
+"""Propagation of distributions, as a check of the linear budget.
 
 JCGM 101:2008, Supplement 1 to the GUM, "Propagation of distributions using a Monte Carlo method",
-doi:10.59161/JCGM101-2008: draw every input from its distribution, put it through the measurement function
-itself, and compare the result with the linear one (clause 8) within a tolerance that follows from the digits
-of the uncertainty (7.9.2).
+doi:10.59161/JCGM101-2008: draw every input from its distribution, evaluate the measurement function, and
+compare the result with the linear one (clause 8) within a tolerance given by the digits of the uncertainty
+(7.9.2).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,10 +20,10 @@ from hallsym.uncertainty.gum import Budget
 from hallsym.uncertainty.inputs import (
     Settings,
     independent_inputs,
+    offsets_at_reset,
     slopes,
     weights,
     zero_point,
-    offsets_at_reset,
 )
 from hallsym.uncertainty.position import place, position_budget
 
@@ -32,7 +32,7 @@ BATCH = 10_000
 MOST, LEAST = 2_000_000, 10_000
 """Most trials of the adaptive procedure, fewest that may be asked for."""
 FINER = 5.0
-"""The Monte Carlo result itself is wanted this much finer than the tolerance: JCGM 101, 8.2."""
+"""Ratio of the tolerance to the scatter required of the Monte Carlo result: JCGM 101, 8.2."""
 PARTS = 20
 """Parts of a fixed number of trials, from which its own scatter is found."""
 WIDEST = 8.0
@@ -71,7 +71,7 @@ class Comparison:
 
     @property
     def verdict(self) -> Verdict:
-        """Confirmed where both ends agree within the tolerance; undecided where the trials cannot tell."""
+        """Confirmed where both ends agree within the tolerance; undecided where the trials are too few."""
         off = np.abs(self.differences)
         slack = 2.0 * np.array(self.scatter[2:])
         if np.all(off <= self.tolerance):
@@ -161,7 +161,7 @@ def propagate(
 
 
 def _scatter(rows: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the standard deviation of the mean of what `_summary` gives of each part, (4, n_outputs)."""
+    """Return the standard deviation of the mean of `_summary` over the parts, (4, n_outputs)."""
     return np.asarray(np.std(rows, axis=0, ddof=1) / np.sqrt(len(rows)))
 
 
@@ -280,7 +280,7 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
 
 
 def _stretch(dof: np.ndarray) -> Callable[[np.random.Generator, int], np.ndarray] | None:
-    """What turns normal errors of n parameters into Student's: `draw(rng, trials) -> (n, trials)`.
+    """Return factors from normal errors of n parameters to Student's: `draw(rng, trials) -> (n, trials)`.
 
     Multivariate t, JCGM 102, 5.3.2.4, but each parameter with its own degrees of freedom `dof` (n,): all take
     the same quantile of their chi-square, since their variances come from the same runs.

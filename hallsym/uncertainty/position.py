@@ -62,11 +62,10 @@ def position_budget(
 
 
 def fit_degrees_of_freedom(fit: Fit, slope: np.ndarray) -> np.ndarray:
-    """Return the degrees of freedom of what the fit covariance does to results of slopes (..., n), (...,).
+    """Return the degrees of freedom (...,) of the fit's contribution to results with slopes (..., n).
 
-    Those of the parameters, weighed by what each contributes. Welch-Satterthwaite would credit a result with
-    more than any parameter has, as if the errors of the variances were independent; they come from the same
-    runs.
+    The mean of those of the parameters, weighed by their contributions. Welch-Satterthwaite would give more
+    than any parameter has, as if the errors of the variances were independent; they come from the same runs.
     """
     share = np.square(slope * np.sqrt(np.diag(fit.covariance)))
     few = (share / fit.degrees_of_freedom).sum(axis=-1)
@@ -87,17 +86,17 @@ def place(model: Model, at: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray
 
 
 def notes(fit: Fit, settings: Settings) -> list[str]:
-    """Return what a reader of a budget has to know: what it does not hold, and what was assumed."""
+    """Return the notes of a budget: contributions that it lacks, and assumptions."""
     said = []
     if fit.undetermined_by_log:
         said.append(
             f"the log of this calibration does not determine {', '.join(fit.undetermined_by_log)}; "
-            "what they would add is not in the budget."
+            "their contribution is not in the budget."
         )
     if fit.at_bound:
         said.append(
             f"{', '.join(fit.at_bound)} ended at a bound and count as known; the budget is too small by "
-            "what they would add."
+            "their contribution."
         )
     amiss = fit.goodness and fit.goodness.said("the model of this calibration does not describe its log")
     if fit.goodness and amiss and settings.model_error is None:
@@ -147,7 +146,7 @@ class Recorded:
     periodic: Collection[str] = ()
 
     def outside(self, at: Mapping[str, float]) -> list[str]:
-        """Columns of `at` that lie beyond what was recorded by more than a hundredth of its span."""
+        """Columns of `at` that lie outside the recorded span by more than a hundredth of it."""
         out = []
         for column, value in at.items():
             low, high = self.span[column]

@@ -1,4 +1,4 @@
-"""Tolerances: how far each parameter may be from its nominal value, and with what distribution."""
+"""Tolerances: range and distribution of each parameter about its nominal value."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -99,8 +99,8 @@ def given_tolerances(
     A number is a rectangular half width; `{"half_width": h, "distribution": "triangular"}` another one
     (as in a budget: rectangular, triangular, arcsine), `{"std": s}` normal; `[low, high]` are limits, "exact"
     is no tolerance. The key ends with the unit: a unit of the parameter, `percent` of its nominal value (of 1
-    where that is 0), `per_m` for 1/m. `others`: what holds for parameters that are not named, their "bounds"
-    or "exact".
+    where that is 0), `per_m` for 1/m. `others`: tolerance of parameters that are not named, "bounds" or
+    "exact".
     """
     require(others in OTHERS, f"'others' in {where}", '"bounds" or "exact"', others)
     found: dict[str, Tolerance] = {}
@@ -197,7 +197,7 @@ def units_of(parameter: Parameter) -> dict[str, float]:
 
 
 def _example(parameter: Parameter) -> str:
-    """A key as most people would write it."""
+    """A key in its usual unit."""
     return f"{parameter.name}_" + {"m": "um", "rad": "deg", "1": "percent", "1/m": "per_m"}.get(
         parameter.unit, next(iter(units_of(parameter)))
     )

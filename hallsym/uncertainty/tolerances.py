@@ -1,10 +1,10 @@
-"""Which tolerance is worth money: global sensitivity of the nominal decoder's errors, before any data.
+"""Which tolerance to tighten: global sensitivity of the nominal decoder's errors, before any data.
 
-First index S_j = V(E(y | p_j)) / V(y): the share of the variance that goes away when p_j is known. Total
-index T_j = E(V(y | all but p_j)) / V(y): the share that stays when all others are known. Estimators: Saltelli
+First index S_j = V(E(y | p_j)) / V(y): the share of the variance removed if p_j is known. Total index
+T_j = E(V(y | all but p_j)) / V(y): the share that remains if all others are known. Estimators: Saltelli
 et al., Comput. Phys. Commun. 181 (2010) 259, doi:10.1016/j.cpc.2009.09.018, Table 2 (b) and (f). For a field
 of errors y(t), numerators and denominator are averaged over t before the division (Gamboa et al., Electron.
-J. Stat. 8 (2014) 575, doi:10.1214/14-EJS895): large errors count as such, wherever they are.
+J. Stat. 8 (2014) 575, doi:10.1214/14-EJS895), so that large errors have their weight.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -98,7 +98,7 @@ class Errors95:
 
 @dataclass(frozen=True, eq=False)
 class Worth:
-    """How much the rms over machines and workspace falls, relative, if one tolerance is exact.
+    """Relative decrease of the rms over machines and workspace if one tolerance is exact.
 
     `exact_half`: half width of the 95 % interval of `exact`, both (n, n_pose). Negative where it grows. From
     machines drawn again with that tolerance alone changed.
@@ -110,7 +110,7 @@ class Worth:
 
 @dataclass(frozen=True, eq=False)
 class Tolerances:
-    """What `tolerances` found. Arrays have one row per entry of `active`, the tolerances that are not exact.
+    """Result of `tolerances`. Arrays have one row per entry of `active`, the tolerances that are not exact.
 
     `indices`: pose column -> Sobol indices of the error, averaged over the workspace.
     """
@@ -128,7 +128,7 @@ class Tolerances:
 
     @property
     def ranking(self) -> tuple[str, ...]:
-        """Active tolerances, the one most worth money first: by the mean square it takes from all outputs."""
+        """Active tolerances by the mean square error of all outputs that they cause, largest first."""
         value = 1 - (1 - self.worth.exact) ** 2  # fall of the mean square
         return tuple(self.active[j] for j in np.argsort(-value.mean(axis=1), kind="stable"))
 
@@ -182,7 +182,7 @@ def tolerances(
     samples: int = 1024,
     seed: int = 0,
 ) -> Tolerances:
-    """Return how the errors of the nominal decoder follow from each tolerance of the machine.
+    """Return the sensitivity of the nominal decoder's errors to each tolerance of the machine.
 
     Machines are drawn with every parameter independent in its tolerance; each is read by a decoder that uses
     the nominal values, without calibration, noise or zero deviations. `where`: campaign or
@@ -357,7 +357,7 @@ def _worth(drawn: _Sums, u: np.ndarray, all_: tuple[Tolerance, ...], active: tup
 
 
 def _falls(before: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """Relative fall and its half width (2, n_pose) as in `Worth`; nothing can fall without an error."""
+    """Relative decrease and its half width (2, n_pose) as in `Worth`; 0 without an error."""
     level = before.mean(axis=1)
     safe = np.where(level > 0, level, 1.0)
     ratio = np.where(level > 0, exact.mean(axis=1) / safe, 1.0)

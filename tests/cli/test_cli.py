@@ -335,7 +335,7 @@ def test_demo_prints_the_papers_steps(capsys, tmp_path):
     steps = {s["step"]: s for s in json.loads(out)["steps"]}
     assert code == 0
     designed = steps["nominal values, Model (15), Z = +-250 um"]["here"]["rmse"]
-    final = steps["Model (31), held-out runs"]
+    final = steps["Model (31), holdout runs"]
     # the paper's step: Table 2 to Table 8
     assert designed["y_m"] == pytest.approx(44e-6, rel=0.03)
     assert designed["rz_rad"] == pytest.approx(88e-6, rel=0.03)
@@ -374,7 +374,7 @@ def test_ctrl_c_in_the_global_stage_keeps_the_best_so_far(capsys, written, tmp_p
     [pytest.param(f"dev_{k:03d}", marks=pytest.mark.slow if k % 5 else ()) for k in range(1, 16)],
 )
 def test_independent_campaigns(capsys, case):
-    """Errors on held-out runs are those of the base model's best fit, computed independently."""
+    """Errors on holdout runs are those of the base model's best fit, computed independently."""
     label = json.loads((CASES / "labels.json").read_text())[case]
     code, out, _ = run(capsys, "fit", CASES / "dev" / case, "--accept", "all", "--json")
     found = json.loads(out)

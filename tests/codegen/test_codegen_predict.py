@@ -131,9 +131,9 @@ def test_on_the_bundled_campaign_the_error_hardly_grows_with_speed():
     observer, log = observed(), hallsym.bundled_campaign()
     for one in followed(calibration(), log, observer):
         slow, fast = one.predicted[0], one.predicted[-1]
-        assert fast < one.held[-1] / 4  # a fifth of a period is 10 to 25 um at the largest speed
+        assert fast < one.last[-1] / 4  # a fifth of a period is 10 to 25 um at the largest speed
         assert fast < 2.5 * slow
-        assert slow < 1.6 * one.held[0]  # what a prediction costs at rest: more noise
+        assert slow < 1.6 * one.last[0]  # what a prediction costs at rest: more noise
         assert f"{fast:.2g} {'rad' if one.column[0] == 'r' else 'm'}" in " ".join(observer.said)
     others = [observer_of(calibration(), log, bandwidth_hz=hz) for hz in (2.0, 5.0)]
     worse = [followed(calibration(), log, other)[0].predicted[-1] for other in others]

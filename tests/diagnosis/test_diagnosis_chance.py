@@ -16,7 +16,7 @@ from test_stacked_products import whitened
 
 import hallsym
 from hallsym.diagnosis import POLICY, Base
-from hallsym.diagnosis.faults import exceeds, faults, of_samples, assignment_p, assignments
+from hallsym.diagnosis.faults import assignment_p, assignments, exceeds, faults, of_samples
 from hallsym.diagnosis.normal_equations import Columns, normal_equations
 from hallsym.diagnosis.p_values import as_often
 from hallsym.diagnosis.scores import candidates

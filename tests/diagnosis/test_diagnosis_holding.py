@@ -128,11 +128,10 @@ def test_the_choice_is_repeated_without_each_group_of_runs():
     for k in held:
         assert squares[found.fit.tangents.runs[k]] == found.fit.output[k]
     own = cross_validated(found.fit, [frozenset({r}) for r in setup.runs])
-    for k in found.fit.fitted:  # a run that was left out is foreseen worse than it was fitted
+    for k in found.fit.fitted:  # a run that was left out is predicted worse than it was fitted
         assert own[found.fit.tangents.runs[k]] > 0.999 * found.fit.output[k]
-    elsewhere = cross_validated(
-        found.start, groups, [found.fit]
-    )  # the runs without a group choose, not the first
+    # the runs without a group choose, not the first
+    elsewhere = cross_validated(found.start, groups, [found.fit])
     assert all(elsewhere[run] == squares[run] for run in squares if run[0] in setup.runs)
 
 

@@ -149,9 +149,7 @@ def test_a_backlash_beside_what_no_catalogue_lists_is_not_the_whole_of_it(name: 
     seed = 100 + list(unlisted(np.random.default_rng(0))).index(name)
     listing, others = (make(np.random.default_rng(seed)) for make in (listed, unlisted))
     found = diagnose(machine("raster", (listing["hysteresis"], others[name]), seed=seed, thin=3))
-    as_noise = (
-        found.verdict == "explained" and "what is left follows nothing that is logged" in found.sentence
-    )
+    as_noise = found.verdict == "explained" and "the rest depends on no logged quantity" in found.sentence
     assert "hysteresis" in {*found.ranked, *(n for g in found.groups for n in g)}
     assert found.verdict == "unexplained" or as_noise
 

@@ -178,7 +178,7 @@ def test_a_knot_table_tells_encoder_from_reference():
     assert {"third_harmonic_distortion", "field_saturation", "odd_nonlinearity"} & set(by_name)
     assert found.not_testable["time_skew"] == "no time logged"
     assert found.shrinkage.value > 0.8
-    assert any("every other one held out" in note for note in found.notes)
+    assert any("every other one as holdout" in note for note in found.notes)
 
 
 def clipped_resolver(level=0.7, latency_s=0.03, short=0.0):

@@ -138,7 +138,7 @@ HELD = (0, 7, 20)
 
 
 def disturbed(columns) -> dict[str, np.ndarray]:
-    """The same log with held-out runs that are another machine's, and noisier."""
+    """The same log with holdout runs that are another machine's, and noisier."""
     rng, out = np.random.default_rng(0), {c: v.copy() for c, v in columns.items()}
     there = np.isin(columns["run"], HELD)
     for c in HALL:
@@ -180,9 +180,9 @@ def test_meta_names_runs_to_hold_out(columns, found):
 
 
 def test_impossible_holdouts_are_refused(log):
-    with pytest.raises(InputError, match="Held-out run 99"):
+    with pytest.raises(InputError, match="Holdout run 99"):
         fit(log, "stage31", holdout=(99,))
-    with pytest.raises(InputError, match="Every run is held out"):
+    with pytest.raises(InputError, match="All runs are holdout"):
         fit(log, "stage31", holdout=range(57))
 
 

@@ -189,9 +189,9 @@ def test_logs_that_are_not_of_one_device_are_one_sentence(logs):
     refused(match="no log", model="stage31")
     refused(first, second, model="stage31", per_log=["gain_A"], match="no parameter 'gain_A'")
     refused(first, model="stage31", per_log=["eta_A"], match="two logs at least")
-    refused(first, second, model="stage31", holdout=[999], match="Held-out run 999")
+    refused(first, second, model="stage31", holdout=[999], match="Holdout run 999")
     refused(first, model="stage31", per_log=["eta_A"], holdout_logs=[second], match="two logs at least")
-    refused(first, second, model="stage31", per_log=["eta_A"], holdout_logs=[first], match="held-out log")
+    refused(first, second, model="stage31", per_log=["eta_A"], holdout_logs=[first], match="holdout log")
     late = ["hysteresis:half_width_m=6e-05"]
     refused(first, second, model="stage31", effects=late, match="no run statistics")
     device = [Log(log.table, log.noise, Meta(device=name)) for log, name in ((first, "A7"), (second, "B2"))]

@@ -16,10 +16,10 @@ from hallsym.families.recording import (
     MISTAKES,
     Correction,
     as_corrections,
+    assignment_of,
     corrected,
     read_correction,
     said,
-    assignment_of,
 )
 from hallsym.log import Log, Noise, read_log, write_log
 

@@ -16,8 +16,8 @@ from hallsym.cli.main import main
 from hallsym.errors import InputError
 from hallsym.families.published import values
 from hallsym.log import check_log, groups, read_log, write_log
-from hallsym.log.isolated import Isolated
 from hallsym.log.groups import GroupedSource
+from hallsym.log.isolated import Isolated
 from hallsym.log.table import Arrays
 
 SUFFIXES = tuple(WRITERS)

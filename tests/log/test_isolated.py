@@ -10,8 +10,8 @@ import pytest
 
 from hallsym.errors import InputError
 from hallsym.log import isolated
-from hallsym.log.isolated import Isolated
 from hallsym.log.formats import Guarded
+from hallsym.log.isolated import Isolated
 from hallsym.log.table import Arrays
 
 posix = pytest.mark.skipif(sys.platform != "linux", reason="limits of a process")

@@ -23,8 +23,8 @@ from hallsym.log import (
     spans,
     write_log,
 )
-from hallsym.log.isolated import Isolated
 from hallsym.log.batches import batches
+from hallsym.log.isolated import Isolated
 
 
 def nothing_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:

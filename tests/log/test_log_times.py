@@ -81,7 +81,7 @@ def test_a_line_that_is_no_time_is_named(tmp_path):
     lines = path.read_text().split("\n")
     lines[-3] = "yesterday;1.0;1.0"
     path.write_text("\n".join(lines))
-    with pytest.raises(InputError, match=r"Column 'Zeit' of .* must hold dates with times written alike"):
+    with pytest.raises(InputError, match=r"Column 'Zeit' of .* must hold dates with times in one form"):
         read_log(path).array("t_s")
 
 

@@ -104,14 +104,14 @@ def test_page_says_what_the_fit_says(page: str, fitted: Fit, log: Log):
     text = Outline(page).text
     rows = fitted.errors.rows()
     for row, where in (
-        (rows["holdout"], "held out"),
+        (rows["holdout"], "holdout"),
         (rows["fitted"], "fitted"),
         (rows["designed"], "nominal"),
     ):
         for what in ("rmse", "peak"):
             sizes = [f"{1e6 * row[what][c]:.4g}" for c in fitted.model.pose]
             assert text.count(f"{what}, {where} {' '.join(sizes)} ") == 1
-    assert "runs held out 3 (2, 7, 12)" in text
+    assert "holdout runs 3 (2, 7, 12)" in text
     assert log.sha256 in text
     assert "hallsym report calib.json log.csv" in text
     for name in fitted.model.names:
@@ -233,7 +233,7 @@ def test_another_log_is_named_as_such_and_gets_its_own_zeros(fitted: Fit, log: L
     page = document(page_content(other, fitted))
     text = Outline(page).text
     assert "This log is not the one that was fitted" in text
-    assert "held out" not in text.partition("Input")[2].partition("Parameters")[0]
+    assert "holdout" not in text.partition("Input")[2].partition("Parameters")[0]
     found = gather(other, fitted)  # zeros of the wrong log
     own = re.search(r"rmse, this log ([\d.]+) ", text)
     rmse = found.survey.fitted.over()["rmse"]

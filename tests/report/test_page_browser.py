@@ -99,7 +99,7 @@ def pages(tmp_path_factory) -> dict[str, Path]:
     noise = np.random.default_rng(0).standard_normal((3, t.size))
     errors = {"before": 3e-6 * np.sin(2 * t) + 1e-6 * noise, "after": 1e-6 * noise}
     found = gather(log, fitted, label="before")
-    series = [run_series("run 2, held out", POSE, t, errors)]
+    series = [run_series("run 2, holdout", POSE, t, errors)]
     wordy = a_record()
     wordy["effects"][0]["name"] = wordy["where"][0]["by"] = "a_long_name_of_an_effect_that_a_user_wrote" * 3
     texts = {

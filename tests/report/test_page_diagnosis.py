@@ -128,7 +128,7 @@ def test_everything_of_a_record_is_said():
         "One number over all outputs: 2.7 µm before, 1.1 µm after, 1 µm floor.",
         "vertical_gain_coupling field linear 58.0 % (54.0 to 62.0) 93 % < 1e−6",
         "time_skew clock 7.0 % (−1.0 to 12.0) 4 % < 1e−6 lag",
-        "time_skew, lag : this log cannot tell them apart (1.2 sigma). Record y at 4 Hz and at 20 Hz.",
+        "time_skew, lag : they are confusable on this log (1.2 sigma). Record y at 4 Hz and at 20 Hz.",
         "62 % lies in height Z",
         "a_A −131.2(11) 1/m",
         "gain_temperature : not testable, no temperature logged",
@@ -152,7 +152,7 @@ def test_no_gap_needs_no_effects():
     outline = Outline(page_of(record))
     assert "No gap. The rmse is at the noise floor." in outline.text
     assert "None. No effect of the catalogue lowers the gap" in outline.text
-    assert "goes with nothing that the log holds" in outline.text
+    assert "depends on no logged quantity" in outline.text
     assert "rest" not in [a["id"] for a in outline.all("section")]
     assert "after" not in outline.text
 

@@ -53,7 +53,7 @@ def _legends(figure) -> list[str]:
 
 def test_errors_by_setting_shows_every_series(fitted: Fit, survey: Survey) -> None:
     figure = draw(plots.errors_by_setting(fitted, survey))
-    labels = ["nominal", "fitted", "fitted, held-out runs", "noise floor"]
+    labels = ["nominal", "fitted", "fitted, holdout runs", "noise floor"]
     assert _legends(figure) == labels
     assert [ax.get_ylabel() for ax in figure.axes] == ["rmse x [µm]", "rmse y [µm]", "rmse Rz [µrad]"]
     assert all(ax.get_yscale() == "log" for ax in figure.axes)

@@ -128,7 +128,7 @@ class Assembly:
         made, (a, b), (c, d), name = self.made, vectors[first], vectors[k], self.names[k]
         real = made.step(f"cross_real_{name}", c * a + d * b)
         imaginary = made.step(f"cross_imaginary_{name}", d * a - c * b)
-        # no reading turns two phasors beyond the end of the polynomial: real - cotangent |imaginary| is clamped
+        # no reading turns two phasors beyond the end of the polynomial: limit real - cotangent |imaginary|
         floor, angle, steep = self._floor(first, k), self._angle(first, k), 1.0 / self.series(first, k).end
         bound, most = ca.SX(0.0), None
         if not floor:
@@ -155,7 +155,7 @@ class Assembly:
         sizes = np.abs(self.series(first, k).coefficients)
         with np.errstate(over="ignore"):
             turn = (sizes * (WILD * most) ** (2.0 * np.arange(len(sizes)) + 1)).sum()
-        return least if turn < TURNED else 0.0
+        return least if turn < MOST_TURN else 0.0
 
     def _longest(self, k: int) -> np.float64:
         """Bound of a phasor over all readings within their limits: infinite where rounds do not bound it."""
@@ -284,8 +284,8 @@ class Assembly:
         found, moves = self.found, STEP * np.eye(len(self.found.middle))
         ends = found.middle[:, None] + np.hstack([moves, -moves])
         up, down = np.hsplit(np.array(found.phasors(found.readings(ends))), 2)
-        turned = np.log(up / down) / (2 * STEP)
-        slopes = np.vstack([turned.imag, turned.real])
+        rotation = np.log(up / down) / (2 * STEP)
+        slopes = np.vstack([rotation.imag, rotation.real])
         variance = [(g.phasor.weights**2 / found.weight[list(g.channels)]).sum() for g in found.groups]
         scaled = slopes.T / np.array([*variance, *variance])
         return np.asarray(np.linalg.solve(scaled @ slopes, scaled) @ np.linalg.inv(self.by_array))
@@ -647,7 +647,7 @@ ROOMY = 1.1
 """Times the largest tangent of the box: end of the polynomial of a turn."""
 WILD = 2.0**9
 """Times what phasors of this calibration are, of any table that the code accepts."""
-TURNED = 1e6
+MOST_TURN = 1e6
 """Most [rad] that the polynomial of a turn may give of readings of no pose: products of four such numbers are
 far below the largest float."""
 

@@ -20,7 +20,7 @@ PLACES = 96
 
 
 class NeverEnds(InputError):
-    """The wave does not end within what is looked at of it."""
+    """No end of the array lies in the search range."""
 
 
 def passed(sample: Sample, axis: int, channels: list[int], half: np.ndarray) -> Window:

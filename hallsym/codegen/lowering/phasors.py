@@ -267,9 +267,9 @@ class Window:
             rest = seen.T - design @ found
             if not settle:
                 break
-            turned = slopes @ found
-            turned = turned - design @ np.linalg.lstsq(design, turned, rcond=None)[0]
-            move_lc = float((turned * rest).sum() / max((turned * turned).sum(), 1e-300))
+            rotation = slopes @ found
+            rotation = rotation - design @ np.linalg.lstsq(design, rotation, rcond=None)[0]
+            move_lc = float((rotation * rest).sum() / max((rotation * rotation).sum(), 1e-300))
             if np.abs(rest).max() <= 1e-13 * scale or abs(move_lc) < SETTLED:
                 break
             lc *= float(np.exp(np.clip(move_lc, -0.1, 0.1)))

@@ -25,7 +25,7 @@ TILTS = 2
 """Highest power of rotations in a term."""
 LOST = 1e-12
 """Offset [V] that is rounding of the analysis."""
-ALIKE = 1e-9
+EQUAL = 1e-9
 """Relative difference of standard deviations that is rounding."""
 UNKNOWNS = 2
 """Of a phasor: its real and its imaginary part."""
@@ -103,7 +103,7 @@ class _Left:
                 for part, value in zip(("cos", "sin"), self.rows[k] * self.scale[k], strict=True)
             )
             reading = wave.readings[name]
-            if abs(self.scale[k] - 1.0) > ALIKE:
+            if abs(self.scale[k] - 1.0) > EQUAL:
                 reading = reading * self._entry(f"fit_{name}", self.scale[k], f"weight of {name}", "1")
             if abs(offset[k]) > LOST:
                 about = f"what {name} reads of no field"

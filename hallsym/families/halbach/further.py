@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hallsym.families.halbach import links
-from hallsym.families.halbach.effects.magnets import HEIGHT, TURNED
+from hallsym.families.halbach.effects.magnets import HALF_TURN, HEIGHT
 from hallsym.families.halbach.layout import arrays
 from hallsym.families.halbach.planar import opposite
 from hallsym.families.mechanisms import P
@@ -27,7 +27,7 @@ def wider(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 def half_turned(model: Model) -> Model | None:
     """Return the model as it reads with the mover turned half round about z in its mount.
 
-    The logged tilt is that of the mount; place and yaw have offsets of their own. None where arrays do not come
+    The logged tilt is that of the mount; place and yaw have their own offsets. None where arrays do not come
     to stand where others stood.
     """
     known = arrays(model.layout)
@@ -53,5 +53,5 @@ def half_turned(model: Model) -> Model | None:
 
 FURTHER = (
     Further(f"{HEIGHT.what}, {1e3 * GAP_M:g} mm wider", wider),
-    Further(f"{TURNED.what}, the reference zeroed anew in the plane", read=half_turned),
+    Further(f"{HALF_TURN.what}, the reference zeroed anew in the plane", read=half_turned),
 )

@@ -296,9 +296,9 @@ def begin(v: ca.SX, p: Mapping[str, ca.SX], layout: Layout) -> ca.SX:
     small = solve @ ca.vertcat(*rows)
     exact = [value for patch, *_ in seen for value in seen_at(small, patch)]
     pose = ca.vertsplit(small + solve @ (ca.vertcat(*rows) - ca.vertcat(*exact)))
-    turned = [pose[3] - p["rx0"], pose[4] - p["ry0"], pose[5] - p["rz0"]]
+    rotations = [pose[3] - p["rx0"], pose[4] - p["ry0"], pose[5] - p["rz0"]]
     x, y = pose[0] - p["x0"], pose[1] - p["y0"]
-    return ca.vertcat(x, y, pose[2], *turned)
+    return ca.vertcat(x, y, pose[2], *rotations)
 
 
 def _fraction(turns: ca.SX) -> ca.SX:

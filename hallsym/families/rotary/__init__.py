@@ -55,7 +55,7 @@ RING = Family(
     tables=("encoder",),
     assumed="three Halls that share a period evenly over one pole pair",
     effects=RING_EFFECTS,
-    # two speeds in both directions; Halls of a 12-bit converter, not quite 120 deg apart
+    # two speeds in both directions; Halls of a 12-bit converter, at not quite 120 deg
     example=Example(
         campaign=FAMILY.example.campaign if FAMILY.example else {},
         values={

@@ -1,4 +1,4 @@
-"""What has to be said of an encoder's log before it is fitted, and of its fit: turns, zero, ellipse."""
+"""Pre-fit checks of an encoder's log, and claims on its fit: turns, zero, ellipse."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -13,9 +13,9 @@ from hallsym.model import Inspection, Model
 # -- sums over a log that tell how an encoder follows its reference: turns and sectors -------------------
 
 BINS = 72
-"""Sectors of a turn that are looked at: 5 deg each."""
+"""Sectors of a turn: 5 deg each."""
 MANY = 65536
-"""Samples that tell the middle and the extent of a voltage, however long a log is."""
+"""Samples from which the middle and the extent of a voltage are found."""
 EDGE = 0.02
 """Share of the samples at either end that may be spikes."""
 
@@ -83,22 +83,22 @@ TOGETHER = 0.75
 """An encoder follows its reference within a run if the mean of exp(i (angle - reference)) is longer: 43 deg
 of scatter, far beyond any offset, gain or clipping."""
 GAP_NOTE, GAP_REFUSE = 30.0, 120.0
-"""Widest part of a turn [deg] without a sample: what is worth a note, and what no harmonics survive."""
+"""Widest part of a turn [deg] without a sample: above the one a note, above the other a refusal."""
 FOLLOWS = 0.5
 """An encoder follows its reference if the mean of exp(i (angle - reference)) is longer than this."""
 CLEARLY, LEAST_ZERO = 3.0, 1.0
-"""What offsets of runs must differ by for a note: times the scatter of the angle within a run, and deg."""
+"""Least difference of the offsets of runs for a note: in scatters of the angle within a run, and in deg."""
 ORDERED = 0.3
 """Length of the mean of exp(2 i |step|) below which rows follow no motion."""
 
 
 def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
-    """Return an encoder's direction, what its log cannot tell, and claims on a log that it cannot have made.
+    """Return an encoder's direction, notes on what its log does not determine, and claims on the log.
 
     `fitted` False: the log is only judged, for which a part of a turn is enough.
     """
     seen, (column,) = seen_of(model, log), model.references
-    own = bool(model.offsets)  # each run has a zero of its own
+    own = bool(model.offsets)  # a zero for each run
     straight, alone = (max(seen.follows(k, each=each) for k in (1, -1)) for each in (own, True))
     homed = straight < FOLLOWS < alone and len(seen.runs) > 1
     (gap, other), notes = map(_gap, seen.sectors), list[str]()
@@ -123,9 +123,7 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
         )
         notes.append(Fault(text, "order", (column,)))
     if gap > GAP_NOTE:
-        notes.append(
-            f"No sample lies in {gap:.0f} deg of the turn: what is said of that part is extrapolated."
-        )
+        notes.append(f"No sample lies in {gap:.0f} deg of the turn: results for that part are extrapolated.")
     if seen.moved.min() < 0.05 * seen.moved.sum():
         lost = "hysteresis looks like another zero and is not observable; record both directions to tell it."
         if "t_s" in log.columns:
@@ -146,7 +144,7 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
 
 
 def _homed(seen: Seen, column: str, sign: int, homed: bool) -> Iterator[str]:
-    """What to say of offsets of runs that clearly differ: a claim where the encoder follows in runs alone."""
+    """Report offsets of runs that clearly differ: a claim if the encoder follows within runs only."""
     first = next(iter(seen.runs))
     offsets = {run: np.angle(k[sign] / seen.runs[first][sign]) for run, k in seen.runs.items()}
     length = [abs(k[sign]) / k[0].real for k in seen.runs.values()]

@@ -7,7 +7,7 @@ Concentrator, Sensors 2014, 14, 13980, doi:10.3390/s140813980; its signs are res
 
 with alpha = angle + zero, the angle that the reference gives, whose zero is free. One family, two forms of
 a log: the voltages `v_sin_v, v_cos_v` (numerator and denominator), or `angle_rad`, alpha' itself. The angle
-tells only ratios: a common factor of Vx, Vy, Ax, Ay leaves it alone.
+determines only ratios: a common factor of Vx, Vy, Ax, Ay does not change it.
 
 Voltages in V, angles in rad, flux density m in T. Valid for any number of turns; the angle form for
 distortions (offset, mismatch, phase, harmonics together) up to about 20 %.
@@ -29,7 +29,7 @@ from hallsym.log import Meta
 from hallsym.model import Combination, Family, Model, Parameter, Signals, Step, effect
 
 FAMILY = Family("rotary")
-"""Of these models; the package puts the whole record here, which lists them."""
+"""The family of these models, set by the package."""
 POSE = ("angle_rad",)
 REFERENCES = ("angle_ref_rad",)
 VOLTAGES, ANGLE = ("v_sin_v", "v_cos_v"), ("angle_rad",)
@@ -40,7 +40,7 @@ K1, K2, K3 = 0.1896, 10.0, 0.0
 
 BETA = Parameter("beta", 0.0, -0.5, 0.5, "rad", "angle by which the sine plate is more than 90 deg ahead")
 ZERO = Parameter("zero", 0.0, -TURN, TURN, "rad", "angle of the magnet at the zero of the reference")
-"""Two turns wide, so that no zero lies at a bound."""
+"""Bounds two turns wide, so that no zero lies at a bound."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ def _encoder(
         channels=channels,
         parameters=parameters,
         steps=(
-            ("mechanics", turned),
+            ("mechanics", rotated),
             ("transducer", transducer),
             ("electronics", arctangent if decoded else voltages),
         ),
@@ -181,7 +181,7 @@ def _encoder(
 # -- links -----------------------------------------------------------------------------------------------
 
 
-def turned(s: Signals, p: Mapping[str, ca.SX]) -> None:
+def rotated(s: Signals, p: Mapping[str, ca.SX]) -> None:
     """Set the field at the plates, as waves of the angle from the encoder's own zero."""
     s["cosine"], s["sine"] = cosine(), sine()
 
@@ -243,7 +243,7 @@ def _offset(axis: str) -> Combination:
 
 
 _RATIOS = (_ratio("Vx", "Ax"), _ratio("Vy", "Ay"), _ratio("Ay", "Ax"))
-"""What an angle tells of offsets and amplitudes."""
+"""Combinations of offsets and amplitudes that an angle determines."""
 _MENG_RATIOS = (_offset("x"), _offset("y"), _ratio("Ay", "Ax"))
 """The same where the flux density scales both plates."""
 
@@ -255,7 +255,7 @@ _MENG_RATIOS = (_offset("x"), _offset("y"), _ratio("Ay", "Ax"))
 def harmonics(model: Model) -> Model:
     """3 to 8 waves of angle error per turn, whatever their cause.
 
-    What a correction table would hold; one and two waves are the ellipse's own. To first order: valid for
+    The content of a correction table; one and two waves belong to the ellipse. To first order: valid for
     errors up to about 10 mrad.
     """
     orders = range(3, 9)
@@ -284,9 +284,8 @@ def harmonics(model: Model) -> Model:
 def zero_deviation(model: Model) -> Model:
     """A zero of the reference in each run.
 
-    The reference was homed or coupled anew between runs. Each run is turned to the encoder's own zero first
-    (`hallsym.log.phase.homes`); `delta` is what is left. `zero` is that of each run then, and no parameter
-    any more.
+    The reference was homed or coupled anew between runs. Each run is first shifted to the encoder's own zero
+    (`hallsym.log.phase.homes`); `delta` is the rest. `zero` is then a per-run offset and no parameter.
     """
 
     def step(s: Signals, p: Mapping[str, ca.SX]) -> None:

@@ -117,10 +117,10 @@ def rings3(layout: tuple[Head, ...] | None = None) -> Model:
         for letter, low, what in (("V", -1e6, "offset of Hall"), ("A", 1e-6, "amplitude of Hall"))
     ]
     for h in halls[1:]:
-        apart = h.place_rad - halls[0].place_rad
+        gap = h.place_rad - halls[0].place_rad
         about = f"angle along the ring from Hall {labels[0]} to Hall {h.label}"
         parameters.append(
-            Parameter(f"place_{h.label}", apart, apart - period / 2, apart + period / 2, "rad", about)
+            Parameter(f"place_{h.label}", gap, gap - period / 2, gap + period / 2, "rad", about)
         )
     zero = Parameter("zero", 0.0, -period, period, "rad", ZERO.meaning)
     return Model(
@@ -154,8 +154,8 @@ def closed_form(model: Model, coefficients: Mapping[str, np.ndarray]) -> np.ndar
             found["zero"] = first / pairs
         else:
             nominal = found[f"place_{head.label}"]
-            turned = np.angle(wave * np.exp(-1j * (first + pairs * nominal)))
-            found[f"place_{head.label}"] = nominal + float(turned) / pairs
+            phase = np.angle(wave * np.exp(-1j * (first + pairs * nominal)))
+            found[f"place_{head.label}"] = nominal + float(phase) / pairs
     return np.array([found[name] for name in model.names])
 
 

@@ -1,8 +1,8 @@
-"""Periodic signals by their value at an angle: the same chain as with waves, without multiplying them out.
+"""Periodic signals by their value at an angle: the same chain as with waves, without expanding products.
 
 A `Wave` knows its harmonics, which a fit from run statistics needs; a product of two of n and m terms has
-n m of them, and a power of a sum soon has thousands. Where the readings are evaluated sample by sample
-nobody asks for harmonics: a `Waveform` is only ever evaluated, and a product is one multiplication.
+n m of them, and a power of a sum soon has thousands. Evaluation sample by sample needs no harmonics: a
+`Waveform` is only evaluated, and a product is one multiplication.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Waveform:
             known = self._known[id(theta)] = (
                 theta,
                 self.value(theta),
-            )  # no other has its id while it is held
+            )  # its id is unique while it is referenced
         return known[1]
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Trigonometric polynomials of one angle: what an encoder's field and voltages are made of.
+"""Trigonometric polynomials of one angle: the field and voltages of an encoder.
 
 A wave is sum_n c_n cos(n theta) + s_n sin(n theta), n = 0, 1, ..., with coefficients that are CasADi
 expressions of parameters and logged columns. Products stay waves, so a chain of links that adds, scales and
@@ -23,7 +23,7 @@ HARMONICS = 12
 
 Complex = tuple[ca.SX, ca.SX]
 Share = Callable[[int], Complex]
-"""Of harmonic n: real and imaginary part of what a filter leaves of exp(i n theta)."""
+"""Real and imaginary part of the response of a filter to exp(i n theta), of harmonic n."""
 
 
 def plus(a: ca.SX, b: ca.SX | float) -> ca.SX:
@@ -41,7 +41,7 @@ def times(a: ca.SX, b: ca.SX | float) -> ca.SX:
     return ca.SX.binary(ca.OP_MUL, a, b)
 
 
-def turned(angle: ca.SX) -> Complex:
+def rotated(angle: ca.SX) -> Complex:
     """Return cosine and sine of an angle."""
     return ca.SX.unary(ca.OP_COS, angle), ca.SX.unary(ca.OP_SIN, angle)
 
@@ -85,7 +85,7 @@ class Wave:
         """Return the wave at theta + angle."""
         out = {}
         for n, (c, s) in self.terms.items():
-            cos, sin = turned(times(angle, float(n)))
+            cos, sin = rotated(times(angle, float(n)))
             mixed = plus(times(c, cos), times(s, sin)), minus(times(s, cos), times(c, sin))
             out[n] = mixed if n else (c, s)
         return Wave(out)
@@ -95,7 +95,7 @@ class Wave:
         return Wave({n: (n * s, -n * c) for n, (c, s) in self.terms.items() if n})
 
     def filtered(self, share: Share) -> Wave:
-        """Return the wave with each harmonic times what a filter leaves of it; the mean stays."""
+        """Return the wave with each harmonic times the response of a filter; the mean stays."""
         out = {}
         for n, (c, s) in self.terms.items():
             re, im = share(n) if n else (ca.SX(1), ca.SX(0))
@@ -106,7 +106,7 @@ class Wave:
         """Return the value at an angle."""
         total = ca.SX(0)
         for n, (c, s) in self.terms.items():
-            cos, sin = turned(times(theta, float(n)))
+            cos, sin = rotated(times(theta, float(n)))
             total = plus(total, plus(times(c, cos), times(s, sin)) if n else c)
         return total
 

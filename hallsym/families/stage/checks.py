@@ -1,4 +1,4 @@
-"""What a fitted stage cannot be: gains that follow height and tilt as those of no rigid stage do."""
+"""Claims on a fitted stage whose gains follow height and tilt as on no rigid stage."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -8,7 +8,7 @@ import numpy as np
 from hallsym.log import Fault
 
 SURE = 5.0
-"""Standard uncertainties that slopes must be away from zero to say anything: a gain may follow nothing."""
+"""Standard uncertainties from zero that slopes must have to be tested: a gain may be constant."""
 FACTOR = 2.0
 """The slopes of gains over tilt and height fit the distances of the probes within this factor: positions are
 known within their bounds, and units differ by 10 and more."""

@@ -25,7 +25,7 @@ from hallsym.model import Combination, Family, Model, Parameter, Signals, Step, 
 from hallsym.toml import number
 
 FAMILY = Family("stage")
-"""Of these models; the package puts the whole record here, which lists them."""
+"""The family of these models, set by the package."""
 POSE = ("x_m", "y_m", "rz_rad")
 REFERENCES = ("x_ref_m", "y_ref_m", "rz_ref_rad")
 STATE = ("z_m", "rx_rad", "ry_rad")
@@ -65,7 +65,7 @@ def paper_layout() -> tuple[Probe, ...]:
 
 @cache
 def stage15(layout: tuple[Probe, ...] | None = None) -> Model:
-    """Return Model (15): reading_k = eta_k n_k . (x - p_y Rz, y + p_x Rz), n_k turned by theta_k.
+    """Return Model (15): reading_k = eta_k n_k . (x - p_y Rz, y + p_x Rz), n_k rotated by theta_k.
 
     `layout`: three or more probes; the paper's by default. Bounds are Table 3's for the paper's layout, else
     H +-25 % (at least 50 mm), eta .55 to 1.05, theta +-8 deg.
@@ -235,8 +235,8 @@ def closed_form(model: Model, coefficients: Mapping[str, np.ndarray]) -> np.ndar
         sign = 1.0 if phi[0] >= 0 else -1.0
         phi, (nx, ny, lever) = phi * norm * sign, pose / norm * sign
         slopes[probe.label] = phi
-        turned = np.arctan2(ny, nx) - np.arctan2(probe.senses[1], probe.senses[0])
-        p[f"theta_{probe.label}"] = float(np.arctan2(np.sin(turned), np.cos(turned)))
+        angle = np.arctan2(ny, nx) - np.arctan2(probe.senses[1], probe.senses[0])
+        p[f"theta_{probe.label}"] = float(np.arctan2(np.sin(angle), np.cos(angle)))
         p[f"eta_{probe.label}"] = float(phi[0])
         _set_lever(p, k, probe, nx, ny, lever)
     if "vertical_coupling" in model.effects:
@@ -288,7 +288,7 @@ FARTHEST = 5.0
 def _check(probes: tuple[Probe, ...]) -> None:
     if len(probes) < 3:
         raise InputError(
-            f"The stage needs at least 3 probes to tell x, y and Rz apart; the layout has {len(probes)}."
+            f"The stage needs at least 3 probes to determine x, y and Rz; the layout has {len(probes)}."
         )
     labels = [p.label for p in probes]
     if len(set(labels)) < len(labels):
@@ -306,7 +306,7 @@ def _check(probes: tuple[Probe, ...]) -> None:
     responses = np.column_stack([nx, ny, lever / max(np.abs(lever).max(), 1e-12)])
     if np.linalg.cond(responses) > 1e4:
         raise InputError(
-            "The probes of a layout must tell x, y and Rz apart; these do not: all sense along one "
+            "The probes of a layout must determine x, y and Rz; these do not: all sense along one "
             "direction, or their lines of sight meet in one point."
         )
 
@@ -350,7 +350,7 @@ def position(k: int, probe: Probe, p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX
 
 
 def direction(probe: Probe, p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-    """Return the sensing axis of a probe turned counter-clockwise by theta, Eq. (10)."""
+    """Return the sensing axis of a probe rotated counter-clockwise by theta, Eq. (10)."""
     (nx, ny), theta = probe.senses, p[f"theta_{probe.label}"]
     return nx * ca.cos(theta) - ny * ca.sin(theta), ny * ca.cos(theta) + nx * ca.sin(theta)
 

@@ -1,1 +1,1 @@
-"""Whether a log can be what it says: what goes wrong in a lab, found before anything is computed from it."""
+"""Pre-fit checks of a log, without a model."""

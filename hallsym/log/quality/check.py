@@ -1,4 +1,4 @@
-"""Check a log before anything is computed from it: what really goes wrong in a lab, without any model."""
+"""Pre-fit checks of a log for faults that occur in a lab, without a model."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _PASSES = 6
 
 
 def check_log(log: Log, required: Sequence[str] = ()) -> list[str]:
-    """Return what is worth knowing about a log, one sentence each; refuse one that cannot be read.
+    """Return notes on a log, one sentence each; refuse one that cannot be read.
 
     `required` names the columns that will be used (none: all of them); only these are judged.
     """
@@ -61,7 +61,7 @@ def clean_log(log: Log, required: Sequence[str] = ()) -> Log:
 def usable(
     log: Log, required: Sequence[str] = (), *, drop_bad: bool = False, accept: Collection[str] = ()
 ) -> tuple[Log, list[str]]:
-    """Return the log to compute from, and what is worth knowing about it; refuse one that cannot be read.
+    """Return the log to compute from, and notes on it; refuse one that cannot be read.
 
     Samples of which a claim says that they are bad are left out, unless its name is in `accept`; the log
     itself is returned where nothing is. With `drop_bad` samples that cannot be read are left out too, and
@@ -69,18 +69,18 @@ def usable(
     """
     notes, began = list(log.notes), log
     for _ in range(_PASSES):
-        told, drop = [], Drop()
+        said_of, drop = [], Drop()
         for finding in _judge(log.recording or log, required, thinned=log is not began):
             if finding.refuse and not (drop_bad and finding.drop):
                 before = [f" ({note[:-1]})" for note in notes[len(log.notes) :]]
                 raise InputError(f"{finding.said()[:-1]}{''.join(before[-1:])}.")
             if finding.claim in accept:
-                told.append(f"{finding.text}.")
+                said_of.append(f"{finding.text}.")
             elif finding.drop:
                 drop |= finding.drop
                 notes.append(f"{finding.text}; left out." if drop_bad else finding.said(left_out=True))
             else:
-                told.append(finding.said())
+                said_of.append(finding.said())
         if not drop:
             break
         log = without(log, drop)
@@ -88,7 +88,7 @@ def usable(
             raise InputError(f"Nothing is left of {log.name} without its bad samples ({notes[-1][:-1]}).")
         if not drop_bad:
             break
-    return log, [*notes, *told]
+    return log, [*notes, *said_of]
 
 
 def spans(log: Log, columns: Sequence[str] | None = None) -> Spans:
@@ -143,7 +143,7 @@ def short_runs(log: Log, seen: Scan) -> Iterator[Finding]:
     if cut:
         yield Finding(
             f"Run {cut[0]} of {name} has {samples[cut[0]]} samples{others(cut)} where the usual run has"
-            f" {usual:.0f}: it tells little more than its own zero; see whether its recording was cut short"
+            f" {usual:.0f}: it determines little more than its own offset; it may be cut short"
         )
     elif usual < _FEW:
         runs = "The usual run" if log.timed else "Each part that is compared"
@@ -155,8 +155,8 @@ def short_runs(log: Log, seen: Scan) -> Iterator[Finding]:
 
 _LONGEST_TICK_S = 100.0
 _SLOW_TICK_S = 1.0
-"""Usual step of a clock from which on it may be in ms: motion is recorded at 10 Hz and faster, and a log that
-is slower than 1 Hz approaches its points one by one. Nothing else tells the two apart."""
+"""Usual step of a clock above which it may be in ms: motion is recorded at 10 Hz and faster, and a log slower
+than 1 Hz approaches its points one by one. Only the step distinguishes the two."""
 
 
 def clock(log: Log, clock: Clock, *, thinned: bool) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""One fault of a log as one sentence: what, where, what was expected, what to do."""
+"""One fault of a log as one sentence: fault, place, expectation and remedy."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ UNRELATED, LAYOUT = "unrelated", "layout"
 
 
 class Fault(str):
-    """A claim: what is odd about a recording, or a fit, that is used all the same; other notes are remarks.
+    """A claim: an anomaly of a recording, or a fit, that is used nevertheless; other notes are remarks.
 
-    `name`: what `--accept` takes. `columns`, `runs`: where, all runs where empty. `correction`: what undoes
-    it (`--correct`), None where nothing does.
+    `name`: argument of `--accept`. `columns`, `runs`: where, all runs if empty. `correction`: argument of
+    `--correct` that undoes it, None if there is none.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Fault(str):
 
 @dataclass(frozen=True)
 class Finding:
-    """What is odd about a log, a remark or the `Fault` that is claimed, `text` without its end and `remedy`.
+    """An anomaly of a log, a remark or the `Fault` that is claimed, `text` without its end and `remedy`.
 
     `refuse`: nothing can be computed from the samples of `drop`, or of the log, so it stops the work. Samples
     of `drop` that a claim calls bad are left out unless it is accepted.

@@ -15,7 +15,7 @@ from hallsym.log.table import CHUNK_ROWS
 from hallsym.units import Array
 
 FEWEST_SAMPLES = 8
-"""Samples of a run below which it says nothing."""
+"""Samples of a run below which it is not checked."""
 STUCK_SAMPLES = 8
 
 
@@ -48,17 +48,17 @@ class Spans:
 
 @dataclass
 class Trace:
-    """What one pass saw of one column.
+    """Result of one pass over one column.
 
-    `parts` holds arrays (segments, 4): min, max, sum, sum of squares. `held`: whether `STUCK_SAMPLES` in a row
-    are equal.
+    `parts` holds arrays (segments, 4): min, max, sum, sum of squares. `stuck`: whether `STUCK_SAMPLES`
+    consecutive samples are equal.
     """
 
     pivot: float | None = None
     parts: list[Array] = field(default_factory=list)
     nonfinite: int = 0
     first_nonfinite: int = -1
-    held: bool = False
+    stuck: bool = False
 
     def add(self, name: str, values: Array, starts: Array, row: int) -> None:
         """Take a piece that begins at `row`, with segments from `starts` on.
@@ -82,10 +82,10 @@ class Trace:
         self.parts.append(part)
         if is_moving(name):
             equal = values[1:] == values[:-1]
-            if not self.held and len(equal) >= STUCK_SAMPLES:
+            if not self.stuck and len(equal) >= STUCK_SAMPLES:
                 two = equal[1:] & equal[:-1]
                 four = two[2:] & two[:-2]
-                self.held = bool((four[3:] & four[:-3]).any())
+                self.stuck = bool((four[3:] & four[:-3]).any())
 
 
 @dataclass
@@ -127,7 +127,7 @@ class Scan:
 
 
 def scan(log: Log, columns: Sequence[str]) -> Scan:
-    """Read the columns once and return what was seen."""
+    """Read the columns once and return the results of the pass."""
     clock = Clock() if "t_s" in columns else None
     own = tuple(name for name in columns if name != RUN)
     result = Scan({name: Trace() for name in own}, clock)
@@ -215,7 +215,7 @@ _SMALLEST = 0.005
 """Quantile of differences that is one code: they are whole numbers of codes, whatever the motion; codes of a
 converter may lie unevenly."""
 _CHANCE_EQUAL = 0.01
-"""Share of equal neighbours that needs no explanation."""
+"""Share of equal neighbours that is not suspicious."""
 _MORE = 3.0
 """Equal neighbours over those by chance from which it is no noise: an axis that goes from rest to rest."""
 _FEWEST = 16
@@ -230,7 +230,7 @@ def stretches(mask: Array, shortest: int = 2) -> list[tuple[int, int]]:
 
 
 def is_noisy(x: Array) -> bool:
-    """Say whether samples (n,) carry noise beyond their rounding, so that no two recordings are alike."""
+    """Return whether samples (n,) carry noise beyond their rounding, so that no two recordings are equal."""
     return noise_in_codes(x) > 0.0
 
 

@@ -1,4 +1,4 @@
-"""Values that cannot be what was measured: at rest, held, or recorded twice."""
+"""Values that cannot be measurements: frozen, stuck, or recorded twice."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ that is recorded at a lower rate: a coarse converter changes as fast as the moti
 def repeated(log: Log, columns: Iterable[str]) -> Iterator[Fault]:
     """Yield the claim that columns were recorded at a lower rate than the others.
 
-    An axis that steps from rest to rest looks the same; a model that describes a log is not asked for it.
+    An axis that steps from rest to rest looks the same; where a model describes the log there is no claim.
     """
     for name in filter(is_moving, columns):
         first = next(log.blocks((name,)))
@@ -49,7 +49,7 @@ def repeated(log: Log, columns: Iterable[str]) -> Iterator[Fault]:
 
 
 _CHANCE = 1e-6
-"""Probability that noise repeats a code for so long somewhere in a run from which it is no chance."""
+"""Probability that noise repeats a code for so long somewhere in a run, below which it is a fault."""
 
 
 class Stretch(NamedTuple):
@@ -72,7 +72,7 @@ def stuck(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
             text = f"{the(log, name)} never changes; it is {overall.min:.6g} in all {seen.rows} samples"
             remedy = "check the probe, its wiring and the step of its converter"
             yield Finding(Fault(text, "stuck", (name,)), remedy)
-        if overall.min == overall.max or not trace.held:
+        if overall.min == overall.max or not trace.stuck:
             continue
         rests = spans.rests(name)
         if is_reading(name):  # it may rest with an axis
@@ -91,7 +91,7 @@ def stuck(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
         lasts, first = [one.stop - one.start for one in found], found[0]
         where = f"{counted(len(found), 'stretch')}, {sum(lasts) / seen.rows:.1%}"
         runs = tuple(dict.fromkeys(one.run for one in found))
-        # what is late repeats its first or last value at an end of every run; the fit tells it
+        # a delayed column repeats its first or last value at an end of every run; the fit detects that
         inner = [one for one in found if one.start > 0 and one.stop < seen.samples[one.run]]
         part = inner[0] if inner else first if len(runs) == 1 else None
         how = (
@@ -140,7 +140,7 @@ Pairs = dict[tuple[int, int], list[str]]
 
 
 def copied(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
-    """Samples that are there twice. Only columns with noise count: without it every repetition is alike."""
+    """Samples that occur twice. Only columns with noise count: without it every repetition is equal."""
     if same := _same(log, spans):
         yield _pasted(log, same, spans)
     known: dict[bytes, str] = {}
@@ -162,15 +162,15 @@ def _same(log: Log, spans: Spans) -> Pairs:
     noisy: set[tuple[int, int]] = set()
     for name in filter(is_moving, spans.overall):
         extents = list(zip(*spans.by_run[name][:2].tolist(), spans.samples.values(), strict=True))
-        often, alike = Counter(extents), defaultdict[bytes, list[int]](list)
+        often, by_digest = Counter(extents), defaultdict[bytes, list[int]](list)
         doubtful = {run: blake2b() for run, (low, high, n) in zip(spans.samples, extents, strict=True)
                     if low < high and often[low, high, n] > 1}  # fmt: skip
         for block in log.blocks((name,)) if doubtful else ():
             if block.run in doubtful:
                 doubtful[block.run].update(block.data[name].tobytes())
         for run, samples in doubtful.items():
-            alike[samples.digest()].append(run)
-        for first, *later in alike.values():
+            by_digest[samples.digest()].append(run)
+        for first, *later in by_digest.values():
             pasted = {(first, run) for run in later}
             noisy |= pasted if pasted and is_noisy(log.run(first, (name,))[name]) else set()
             for pair in pasted:
@@ -179,13 +179,13 @@ def _same(log: Log, spans: Spans) -> Pairs:
 
 
 def _pasted(log: Log, same: Pairs, spans: Spans) -> Finding:
-    """Of a run that is a copy, the first one is good; of columns in two runs, either may be wrong."""
-    told = [c for c in spans.overall if is_reading(c) or is_reference(c)]
+    """For a copied run, keep the first; for columns in two runs, either may be wrong."""
+    measured = [c for c in spans.overall if is_reading(c) or is_reference(c)]
     runs = list(spans.samples)
     wrong: set[int] = set()
     for pair, c in same.items():
         later = runs.index(pair[1])
-        whole = all(name in c or spans.rests(name)[later] for name in told)
+        whole = all(name in c or spans.rests(name)[later] for name in measured)
         wrong |= set(pair[1:] if whole else pair)
     (first, run), names = next(iter(same.items()))
     shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

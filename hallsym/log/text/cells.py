@@ -30,7 +30,7 @@ class Convention:
 
     @property
     def pattern(self) -> re.Pattern[str]:
-        """What a number looks like."""
+        """Pattern of a number."""
         d = re.escape(self.decimal)
         whole = (
             r"\d+" if not self.grouping else rf"(?:[1-9]\d{{0,2}}(?:{re.escape(self.grouping)}\d{{3}})+|\d+)"
@@ -55,7 +55,7 @@ def is_number(cell: str) -> bool:
 
 
 def conventions_of(cells: Iterable[str], decimal: str | None = None) -> tuple[list[Convention], str]:
-    """Return the conventions that read most of the cells, and a cell that tells them apart ("" if none does).
+    """Return the conventions that read most of the cells, and a cell that distinguishes them ("" if none).
 
     Several are returned only where they read the same cells as other numbers: 1,234.
     """
@@ -78,7 +78,7 @@ def conventions_of(cells: Iterable[str], decimal: str | None = None) -> tuple[li
 
 
 def as_float(cell: str, convention: Convention) -> float | None:
-    """Return the number in a cell, nan for a missing one, None for what is no number."""
+    """Return the number in a cell, nan for a missing one, None for anything else."""
     if cell in MISSING:
         return float("nan")
     if not (_PATTERNS.get(convention) or convention.pattern).fullmatch(cell):
@@ -88,7 +88,7 @@ def as_float(cell: str, convention: Convention) -> float | None:
 
 
 class Spelling(NamedTuple):
-    """Another way to write numbers: what it is called, what is found in or behind one, what that becomes."""
+    """Another notation of numbers: its name, the pattern in or behind a number, its replacement."""
 
     said: str
     pattern: re.Pattern[str]

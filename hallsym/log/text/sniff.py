@@ -1,4 +1,4 @@
-"""What a text file is, recognised from its first and last lines; asked for where it could be two things."""
+"""Recognise the form of a text file from its first and last lines; an ambiguous one must be stated."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from hallsym.log.text.cells import (
 
 BLANKS = " "
 DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", BLANKS: "blank"}
-"""What separates columns, and the word for it, which `--delimiter` takes too."""
+"""Separators of columns, with their words for `--delimiter`."""
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """What was recognised of a text, as it is read.
+    """The recognised form of a text.
 
     `delimiter`: " " stands for any number of blanks and tabs. `stems`: as `stems_of`, one by cell. `first`:
     line the table begins at, from 1. `footer`: lines after the table. `quoted`: whether quotes stand around
@@ -100,7 +100,7 @@ COMMENT = "comment"
 
 
 class Line(NamedTuple):
-    """A line that is not empty, with its number in the file; of a comment, what stands behind its mark."""
+    """A line that is not empty, with its number in the file; of a comment, the text behind its mark."""
 
     number: int
     text: str
@@ -131,9 +131,9 @@ class Split:
         below = [k for k in range(self.data, len(rows)) if len(self.rows[k]) == self.width]
         self.trailing = self.width > 1 and bool(below) and not any(self.rows[k][-1] for k in below)
         self.trailing &= len(below) == len(rows) - self.data
-        held = sum(numeric[k] + sum(cell in MISSING for cell in self.rows[k][:LOOKED_AT]) for k in below)
+        filled = sum(numeric[k] + sum(cell in MISSING for cell in self.rows[k][:LOOKED_AT]) for k in below)
         cells = min(self.width, LOOKED_AT) * (len(rows) - self.data)
-        self.quality = held / cells if cells else 0.0
+        self.quality = filled / cells if cells else 0.0
 
     def _top(self, numeric: Sequence[int]) -> int:
         """Return the index of the names: the last row of words above the data, or the one above its units.
@@ -355,7 +355,7 @@ LONGEST_LINE = 10_000_000
 _GZIP = b"\x1f\x8b"
 _MARK = "\ufeff"
 _WIDE, _NARROW = 0.6, 0.1
-"""Share of null bytes at even (odd) places from which on text is UTF-16; nearly all are."""
+"""Share of null bytes at even (odd) places above which text is UTF-16; nearly all are."""
 
 
 class Encoded:
@@ -399,7 +399,7 @@ class Encoded:
                 yield f"{text}{rest}" if (rest or text).endswith("\n") else f"{text}{rest}\n"
 
     def lines(self, where: str) -> Iterator[str]:
-        """Yield the lines, without what ends them and a byte order mark."""
+        """Yield the lines, without line ends and a byte order mark."""
         for piece in self.pieces(where):
             yield from piece[:-1].removeprefix(_MARK).split("\n")
 

@@ -44,7 +44,7 @@ class Cells:
 
     `by`: what the cells are along, with the unit of `edges`. `median`, `rms`: (n_pose, cells), nan in an
     empty cell; `count`: (cells,). Cells have `edges` (cells + 1,) or, where they are no numbers, `labels`;
-    `marked` are held out. Over two coordinates `across` holds the edges of the second, `up` its name, and
+    `marked` are the holdout. Over two coordinates `across` holds the edges of the second, `up` its name, and
     cell `i + columns * j` lies at column i, row j. `periodic`: coordinates that go round, see
     `hallsym.units.readable`.
     """
@@ -66,7 +66,7 @@ class Tally:
     """Histogram of each series in each cell, from which medians are read; memory is (series, cells, bins)."""
 
     def __init__(self, cells: int, fine: np.ndarray) -> None:
-        """Start a tally of `cells` cells; `fine`: (series,) error [SI] that is fine enough to tell apart."""
+        """Start a tally of `cells` cells; `fine`: (series,) resolution of errors [SI]."""
         self.fine = np.maximum(np.asarray(fine, dtype=float), 1e-300)
         self.count = np.zeros(cells, dtype=np.int64)
         self.squares = np.zeros((len(self.fine), cells))
@@ -241,7 +241,7 @@ def gather(
     series, pose, period = [], fit.model.pose, fit.model.period
     for run in chosen:
         traces = {key: made[run] for key, (_, made) in found.items()}
-        title = f"run {run}{', held out' if run in held_out(fit) else ''}"
+        title = f"run {run}{', holdout' if run in held_out(fit) else ''}"
         series.append(series_of(title, pose, traces, timed=survey.timed, periodic=period))
     maps = {key: every for key, (every, _) in found.items()}
     drawn = [maps[version.name] if version else () for version in (before, after)]

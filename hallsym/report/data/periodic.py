@@ -1,8 +1,8 @@
-"""Errors that repeat with a coordinate: how large they are, what makes them, and what would remove them.
+"""Errors that repeat with a coordinate: their size, causes and remedies.
 
 The error of the decoded coordinate is a sum of harmonics of one period of the reference. The effects of the
-family say which harmonics come from how the parts are mounted, which from the reference, and which from
-anything else, so that the error splits into what belongs to the machine and what does not.
+family state which harmonics come from the mounting, which from the reference, and which from other causes, so
+that the error splits into those of the machine and of the reference.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from hallsym.model import Family
 from hallsym.report.data.survey import Decoded, decoded
 
 HIGHEST = 12
-"""Harmonics per period that are looked for in any case: clipping and the second harmonic of a field's third
-reach it, and with it a table of 24 entries."""
+"""Harmonics per period that are always fitted: clipping and the second harmonic of a field's third reach this
+order, and with it a table of 24 entries."""
 SECTORS = 36
 """Parts of the period that must each hold a sample: 10 deg of a turn, a third of the shortest wave."""
 ALONE = 3
@@ -31,13 +31,14 @@ ALONE = 3
 CHANCE = 0.01
 """Probability that noise alone shows one of all harmonics. The usual 1 %."""
 STEEP = 5.0
-"""Standard uncertainties from which on a reference is taken to have another scale. Over a single period a
-slope resembles the sum of all harmonics, so it must be beyond doubt."""
+"""Standard uncertainties above which a reference has another scale. Over a single period a slope resembles
+the sum of all harmonics, so it must be certain."""
 MOUNTED, REFERENCE = "mechanics", "reference"
 """Links of the chain whose effects mounting makes, and the reference."""
 ALIAS = 1e-2
-"""Information on a wave beside slower ones, as part of what it has alone, below which it is left out: knots
-at 200 places a turn do not tell the phase of a hundredth wave. A slope over a single turn has 5e-2."""
+"""Information on a wave beside slower ones, relative to that of the wave alone, below which it is left out:
+knots at 200 places a turn do not determine the phase of a hundredth wave. A slope over a single turn has
+5e-2."""
 GRID = np.linspace(0.0, 2 * np.pi, 720, endpoint=False)
 
 
@@ -57,18 +58,18 @@ class Harmonic:
     amplitude: float
     half_width: float
     shown: bool
-    """Whether the log shows it beyond chance."""
+    """Whether it is significant."""
 
 
 @dataclass(frozen=True)
 class PeriodicError:
-    """The error of `coordinate` over its `period`, with the nominal decoder, and what is left with remedies.
+    """The error of `coordinate` over its `period`, with the nominal decoder, and after remedies.
 
-    `machine`: what belongs to the machine. `mounted`: without `mount_orders`, which mounting the parts anew
-    can remove. `calibrated`: with the fitted parameters. `pattern`: what belongs to the reference, at
-    `pattern_orders`. `rest`, `rest_calibrated`: rms of what does not repeat with the nominal and with the
-    fitted parameters, which no table removes. `elsewhere`: by order that mounting can make, the effects that
-    make it too and that mounting does not remove.
+    `machine`: the part of the machine. `mounted`: without `mount_orders`, which mounting the parts anew can
+    remove. `calibrated`: with the fitted parameters. `pattern`: the part of the reference, at
+    `pattern_orders`. `rest`, `rest_calibrated`: rms of the non-periodic part with the nominal and with the
+    fitted parameters, which no table removes. `elsewhere`: by order of the mounting, other effects of that
+    order, which mounting does not remove.
     """
 
     coordinate: str
@@ -92,7 +93,7 @@ class PeriodicError:
 
 
 def periodic_error(log: Log, fit: Fit, keep: Weigh | None = None) -> PeriodicError | None:
-    """Return the errors that repeat with the first coordinate that does; None where there is nothing to say.
+    """Return the errors that repeat with the first periodic coordinate; None where there are none.
 
     That is: where the family's effects name no harmonics, where the log does not cover a period, or where it
     has too few samples. `log`: as the model reads it (`as_read`).
@@ -125,7 +126,7 @@ def periodic_of(fit: Fit, log: Log | None = None) -> PeriodicError | None:
 
 
 def _sources(family: Family) -> tuple[tuple[int, ...], tuple[int, ...], dict[int, tuple[str, ...]]]:
-    """Return orders that mounting makes, that the reference alone makes, and what else makes mounting's."""
+    """Return orders of the mounting, orders of the reference alone, and other causes of the former."""
     by_link: dict[str, set[int]] = {}
     for effect in family.effects:
         by_link.setdefault(effect.link, set()).update(effect.waves)
@@ -191,7 +192,7 @@ class _Sums:
 def _solve(
     square: np.ndarray, columns: list[int], target: int, free: int
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return coefficients, their covariance and the rms of what is left; what no sample tells is zero."""
+    """Return coefficients, their covariance and the rms of the rest; undetermined coefficients are zero."""
     kept: list[int] = []
     for j in columns:  # from slow waves to fast ones, which may look like slow ones at these samples
         own = square[np.ix_(kept, kept)], square[kept, j]
@@ -219,7 +220,7 @@ class _Solved:
 
     @property
     def harmonics(self) -> Iterator[Harmonic]:
-        """Yield each harmonic with what it is worth."""
+        """Yield each harmonic with its amplitude and uncertainty."""
         limit = chdtri(2, CHANCE / len(self.orders))
         for k, order in enumerate(self.orders):
             at = slice(2 * k, 2 * k + 2)

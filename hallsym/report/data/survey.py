@@ -1,4 +1,4 @@
-"""One pass over a log: what its pictures show, for any number of samples; and runs that belong together."""
+"""One pass over a log: the data of its pictures, for any number of samples; and groups of runs."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class Decoded:
-    """A block with its decoded poses, (n_pose, samples) each; what is not asked for is not computed.
+    """A block with its decoded poses, (n_pose, samples) each, computed on demand.
 
     `offsets`: displacements of the run. `kept`: (samples,) whether each sample counts.
     """
@@ -155,7 +155,7 @@ class _Run:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """A log as its pictures need it, for any number of samples.
+    """The data of a log's pictures, for any number of samples.
 
     `edges`: (runs + 1,) sample numbers where runs begin. `state`: (runs, n_state) mean vertical state, and
     `drift`, its travel. `reach`: (n_pose + n_state, 2) least and greatest value of reference and state over
@@ -174,7 +174,7 @@ class Survey:
 
 
 def look_over(log: Log, fit: Fit, keep: Weigh | None = None) -> Survey:
-    """Read `log` once and return what its pictures show."""
+    """Read `log` once and return the data of its pictures."""
     runs: dict[int, _Run] = {}
     total = 0
     for part in decoded(log, fit, keep):
@@ -200,7 +200,7 @@ def look_over(log: Log, fit: Fit, keep: Weigh | None = None) -> Survey:
 
 
 def held_out(fit: Fit) -> tuple[int, ...]:
-    """Return the held-out runs, also of a fit that was read back."""
+    """Return the holdout runs, also of a fit that was read back."""
     return fit.errors.holdout if fit.errors else fit.log.holdout
 
 

@@ -1,4 +1,4 @@
-"""What each figure shows, as `Picture`s of typed results: of files, of pages and of a session alike.
+"""The content of each figure, as `Picture`s of typed results, for files, pages and sessions.
 
 Data stay in SI; axes say um, urad or mV. Colours differ in lightness and every series has its own dash or
 marker, so that a greyscale print can be read. Those of a fit follow Figures 9 to 12 of Chen et al., Sensors

@@ -71,18 +71,18 @@ def _series(
     fit: Fit, survey: Survey, groups: Sequence[Group]
 ) -> list[tuple[str, ErrorTable, list[list[int]], p.Look, Any]]:
     """Label, error table, runs of each group, look and shift to the right of every series."""
-    held, every = held_out(fit), [runs for _, runs in groups]
-    used = [[r for r in runs if r not in held] for runs in every]
-    holdout = [[r for r in runs if r in held] for runs in every]
+    left_out, every = held_out(fit), [runs for _, runs in groups]
+    used = [[r for r in runs if r not in left_out] for runs in every]
+    holdout = [[r for r in runs if r in left_out] for runs in every]
     size = 4.2 if len(groups) <= 2 * MOST_SETTINGS else 2.0
-    before, after, apart = (replace(look, size=size) for look in (p.BEFORE, p.AFTER, p.HOLDOUT))
+    before, after, marked = (replace(look, size=size) for look in (p.BEFORE, p.AFTER, p.HOLDOUT))
     found: list[tuple[str, ErrorTable, list[list[int]], p.Look, Any]] = [
         ("nominal", survey.nominal, every, before, 0.0),
         ("fitted", survey.fitted, used, after, 0.0),
     ]
     if any(holdout):
         aside = np.array([0.25 if u and a else 0.0 for u, a in zip(used, holdout, strict=True)])
-        found.append(("fitted, held-out runs", survey.fitted, holdout, apart, aside))
+        found.append(("fitted, holdout runs", survey.fitted, holdout, marked, aside))
     return found
 
 

@@ -1,4 +1,4 @@
-"""Panels of a diagnosis: shares of the gap, and the shape of what no effect explains."""
+"""Panels of a diagnosis: shares of the gap, and the shape of the unexplained rest."""
 
 from __future__ import annotations
 

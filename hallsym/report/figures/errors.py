@@ -1,6 +1,6 @@
 """Panels of errors: by output, along a coordinate, by group of runs, over two coordinates, over time.
 
-Bars carry their names and numbers, so that nothing is told by colour alone.
+Bars carry their names and numbers, so that no information is in colour alone.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hallsym.report.words import largest, minus, name, number, scale
 
 FAR = 12.0
 """Bars that differ by more than this factor are drawn on a logarithmic scale, as dots."""
-LOOKS = {"before": p.BEFORE, "nominal": p.BEFORE, "held out": p.HOLDOUT}
+LOOKS = {"before": p.BEFORE, "nominal": p.BEFORE, "holdout": p.HOLDOUT}
 """Of the errors that are not those after; every other one is `AFTER`."""
 
 Sizes = Mapping[str, Mapping[str, float]]

@@ -1,4 +1,4 @@
-"""Picture `coverage` of a plan: what it covers beside what was recorded."""
+"""Picture `coverage` of a plan: planned and recorded settings and paths."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What commands print: results as text for a terminal."""
+"""Results as text for a terminal."""

@@ -120,7 +120,7 @@ def _row(source: Source, share: float, result: str, factor: float, unit: str) ->
 
 
 def comparison_table(comparisons: Sequence[Comparison]) -> Table:
-    """Return what Monte Carlo says of the linear result: a line for each output."""
+    """Return the comparison of Monte Carlo with the linear result: a line for each output."""
     trials = f"Monte Carlo, {comparisons[0].trials} trials"
     head = [trials, "u linear", "u", "unit", "interval linear", "interval", "tolerance", ""]
     rows = []
@@ -149,7 +149,7 @@ def recorded_table(recorded: Recorded, title: str) -> Table:
 
 
 def curve_blocks(curve: Curve, machine: Budget, budget: Budget) -> list[Block | str]:
-    """Return what a curve adds to the budget of a machine, and which error of a curve adds 2 %."""
+    """Return the contribution of a curve to a machine's budget, and the error of a curve that adds 2 %."""
     factor, unit = fitting("m", budget.expanded)
     allowed = machine.expanded * (1.02**2 - 1) ** 0.5 / machine.factor
     return [
@@ -168,7 +168,7 @@ def _length(value: float) -> str:
 
 
 def position_words(at: Mapping[str, float], periodic: Collection[str] | None = None) -> str:
-    """Return `x 100 um, z 250 um`: what is not next to zero beside the others; `periodic` as in `readable`."""
+    """Return `x 100 um, z 250 um` without values next to zero; `periodic` as in `readable`."""
     least = 0.01 * max(map(abs, at.values()), default=0.0)
     parts = []
     for column, value in at.items():

@@ -1,4 +1,4 @@
-"""What is said of a diagnosis: verdict, errors, effects, where the gap lies, what could not be tested."""
+"""Report of a diagnosis: verdict, errors, effects, where the gap lies, effects that were not testable."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from hallsym.report.words import NOT_DECODED, amount, name, number
 from hallsym.units import parameter_unit, readable, scaled
 
 FEW_UNITS = 8
-"""Units of a test by signs below which the least p-value they can give is said: 2 / 2^8 is 0.008."""
+"""Units of a test by signs below which the least possible p-value is stated: 2 / 2^8 is 0.008."""
 LEAST_P = 1e-6
-"""P-values below this are only said to be below it: no test is better than its assumptions."""
+"""P-values below this are printed as below it: no test is better than its assumptions."""
 UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "s": (1e3, "ms"), "m/s": (1e6, "um/s"), "1": (1.0, ""),
          "m s2/m": (1e6, "um per m/s2")}  # fmt: skip
 """How parameters are shown: SI unit -> factor and unit for reading."""
 STATES = {"no gap": "good", "explained": "good"}
-"""Verdicts after which there is nothing left to find; every other one is open."""
+"""Verdicts that close the diagnosis; every other one is open."""
 MOST = 12
 """Statements on where a gap lies that are drawn; all of them are in the table."""
 
@@ -46,7 +46,7 @@ def diagnosis_content(
     command: str = "",
     reading: Sequence[str] = (),
 ) -> Content:
-    """Return what is said of a diagnosis.
+    """Return the report of a diagnosis.
 
     `maps`, `after`, `series`: of the errors before and after, from `gather`, for a page. `fit`: the
     calibration that was diagnosed, for its parameter table. `command`: what was typed, `reading`: the words
@@ -114,8 +114,8 @@ def _next(d: Diagnosis, fit: Fit | None, reading: Sequence[str]) -> tuple[str, s
 
 
 def noise_name(d: Diagnosis) -> str:
-    """Return what the noise that is left is called: where something has no cause it may be no noise."""
-    return "noise, or what follows nothing logged" if d.verdict == "unexplained" else "noise"
+    """Return the name of the residual noise: where a rest has no cause it may be no noise."""
+    return "noise, or an unlogged cause" if d.verdict == "unexplained" else "noise"
 
 
 def p_text(p: float | None) -> str:
@@ -132,7 +132,7 @@ def _basis(d: Diagnosis) -> str:
 
 
 def _input(d: Diagnosis) -> Items:
-    """Return on what the verdict rests."""
+    """Return the basis of the verdict."""
     pairs: list[tuple[str, Any]] = [
         ("log", d.log.path or "a log in memory"),
         ("samples", f"{d.log.rows} in {d.log.runs} {d.held_out.rpartition(' ')[2]}s" if d.log.rows else None),
@@ -150,8 +150,8 @@ def _input(d: Diagnosis) -> Items:
 
 
 def piece_of(d: Diagnosis) -> str:
-    """Return what a recording was taken to pieces of: "run", "time slice", "knot group"."""
-    return d.held_out.removeprefix("held-out ").removeprefix("holdout ")
+    """Return the unit of a split recording: "run", "time slice", "knot group"."""
+    return d.held_out.removeprefix("holdout ")
 
 
 def significance_text(s: Significance, piece: str = "run") -> str:
@@ -269,17 +269,17 @@ def _estimate(p: Estimate, units: Mapping[str, tuple[float, str]]) -> tuple[str,
 
 
 def shrinks_text(d: Diagnosis) -> str:
-    """Return how far the error falls, on the holdout runs and over all runs, so that the two are told apart.
+    """Return the decrease of the error, on the holdout runs and, separately, over all runs.
 
     The sizes before and after are of the holdout runs. The shrinkage and its interval are of all runs that
     judge, each by a fit that left its group out (`hallsym.diagnosis.validation`).
     """
     s, piece, judges = d.shrinkage, piece_of(d), len(d.validation_runs)
-    held = d.held_out if judges == 1 else counted(judges, d.held_out)
+    judge = d.held_out if judges == 1 else counted(judges, d.held_out)
     fall = f"falls by {percent(1 - d.metric.after / d.metric.before, 1)}" if d.metric.before > 0 else "is 0"
     more = counted(s.parameters_added, "parameter")
     alone = (
-        f"On the {held} alone the error {fall}: {percent(s.share_closed)} of its excess above the noise "
+        f"On the {judge} alone the error {fall}: {percent(s.share_closed)} of its excess above the noise "
         f"floor is closed, with {more} more."
     )
     if s.judges <= judges:
@@ -301,11 +301,11 @@ def _ends(interval: tuple[float, float]) -> str:
     return f"{100 * low:.1f} to {100 * high:.1f}"
 
 
-# -- effects: ranked, with what the log cannot tell apart ------------------------------------------------
+# -- effects: ranked, with the confusable ones ------------------------------------------------------------
 
 
 def _effects_section(d: Diagnosis) -> Section:
-    """Return the ranking of the effects, and groups that the log cannot tell apart."""
+    """Return the ranking of the effects, and groups of confusable ones."""
     if not (d.effects or d.groups or d.ranked):
         none = "None. No effect of the catalogue lowers the gap by what is worth reporting."
         return Section("effects", "Which effects", [Note(none)])
@@ -352,9 +352,9 @@ def _found(d: Diagnosis) -> list[Block]:
 
 
 def _groups(d: Diagnosis) -> list[Block | str]:
-    lines = dict.fromkeys(d.groups, "this log cannot tell them apart.")
+    lines = dict.fromkeys(d.groups, "they are confusable on this log.")
     for s in d.separate_by:
-        now = f"this log cannot tell them apart ({number(s.sigma_now)} sigma)"
+        now = f"they are confusable on this log ({number(s.sigma_now)} sigma)"
         lines[s.group] = f"{now}. Record {s.recording}."
     items = Items([(", ".join(group), line) for group, line in lines.items()])
     return [Heading("Confusable effects"), items] if lines else []
@@ -368,12 +368,12 @@ def _where_section(d: Diagnosis) -> Section:
     above = "where the excess over the noise lies" if d.verdict in QUIET else "where the gap lies"
     said = _statements(d.where, above, "share of the excess above the noise floor [%]")
     if not said and d.size.rows:
-        said = ["The excess above the noise goes with nothing that the log holds."]
+        said = ["The excess above the noise depends on no logged quantity."]
     return Section("where", "Where the gap lies", said)
 
 
 def _rest_section(d: Diagnosis) -> Section:
-    """Return the unexplained rest: how much it is, what it goes with, and its shape."""
+    """Return the unexplained rest: its share, its place and its shape."""
     rest = d.unexplained
     said: list[Block | str] = []
     if rest:
@@ -382,9 +382,9 @@ def _rest_section(d: Diagnosis) -> Section:
         title = "share of the unexplained excess [%]"
         said += _statements(d.remaining, "where the unexplained rest lies", title)
     elif d.remaining:
-        said.append(Note("It goes with what the gap goes with, see above."))
+        said.append(Note("It lies where the gap lies, see above."))
     elif rest:
-        said.append("It goes with no sensor, coordinate, frequency or run above chance.")
+        said.append("It significantly goes with no sensor, coordinate, frequency or run.")
     if rest and rest.curve:
         how, panels = curves(rest.curve)
         said.append(Figure(panels, how, look="shape"))

@@ -1,4 +1,4 @@
-"""What is said of a calibration on other logs: its errors, and whether the logs belong to it."""
+"""Report of a calibration on other logs: its errors, and whether the logs belong to it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hallsym.report.tables import cells, heads, in_units
 from hallsym.report.words import number
 
 Judged = tuple[Evaluation, Belonging | str]
-"""What a log leaves, and whether it belongs; or why a fit of its own, which that takes, is not possible."""
+"""The errors of a log, and whether it belongs; or why its own fit, which the tests need, failed."""
 
 
 def evaluation_content(found: Evaluation, *, by_run: bool = False) -> Content:
@@ -80,7 +80,7 @@ def changes_table(changes: Sequence[ParameterChange]) -> Table:
 def chart(logs: Mapping[str, Judged | str], pose: Sequence[str]) -> list[Block | str]:
     """Return how many logs belong, then one row a log: errors, the test nearest to its limit, the verdict.
 
-    The reason stands in place of what is not known.
+    Unknown entries state the reason.
     """
     head = ["log", "runs", *heads(pose, what="rmse"), "residual/noise", "largest score", "of", "limit", ""]
     rows, belong = [], 0

@@ -1,4 +1,4 @@
-"""What is said of a calibration: on its own log, or on another one."""
+"""Report of a calibration: on its own log, or on another one."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ from hallsym.report.words import number
 from hallsym.units import parameter_unit, readable
 
 TOO_SMALL = 0.1
-"""Cost per degree of freedom below which the noise is more than three times what is left."""
-LABELS = {"designed": "nominal", "holdout": "held out"}
+"""Cost per degree of freedom below which the noise is more than three times the residual."""
+LABELS = {"designed": "nominal"}
 
 
 def fit_content(fit: Fit, *, found: Sequence[Block | str] = (), log: Log | None = None) -> Content:
-    """Return what is said of a calibration without another pass over its log.
+    """Return the report of a calibration without another pass over its log.
 
-    `found`: what a page shows of the log beside the errors. `log`: where errors that repeat are looked for.
+    `found`: further blocks of a page. `log`: where periodic errors are searched.
     """
     intervals: dict[str, list[str]] = {}
     if fit.errors:
-        table, held = fit.errors.fitted, fit.errors.holdout
-        known = table.interval(held or table.runs)
+        table, holdout = fit.errors.fitted, fit.errors.holdout
+        known = table.interval(holdout or table.runs)
         if known:
-            label = f"95 % interval, {'held out' if held else 'fitted'}"
+            label = f"95 % interval, {'holdout' if holdout else 'fitted'}"
             intervals[label] = shared.interval_row(known, fit.model.pose, fit.model.period)
     rows = {LABELS.get(k, k): v for k, v in fit.error_rows.items()}
     errors = shared.error_table(
@@ -85,14 +85,14 @@ def log_of(fit: Fit, log: Any, call: str) -> Log:
 
 
 def verdict(fit: Fit) -> str:
-    """Return whether the model describes the log, worst news first."""
+    """Return whether the model describes the log, the worst first."""
     unfinished = "" if fit.status == "converged" else f"The solver did not converge ({fit.status})."
     described = fit.goodness.verdict if fit.goodness else ""
     return " ".join(filter(None, (unfinished, described))) or basis(fit)
 
 
 def amiss(fit: Fit) -> bool:
-    """Return whether a calibration is not to be used without a second look."""
+    """Return whether a calibration needs checking before use."""
     described = fit.goodness is None or fit.goodness.sentence is None
     return not described or fit.status != "converged" or bool(fit.claims)
 
@@ -103,13 +103,13 @@ def basis(fit: Fit) -> str:
     used = log.runs - len(log.holdout)
     name = counted(len(fitted), "log") if fitted else log.path or "a log in memory"
     runs = f"{counted(used, 'run')} fitted" if log.runs > 1 else "fitted"
-    held = f", {len(log.holdout)} held out" if log.holdout else ""
+    holdout = f", {len(log.holdout)} holdout" if log.holdout else ""
     samples = counted(log.rows, "sample")
-    return f"{fit.model.name} on {name}: {samples}, {runs}{held}; {fit.status} in {fit.seconds:.2f} s"
+    return f"{fit.model.name} on {name}: {samples}, {runs}{holdout}; {fit.status} in {fit.seconds:.2f} s"
 
 
 def periodic_blocks(fit: Fit, log: Log | None) -> list[Block | str]:
-    """Return what is said of errors that repeat; nothing where there are none."""
+    """Return the blocks on periodic errors; none where there are none."""
     found = periodic_of(fit, log)
     return periodic(found, fit.model.family) if found else []
 
@@ -135,7 +135,7 @@ def circumstances(fit: Fit) -> list[str]:
 
 
 def _interval(fit: Fit) -> str:
-    """By which factor of the standard uncertainty a 95 % interval is wide."""
+    """Factor from the standard uncertainty to half of the 95 % interval."""
     known = fit.degrees_of_freedom[fit.determined]
     if not len(known):
         return ""
@@ -151,7 +151,7 @@ def _interval(fit: Fit) -> str:
 
 
 def _bounded(fit: Fit) -> str:
-    """How near the cost is to what no parameters can undercut."""
+    """Ratio of the cost to its lower bound."""
     bound = fit.solver.lower_bound
     if not bound:
         return ""
@@ -166,20 +166,20 @@ def _bounded(fit: Fit) -> str:
 
 
 def _goodness(fit: Fit) -> str:
-    """Cost per degree of freedom with its expected scatter, and where most is left."""
+    """Cost per degree of freedom with its expected scatter, and the place of the largest residual."""
     cost, fitted = fit.solver.cost_per_degree_of_freedom, fit.goodness
     said = f"goodness of fit: cost per degree of freedom {cost:.3f}"
     if fitted is not None:
         more = ", more than noise" if fitted.significant else ""
         said += f" (expected 1 +- {number(fitted.scatter, 2)}, 1 sigma){more}; "
-        said += f"most is left in {fitted.where}: {fitted.worst:.2f} x the noise"
+        said += f"the residual is largest in {fitted.where}: {fitted.worst:.2f} x the noise"
     if not 0 < cost < TOO_SMALL:
         return said
     guessed = any(sigma.source == "estimated" for sigma in fit.noise.sigmas.values())
     what = "was estimated" if guessed else "is stated"
     why = ": motion from sample to sample was counted as noise; state it with --noise" if guessed else ""
     return (
-        f"{said} (the noise {what} {number(cost**-0.5)} x as large as what is left{why}; uncertainties and "
+        f"{said} (the noise {what} {number(cost**-0.5)} x as large as the residual{why}; uncertainties and "
         "noise floor are too large by that)"
     )
 
@@ -191,7 +191,7 @@ def several_blocks(fit: Fit) -> list[Block | str]:
     """Return errors by log and each log's own parameters."""
     rows = {}
     for log in fit.logs:
-        for kind, said in (("fitted", ""), ("holdout", ", held out")):
+        for kind, said in (("fitted", ""), ("holdout", ", holdout")):
             if log.errors.get(kind):
                 rows[f"{log.name}{said}"] = log.errors[kind]
     own = fit.logs[0].parameters
@@ -245,7 +245,7 @@ def _columns(fit: Fit) -> dict[str, list[Any]]:
 
 
 def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "calib.json") -> Content:
-    """Return all that is said of a fit on a log: also where and when the error is, before and after.
+    """Return the whole report of a fit on a log, with the place and time of the errors, before and after.
 
     `log`: the one that was fitted, or another one of the same machine: then each run's zero deviations are
     estimated from that run and a note says so. It is read in blocks. `command`: what was typed,
@@ -266,9 +266,9 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
     survey, pose, period = found.survey, fit.model.pose, fit.model.period
     rows = {LABELS.get(k, k): v for k, v in fit.error_rows.items()} if same and fit.error_rows else {
         "nominal": survey.nominal.over(), "this log": survey.fitted.over()}  # fmt: skip
-    held = tuple(r for r in fit.log.holdout if same)
-    judged = "held out" if held else "fitted" if same else "this log"
-    known = survey.fitted.interval(held or survey.runs)
+    holdout = tuple(r for r in fit.log.holdout if same)
+    judged = "holdout" if holdout else "fitted" if same else "this log"
+    known = survey.fitted.interval(holdout or survey.runs)
     more = {f"95 % interval, {judged}": shared.interval_row(known, pose, period)} if known else {}
     errors = shared.error_table(pose, rows, fit.noise_floor, periodic=period, more=more)
     said = fit_content(fit)
@@ -304,7 +304,7 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
 def _next(fit: Fit, calibration: str) -> tuple[str, str]:
     if fit.goodness and fit.goodness.sentence:
         own = diagnose_command(fit.log.path, fit.model, added_effects(fit.model))
-        return "Next, find out what the model leaves:", fit.goodness.next_command or own
+        return "Next, diagnose the residual error:", fit.goodness.next_command or own
     if fit.undetermined_by_log:
         words = ["hallsym", "sensitivity", calibration, str(fit.log.path or "LOG")]
         return "Next, see which recording determines the rest:", shlex.join(words)
@@ -342,9 +342,9 @@ def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Facts:
         ("samples", f"{count} in {counted(len(runs), 'run')}"),
         ("model", f"{fit.model.name}{' with ' + ', '.join(added) if added else ''}"),
         ("runs fitted", used),
-        ("runs held out", judged if same else None),
+        ("holdout runs", judged if same else None),
         ("calibrated on", None if same else fit.log.path or "a log in memory"),
-        ("noise floor", "what the noise of readings and reference alone leaves"),
+        ("noise floor", "the error by noise of readings and reference alone"),
         (
             "nominal",
             f"every parameter at its nominal value{', no zero deviations' if fit.model.offsets else ''}",
@@ -376,7 +376,7 @@ def _above_recorded(found: Gathered, fit: Fit) -> bool:
 
 
 def _spikes(log: Log, fit: Fit) -> Weigh:
-    """Return what leaves out isolated spikes by the rule of the fit."""
+    """Return weights that leave out isolated spikes by the rule of the fit."""
     model, cost = fit.model, cost_near(log, fit.model, fit.values, fit.noise.std)
     place = Decoder(fit)
     offsets = {

@@ -1,4 +1,4 @@
-"""What is said of a fleet: verdicts, the spread of every parameter, devices that differ, groups."""
+"""Report of a fleet: verdicts, the spread of every parameter, devices that differ, groups."""
 
 from hallsym.errors import counted
 from hallsym.fleets import Fleet
@@ -19,7 +19,7 @@ SPREAD = (
 
 
 def fleet_content(fleet: Fleet) -> Content:
-    """Return what is said of a fleet."""
+    """Return the report of a fleet."""
     model = fleet.model.name if fleet.model else "no model"
     count, good = len(fleet.rows), int(fleet.good.sum())
     verdicts = [[v, str(len(devices)), VERDICTS[v]] for v, devices in fleet.verdicts.items()]

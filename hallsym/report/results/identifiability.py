@@ -1,4 +1,4 @@
-"""What is said of what data determine of each parameter."""
+"""Report of identifiability."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -25,7 +25,7 @@ from hallsym.units import parameter_unit
 
 
 def identifiability_content(report: Identifiability) -> Content:
-    """Return what is said of what data determine: how many parameters, each of them, what is lost and why."""
+    """Return the report of identifiability: number of parameters, each of them, lost ones and why."""
     cost = report.evidence.cost
     runs, recorded = len(cost.summary.runs), report.evidence.recorded
     amiss = report.evidence.amiss
@@ -148,7 +148,7 @@ def _direction(direction: NullDirection) -> str:
 
 
 def further_table(report: Identifiability) -> Table:
-    """Return what each further recording would determine beside this one."""
+    """Return the parameters that each further recording would determine."""
     head, rows = ["with another recording", "practical rank", "then determined (1 sigma)"], []
     for f in report.further:
         units = {n: parameter_unit(report[n].unit, bare=True) for n in f.determined}
@@ -164,7 +164,7 @@ LISTED = 8
 
 
 def effects_table(report: Identifiability) -> Table:
-    """Return what 1 sigma and 1 % of each parameter do to the decoded pose."""
+    """Return the change of the decoded pose by 1 sigma and by 1 % of each parameter."""
     pose, period = report.model.pose, report.model.period
     head = ["largest effect", *heads(pose, period, "1 sigma"), *heads(pose, period, "1 %")]
     entries = [entry for entry in report.parameters if entry.verdict.word != "fixed"]
@@ -193,7 +193,7 @@ def _numbers(changes: Sequence[Change | None], model: Model) -> list[list[str]]:
 
 
 def outputs_table(report: Identifiability) -> Table:
-    """Return what the uncertainty of all parameters together does to the decoded pose."""
+    """Return the uncertainty of the decoded pose by all parameters together."""
     pose, period = report.model.pose, report.model.period
     rows = []
     labels = {

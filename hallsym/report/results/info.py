@@ -18,7 +18,7 @@ from hallsym.units import parameter_unit
 
 
 def model_record(model: Model) -> dict[str, Any]:
-    """Return what a model is, as `hallsym info MODEL --json` prints it: SI, null for infinite bounds."""
+    """Return the record of a model for `hallsym info MODEL --json`: SI, null for infinite bounds."""
     steps = Counter(link for link, _ in model.steps)
     taken = {*model.effects, *(text.partition(":")[0] for text in model.texts.values())}
     return {
@@ -68,7 +68,9 @@ def model_content(record: Mapping[str, Any]) -> Content:
     if record["combinations"]:
         names = ", ".join(c["expression"] for c in record["combinations"])
         blocks.append(f"combinations that may be determined where parameters are not: {names}")
-    blocks.append(_table("zero of each run", record["zeros"]) if record["zeros"] else "zeros of a run: none")
+    blocks.append(
+        _table("offset of each run", record["zeros"]) if record["zeros"] else "offsets of each run: none"
+    )
     blocks.append(f"effects it can take (--effect): {', '.join(record['can_take']) or 'none'}")
     title = f"{record['model']}, a model of the family {record['family']}"
     count = f"{len(record['parameters'])} parameters, {len(record['channels'])} channels"
@@ -178,7 +180,7 @@ def effect_content(record: Mapping[str, Any]) -> Content:
 
 
 def _section(name: str, family: str, r: Mapping[str, Any]) -> tuple[str, list[Block | str]]:
-    """Return what an effect is in a family, in a sentence and in full."""
+    """Return an effect of a family, in a sentence and in full."""
     if "error" in r:
         return f"{name} of the {family} family: {r['error']}", []
     blocks: list[Block | str] = []

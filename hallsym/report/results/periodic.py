@@ -1,4 +1,4 @@
-"""What the maker of a sensor that repeats asks: how large its own error is, and what would remove it."""
+"""Report of the periodic error of a sensor: its size, its causes and its remedies."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hallsym.units import readable
 
 
 def periodic(found: PeriodicError, family: Family) -> list[Block | str]:
-    """Return the error over the period, remedies beside each other, and what is not the machine's."""
+    """Return the error over the period, by remedy, and the part that is not the machine's."""
     factor, unit, name = readable(found.coordinate, {found.coordinate})
     noun = family.noun or "machine"
     over = "turn" if unit == "deg" else f"period of {name}"

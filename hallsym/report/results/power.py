@@ -16,7 +16,7 @@ READ = {"s": (1e3, "ms"), "V": (1e3, "mV")}
 
 
 def power_content(s: DetectionPower) -> Content:
-    """Return what is said of a detection power: a line for each effect, and what cannot be seen."""
+    """Return the report of a detection power: a line for each effect, and undetectable effects."""
     quiet, unit, rate = len(s.quiet_trials), gap_unit(s.outputs), s.false_alarm_rate
     bounds = f" (95 % interval of the rate: {100 * rate.low:.0f} to {100 * rate.high:.0f} %)"
     tested = [e for e in s.effects if e.trials]
@@ -69,7 +69,7 @@ def _cell(trials: Sequence[Trial], curve: Sequence[CurvePoint]) -> str:
 
 
 def size_text(e: Findable) -> str:
-    """Return the largest parameter of each unit at the size from which on the effect is found."""
+    """Return the largest parameter of each unit at the size above which the effect is found."""
     largest: dict[str, tuple[str, float]] = {}
     for name, (value, unit) in e.size.items():
         if unit not in largest or abs(value) > abs(largest[unit][1]):
@@ -88,8 +88,8 @@ def _legend(s: DetectionPower) -> list[str]:
         "beside another;",
         "wrong: only another effect was named; unexplained: a gap without a name; no gap: not detected; -: "
         "cannot be made that large here, or was not tried",
-        "found from: of the sizes that were tried, the smallest gap above the floor from which on it is "
-        "found, and its largest parameters",
+        "found from: the smallest gap over the floor, of those tried, at and above which it is found, and "
+        "its largest parameters",
     ]
     if s.repeats > 1:
         lines[:2] = [

@@ -1,4 +1,4 @@
-"""What is said of a calibration without a reference: what each wave of its table belongs to."""
+"""Report of a calibration without a reference: the source of each wave of its table."""
 
 from dataclasses import replace
 from typing import Any
@@ -19,13 +19,13 @@ SHOWN = 12
 """Waves of the sensor that are listed, the largest; of the others all up to as many."""
 READING = {
     SENSOR: "no ripple of the motion shows",
-    MOTION: "motion, told apart from the sensor",
+    MOTION: "motion, separated from the sensor",
     OPEN: "sensor and motion are not separable with this recording",
 }
 
 
 def self_fit_content(result: SelfFit) -> Content:
-    """Return the sentence, errors on the turn held out, waves, and what separates them."""
+    """Return the sentence, errors on the holdout turn, waves, and recordings that separate them."""
     found, fit = result.found, result.fit
     turns = ", ".join(f"{t:.1f}" for t in found.turns)
     basis = (
@@ -34,9 +34,9 @@ def self_fit_content(result: SelfFit) -> Content:
     left: list[Block] = []
     if found.left:
         names = {"nominal": "nominal transform", "ellipse": "ellipse alone", "table": "this table"}
-        head = ["left on the turn held out", "rms [electrical deg]", "less the motion told apart"]
+        head = ["error on the holdout turn", "rms [electrical deg]", "less the separated motion"]
         rows = [[names[n], *(f"{electrical_deg(v):.2f}" for v in pair)] for n, pair in found.left.items()]
-        left = [Table(head, rows, "errors on the turn held out")]
+        left = [Table(head, rows, "errors on the holdout turn")]
     shown: list[Wave] = []
     for verdict in (MOTION, OPEN, SENSOR):
         shown += found.verdicts(verdict)[:SHOWN]
@@ -102,7 +102,7 @@ def ring_fleet_content(found: RingFleet) -> Content:
     if left:
         middle, most = map(electrical_deg, np.percentile([v for _, v in left], [50, 95]))
         rings.append(
-            f"left on the turn held out, less the drive's ripple: median {middle:.2f}, 95 % {most:.2f} "
+            f"error on the holdout turn, less the drive's ripple: median {middle:.2f}, 95 % {most:.2f} "
             "electrical deg"
         )
         ends = [left[0], left[len(left) // 2], left[-1]]

@@ -1,4 +1,4 @@
-"""What the contents of several results share: maps, runs, parameters, errors, origin."""
+"""Shared parts of the reports: maps, runs, parameters, errors, origin."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def error_table(
 ) -> Table:
     """Return the rmse of each output, then its peak, one line per entry of `rows`.
 
-    `source`: whether the noise floor is stated or estimated, where that is to be said. `periodic`: coordinates
+    `source`: whether the noise floor is stated or estimated, where it is printed. `periodic`: coordinates
     that go round, see `hallsym.units.readable`. `more`: further lines of the rmse, as text, above
     that of the noise floor.
     """
@@ -153,8 +153,8 @@ def _profiles(
     for m, a in lines:
         content.append(Figure(_charts(m, a, floor), f"over {m.by}"))
     for m, a in ((m, a) for m, a in pairs if m.labels):
-        held = " An h marks runs that were held out." if m.marked else ""
-        content += [Heading(f"By {m.by}"), Note(f"{how}{held}")]
+        marked = " An h marks runs of the holdout." if m.marked else ""
+        content += [Heading(f"By {m.by}"), Note(f"{how}{marked}")]
         content.append(Figure(_charts(m, a, floor), look="two"))
     return content
 
@@ -241,7 +241,7 @@ def _parameter(fit: Fit, k: int, remark: str) -> list[Any]:
 
 
 def _remark(fit: Fit, k: int) -> str:
-    """Return what is to be said of a parameter; nothing where it is determined inside its bounds or fixed."""
+    """Return the remark on a parameter; nothing where it is determined inside its bounds or fixed."""
     p = fit.model.parameters[k]
     if not p.width:
         return ""

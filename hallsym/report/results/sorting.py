@@ -1,4 +1,4 @@
-"""What a person reads of sorted sensors and of the sets chosen for arrays, and their tables as files."""
+"""Report of sorted sensors and of the sets chosen for arrays, and their tables as files."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,7 +20,7 @@ MOST_BINS, MOST_SETS = 40, 10
 
 
 def sorting_content(found: Sorting, matching: Matching | None = None) -> Content:
-    """Return what is said of sorted sensors: gains, bins, repeats, and the sets chosen of them."""
+    """Return the report of sorted sensors: gains, bins, repeats, and the sets chosen of them."""
     expected, spread = found.expected_wrong
     sensors = counted(len(found.sensors), "sensor")
     share = percent(expected / len(found.sensors), 1)

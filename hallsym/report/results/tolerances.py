@@ -1,4 +1,4 @@
-"""What a person reads of a study of tolerances, and of errors along a coordinate by cause."""
+"""Report of a study of tolerances, and of errors along a coordinate by cause."""
 
 from collections.abc import Iterator
 
@@ -16,7 +16,7 @@ from hallsym.units import parameter_unit, readable
 
 
 def tolerances_content(found: Tolerances) -> Content:
-    """Return what is said of a study of tolerances: what to tighten first, errors, ranking, Sobol indices."""
+    """Return the report of a study of tolerances: what to tighten first, errors, ranking, Sobol indices."""
     machines = 2 * found.samples
     basis = (
         f"{found.model.name}: {len(found.active)} tolerances, {found.points} points of the workspace, "
@@ -140,7 +140,7 @@ def _sharpness(found: Tolerances) -> str:
 
 
 def errors_content(found: ErrorModel) -> Content:
-    """Return errors along a coordinate by cause, and what makes how many waves."""
+    """Return errors along a coordinate by cause, and the causes of each number of waves."""
     *_, together = found.causes
     cause, _, errors = together
     sizes = []

@@ -16,7 +16,7 @@ from hallsym.families.mechanisms import P, free
 from hallsym.model import Facts, Model, Parameter, Signals, Way, effect
 from hallsym.model.arguments import Try, found, one_of
 
-TURNED = Way("the mover turned half round about z", "the magnets turn with it, the sensors do not")
+HALF_TURN = Way("the mover turned half round about z", "the magnets turn with it, the sensors do not")
 LONGER = Way("a longer array", "what its ends make goes away")
 HEIGHT = Way("another gap", "harmonic h fades with h times the rate of the first")
 
@@ -105,13 +105,13 @@ def _of_magnets(model: Model, name: str, part: int, meaning: str, unit: str) -> 
     return model.with_step("field", step, effect=name, parameters=free(said, LIMIT, unit))
 
 
-@effect(link="field", label="each magnet", separate=(TURNED, "a longer stroke"))
+@effect(link="field", label="each magnet", separate=(HALF_TURN, "a longer stroke"))
 def remanence_spread(model: Model) -> Model:
     """The remanence of the magnets differs from one to the next (mover-fixed)."""
     return _of_magnets(model, "remanence_spread", 0, "share of remanence beyond the array's, of magnet", "1")
 
 
-@effect(link="field", label="each magnet", separate=(TURNED, "a longer stroke"))
+@effect(link="field", label="each magnet", separate=(HALF_TURN, "a longer stroke"))
 def magnetisation_angle_error(model: Model) -> Model:
     """The directions of the magnets are off (mover-fixed)."""
     return _of_magnets(model, "magnetisation_angle_error", 1, "turn of the direction of magnet", "rad")
@@ -131,7 +131,7 @@ LOST = 0.5
     link="field",
     separate=(
         Way("a longer stroke", "further magnets are as good as their neighbours, or differ too"),
-        TURNED,
+        HALF_TURN,
     ),
     possible=lambda values: all(v >= LOST for n, v in values.items() if n.startswith("lost_")),
 )

@@ -92,9 +92,9 @@ def array_geometry_error(
     if only not in (PLACE, HEIGHT):
         raise InputError(f"What is off in array_geometry_error must be {PLACE} or {HEIGHT}; it is {only!r}.")
     which = known if array == "all" else [array]
-    off, turned = ("xyz", "xyz") if only == PLACE else ("z", "")
+    off, about = ("xyz", "xyz") if only == PLACE else ("z", "")
     shifts = {f"d{a}_{n}": f"{a} of array {n} on the mover beyond its place" for n in which for a in off}
-    turns = {f"r{a}_{n}": f"turn of array {n} on the mover about {a}" for n in which for a in turned}
+    turns = {f"r{a}_{n}": f"turn of array {n} on the mover about {a}" for n in which for a in about}
 
     def step(s: Signals, p: P) -> None:
         own = {n: p[n] for n in (*shifts, *turns)}

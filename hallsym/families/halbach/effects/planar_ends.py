@@ -5,14 +5,14 @@ from functools import cache
 import casadi as ca
 
 from hallsym.families.halbach.effects.ends import MOST, missing
-from hallsym.families.halbach.effects.magnets import LONGER, TURNED
+from hallsym.families.halbach.effects.magnets import HALF_TURN, LONGER
 from hallsym.families.halbach.layout import Array
 from hallsym.families.halbach.links import Seen
 from hallsym.families.mechanisms import P
 from hallsym.model import Model, Parameter, Signals, effect
 
 
-@effect(link="field", separate=(LONGER, TURNED))
+@effect(link="field", separate=(LONGER, HALF_TURN))
 def array_edges(model: Model) -> Model:
     """The arrays have ends along their period, near which their field fades and reaches beyond.
 

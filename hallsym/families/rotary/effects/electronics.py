@@ -1,4 +1,4 @@
-"""Effects of an encoder at the electronics: rails at which voltages stop, and what the mains adds."""
+"""Effects of an encoder at the electronics: rails of the voltages, and hum."""
 
 from collections.abc import Mapping
 from math import pi, radians
@@ -19,7 +19,7 @@ AXES_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0)
 
 Every 15 deg, of the 90 deg after which they repeat: within a quarter of a wave of the four per turn."""
 WHOLE = 0.3
-"""How far the share of clipping in a decoded angle may be from 1: a rail clips altogether or not at all."""
+"""Largest distance of the clipped share of a decoded angle from 1: a rail clips fully or not at all."""
 
 
 def voltage_rails(model: Model, facts: Facts) -> list[Try]:
@@ -30,7 +30,7 @@ def voltage_rails(model: Model, facts: Facts) -> list[Try]:
 def angle_rails(model: Model, facts: Facts) -> list[Try]:
     """Return the rails to start from where only the angle is read.
 
-    The share clipped must come out as 1 (`clips_whole`): it is no number that is free.
+    The clipped share must result as 1 (`clips_whole`).
     """
     return [
         Try(
@@ -46,7 +46,7 @@ def angle_rails(model: Model, facts: Facts) -> list[Try]:
 
 
 def clips_whole(values: Mapping[str, float]) -> bool:
-    """Return whether a decoded angle is clipped altogether, as a rail does."""
+    """Return whether a decoded angle is fully clipped, as by a rail."""
     return abs(values.get("clipped", 1.0) - 1) <= WHOLE
 
 
@@ -81,7 +81,7 @@ def saturation(
 def clipped_angle(model: Model, level: float, axes_rad: float) -> Model:
     """Both voltages stop at a rail, as a part of their amplitude, before the angle is taken from them.
 
-    The zero of the reading may have been set apart from the plates' axes: `level` and `axes_rad` are starts.
+    The zero of the reading may differ from the plates' axes: `level` and `axes_rad` are starts.
     """
     if not decodes(model):
         raise InputError("Effect saturation takes level where only the angle is read; give low_v, high_v.")

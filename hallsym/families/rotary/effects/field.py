@@ -46,7 +46,7 @@ def third_harmonic_distortion(
 def field_saturation(model: Model) -> Model:
     """Both plates compress softly at a high field.
 
-    b becomes b - k b^3, alike.
+    b becomes b - k b^3 on both.
     """
 
     def step(s: Signals, p: P) -> None:

@@ -1,4 +1,4 @@
-"""Effects of an encoder at the mechanics, the clock and the reference: what lies off the axis, and when."""
+"""Effects of an encoder at the mechanics, the clock and the reference: eccentricity, tilt, delay, play."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -13,8 +13,8 @@ from hallsym.families.rotary.effects.field import field_harmonics
 from hallsym.families.rotary.effects.parts import (
     LATE,
     MAGNET,
+    RECOUPLED,
     REFERENCE,
-    TURNED,
     add_ahead,
     decodes,
     free_ellipse,
@@ -30,7 +30,7 @@ STEP_DEG = 30.0
 
 
 def _tried(form: str, model: Model, facts: Facts) -> bool:
-    """An ellipse already holds what a chip off the axis does alone, and shows no direction of it."""
+    """An ellipse already includes the effect of a chip off the axis, without its direction."""
     return form != "chip" if free_ellipse(model) else form != "curved"
 
 
@@ -46,7 +46,7 @@ DIRECTION = searched(
 )
 
 
-@effect(link="mechanics", separate=(MAGNET, TURNED), waves=(1, 2))
+@effect(link="mechanics", separate=(MAGNET, RECOUPLED), waves=(1, 2))
 def eccentricity(
     model: Model,
     form: str = one_of(
@@ -72,7 +72,7 @@ def eccentricity(
     return field_harmonics(model, "eccentricity", "mechanics", orders)
 
 
-@effect(link="mechanics", separate=(MAGNET, TURNED), waves=(1, 2))
+@effect(link="mechanics", separate=(MAGNET, RECOUPLED), waves=(1, 2))
 def magnet_tilt(
     model: Model,
     form: str = one_of(
@@ -93,7 +93,7 @@ def magnet_tilt(
 
 
 def off_axis(model: Model, effect: str, direction_rad: float, tilted: bool = False) -> Model:
-    """Chip and magnet both off the axis of rotation, to second order in what they are off.
+    """Chip and magnet both off the axis of rotation, to second order in their offsets.
 
     Near the axis the field in the frame of the magnet is 1 + a |w|^2 + (a/2) w^2 for a displacement w of the
     chip from the magnet's axis: curl B = 0 leaves one curvature a, and the last one, c conj(w)^2, vanishes
@@ -190,9 +190,10 @@ def direction(width_rad: float) -> Computed:
 # -- at the reference --------------------------------------------------------------------------------------
 
 STEEPEST = 0.3
-"""Slope of the error of a reference, at most: with more it would stand still or run backwards."""
+"""Largest slope of the error of a reference: with more it would stand still or run backwards."""
 FULL_STEPS = 50
-"""Periods per turn of what a stepper of 1.8 deg per full step leaves: one for each pole pair of its rotor."""
+"""Periods per turn of the error of a stepper of 1.8 deg per full step: one for each pole pair of its
+rotor."""
 
 
 def reference_harmonics(model: Model, effect: str, orders: Sequence[int]) -> Model:
@@ -211,7 +212,7 @@ def reference_harmonics(model: Model, effect: str, orders: Sequence[int]) -> Mod
     return add_ahead(model, effect, "reference", new, error)
 
 
-@effect(link="reference", label="once per turn", separate=TURNED, waves=(1,))
+@effect(link="reference", label="once per turn", separate=RECOUPLED, waves=(1,))
 def reference_eccentricity(model: Model) -> Model:
     """The reference has an error once per turn."""
     return reference_harmonics(model, "reference_eccentricity", (1,))
@@ -228,7 +229,7 @@ def reference_scale_error(model: Model) -> Model:
 
 @effect(
     link="reference",
-    separate=("micro-steps or another reference", TURNED),
+    separate=("micro-steps or another reference", RECOUPLED),
     waves=(FULL_STEPS, 2 * FULL_STEPS),
 )
 def reference_pole_pairs(

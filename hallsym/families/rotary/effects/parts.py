@@ -1,4 +1,4 @@
-"""What effects of an encoder share: its ports, the harmonics of its field, and how they are declared."""
+"""Shared parts of the effects of an encoder: its ports, and the harmonics of its field."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -18,7 +18,7 @@ SPEED = f"d1_{REFERENCE}"
 PLATES = ("sin", "cos")
 MAGNET = "a turn at each of several known angles of the stator (or the chip) against the magnet"
 LATE = "speeds so high that a low-pass lowers the amplitude, which a delay does not"
-TURNED = "a turn with the reference coupled at each of several other angles"
+RECOUPLED = "a turn with the reference coupled at each of several other angles"
 
 
 def plates(model: Model) -> tuple[str, ...]:
@@ -47,7 +47,7 @@ def decodes(model: Model) -> bool:
 
 
 def short(model: Model) -> Model:
-    """Return the model with atan2 itself where it has no run summaries anyway: the series would be long."""
+    """Return the model with atan2 itself where it has no run statistics: the series would be long."""
     return direct(model) if decodes(model) and model.computed else model
 
 
@@ -97,7 +97,7 @@ def direct(model: Model) -> Model:
     samples, does not, and the series of many effects are long.
     """
     plain: dict[Step, Step] = {
-        rotary.turned: _direct_field,
+        rotary.rotated: _direct_field,
         rotary.voltages: _direct_voltages,
         rotary.arctangent: _direct_angle,
     }

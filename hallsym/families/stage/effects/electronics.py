@@ -1,4 +1,4 @@
-"""Effects of the stage at the electronics: what is added to a reading, and where it stops."""
+"""Effects of the stage at the electronics: signals added to a reading, and its rails."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""Effects of the stage in the field: what a probe senses is bent, leaks across, or remembers."""
+"""Effects of the stage in the field: non-linearity, cross-axis sensitivity, hysteresis."""
 
 from collections.abc import Callable, Mapping
 
@@ -71,7 +71,7 @@ def hysteresis(
 
     Displacement plus h z, z the elastic part of a play; h per probe, and one half-width [m of reading].
 
-    A fit moves the half-width, by the slope of z with it. Nobody knows the state in which a run starts: see
+    A fit moves the half-width, by the slope of z with it. The state at the start of a run is unknown: see
     `stop_state`.
     """
     probes = labels(model)

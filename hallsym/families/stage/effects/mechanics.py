@@ -1,4 +1,4 @@
-"""Effects of the stage at the mechanics, the clock and the reference: what displaces a probe, or seems to."""
+"""Effects of the stage at the mechanics, the clock and the reference: real and apparent displacements."""
 
 from collections.abc import Callable, Sequence
 
@@ -61,7 +61,7 @@ def second_order_rotation(
 
     Share of the finite-rotation terms x Rz, y Rz, Rz^2 that Eq. (8) drops: 1 for a rigid stage.
 
-    Term by term, with the translation stated in the turned frame: only the terms with Rz^2 remain free.
+    Term by term, with the translation stated in the rotated frame: only the terms with Rz^2 remain free.
     """
     rigid = form == "rigid"
     names = ["finite_rotation"] if rigid else ["rotation_x", "rotation_y", "rotation_rz"]
@@ -72,8 +72,8 @@ def second_order_rotation(
         rows = []
         for k, probe in enumerate(model.layout):
             (px, py), (nx, ny) = stage.position(k, probe, p), stage.direction(probe, p)
-            turned = of_rz * (nx * px + ny * py) * rz**2 / 2
-            rows.append(-of_x * nx * y * rz + of_y * ny * x * rz - turned)
+            rotation = of_rz * (nx * px + ny * py) * rz**2 / 2
+            rows.append(-of_x * nx * y * rz + of_y * ny * x * rz - rotation)
         s["displacement"] = s["displacement"] + ca.vertcat(*rows)
 
     new = free(dict.fromkeys(names, "share of the finite rotation: 1 for a rigid stage"), 3.0, "1")

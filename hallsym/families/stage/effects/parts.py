@@ -1,5 +1,4 @@
-"""What effects of the stage share: its ports, and the motion of each probe along and across its sensing
-axis."""
+"""Shared parts of the stage's effects: its ports, and the motion of each probe along and across its axis."""
 
 import casadi as ca
 
@@ -22,7 +21,7 @@ SENSED, GAIN, READING = (port(name, labels) for name in ("displacement", "gain",
 
 
 def along(model: Model, p: P, x: ca.SX, y: ca.SX, rz: ca.SX) -> list[ca.SX]:
-    """Return what each probe senses of a small planar motion, Eq. (11)."""
+    """Return the displacement that each probe senses of a small planar motion, Eq. (11)."""
     rows = []
     for k, probe in enumerate(model.layout):
         (px, py), (nx, ny) = stage.position(k, probe, p), stage.direction(probe, p)

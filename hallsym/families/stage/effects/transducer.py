@@ -60,8 +60,8 @@ def height_quadratic(
 
 
 LEAST_SLOPE = 1e-3
-"""Slope of a gain with height [1/m] far below any probe's (the paper's are about 190): with less, tilts count
-for nothing, and the model has readings at its nominal values too, where every slope is 0."""
+"""Slope of a gain with height [1/m] far below any probe's (the paper's are about 190): below it tilts have no
+effect, so that the model is defined at its nominal values, where every slope is 0."""
 
 
 def _height(model: Model, s: Signals, p: P, k: int) -> ca.SX:
