@@ -292,7 +292,7 @@ class Fit(Shown, Fitted, kw_only=True, frozen=True, eq=False, dict=True, weakref
 
     `corrections`: mistakes of the recording that were undone. Not saved: `errors`, `keep` (weights that took
     outliers out), `source` (the log), `likelihood` (the cost of the fitted runs, for profiles and refits),
-    `determination` (what those runs determine), `reversed` (whether the sign of sensors is all that was undone:
+    `determination` (what those runs determine), `reversed` (whether signs of sensors are all that was undone:
     a side to mount), `joint` (of several logs fitted together, the parameters of all), `by_log` (the fit log
     by log, holdout logs last).
     """

@@ -6,6 +6,7 @@ over the noise floor decides. Mistakes of single runs are tried at the parameter
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -156,11 +157,13 @@ def _listed(texts: Sequence[str]) -> str:
 FACTORS = (10.0, 1e2, 1e3, 1e4, 1e5, 1e6)
 """Wrong scales that are tried beside those of units, with their inverses: a decimal point, a conversion that
 was done twice; between them lie counts."""
+WIDE = tuple(10.0**n for n in (-5, -3, -1, 1, 3, 5))
+"""Scales that are tried first; those within two decades of the best follow, and of a better one."""
 RATIOS = tuple(range(2, 13))
 """Turns of one column in a turn of another: pole pairs, gears, counts of another resolution."""
-MEANS = (3, 6, 11, 16)
+MEANS = (3, 7, 16)
 """Samples of centred means that are tried, before those between them."""
-SHIFTS = (1, 2, 4, 8, 16, 24)
+SHIFTS = (1, 3, 8, 24)
 """Delays in samples that are tried, either way, before those between them and the best."""
 
 STEPS = {"delay": sorted({*SHIFTS, 0, *(-s for s in SHIFTS)}), "averaged": [2, *MEANS]}
@@ -168,20 +171,21 @@ STEPS = {"delay": sorted({*SHIFTS, 0, *(-s for s in SHIFTS)}), "averaged": [2, *
 
 
 def groups(model: Model, columns: Sequence[str], worst: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return columns that one mistake may change together: each, all readings, all references of a unit.
+    """Return columns that one device writes: each, all readings, all references, these and the state.
 
     `worst`: the readings that are looked at one by one.
     """
     logged = [c for c in (*model.references, *model.state) if c in columns]
     readings = [c for c in model.channels if c in columns]
-    by_unit = [tuple(c for c in logged if si_unit(c) == unit) for unit in dict.fromkeys(map(si_unit, logged))]
-    together = (
-        tuple(readings),
-        *by_unit,
-        tuple(c for c in logged if c in model.references),
-        tuple(logged),
-    )
+    references = [c for c in logged if c in model.references]
+    together = (tuple(readings), tuple(references), tuple(logged))
     return list(dict.fromkeys([*((c,) for c in (*logged, *worst)), *(g for g in together if g)]))
+
+
+def units(model: Model, columns: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the references and the state of each unit, which one setting of a recorder may change."""
+    logged = [c for c in (*model.references, *model.state) if c in columns]
+    return [tuple(c for c in logged if si_unit(c) == unit) for unit in dict.fromkeys(map(si_unit, logged))]
 
 
 def scales(model: Model, columns: Sequence[str]) -> list[tuple[str, float]]:
@@ -196,6 +200,10 @@ def scales(model: Model, columns: Sequence[str]) -> list[tuple[str, float]]:
     return [(named.get(f, ""), f) for f in factors if f != 1.0]
 
 
+def _scaled(model: Model, columns: tuple[str, ...]) -> list[Correction]:
+    return [Correction("scale", columns, (factor,), unit=unit) for unit, factor in scales(model, columns)]
+
+
 def hypotheses(
     model: Model, columns: Sequence[str], worst: Sequence[str], moved: Set[str]
 ) -> Iterator[Correction]:
@@ -204,9 +212,11 @@ def hypotheses(
     `worst`: the readings that are looked at one by one. `moved`: the columns that move within these runs.
     """
     each = groups(model, columns, worst)
-    yield from (Correction("sign", g) for g in each)
-    for g in each:
-        yield from (Correction("scale", g, (factor,), unit=unit) for unit, factor in scales(model, g))
+    settings = list(dict.fromkeys([*each, *units(model, columns)]))
+    yield from (Correction("sign", g) for g in settings)
+    for g in settings:
+        around = {*model.period} & {*g}  # of what goes round each factor is another one
+        yield from (c for c in _scaled(model, g) if around or any(np.isclose(c.numbers[0], f) for f in WIDE))
     logged = [g[0] for g in each if len(g) == 1 and g[0] not in model.channels]
     yield from (Correction("exchange", pair) for pair in combinations(logged, 2))
     yield from (Correction("exchange", pair) for pair in combinations(worst, 2))
@@ -364,7 +374,7 @@ class Trials:
 
     def _read(self, corrections: Sequence[Correction], runs: Sequence[int] | None) -> Read:
         log = self.log(corrections, runs)
-        return Read(summarise(log, self.model), log.noise, _within(log, self.model.channels), log)
+        return Read(summarise(log, self.model), log.noise, _within(log, self.model), log)
 
     def fitted(
         self,
@@ -395,7 +405,7 @@ class Trials:
             state = task.passes(
                 self.model.vector(guess(self.model, log)) if guess else self.model.nominal, None
             )
-            within = _within(log, self.model.channels)
+            within = _within(log, self.model)
             return Tried(corrections, state.fitted, state.p, self.model, within, log)
         read = self.read(corrections, runs)
         merged = cost_of(read.summary.merged(), read.noise.std)
@@ -419,7 +429,7 @@ class Trials:
                 return Tried(tuple(corrections), cost, p, self.model, read.within, read.log)
             log = self.log(corrections, runs)
             cost = cost_near(log, self.model, p, log.noise.std, rounds=SETTLING if self.model.offsets else 1)
-            return Tried(tuple(corrections), cost, p, self.model, _within(log, self.model.channels), log)
+            return Tried(tuple(corrections), cost, p, self.model, _within(log, self.model), log)
         except (InputError, np.linalg.LinAlgError):
             return None
 
@@ -464,14 +474,18 @@ class Read:
         return replace(self, summary=summary, noise=noise, within=within)
 
 
-def _within(log: Log, channels: Sequence[str]) -> np.ndarray:
-    """Return the variance of readings within each run, (runs, readings)."""
+def _within(log: Log, model: Model) -> np.ndarray:
+    """Return the variance of readings within each run, (runs, readings).
+
+    Of one that repeats that of a phase at random, at most: the turns that it is given are its reference's.
+    """
     run = log.array(RUN)
     starts = np.flatnonzero(np.diff(run, prepend=np.nan))
     counts = np.diff([*starts, len(run)])[:, None]
-    x = np.stack([log.array(c) for c in channels], axis=1)
+    x = np.stack([log.array(c) for c in model.channels], axis=1)
     x = x - np.repeat(np.add.reduceat(x, starts) / counts, counts[:, 0], axis=0)
-    return np.asarray(np.add.reduceat(x**2, starts) / counts)
+    most = [model.period.get(c, np.inf) ** 2 / 12 for c in model.channels]
+    return np.minimum(np.add.reduceat(x**2, starts) / counts, most)
 
 
 @dataclass(frozen=True, eq=False)
@@ -600,6 +614,8 @@ FEWEST = 4
 """Runs from which on some can be judged by the others."""
 ROUNDS = 8
 """Of finding the runs that agree, and of finding the size of a step, at most."""
+SETTLED = 1e-3
+"""Part of a size by which a round may still change it."""
 RIVAL = 20.0
 """Difference of the deviance, of all readings, up to which two corrections explain as much."""
 SURE = 2.0
@@ -612,6 +628,15 @@ CHANCE = 2.0
 """Standard deviations of the mean square of noise: corrections that keep other samples differ by chance."""
 DIFFERENT = 3
 """Mistakes of runs that are told apart in one log, and columns whose scale is looked at closely, at most."""
+
+
+Key = tuple[str, tuple[str, ...]]
+"""Kind and columns of a mistake."""
+
+
+def key(c: Correction) -> Key:
+    """Return what mistakes of several runs may have in common."""
+    return c.kind, c.columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -706,10 +731,11 @@ UNIT_NEAR = 1.2
 def _explains(base: Tried, after: Tried, floor: float = 1.0) -> bool:
     """Return whether a log without mistakes, fitted again, shows that they were what was wrong.
 
-    `floor`: mean square that is left without a mistake.
+    `floor`: mean square that is left without a mistake, and by chance `CHANCE` more.
     """
     gain = base.mean(base.deviance) - after.mean(after.deviance)
-    over = after.mean(after.left) - floor
+    readings = sum(after.counts.values()) * len(after.model.channels)
+    over = after.mean(after.left) - floor - CHANCE * np.sqrt(2 / max(readings, 1.0))
     return gain >= EXPLAINS * (gain + max(over, 0.0)) and _follows(base, after)
 
 
@@ -823,10 +849,12 @@ def _best(
     tried: Callable[[Correction], Tried | None],
     screened: Callable[[Correction], float],
     runs: Sequence[int],
+    known: Set[Key] = frozenset(),
 ) -> Found | None:
     """Return the mistake that explains the excess of `base` in some runs best; None where none does.
 
-    `screened`: the share of what is left that a correction leaves about; the best are `tried`.
+    `screened`: the share of what is left that a correction leaves about; the best are `tried`. `known`: what
+    is tried alone, where there is any.
     """
     before = base.mean(base.deviance, runs)
     seen: list[Judged] = []
@@ -850,23 +878,29 @@ def _best(
         left = found.mean(found.left, runs)
         if c.mistake.keeps and left > CUT_OFF:  # a noise that is larger is not all that is wrong
             return
+        inside = _inside(trials, found, c, runs) if c.kind == "clipped" else 0.0
         same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
-        one = Judged(same, found.mean(found.deviance, runs), left, c, found.far)
+        one = Judged(same, found.mean(found.deviance, runs) + inside, left + inside, c, found.far)
         known = np.isfinite(base.rest(found)) and np.isfinite(one.gain)
         if known and _follows(base, found):
             seen.append(one)
 
     plain = hypotheses(trials.model, trials.columns, base.worst(runs), trials.moved(runs))
-    more = [*plain, *of_samples(trials, base)]
+    more = [c for c in (*plain, *of_samples(trials, base, known)) if not known or key(c) in known]
     while more:
         shares |= {c: screened(c) for c in more}
-        more = _closer(shares)
+        more = _closer(trials.model, shares)
     for c in sorted((c for c in shares if shares[c] < 1), key=shares.__getitem__)[:CLOSEST]:
         judge(c)
     _refined(trials.model, shares, seen, screened, deviance, judge)
-    good = [*filter(_good, seen)]
-    if not good:
+    if not any(map(_good, seen)):
         return None
+    best = min(filter(_good, seen), key=lambda one: one.after)
+    if best.correction.kind == "scale" and not best.correction.unit:  # a screen does not tell decades apart
+        judged = {one.correction for one in seen}
+        for c in (c for c in shares if _same(c, best.correction) and c not in judged):
+            judge(c)
+    good = [*filter(_good, seen)]
     best = min(good, key=lambda one: one.after)
     samples, close = sum(base.counts[r] for r in runs), _close(base, runs, best.left)
 
@@ -884,9 +918,14 @@ def _best(
     units = [one for one in alike if one.correction.unit and one.far**2 < nearest]
     units.sort(key=lambda one: [*UNITS].index(one.correction.unit))
     first = units[0] if units else min(alike, key=lambda one: one.after)
+    decades = [
+        one for one in alike
+        if one.correction.kind == "scale" and not first.correction.unit and one.correction in shares
+        and abs(np.log(one.correction.numbers[0] / first.correction.numbers[0])) > np.log(ALTERED)
+    ]  # fmt: skip
     rivals = tuple(
         one.correction for one in near
-        if one in units[1:] or not _same(one.correction, first.correction)
+        if one in units[1:] or not _same(one.correction, first.correction) or one in decades
     )  # fmt: skip
     c, vague = first.correction, 0.0
     if assumes(first)[0]:
@@ -913,19 +952,24 @@ def _same(a: Correction, b: Correction) -> bool:
     return (a.kind, a.columns, a.runs) == (b.kind, b.columns, b.runs)
 
 
-def _closer(shares: Mapping[Correction, float]) -> list[Correction]:
-    """Return the delays and means beside the best of each group of columns that were not tried yet.
+def _closer(model: Model, shares: Mapping[Correction, float]) -> list[Correction]:
+    """Return the delays, means and scales beside the best of each group of columns that were not tried yet.
 
     Beside the best delay either way: at constant speed what is early by a part of a turn is late by the rest.
     `shares`: what was tried, and the share that it leaves of what was left.
     """
     best: dict[tuple[str, tuple[str, ...], bool], Correction] = {}
     for c, share in shares.items():
-        if c.kind in STEPS and share < PART:
-            key = c.kind, c.columns, c.numbers[0] > 0
-            best[key] = min(best.get(key, c), c, key=shares.__getitem__)
+        if share < (PART if c.kind in STEPS else 1 - NOTHING) and (c.kind in STEPS or c.kind == "scale"):
+            late = c.kind in STEPS and c.numbers[0] > 0
+            one = c.kind, c.columns, late
+            best[one] = min(best.get(one, c), c, key=shares.__getitem__)
     out = []
     for c in best.values():
+        if c.kind == "scale":
+            near = (WIDE[1] / WIDE[0]) * (1 + NOTHING)
+            out += [o for o in _scaled(model, c.columns) if 1 / near < o.numbers[0] / c.numbers[0] < near]
+            continue
         steps, n = STEPS[c.kind], int(c.numbers[0])
         low = max((k for k in steps if k < n), default=n)
         high = min((k for k in steps if k > n), default=n)
@@ -933,6 +977,8 @@ def _closer(shares: Mapping[Correction, float]) -> list[Correction]:
     return [c for c in out if c not in shares]
 
 
+NOTHING = 1e-6
+"""Share by which a scale changes nothing: no reading follows that column."""
 CLOSEST = 16
 """Corrections that are tried, the best of those that were screened."""
 PART = 0.7
@@ -1002,44 +1048,106 @@ SWEPT = 0.8
 def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
     """Return the mistakes of runs that do not go with the others: of all alike, else of each by itself.
 
-    `base`: what the others agree on.
+    `base`: what the others agree on. What was found in one run is tried first in the next.
     """
     p, out = base.p, list[Found]()
-    one_way = _one_way(trials, odd)
 
-    def look(runs: list[int]) -> Found | None:
+    def look(runs: list[int], known: Set[Key] = frozenset()) -> Found | None:
         now = trials.at((), p, runs)
         if now is None or not now.left:
             return None
         tried = cache(lambda c: trials.at((_of(c, runs),), p, runs))
-        found = _best(trials, now, tried, lambda c: now.rest(tried(c)), runs)
+        found = _best(trials, now, tried, lambda c: now.rest(tried(c)), runs, known)
         after = found and trials.at((_of(found.correction, runs),), p, runs)
         if not found or not after:
             return None
-        most = {r: 1 + (1 - EXPLAINS) * max(now.left[r] - 1, 0.0) for r in runs}
+        most = {r: EXCESS if known else 1 + (1 - EXPLAINS) * max(now.left[r] - 1, 0.0) for r in runs}
         good = [r for r in runs if after.left.get(r, 0.0) < most[r]]
         if not good:
             return None
         rivals = tuple(_of(c, good) for c in found.rivals)
         return replace(found, correction=_of(found.correction, good), rivals=rivals)
 
-    left = list(odd)
+    left, now = list(odd), trials.at((), p, odd)
+    if now is None or not now.left:
+        return []
+    over = {r: now.counts[r] * max(now.left[r] - 1, 0.0) for r in now.left}
+    may_stay = (1 - EXPLAINS) * sum(over.values())  # more than that, and no fit without them is explained
     while left and len(out) < DIFFERENT and (found := look(left)):
         out.append(found)
         left = [r for r in left if r not in found.correction.runs]
-    if len(left) > 1 and len(out) < DIFFERENT and (now := trials.at((), p, odd)):
-        over = {r: now.counts[r] * max(now.left.get(r, 0.0) - 1, 0.0) for r in odd}
-        may_stay = (1 - EXPLAINS) * sum(over.values())  # more than that, and no fit without them is explained
-        for r in sorted(left, key=over.__getitem__, reverse=True)[:SEARCHED]:
-            if found := look([r]):
+    if len(left) > 1 and len(out) < DIFFERENT:
+        searched, lost = 0, 0.0
+        for r in sorted(left, key=lambda r: over.get(r, 0.0), reverse=True):
+            known = {key(c) for one in out for c in (one.correction, *one.rivals)}
+            found = look([r], known) if known else None
+            if found is None and searched < SEARCHED:
+                found, searched = look([r]), searched + 1
+            if found:
                 out.append(found)
                 left.remove(r)
-            elif (may_stay := may_stay - over[r]) < 0:
+            elif (lost := lost + over.get(r, 0.0)) > may_stay:
                 break
-    if left and not one_way:  # what no mistake explains in some of them may be another device in all
-        now = trials.at((), p, odd)
-        out = (_other_device(trials, now, odd) if now and now.left else []) or out
+        out = _fewest(trials, out)
+        if left and out:
+            left, out = _spread(trials, left, out)
+    if sum(over.get(r, 0.0) for r in left) > may_stay and not _one_way(trials, odd):
+        out = _other_device(trials, now, odd) or out  # it may be another device in all
     return [replace(f, correction=_everywhere(trials, f.correction)) for f in out]
+
+
+def _fewest(trials: Trials, found: Sequence[Found]) -> list[Found]:
+    """Return mistakes of runs as few as their rivals allow: of those that do as well the one in most runs.
+
+    A gain of several runs is one number.
+    """
+    often = Counter(k for one in found for k in {key(c) for c in (one.correction, *one.rivals)})
+    out: dict[Key, list[Found]] = {}
+    for one in found:
+        every = (one.correction, *one.rivals)
+        first = max(every, key=lambda c: often[key(c)])
+        rivals = tuple(c for c in every if c != first)
+        out.setdefault(key(first), []).append(replace(one, correction=first, rivals=rivals))
+    single: list[Found] = []
+    for same in out.values():
+        runs = sorted(r for one in same for r in one.correction.runs)
+        c = _one_gain(trials, same[0].correction, runs) if len(same) > 1 else None
+        single += [replace(same[0], correction=c, rivals=())] if c else same
+    return single
+
+
+def _spread(trials: Trials, left: Sequence[int], found: list[Found]) -> tuple[list[int], list[Found]]:
+    """Return the runs that are not described once the mistakes of others are undone and all is fitted; these.
+
+    A run that one of these describes has it too.
+    """
+    after = trials.fitted([one.correction for one in found])
+    if not after or not after.left:
+        return list(left), found
+    still = [r for r in left if after.left.get(r, np.inf) > EXCESS]
+    for k, one in enumerate(found):
+        c = one.correction
+        if c.mistake.by_run and c.numbers[1:]:  # from a sample on, or stretches: each run has its own
+            continue
+        own = trials.at((c.in_runs(still),), after.p, still) if still else None
+        more = [r for r in still if own and own.left.get(r, np.inf) < EXCESS]
+        found[k] = replace(one, correction=c.in_runs(sorted({*c.runs, *more})))
+        still = [r for r in still if r not in more]
+    return still, found
+
+
+def _one_gain(trials: Trials, c: Correction, runs: list[int]) -> Correction | None:
+    """Return the gain of a column that several runs share, fitted with the parameters; None of others."""
+    if c.kind != "gain_step" or len(c.numbers) != 1:
+        return None
+    known: Correction | None = c.in_runs(runs)
+    for _ in range(ROUNDS):
+        before, at = known, trials.fitted((known,)) if known else None
+        own = at and trials.at((), at.p, runs)
+        known = _step(trials, own, c.columns[0], c.kind, runs, within=False) if own else None
+        if not known or not before or abs(known.numbers[0] / before.numbers[0] - 1) < SETTLED:
+            break
+    return known
 
 
 def _one_way(trials: Trials, odd: Sequence[int]) -> bool:
@@ -1077,22 +1185,49 @@ def _of(c: Correction, runs: Sequence[int]) -> Correction:
 
 
 def _other_device(trials: Trials, now: Tried, runs: Sequence[int]) -> list[Found]:
-    """Return runs that parameters of their own describe, where no mistake does."""
-    own = trials.fitted((), runs)
-    if own is None or not own.left:
-        return []
-    one = Judged(
-        now.mean(now.deviance), own.mean(own.deviance), own.mean(own.left), Correction("other_device")
+    """Return runs that parameters, and gains of readings, of their own describe, where no mistake does."""
+    gains: tuple[Correction, ...] = ()
+    found: list[Found] = []
+    for _ in range(ROUNDS):
+        own = trials.fitted(gains, runs)
+        if own is None or not own.left:
+            break
+        after = own.mean(own.deviance), own.mean(own.left)
+        one = Judged(now.mean(now.deviance), *after, Correction("other_device"))
+        if one.explains >= EXPLAINS and one.left < EXCESS:
+            found = [Found(one.correction.in_runs(runs), one.explains)]
+            break
+        gains = _gains(trials, own, gains, runs)
+    return found
+
+
+def _gains(
+    trials: Trials, own: Tried, before: Sequence[Correction], runs: Sequence[int]
+) -> tuple[Correction, ...]:
+    """Return the gains of readings that describe runs best at the parameters of `own`."""
+    channels, known = trials.model.channels, {c.columns[0]: c.numbers[0] for c in before}
+    sums = np.zeros((2, len(channels)))
+    for _, e, block in _whitened(own, runs):
+        x = np.array([block.data[c] / own.log.noise[c].value for c in channels])
+        x -= x.mean(axis=1, keepdims=True)
+        sums += (x * (x - e)).sum(axis=1), (x * x).sum(axis=1)
+    return tuple(
+        Correction("gain_step", (c,), (known.get(c, 1.0) * seen / expected,), tuple(runs))
+        for c, expected, seen in zip(channels, *sums, strict=True)
+        if c not in trials.model.period and expected * seen > 0
     )
-    described = one.explains >= EXPLAINS and one.left < EXCESS
-    return [Found(one.correction.in_runs(runs), one.explains)] if described else []
 
 
 Residual = Callable[[Block], np.ndarray]
 
 
-def _whitened(tried: Tried, runs: Sequence[int]) -> Iterator[tuple[Residual, np.ndarray, Block]]:
-    """Yield runs with their residual over the noise: what computes it, and values (K, samples) less means."""
+def _whitened(
+    tried: Tried, runs: Sequence[int], *, centred: bool = True
+) -> Iterator[tuple[Residual, np.ndarray, Block]]:
+    """Yield runs with their residual over the noise: what computes it, and its values (K, samples).
+
+    `centred`: less their means.
+    """
     model = tried.model
     point = tried.cost.at(tried.p)
     rest = residuals(model, tried.p, dict(zip(tried.cost.summary.runs, point.offsets, strict=True)))
@@ -1102,7 +1237,24 @@ def _whitened(tried: Tried, runs: Sequence[int]) -> Iterator[tuple[Residual, np.
     for block in log.blocks(tuple(c for c in dict.fromkeys(columns) if c in log.columns)):
         if block.run in runs and len(block.data[model.channels[0]]) > 1:
             e = rest(block) / sigma
-            yield (lambda b: rest(b) / sigma), e - e.mean(axis=1, keepdims=True), block
+            yield (lambda b: rest(b) / sigma), e - centred * e.mean(axis=1, keepdims=True), block
+
+
+def _inside(trials: Trials, tried: Tried, c: Correction, runs: Sequence[int]) -> float:
+    """Return what readings at a rail leave, per reading that is kept: the model expects them beyond it.
+
+    No less than noise counts. Of a reading that repeats no sample tells on which side it is.
+    """
+    model, (low, high), squares = trials.model, c.numbers, 0.0
+    known = [k for k, n in enumerate(model.channels) if n in c.columns and n not in model.period]
+    whole = replace(tried, log=trials.log((), runs))
+    for _, e, block in _whitened(whole, runs, centred=False) if known else ():
+        for k in known:
+            x = block.data[model.channels[k]]
+            back = np.where(x >= high, np.maximum(e[k], 0.0), np.where(x <= low, np.minimum(e[k], 0.0), 0.0))
+            squares += float((back**2 - ((x <= low) | (x >= high))).sum())
+    kept = sum(tried.counts.get(r, 0.0) for r in runs) * len(model.channels)
+    return max(squares, 0.0) / max(kept, 1.0)
 
 
 def _slope(rest: Residual, block: Block, column: str) -> np.ndarray:
@@ -1124,15 +1276,18 @@ PILED = 3.0
 at the next, of a column that stops there: a sine has 2.4."""
 
 
-def of_samples(trials: Trials, tried: Tried) -> Iterator[Correction]:
-    """Yield the mistakes that begin or end within a run, where the columns or the residual show them."""
+def of_samples(trials: Trials, tried: Tried, known: Set[Key] = frozenset()) -> Iterator[Correction]:
+    """Yield the mistakes that begin or end within a run, where the columns or the residual show them.
+
+    `known`: those alone whose size takes fits to find, where there are any.
+    """
     runs = list(tried.left)
     yield from _rails(trials, runs)
     yield from _coarse(trials, runs)
     if len(runs) == 1:
         yield from _still(trials, runs[0])
-        yield from _steps(trials, tried, runs, within=True)
-    for c in _steps(trials, tried, runs, within=False):
+        yield from _steps(trials, tried, runs, known, within=True)
+    for c in _steps(trials, tried, runs, known, within=False):
         whole = len(runs) == len(trials.spans)
         if not whole:
             yield c
@@ -1189,15 +1344,13 @@ def _coarse(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
     some = np.isin(trials.run, list(runs))
     for c in filter(is_moving, trials.columns):
         values = np.unique(trials.full[c][some])
-        step = _step_between(values) if VALUES < len(values) < some.sum() / AGAIN else None
+        step = _step_between(values) if 1 < len(values) < some.sum() / AGAIN else None
         if step is not None and step > trials.noise[c].value:
             yield Correction("coarse_steps", (c,), (step,))
 
 
 AGAIN = 2
 """Samples of each value, at least, of a column that comes in steps: one of constant speed holds each once."""
-VALUES = 6
-"""Values from which on it is no chance that all their distances are multiples of one: (2 EVEN)^5."""
 
 
 def _still(trials: Trials, run: int) -> Iterator[Correction]:
@@ -1215,7 +1368,9 @@ def _still(trials: Trials, run: int) -> Iterator[Correction]:
         yield Correction("stuck", tuple(columns), ends, (run,))
 
 
-def _steps(trials: Trials, tried: Tried, runs: Sequence[int], *, within: bool) -> Iterator[Correction]:
+def _steps(
+    trials: Trials, tried: Tried, runs: Sequence[int], known: Set[Key], *, within: bool
+) -> Iterator[Correction]:
     """Yield, for each column, the step of its zero and of its gain that the residual of some runs shows best.
 
     `within`: from some sample of a run on, else all through the runs. The size is found by Gauss-Newton.
@@ -1224,6 +1379,8 @@ def _steps(trials: Trials, tried: Tried, runs: Sequence[int], *, within: bool) -
         if c not in trials.columns:
             continue
         for kind in ("zero_moved", "gain_step") if within else ("gain_step",):
+            if known and (kind, (c,)) not in known:
+                continue
             found = _step(trials, tried, c, kind, runs, within=within)
             if found is not None:
                 yield found
@@ -1247,7 +1404,7 @@ def _step(
         before, size = size, size / (1 - change) if gain else size + change
         if not 0.05 < (abs(size) if gain else 1.0) < 20:
             return None
-        if abs(size - before) <= 1e-3 * abs(size):
+        if abs(size - before) <= SETTLED * abs(size):
             break
     if within and since == 0:
         return None
@@ -1288,6 +1445,6 @@ def _along(
         k = int(np.argmax(power[STILL:-STILL])) + STILL
         if power[k] > best[0]:
             best = (float(power[k]), float(explained[k] / energy[k]), k)
-    if within and since is None:
-        return best[1], best[2]
+    if within and since is None:  # at the first sample that is looked at it is of the whole run, as play is
+        return (best[1] if best[2] > STILL else np.nan), best[2]
     return (num / den if den > 0 else np.nan), since or 0

@@ -70,7 +70,7 @@ def test_the_text_says_everything_within_its_width(monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("COLUMNS", str(PROSE))
     assert max(map(len, summary(a_diagnosis()).splitlines())) <= PROSE
     for said in (
-        "noise floor, stated 1 1", "40.0 % (35.0 to 45.0) 90 % < 1e-6 The gain bends with height.",
+        "noise floor, stated 1 1", "40.0 % (35.0 to 45.0) 90 % < 1e-6", ": The gain bends with height.",
         "bend_A -123456(321) 1/m2", "tau 1.200(20) ms", "offset 0.0025 mm", "decoding 98 -> 680 operations",
         "50 % of the excess goes with height Z 48 % < 1e-6",
         "time_skew, first_order_lag: they are confusable on this log (0.25 sigma). Record several speeds.",

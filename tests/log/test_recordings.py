@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import pytest
-from recording_scores import correction, judged, rates, same
+from recording_scores import correction, judged, rates, same, told
 from recordings import FAMILIES, KINDS, Size, cases, healthy_cases, mistaken
 
 SEED = 4
@@ -56,6 +56,26 @@ def test_rates_of_mistakes() -> None:
     assert found.silent <= 0.08, found
     assert found.right >= 0.5, found
     assert found.wrong <= 0.08 * found.felt, found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "family", "seed"),
+    [
+        ("reading of 3 bits, run", "stage31", "2926.0"),  # few values in a run: not stuck
+        ("reading stuck, few", "stage30", "2940.0"),  # at a rail a reading is expected beyond it
+        ("sign of a reference, few", "chip", "2940.0"),  # a phase has no more variance than its turn
+        ("another device, few", "halbach", "2940.0"),  # gains of its own, which the model has not
+        ("reading gain +20%, tail", "stage31", "2940.0"),  # one gain of several runs, not several mistakes
+        ("reading clipped in 5%, run", "stage30", "2940.0"),  # what it leaves is noise up to chance
+        ("reading x 1000, log", "homed", "2940.0"),  # of decades that do as well the one of a unit
+    ],
+)
+def test_the_right_one_of_several_hypotheses_is_named(kind: str, family: str, seed: str) -> None:
+    m = mistaken(kind, family, seed)
+    first = next((one.correction for one in told(m.recording)[0].claims if one.correction), None)
+    assert first
+    assert any(same(first, right, m.recording) for right in m.right)
 
 
 @pytest.mark.slow
