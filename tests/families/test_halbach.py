@@ -16,7 +16,7 @@ from hallsym import InputError, Log, Noise, NoiseModel
 from hallsym.families import build
 from hallsym.families.halbach import FAMILY
 from hallsym.families.halbach.effects import field, magnets, mechanics, transducer
-from hallsym.families.halbach.effects.ends import strength
+from hallsym.families.halbach.finite import strength
 from hallsym.families.halbach.layout import arrays, columns
 from hallsym.families.halbach.models import halbach
 from hallsym.families.published import table as published

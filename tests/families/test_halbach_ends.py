@@ -12,7 +12,7 @@ import pytest
 import hallsym
 from hallsym import Log, Noise, NoiseModel
 from hallsym.families.halbach.effects import ends, magnets
-from hallsym.families.halbach.effects.ends import strength
+from hallsym.families.halbach.finite import strength
 from hallsym.families.halbach.layout import Sensor, arrays, columns
 from hallsym.families.halbach.models import halbach
 from hallsym.model import on_arrays
@@ -103,6 +103,24 @@ def test_the_decoded_place_has_no_step_as_sensors_come_and_go():
 
 def test_a_board_shorter_than_the_array_stays_within_a_wavelength():
     assert ends.array_edges(halbach(NINE)).period == halbach(NINE).period
+
+
+def test_what_the_ends_take_of_the_field_is_noted_where_it_counts():
+    """.14 mV of .6 V are 2.3e-4: so far off were offsets in the middle of .24 m of real magnets."""
+    rng = np.random.default_rng(1)
+    x, z = rng.uniform(-0.015, 0.015, 500), rng.uniform(4e-3, 6e-3, 500)
+    log = Log.from_arrays({"x_ref_m": x, "z_ref_m": z})
+
+    def share(length_m):
+        model = halbach(columns((-0.01, 0.0, 0.01), length_m=length_m))
+        said = [n for n in model.inspect(model, log).notes if "The ends of array X" in n]
+        return float(re.search(r"up to ([\d.e-]+) % of the field", said[0])[1]) / 100 if said else 0.0
+
+    assert 2e-4 < share(0.24) < 3e-3
+    assert share(0.24) > 2 * share(0.48) > 0
+    assert share(2.0) == 0.0
+    ended = ends.array_edges(halbach(columns((-0.01, 0.0, 0.01), length_m=0.24)))
+    assert not ended.inspect(ended, log).notes
 
 
 def swept(wide, values, gaps):

@@ -12,7 +12,7 @@ from hallsym import InputError, Log, Noise
 from hallsym.estimation.decoding import decoding_gain
 from hallsym.families.halbach import PLANAR, planar
 from hallsym.families.halbach.effects import planar_ends
-from hallsym.families.halbach.effects.ends import strength
+from hallsym.families.halbach.finite import strength
 from hallsym.families.halbach.layout import Array, Sensor, arrays, columns, sensors
 from hallsym.families.halbach.models import halbach
 from hallsym.log import Fault

@@ -152,10 +152,14 @@ def lost_magnet(
 def forbidden_harmonics(
     model: Model,
     order: int = one_of(
-        {2: "second", 3: "third", 4: "fourth", 9: "ninth"}, "harmonic of the field that is added"
+        {2: "second", 3: "third", 4: "fourth", 6: "sixth", 7: "seventh", 9: "ninth"},
+        "harmonic of the field that is added",
     ),
 ) -> Model:
-    """Harmonics of the field that an ideal array of four magnets per period has not, or the ninth."""
+    """Harmonics of the field that an ideal array of four magnets per period has not, or the ninth.
+
+    The fifth is part of the model.
+    """
     names = {f"a{order}": "cos", f"b{order}": "sin"}
 
     def step(s: Signals, p: P) -> None:

@@ -4,8 +4,9 @@ from functools import cache
 
 import casadi as ca
 
-from hallsym.families.halbach.effects.ends import MOST, missing
+from hallsym.families.halbach.effects.ends import MOST
 from hallsym.families.halbach.effects.magnets import HALF_TURN, LONGER
+from hallsym.families.halbach.finite import missing
 from hallsym.families.halbach.layout import Array
 from hallsym.families.halbach.links import Seen
 from hallsym.families.mechanisms import P
