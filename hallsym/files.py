@@ -17,6 +17,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -271,7 +272,7 @@ def read_json(path: str | Path, what: str, remedy: str, make: str = "") -> Any:
     if wrong is not None:
         raise InputError(
             f"{what} {quoted(path)} must hold numbers of magnitude {MOST_NUMBER:g} at most; '{wrong[0]}' is "
-            f"{wrong[1]:g}, so {remedy}."
+            f"{Decimal(wrong[1]):.6g}, so {remedy}."
         )
     return data
 

@@ -148,7 +148,7 @@ def repeated(seeds: range, **noise) -> tuple[dict[str, np.ndarray], ...]:
         for c in found.combinations:
             errors.setdefault(c.expression, []).append(c.value - arms[c.expression])
             stds.setdefault(c.expression, []).append(c.std)
-            halves.setdefault(c.expression, []).append(c.half_width)
+            halves.setdefault(c.expression, []).append(c.factor * c.std)
     assert all(len(v) == len(seeds) for v in errors.values())
     return tuple({name: np.array(v) for name, v in d.items()} for d in (errors, stds, halves))
 

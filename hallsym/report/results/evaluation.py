@@ -23,8 +23,7 @@ def evaluation_content(found: Evaluation, *, by_run: bool = False) -> Content:
     """Return the verdict, then the errors with the noise floor; `by_run`: with one line per run."""
     pose, period, runs = found.model.pose, found.model.period, found.table.runs
     rows: dict[str, Any] = {"all runs" if len(runs) > 1 else "all samples": found.table.over()}
-    if by_run:
-        rows |= {f"run {run}": found.table.over([run]) for run in runs}
+    each: dict[str, Any] = {f"run {run}": found.table.over([run]) for run in runs if by_run}
     known = found.table.interval()
     more = {"95 % interval": shared.interval_row(known, pose, period)} if known else {}
     source = "" if {s.source for s in found.noise.sigmas.values()} == {"given"} else "estimated"
@@ -35,7 +34,12 @@ def evaluation_content(found: Evaluation, *, by_run: bool = False) -> Content:
         f"{found.model.name} on {shared.called(found.log.path)}",
         found.goodness.verdict,
         [Section("repeating", "Errors that repeat", periodic_blocks(found.calibration, found.log))],
-        ["", f"{found.model.name} on {found.log.name}: {samples}{where}", errors],
+        [
+            "",
+            f"{found.model.name} on {found.log.name}: {samples}{where}",
+            errors,
+            shared.errors_by("by run", each, pose, period),
+        ],
         state="bad" if found.goodness.sentence else "good",
         columns=_columns(found),
         picture=lambda log: evaluation_figure(found),

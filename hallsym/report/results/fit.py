@@ -192,11 +192,11 @@ def several_blocks(fit: Fit) -> list[Block | str]:
     rows = {}
     for log in fit.logs:
         for kind, said in (("fitted", ""), ("holdout", ", holdout")):
-            if log.errors.get(kind):
-                rows[f"{log.name}{said}"] = log.errors[kind]
+            if found := log.errors.get(kind):
+                rows[f"{log.name}{said}"] = found
     own = fit.logs[0].parameters
     return [
-        shared.error_table(fit.model.pose, rows, periodic=fit.model.period, title="by log"),
+        shared.errors_by("by log", rows, fit.model.pose, fit.model.period),
         *(_own(fit, p) for p in fit.model.parameters if p.name in own),
     ]
 

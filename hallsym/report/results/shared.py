@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +65,6 @@ def error_table(
     periodic: Collection[str] | None = None,
     *,
     more: Mapping[str, Sequence[str]] | None = None,
-    title: str = "errors",
 ) -> Table:
     """Return the rmse of each output, then its peak, one line per entry of `rows`.
 
@@ -83,8 +83,20 @@ def error_table(
     if floor:
         noise = cells([floor[c] for c in pose], pose, periodic, 4)
         table.append([f"noise floor, {source}" if source else "noise floor", *noise])
-    head = [title, *heads(pose, periodic)]
+    head = ["errors", *heads(pose, periodic)]
     return Table(head, [*table, *sizes("peak")], "root mean square and largest error of each output")
+
+
+def errors_by(
+    title: str, rows: Mapping[str, Sizes], pose: Sequence[str], periodic: Collection[str] | None = None
+) -> Table:
+    """Return rmse and peak of each output, one line per run or log."""
+    head = [title, *heads(pose, periodic, "rmse"), *heads(pose, periodic, "peak")]
+    lines = []
+    for label, row in rows.items():
+        sizes = (cells([row[what][c] for c in pose], pose, periodic, 4) for what in ("rmse", "peak"))
+        lines.append([label, *chain.from_iterable(sizes)])
+    return Table(head, lines, f"root mean square and largest error of each output, {title}")
 
 
 def interval_row(
