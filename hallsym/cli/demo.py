@@ -15,7 +15,7 @@ from hallsym.estimation import Fit, fit
 from hallsym.families import published
 from hallsym.log import Log
 from hallsym.report.content import Content, Table
-from hallsym.report.results.shared import error_table
+from hallsym.report.results.shared import errors_by
 from hallsym.report.tables import cells
 from hallsym.report.views import content
 from hallsym.simulation import bundled_campaign
@@ -95,8 +95,8 @@ def beside_paper(steps: list[dict[str, Any]]) -> Table:
     for k, step in enumerate(steps):
         shown[step["step"]] = step["here"]
         if k + 1 == len(steps) or steps[k + 1]["table"] != step["table"]:
-            shown[f"paper, Table {step['table']}"] = step["paper"]
-    return error_table(POSE, shown)
+            shown[f"  paper, Table {step['table']}"] = step["paper"]
+    return errors_by("errors", shown, POSE)
 
 
 def _fitted(log: Log, runs: list[int]) -> dict[str, dict[str, float]]:
