@@ -270,9 +270,10 @@ def read_json(path: str | Path, what: str, remedy: str, make: str = "") -> Any:
         data = json.loads(text, object_pairs_hook=_once)
         wrong = next(((place, x) for place, x in _numbers(data) if not abs(x) <= MOST_NUMBER), None)
     if wrong is not None:
+        found = wrong[1] if isinstance(wrong[1], float) else Decimal(wrong[1])  # an integer beyond floats
         raise InputError(
             f"{what} {quoted(path)} must hold numbers of magnitude {MOST_NUMBER:g} at most; '{wrong[0]}' is "
-            f"{Decimal(wrong[1]):.6g}, so {remedy}."
+            f"{found:.3g}, so {remedy}."
         )
     return data
 

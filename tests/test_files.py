@@ -112,6 +112,7 @@ def test_a_sentence_of_ours_and_ctrl_c_pass_through():
         ('{"a": NaN}', "'a' is nan"),
         ('{"a": 1e999}', "'a' is inf"),
         ('{"a": [1, {"b": 1e60}]}', "'a.1.b' is 1e.60"),
+        (f'{{"a": {10**400}}}', "'a' is 1.00e.400"),
         ('{"a": 1, "a": 2}', "key 'a' is given twice"),
         ("[" * 100000, "nested too deeply"),
         ("9" * 5000, "cannot be read as JSON"),

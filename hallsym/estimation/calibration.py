@@ -204,7 +204,7 @@ _KEYS = {"error_rows": "errors", "goodness": "goodness_of_fit", "covariance_reco
 
 
 class Fitted(msgspec.Struct, kw_only=True, frozen=True, eq=False, forbid_unknown_fields=True, rename=_KEYS):
-    """What a calibration file holds and the result of a fit has alike; everything is in SI.
+    """What both a calibration file and the result of a fit hold; everything is in SI.
 
     `covariance`: zero rows for fixed parameters. `zero_deviations`: run -> zero deviations delta [m] in
     reading space. `noise_floor`: RMSE that the stated noise alone would leave, by pose coordinate. `claims`:

@@ -60,8 +60,10 @@ def claims_of(fit: Fit, given: Log) -> tuple[Claim, ...]:
 
 def described(fit: Fit) -> bool:
     """Return whether the model describes every run."""
-    told = fit.goodness
-    return told is None or not (told.sentence or max(told.by_run.values(), default=1.0) ** 2 > ALONE)
+    goodness = fit.goodness
+    return goodness is None or not (
+        goodness.sentence or max(goodness.by_run.values(), default=1.0) ** 2 > ALONE
+    )
 
 
 LOOKED, RUNS_LOOKED = 4096, 8
@@ -469,8 +471,8 @@ class Read:
             if c in noise and noise[c].value > MOST_NOISE * abs(factor) * float(np.ptp(x)):
                 raise InputError(f"Column {c} would hold noise alone; leave that correction out.")
         channels = self.summary.model.channels
-        held = [sources.get(c, (c, 1.0)) for c in channels]
-        within = self.within[:, [channels.index(c) for c, _ in held]] * [f**2 for _, f in held]
+        logged = [sources.get(c, (c, 1.0)) for c in channels]
+        within = self.within[:, [channels.index(c) for c, _ in logged]] * [f**2 for _, f in logged]
         return replace(self, summary=summary, noise=noise, within=within)
 
 
@@ -619,7 +621,7 @@ SETTLED = 1e-3
 RIVAL = 20.0
 """Difference of the deviance, of all readings, up to which two corrections explain as much."""
 SURE = 2.0
-"""Standard deviations by which a number must be told from another."""
+"""Standard deviations by which a number must be distinguished from another."""
 NEAR = 0.02
 """The same of each reading, over what is left: where effects are left too, chance is not all that decides."""
 KEEPS = 0.6
@@ -627,7 +629,7 @@ KEEPS = 0.6
 CHANCE = 2.0
 """Standard deviations of the mean square of noise: corrections that keep other samples differ by chance."""
 DIFFERENT = 3
-"""Mistakes of runs that are told apart in one log, and columns whose scale is looked at closely, at most."""
+"""Mistakes of runs that are named in one log, and columns whose scale is looked at closely, at most."""
 
 
 Key = tuple[str, tuple[str, ...]]
@@ -784,7 +786,7 @@ def _divisions(trials: Trials, base: Tried) -> dict[tuple[int, ...], Tried]:
 
 
 def _agreeing(trials: Trials, base: Tried) -> list[list[int]]:
-    """Return runs that one set of parameters describes nearly alike, half of them at least; one set or more.
+    """Return runs that one set of parameters describes equally well, half of them at least; one set or more.
 
     Least trimmed squares from all runs but the worst, and from the first and the last half: the half that is
     described best is fitted again, and all that it foresees with it, until they stay.
@@ -896,7 +898,7 @@ def _best(
     if not any(map(_good, seen)):
         return None
     best = min(filter(_good, seen), key=lambda one: one.after)
-    if best.correction.kind == "scale" and not best.correction.unit:  # a screen does not tell decades apart
+    if best.correction.kind == "scale" and not best.correction.unit:  # a screen does not distinguish decades
         judged = {one.correction for one in seen}
         for c in (c for c in shares if _same(c, best.correction) and c not in judged):
             judge(c)
@@ -908,18 +910,18 @@ def _best(
         return one.correction.kind == "scale" and one.correction not in shares, one.plain
 
     near = sorted((one for one in good if one.after - best.after < close), key=assumes)
-    alike = [
+    equal = [
         one for one in near
         if _same(one.correction, near[0].correction) and assumes(one) == assumes(near[0])
     ]  # fmt: skip
     # of units, whose readings differ by less than parameters can make up for, the most usual of those that
     # leave the machine as near to the nominal one, within a width of one bound
-    nearest = min(one.far for one in alike) ** 2 + 1.0
-    units = [one for one in alike if one.correction.unit and one.far**2 < nearest]
+    nearest = min(one.far for one in equal) ** 2 + 1.0
+    units = [one for one in equal if one.correction.unit and one.far**2 < nearest]
     units.sort(key=lambda one: [*UNITS].index(one.correction.unit))
-    first = units[0] if units else min(alike, key=lambda one: one.after)
+    first = units[0] if units else min(equal, key=lambda one: one.after)
     decades = [
-        one for one in alike
+        one for one in equal
         if one.correction.kind == "scale" and not first.correction.unit and one.correction in shares
         and abs(np.log(one.correction.numbers[0] / first.correction.numbers[0])) > np.log(ALTERED)
     ]  # fmt: skip
@@ -1046,7 +1048,7 @@ SWEPT = 0.8
 
 
 def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
-    """Return the mistakes of runs that do not go with the others: of all alike, else of each by itself.
+    """Return the mistakes of runs that do not go with the others: of all together, else of each by itself.
 
     `base`: what the others agree on. What was found in one run is tried first in the next.
     """

@@ -44,7 +44,7 @@ STEADY = 0.05
 constant."""
 WINDOW = 0.125
 HOLDOUT = 3
-"""Turns of a run from which on its last one is held out."""
+"""Turns of a run from which on its last one is the holdout."""
 RUNNING = 0.2
 """The same where it may change: a rotor that is slower than this share of its median speed is at its stop."""
 PRIOR = np.radians(1.5)
@@ -237,8 +237,8 @@ def seen(places: Sequence[float] | np.ndarray, count: int) -> np.ndarray:
     array([3, 6, 9])
     """
     n, p = np.arange(1, count + 1), np.asarray(places, dtype=float)
-    apart = (p[:, None] - p)[np.triu_indices(len(p), 1)]
-    return np.asarray(2 * np.abs(np.sin(np.multiply.outer(n, apart) / 2)).max(axis=1))
+    separation = (p[:, None] - p)[np.triu_indices(len(p), 1)]
+    return np.asarray(2 * np.abs(np.sin(np.multiply.outer(n, separation) / 2)).max(axis=1))
 
 
 # -- the readings alone (1) ---------------------------------------------------------------------------------
@@ -324,8 +324,8 @@ def closure_of(
         return _closed(grid, x, noise, pairs, count, jig, begin, known=True)
     alive = np.flatnonzero(amplitude > DEAD * amplitude.max()).tolist()
     both, spectra = list(combinations(alive, 2)), _spectra(x, count)
-    alike = [_place(spectra[a], spectra[b], pairs)[1] for a, b in both]
-    found = _closed(grid, x, noise, pairs, count, _begin(spectra, both[int(np.argmax(alike))], pairs))
+    similarity = [_place(spectra[a], spectra[b], pairs)[1] for a, b in both]
+    found = _closed(grid, x, noise, pairs, count, _begin(spectra, both[int(np.argmax(similarity))], pairs))
     for head in alive:
         if head not in found.jig.heads:
             wider = _begin(spectra, sorted((*found.jig.heads, head)), pairs)
@@ -341,19 +341,19 @@ def _spectra(x: np.ndarray, count: int) -> np.ndarray:
 
 
 def _place(one: np.ndarray, other: np.ndarray, pairs: int) -> tuple[float, float]:
-    """Return the angle from one head to another from their spectra (waves,), and how alike their fields are.
+    """Return the angle from one head to another from their spectra (waves,); the likeness of their fields.
 
     The fundamental tells it modulo a period; the waves beside it choose the period.
     """
     n = np.arange(1, len(one) + 1)
     beside = (n % pairs != 0) if pairs > 1 else n > pairs
-    turned = np.angle(other[pairs - 1] / one[pairs - 1])
+    rotation = np.angle(other[pairs - 1] / one[pairs - 1])
     a, b = one[beside], other[beside]
     size = np.linalg.norm(a) * np.linalg.norm(b)
-    places = wrapped((turned + TURN * np.arange(pairs)) / pairs, TURN)
-    alike = [(np.conj(a) * b * np.exp(-1j * n[beside] * p)).sum().real / size for p in places]
-    best = int(np.argmax(alike))
-    return float(places[best]), float(alike[best])
+    places = wrapped((rotation + TURN * np.arange(pairs)) / pairs, TURN)
+    similarity = [(np.conj(a) * b * np.exp(-1j * n[beside] * p)).sum().real / size for p in places]
+    best = int(np.argmax(similarity))
+    return float(places[best]), float(similarity[best])
 
 
 def _begin(spectra: np.ndarray, heads: Sequence[int], pairs: int) -> Jig:
@@ -387,10 +387,10 @@ def _closed(
     own = np.column_stack([jig.heights, jig.places])
     table = np.zeros(2 * count) if start is None else coefficients(start.table)
     begin = np.concatenate([table, own.ravel()])
-    told = (
+    given = (
         np.zeros(own.shape) if known else np.tile([0.0, *[(HEIGHT * pairs) ** -2] * 2, 0.0], (heads - 1, 1))
     )
-    precision = np.concatenate([np.full(2 * count, (pairs / PRIOR) ** 2), told.ravel()])
+    precision = np.concatenate([np.full(2 * count, (pairs / PRIOR) ** 2), given.ravel()])
     free = np.ones(own.shape, bool) & (not known or np.array([True, False, False, False]))
     free = np.concatenate([np.ones(2 * count, bool), free.ravel()])
 
@@ -504,14 +504,14 @@ def line_of(parts: Sequence[Stretch], count: int, reference: str, jig: Jig | Non
     speeds = [_speed(part, reference) for part in parts]
     fast = max(float(s.max()) for s in speeds)
     ratio = fast / min(float(s.min()) for s in speeds)
-    apart = ratio >= SPEEDS
+    separable = ratio >= SPEEDS
     shares = [(fast / s) ** 2 for s in speeds]
-    width = 2 * count * (1 + apart)
+    width = 2 * count * (1 + separable)
 
     def beside_slow(part: Stretch, share: np.ndarray) -> np.ndarray:
         """Return the columns (samples, width + 1) of table, falling part and what they are to make."""
         table = columns(part.u, n)
-        both = [table, table * share[:, None]] if apart else [table]
+        both = [table, table * share[:, None]] if separable else [table]
         return without_slow(part, np.column_stack([*both, rippled(part, jig) - part.u]), reference)
 
     products = np.zeros((width + 1, width + 1))
@@ -530,7 +530,7 @@ def line_of(parts: Sequence[Stretch], count: int, reference: str, jig: Jig | Non
             power += (half**2).reshape(2, -1).sum(axis=0) / 2
             design.append([1.0, float(share[turn].mean())])
             turns += 1
-    used = 1 + apart
+    used = 1 + separable
     each = np.array(design)[:, :used]
     spread = np.linalg.pinv(each.T @ each)
     density = power / (turns - used) if turns > used else np.full(count, np.nan)
@@ -539,8 +539,8 @@ def line_of(parts: Sequence[Stretch], count: int, reference: str, jig: Jig | Non
     nothing = np.full(count, np.nan)
     return Line(
         phasors(found[: 2 * count]), worse * np.sqrt(density * spread[0, 0]), density,
-        phasors(found[2 * count : width]) if apart else nothing.astype(complex),
-        worse * np.sqrt(density * spread[1, 1]) if apart else nothing, turns, float(ratio),
+        phasors(found[2 * count : width]) if separable else nothing.astype(complex),
+        worse * np.sqrt(density * spread[1, 1]) if separable else nothing, turns, float(ratio),
     )  # fmt: skip
 
 
@@ -554,9 +554,9 @@ def in_step(parts: Sequence[Stretch], pairs: int, reference: str) -> list[Stretc
         if pairs > 1:
             one, other = (line_of([p], len(n), reference).table for p in (parts[0], part))
             steps = TURN / pairs * np.arange(pairs)
-            alike = [(np.conj(one) * other * np.exp(1j * n * s)).sum().real for s in steps]
+            similarity = [(np.conj(one) * other * np.exp(1j * n * s)).sum().real for s in steps]
             # the table of the part, read `s` further on, is that of the first
-            shift = steps[int(np.argmax(alike))]
+            shift = steps[int(np.argmax(similarity))]
             part = Stretch(part.run, part.time, part.readings, part.u - shift)
         out.append(part)
     return out
@@ -572,7 +572,7 @@ class Wave:
     `sensor`: what the table holds. `std`: its standard error per part, None where this recording does not
     separate it from the motion. `motion`: the ripple of the motion that smooth motion would have taken for
     the sensor's, None where nothing tells it; `motion_std`: of each part. `verdict`: `SENSOR` (no ripple of
-    the motion shows), `MOTION` (one does, and is told apart), `OPEN`.
+    the motion shows), `MOTION` (one does, and is separable), `OPEN`.
     """
 
     per_turn: int
@@ -597,10 +597,10 @@ class Wave:
 
 @dataclass(frozen=True, eq=False)
 class SelfCalibration:
-    """A calibration without a reference. `kept` is the table, of all `waves`; `left` the errors held out.
+    """A calibration without a reference. `kept` is the table, of all `waves`; `left` the holdout errors.
 
     `left`: name -> rms [electrical rad] about a smooth motion: as it is, and less the ripple of the motion
-    that was told apart; of the nominal transform, the ellipse and the table. Empty without a turn to spare.
+    that was separable; of the nominal transform, the ellipse and the table. Empty without a turn to spare.
     """
 
     reference: str
@@ -752,7 +752,7 @@ def self_calibrate(
     `runs`: run -> times (samples,) and readings (samples, heads). `phases`: nominal electrical phases of the
     heads [rad]. `reference`: one of `REFERENCES`. `orders`: waves per turn of the table, `waves_of(pairs)` by
     default; `jig`: what a fleet knows; `begin`: what the readings say without it. The last whole turn of each
-    run is held out where it has `HOLDOUT` of them.
+    run is the holdout where it has `HOLDOUT` of them.
 
     Raises `InputError` for readings that do not turn.
     """

@@ -514,7 +514,7 @@ _AGAIN = re.compile(r"(.+)\.\d+")
 def stems_of(
     texts: Sequence[str], stated: Sequence[str | None] = (), where: str = ""
 ) -> dict[str, tuple[str, str | None]]:
-    """Return headers' own texts and units by their names without unit, or by the text where two are alike.
+    """Return headers' own texts and units by their names without unit, or by the text where two are equal.
 
     `stated`: units that the file states elsewhere. Columns of one name are numbered. `where`: a file whose
     names may be wrong: refuse a column of ours that is there twice, and a column with two units.

@@ -40,7 +40,7 @@ LEVEL = 1e-12
 """Rotation [rad] that is rounding of the analysis."""
 LOOKED_AT = 3
 """Channels that a wavelength is fitted to."""
-APART = 1.0
+SPACING = 1.0
 """Wavelengths that two arrays are at least apart on the board."""
 TURN = 1e-4
 """Rotation [rad] by which slopes and levers are measured."""
@@ -300,7 +300,7 @@ class Window:
         turns = range(3, len(self.sample.at))
         levers = np.array([self.slopes(k, TURN) for k in turns]).reshape(len(turns), len(self.own))
         spread = np.concatenate([levers.real, levers.imag]).T
-        near = np.abs(spread[:, None] - spread).max(axis=2, initial=0.0) < APART * 2 * pi * self.lc
+        near = np.abs(spread[:, None] - spread).max(axis=2, initial=0.0) < SPACING * 2 * pi * self.lc
         count, kind = connected_components(near, directed=False)
         found = [np.flatnonzero(kind == k).tolist() for k in range(count)]
         return [(members, levers[:, members].mean(axis=1)) for members in found]
