@@ -185,9 +185,13 @@ def groups(model: Model, columns: Sequence[str], worst: Sequence[str]) -> list[t
 
 
 def units(model: Model, columns: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the references and the state of each unit, which one setting of a recorder may change."""
+    """Return the columns of each unit, without readings and with them: one setting may change them all."""
     logged = [c for c in (*model.references, *model.state) if c in columns]
-    return [tuple(c for c in logged if si_unit(c) == unit) for unit in dict.fromkeys(map(si_unit, logged))]
+    every = [*(c for c in model.channels if c in columns), *logged]
+    return [
+        tuple(c for c in some if si_unit(c) == unit)
+        for unit in dict.fromkeys(map(si_unit, logged)) for some in (logged, every)
+    ]  # fmt: skip
 
 
 def scales(model: Model, columns: Sequence[str]) -> list[tuple[str, float]]:

@@ -68,6 +68,7 @@ def test_rates_of_mistakes() -> None:
         ("another device, few", "halbach", "2940.0"),  # gains of its own, which the model has not
         ("reading gain +20%, tail", "stage31", "2940.0"),  # one gain of several runs, not several mistakes
         ("reading clipped in 5%, run", "stage30", "2940.0"),  # what it leaves is noise up to chance
+        ("all lengths x 1000, log", "stage30", "2944.0"),  # a file in mm, readings too
         ("reading x 1000, log", "homed", "2940.0"),  # of decades that do as well the one of a unit
     ],
 )
