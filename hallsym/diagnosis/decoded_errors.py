@@ -7,6 +7,7 @@ import numpy as np
 
 from hallsym.diagnosis.record import Gap, Waves
 from hallsym.diagnosis.residuals import Base
+from hallsym.estimation.calibration import rmse_interval
 from hallsym.estimation.decoding import error_tables, nominal_variance, pose_errors
 from hallsym.log import Block
 from hallsym.log.batches import Weigh
@@ -54,7 +55,7 @@ def decoded_errors(base: Base, runs: Iterable[int], keep: Weigh | None = None) -
     )  # fmt: skip
     count, peak = int(found.count.sum()), found.peak.max(axis=0, initial=0.0)
     rms = np.sqrt(found.squares.sum(axis=0) / max(count, 1))
-    return DecodedErrors(found.pose, base.pose_weights, count, rms, peak, found.interval())
+    return DecodedErrors(found.pose, base.pose_weights, count, rms, peak, rmse_interval(found))
 
 
 FIRST = 12

@@ -297,12 +297,12 @@ def eliminated(
         M.inner[nil[:, i] | nil[:, j]] = 0.0
     if not z or len(first) == len(run):
         return follow, None
-    offsets = offsets[0][:, :, z:] + offsets[0][:, :, :z] @ follow[of_run]
-    offsets[np.broadcast_to(nil[:, None], offsets.shape)] = 0.0
+    of_offsets = offsets[0][:, :, z:] + offsets[0][:, :, :z] @ follow[of_run]
+    of_offsets[np.broadcast_to(nil[:, None], of_offsets.shape)] = 0.0
     root = np.zeros((len(first), z, z))
     cut = sizes > 1
     root[cut] = np.linalg.cholesky(pseudo_inverse(across[cut, :, :z])).swapaxes(1, 2)
-    return follow, root[of_run] @ offsets
+    return follow, root[of_run] @ of_offsets
 
 
 def coefficients(M: np.ndarray, columns: np.ndarray) -> np.ndarray:

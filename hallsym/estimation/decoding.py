@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
-from scipy.special import stdtrit
 
 from hallsym.errors import InputError
 from hallsym.log import Block, Log
@@ -14,9 +13,6 @@ from hallsym.log.derived import extended
 from hallsym.log.phase import wrapped
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
-
-FEWEST = 4
-"""Runs from which on their scatter tells how well an rmse is known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,24 +42,6 @@ class ErrorTable:
             "rmse": dict(zip(self.pose, rmse.tolist(), strict=True)),
             "peak": dict(zip(self.pose, peak.tolist(), strict=True)),
         }
-
-    def interval(self, runs: Collection[int] | None = None) -> dict[str, tuple[float, float]]:
-        """Return the 95 % interval of the rmse of each output over some runs; empty for fewer than `FEWEST`.
-
-        From the scatter of whole runs, since errors within a run are correlated: jackknife of the logarithm
-        of the mean square, and Student's t. Holds 92 to 95 % where runs differ by up to 30 % in size, 87 to
-        90 % where they differ by 60 % or each has one error throughout.
-        """
-        pick = [k for k, run in enumerate(self.runs) if (runs is None or run in runs) and self.count[k]]
-        if len(pick) < FEWEST:
-            return {}
-        squares, count, n = self.squares[pick], self.count[pick, None], len(pick)
-        with np.errstate(divide="ignore", invalid="ignore"):  # no error at all has no interval
-            without = np.log((squares.sum(axis=0) - squares) / (count.sum() - count))
-            half = 0.5 * stdtrit(n - 1.0, 0.975) * np.sqrt((n - 1) * without.var(axis=0))
-        size = np.sqrt(squares.sum(axis=0) / count.sum())
-        ends = zip(self.pose, size * np.exp(-half), size * np.exp(half), strict=True)
-        return {c: (float(a), float(b)) for c, a, b in ends if np.isfinite(b)}
 
 
 @dataclass(frozen=True, eq=False)

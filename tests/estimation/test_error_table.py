@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hallsym.estimation.decoding import FEWEST, ErrorTable
+from hallsym.estimation.calibration import FEWEST, rmse_interval
+from hallsym.estimation.decoding import ErrorTable
 
 
 def a_table(errors: np.ndarray) -> ErrorTable:
@@ -21,12 +22,12 @@ def test_the_interval_of_an_rmse_holds_the_true_one(runs: int) -> None:
         size = np.exp(spread * rng.standard_normal((runs, 1)) - spread**2)  # mean square 1
         noise = rng.standard_normal((runs, 30))
         own = rng.standard_normal((runs, 1))
-        low, high = a_table(size * (0.2**0.5 * own + 0.8**0.5 * noise)).interval()["x_m"]
+        low, high = rmse_interval(a_table(size * (0.2**0.5 * own + 0.8**0.5 * noise)))["x_m"]
         held += low <= 1 <= high
     assert 0.91 < held / 1000 < 0.975
 
 
 def test_too_few_runs_and_errors_of_nothing_have_no_interval() -> None:
     rng = np.random.default_rng(8)
-    assert a_table(rng.standard_normal((FEWEST - 1, 30))).interval() == {}
-    assert a_table(np.zeros((8, 30))).interval() == {}
+    assert rmse_interval(a_table(rng.standard_normal((FEWEST - 1, 30)))) == {}
+    assert rmse_interval(a_table(np.zeros((8, 30)))) == {}

@@ -7,7 +7,11 @@ from pathlib import Path
 import pytest
 from lab_files import FILES, obeyed
 
-UNSOLVED = {"MATLAB matrices", "columns numbered by pandas", "labels above names"}
+UNSOLVED = {
+    "MATLAB matrices": "a matrix of three Halls without names is taken for a ring",
+    "columns numbered by pandas": "the column file names columns as pandas renamed them",
+    "labels above names": "three channels without names are taken for a ring",
+}
 QUICK = {
     "decimal commas", "no units", "counts with scale and offset", "runs side by side", "folder of runs",
     "two files, moments", "workbook", "HDF5, attributes", "HDF5, records", "TDMS", "MATLAB struct",
@@ -19,7 +23,7 @@ QUICK = {
 NAMES = [
     pytest.param(name, marks=[
         *([] if name in QUICK else [pytest.mark.slow]),
-        *([pytest.mark.xfail(strict=True, reason="not solved yet")] if name in UNSOLVED else []),
+        *([pytest.mark.xfail(strict=True, reason=UNSOLVED[name])] if name in UNSOLVED else []),
     ]) for name in FILES
 ]  # fmt: skip
 

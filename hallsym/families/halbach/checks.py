@@ -82,6 +82,7 @@ def _covered(model: Model, known: dict[str, Array], pose: np.ndarray, name: str)
 def _left_out(model: Model, known: dict[str, Array], pose: np.ndarray, planar: bool) -> Iterator[str]:
     """Note how much of the field the ends of the arrays take, where a model takes them for endless."""
     largest, where = 0.0, next(iter(known.values()))
+    missing = {name: on_arrays(missing_of(array)) for name, array in known.items()}
     for sensor in sensors(model.layout):
         array = known[sensor.array] if planar else where
         if planar:
@@ -89,7 +90,7 @@ def _left_out(model: Model, known: dict[str, Array], pose: np.ndarray, planar: b
             u, gap = seen[0], -seen[2]
         else:
             u, gap = sensor.middle[0] - pose[0], pose[1]
-        taken = np.hypot(*on_arrays(missing_of(array))([u], [gap]))
+        taken = np.hypot(*missing[array.name]([u], [gap]))
         share = float((taken * np.exp(array.wavenumber * (gap - array.level_m)))[0].max())
         if share > largest:
             largest, where = share, array

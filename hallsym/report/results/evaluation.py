@@ -7,6 +7,7 @@ from typing import Any
 
 from hallsym.errors import counted
 from hallsym.estimation import Evaluation
+from hallsym.estimation.calibration import rmse_interval
 from hallsym.inference import Belonging, ParameterChange
 from hallsym.report.content import Block, Content, Section, Table
 from hallsym.report.figures.campaign import evaluation_figure
@@ -24,7 +25,7 @@ def evaluation_content(found: Evaluation, *, by_run: bool = False) -> Content:
     pose, period, runs = found.model.pose, found.model.period, found.table.runs
     rows: dict[str, Any] = {"all runs" if len(runs) > 1 else "all samples": found.table.over()}
     each: dict[str, Any] = {f"run {run}": found.table.over([run]) for run in runs if by_run}
-    known = found.table.interval()
+    known = rmse_interval(found.table)
     more = {"95 % interval": shared.interval_row(known, pose, period)} if known else {}
     source = "" if {s.source for s in found.noise.sigmas.values()} == {"given"} else "estimated"
     samples = counted(int(found.table.count.sum()), "sample")

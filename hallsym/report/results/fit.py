@@ -11,7 +11,7 @@ import numpy as np
 
 from hallsym.errors import InputError, counted
 from hallsym.estimation import Fit, evaluate
-from hallsym.estimation.calibration import MANY, LogRecord, coverage_factor
+from hallsym.estimation.calibration import MANY, LogRecord, coverage_factor, rmse_interval
 from hallsym.estimation.decoding import residuals
 from hallsym.estimation.goodness_of_fit import diagnose_command
 from hallsym.estimation.likelihood import cost_near
@@ -44,7 +44,7 @@ def fit_content(fit: Fit, *, found: Sequence[Block | str] = (), log: Log | None 
     intervals: dict[str, list[str]] = {}
     if fit.errors:
         table, holdout = fit.errors.fitted, fit.errors.holdout
-        known = table.interval(holdout or table.runs)
+        known = rmse_interval(table, holdout or table.runs)
         if known:
             label = f"95 % interval, {'holdout' if holdout else 'fitted'}"
             intervals[label] = shared.interval_row(known, fit.model.pose, fit.model.period)
@@ -268,7 +268,7 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
         "nominal": survey.nominal.over(), "this log": survey.fitted.over()}  # fmt: skip
     holdout = tuple(r for r in fit.log.holdout if same)
     judged = "holdout" if holdout else "fitted" if same else "this log"
-    known = survey.fitted.interval(holdout or survey.runs)
+    known = rmse_interval(survey.fitted, holdout or survey.runs)
     more = {f"95 % interval, {judged}": shared.interval_row(known, pose, period)} if known else {}
     errors = shared.error_table(pose, rows, fit.noise_floor, periodic=period, more=more)
     said = fit_content(fit)
