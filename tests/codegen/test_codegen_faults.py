@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from firmware import CASES as STAGES
 from firmware import STRICT, known, made, need, proved_by_eva, ran, written
+from scipy.stats import norm
 from waves import LENGTH, VALUES, calibrated, calibrated_planar, sums
 
 import hallsym
@@ -50,14 +51,21 @@ FITS = {
 }
 ACCURACY = {"12 sums, six coordinates": 5e-6, "24 sums, six coordinates": 5e-6}
 SLOW = ("24 sums, six coordinates", "five sums", "three sums")
-SEEN = {"four probes": 0.997}
-"""Share of faults seen in two samples: four probes see what is off by 16 to 30 um of 600 um of travel, and a
-dead one reads what it should so often; of the others it is 0.999."""
-CASES = [pytest.param(c, marks=pytest.mark.slow if c in SLOW else ()) for c in FITS if c != "two voltages"]
+ALLOWED = norm.isf(residual.FALSE_ALARMS / 2)
+"""Standard deviations of a residual that one sample of a million exceeds."""
+ONE_LEFT = ("four probes", "two voltages")
+"""Cases with one reading more than unknowns: a dead one often reads what it should, of four probes within
+16 to 30 um in 4 % of 600 um of travel."""
+CASES = [
+    *(pytest.param(c, "float", marks=pytest.mark.slow if c in SLOW else ()) for c in FITS),
+    *((c, "q31") for c in ONE_LEFT),
+]
 SOUND = [
-    pytest.param(c, marks=() if c in ("nine sums", "four probes") else pytest.mark.slow)
-    for c in FITS
-    if c != "two voltages"
+    *(
+        pytest.param(c, "float", marks=() if c in ("nine sums", *ONE_LEFT) else pytest.mark.slow)
+        for c in FITS
+    ),
+    *((c, "q31") for c in ONE_LEFT),
 ]
 
 BATCH = """
@@ -155,33 +163,57 @@ def bounds_of(code):
     return [own + [some.get(c, 0.0) for c in code.decoupler.pose] for some in (found.unseen, found.without)]
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_a_fault_raises_a_bit_or_leaves_the_stated_error(case, batch):
-    step, rng = batch(case), np.random.default_rng(2024)
+@pytest.mark.parametrize(("case", "arithmetic"), CASES)
+def test_a_fault_raises_a_bit_or_leaves_the_stated_error(case, arithmetic, batch):
+    """Two samples with the same fault at other poses; two voltages also agree at the mirrored angle."""
+    step, rng = batch(case, arithmetic), np.random.default_rng(2024)
     count = 20_000 if len(step.code.decoupler.pose) < 6 else 4000
     d = step.code.decoupler
     clean = d.drawn(rng, 2 * count)
     truth, (unseen, without) = d.exact(clean), bounds_of(step.code)
     sigma = np.array([fit_of(case).noise.sigmas[c].value for c in d.model.channels])
     for kind in KINDS:
-        which = np.tile(rng.integers(0, len(sigma), count), 2)  # two samples with the same fault, elsewhere
+        which = np.tile(rng.integers(0, len(sigma), count), 2)
         noisy = clean + noise_of(case, clean.shape, rng)
         pose, status, suspects = step(faulty(kind, clean, noisy, which, d, sigma, rng))
-        off = np.abs(d.difference(pose, truth))
-        assert (off[:, status == 0] <= unseen[:, None]).all(), kind
+        off, silent = np.abs(d.difference(pose, truth)), status == 0
+        far = (silent & (off > unseen[:, None]).any(axis=0)).reshape(2, -1)
+        both = silent.reshape(2, -1).all(axis=0)
+        assert (both & far.any(axis=0)).mean() <= 0.001, kind
+        assert far.mean() <= 0.005 * (case == "two voltages"), kind
         degraded = status & d.degraded_bit > 0 if d.mends else np.zeros(len(status), bool)
         assert (off[:, degraded] <= without[:, None]).all(), kind
-        seen = (status[:count] != 0) | (status[count:] != 0)
         if kind != "drift":
-            assert seen.mean() >= SEEN.get(case, 0.999), (kind, seen.mean())
+            assert both.mean() <= (0.005 if case in ONE_LEFT else 0.001), (kind, both.mean())
         if d.mends and kind in ("dead", "rail", "jump", "not a number"):
             assert degraded.mean() > 0.98
             assert (suspects == which + 1)[degraded].mean() > 0.9999
 
 
-@pytest.mark.parametrize("case", SOUND)
-def test_a_sound_machine_raises_no_bit(case, batch):
-    step, rng = batch(case), np.random.default_rng(77)
+@pytest.mark.parametrize("case", ONE_LEFT)
+def test_no_test_of_so_few_false_alarms_would_see_more(case):
+    """What raises no bit is as often silent as the best test of one number: at each pose, by how much a dead
+    reading changes it over its own noise."""
+    rng, count = np.random.default_rng(31), 40_000
+    d, backend = made_of(case).decoupler, made_of(case).backend
+    sigma = np.array([fit_of(case).noise.sigmas[c].value for c in d.model.channels])
+    clean = d.drawn(rng, count)
+    which = rng.integers(0, len(sigma), count)
+    dead = faulty("dead", clean, clean, which, d, sigma, rng)
+
+    def left(readings):
+        return backend.run(backend.hold(readings.astype(np.float32))[0]).left[0].astype(float)
+
+    own = (left(clean + noise_of(case, clean.shape, rng)) - left(clean)).std()
+    moved = left(dead) / own
+    expected = (norm.cdf(ALLOWED - moved) - norm.cdf(-ALLOWED - moved)).mean()
+    _, status = backend.step((dead + noise_of(case, clean.shape, rng)).astype(np.float32))
+    assert 0.03 < (status == 0).mean() < expected + 4 * np.sqrt(expected / count)
+
+
+@pytest.mark.parametrize(("case", "arithmetic"), SOUND)
+def test_a_sound_machine_raises_no_bit(case, arithmetic, batch):
+    step, rng = batch(case, arithmetic), np.random.default_rng(77)
     d, flagged = step.code.decoupler, 0
     clean = d.drawn(rng, 20_000)
     for _ in range(FALSE // 20_000 if case == "nine sums" else 5):
@@ -253,50 +285,6 @@ def test_a_reading_that_nothing_checks_is_said(batch):
     four = " ".join(made("four probes").decoupler.of_faults)
     assert "hall_a_m, hall_b_m, hall_c_m, hall_d_m" in four
     assert "suspect" not in made("four probes").files["decoupler.h"]
-
-
-def test_four_probes_have_the_flag_in_integers_too(batch):
-    for arithmetic in ("float", "q31"):
-        step, rng = batch("four probes", arithmetic), np.random.default_rng(6)
-        d = step.code.decoupler
-        clean = d.drawn(rng, 20_000)
-        noisy = clean + noise_of("four probes", clean.shape, rng)
-        assert not (step(noisy)[1] & d.fault_bit).any()
-        which = rng.integers(0, 4, 20_000)
-        noisy[which, np.arange(20_000)] += 1e-4 * rng.choice([-1, 1], 20_000)
-        status = step(noisy)[1]
-        assert (status != 0).all()
-        assert (status & d.fault_bit != 0).mean() > 0.99  # at an end of its range a reading is brought back
-
-
-@pytest.mark.parametrize("arithmetic", ["float", "q31"])
-def test_two_voltages_lie_on_a_circle(arithmetic, batch):
-    """A dead or stuck plate is seen but where it reads what it should, or mirrored; never by its own
-    angle."""
-    step, rng, count = batch("two voltages", arithmetic), np.random.default_rng(12), 40_000
-    d = step.code.decoupler
-    clean = d.drawn(rng, count)
-    truth = d.exact(clean)
-    noisy = clean + noise_of("two voltages", clean.shape, rng)
-    pose, status, _ = step(noisy)
-    assert not status.any()
-    (unseen,) = d.redundancy.unseen.values()
-    assert 0.05 < unseen < 0.3
-    for value in (-0.03, 0.02, 0.5, -0.9):
-        stuck = noisy.copy()
-        which = rng.integers(0, 2, count)
-        stuck[which, np.arange(count)] = value
-        pose, status, _ = step(stuck)
-        off = np.abs(d.difference(pose, truth))[0]
-        far = (off > unseen) & (status == 0)
-        assert far.mean() < 0.01
-        assert (status != 0).mean() > 0.85  # where a plate sticks near its end, it reads about that for long
-        soon = np.logical_or.reduce([np.roll(status != 0, k) for k in range(4)])
-        assert soon.mean() > 0.99
-    drift = noisy.copy()
-    drift[0] += 3e-4 * np.linspace(0, 100, count)
-    pose, status, _ = step(drift)
-    assert np.abs(d.difference(pose, truth))[0][status == 0].max() <= unseen
 
 
 @pytest.mark.slow
