@@ -17,10 +17,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hallsym.codegen import faults
+from hallsym.codegen import faults, residual
 from hallsym.codegen.accepted import Ends, kept_ends
 from hallsym.codegen.bounds import Bounds
-from hallsym.codegen.decoupler import Decoupler, flag_bit, short, unit
+from hallsym.codegen.decoupler import FAULT, Decoupler, flag_bit, short, unit
 from hallsym.codegen.naming import PREFIX
 from hallsym.codegen.residual import Ran
 from hallsym.codegen.templates import LICENSE, filled, lines_of, tree
@@ -517,6 +517,30 @@ class Backend(ABC):
         beyond = [f"table.{e.name} = {v};" for e in self.offsets for v in self._just_outside(e.name)]
         yield from faults.of_several(d, self.limited, beyond[:1])
 
+    def _checked(self, fields: Mapping[str, Any]) -> dict[str, Any]:
+        """The step, and what it does where readings contradict one another.
+
+        `fields`: of a secant in the numbers of the arithmetic, and the condition of a fault.
+        """
+        d, of_step = self.decoupler, {"step_kind": "", "step_name": "decoupler_step", "left_parameter": ""}
+        if not d.suspects:
+            return {**of_step, "left": [], "suspect": []}
+        fields = {**fields, "watched": len(d.watched)}
+        own, common = f"{self.tree}/fragments/", "common/fragments/"
+        fields |= residual.fields_of(d, lambda n, bits: lines_of(common + n, {**fields, **bits}))
+        suspect = lines_of(f"{own}size_of.c", fields)
+        suspect += lines_of(f"{common}without.c", fields) if d.mends else []
+        suspect += lines_of(f"{common}name_suspect.c", fields) + lines_of(f"{common}step_checked.c", fields)
+        return {
+            "step_kind": "static ", "step_name": "pose_of", "left_parameter": f" {fields['real']} *left,",
+            "left": [f"left[{k}] = {text};" for k, text in enumerate(self._left)], "suspect": suspect,
+        }  # fmt: skip
+
+    @property
+    def _left(self) -> Sequence[str]:
+        """C of what is left of each reading that is watched."""
+        return [w.left for w in self.decoupler.watched]
+
     def _flags_raised(self, most: str) -> dict[str, list[str]]:
         """A table whose flags are all raised, by their largest least value, whatever else a vector raises."""
         flags = self.decoupler.flags
@@ -653,6 +677,10 @@ def status_bit(name: str) -> str:
 def found_bad(condition: str, what: str) -> list[str]:
     """Return C of `decoupler_check()` that says a finding where a condition holds."""
     return [f"if ({condition})", "{", f"    found |= DECOUPLER_BAD_{what};", "}"]
+
+
+FAULTY = f"(status & {status_bit(FAULT)}) != 0U"
+"""Condition, in C, of readings that contradict one another."""
 
 
 def raised(condition: str, flag: str) -> list[str]:

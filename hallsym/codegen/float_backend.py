@@ -15,7 +15,7 @@ from hallsym.codegen import accepted, backend, residual
 from hallsym.codegen.backend import COUNT, VERSION, Backend, Port, Stored, ends
 from hallsym.codegen.bounds import Bounds, pose_bounds, step_errors
 from hallsym.codegen.cost import firmware_cost
-from hallsym.codegen.decoupler import FAULT, ROOT, Array, Decoupler, Entry, Step, short, steps_on_arrays, unit
+from hallsym.codegen.decoupler import ROOT, Array, Decoupler, Entry, Step, short, steps_on_arrays, unit
 from hallsym.codegen.float_c import Real, shared_steps, statements
 from hallsym.codegen.naming import identifier
 from hallsym.codegen.residual import Ran
@@ -425,6 +425,12 @@ class FloatBackend(Backend):
         checked = ["decoupler_out_t seen;", "status |= decoupler_step(p, in, &seen);"]
         iterated = {"all_held": self._clamped(), "at_pose": statements(d.at_pose, names, real, {})}
         iterated["also_checked"] = checked if d.redundancy else []
+        through_two, none = "(now * (value - before)) / (now - last)", real.constant(0.0)
+        secant = {
+            **common, "wide": self.type, "first": "now", "moved": "value - step", "converts": [],
+            "along": f"((now < last) || (now > last)) ? ({through_two}) : {none}",
+            "fault": f"UNLIKELY({backend.FAULTY})",
+        }  # fmt: skip
         zero = "take_zero_iterated.c" if d.at_pose else "take_zero.c"
         return {
             "limited_function": limited,
@@ -435,7 +441,7 @@ class FloatBackend(Backend):
             "jacobian": self._if_jacobian("jacobian.c", {"slopes": slopes}),
             "known_within": "\n        && ".join(known),
             **self._predict(common),
-            **self._checked({**common, **self._bits()}),
+            **self._checked(secant),
             "take_zero": lines_of(FRAGMENTS + zero, {**common, **taken, **iterated}),
             "magnitude": magnitude
             if d.suspects or any("MAGNITUDE(" in line for line in (*body, *within))
@@ -474,24 +480,6 @@ class FloatBackend(Backend):
             "predict": lines_of(f"{FRAGMENTS}predict.c", fields),
             "predict_functions": lines_of(f"{FRAGMENTS}predict.h", common),
         }
-
-    def _checked(self, common: Mapping[str, Any]) -> dict[str, Any]:
-        """The step, and what it does where readings contradict one another."""
-        d, of_step = self.decoupler, {"step_kind": "", "step_name": "decoupler_step", "left_parameter": ""}
-        if not d.suspects:
-            return {**of_step, "left": [], "suspect": []}
-        fields = {**common, "watched": len(d.watched)}
-        fields |= residual.fields_of(d, lambda n, bits: lines_of(f"common/fragments/{n}", {**fields, **bits}))
-        fault = f"UNLIKELY((status & {backend.status_bit(FAULT)}) != 0U)"
-        suspect = lines_of(f"{FRAGMENTS}size_of.c", fields)
-        suspect += lines_of(f"{FRAGMENTS}without.c", fields) if d.mends else []
-        suspect += lines_of("common/fragments/name_suspect.c", fields)
-        suspect += lines_of("common/fragments/step_checked.c", {**fields, "unlikely_fault": fault})
-        return {
-            "step_kind": "static ", "step_name": "pose_of", "left_parameter": f" {self.type} *left,",
-            "left": [f"left[{k}] = {w.left};" for k, w in enumerate(d.watched)],
-            "suspect": suspect,
-        }  # fmt: skip
 
     def _accepted(self) -> accepted.Ends:
         """As wide as finite results allow."""

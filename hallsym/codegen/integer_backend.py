@@ -10,10 +10,10 @@ from zlib import crc32
 
 import numpy as np
 
-from hallsym.codegen import accepted, backend
+from hallsym.codegen import accepted, backend, residual
 from hallsym.codegen.backend import COUNT, VERSION, Backend, Port, Stored, ends
 from hallsym.codegen.bounds import Bounds
-from hallsym.codegen.decoupler import flag_bit, short, unit
+from hallsym.codegen.decoupler import ROOT, flag_bit, short, unit
 from hallsym.codegen.integer_c import LARGEST, MASK, UNIT, Program, Reciprocal, helpers
 from hallsym.codegen.naming import identifier
 from hallsym.codegen.residual import Ran
@@ -98,12 +98,17 @@ class IntegerBackend(Backend):
     def run(self, clamped: np.ndarray) -> Ran:
         """Line by line; raises `OverflowError` beyond 32 bits."""
         p, d = self.program, self.decoupler
-        found = p.run({short(c): row for c, row in zip(d.inputs, clamped, strict=True)})
-        flags = np.zeros(clamped.shape[1], dtype=np.int64)
-        for k, flag in enumerate(d.flags):
-            flags |= np.where(found[flag.name] < p.table[p.flags[flag.name][1]][0], flag_bit(k), 0)
-        none = np.zeros(clamped.shape[1], np.uint32)
-        return Ran(np.array([found[c] for c in d.pose]), flags, none, none)
+
+        def once(given: np.ndarray, samples: Any) -> Ran:
+            inputs = self.hold(given)[0]
+            found = p.run({short(c): row for c, row in zip(d.inputs, inputs, strict=True)})
+            flags = np.zeros(given.shape[1], dtype=np.int64)
+            for k, flag in enumerate(d.flags):
+                flags |= np.where(found[flag.name] < p.table[p.flags[flag.name][1]][0], flag_bit(k), 0)
+            pose, none = np.array([found[c] for c in d.pose]), np.zeros(given.shape[1], np.uint32)
+            return Ran(pose, flags, np.array([found[n] for n in p.left]), none)
+
+        return residual.checked(d, once, clamped, p.root) if d.suspects else once(clamped, slice(None))
 
     def sample(self, numbers: np.ndarray) -> np.ndarray:
         """Any integers, three quarters of them shifted towards the box."""
@@ -159,6 +164,9 @@ class IntegerBackend(Backend):
         for a in p.arrays.values():
             note = f"[2^{a.shift - 32} turn] at as many phases of a turn"
             table.append(Stored(a.name, a.values.astype(f"<i{a.bits // 8}"), note))
+        if len(p.root):
+            note = "by which what is left of a reading is compared; below 0: not to be told from another"
+            table.append(Stored(ROOT, p.root.astype("<i4"), note))
         return [*table, *offsets]
 
     def _accepted(self) -> accepted.Ends:
@@ -184,7 +192,7 @@ class IntegerBackend(Backend):
 
     def _just_outside(self, name: str) -> list[str]:
         low, high = map(int, self.accepted[name])
-        if name in self.program.arrays or name in self.program.unsigned:
+        if name in (*self.program.arrays, *self.program.unsigned, ROOT):
             return []
         return [_integer(int(v), False) for v in (low - 1, high + 1) if -MOST - 1 <= v <= MOST]
 
@@ -197,6 +205,7 @@ class IntegerBackend(Backend):
         rows += [f"{c} {n} {e}" for c, (n, e) in p.outputs.items()]
         rows += [f"angle {line.i}" for line in p.lines if line.operation == "angle"]
         rows += [f"{a.name}[{len(a.values)}] {a.bits} {a.shift}" for a in p.arrays.values()]
+        rows += [f"left {name}" for name in p.left]
         return crc32("\n".join(rows).encode())
 
     def _json(self) -> dict[str, Any]:
@@ -213,6 +222,8 @@ class IntegerBackend(Backend):
             }
             for a in self.program.arrays.values()
         ]
+        if len(self.program.root):
+            rows.append({"name": ROOT, "values": self.program.root.tolist(), **self._ends_of(ROOT)})
         return {"exponents": self.exponents, "parameters": numbers} | ({"arrays": rows} if rows else {})
 
     def _literal(self, value: Any) -> str:
@@ -221,7 +232,7 @@ class IntegerBackend(Backend):
     def _templates(self) -> dict[str, str]:
         """Angles are proved as a whole: no reciprocal is in them; every angle that is read is tried."""
         found = super()._templates()
-        if self.program.angles:
+        if self.program.angles and self.decoupler.evident:
             found["proof/eva.c"] = f"{FRAGMENTS}eva_of_step.c"
         if self.reads_angle:
             found["proof/exhaustive.c"] = f"{FRAGMENTS}every_angle.c"
@@ -306,6 +317,12 @@ class IntegerBackend(Backend):
         known = [f"(pose->{identifier(c)} >= -{KNOWN}) && (pose->{identifier(c)} <= {KNOWN})" for c in d.pose]
         zero = "take_zero_of_angle.c" if p.angles else "take_zero.c"
         can_fail = bool(self.limited or d.flags)
+        secant = {
+            **common, "real": "int32_t", "zero": "0", "wide": "int64_t", "in": self._inputs(),
+            "first": f"-{residual.NUDGED}", "moved": "in_32_bits((int64_t)value - step)",
+            "along": "(now == last) ? 0 : ((now * ((int64_t)value - before)) / ((int64_t)now - last))",
+            "converts": lines_of(f"{FRAGMENTS}in_32_bits.c", {}), "fault": backend.FAULTY,
+        }  # fmt: skip
         return {
             "helpers": helpers(p),
             "limits": lines_of(f"{FRAGMENTS}limited.c", backend.taken(d)) if self.limited else [],
@@ -314,6 +331,8 @@ class IntegerBackend(Backend):
             "body": p.c(names),
             "flags": flags,
             "returned": "status" if can_fail else "0U",
+            "but_for_faults": " but of a sample that is decoded without a reading" if d.mends else "",
+            **self._checked(secant),
             "take_zero": lines_of(
                 FRAGMENTS + zero, {**common, "pose": len(d.pose), "known": "\n    && ".join(known)}
             ),
@@ -341,12 +360,17 @@ class IntegerBackend(Backend):
             "faults": list(self._faults()),
         }
 
+    @property
+    def _left(self) -> Sequence[str]:
+        return self.program.left
+
     def _known(self) -> dict[str, Any]:
         p = self.program
         angles = [port.column in p.angles for port in self.outputs]
         tried = [[0x7FFFFFFF if angle else KNOWN for angle in angles]]
         tried += [[0x80000001 if angle else -KNOWN for angle in angles], [4096] * len(angles)]
-        rows = [f"{{{', '.join(map(_integer, row, angles))}}}," for row in tried]
+        none = ["0U"] * self.decoupler.suspects
+        rows = [f"{{{', '.join([*map(_integer, row, angles), *none])}}}," for row in tried]
         refused = ["decoupler_out_t pose = {0};"] if not all(angles) else []
         for port, angle in zip(self.outputs, angles, strict=True):
             for value in () if angle else (KNOWN + 1, -KNOWN - 1):

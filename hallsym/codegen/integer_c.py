@@ -1,17 +1,17 @@
 """A program of 32-bit integers: its lines, run in Python and printed in C."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import partial, reduce
 from math import asin, atan, ceil, floor, log2, pi, prod, sqrt
 from typing import Any, cast
 
 import numpy as np
 
-from hallsym.codegen.decoupler import Decoupler, Step, short, unit
+from hallsym.codegen.decoupler import AGREEMENT, ROOT, Decoupler, Step, short, unit
 from hallsym.codegen.float_c import straight
 from hallsym.codegen.operations import Operation, graph
-from hallsym.codegen.residual import flag_alone
+from hallsym.codegen.residual import LEAST, SUM
 from hallsym.codegen.templates import lines_of
 from hallsym.errors import InputError
 from hallsym.model import Model
@@ -171,6 +171,10 @@ OPERATIONS: dict[str, tuple[Callable[..., np.ndarray], Callable[[str, str, int, 
         lambda a, b, i, j: np.abs(a),
         lambda a, b, i, j: f"({a} < 0) ? difference(0, {a}) : {a}",
     ),
+    "bounded": (
+        lambda a, b, i, j: np.clip(a, -(1 << i), 1 << i),
+        lambda a, b, i, j: f"bounded({a}, {1 << i})",
+    ),
     "neg": (lambda a, b, i, j: -a, lambda a, b, i, j: f"difference(0, {a})"),
     "one": (lambda a, b, i, j: (1 << i) - a, lambda a, b, i, j: f"difference({1 << i}, {a})"),
     "look": (lambda a, b, i, j: b.at(a), lambda a, b, i, j: f"{b}_at(p, {a})"),
@@ -224,6 +228,10 @@ class Program:
     """What the choices of a family came to: given again, they make the same code."""
     flags: dict[str, tuple[str, str]] = field(default_factory=dict)
     """By name of a flag: the line and the least value, an entry, below which it is set."""
+    left: list[str] = field(default_factory=list)
+    """Lines of what is left of each reading that is watched."""
+    root: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Integers that these are compared by, different exponents included; see `Array` ROOT of a decoupler."""
 
     def run(self, inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return the integers of the pose for integers of the inputs: the same as C, in 64-bit integers."""
@@ -238,7 +246,7 @@ class Program:
             value[line.name] = result
         wanted = {c: name for c, (name, _) in self.outputs.items()}
         wanted |= {flag: name for flag, (name, _) in self.flags.items()}
-        return {key: value[name] for key, name in wanted.items()}
+        return {key: value[name] for key, name in (wanted | {n: n for n in self.left}).items()}
 
     @property
     def shifts(self) -> bool:
@@ -264,7 +272,7 @@ def helpers(program: Program) -> list[str]:
     """Return the C functions that the lines of a program call."""
     lines = {line.operation: line for line in program.lines}
     called = lines_of(f"{FRAGMENTS}wrapping.c", {})
-    for operation, name in (("left", "scaled"), ("mul", "upper")):
+    for operation, name in (("left", "scaled"), ("mul", "upper"), ("bounded", "bounded")):
         called += lines_of(f"{FRAGMENTS}{name}.c", {}) if operation in lines else []
     if "angle" in lines:
         steps = lines["angle"].i
@@ -322,6 +330,8 @@ DOES_NOT_FIT = (
 OTHER_CODE = (
     "The code in the folder was made for another model or other options; generate it again with --force."
 )
+SHOWN = 4.0
+"""Times the limit of a contradiction that what is left of a reading is cut off at."""
 LOW = 3
 """A product is low by less than so many units of its last bit."""
 MOST_STEPS = 5
@@ -344,8 +354,7 @@ def integer_program(d: Decoupler, plan: Sequence[int] | None = None, **options: 
         return cast(Program, d.integers(d, plan=plan, **options))
     if d.at_pose or not straight(d.steps):
         raise float_instead(d.model)
-    alone = flag_alone(d)
-    return planned(lambda given: Compiler(alone, given), plan)
+    return planned(lambda given: Compiler(d, given), plan)
 
 
 def float_instead(model: Model) -> InputError:
@@ -391,7 +400,10 @@ class Compiler:
         for entry in d.offsets:
             known[entry.name] = Fixed(entry.name, 0, 0.0, 0.0)
         for step in d.steps:
-            known[step.name] = self._step(step, known)
+            if not (d.suspects and step.name.startswith((SUM, AGREEMENT))):
+                known[step.name] = self._step(step, known)
+        if d.suspects:
+            known[AGREEMENT] = self._agreement([known[w.left] for w in d.watched])
         self._flags(known)
         self._outputs({c: known[step.name] for c, step in zip(d.pose, d.steps[-len(d.pose) :], strict=True)})
         return p
@@ -425,6 +437,32 @@ class Compiler:
         value = next(e.value for e in self.d.table if e.name == entry)
         self.p.table[entry] = (floor((value - seen.error) * 2.0**seen.e), seen.e)
         self.p.flags[flag] = (seen.text, entry)
+
+    def _agreement(self, left: Sequence[Fixed]) -> Fixed:
+        """Return less the sum of squares of what is left of readings; the row that names a suspect by it.
+
+        Each is cut off far beyond the limit, so that its square keeps the digits that count.
+        """
+        d, p, squares = self.d, self.p, []
+        least = sqrt(-next(e.value for e in d.table if e.name == LEAST))
+        for v in left:
+            bits = self._chosen(partial(min, ROOM, ceil(log2(SHOWN * least) + v.e)))
+            if least * 2.0**v.e > 2**bits:
+                raise InputError(f"The noise of the calibration {DOES_NOT_FIT}")
+            most = 2.0 ** (bits - v.e)
+            cut = Fixed(self._line("bounded", v.text, i=bits), v.e, -most, most, v.error)
+            text = self._line("left", cut.text, i=ROOM - bits) if bits < ROOM else cut.text
+            grown = replace(cut, text=text, e=v.e + ROOM - bits)
+            squares.append(self._mul(grown, grown))
+        total = reduce(self._add, squares)
+        root = np.array(next(a.values for a in d.arrays if a.name == ROOT)) * 2.0 ** -np.array(
+            [v.e for v in left]
+        )
+        scale = self._exponent(0.0, float(np.abs(root).max()))
+        p.left, p.root = [v.text for v in left], np.round(root * 2.0**scale).astype(np.int64)
+        if not np.abs(p.root).max() < LARGEST:
+            raise InputError(f"The noise of the calibration {DOES_NOT_FIT}")
+        return Fixed(self._line("neg", total.text), total.e, -total.high, 0.0, total.error)
 
     def _outputs(self, found: Mapping[str, Fixed]) -> None:
         """Give pose coordinates of one unit one exponent, and add the offsets."""

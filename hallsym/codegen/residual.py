@@ -41,6 +41,8 @@ FALSE_ALARMS = 1e-6
 """Largest share of the samples of a sound machine in which the flag of a fault may be set."""
 LEAST = f"least_{AGREEMENT}"
 """Entry that the flag looks at."""
+SUM = "contradiction"
+"""Step of the sum of squares, whose parts have names that begin with it."""
 POSES = 200
 """Poses of the box over which readings are judged."""
 OWN_POSES = 5000
@@ -63,6 +65,8 @@ GROWN = 50
 """Sizes of a fault that grows from one standard deviation to the range."""
 STUCK = 5000
 """Poses at which a reading sticks."""
+NUDGED = 1 << 24
+"""First step of integers, whose residuals have exponents of their own."""
 SECANTS = 4
 """Times a pose is decoded without its suspect: its reading at the middle of its range, what is left taken off
 it, and steps along the line through the last two."""
@@ -85,7 +89,7 @@ def summed(made: Collected, watched: Sequence[Watched]) -> Redundancy:
         made.step(AGREEMENT, -ca.fabs(made.symbols[watched[0].left]), "less what the readings contradict")
         return Redundancy(tuple(watched))
     terms = [made.symbols[w.left] * made.symbols[w.error or w.left] for w in watched]
-    made.step(AGREEMENT, -made.total("contradiction", terms, "squares of what is left of the readings"))
+    made.step(AGREEMENT, -made.total(SUM, terms, "squares of what is left of the readings"))
     return Redundancy(tuple(watched))
 
 
@@ -126,15 +130,6 @@ def judged(d: Decoupler, sigma: np.ndarray) -> Decoupler:
         d, table=table, arrays=arrays, redundancy=redundancy, of_faults=found.said,
         evident=d.evident and not redundancy.mended,  # an analysis does not see where a secant ends
     )  # fmt: skip
-
-
-def flag_alone(d: Decoupler) -> Decoupler:
-    """Return the decoupler with the flag of a fault, but no suspect."""
-    if not d.suspects:
-        return d
-    said = (*(text for text in d.of_faults if "suspect" not in text), "Integers name no suspect.")
-    arrays = tuple(a for a in d.arrays if a.name != ROOT)
-    return replace(d, redundancy=Redundancy(unseen=_redundancy(d).unseen), arrays=arrays, of_faults=said)
 
 
 def _redundancy(d: Decoupler) -> Redundancy:
@@ -342,11 +337,9 @@ class _Judgement:
     @cached_property
     def root(self) -> np.ndarray:
         """By which what is left of watched readings is compared (m,): one over the root of its variance."""
-        _, left, errors = self.slopes
         out = []
-        for k, one in enumerate(self.d.watched):
-            own = (left[list(one.readings), k] * errors[list(one.readings), k]).sum(axis=0)
-            counts = own[own > MASKED * self.unit]
+        for variance in (self.slopes[1] ** 2).sum(axis=0):
+            counts = variance[variance > MASKED * self.unit]
             out.append(float(np.sqrt(self.unit / np.median(counts))) if len(counts) else 1.0)
         return np.where(self.isolable, out, -np.array(out))
 
@@ -473,8 +466,11 @@ def checked(d: Decoupler, once: Once, clamped: np.ndarray, root: np.ndarray) -> 
 
 
 def without_reading(once: Once, clamped: np.ndarray, samples: Any, reading: int, watched: int) -> Ran:
-    """Return a pass of the steps by the value of a reading at which nothing is left of it."""
-    given = clamped.copy()
+    """Return a pass of the steps by the value of a reading at which nothing is left of it.
+
+    Integers divide as C does, towards zero, and stay within 32 bits.
+    """
+    given, whole = clamped.copy(), clamped.dtype.kind == "i"
     value = np.zeros_like(clamped[0])
     before = last = value
     for n in range(SECANTS):
@@ -482,10 +478,13 @@ def without_reading(once: Once, clamped: np.ndarray, samples: Any, reading: int,
         found = once(given, samples)
         now = found.left[watched]
         with np.errstate(all="ignore"):
-            step = (now * (value - before)) / (now - last)
+            up, down = now * (value - before), now - last
+            step = np.sign(up) * np.sign(down) * (abs(up) // np.maximum(abs(down), 1)) if whole else up / down
             # the first step takes what is left off the reading, the others go along the line through two
-            step = now if n == 0 else np.where((now < last) | (now > last), step, now.dtype.type(0))
+            first = np.full_like(now, -NUDGED) if whole else now
+            step = first if n == 0 else np.where((now < last) | (now > last), step, now.dtype.type(0))
             before, last, value = value, now, value - step
+            value = np.clip(value, -(2**31 - 1), 2**31 - 1) if whole else value
     return found
 
 

@@ -19,10 +19,13 @@ from waves import LENGTH, VALUES, calibrated, calibrated_planar, sums
 import hallsym
 from hallsym.codegen import residual
 from hallsym.codegen.box import box_of
+from hallsym.codegen.decoupler import ROOT
 from hallsym.codegen.lowering import lower
 from hallsym.estimation.calibration import LogRecord
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.families.rotary import models as rotary
+from hallsym.families.rotary import rings
+from hallsym.families.stage import models as stage
 from hallsym.log import Noise, Sigma
 
 SIGMA = 1e-4
@@ -40,7 +43,25 @@ def encoder():
     return known(model, p, noise=noise, log=LogRecord())
 
 
+def ring():
+    model = rings.rings3(rings.heads(5, 4, "v"))
+    p = model.vector({"V1": 0.03, "V3": -0.02, "A2": 1.04, "A4": 0.95, "place_3": 0.64})
+    noise = Noise({c: Sigma(1e-3, "given") for c in (*model.channels, *model.references)})
+    return known(model, p, noise=noise, log=LogRecord())
+
+
+def five_probes():
+    at = {"d": ((-0.2, -0.33), (0.8, 0.6)), "e": ((0.25, -0.1), (-0.28, 0.96))}
+    more = (stage.Probe(f"hall_{n}_m", *place) for n, place in at.items())
+    model = stage.stage31((*stage.paper_layout(), *more))
+    given = {f"eta_{k}": 0.8 + 0.03 * n for n, k in enumerate("ABCDE")}
+    given |= {f"{q}_{k}": 40.0 * (n - 2) for q in "abc" for n, k in enumerate("ABCDE")}
+    return known(model, model.vector(given), noise=Noise({c: Sigma(5e-7, "given") for c in model.channels}))
+
+
 FITS = {
+    "five Halls": ring,
+    "five probes": five_probes,
     "nine sums": lambda: calibrated(sums(9), NINE),
     "five sums": lambda: calibrated(sums(5), VALUES),
     "three sums": lambda: calibrated(sums(3), VALUES),
@@ -56,18 +77,20 @@ ALLOWED = norm.isf(residual.FALSE_ALARMS / 2)
 ONE_LEFT = ("four probes", "two voltages")
 """Cases with one reading more than unknowns: a dead one often reads what it should, of four probes within
 16 to 30 um in 4 % of 600 um of travel."""
+INTEGERS = (*ONE_LEFT, "five Halls", "five probes")
 CASES = [
     *(pytest.param(c, "float", marks=pytest.mark.slow if c in SLOW else ()) for c in FITS),
-    *((c, "q31") for c in ONE_LEFT),
+    *((c, "q31") for c in INTEGERS),
 ]
 SOUND = [
     *(
         pytest.param(c, "float", marks=() if c in ("nine sums", *ONE_LEFT) else pytest.mark.slow)
         for c in FITS
     ),
-    *((c, "q31") for c in ONE_LEFT),
+    *((c, "q31") for c in INTEGERS),
 ]
 
+KINDS_OF_NUMBERS = {"float": "f4", "int32_t": "i4", "uint32_t": "u4"}
 BATCH = """
 #include "decoupler.h"
 #include "decoupler_params.h"
@@ -93,26 +116,30 @@ class Batch:
         ran(folder, "gcc", *STRICT, "-shared", "-fPIC", *sources, "-o", "batch.so")
         self.code, self.library = code, ctypes.CDLL(str(folder / "batch.so"))
 
-    def __call__(self, readings):
-        """Pose (n_pose, s) [SI], status (s,) and suspects (s,) of readings (n, s) [SI]."""
-        backend = self.code.backend
-        scale = np.array([[p.scale for p in backend.inputs]]).T
-        kind, out = (np.float32, "f4") if backend.type == "float" else (np.int32, "i4")
+    def numbers(self, readings):
+        """Readings (n, s) [SI] in the numbers of the arithmetic."""
+        if self.code.backend.type == "float":
+            return readings.astype(np.float32)
         with np.errstate(all="ignore"):
-            given = readings / scale
-            given = (
-                given
-                if kind is np.float32
-                else np.clip(np.nan_to_num(np.round(given)), -(2**31) + 1, 2**31 - 1)
-            )
-        given = np.ascontiguousarray(given.T.astype(kind))
-        fields = [(p.column, out) for p in backend.outputs] + [("suspect", "u4")] * backend.decoupler.suspects
+            whole = np.nan_to_num(np.round(readings / [[port.scale] for port in self.code.backend.inputs]))
+        return np.clip(whole, -(2**31) + 1, 2**31 - 1).astype(np.int64)
+
+    def of(self, numbers):
+        """Pose (n_pose, s), status (s,) and suspects (s,) of numbers (n, s), as C has them."""
+        backend = self.code.backend
+        given = np.ascontiguousarray(numbers.T.astype(KINDS_OF_NUMBERS[backend.inputs[0].type]))
+        fields = [(port.column, KINDS_OF_NUMBERS[port.type]) for port in backend.outputs]
+        fields += [("suspect", "u4")] * backend.decoupler.suspects
         made_, status = np.zeros(len(given), fields), np.zeros(len(given), np.uint32)
         pointers = (ctypes.c_void_p(a.ctypes.data) for a in (given, made_, status))
         self.library.batch(*pointers, ctypes.c_uint32(len(given)))
-        pose = np.array([made_[p.column].astype(float) * p.scale for p in backend.outputs])
         suspects = made_["suspect"] if backend.decoupler.suspects else np.zeros(len(given), int)
-        return pose, status, suspects
+        return np.array([made_[p.column] for p in backend.outputs]), status, suspects
+
+    def __call__(self, readings):
+        """The same of readings (n, s) [SI], the pose in SI."""
+        pose, status, suspects = self.of(self.numbers(readings))
+        return pose * np.array([[port.scale] for port in self.code.backend.outputs]), status, suspects
 
 
 @cache
@@ -172,6 +199,7 @@ def test_a_fault_raises_a_bit_or_leaves_the_stated_error(case, arithmetic, batch
     clean = d.drawn(rng, 2 * count)
     truth, (unseen, without) = d.exact(clean), bounds_of(step.code)
     sigma = np.array([fit_of(case).noise.sigmas[c].value for c in d.model.channels])
+    isolable = np.array([a.values for a in d.arrays if a.name == ROOT]).ravel() > 0
     for kind in KINDS:
         which = np.tile(rng.integers(0, len(sigma), count), 2)
         noisy = clean + noise_of(case, clean.shape, rng)
@@ -186,8 +214,8 @@ def test_a_fault_raises_a_bit_or_leaves_the_stated_error(case, arithmetic, batch
         if kind != "drift":
             assert both.mean() <= (0.005 if case in ONE_LEFT else 0.001), (kind, both.mean())
         if d.mends and kind in ("dead", "rail", "jump", "not a number"):
-            assert degraded.mean() > 0.98
-            assert (suspects == which + 1)[degraded].mean() > 0.9999
+            assert degraded[isolable[which]].mean() > 0.98
+            assert (suspects == which + 1)[degraded].mean() > (0.999 if case == "five probes" else 0.9999)
 
 
 @pytest.mark.parametrize("case", ONE_LEFT)
@@ -231,15 +259,20 @@ def test_the_limit_is_no_larger_than_it_must_be():
     assert (status != 0).mean() > 0.5
 
 
-def test_the_compiled_c_names_the_suspects_that_python_does(batch):
-    step, rng = batch("nine sums"), np.random.default_rng(9)
+@pytest.mark.parametrize(
+    ("case", "arithmetic"), [("nine sums", "float"), ("five Halls", "q31"), ("five probes", "q31")]
+)
+def test_the_compiled_c_names_the_suspects_that_python_does(case, arithmetic, batch):
+    step, rng = batch(case, arithmetic), np.random.default_rng(9)
     backend, d = step.code.backend, step.code.decoupler
+    readings, most = d.drawn(rng, 2000), max(d.ends(d.model.channels[0]))
+    which = rng.integers(0, len(d.model.channels), 2000)
+    readings[which, np.arange(2000)] = rng.uniform(-2 * most, 2 * most, 2000)
     given = backend.sample(np.arange(4000))  # any bits
-    given[:, ::2] = d.drawn(rng, 2000)
-    given[rng.integers(0, 9, 2000), np.arange(0, 4000, 2)] = rng.uniform(-3, 3, 2000)
-    pose, status, suspects = step(given)
+    given[:, ::2] = step.numbers(readings)
+    pose, status, suspects = step.of(given)
     wanted = backend.whole_step(given)
-    assert (pose.astype(np.float32) == wanted[0]).all()
+    assert (pose.astype(wanted[0].dtype) == wanted[0]).all()
     assert (status == wanted[1]).all()
     assert (suspects == wanted[2]).all()
     assert 0.2 < (status & d.degraded_bit != 0).mean() < 0.6

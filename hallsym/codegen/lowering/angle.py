@@ -74,9 +74,7 @@ def decoupler(
     check_static(model, "the angle")
     curve = Curve(model, np.asarray(p, dtype=float))
     made = _Assembly(curve, box, corrections.shortest_correction(curve, accuracy, correction)).make()
-    return replace(
-        made, integers=lambda found, **options: program(residual.flag_alone(found), curve, WEAK, **options)
-    )
+    return replace(made, integers=lambda found, **options: program(found, curve, WEAK, **options))
 
 
 def _spare_names(channels: Sequence[str]) -> list[str]:
@@ -625,8 +623,7 @@ class _Turns(Compiler):
         left = [self._row(name, row, off, e) for name, row in zip(names, self.curve.spare, strict=True)]
         if len(left) == 1:
             return self._least(FAULT, residual.LEAST, self._less(left[0]))
-        total = reduce(self._add, (self._mul(v, v) for v in left))
-        return self._least(FAULT, residual.LEAST, self._less(total))
+        return self._least(FAULT, residual.LEAST, self._agreement(left))
 
     def _less(self, v: Fixed) -> Fixed:
         """Less the size of a value."""

@@ -3,16 +3,18 @@
 
 @HELPERS@
 @LIMITS@
-uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)
+@STEP_KIND@uint32_t @STEP_NAME@(const decoupler_params_t *p, const decoupler_in_t *in,@LEFT_PARAMETER@ decoupler_out_t *out)
 {
     @STATUS@
     @HELD@
     @BODY@
     out->@out.member@ = @out.line@;
+    @LEFT@
     @FLAGS@
     return @RETURNED@;
 }
 
+@SUSPECT@
 uint32_t decoupler_zero(decoupler_params_t *p, const decoupler_in_t *in, const decoupler_out_t *pose)
 {
     @TAKE_ZERO@

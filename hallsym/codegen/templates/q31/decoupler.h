@@ -4,7 +4,7 @@
  * @brief From readings to @QUANTITY@ in 32-bit integers: model @MODEL@.
  *
  * Every quantity is an integer times a power of two of its SI unit (m, rad); the exponents are below. No heap, no
- * 64-bit arithmetic and no division per sample, no static data; reentrant.
+ * 64-bit arithmetic and no division per sample@BUT_FOR_FAULTS@, no static data; reentrant.
 @SAID@
  */
 #ifndef DECOUPLER_H

@@ -3,7 +3,7 @@ uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, d
     @REAL@ left[@WATCHED@];
     uint32_t status = pose_of(p, in, left, out);
     out->suspect = 0U;
-    if (@UNLIKELY_FAULT@)
+    if (@FAULT@)
     {
         status = suspected(p, @IN_ARGUMENT@status, left, out);
     }

@@ -14,7 +14,7 @@ else
     echo "@TRIED@: not run (needs a C compiler)"
 fi
 
-if command -v frama-c >/dev/null; then
+if @IF_EVIDENT@command -v frama-c >/dev/null; then
     if frama-c -eva -eva-precision 3 -machdep gcc_x86_64 \
         -cpp-extra-args="$include" proof/eva.c decoupler_params.c >build/eva.log 2>&1 &&
         grep -q "^  0 alarms generated" build/eva.log && grep -q "100% of the logical properties" build/eva.log; then
@@ -23,5 +23,5 @@ if command -v frama-c >/dev/null; then
         echo "Frama-C EVA, inputs in the box@AS_PROVED@: FAILED (build/eva.log)"
     fi
 else
-    echo "Frama-C EVA, inputs in the box@AS_PROVED@: not run (frama-c is not installed)"
+    echo "Frama-C EVA, inputs in the box@AS_PROVED@: not run (@WHY_NO_EVA@)"
 fi

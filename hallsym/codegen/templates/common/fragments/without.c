@@ -1,3 +1,4 @@
+@CONVERTS@
 /* Decode with the value of one reading at which nothing is left of it: along the line through two. */
 static uint32_t without(const decoupler_params_t *p, const decoupler_in_t *in, uint32_t k, uint32_t number,
                         decoupler_out_t *out)
@@ -20,14 +21,14 @@ static uint32_t without(const decoupler_params_t *p, const decoupler_in_t *in, u
         }
         status = pose_of(p, &given, left, out);
         const @REAL@ now = left[k];
-        @REAL@ step = now;
+        @WIDE@ step = @FIRST@;
         if (n > 0U)
         {
-            step = ((now < last) || (now > last)) ? ((now * (value - before)) / (now - last)) : @ZERO@;
+            step = @ALONG@;
         }
         before = value;
         last = now;
-        value -= step;
+        value = @MOVED@;
     }
     return status;
 }
