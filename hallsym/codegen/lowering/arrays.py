@@ -129,44 +129,17 @@ class Assembly:
         real = made.step(f"cross_real_{name}", c * a + d * b)
         imaginary = made.step(f"cross_imaginary_{name}", d * a - c * b)
         # no reading turns two phasors beyond the end of the polynomial: limit real - cotangent |imaginary|
-        floor, angle, steep = self._floor(first, k), self._angle(first, k), 1.0 / self.series(first, k).end
-        bound, most = ca.SX(0.0), None
-        if not floor:
-            least_square = self.waves[first].least * self.waves[k].least
-            floor = 0.5 * least_square * (float(np.cos(angle)) - steep * float(np.sin(angle)))
-            about = "cotangent of the largest turn of two phasors"
-            cone = made.entry(f"cone_{name}", steep, "1", about, "sign")
-            bound, most = cone * ca.fabs(imaginary), 1.0 / cone
+        least, angle = self.waves[first].least * self.waves[k].least, self._angle(first, k)
+        steep = 1.0 / self.series(first, k).end
+        floor = 0.5 * least * (float(np.cos(angle)) - steep * float(np.sin(angle)))
+        cone = made.entry(f"cone_{name}", steep, "1", "cotangent of the largest turn of two phasors", "sign")
         about = "least product of two phasors of the box"
-        bound = bound + made.entry(f"least_cross_{name}", floor, "1", about, "sign")
+        bound = cone * ca.fabs(imaginary) + made.entry(f"least_cross_{name}", floor, "1", about, "sign")
         bound = made.step(f"bound_{name}", bound)
         clamped = made.step(f"held_cross_{name}", ca.if_else(real > bound, real, bound))
-        tangent = made.step(f"cross_{name}", imaginary / clamped, most=most)
+        tangent = made.step(f"cross_{name}", imaginary / clamped, most=1.0 / cone)
         square = made.step(f"cross_square_{name}", tangent * tangent)
         return made.step(f"turn_{name}", odd(self.series(first, k).coefficients, tangent, square), "[rad]")
-
-    def _floor(self, first: int, k: int) -> float:
-        """Half the least of the products of the box, where that alone keeps every turn finite; else 0.
-
-        The polynomial then goes beyond its end, of readings of no pose.
-        """
-        least = 0.5 * self.waves[first].least * self.waves[k].least * float(np.cos(self._angle(first, k)))
-        most = self._longest(first) * self._longest(k) / least
-        sizes = np.abs(self.series(first, k).coefficients)
-        with np.errstate(over="ignore"):
-            turn = (sizes * (WILD * most) ** (2.0 * np.arange(len(sizes)) + 1)).sum()
-        return least if turn < MOST_TURN else 0.0
-
-    def _longest(self, k: int) -> np.float64:
-        """Bound of a phasor over all readings within their limits: infinite where rounds do not bound it."""
-        wave, found = self.waves[k], self.waves[k].phasor
-        reach = (1 / wave.least) ** np.arange(1, found.factor.shape[1] + 1)
-        swing = ROOMY * (np.abs(found.factor) @ reach) + 2 * np.abs(found.offset)
-        size = start = np.float64((np.hypot(*found.weights) * swing).sum() + np.hypot(*found.shift))
-        with np.errstate(over="ignore"):
-            for _ in range(wave.rounds + (wave.last == "linear")):
-                size = np.float64(start + found.largest(size))
-        return size
 
     def _angle(self, first: int, k: int) -> float:
         """Largest turn of two phasors of an axis over the box [rad]."""
@@ -645,11 +618,6 @@ class Assembly:
 
 ROOMY = 1.1
 """Times the largest tangent of the box: end of the polynomial of a turn."""
-WILD = 2.0**9
-"""Times what phasors of this calibration are, of any table that the code accepts."""
-MOST_TURN = 1e6
-"""Most [rad] that the polynomial of a turn may give of readings of no pose: products of four such numbers are
-far below the largest float."""
 
 
 TILT = 1.1

@@ -44,7 +44,6 @@ SIX = 6
 TRIALS = 2000
 """Poses by which it is found what is left of readings."""
 ROUNDED = 1e-13
-LAST = {"": "", "radial": " and the radial part of a second", "linear": " and one along its slope"}
 
 
 def decoupler(
@@ -186,7 +185,8 @@ class _Assembly:
                 f"{series.error * lc:.2g} m (proved)."
             )
         if wave.harmonics:
-            names, along = ", ".join(map(str, wave.harmonics)), LAST[wave.last]
+            names = ", ".join(map(str, wave.harmonics))
+            along = " and the radial part of a second" if wave.radial else ""
             out.append(
                 f"{counted(wave.rounds, 'round')}{along} take harmonics {names} off, and leave at most "
                 f"{wave.left * lc:.2g} m (proved)."

@@ -3,9 +3,8 @@ logarithm.
 
 Harmonics: u = seen - g(u), g a sum of powers. A round puts in the last u. After the first, what the second
 would do is mostly radial, n |b|^2 |u|^(2 n - 2) of ln |u| for a share b of the conjugate power, as sums at
-thirds of the period have it of the fifth: six instructions. A linear round takes g along its slope from the
-powers that the round before has made, at two thirds of its cost. The cheapest of these that leaves at most an
-accuracy is taken.
+thirds of the period have it of the fifth: six instructions in place of a round, where they leave at most an
+accuracy.
 """
 
 from collections.abc import Mapping, Sequence
@@ -58,8 +57,8 @@ class Wave:
     harmonics: tuple[int, ...]
     """Those that count, beyond the first."""
     rounds: int
-    last: str
-    """What follows the last round: nothing, a "radial" term or a "linear" round."""
+    radial: bool
+    """Whether the radial part of a second round follows the only one."""
     least: float
     """|u| below which, and beyond 1 / |u| above which, the flag is set."""
     logarithm: Odd
@@ -114,10 +113,10 @@ def wave_of(phasor: Phasor, ends: tuple[float, float], accuracy: float) -> Wave:
             "give fewer with --range."
         )
     rest = (1 - NEGLIGIBLE) * share - max(logarithm.error, arctangent.error)
-    rounds, last, left = _rounds(phasor, outer, reach, rest)
+    rounds, radial, left = _rounds(phasor, outer, reach, rest)
     if not harmonics:
-        rounds, last, left = 0, "", 0.0
-    return Wave(phasor, harmonics, rounds, last, 1 / reach, logarithm, arctangent, left + out)
+        rounds, radial, left = 0, False, 0.0
+    return Wave(phasor, harmonics, rounds, radial, 1 / reach, logarithm, arctangent, left + out)
 
 
 def _counting(phasor: Phasor, r: float, share: float) -> tuple[tuple[int, ...], float]:
@@ -132,29 +131,19 @@ def _counting(phasor: Phasor, r: float, share: float) -> tuple[tuple[int, ...], 
     return tuple(n for n in phasor.harmonics if n not in out), 2 * total
 
 
-def _rounds(phasor: Phasor, r: float, reach: float, share: float) -> tuple[int, str, float]:
-    """Return how many rounds, what follows the last, and what they leave of ln u: at most `share` where
-    possible.
+def _rounds(phasor: Phasor, r: float, reach: float, share: float) -> tuple[int, bool, float]:
+    """Return how many rounds, whether a radial part follows, and what they leave of ln u: at most `share`
+    where possible.
 
-    e, the distance from the fixed point, falls by the slope of g in each; a linear one adds half the bend of
-    g times the square of its step.
+    e, the distance from the fixed point, falls by the slope of g in each.
     """
-    slope, bend, before, made = phasor.slope(r), phasor.bend(r), NEAR * phasor.largest(reach), 0.0
-    if before / reach * (1 + 2 * before / reach) <= share:
-        return 0, "", before / reach * (1 + 2 * before / reach)
-    for k in range(1, MOST_ROUNDS + 1):
-        made = slope * before
-        straight = slope * made + bend / 2 * (before + made) ** 2
-        ways = [("", made), ("linear", straight)]
-        if k == 1:
-            radial = slope * made + bend / 2 * before**2 + _beside_radial(phasor, r, before)
-            ways.insert(1, ("radial", radial))
-        for last, error in ways:
-            left = error / reach * (1 + 2 * error / reach)
-            if left <= share:
-                return k, last, left
-        before = made
-    return MOST_ROUNDS, "", made / reach * (1 + 2 * made / reach)
+    slope, bend, error = phasor.slope(r), phasor.bend(r), NEAR * phasor.largest(reach)
+    radial = slope * slope * error + bend / 2 * error**2 + _beside_radial(phasor, r, error)
+    ways = [(0, False, error), (1, False, slope * error), (1, True, radial)]
+    ways += [(k, False, slope**k * error) for k in range(2, MOST_ROUNDS + 1)]
+    left = [e / reach * (1 + 2 * e / reach) for *_, e in ways]
+    best = next((k for k, e in enumerate(left) if e <= share), -1)
+    return *ways[best][:2], left[best]
 
 
 def radial_of(phasor: Phasor) -> dict[int, float]:
@@ -212,22 +201,8 @@ def phasor_steps(made: Collected, wave: Wave, readings: Mapping[str, ca.SX], tag
     }
     at: Pair = (seen[0], seen[1])
     for k in range(1, wave.rounds + 1):
-        along = wave.last == "linear" and k == wave.rounds
-        powers = Powers(made, *at, f"_{k}{tag}", (*wave.harmonics, *(n - 1 for n in wave.harmonics if along)))
+        powers = Powers(made, *at, f"_{k}{tag}", wave.harmonics)
         sums = _shared(shares, [powers(n) for n in wave.harmonics])
-        if along:
-            moves = [
-                made.step(f"{axis}_move{tag}", total if k == 1 else before - (first - total))
-                for axis, before, first, total in zip(AXES, at, seen, sums, strict=True)
-            ]
-            moved = []
-            for n in wave.harmonics:
-                ahead = [
-                    made.step(f"{axis}_ahead_{n}{tag}", before - float(n) * move)
-                    for axis, before, move in zip(AXES, at, moves, strict=True)
-                ]
-                moved.append(_times(made, powers(n - 1), (ahead[0], ahead[1]), f"_{n}_ahead{tag}"))
-            sums = _shared(shares, moved)
         about = f"[1] higher harmonics off, round {k}"
         at = (
             made.step(f"cos_{k}{tag}", seen[0] - sums[0], about),
@@ -306,7 +281,7 @@ def logarithm_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.S
     square = made.step(f"tangent_square{tag}", t * t)
     made.step(f"inside{tag}", 1.0 - square)
     total = odd(wave.logarithm.coefficients, t, square)
-    if wave.last == "radial":
+    if wave.radial:
         # the square of the phasor as it was seen, and its powers that the first round has made
         names = ((n, f"length_{2 * n}_1{tag}") for n in (1, 2))
         known = {n: made.symbols[name] for n, name in names if name in made.symbols}
@@ -428,7 +403,7 @@ def height_error(wave: Wave, vector: float, digits: int) -> float:
     )
     (made,) = enclose([odd(wave.logarithm.coefficients, t, t * t)], {"t": found}, digits)
     error, most = float(np.max(made.error)) + stretch * (1 + stretch), float(np.max(made.most))
-    if wave.last == "radial":  # rounded as each of its products, and once more by the sum
+    if wave.radial:  # rounded as each of its products, and once more by the sum
         term = sum(f * wave.outer ** (2 * n - 2) for n, f in radial_of(wave.phasor).items())
         error += RADIAL * 2.0**-digits * term + half_ulp(most + term, digits)
     return error * lc + constant(lc, digits).error * most + half_ulp(lc * most, digits)
