@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from firmware import CASES as STAGES
-from firmware import Library, instructions, need, passes, proved_by_eva, ran, written
+from firmware import Library, need, ran
 from hypothesis import given
 from hypothesis import strategies as st
 from test_codegen_rotary import CASES, ELLIPSE, LAYOUTS, calibrated, turned
@@ -176,9 +176,6 @@ def test_both_voltages_at_a_rail_at_once_say_no_angle():
 
 # -- the C itself --------------------------------------------------------------------------------------------
 
-WRITTEN = [("clipped", 5e-3, None), ("meng angle", None, "table"), ("clipped", 1e-3, None)]
-LATER = [pytest.param(*case, marks=pytest.mark.slow) for case in WRITTEN[1:]]
-
 
 @pytest.mark.slow
 def test_a_table_that_is_as_near_as_its_proof_says_is_no_other_model():
@@ -199,20 +196,6 @@ def test_the_table_of_entries_lies_in_the_parameters():
     assert len(code.backend.binary) == 28 + 4 * len(code.decoupler.entries) + 2 * len(array.values)
     assert f"& {len(array.values) - 1}U]" in code.files["decoupler.c"]
     assert "entries" in code.files["proof/report.md"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("case", "accuracy", "kind"), [WRITTEN[0], *LATER])
-def test_the_folder_passes_here_and_on_a_cortex_m4f_and_eva_raises_no_alarm(case, accuracy, kind, tmp_path):
-    need("arm-none-eabi-gcc", "qemu-system-arm", "make", "cppcheck")
-    code = made(case, accuracy, kind)
-    folder = written(code, tmp_path / "fw")
-    passes(folder)
-    assert ran(folder, "make", "qemu").count("as stated") == 2
-    # the step also keeps what is left of the readings, by which they are checked against one another
-    assert max(instructions(code, folder)) <= {"clipped": 182, "meng angle": 100}[case]
-    ran(folder, "make", "misra")
-    proved_by_eva(folder)
 
 
 @pytest.mark.slow

@@ -234,7 +234,7 @@ class Powers:
     def __init__(self, made: Collected, cos: ca.SX, sin: ca.SX, tag: str, wanted: Sequence[int] = ()) -> None:
         self.made, self.tag, self.known = made, tag, {1: (cos, sin)}
         others = [n for n in wanted if n != FIFTH]
-        self.fifth_alone = FIFTH in wanted and not any(FIFTH - 1 in _chain(n) for n in others)
+        self.fifth_alone = FIFTH in wanted and not any({2, FIFTH - 1} & _chain(n) for n in others)
 
     def __call__(self, n: int) -> Pair:
         """Return real and imaginary part of the n-th power."""
