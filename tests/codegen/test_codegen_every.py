@@ -18,7 +18,9 @@ import test_codegen_rotary as encoders
 import test_codegen_travel as travel
 import test_codegen_waves as waves
 from firmware import (
+    PATHS,
     SANITIZED,
+    TESTED,
     every_input,
     instructions,
     need,
@@ -146,3 +148,19 @@ def test_bits_and_instructions_on_a_controller_and_what_tools_find(name, tmp_pat
 @pytest.mark.parametrize("name", ["harmonics volts", "eccentric angle"])
 def test_eva_raises_no_alarm(name, tmp_path):
     proved_by_eva(written(EVERY[name].made(), tmp_path / "fw"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["ellipse volts", "meng angle", "meng angle q31", "meng volts q31", "five Halls q31"]
+)
+def test_the_self_test_runs_every_line_and_branch(name, tmp_path):
+    need("gcc", "clang", "gcov")
+    folder = written(EVERY[name].made(), tmp_path / "fw")
+    passes(folder, "-O0", compiler="clang")
+    ran(folder, "gcc", "-std=c99", "-O0", "--coverage", *PATHS, *TESTED, "-o", "covered")
+    ran(folder, "./covered")
+    said = ran(folder, "gcov", "-b", "-n", *map(str, folder.glob("*-decoupler.gcda")))
+    own = said[said.index("decoupler.c'") :]
+    assert "Lines executed:100.00%" in own
+    assert "Branches executed:100.00%" in own

@@ -10,12 +10,8 @@ from math import pi
 import numpy as np
 import pytest
 from firmware import (
-    PATHS,
-    TESTED,
     Library,
     need,
-    passes,
-    ran,
     written,
 )
 from hypothesis import given
@@ -148,18 +144,6 @@ def test_a_zero_is_taken_all_round_and_a_damaged_table_found(tmp_path):
         library.table[byte] ^= 1
         assert library.check() == 0x04
         library.table[byte] ^= 1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", ["meng angle", "meng volts"])
-def test_the_self_test_runs_every_line(case, tmp_path):
-    need("gcc", "clang", "gcov")
-    folder = written(made(case), tmp_path / "fw")
-    passes(folder, compiler="clang")
-    ran(folder, "gcc", "-std=c99", "-O0", "--coverage", *PATHS, *TESTED, "-o", "covered")
-    ran(folder, "./covered")
-    said = ran(folder, "gcov", "-b", "-n", *(str(p) for p in folder.glob("*-decoupler.gcda")))
-    assert "Lines executed:100.00%" in said[said.index("decoupler.c'") :]
 
 
 # -- options -------------------------------------------------------------------------------------------------

@@ -11,14 +11,9 @@ import casadi as ca
 import numpy as np
 import pytest
 from firmware import (
-    PATHS,
-    TESTED,
     Library,
     known,
     need,
-    passes,
-    ran,
-    written,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -190,20 +185,6 @@ def library(tmp_path_factory):
     folder = tmp_path_factory.mktemp("encoder") / "fw"
     code.write(folder)
     return Library(folder, code.decoupler, code.backend.real.dtype)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("case", "form"), BUILT)
-def test_the_self_test_runs_every_branch(case, form, tmp_path):
-    need("gcc", "clang", "gcov")
-    folder = written(made(case, form), tmp_path / "fw")
-    passes(folder, "-O0", compiler="clang")
-    ran(folder, "gcc", "-std=c99", "-O0", "--coverage", *PATHS, *TESTED, "-o", "covered")
-    ran(folder, "./covered")
-    said = ran(folder, "gcov", "-b", "-n", *(str(p) for p in folder.glob("*-decoupler.gcda")))
-    own = said[said.index("decoupler.c'") :]
-    assert "Lines executed:100.00%" in own
-    assert "Branches executed:100.00%" in own
 
 
 # -- refused -------------------------------------------------------------------------------------------------
