@@ -71,7 +71,7 @@ FITS = {
     "two voltages": encoder,
 }
 ACCURACY = {"12 sums, six coordinates": 5e-6, "24 sums, six coordinates": 5e-6}
-SLOW = ("24 sums, six coordinates", "five sums", "three sums")
+SLOW = ("24 sums, six coordinates", "five sums", "three sums", "five Halls", "five probes")
 ALLOWED = norm.isf(residual.FALSE_ALARMS / 2)
 """Standard deviations of a residual that one sample of a million exceeds."""
 ONE_LEFT = ("four probes", "two voltages")
