@@ -200,12 +200,13 @@ def knots(x: np.ndarray) -> np.ndarray:
 
 
 def hats(x: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return linear interpolation between `at` as features, (len(at), n)."""
-    k = np.clip(np.searchsorted(at, x, side="right") - 1, 0, len(at) - 2)
-    share = np.clip((x - at[k]) / (at[k + 1] - at[k]), 0.0, 1.0)
-    out = np.zeros((len(at), len(x)))
-    columns = np.arange(len(x))
-    out[k, columns], out[k + 1, columns] = 1.0 - share, share
+    """Return linear interpolation between `at` as features of each row of x (rows, n), (rows, len(at), n)."""
+    out = np.zeros((len(x), len(at), x.shape[1]))
+    columns = np.arange(x.shape[1])
+    for own, row in zip(out, x, strict=True):
+        k = np.clip(np.searchsorted(at, row, side="right") - 1, 0, len(at) - 2)
+        share = np.clip((row - at[k]) / (at[k + 1] - at[k]), 0.0, 1.0)
+        own[k, columns], own[k + 1, columns] = 1.0 - share, share
     return out
 
 
@@ -298,7 +299,7 @@ class Smooth:
         """Return the features of some samples where the coordinate has the values `x`, (K, features, n)."""
         c = self.coordinate
         if c.ordered:
-            phi = np.array([hats(row, self.at) for row in np.atleast_2d(x)])
+            phi = hats(np.atleast_2d(x), self.at)
         elif c.memory:
             size = float(np.std(self.r.sensed))
             phi = stop_operators(r.sensed, edges_of(r.run), [size * w for w in MEMORIES])
@@ -510,12 +511,13 @@ def lack_of_fit(base: Base, runs: frozenset[int]) -> LackOfFit:
     def shape(name: str, predicted: np.ndarray, p: float) -> Shape:
         return Shape(name, 1 - r.metric(r.residual - predicted) / whole, p)
 
+    def tested(c: Coordinate) -> list[Shape]:  # features of one coordinate at a time: they take most memory
+        curves = (each.curve(r.residual) for each in over(r, c))
+        return [shape(c.name, curve.cross_validated, curve.p_value) for curve in curves]
+
     _, z, predicted = run_gains(r, r.residual)
     shapes = [shape("gain of its own", predicted, float((z >= z[0]).mean()))]
-    for c in coordinates(r):
-        for each in over(r, c):
-            curve = each.curve(r.residual)
-            shapes.append(shape(c.name, curve.cross_validated, curve.p_value))
+    shapes += [each for c in coordinates(r) for each in tested(c)]
     return LackOfFit(tuple(sorted(shapes, key=lambda s: -s.drop)), tones(base, runs))
 
 

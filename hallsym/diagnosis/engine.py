@@ -19,7 +19,7 @@ from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import Confusable, confusable, findings, report
 from hallsym.diagnosis.residual_table import residual_table
-from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.residuals import Base, forget_candidates
 from hallsym.diagnosis.selection import select
 from hallsym.diagnosis.setup import Setup, prepare
 from hallsym.diagnosis.survey import noise_of_rest
@@ -75,6 +75,7 @@ def diagnose(
 def examine(setup: Setup) -> Examined:
     """Diagnose as `diagnose` does and return the fitted models too, which a page draws."""
     selection = select(setup)
+    forget_candidates(selection.fit.base)
     others = without_events(setup, selection.fit.base.on_all)
     if others is not setup and not setup.over and (again := select(others)).effects:
         setup, selection = others, again

@@ -70,7 +70,7 @@ def of_samples(found: Survey, policy: Policy) -> Iterator[Fault]:
     number expected from the body, that of late samples with that of early ones: noise has both, however heavy
     its tails.
     """
-    (z, size, rest), K = found.instants, len(found.values)
+    (z, size, rest), K = found.instants, len(found.adc_step)
     n, bins, across = len(z), 2 * policy.fewest, max(K - 1, 1)
     if n < bins * FEWEST_SAMPLES:
         return
@@ -192,11 +192,11 @@ def _steps(base: Base, found: Survey, chip: Fault | None) -> Fault | None:
 
 def _chip(base: Base, found: Survey) -> Fault | None:
     """The fault that a decoded angle takes only values that few steps of CORDIC give."""
-    if base.model.channels != base.model.pose or len(found.values) != 1:
+    if base.model.channels != base.model.pose or found.values is None:
         return None
     sigma = float(np.sqrt(base.covariance[0, 0]))
     spread, step = sigma * float(np.sqrt(found.variance)), float(found.adc_step[0])
-    seen = cordic(found.values[0], base.policy, spread, step)
+    seen = cordic(found.values, base.policy, spread, step)
     if seen is None:
         return None
     chip, p = seen

@@ -221,8 +221,7 @@ def normal_equations(
         dict(zip(parts, units.tolist(), strict=True)),
         work.span,
         work.places,
-        # needed for steps only, not for scores of candidates, and a log may have many runs
-        follow[:, :, :0].copy() if work.count else follow,
+        follow,
         tuple(dict.fromkeys(run.tolist())),
         frozenset(work.spoiled),
         of_offsets,
@@ -264,8 +263,8 @@ def eliminated(
     """Let the offsets of whole runs follow the likelihood, in the output too.
 
     `made`: products of all other columns, which are changed in place. `offsets`: (2, parts, offsets, columns)
-    products with the offsets; `run`, `unit`: (parts,) of each part of a run. Returns `follow` and `offsets`
-    of `NormalEquations`.
+    products with the offsets; `run`, `unit`: (parts,) of each part of a run. Returns `follow`, which only the
+    step of a fit without candidates needs, and `offsets` of `NormalEquations`.
     """
     z, near, (i, j) = work.z, work.near[work.z :] - work.z, work.pairs
     first = np.flatnonzero(np.append(True, run[1:] != run[:-1]))
@@ -274,12 +273,13 @@ def eliminated(
     group = first if len(inner) == len(run) else np.arange(len(inner))  # units of one run
     whole = np.add.reduceat(inner[:, own], group)
     across = np.add.reduceat(offsets[0], first) if len(first) < len(run) else offsets[0]
-    follow = solve(across[:, :, :z], across[:, :, z:]) if z else across
-    np.negative(follow, out=follow)
+    follow = np.zeros((len(first), z, 0 if work.count else work.size - z))
     step = min(UNITS, max(1, ENTRIES // max(1, z * len(i))))
-    for low in range(0, len(run) if z else 0, step):
+    for low in range(0, len(run) if z else 0, step):  # some at a time: a log may have many runs
         at = slice(low, low + step)
-        by = follow[of_run[at]]
+        by = -solve(*np.split(across[of_run[at]], [z], axis=2))
+        if not work.count:
+            follow[of_run[at]] = by
         for M, part in zip(made, offsets[:, at], strict=True):
             half = part[:, :, z:] + 0.5 * part[:, :, :z] @ by
             more = half[..., near].swapaxes(1, 2) @ by + by[..., near].swapaxes(1, 2) @ half
@@ -297,7 +297,8 @@ def eliminated(
         M.inner[nil[:, i] | nil[:, j]] = 0.0
     if not z or len(first) == len(run):
         return follow, None
-    of_offsets = offsets[0][:, :, z:] + offsets[0][:, :, :z] @ follow[of_run]
+    every = -solve(across[:, :, :z], across[:, :, z:])
+    of_offsets = offsets[0][:, :, z:] + offsets[0][:, :, :z] @ every[of_run]
     of_offsets[np.broadcast_to(nil[:, None], of_offsets.shape)] = 0.0
     root = np.zeros((len(first), z, z))
     cut = sizes > 1

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import wraps
 from typing import Any, TypeVar
-from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.estimation.decoding import columns_of, decoding_gain
 from hallsym.log import Log
-from hallsym.log.batches import Batch, Weigh, batches, is_cached
+from hallsym.log.batches import Batch, Weigh, batches, forget, is_cached
 from hallsym.log.derived import extended
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
@@ -93,7 +92,6 @@ class Base:
 
 
 Found = TypeVar("Found")
-_FOUND: WeakKeyDictionary[Base, dict[tuple[str, frozenset[int]], Any]] = WeakKeyDictionary()
 
 
 def found_once(look: Callable[[Base, frozenset[int]], Found]) -> Callable[[Base, Iterable[int]], Found]:
@@ -101,7 +99,7 @@ def found_once(look: Callable[[Base, frozenset[int]], Found]) -> Callable[[Base,
 
     @wraps(look)
     def looked_up(base: Base, runs: Iterable[int]) -> Found:
-        known, key = _FOUND.setdefault(base, {}), (look.__qualname__, frozenset(runs))
+        known, key = vars(base).setdefault("_found", {}), (look.__qualname__, frozenset(runs))
         if key not in known:
             known[key] = look(base, key[1])
         found: Found = known[key]
@@ -133,12 +131,7 @@ def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
 
     Residuals of a log whose batches are cached (`is_cached`) are cached for the next call with the same base.
     """
-    model = base.model
-    rates = (rate(c, order) for order in range(4) for c in model.references)
-    extra = (*rates, campaign_time(), run_time())
-    log = extended(base.log, model.with_columns(*extra), base.sigma, base.values)
-    wanted = (*columns_of(model), *(c.name for c in extra), "t_s", "temperature_degc")
-    columns = tuple(dict.fromkeys(c for c in wanted if c in log.columns))
+    model, (log, columns) = base.model, _beside(base)
     known, evaluate = _kept(base, base.log.runs) if is_cached(base.log) else [], _residual_of(base)
     for k, batch in enumerate(batches(log, columns)):
         weights = batch.weights(base.keep)
@@ -151,6 +144,21 @@ def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
                     block.run, block.data["t_s"], residual[:, at], speed[:, at], readings[:, at], used,
                     dict(block.data),
                 )  # fmt: skip
+
+
+def _beside(base: Base) -> tuple[Any, tuple[str, ...]]:
+    """Return the log with the columns that a residual is looked at beside, and their names."""
+    model = base.model
+    rates = (rate(c, order) for order in range(4) for c in model.references)
+    extra = (*rates, campaign_time(), run_time())
+    log = extended(base.log, model.with_columns(*extra), base.sigma, base.values)
+    wanted = (*columns_of(model), *(c.name for c in extra), "t_s", "temperature_degc")
+    return log, tuple(dict.fromkeys(c for c in wanted if c in log.columns))
+
+
+def forget_candidates(base: Base) -> None:
+    """Free the columns that models without a place in `base` read: together they are larger than the log."""
+    forget(*_beside(base))
 
 
 @found_once

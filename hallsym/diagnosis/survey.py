@@ -5,7 +5,7 @@ frequency).
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -41,9 +41,9 @@ class Survey:
     `variance`: of the whitened residual (1: the stated noise). `fast`: the same from second differences.
     `autocorrelation`: (SEGMENT,) at lags 0, 1, ... `inflation`: variance of a slow average
     over that of white noise of the same size. `kurtosis`: 3 for Gaussian noise. `values`: different readings
-    of each channel among the samples looked at; `adc_step`: (K,) step between them, 0 for none, `step_p`: how
-    likely chance makes such steps. `lines_hz`: of hum, one near each frequency of the mains. `instants`: (3,
-    n), see `_instants`.
+    among the samples looked at, if there is one channel; `adc_step`: (K,) step between those of each channel,
+    0 for none, `step_p`: how likely chance makes such steps. `lines_hz`: of hum, one near each frequency of
+    the mains. `instants`: (3, n), see `_instants`.
     """
 
     duration_s: float
@@ -52,7 +52,7 @@ class Survey:
     autocorrelation: np.ndarray
     inflation: float
     kurtosis: float
-    values: tuple[np.ndarray, ...]
+    values: np.ndarray | None
     adc_step: np.ndarray
     step_p: float
     lines_hz: tuple[float, ...]
@@ -63,33 +63,40 @@ class Survey:
 def survey(base: Base, runs: frozenset[int]) -> Survey:
     """Read the log once and return the statistics of the residual of `base` on `runs`."""
     K = len(base.model.channels)
-    times, rest, readings, instants = [], [np.zeros((K, 0))], [np.zeros((K, 0))], [np.zeros((3, 0))]
+    times, rest, readings, moved = [], list[np.ndarray](), [np.zeros((K, 0))], [np.zeros((3, 0))]
     for piece in pieces(base, runs):
         times.append(piece.t)
         rest.append(np.where(piece.used, piece.residual, 0.0))
         readings.append(piece.readings)
-        instants.append(_instants(piece))
-    variance, fourth = (_mean(np.hstack(rest) ** power) for power in (2, 4))
-    autocorrelation, inflation = _memory(rest[1:], base.policy)
-    values = tuple(np.unique(np.concatenate(own)) for own in zip(*readings, strict=True))
-    steps = [_step(v, base.policy) for v in values]
+        moved.append(_instants(piece))
+    instants = np.hstack(moved)
+    levels = [np.unique(np.concatenate(own)) for own in zip(*readings, strict=True)]
+    moved, readings = [], []  # lists as large as the log
+    steps, values = [_step(v, base.policy) for v in levels], levels[0] if K == 1 else None
+    del levels
+    moments = np.square, lambda r: r**4, lambda r: np.diff(r, 2) ** 2
+    variance, fourth, fast = (_mean(rest, moment) for moment in moments)
+    autocorrelation, inflation = _memory(rest, base.policy)
     return Survey(
         duration_s=float(times[-1][-1] - times[0][0]) if times else 0.0,
         variance=variance,
-        fast=_mean(np.hstack([np.diff(r, 2) for r in rest]) ** 2) / 6,
+        fast=fast / 6,
         autocorrelation=autocorrelation,
         inflation=inflation,
         kurtosis=fourth / max(variance, NIL) ** 2,
         values=values,
         adc_step=np.array([q for q, _ in steps]),
         step_p=min(1.0, K * min(p for _, p in steps)),  # the channels are as many attempts
-        lines_hz=hum(times, rest[1:]),
-        instants=np.hstack(instants),
+        lines_hz=hum(times, rest),
+        instants=instants,
     )
 
 
-def _mean(values: np.ndarray) -> float:
-    return float(values.mean()) if values.size else 1.0
+def _mean(blocks: Sequence[np.ndarray], of: Callable[[np.ndarray], np.ndarray]) -> float:
+    """Return the mean of a function of all blocks, 1 without samples."""
+    sums = [(float(values.sum()), values.size) for values in map(of, blocks)]
+    total, count = np.sum(sums, axis=0) if sums else (0.0, 0)
+    return float(total / count) if count else 1.0
 
 
 def products_at_lags(rows: np.ndarray, lags: int | None = None) -> np.ndarray:
@@ -264,13 +271,13 @@ def hum(times: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> tuple[float,
 
 def _blocks(times: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> Blocks:
     """Amplitudes of differences of neighbouring samples, in which slow changes have no power."""
-    t, x = np.array(times), np.diff(rest)
-    n, length = x.shape[-1], t[0, -1] - t[0, 0]
+    t, n = np.array(times), rest[0].shape[1] - 1
+    length = t[0, -1] - t[0, 0]
     ends = [FINER * length * (hz + np.array([-MAINS_REACH_HZ, MAINS_REACH_HZ])) for hz in MAINS_HZ]
     lines = np.concatenate([np.arange(int(low), int(high) + 2) for low, high in ends])
     middle, f = 0.5 * (t[:, 1] + t[:, -1]), lines / (FINER * length)
-    amplitudes = np.empty((*x.shape[:2], len(f)), dtype=complex)
-    for own, each, after in zip(amplitudes, x, middle - t[:, 1], strict=True):
-        own[:] = np.fft.fft(each, FINER * n)[:, lines % (FINER * n)]  # or an alias
+    amplitudes = np.empty((len(rest), len(rest[0]), len(f)), dtype=complex)
+    for own, each, after in zip(amplitudes, rest, middle - t[:, 1], strict=True):
+        own[:] = np.fft.fft(np.diff(each), FINER * n)[:, lines % (FINER * n)]  # or an alias
         own *= np.exp(2j * np.pi * (after * f))
     return Blocks(middle, length, f, amplitudes)

@@ -183,15 +183,29 @@ def is_cached(log: Log) -> bool:
     return isinstance(log.source, Log) and log.table.in_memory and log.rows <= CACHED_ROWS
 
 
+def forget(log: Log, but: Collection[str]) -> None:
+    """Drop the cached batches of all columns of a log but some: many models read more than the log holds."""
+    known, kept = _CACHE.get(log.source, {}), {log.identity(name) for name in but}
+    for key in known.keys() - kept:
+        del known[key]
+
+
 def _cached(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
     cached = _CACHE.setdefault(log.source, {})
     keys = {name: log.identity(name) for name in columns}
     if missing := [name for name, key in keys.items() if key not in cached]:
         cached |= {keys[name]: [] for name in missing}
+        # computed columns in one piece each: memory that thousands of small ones leave serves no large one
+        whole, end = {name: np.empty(log.rows) for name in missing if keys[name] != name}, 0
         for batch in _read(log, missing):
+            start, end = end, end + len(batch)
             for name in missing:
-                batch.data[name].flags.writeable = False
-                cached[keys[name]].append(Batch(batch.runs, {name: batch.data[name]}, batch.edges))
+                values = batch.data[name]
+                if name in whole:
+                    whole[name][start:end] = values
+                    values = whole[name][start:end]
+                values.flags.writeable = False
+                cached[keys[name]].append(Batch(batch.runs, {name: values}, batch.edges))
     for parts in zip(*(cached[key] for key in keys.values()), strict=True):
         data = {name: next(iter(part.data.values())) for name, part in zip(keys, parts, strict=True)}
         yield Batch(parts[0].runs, data, parts[0].edges)

@@ -265,6 +265,6 @@ def test_hats_add_up_to_one_and_reproduce_lines(seed: int, size: float) -> None:
     x = size * np.random.default_rng(seed).standard_normal(200)
     at = knots(x)
     assert (np.diff(at) > 0).all()
-    phi = hats(x, at)
+    (phi,) = hats(x[None], at)
     np.testing.assert_allclose(phi.sum(axis=0), 1.0)
     np.testing.assert_allclose(at @ phi, x, atol=1e-9 * size)

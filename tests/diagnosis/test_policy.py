@@ -205,7 +205,7 @@ def test_noise_that_lasts_for_a_run_has_a_spectrum_of_its_own_there(monkeypatch)
 def sampled(z: np.ndarray, rest: np.ndarray, policy: Policy = POLICY) -> dict[str, float]:
     """P-values of what single samples are, which move at random speeds; jitter grows with these."""
     size = np.random.default_rng(1).uniform(0.5, 2.0, len(z))
-    found = SimpleNamespace(instants=(z * size, size, rest), values=[0, 0], variance=1.0)
+    found = SimpleNamespace(instants=(z * size, size, rest), adc_step=[0, 0], variance=1.0)
     return {f.name: f.p_value for f in of_samples(found, policy)}
 
 
