@@ -33,7 +33,7 @@ from hallsym.diagnosis.residual_table import (
 )
 from hallsym.diagnosis.residuals import NIL, Base, found_once, pieces
 from hallsym.diagnosis.survey import SEGMENT
-from hallsym.estimation.residual_noise import MEMORIES, STILL
+from hallsym.estimation.goodness_of_fit import MEMORIES, STILL
 from hallsym.families.mechanisms import stop_operators
 from hallsym.log.core import edges_of
 from hallsym.units import readable

@@ -15,7 +15,7 @@ import numpy as np
 
 from hallsym.diagnosis.normal_equations import Columns, NormalEquations, stretches
 from hallsym.diagnosis.residuals import Base
-from hallsym.estimation.residual_noise import ROOM
+from hallsym.estimation.goodness_of_fit import ROOM
 from hallsym.log import Block
 from hallsym.log.batches import Batch, batches, is_cached
 from hallsym.log.derived import share_windows

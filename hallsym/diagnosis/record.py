@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from hallsym.diagnosis.policy import Policy
 from hallsym.estimation.calibration import LogRecord
-from hallsym.estimation.residual_noise import ResidualNoise
+from hallsym.estimation.goodness_of_fit import ResidualNoise
 from hallsym.records import plain, schema_of, structured
 from hallsym.shown import Shown
 

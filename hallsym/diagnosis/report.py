@@ -40,7 +40,7 @@ from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import QUIET, Validated, Validation, Verdict, closed
 from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit, noise_text
 from hallsym.errors import InputError, counted, listed
-from hallsym.estimation.residual_noise import ResidualNoise
+from hallsym.estimation.goodness_of_fit import ResidualNoise
 from hallsym.families import added_effects
 from hallsym.families.faults import ASSIGNMENT_FAULTS
 from hallsym.model import Model, ways_text

@@ -15,7 +15,7 @@ from hallsym.diagnosis.normal_equations import UNITS
 from hallsym.diagnosis.p_values import stretch
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.residuals import Base, Piece, found_once, pieces
-from hallsym.estimation.residual_noise import STILL
+from hallsym.estimation.goodness_of_fit import STILL
 from hallsym.families.mechanisms import MAINS_HZ
 from hallsym.log.core import edges_of
 from hallsym.log.quality.scan import FEWEST_SAMPLES

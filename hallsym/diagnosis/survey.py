@@ -16,7 +16,7 @@ from scipy.ndimage import median_filter
 from hallsym.diagnosis.p_values import as_often, statistic_at
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.residuals import NIL, Base, Piece, found_once, pieces
-from hallsym.estimation.residual_noise import ResidualNoise, noise_left
+from hallsym.estimation.goodness_of_fit import ResidualNoise, noise_left
 from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ
 from hallsym.log.quality.scan import FEWEST_SAMPLES
 

@@ -26,8 +26,7 @@ from hallsym.diagnosis.scores import bic
 from hallsym.diagnosis.selection import Exact, Selection
 from hallsym.diagnosis.setup import Floor, Setup, point_on
 from hallsym.diagnosis.survey import Survey, survey
-from hallsym.estimation.goodness_of_fit import goodness_of, limit_of
-from hallsym.estimation.residual_noise import ResidualNoise
+from hallsym.estimation.goodness_of_fit import ResidualNoise, goodness_of, limit_of
 
 Squares = Mapping[tuple[int, ...], float]
 """Squared decoded errors of each judging run (or of neighbouring runs of a log of very many)."""

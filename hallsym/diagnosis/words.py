@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from hallsym.estimation.residual_noise import ResidualNoise
+from hallsym.estimation.goodness_of_fit import ResidualNoise
 from hallsym.units import readable, reading_unit
 
 SHOWN = 3

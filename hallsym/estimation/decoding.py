@@ -33,7 +33,8 @@ class ErrorTable:
 
     def over(self, runs: Sequence[int] | None = None) -> dict[str, dict[str, float]] | None:
         """Return `{"rmse": {x_m: ..}, "peak": {..}}` over some runs (default: all); None without any."""
-        pick = [k for k, run in enumerate(self.runs) if runs is None or run in set(runs)]
+        among = set(self.runs if runs is None else runs)
+        pick = [k for k, run in enumerate(self.runs) if run in among]
         if not pick or self.count[pick].sum() == 0:
             return None
         rmse = np.sqrt(self.squares[pick].sum(axis=0) / self.count[pick].sum())

@@ -14,9 +14,14 @@ from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.claims import mistakes_of
 from hallsym.estimation.decoding import ErrorTable, error_tables, logged_columns, zero_shifts
-from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of, noise_floor
+from hallsym.estimation.goodness_of_fit import (
+    GoodnessOfFit,
+    goodness_of,
+    noise_floor,
+    noise_followed,
+    with_noise,
+)
 from hallsym.estimation.likelihood import Point, cost_near, deviations_of, offsets_of
-from hallsym.estimation.residual_noise import noise_followed, with_noise
 from hallsym.estimation.task import noise_of
 from hallsym.families.recording import corrected
 from hallsym.log import Fault, Log, Noise, as_log, usable

@@ -18,10 +18,9 @@ from hallsym.estimation.calibration import Claim, Fit
 from hallsym.estimation.claims import claims_of, described, mistakes_of
 from hallsym.estimation.decoding import Errors, columns_of
 from hallsym.estimation.factors import exact, joined
+from hallsym.estimation.goodness_of_fit import noise_followed
 from hallsym.estimation.likelihood import Cost, Sharing, cost_of, joint_cost, numbered, run_numbers
 from hallsym.estimation.optimum import SOLVERS, Solution, closed_form, linear_fit, searched, unrelated
-from hallsym.estimation.plausible import implausible, stated
-from hallsym.estimation.residual_noise import noise_followed
 from hallsym.estimation.several import check_gains, check_same, labels, restricted, several_fit
 from hallsym.estimation.task import (
     Asked,
@@ -30,10 +29,12 @@ from hallsym.estimation.task import (
     Progress,
     Task,
     checked,
+    implausible,
     model_of,
     opened,
     result_of,
     silent,
+    stated,
     zero_notes,
 )
 from hallsym.families import plain

@@ -124,7 +124,9 @@ def plain(model: Model) -> Model:
 
 def added_effects(model: Model) -> Sequence[str]:
     """Return the effects that `model` has beyond those its name stands for, with their numbers."""
-    new = [model.texts.get(effect, effect) for effect in model.effects[len(plain(model).effects) :]]
+    make = model.family.maker(model.name)
+    own = len((make(model.layout) if make else model).effects)
+    new = [model.texts.get(effect, effect) for effect in model.effects[own:]]
     return list(dict.fromkeys(new))
 
 

@@ -20,8 +20,7 @@ from hallsym.estimation import Evaluation, Fit, fit
 from hallsym.estimation.calibration import coverage_factor
 from hallsym.estimation.covariance import BY_RUNS
 from hallsym.estimation.factors import SINGULAR, pseudo_inverse, unit_scale
-from hallsym.estimation.goodness_of_fit import GoodnessOfFit
-from hallsym.estimation.residual_noise import ResidualNoise, noise_at
+from hallsym.estimation.goodness_of_fit import GoodnessOfFit, ResidualNoise, noise_at
 from hallsym.log import Noise, Sigma
 
 FALSE_ALARM = 1 / 500

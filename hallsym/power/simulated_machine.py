@@ -17,7 +17,7 @@ from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.setup import kept, of_recording, spacing
 from hallsym.diagnosis.survey import SEGMENT, noise_of_rest
 from hallsym.diagnosis.words import noise_text
-from hallsym.estimation.residual_noise import SETTLE, autoregressive
+from hallsym.estimation.goodness_of_fit import SETTLE, autoregressive
 from hallsym.families.faults import Recording
 from hallsym.log import Log, Noise, Sigma
 from hallsym.model import Model

@@ -8,7 +8,7 @@ from gap_twins import SIGMA, Motion, machine
 from scipy.signal import lfilter
 
 import hallsym
-from hallsym.estimation.residual_noise import (
+from hallsym.estimation.goodness_of_fit import (
     Residual,
     ResidualNoise,
     _is_known,
