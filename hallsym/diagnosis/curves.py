@@ -276,7 +276,7 @@ class Curve:
 
 
 class Smooth:
-    """Smooth curves over one coordinate; everything independent of the residual is computed once.
+    """Smooth curves over one coordinate; products of features, which no residual changes, are computed once.
 
     `at`: places at which there is an offset. `scale`: of the expected reading, by which gains are stated.
     """
@@ -287,13 +287,16 @@ class Smooth:
         self.scale = float(np.sqrt(np.mean(r.sensed**2))) or 1.0
         free = MEMORIES if c.memory else np.arange(len(c.of) * (1.0 + c.gain))
         self.at = knots(self.values) if c.ordered else np.asarray(free)
-        self.phi = self._features(r, self.values)
         self.folds, self.blocks = slices(r.fold), slices(r.block)
         self.own = 1 / r.variance
-        self.gram = self.own[:, None, None, None] * np.array(
-            [[phi[:, s] @ phi[:, s].T for s in self.folds] for phi in self.phi]
+        self.products: tuple[np.ndarray, list[np.ndarray]] | None = None
+
+    def _products(self, phi: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return the products of features by sensor and fold, and those of all other folds."""
+        grams = self.own[:, None, None, None] * np.array(
+            [[own[:, s] @ own[:, s].T for s in self.folds] for own in phi]
         )
-        self.rest = [others(gram) for gram in self.gram]
+        return grams, [others(gram) for gram in grams]
 
     def _features(self, r: ResidualTable, x: np.ndarray) -> np.ndarray:
         """Return the features of some samples where the coordinate has the values `x`, (K, features, n)."""
@@ -317,8 +320,7 @@ class Smooth:
 
     def predicted(self, coefficients: np.ndarray, r: ResidualTable, x: np.ndarray) -> np.ndarray:
         """Return the residual (K, n) where the coordinate has the values `x`."""
-        phi = self.phi if r is self.r else self._features(r, x)
-        return np.asarray((coefficients[:, None] @ phi)[:, 0])
+        return np.asarray((coefficients[:, None] @ self._features(r, x))[:, 0])
 
     def curve(self, residual: np.ndarray) -> Curve:
         """Return the curve of a residual (K, n), with the penalty of the smallest cross-validated error."""
@@ -329,16 +331,18 @@ class Smooth:
     def _fits(self, residual: np.ndarray) -> list[Curve]:
         """Fit the coefficients of each sensor to its own residual, for each bending penalty."""
         r = self.r
+        phi = self._features(r, self.values)  # not kept: of all coordinates together they fill the memory
+        grams, rests = self.products = self.products or self._products(phi)
         level = level_weights(r, residual, r.block)[:, None]
         targets, scores = (
-            [sums(phi * row, group).T for phi, row in zip(self.phi, rows, strict=True)]
+            [sums(own * row, group).T for own, row in zip(phi, rows, strict=True)]
             for rows, group in ((self.own[:, None] * residual, r.fold), (r.precision @ residual, r.block))
         )
         out = []
         for bend in BENDS if self.coordinate.ordered else BENDS[:1]:
             q = np.zeros((len(self.blocks),) * 2)
             each = []
-            for gram, rest, target, of_blocks in zip(self.gram, self.rest, targets, scores, strict=True):
+            for gram, rest, target, of_blocks in zip(grams, rests, targets, scores, strict=True):
                 penalty = _penalty(np.diag(gram.sum(axis=0)), len(self.at), bend)
                 each.append(regression(gram, target, penalty, rest))
                 own = level * of_blocks
@@ -346,7 +350,7 @@ class Smooth:
             left = np.stack([fit.left_out for fit in each], axis=1)
             beta = np.array([fit.all for fit in each])
             parts = zip(left, self.folds, strict=True)
-            predicted = np.hstack([(own[:, None] @ self.phi[:, :, s])[:, 0] for own, s in parts])
+            predicted = np.hstack([(own[:, None] @ phi[:, :, s])[:, 0] for own, s in parts])
             explained = float((predicted * (r.precision @ (2 * residual - predicted))).sum())
             statistic = of_products(q, r.run_of(r.block), r.base.policy)
             out.append(Curve(self, beta, left, predicted, explained, statistic))
