@@ -37,6 +37,8 @@ COLLAPSED = 1e-10
 """Widths of the box within which a whole population counts as one point."""
 SEPARATION = 0.05
 """Root mean square distance of two starts, in widths of the box."""
+SAME = 1e-6
+"""Relative difference of cost within which two local results are the same optimum."""
 
 
 def latin_hypercube(n: int, lower: FloatArray, upper: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -234,18 +236,15 @@ def hybrid(
     keep: int = 3,
     budget: int = 20_100,
     global_solver: str = "shtlbo",
-    separation: float = SEPARATION,
-    same: float = 1e-6,
     size: int | None = None,
 ) -> HybridResult:
     """Explore the box, refine the best few separated points, and return the best of all.
 
     starts: `(k, dim)` points of the user; they join the global stage and are all refined themselves.
-    keep: how many points of the final population to refine at most, `separation` from the others in widths
+    keep: how many points of the final population to refine at most, `SEPARATION` from the others in widths
         of the box (root mean square). A class that has collapsed leaves one.
     budget: evaluations of the global stage.
     global_solver: a name from `SOLVERS`, or "screening", one Latin hypercube of `budget` points.
-    same: relative difference of cost within which two local results count as the same optimum.
     size: as in `minimize`.
     """
     began, _ = perf_counter(), problem.second_order
@@ -255,11 +254,11 @@ def hybrid(
     method, size = ("tlbo", budget) if global_solver == "screening" else (global_solver, size)
     begin = given if len(given) else None
     explored = minimize(problem, method, seed=seed, budget=budget, start=begin, size=size)
-    queue = np.concatenate([given, best_separated(explored.population, keep, problem, separation).x])
+    queue = np.concatenate([given, best_separated(explored.population, keep, problem).x])
     local: list[Result] = []
-    interrupted = explored.status == "interrupted" or _refine(problem, queue, explored, local, same)
+    interrupted = explored.status == "interrupted" or _refine(problem, queue, explored, local)
     stages = [explored, *local]
-    ended = [stage for stage, there in zip(local, _reached([*local, explored], same), strict=False) if there]
+    ended = [stage for stage, there in zip(local, _reached([*local, explored]), strict=False) if there]
     best, share = min(ended or stages, key=lambda stage: stage.cost), len(ended) / max(len(local), 1)
     return HybridResult(
         x=best.x,
@@ -276,7 +275,7 @@ def hybrid(
     )
 
 
-def _refine(problem: Problem, queue: FloatArray, explored: Result, local: list[Result], same: float) -> bool:
+def _refine(problem: Problem, queue: FloatArray, explored: Result, local: list[Result]) -> bool:
     """Refine the starts into `local`, by Newton's method; return whether that was interrupted.
 
     IPOPT takes three times as long: it begins anew where Newton's method fails or ends above the best cost.
@@ -286,7 +285,7 @@ def _refine(problem: Problem, queue: FloatArray, explored: Result, local: list[R
             local.append(newton(problem, x0))
             if local[-1].status == "interrupted":
                 return True
-        for k, there in enumerate(_reached([*local, explored], same)[:-1]):
+        for k, there in enumerate(_reached([*local, explored])[:-1]):
             if there and local[k].status == "converged":
                 continue
             tried = [ipopt(problem, queue[k]), local[k]]
@@ -300,13 +299,13 @@ def _refine(problem: Problem, queue: FloatArray, explored: Result, local: list[R
     return False
 
 
-def _reached(stages: list[Result], same: float) -> list[bool]:
+def _reached(stages: list[Result]) -> list[bool]:
     """Which of the results have the best cost."""
     lowest = min(stage.cost for stage in stages)
     begun = [
         stage.history[0, 1] for stage in stages if len(stage.history) and np.isfinite(stage.history[0, 1])
     ]
-    tolerance = same * abs(lowest) + 1e-12 * (max(begun) - lowest) if begun else 0.0
+    tolerance = SAME * abs(lowest) + 1e-12 * (max(begun) - lowest) if begun else 0.0
     return [bool(np.isfinite(stage.cost) and stage.cost <= lowest + tolerance) for stage in stages]
 
 

@@ -100,8 +100,6 @@ SCREENED, ELSEWHERE = 100, 2
 ROUNDING = 1e-14
 """Part of the cost below which the predicted decrease of Newton's method is rounding: values are then good to
 1e-5 of their standard uncertainty, with the usual 1e-12 to 4e-4."""
-SAME = 1e-6
-"""Relative difference of cost within which two optima are the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +187,6 @@ def search(
             keep=KEEP,
             budget=BUDGET,
             global_solver="shtlbo" if solver == "hybrid" else solver,
-            same=SAME,
             size=SIZE,
         )
         first = scaled.from_unit(explored.x)

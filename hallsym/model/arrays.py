@@ -70,7 +70,7 @@ WORK, FEWEST = 12_000_000, 384
 A graph of many magnets and sensors holds tens of thousands of values of each sample at once."""
 
 
-def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[np.ndarray]]:
+def on_arrays(function: ca.Function) -> Callable[..., list[np.ndarray]]:
     """Return `run(*inputs) -> outputs`, `function` evaluated on arrays of samples.
 
     Each input of `function`, a column of length n, is given as a sequence of n entries, scalars or arrays
@@ -78,11 +78,10 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
     depend on no sample are broadcast). Matrix outputs are flattened column by column, as CasADi stores them.
     Values that are not finite are returned without a warning, as CasADi does. `out`: arrays of that shape to
     write the outputs to.
-    `real`: type of the constants in the graph, for samples of another type than double.
 
     Raises `NotImplementedError` at once when the graph holds an operation without an array form.
     """
-    program = _compile(function, real)
+    program = _compile(function)
     rows = [function.nnz_out(k) for k in range(function.n_out())]
     if not all(function.sparsity_out(k).is_dense() for k in range(function.n_out())):
         raise NotImplementedError(f"on_arrays needs dense outputs; densify {function.name()} first")
@@ -147,7 +146,7 @@ def on_vectors(function: ca.Function) -> Callable[..., list[np.ndarray]]:
     return run
 
 
-def _compile(function: ca.Function, real: type) -> tuple[list, ...]:
+def _compile(function: ca.Function) -> tuple[list, ...]:
     """Return lists over all instructions: kind, operation, two registers read and the register written.
 
     Numbers of registers are shared objects: a graph has hundreds of thousands of instructions, and the graphs
@@ -163,7 +162,7 @@ def _compile(function: ca.Function, real: type) -> tuple[list, ...]:
         kind, operation = OPERATIONS[code]
         *read, target = *function.instruction_input(k), *function.instruction_output(k)
         kinds.append(kind)
-        operations.append(real(function.instruction_constant(k)) if kind == "constant" else operation)
+        operations.append(float(function.instruction_constant(k)) if kind == "constant" else operation)
         first.append(of[read[0]] if read else 0)
         second.append(of[read[1]] if len(read) > 1 else 0)
         targets.append(of[target])

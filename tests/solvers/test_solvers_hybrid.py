@@ -41,7 +41,6 @@ def test_share_counts_the_starts_that_reached_the_best():
     assert result.x == pytest.approx([2.0, 0.0], abs=1e-6)
     assert hybrid(problem, starts=starts[:2], **alone).share == 1.0
     assert hybrid(problem, starts=starts[1:], **alone).share == pytest.approx(1 / 3)
-    assert hybrid(problem, starts=starts, same=1e99, **alone).share == 1.0
 
 
 def test_ipopt_begins_anew_where_newtons_method_ends_above_the_best():
@@ -51,11 +50,11 @@ def test_ipopt_begins_anew_where_newtons_method_ends_above_the_best():
     assert result.local[1].evaluations > newton(problem, starts[1]).evaluations
 
 
-def test_keep_and_apart_choose_the_starts():
-    problem = TWO.problem()
-    both = hybrid(problem, seed=0, global_solver="screening", budget=300, keep=2, separation=0.3)
-    assert sorted(np.sign(part.x[0]) for part in both.local) == [-1.0, 1.0]
-    assert len(hybrid(problem, seed=0, global_solver="screening", budget=300, keep=1).local) == 1
+@pytest.mark.parametrize(("keep", "valleys"), [(1, {1.0}), (30, {-1.0, 1.0})])
+def test_as_many_separated_starts_are_refined_as_are_kept(keep, valleys):
+    found = hybrid(TWO.problem(), seed=0, global_solver="screening", budget=300, keep=keep)
+    assert len(found.local) == keep
+    assert {np.sign(part.x[0]) for part in found.local} == valleys
 
 
 def test_starts_of_the_user_join_the_search_and_are_refined_first():
