@@ -214,6 +214,8 @@ def test_every_result_has_a_page(results: dict[str, Any], kind: str, tmp_path: P
     page = hallsym.report(results[kind], tmp_path / "page.html").read_text(encoding="utf-8")
     for part in ("viewport", 'class="card ', "prefers-color-scheme", "@media print", 'id="verdict"'):
         assert part in page, part
+    assert "<svg viewBox" in page or kind == "Diagnosis"
+    assert ('class="key"' in page) == (kind in ("Plan", "Identifiability"))
 
 
 def test_errors_of_calls_advise_arguments_and_those_of_commands_options(

@@ -15,9 +15,9 @@ from hallsym.files import atomic_write
 from hallsym.fleets import devices_of, fleet, machine_file, ring_fleet, tolerance_file
 from hallsym.fleets.row import GOOD
 from hallsym.log import Drop, read_log, without
-from hallsym.report.content import document
 from hallsym.report.results.fleet import fleet_content
 from hallsym.report.results.self_calibration import ring_fleet_content
+from hallsym.report.views import page_of
 
 
 def add(sub: Any) -> None:
@@ -77,7 +77,7 @@ def run(options: Namespace) -> int:
             atomic_write(path, make(found))
             wrote.append(path)
     if options.page:
-        atomic_write(options.page, document(fleet_content(found)))
+        atomic_write(options.page, page_of(found))
         wrote.append(options.page)
     say(options, found.to_dict(), lambda: fleet_content(found), wrote=wrote)
     return OK if set(found.verdicts) <= {GOOD} else NOT_DESCRIBED
@@ -85,7 +85,7 @@ def run(options: Namespace) -> int:
 
 def _rings(options: Namespace) -> int:
     """Calibrate rings of one jig without a reference."""
-    for name in ("diagnose", "scheduler", "next_machine", "tolerances", "page"):
+    for name in ("diagnose", "scheduler", "next_machine", "tolerances"):
         if getattr(options, name):
             raise InputError(f"--{name.replace('_', '-')} is not for logs without a reference; leave it out.")
     machine, reading = read_machine(options.machine), reading_of(options)
@@ -107,5 +107,8 @@ def _rings(options: Namespace) -> int:
     if options.output:
         found.save(options.output)
     wrote: list[str | Path] = [options.output] if options.output else []
+    if options.page:
+        atomic_write(options.page, page_of(found))
+        wrote.append(options.page)
     say(options, found.to_dict(), lambda: ring_fleet_content(found), wrote=wrote)
     return OK if set(found.fleet.verdicts) <= {GOOD} else NOT_DESCRIBED

@@ -102,17 +102,22 @@ class Items:
 
 @dataclass(frozen=True)
 class Figure:
-    """Panels of a page with a caption, side by side: three in a row, or with the `look` "two" two."""
+    """Panels of a page with a caption, side by side: `across` in a row, two or three."""
 
     kind: ClassVar[str] = "figure"
     charts: Sequence[Panel]
     caption: str = ""
-    look: str = ""
+    across: int = 3
+
+    @property
+    def look(self) -> str | None:
+        """The class of the figure in a page: two panels alone are as wide as three."""
+        return "two" if min(self.across, len(self.charts)) < 3 else None
 
     @property
     def width(self) -> float:
         """The px of a panel."""
-        return 360.0 if self.look == "two" else 240.0
+        return 360.0 if self.look else 240.0
 
 
 @dataclass(frozen=True)
@@ -237,7 +242,7 @@ def _environment() -> Any:
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
-    from hallsym.report.drawing import svg
+    from hallsym.report.drawing import key, svg
 
     found = Environment(
         loader=PackageLoader("hallsym.report"),
@@ -253,6 +258,7 @@ def _environment() -> Any:
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     found.globals |= {
         "svg": svg,
+        "key": key,
         "csv": _csv,
         "minus": lambda value: minus(str(value)),
         "micro": lambda value: micro(str(value)),

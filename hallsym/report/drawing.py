@@ -235,11 +235,34 @@ def svg(panel: p.Panel, width: float, *, fixed: bool = False) -> Markup:
     return Markup(f'<svg viewBox="{box}" role="img" aria-label="{says}">{"".join(drawn.parts)}</svg>')
 
 
+def key(panels: Sequence[p.Panel], *, fixed: bool = False) -> Markup:
+    """Return the legend of panels as SVG; nothing where no layer has a name. `fixed` as of `svg`."""
+    with _style(**{"font.size": PAGE_FONT}):
+        ax, found = Figure().add_subplot(), {}
+        for panel in panels:
+            for layer in panel.layers:
+                layer(ax)
+            found |= {words: mark for mark, words in zip(*ax.get_legend_handles_labels(), strict=True)}
+            ax.clear()
+        if not found:
+            return Markup("")
+        width = 360.0
+        across = max(1, int(width / (LETTER * max(map(len, found)) + 45)))
+        height = 1.7 * PAGE_FONT * -(-len(found) // across) + 4
+        figure = Figure(figsize=(width / 72, height / 72), dpi=72)
+        figure.patch.set_visible(False)
+        figure.legend(found.values(), found, loc="center left", ncols=across, borderpad=0.0)
+        drawn = _Svg(width, height, {} if fixed else variables())
+        figure.draw(drawn)
+    box = f"0 0 {_px(width)} {_px(height)}"
+    return Markup(f'<svg class="key" viewBox="{box}" aria-hidden="true">{"".join(drawn.parts)}</svg>')
+
+
 def _margins(panel: p.Panel) -> tuple[float, float, float, float]:
     """Return the px above, right of, below and left of a panel, equal for panels below each other."""
     names = max(map(len, panel.y.names or ()), default=0)
     left = (LETTER * names + 10 if panel.y.names else 50.0) + 2.2 * PAGE_FONT * bool(panel.y.title)
-    top = 1.8 * PAGE_FONT * bool(panel.title) + 4
+    top = 1.8 * PAGE_FONT * (1 + panel.title.count("\n")) * bool(panel.title) + 4
     rim = 24 if panel.x.names is None else 14  # half of the last number
     return top, LETTER * max(map(len, panel.beside), default=0) + rim, _around(panel, PAGE_FONT) - top, left
 

@@ -8,7 +8,7 @@ from textwrap import fill, wrap
 import numpy as np
 
 from hallsym.output import columns, printable
-from hallsym.report.words import number
+from hallsym.report.words import name, number
 from hallsym.units import parameter_unit, readable
 
 LEAST_WORDS = 20
@@ -132,9 +132,9 @@ def in_units(value: float, std: float | None, si: str) -> tuple[str, str]:
 
 
 def heads(columns: Iterable[str], periodic: Collection[str] | None = None, what: str = "") -> list[str]:
-    """Return `rmse x [um]` for each column; `periodic` as in `hallsym.units.readable`."""
-    shown = (readable(c, periodic) for c in columns)
-    return [f"{what} {name} [{unit}]".lstrip() for _, unit, name in shown]
+    """Return `rmse Rz [urad]` for each column; `periodic` as in `hallsym.units.readable`."""
+    shown = ((name(c), readable(c, periodic)[1]) for c in columns)
+    return [f"{what} {called} [{unit}]".lstrip() for called, unit in shown]
 
 
 def cells(

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from hallsym.errors import InputError
 from hallsym.output import fitted
-from hallsym.report.content import Content, document, fragment, printed, text_of
+from hallsym.report.content import (
+    Content,
+    Figure,
+    Note,
+    Section,
+    document,
+    fragment,
+    printed,
+    text_of,
+)
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Drawn
 
 FIRST = 8
 """Lines of a result that stand for all of it."""
@@ -35,7 +45,7 @@ def table(result: Any) -> Mapping[str, Any]:
     return _content_of(result).columns or {}
 
 
-def figure(result: Any, log: Any = None) -> Figure:
+def figure(result: Any, log: Any = None) -> Drawn:
     """Return the picture of a result, drawn; `log`: where it is of one that the result does not hold."""
     from hallsym.report.drawing import draw
 
@@ -68,10 +78,24 @@ def page_of(result: Any, log: Any = None) -> str:
 
         result = load_fit(result)
     if _kind(result) != "Fit":
-        return document(content(result))
+        return document(_pictured(content(result)))
     from hallsym.report.results.fit import log_of, page_content
 
     return document(page_content(log_of(result, log, "report(fit, 'page.html', 'log.csv')"), result))
+
+
+def _pictured(said: Content) -> Content:
+    """Return what a page shows: the picture too, where the report has no figures of its own."""
+    own = any(isinstance(block, Figure) and block.charts for s in said.sections for block in s.content)
+    try:
+        picture = None if own else said.picture and said.picture(None)
+    except InputError:  # nothing to draw
+        picture = None
+    if picture is None:
+        return said
+    panels = [replace(panel, beside=()) for panel in picture.panels]  # words of the table
+    shown = Section("picture", "Picture", [Note(picture.words), Figure(panels, "", picture.across)])
+    return replace(said, sections=[*said.sections[:1], shown, *said.sections[1:]])
 
 
 _CONTENTS = {

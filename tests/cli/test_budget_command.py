@@ -87,7 +87,7 @@ def test_what_belongs_to_a_calibration(capsys):
 def test_a_position(capsys, here):
     said = ran(capsys, "calib.json", "--at", "x_um=100", "--at", "z_m=2e-4")
     first = said.splitlines()[0]
-    assert first.startswith("U (k = 2) of the position at x 100 um, z 200 um: x 3.356 um, y ")
+    assert first.startswith("U (k = 2) of the position at x 100 um, Z 200 um: x 3.356 um, y ")
     assert first.endswith("; fit covariance: likelihood.")
     assert "from 1 reading" in said
     made = json.loads(ran(capsys, "calib.json", "--at", "x_um=100", "--at", "z_m=2e-4", "--json"))

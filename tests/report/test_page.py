@@ -152,7 +152,7 @@ def test_page_loads_nothing_and_is_small(page: str):
 
 def test_every_colour_of_a_figure_follows_the_page(page: str):
     looks = set(re.findall(r' (?:fill|stroke)="([^"]*)"', page))
-    assert {"var(--ink)", "var(--after)", "var(--median0)", "var(--pos)"} <= looks
+    assert {"var(--ink)", "var(--edge)", "var(--median0)", "var(--pos)"} <= looks
     assert [look for look in looks if not look.startswith("var(--") and look != "none"] == []
 
 

@@ -193,7 +193,7 @@ def test_features_that_are_no_line_have_names_and_intervals():
 
 def test_what_was_not_measured_at_a_place_is_not_drawn():
     page = page_of(a_record())
-    shapes = page.partition('class="shape"')[2].partition("</figure>")[0]
+    shapes = page.partition('id="rest"')[2].partition("</section>")[0].rpartition("<figure")[2]
     lines = re.findall(r'<path d="([^"]*)"[^>]* stroke="var\(--edge\)"', shapes)
     assert [line.count("L") for line in lines] == [8, 7, 8]
 

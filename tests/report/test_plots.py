@@ -272,8 +272,8 @@ def test_settings_are_labelled_by_what_the_stage_does(fitted: Fit, survey: Surve
     [
         ("x_ref_m", 300e-6, 1e6, "µm"),
         ("x_m", 15e-9, 1e9, "nm"),
-        ("x_m", 0.0195, 1e6, "µm"),
-        ("x_m", 0.05, 1e3, "mm"),
+        ("x_m", 0.0019, 1e6, "µm"),
+        ("x_m", 0.0195, 1e3, "mm"),
         ("x_m", 2.0, 1.0, "m"),
         ("angle_ref_rad", 6.28, 180 / np.pi, "deg"),
         ("angle_rad", 1e-3, 180e3 / np.pi, "mdeg"),

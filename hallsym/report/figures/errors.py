@@ -6,12 +6,10 @@ Bars carry their names and numbers, so that no information is in colour alone.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from hallsym.estimation import Fit
 from hallsym.report import picture as p
 from hallsym.report.data.gather import Cells, RunSeries
 from hallsym.report.words import largest, minus, name, number, scale
@@ -58,24 +56,6 @@ def against_floor(
     return panels
 
 
-def in_bounds(fit: Fit, which: Sequence[int]) -> p.Panel:
-    """Return where values lie between their bounds, with two standard uncertainties, and nominal values."""
-    entries, nominal = [], []
-    for k in which:
-        own, value, std = fit.model.parameters[k], float(fit.values[k]), float(fit.std[k])
-        ends = (value, value - 2 * std, value + 2 * std, own.nominal)
-        part, low, high, usual = (100 * (v - own.lower) / own.width for v in ends)
-        known = bool(fit.determined[k])
-        span = (max(low, 0.0), min(high, 100.0)) if known else (part, part)
-        entries.append(p.Row(own.name, part, f"{part:.0f} %", span, p.AFTER if known else p.HOLDOUT))
-        nominal.append(usual)
-    said = "; ".join(f"{row.name} {row.shown}" for row in entries)
-    title = "from lower to upper bound [%]"
-    panel = p.rows(title, f"{title}: {said}", p.Axis(low=0.0, high=100.0), entries)
-    mark = p.points(nominal, range(len(nominal)), p.Look(p.INK, marker="|", size=9.0))
-    return replace(panel, layers=[*panel.layers, mark])
-
-
 # -- errors by cell: along a coordinate, by group of runs, over two coordinates --------------------------
 
 
@@ -120,7 +100,7 @@ def _profile(both: Sequence[Cells], output: int, floor: float, reach: float, par
     marked = [k - part.start for k in cells.marked if k in part]
     levels = [p.level(factor * v) for v in (floor, -floor) if v]
     worst = max(part, key=lambda k: np.nan_to_num(both[-1].rms[output, k]))
-    high = 1.08 * factor * reach or 1.0
+    high = (1.25 if marked else 1.08) * factor * reach or 1.0
     return p.Panel(
         p.Axis("", -0.6, len(part) - 0.4, names=names) if names else p.Axis(cells.by, left[0], right[-1]),
         p.Axis(low=-high, high=high),
@@ -128,7 +108,7 @@ def _profile(both: Sequence[Cells], output: int, floor: float, reach: float, par
             *bands,
             *medians,
             *levels,
-            p.text(["h"] * len(marked), marked, [0.93 * high] * len(marked), "center"),
+            p.text(["h"] * len(marked), marked, [0.92 * high] * len(marked), "center"),
         ],
         f"{what} [{unit}]",
         f"{what} by {cells.by}: largest rms {said[worst]}",

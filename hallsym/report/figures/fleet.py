@@ -14,9 +14,9 @@ from hallsym.report.words import number
 from hallsym.units import parameter_unit
 
 CAPTION = (
-    "Left: good devices by their value, and the normal distribution of the spread between devices and the "
-    "uncertainty of one fit. Right: their values in the order of the rows, with the mean and two standard "
-    "deviations of that distribution; a cross is an outlying device."
+    "Left: good devices by their value, without outlying ones, and the normal distribution of the spread "
+    "between devices and the uncertainty of one fit. Right: their values in the order of the rows, with the "
+    "mean and two standard deviations of that distribution; a cross is an outlying device."
 )
 
 
@@ -46,7 +46,7 @@ def _of(fleet: Fleet, spread: Spread) -> tuple[p.Panel, p.Panel]:
         p.points(order[outlying], values[outlying], p.Look(p.ORANGE, marker="x", size=7.0)),
     ]
     right = p.Panel(p.Axis("device", first, last), p.Axis(what), course, says=says)
-    return _histogram(values, mean, width, what, says), right
+    return _histogram(values[~outlying], mean, width, what, says), right
 
 
 def _histogram(values: np.ndarray, mean: float, width: float, what: str, says: str) -> p.Panel:

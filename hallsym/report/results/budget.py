@@ -8,7 +8,7 @@ import numpy as np
 from hallsym.output import percent
 from hallsym.report.content import Block, Content, Heading, Section, Table
 from hallsym.report.figures.uncertainty import budget_bars
-from hallsym.report.words import number, sized
+from hallsym.report.words import name, number, sized
 from hallsym.trajectory import Curve
 from hallsym.uncertainty import Budget, Comparison, Recorded, Source
 from hallsym.units import UNITS, fitting, readable, reading_unit
@@ -42,7 +42,7 @@ def position_content(
         "Budget of a position",
         f"{expanded(budgets, place)}; {basis}.",
         [
-            *(Section(f"of_{c}", readable(c)[2], budget_blocks(b)) for c, b in budgets.items()),
+            *(Section(f"of_{c}", name(c), budget_blocks(b)) for c, b in budgets.items()),
             Section("more", "More", more),
         ],
     )
@@ -53,7 +53,7 @@ def expanded(budgets: Mapping[str, Budget], place: str) -> str:
     sizes = []
     for budget in budgets.values():
         size = sized(budget.expanded, budget.unit, turns=budget.turns, digits=4)
-        sizes.append(f"{readable(budget.quantity)[2]} {size}")
+        sizes.append(f"{name(budget.quantity)} {size}")
     return f"U ({_coverage(next(iter(budgets.values())))}) of the position at {place}: {', '.join(sizes)}"
 
 
@@ -94,8 +94,8 @@ def budget_blocks(budget: Budget, shown: str | None = None) -> list[Block | str]
     freedom = "" if np.isinf(dof) else f"; {dof:.0f} effective degrees of freedom"
     value = ""
     if budget.value is not None:
-        size, name = fitting(budget.unit, budget.value or budget.expanded, turns=budget.turns)
-        value = f" = {number(budget.value * size)} {name}"
+        size, its = fitting(budget.unit, budget.value or budget.expanded, turns=budget.turns)
+        value = f" = {number(budget.value * size)} {its}"
     return [
         *([Heading(f"{budget.quantity}{value}")] if value else []),
         Table(head, rows, f"sources of {budget.quantity}", left=2),
@@ -105,14 +105,14 @@ def budget_blocks(budget: Budget, shown: str | None = None) -> list[Block | str]
 
 
 def _row(source: Source, share: float, result: str, factor: float, unit: str) -> list[str]:
-    own, name = fitting("1", source.std) if source.unit == "1" else reading_unit(source.unit)
-    own, name = (factor, unit) if source.unit == result else (own, name)
+    own, its = fitting("1", source.std) if source.unit == "1" else reading_unit(source.unit)
+    own, its = (factor, unit) if source.unit == result else (own, its)
     slope = number(source.sensitivity * factor / own)
-    per = "" if name == unit else f" {unit}/{f'({name})' if '/' in name else name}"
+    per = "" if its == unit else f" {unit}/{f'({its})' if '/' in its else its}"
     return [
         source.name,
         source.distribution,
-        f"{number(source.std * own)} {name}",
+        f"{number(source.std * own)} {its}",
         slope + per,
         number(abs(source.contribution) * factor),
         f"{100 * share:.2f}" if abs(share) < 0.01 else f"{100 * share:.1f}",
@@ -172,7 +172,7 @@ def position_words(at: Mapping[str, float], periodic: Collection[str] | None = N
     least = 0.01 * max(map(abs, at.values()), default=0.0)
     parts = []
     for column, value in at.items():
-        factor, unit, name = readable(column, periodic)
+        factor, unit, _ = readable(column, periodic)
         if abs(value) > least:
-            parts.append(f"{name} {number(value * factor)} {unit}")
+            parts.append(f"{name(column)} {number(value * factor)} {unit}")
     return ", ".join(parts) or "rest"

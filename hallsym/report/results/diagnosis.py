@@ -310,8 +310,8 @@ def _effects_section(d: Diagnosis) -> Section:
         none = "None. No effect of the catalogue lowers the gap by what is worth reporting."
         return Section("effects", "Which effects", [Note(none)])
     rows = [(e.name, e.shrinkage, e.interval) for e in d.effects if math.isfinite(e.shrinkage)]
-    drawn = [shares(rows, "decrease of the gap [%]", 1)] if rows else []
-    ranking = Figure(drawn, "With the 95 % interval of each effect", look="two")
+    drawn = [shares(rows, "decrease of the gap [%]", 1)] if len(rows) > 1 else []
+    ranking = Figure(drawn, "With the 95 % interval of each effect")
     return Section("effects", "Which effects", [ranking, _ranked(d), _meanings(d), *_found(d), *_groups(d)])
 
 
@@ -387,7 +387,7 @@ def _rest_section(d: Diagnosis) -> Section:
         said.append("It significantly goes with no sensor, coordinate, frequency or run.")
     if rest and rest.curve:
         how, panels = curves(rest.curve)
-        said.append(Figure(panels, how, look="shape"))
+        said.append(Figure(panels, how))
     return Section("rest", "What no effect explains", said)
 
 
@@ -399,7 +399,7 @@ def _statements(statements: Sequence[Statement], head: str, title: str) -> list[
     ]
     chart = [shares(drawn, title, look=BEFORE)] if drawn else []
     table = Table([head, "on holdout runs", "p"], rows, "statements on the places, from the fitted runs")
-    return [Figure(chart, look="two"), table] if statements else []
+    return [Figure(chart), table] if statements else []
 
 
 def _place(s: Statement) -> str:

@@ -121,11 +121,15 @@ def circumstances(fit: Fit) -> list[str]:
     if s.starts > 1:
         same = round(s.share_at_optimum * s.starts)
         how += f"; {same} of {s.starts} refined starts reached this optimum"
-    by_source: dict[str, list[str]] = {}
+    by_source: dict[str, dict[str, list[str]]] = {}
     for channel, sigma in fit.noise.sigmas.items():
-        factor, unit, name = readable(channel, fit.model.period)
-        by_source.setdefault(sigma.source, []).append(f"{name} {number(sigma.value * factor)} {unit}")
-    noise = "; ".join(f"{source}: {', '.join(values)}" for source, values in by_source.items())
+        factor, unit, called = readable(channel, fit.model.period)
+        size = f"{number(sigma.value * factor)} {unit}"
+        by_source.setdefault(sigma.source, {}).setdefault(size, []).append(called)
+    noise = "; ".join(
+        f"{source}: {shared.few([f'{shared.few(names, 3)} {size}' for size, names in sizes.items()], 12)}"
+        for source, sizes in by_source.items()
+    )
     return [
         f"solver: {how}{_bounded(fit)}",
         _goodness(fit),

@@ -3,7 +3,7 @@
 from hallsym.errors import counted
 from hallsym.fleets import Fleet
 from hallsym.fleets.row import VERDICTS
-from hallsym.report.content import Block, Content, Figure, Note, Section, Table
+from hallsym.report.content import Block, Content, Section, Table
 from hallsym.report.figures.fleet import distributions
 from hallsym.report.results.shared import few
 from hallsym.report.tables import concise
@@ -32,7 +32,6 @@ def fleet_content(fleet: Fleet) -> Content:
     ]  # fmt: skip
     groups = [[key, str(len(names)), few(names)] for key, names in fleet.groups.items()]
     groups = groups if any(row.get("diagnosis") for row in fleet.rows) else []
-    drawn = distributions(fleet) if fleet.spreads else None
     also = f", {len(listed)} to look at" if listed else ""
     return Content(
         f"Fleet of {counted(count, 'device')}: {model}",
@@ -43,10 +42,6 @@ def fleet_content(fleet: Fleet) -> Content:
             Section(
                 "groups", "Devices of the same diagnosis",
                 [Table(["devices of the same diagnosis", "devices", "which"], groups, "groups", wordy=(2,))],
-            ),
-            Section(
-                "distributions", "Distributions",
-                [Note(drawn.words), Figure(drawn.panels, look="two")] if drawn else [],
             ),
         ],
         [Table(["verdict", "devices", "meaning"], verdicts, "devices by verdict", wordy=(2,))],

@@ -18,7 +18,7 @@ from hallsym.inference import (
 from hallsym.model import Model
 from hallsym.report.content import Block, Content, Section, Table
 from hallsym.report.figures.sensitivity import effects
-from hallsym.report.results.shared import NAMED, few
+from hallsym.report.results.shared import NAMED, called, few
 from hallsym.report.tables import cells, concise, heads, in_units
 from hallsym.report.words import number
 from hallsym.units import parameter_unit
@@ -50,7 +50,7 @@ def identifiability_content(report: Identifiability) -> Content:
     notes += [f"not computed: {sentence}" for sentence in report.partial]
     notes += [f"note: {note}" for note in report.evidence.notes if note != amiss]
     return Content(
-        f"What {recorded} determines of {report.model.name}",
+        f"What {called(recorded)} determines of {report.model.name}",
         "\n".join(filter(None, (amiss, answer))),
         [
             Section("parameters", "Parameters", [*_parameters(report), *combinations]),

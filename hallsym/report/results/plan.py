@@ -7,7 +7,7 @@ from hallsym.experiment import Plan, Worst
 from hallsym.log import as_log
 from hallsym.report.content import Content, Section, Table
 from hallsym.report.figures.plan import coverage
-from hallsym.report.words import number
+from hallsym.report.words import name, number
 from hallsym.units import readable
 
 
@@ -53,5 +53,5 @@ def worst_text(worst: Worst) -> str:
 
 def _position(plan: Plan, values: np.ndarray) -> str:
     model = plan.study.model
-    shown = [(*readable(c, model.period), v) for c, v in zip(model.pose, values, strict=True)]
-    return ", ".join(f"{name} {number(value * factor)} {unit}" for factor, unit, name, value in shown)
+    shown = [(name(c), v, *readable(c, model.period)) for c, v in zip(model.pose, values, strict=True)]
+    return ", ".join(f"{called} {number(value * factor)} {unit}" for called, value, factor, unit, _ in shown)

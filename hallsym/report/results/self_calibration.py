@@ -47,9 +47,8 @@ def self_fit_content(result: SelfFit) -> Content:
         motion = "" if w.motion is None else _size(result, w.motion, w.motion_std)
         rows.append([str(w.per_turn), number(w.per_turn / found.pairs), sensor, motion, READING[w.verdict]])
     rest = len(found.kept) - len([w for w in shown if w in found.kept])
-    waves = Table(
-        ["wave per turn", "per period", "sensor", "motion", "[electrical deg]"], rows, "waves", wordy=(4,)
-    )
+    head = ["wave per turn", "per period", "sensor", "motion", "verdict"]
+    waves = Table(head, rows, "amplitude of each wave [electrical deg]", wordy=(4,))
     return Content(
         f"Table of {fit.model.name} without a reference",
         result.sentence,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -14,7 +13,7 @@ from hallsym.estimation.calibration import LogRecord
 from hallsym.log.columns import in_a_row
 from hallsym.report.content import Block, Facts, Figure, Heading, Note, Runs, Section, Table, Words
 from hallsym.report.data.gather import Cells, RunSeries
-from hallsym.report.figures.errors import Sizes, in_bounds, over_time, plane, profiles, script_data
+from hallsym.report.figures.errors import Sizes, over_time, plane, profiles, script_data
 from hallsym.report.tables import cells, concise, heads, in_units
 from hallsym.report.words import amount, name, number
 from hallsym.units import parameter_unit
@@ -25,10 +24,6 @@ OVER = BANDS + " Orange: before; blue, drawn over it: after."
 VALUES = (
     "Values with the standard uncertainty in parentheses, on the last two digits; a value in parentheses is "
     "not identifiable."
-)
-BOUNDS = (
-    "Dot and line: the value with two standard uncertainties; a hollow dot is not identifiable; stroke: the "
-    "nominal value."
 )
 
 
@@ -167,7 +162,7 @@ def _profiles(
     for m, a in ((m, a) for m, a in pairs if m.labels):
         marked = " An h marks runs of the holdout." if m.marked else ""
         content += [Heading(f"By {m.by}"), Note(f"{how}{marked}")]
-        content.append(Figure(_charts(m, a, floor), look="two"))
+        content.append(Figure(_charts(m, a, floor), across=2))
     return content
 
 
@@ -232,9 +227,6 @@ def parameters_of(fit: Fit) -> list[Block]:
     if len(shown) < len(remarks):
         more = f"and {counted(len(remarks) - len(shown), 'parameter')} more that this log does not determine"
         content.append(Words(f"{more}; the calibration file and --json list all"))
-    inside = [k for k in shown if 0 < fit.model.parameters[k].width < math.inf]
-    if inside:
-        content += [Note(BOUNDS), Figure([in_bounds(fit, inside)], look="two")]
     if fit.combinations:
         head = ["identifiable combinations", "value (1 sigma)", "unit"]
         rows = [[c.expression, *in_units(c.value, c.std, c.unit)] for c in fit.combinations]
