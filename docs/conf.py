@@ -14,6 +14,7 @@ from typing import Any
 from nbclient import NotebookClient
 
 import hallsym
+from hallsym.cli import records
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -72,6 +73,7 @@ for _name, _schema in (
     ("calibration", hallsym.calibration_schema()),
     ("diagnosis", hallsym.diagnosis_schema()),
     ("meta", hallsym.meta_schema()),
+    *((command, records.schema(command)) for command in records.COMMANDS),
 ):
     (_schemas / f"{_name}.schema.json").write_text(json.dumps(_schema, indent=1) + "\n", encoding="utf-8")
 

@@ -10,6 +10,8 @@ import numpy as np
 from hallsym.errors import InputError, nearest
 
 Kind = TypeVar("Kind")
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+"""Of JSON Schemas."""
 
 
 def named(names: Iterable[str], values: Any) -> dict[str, Any]:
@@ -62,8 +64,15 @@ def schema_of(kind: type, title: str) -> dict[str, Any]:
     """Return the JSON Schema of the files that hold a `kind`, from the types that validate them."""
     import msgspec
 
-    dialect = "https://json-schema.org/draft/2020-12/schema"
-    return {"$schema": dialect, "title": title, **msgspec.json.schema(kind)}
+    return {"$schema": DIALECT, "title": title, **msgspec.json.schema(kind)}
+
+
+def schemas_of(kinds: Iterable[type]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Return the JSON Schema of each type, as references, and what they refer to by name."""
+    import msgspec
+
+    found, defined = msgspec.json.schema_components(kinds, ref_template="#/$defs/{name}")
+    return list(found), defined
 
 
 _TYPES = {

@@ -107,8 +107,8 @@ def run(options: Namespace) -> int:
     elif options.file.endswith(".toml"):
         campaign = read_campaign(options.file)
         record = {
-            "runs": len(campaign.runs), "samples": campaign.rows, "clock [s]": campaign.step_s,
-            "seconds recorded": sum(run.duration_s for run in campaign.runs),
+            "runs": len(campaign.runs), "samples": campaign.rows, "clock_s": campaign.step_s,
+            "seconds": sum(run.duration_s for run in campaign.runs),
             "noise": dict(campaign.noise or {}),
         }  # fmt: skip
         said = f"{options.file}: {counted(campaign.rows, 'sample')} in {counted(len(campaign.runs), 'run')}."

@@ -229,22 +229,6 @@ def test_a_full_disk_leaves_the_old_calibration(capsys, written, tmp_path, monke
 # -- what good input gives -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("words", "form"),
-    [
-        ("info", "hallsym info 1"),
-        ("info CALIB", "hallsym calibration 1"),
-        ("budget CALIB", "hallsym budget 1"),
-        ("evaluate CALIB LOG", "hallsym evaluate 1"),
-        ("sensitivity CALIB --plan", "hallsym sensitivity 1"),
-    ],
-)
-def test_json_begins_with_its_format(capsys, written, words, form):
-    known = {"CALIB": Path(__file__).parents[1] / "golden" / "calib.json", "LOG": written()}
-    _, out, _ = run(capsys, *(known.get(word, word) for word in words.split()), "--json")
-    assert next(iter(json.loads(out).items())) == ("format", form)
-
-
 def test_json_has_every_field_and_agrees_with_the_saved_file(capsys, written, tmp_path):
     path = tmp_path / "calib.json"
     code, out, _ = run(capsys, "fit", written(), "--holdout", "2,7,12", "-o", path, "--json")
