@@ -1,4 +1,4 @@
-"""Goodness of fit: the residual in multiples of the noise, overall, by run and by channel.
+"""Noise floor and verdict: the residual in multiples of the noise, overall, by run and by channel.
 
 If the model is right and the noise is as stated, the cost of a fit is chi-square distributed: its value per
 degree of freedom is 1 within sqrt(2 / dof). An excess answers two different questions:

@@ -79,25 +79,16 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Facts:
-    """Names and values of a page; those without a value are left out, a value in `code` is typed."""
-
-    kind: ClassVar[str] = "facts"
-    pairs: Sequence[tuple[str, Any]]
-    code: frozenset[str] = frozenset()
-
-    @property
-    def known(self) -> list[tuple[str, str, bool]]:
-        """Name, value, and whether it is code."""
-        return [(name, str(v), name in self.code) for name, v in self.pairs if v not in (None, "")]
-
-
-@dataclass(frozen=True)
 class Items:
-    """A list of lines, each a name, which may be empty, and words."""
+    """A list of lines, each a name, which may be empty, and a value; None and "" are left out."""
 
     kind: ClassVar[str] = "items"
-    lines: Sequence[tuple[str, str]]
+    pairs: Sequence[tuple[str, Any]]
+
+    @property
+    def lines(self) -> list[tuple[str, str]]:
+        """Names and values as text."""
+        return [(name, str(value)) for name, value in self.pairs if value not in (None, "")]
 
 
 @dataclass(frozen=True)
@@ -132,7 +123,7 @@ class Runs:
     data: Any
 
 
-Block = Words | Note | Heading | Table | Facts | Items | Figure | Runs
+Block = Words | Note | Heading | Table | Items | Figure | Runs
 
 
 @dataclass(frozen=True)

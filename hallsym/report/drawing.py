@@ -238,7 +238,7 @@ def svg(panel: p.Panel, width: float, *, fixed: bool = False) -> Markup:
 def key(panels: Sequence[p.Panel], *, fixed: bool = False) -> Markup:
     """Return the legend of panels as SVG; nothing where no layer has a name. `fixed` as of `svg`."""
     with _style(**{"font.size": PAGE_FONT}):
-        ax, found = Figure().add_subplot(), {}
+        ax, found = Figure().add_subplot(), dict[str, Any]()
         for panel in panels:
             for layer in panel.layers:
                 layer(ax)
@@ -251,7 +251,7 @@ def key(panels: Sequence[p.Panel], *, fixed: bool = False) -> Markup:
         height = 1.7 * PAGE_FONT * -(-len(found) // across) + 4
         figure = Figure(figsize=(width / 72, height / 72), dpi=72)
         figure.patch.set_visible(False)
-        figure.legend(found.values(), found, loc="center left", ncols=across, borderpad=0.0)
+        figure.legend([*found.values()], [*found], loc="center left", ncols=across, borderpad=0.0)
         drawn = _Svg(width, height, {} if fixed else variables())
         figure.draw(drawn)
     box = f"0 0 {_px(width)} {_px(height)}"

@@ -146,7 +146,7 @@ def _input(d: Diagnosis) -> Items:
             f"p {significance_text(d.significance, piece_of(d))}" if d.significance else None,
         ),
     ]
-    return Items([(what, str(value)) for what, value in pairs if value])
+    return Items(pairs)
 
 
 def piece_of(d: Diagnosis) -> str:
@@ -338,7 +338,7 @@ def _meanings(d: Diagnosis) -> Items:
         if name_ in found:
             parts += [found[name_].cost and f"Adds {found[name_].cost}.", found[name_].note]
         lines.append((name_, " ".join(filter(None, parts))))
-    return Items([line for line in lines if line[1]])
+    return Items(lines)
 
 
 def _found(d: Diagnosis) -> list[Block]:

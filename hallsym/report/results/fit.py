@@ -21,7 +21,7 @@ from hallsym.families import added_effects
 from hallsym.families.recording import as_read
 from hallsym.log import Log, Weigh, as_log
 from hallsym.model import Parameter
-from hallsym.report.content import Block, Content, Facts, Items, Section, Table
+from hallsym.report.content import Block, Content, Items, Section, Table
 from hallsym.report.data.gather import Gathered, gather, nominal_of
 from hallsym.report.data.periodic import periodic_of
 from hallsym.report.picture import Picture
@@ -333,7 +333,7 @@ def _identifiable(fit: Fit) -> list[str]:
     return said
 
 
-def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Facts:
+def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Items:
     runs, holdout = found.survey.runs, [r for r in fit.log.holdout if same]
     fitted = [r for r in runs if r not in holdout]
     count = int(np.diff(found.survey.edges).sum())
@@ -354,7 +354,7 @@ def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Facts:
             f"every parameter at its nominal value{', no zero deviations' if fit.model.offsets else ''}",
         ),
     ]
-    return Facts(pairs, frozenset({"log", "calibrated on"}))
+    return Items(pairs)
 
 
 def _notes(log: Log, fit: Fit, found: Gathered, same: bool) -> list[str]:

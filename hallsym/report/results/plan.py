@@ -1,24 +1,25 @@
 """What a person reads of a plan, in um and urad."""
 
-import numpy as np
-
 from hallsym.errors import counted
 from hallsym.experiment import Plan, Worst
 from hallsym.log import as_log
 from hallsym.report.content import Content, Section, Table
 from hallsym.report.figures.plan import coverage
-from hallsym.report.words import name, number
-from hallsym.units import readable
+from hallsym.report.results.shared import each
+from hallsym.report.words import number
 
 
 def plan_content(plan: Plan) -> Content:
     """Return what is said of a plan: what it determines, and the runs."""
     study, n = plan.study, len(plan.campaign.runs)
-    each, resets = study.ranges.seconds_per_run, study.ranges.reset_s
+    long, resets = study.ranges.seconds_per_run, study.ranges.reset_s
     time = f"{number(plan.minutes)} min" + ("" if resets is not None else " without resets")
-    uncertain = f"worst u (1 sigma) of the position over the ranges: {_position(plan, plan.position)}"
+    pose, period = study.model.pose, study.model.period
+    worst = dict(zip(pose, plan.position, strict=True))
+    uncertain = f"worst u (1 sigma) of the position over the ranges: {each(worst, period)}"
     if study.criterion.name == "max-u":
-        uncertain += f" (counted in {_position(plan, study.ranges.references(study.model.pose))})"
+        counted_in = dict(zip(pose, study.ranges.references(pose), strict=True))
+        uncertain += f" (counted in {each(counted_in, period)})"
     before: list[str] = []
     if plan.before is not None:
         recorded = counted(plan.recorded, "run")
@@ -26,7 +27,7 @@ def plan_content(plan: Plan) -> Content:
     rows = [[str(k), setting, trajectory] for k, setting, trajectory in plan.groups()]
     return Content(
         f"Plan for {study.model.name}",
-        f"{counted(n, 'run')} of {each:g} s ({time}); worst-determined combination with the plan: "
+        f"{counted(n, 'run')} of {long:g} s ({time}); worst-determined combination with the plan: "
         f"{worst_text(plan.after)}.",
         [Section("runs", "Runs", [Table(["runs", "setting", "trajectory"], rows, "runs to record", left=3)])],
         [
@@ -49,9 +50,3 @@ def worst_text(worst: Worst) -> str:
     if worst.std is None:
         return f"{worst.text} (each over its bound width), not determined"
     return f"{worst.text} (each over its bound width), +- {number(100 * worst.std, 2)} % of it (1 sigma)"
-
-
-def _position(plan: Plan, values: np.ndarray) -> str:
-    model = plan.study.model
-    shown = [(name(c), v, *readable(c, model.period)) for c, v in zip(model.pose, values, strict=True)]
-    return ", ".join(f"{called} {number(value * factor)} {unit}" for called, value, factor, unit, _ in shown)

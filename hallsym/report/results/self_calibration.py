@@ -1,6 +1,7 @@
 """Report of a calibration without a reference: the source of each wave of its table."""
 
 from dataclasses import replace
+from math import degrees
 from typing import Any
 
 import numpy as np
@@ -74,7 +75,7 @@ def _columns(found: SelfFit) -> dict[str, list[Any]]:
 
 def electrical_deg(value: float) -> float:
     """Return an electrical angle [rad] in degrees."""
-    return float(value * 57.29577951308232)
+    return degrees(value)
 
 
 def _size(result: SelfFit, value: complex, std: float | None) -> str:

@@ -11,7 +11,7 @@ from hallsym.errors import InputError, counted
 from hallsym.estimation import Fit
 from hallsym.estimation.calibration import LogRecord
 from hallsym.log.columns import in_a_row
-from hallsym.report.content import Block, Facts, Figure, Heading, Note, Runs, Section, Table, Words
+from hallsym.report.content import Block, Figure, Heading, Items, Note, Runs, Section, Table, Words
 from hallsym.report.data.gather import Cells, RunSeries
 from hallsym.report.figures.errors import Sizes, over_time, plane, profiles, script_data
 from hallsym.report.tables import cells, concise, heads, in_units
@@ -266,5 +266,4 @@ def origin_section(log: LogRecord, found: Mapping[str, Any], command: str) -> Se
         ("sha256 of the log", log.sha256),
         ("versions", ", ".join(f"{part} {version}" for part, version in found.items())),
     ]
-    code = frozenset({"command", "log", "sha256 of the log"})
-    return Section("origin", "Origin", [Facts(pairs, code)])
+    return Section("origin", "Origin", [Items(pairs)])

@@ -7,7 +7,7 @@ import numpy as np
 from hallsym.output import percent
 from hallsym.report.content import Block, Content, Heading, Section, Table
 from hallsym.report.figures.uncertainty import span
-from hallsym.report.results.shared import few
+from hallsym.report.results.shared import each, few
 from hallsym.report.tables import cells, heads
 from hallsym.report.words import number
 from hallsym.uncertainty import ErrorModel
@@ -143,14 +143,11 @@ def errors_content(found: ErrorModel) -> Content:
     """Return errors along a coordinate by cause, and the causes of each number of waves."""
     *_, together = found.causes
     cause, _, errors = together
-    sizes = []
-    for k, column in enumerate(found.model.pose):
-        factor, unit, name = readable(column, found.model.period)
-        sizes.append(f"{name} {number(np.abs(errors.error[k]).max() * factor, 4)} {unit}")
+    sizes = dict(zip(found.model.pose, np.abs(errors.error).max(axis=1), strict=True))
     *_, moving = span(found)
     return Content(
         f"Errors of {found.model.name} along {moving}",
-        f"The largest error over {moving} is {', '.join(sizes)} ({cause}).",
+        f"The largest error over {moving} is {each(sizes, found.model.period)} ({cause}).",
         [Section("waves", "Waves", _waves(found))],
         [_along_head(found), along_table(found)],
     )
