@@ -167,8 +167,8 @@ def test_intervals_of_the_error_stand_below_it():
 
 def test_each_output_is_drawn_over_the_coordinate_that_it_follows_most():
     def along(by: str, *slopes: float) -> Cells:
-        median = np.outer(slopes, [-1e-6, 1e-6])
-        return Cells(by, POSE, np.array([3, 4]), median, np.abs(median), edges=(-1.0, 0.0, 1.0))
+        mean = np.outer(slopes, [-1e-6, 1e-6])
+        return Cells(by, POSE, np.array([3, 4]), mean, np.abs(mean), edges=(-1.0, 0.0, 1.0))
 
     page = page_of(a_record(), maps=[along("x [µm]", 2, 0, 0.5), along("y [µm]", 1, 3, 0.2)])
     first = page.partition("each error follows most")[2].partition("</figure>")[0]
@@ -203,7 +203,7 @@ def test_maps_and_series_are_optional_and_shown():
     errors = {"before": 3e-6 * np.sin(t) * np.ones((3, 1)), "after": 1e-6 * np.cos(t) * np.ones((3, 1))}
     cells = Cells(
         by="x [µm]", pose=POSE, count=np.array([3, 0]), edges=(-10.0, 0.0, 10.0),
-        median=np.array([[1e-6, np.nan]] * 3), rms=np.array([[2e-6, np.nan]] * 3),
+        mean=np.array([[1e-6, np.nan]] * 3), rms=np.array([[2e-6, np.nan]] * 3),
     )  # fmt: skip
     page = page_of(a_record(), maps=[cells], series=[run_series("run 2", POSE, t, errors)])
     outline = Outline(page)

@@ -30,19 +30,14 @@ if TYPE_CHECKING:
     from hallsym.diagnosis import Base
 
 
-# -- median and rms of errors in cells of a coordinate ---------------------------------------------------
-
-
-STEP, HALF = 0.02, 520
-"""Bins are equally wide in arcsinh(error / fine): 2 % of a large error, `STEP` x fine of a small one; the
-outermost begin at sinh(STEP x HALF) = 16 000 x fine."""
+# -- mean and rms of errors in cells of a coordinate -----------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
     """Errors of the decoded pose by cell, in SI.
 
-    `by`: what the cells are along, with the unit of `edges`. `median`, `rms`: (n_pose, cells), nan in an
+    `by`: what the cells are along, with the unit of `edges`. `mean`, `rms`: (n_pose, cells), nan in an
     empty cell; `count`: (cells,). Cells have `edges` (cells + 1,) or, where they are no numbers, `labels`;
     `marked` are the holdout. Over two coordinates `across` holds the edges of the second, `up` its name, and
     cell `i + columns * j` lies at column i, row j. `periodic`: coordinates that go round, see
@@ -52,7 +47,7 @@ class Cells:
     by: str
     pose: tuple[str, ...]
     count: np.ndarray
-    median: np.ndarray
+    mean: np.ndarray
     rms: np.ndarray
     edges: Sequence[float] | np.ndarray = ()
     labels: tuple[str, ...] = ()
@@ -63,50 +58,33 @@ class Cells:
 
 
 class Tally:
-    """Histogram of each series in each cell, from which medians are read; memory is (series, cells, bins)."""
+    """Sums of each series in each cell; memory is (series, cells)."""
 
-    def __init__(self, cells: int, fine: np.ndarray) -> None:
-        """Start a tally of `cells` cells; `fine`: (series,) resolution of errors [SI]."""
-        self.fine = np.maximum(np.asarray(fine, dtype=float), 1e-300)
+    def __init__(self, series: int, cells: int) -> None:
+        """Start a tally."""
         self.count = np.zeros(cells, dtype=np.int64)
-        self.squares = np.zeros((len(self.fine), cells))
-        self.bins = np.zeros((len(self.fine), cells, 2 * HALF), dtype=np.int32)
+        self.sums, self.squares = np.zeros((2, series, cells))
 
-    def bin_of(self, errors: np.ndarray) -> np.ndarray:
-        """Return the bin of each error, (series, samples); it is the same for tallies of equal `fine`."""
-        at = np.floor(np.arcsinh(errors / self.fine[:, None]) / STEP) + HALF
-        return np.clip(np.nan_to_num(at), 0, 2 * HALF - 1).astype(np.int64)
-
-    def add(self, cell: np.ndarray, errors: np.ndarray, bin_of: np.ndarray | None = None) -> None:
+    def add(self, cell: np.ndarray, errors: np.ndarray) -> None:
         """Add samples: `cell` (samples,), negative for none of the cells; `errors` (series, samples).
 
-        An error that is nan takes no part. `bin_of(errors)` may be given where it is known.
+        An error that is nan takes no part.
         """
-        at = self.bin_of(errors) if bin_of is None else bin_of
         inside = (cell >= 0) & np.isfinite(errors).all(axis=0)
-        if not inside.all():
-            cell, errors, at = cell[inside], errors[:, inside], at[:, inside]
-        self.count += np.bincount(cell, minlength=len(self.count))
-        for squares, bins, where, error in zip(self.squares, self.bins, at, errors, strict=True):
-            squares += np.bincount(cell, weights=error**2, minlength=len(squares))
-            np.add.at(bins.reshape(-1), cell * (2 * HALF) + where, 1)
+        cell, errors, most = cell[inside], errors[:, inside], len(self.count)
+        self.count += np.bincount(cell, minlength=most)
+        self.sums += [np.bincount(cell, weights=error, minlength=most) for error in errors]
+        self.squares += [np.bincount(cell, weights=error**2, minlength=most) for error in errors]
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Mean, (series, cells); nan in an empty cell."""
+        return self.sums / np.where(self.count > 0, self.count, np.nan)
 
     @property
     def rms(self) -> np.ndarray:
         """Root mean square, (series, cells); nan in an empty cell."""
         return np.sqrt(self.squares / np.where(self.count > 0, self.count, np.nan))
-
-    @property
-    def median(self) -> np.ndarray:
-        """Median to within one bin, (series, cells); nan in an empty cell."""
-        up = np.cumsum(self.bins, axis=2)
-        half = 0.5 * self.count[:, None]
-        at = np.argmax(up >= np.maximum(half, 0.5), axis=2)
-        before = np.take_along_axis(up - self.bins, at[..., None], axis=2)[..., 0]
-        inside = np.take_along_axis(self.bins, at[..., None], axis=2)[..., 0]
-        part = (half[:, 0] - before) / np.maximum(inside, 1)
-        value = self.fine[:, None] * np.sinh(STEP * (at - HALF + part))
-        return np.where(self.count > 0, value, np.nan)
 
 
 # -- errors of one run over time, reduced to what a picture shows ----------------------------------------
@@ -148,7 +126,7 @@ ALONG, PLANE, MOST = 15, 11, 60
 """Cells along a coordinate, along each side of a map, and of runs (neighbours are taken together).
 
 Odd, so that an axis at rest in the middle of its travel lies inside a cell: on an edge, the noise of its own
-reference would decide the cell, and each side would show a median that is not there.
+reference would decide the cell, and each side would show a mean that is not there.
 """
 
 RUNS = 20
@@ -253,19 +231,17 @@ def _read(
     chosen: Sequence[int],
 ) -> tuple[tuple[Cells, ...], dict[int, Trace]]:  # fmt: skip
     """Return maps and the traces of the chosen runs from the errors (n_pose, samples) of every block."""
-    floor = np.array([fit.noise_floor.get(c) or 0.0 for c in fit.model.pose])
-    fine = np.maximum(floor / 20, survey.fitted.peak.max(axis=0) / 1e4)
-    tallies = [Tally(m.cells, fine) for m in places]
-    traces = {run: Trace(1 + len(fine)) for run in chosen}
+    n = len(fit.model.pose)
+    tallies = [Tally(n, m.cells) for m in places]
+    traces = {run: Trace(1 + n) for run in chosen}
     for block, errors in blocks:
-        at = tallies[0].bin_of(errors) if tallies else None
         for m, tally in zip(places, tallies, strict=True):
-            tally.add(m.place(block), errors, at)
+            tally.add(m.place(block), errors)
         if block.run in traces:
             time = block.data["t_s"] if survey.timed else np.zeros(errors.shape[1])
             traces[block.run].add(np.vstack([time, errors]))
     pairs = zip(places, tallies, strict=True)
-    return tuple(replace(m.frame, count=t.count, median=t.median, rms=t.rms) for m, t in pairs), traces
+    return tuple(replace(m.frame, count=t.count, mean=t.mean, rms=t.rms) for m, t in pairs), traces
 
 
 def _maps(fit: Fit, survey: Survey) -> list[_Map]:

@@ -64,13 +64,13 @@ MOST = 12
 
 
 def profiles(cells: Cells, output: int, floor: float = 0.0, after: Cells | None = None) -> list[p.Panel]:
-    """Return median (line) and rms (band to both sides) of one output by cell; `floor` [SI] is dashed.
+    """Return mean (line) and rms (band to both sides) of one output by cell; `floor` [SI] is dashed.
 
     `after`: the same cells of another version, drawn over it on the same scale. Cells with names are drawn
     in two panels where they are more than `MOST`, so that they can be read on a phone.
     """
     both, n = [cells] if after is None else [cells, after], len(cells.count)
-    reach = max(floor, *(largest(v[output]) for c in both for v in (c.rms, c.median)))
+    reach = max(floor, *(largest(v[output]) for c in both for v in (c.rms, c.mean)))
     step = -(-n // 2) if cells.labels and n > MOST else n
     return [_profile(both, output, floor, reach, range(k, min(k + step, n))) for k in range(0, n, step)]
 
@@ -83,20 +83,20 @@ def _profile(both: Sequence[Cells], output: int, floor: float, reach: float, par
     middle = np.arange(len(part))
     left, right = (middle - half, middle + half) if names else (cells.edges[:-1], cells.edges[1:])
     bands: list[p.Layer] = []
-    medians: list[p.Layer] = []
+    means: list[p.Layer] = []
     said: dict[int, str] = {}
     for c, band, look in zip(both, p.BANDS[-len(both) :], p.MEDIANS[-len(both) :], strict=True):
-        rms, median = (factor * v[output, part] for v in (c.rms, c.median))
+        rms, mean = (factor * v[output, part] for v in (c.rms, c.mean))
         said = {}
-        for k, a, b in zip(part, median, rms, strict=True):
+        for k, a, b in zip(part, mean, rms, strict=True):
             where = c.labels[k] if names else _span(c.edges, k)
-            said[k] = f"{where}: median {minus(number(a))}, rms {number(b)} {unit}, {c.count[k]:d} samples"
+            said[k] = f"{where}: mean {minus(number(a))}, rms {number(b)} {unit}, {c.count[k]:d} samples"
         bands.append(p.boxes(left, right, -rms, rms, band, said=[*said.values()]))
         if names:  # a stroke for each
-            x, y = np.column_stack([left, right, np.full(len(left), np.nan)]), np.repeat(median, 3)
+            x, y = np.column_stack([left, right, np.full(len(left), np.nan)]), np.repeat(mean, 3)
         else:
-            x, y = 0.5 * (np.asarray(left) + right), median
-        medians.append(p.line(np.ravel(x), y, look))
+            x, y = 0.5 * (np.asarray(left) + right), mean
+        means.append(p.line(np.ravel(x), y, look))
     marked = [k - part.start for k in cells.marked if k in part]
     levels = [p.level(factor * v) for v in (floor, -floor) if v]
     worst = max(part, key=lambda k: np.nan_to_num(both[-1].rms[output, k]))
@@ -106,7 +106,7 @@ def _profile(both: Sequence[Cells], output: int, floor: float, reach: float, par
         p.Axis(low=-high, high=high),
         [
             *bands,
-            *medians,
+            *means,
             *levels,
             p.text(["h"] * len(marked), marked, [0.92 * high] * len(marked), "center"),
         ],
@@ -118,7 +118,7 @@ def _profile(both: Sequence[Cells], output: int, floor: float, reach: float, par
 def plane(cells: Cells, both: Sequence[Cells], what: str, output: int, floor: float) -> p.Panel:
     """Return one output over two coordinates, as `tiles` draws it.
 
-    `what`: median or rms. `both`: all versions of the map; the fullest colour is their largest value, or the
+    `what`: mean or rms. `both`: all versions of the map; the fullest colour is their largest value, or the
     noise floor where that is more, so that mere noise stays pale.
     """
     quantity, most = name(cells.pose[output]), max(floor, *(largest(m.rms[output]) for m in both))

@@ -19,7 +19,7 @@ from hallsym.report.words import amount, name, number
 from hallsym.units import parameter_unit
 
 COLOURS = "The fuller the colour the larger the error; a dash marks a negative one; no cell: no samples."
-BANDS = "Line: median; band: plus and minus the rms."
+BANDS = "Line: mean; band: plus and minus the rms."
 OVER = BANDS + " Orange: before; blue, drawn over it: after."
 VALUES = (
     "Values with the standard uncertainty in parentheses, on the last two digits; a value in parentheses is "
@@ -143,7 +143,7 @@ def _planes(versions: Mapping[str, Sequence[Cells]], floor: Mapping[str, float])
             [plane(m, [*flat.values()], what, k, floor.get(c) or 0.0) for k, c in enumerate(m.pose)],
             f"{what}{f', {version}' if len(versions) > 1 else ''}",
         )
-        for what in ("median", "rms")
+        for what in ("mean", "rms")
         for version, m in flat.items()
     ]
     more = " Before and after have one scale." if len(versions) > 1 else ""
@@ -192,10 +192,10 @@ def first_view(
 
 
 def _follows(cells: Cells, output: int) -> float:
-    """Return the mean square of the medians of an output about their mean, by samples."""
+    """Return the mean square of the means of an output about their own mean, by samples."""
     full = cells.count > 0
-    share, median = cells.count[full] / cells.count.sum(), cells.median[output, full]
-    return float(share @ (median - share @ median) ** 2)
+    share, mean = cells.count[full] / cells.count.sum(), cells.mean[output, full]
+    return float(share @ (mean - share @ mean) ** 2)
 
 
 def runs_section(found: Sequence[RunSeries]) -> Section:
