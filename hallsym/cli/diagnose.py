@@ -28,7 +28,7 @@ from hallsym.log.columns import read_runs
 from hallsym.model import Effect, Model
 from hallsym.power import REPEATS, detection_power
 from hallsym.report.content import document
-from hallsym.report.data.gather import gather, version_of
+from hallsym.report.data.gather import gather
 from hallsym.report.results.diagnosis import diagnosis_content
 from hallsym.report.results.power import power_content
 
@@ -138,8 +138,7 @@ def _power(
 def _page(options: Namespace, seen: Examined) -> str:
     """The page of a diagnosis, with maps and series of the residual error, before and after."""
     first = seen.fit
-    after = None if seen.after is None else version_of(seen.after, "after")
-    shown = gather(seen.before.log, first, label="before", keep=first.keep, after=after)
+    shown = gather(seen.before.log, first, label="before", keep=first.keep, after=seen.after)
     content = diagnosis_content(
         seen.diagnosis,
         maps=shown.maps,

@@ -10,7 +10,6 @@ import numpy as np
 
 from hallsym.estimation import Fit
 from hallsym.estimation.decoding import columns_of
-from hallsym.estimation.prediction import Decoder
 from hallsym.log import Block, Log, extended
 from hallsym.log.batches import SIZE, Weigh
 from hallsym.report.data.survey import (
@@ -148,45 +147,25 @@ class Gathered:
     before: tuple[Cells, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class Version:
-    """Another version of a model on the same samples: `errors(block)` is (n_pose, samples), in SI.
-
-    `log`: the same samples with all `columns` that `errors` reads. `keep`: samples that count, None for all.
-    """
-
-    name: str
-    log: Log
-    columns: tuple[str, ...]
-    errors: Callable[[Block], np.ndarray]
-    keep: Weigh | None = None
-
-    def read(self) -> Iterator[tuple[Block, np.ndarray]]:
-        """Yield each block with its errors, nan where a sample does not count."""
-        timed = ("t_s",) if "t_s" in self.log.columns else ()
-        for block in self.log.blocks(tuple(dict.fromkeys((*self.columns, *timed))), size=SIZE):
-            errors = self.errors(block)
-            yield block, errors if self.keep is None else np.where(self.keep(block) > 0, errors, np.nan)
+Errors = Iterator[tuple[Block, np.ndarray]]
+"""Blocks with their errors (n_pose, samples) in SI, nan where a sample does not count."""
 
 
-def nominal_of(log: Log, fit: Fit) -> Version:
-    """Return the nominal parameters as a version of a fit: errors without a calibration."""
-    decode, model = Decoder(fit), fit.model
-
-    def errors(block: Block) -> np.ndarray:
-        return decode.pose(block, None) - np.array([block.data[c] for c in model.references])
-
-    sigma = {c: s.value for c, s in fit.noise.sigmas.items()}
-    wide = extended(log, model, sigma, model.named(fit.values))
-    return Version("nominal", wide, columns_of(model), errors, fit.keep)
+def _decoded(log: Log, fit: Fit, keep: Weigh | None, by: str) -> Errors:
+    """Yield the errors by the `fitted` or by the `nominal` parameters."""
+    for part in decoded(log, fit, keep):
+        yield part.block, np.where(part.kept, getattr(part, by) - part.reference, np.nan)
 
 
-def version_of(base: Base, label: str) -> Version:
-    """Return a model of a diagnosis, without or with the effects found, as a version of the one diagnosed."""
+def _diagnosed(base: Base) -> Errors:
+    """Yield the errors of a model with the effects that a diagnosis found."""
     from hallsym.diagnosis import errors_of
 
-    log = extended(base.log, base.model, base.sigma, base.values)
-    return Version(label, log, columns_of(base.model), errors_of(base), base.keep)
+    log, errors = extended(base.log, base.model, base.sigma, base.values), errors_of(base)
+    timed = ("t_s",) if "t_s" in log.columns else ()
+    for block in log.blocks(tuple(dict.fromkeys((*columns_of(base.model), *timed))), size=SIZE):
+        kept = True if base.keep is None else base.keep(block) > 0
+        yield block, np.where(kept, errors(block), np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,20 +179,21 @@ class _Map:
 
 def gather(
     log: Log, fit: Fit, *, label: str = "decoded", keep: Weigh | None = None,
-    before: Version | None = None, after: Version | None = None,
+    nominal: bool = False, after: Base | None = None,
 ) -> Gathered:  # fmt: skip
     """Read `log` twice, in blocks, for maps and series of the errors of a fit, which is called `label`.
 
-    `before`, `after`: versions of the model that are read once more each, for the same maps and series.
+    `nominal`: also of the nominal parameters, before it. `after`: also of a model with the effects that a
+    diagnosis found. Each is one more pass.
 
     Channels of the log are those of the model (`as_read`). Samples to which `keep` gives weight 0 (outliers)
     take no part and interrupt the series.
     """
     survey = look_over(log, fit, keep)
     chosen = worst_first(survey, fit.noise_floor, RUNS)
-    own = ((p.block, np.where(p.kept, p.fitted - p.reference, np.nan)) for p in decoded(log, fit, keep))
-    others = [(version and {version.name: version.read()}) or {} for version in (before, after)]
-    passes = others[0] | {label: own} | others[1]
+    passes = {"nominal": _decoded(log, fit, keep, "nominal")} if nominal else {}
+    passes[label] = _decoded(log, fit, keep, "fitted")
+    passes |= {} if after is None else {"after": _diagnosed(after)}
     places = _maps(fit, survey)
     found = {key: _read(blocks, fit, survey, places, chosen) for key, blocks in passes.items()}
     series, pose, period = [], fit.model.pose, fit.model.period
@@ -222,14 +202,12 @@ def gather(
         title = f"run {run}{', holdout' if run in held_out(fit) else ''}"
         series.append(series_of(title, pose, traces, timed=survey.timed, periodic=period))
     maps = {key: every for key, (every, _) in found.items()}
-    drawn = [maps[version.name] if version else () for version in (before, after)]
-    return Gathered(survey, maps[label], tuple(series), drawn[1], drawn[0])
+    return Gathered(survey, maps[label], tuple(series), maps.get("after", ()), maps.get("nominal", ()))
 
 
 def _read(
-    blocks: Iterator[tuple[Block, np.ndarray]], fit: Fit, survey: Survey, places: Sequence[_Map],
-    chosen: Sequence[int],
-) -> tuple[tuple[Cells, ...], dict[int, Trace]]:  # fmt: skip
+    blocks: Errors, fit: Fit, survey: Survey, places: Sequence[_Map], chosen: Sequence[int]
+) -> tuple[tuple[Cells, ...], dict[int, Trace]]:
     """Return maps and the traces of the chosen runs from the errors (n_pose, samples) of every block."""
     n = len(fit.model.pose)
     tallies = [Tally(n, m.cells) for m in places]

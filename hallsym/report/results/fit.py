@@ -22,7 +22,7 @@ from hallsym.families.recording import as_read
 from hallsym.log import Log, Weigh, as_log
 from hallsym.model import Parameter
 from hallsym.report.content import Block, Content, Items, Section, Table
-from hallsym.report.data.gather import Gathered, gather, nominal_of
+from hallsym.report.data.gather import Gathered, gather
 from hallsym.report.data.periodic import periodic_of
 from hallsym.report.picture import Picture
 from hallsym.report.results import shared
@@ -264,9 +264,9 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
         next_command = diagnose_command(log.path, fit.model, added_effects(fit.model))
         goodness = replace(seen.goodness, what="The calibration", next_command=next_command)
         log, fit = seen.decoded, seen.applied.changed(goodness=goodness)
-    found = gather(log, fit, label="fitted", before=nominal_of(log, fit))
+    found = gather(log, fit, label="fitted", nominal=True)
     if same and _above_recorded(found, fit):
-        found = gather(log, fit, label="fitted", keep=_spikes(log, fit), before=nominal_of(log, fit))
+        found = gather(log, fit, label="fitted", keep=_spikes(log, fit), nominal=True)
     survey, pose, period = found.survey, fit.model.pose, fit.model.period
     rows = {LABELS.get(k, k): v for k, v in fit.error_rows.items()} if same and fit.error_rows else {
         "nominal": survey.nominal.over(), "this log": survey.fitted.over()}  # fmt: skip
