@@ -16,7 +16,7 @@ from hallsym.estimation import Fit, evaluate, fit
 from hallsym.families import build
 from hallsym.families.recording import Correction
 from hallsym.log import Block, Log
-from hallsym.report.data.gather import version_of
+from hallsym.report.data.gather import diagnosed
 from hallsym.report.data.survey import COLUMNS, Survey, Trace, held_out, look_over, settings
 from hallsym.report.drawing import DPI, WIDTH, draw, save
 from hallsym.report.figures import campaign as plots
@@ -206,7 +206,7 @@ def test_errors_with_the_effects_are_those_of_the_diagnosis() -> None:
     seen = examine(prepare(Log.from_arrays({"angle_ref_rad": a, "angle_rad": angle}), "rotary"))
     found = seen.diagnosis
     for base, gap in ((seen.before, found.gap_before), (seen.after, found.gap_after)):
-        parts = [e for block, e in version_of(base, "it").read() if block.run in found.validation_runs]
+        parts = [e for block, e in diagnosed(base) if block.run in found.validation_runs]
         rmse = np.sqrt(np.nanmean(np.concatenate(parts, axis=1) ** 2))
         assert rmse == pytest.approx(gap.rmse["angle_rad"], rel=1e-6)
 

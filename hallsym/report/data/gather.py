@@ -157,7 +157,7 @@ def _decoded(log: Log, fit: Fit, keep: Weigh | None, by: str) -> Errors:
         yield part.block, np.where(part.kept, getattr(part, by) - part.reference, np.nan)
 
 
-def _diagnosed(base: Base) -> Errors:
+def diagnosed(base: Base) -> Errors:
     """Yield the errors of a model with the effects that a diagnosis found."""
     from hallsym.diagnosis import errors_of
 
@@ -193,7 +193,7 @@ def gather(
     chosen = worst_first(survey, fit.noise_floor, RUNS)
     passes = {"nominal": _decoded(log, fit, keep, "nominal")} if nominal else {}
     passes[label] = _decoded(log, fit, keep, "fitted")
-    passes |= {} if after is None else {"after": _diagnosed(after)}
+    passes |= {} if after is None else {"after": diagnosed(after)}
     places = _maps(fit, survey)
     found = {key: _read(blocks, fit, survey, places, chosen) for key, blocks in passes.items()}
     series, pose, period = [], fit.model.pose, fit.model.period
