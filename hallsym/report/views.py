@@ -95,7 +95,9 @@ def _pictured(said: Content) -> Content:
         return said
     panels = [replace(panel, beside=()) for panel in picture.panels]  # words of the table
     shown = Section("picture", "Picture", [Note(picture.words), Figure(panels, "", picture.across)])
-    return replace(said, sections=[*said.sections[:1], shown, *said.sections[1:]])
+    notes = [section for section in said.sections if section.ident == "notes"]
+    others = [section for section in said.sections if section not in notes]
+    return replace(said, sections=[*others, shown, *notes])
 
 
 _CONTENTS = {
