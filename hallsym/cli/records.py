@@ -391,7 +391,7 @@ class Rings(TypedDict):
     sentence: str
     heads: list[int]
     places_rad: list[float]
-    heights: list[float]
+    heights: list[list[float]]
     ripple: list[Numbers]
     fleet: Record
 

@@ -2,15 +2,18 @@
 
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 from rings import ONE, TURN, recorded, ring
 
+from hallsym.cli import records
 from hallsym.cli.main import main
 from hallsym.errors import InputError
 from hallsym.fleets import ring_fleet
 from hallsym.fleets.row import AMISS, FAILED, GOOD
 from hallsym.log import Log, Meta
+from hallsym.report.views import page_of
 
 NAMES = ("hall1_count", "hall2_count", "hall3_count")
 REAL = Path(__file__).resolve().parents[3] / "shared/real/rings-three-halls/rings.parquet"
@@ -63,6 +66,8 @@ def test_a_fleet_finds_the_drive_and_names_what_is_wrong() -> None:
     truth = (PLACES[list(found.jig.heads[1:])] - PLACES[found.jig.heads[0]]) / 4
     assert np.abs(np.exp(1j * (found.jig.places - truth)) - 1).max() < 1e-3
     assert found.to_dict()["fleet"]["devices"] == 14
+    assert page_of(found).count("<svg viewBox") > 10
+    jsonschema.validate({"format": "hallsym fleet 1", **found.to_dict()}, records.schema("fleet"))
 
 
 def test_too_few_rings_tell_no_jig() -> None:
