@@ -71,21 +71,30 @@ DEAD = 0.05
 """Share of the largest amplitude below which a head is dead."""
 ROUNDS, SETTLED = 40, 1e-8
 """Newton steps of (1) at most; share of the cost below which what a step promises ends them."""
+LEAST_FREE = 0.5
+"""Turns that the table leaves a run from which on the density of what it wanders is its own."""
 NEIGHBOURS = 2
 """Waves on either side over which the density of what is not periodic is averaged."""
 
 
+BESIDE = 10
+"""Waves of a table beside four per period."""
+
+
 def waves_of(pairs: int) -> int:
-    """Return how many waves a table has: four per period and ten beside them."""
-    return 4 * pairs + 10
+    """Return how many waves a table has: four per period and `BESIDE`."""
+    return 4 * pairs + BESIDE
 
 
 def columns(angle: np.ndarray, orders: np.ndarray) -> np.ndarray:
     """Return cosine, then sine columns (samples, 2 waves) of the orders at angles (samples,)."""
-    powers = np.exp(1j * angle)[:, None]
-    while powers.shape[1] < orders.max(initial=1):  # exp(i (n + m) u) = exp(i n u) exp(i m u)
-        powers = np.hstack([powers, powers * powers[:, -1:]])
-    waves = powers[:, orders - 1]
+    powers = np.empty((len(angle), orders.max(initial=1)), complex)
+    powers[:, 0], done = np.exp(1j * angle), 1
+    while done < powers.shape[1]:  # exp(i (n + m) u) = exp(i n u) exp(i m u)
+        more = powers[:, done : 2 * done]
+        np.multiply(powers[:, : more.shape[1]], powers[:, done - 1, None], out=more)
+        done *= 2
+    waves = powers[:, orders - 1] if len(orders) < powers.shape[1] else powers
     return np.hstack([waves.real, waves.imag])
 
 
@@ -285,14 +294,11 @@ def on_grid(parts: Sequence[Stretch], size: int) -> tuple[np.ndarray, np.ndarray
     grid = np.arange(size) * TURN / size
     readings, times = [], []
     for part in parts:
-        few = max(int(len(part.u) / part.turns / (2 * size)), 1)  # neighbours that are averaged first
-        count = len(part.u) // few
-        u, t, x = (
-            v[: count * few].reshape(count, few, -1).mean(axis=1) for v in (part.u, part.time, part.readings)
-        )
-        u, t = u[:, 0], t[:, 0]
-        if u[-1] < u[0]:
-            u, t, x = u[::-1], t[::-1], x[::-1]
+        rows, onward = len(part.u) / part.turns, np.sign(part.u[-1] - part.u[0])
+        few, most = (max(int(rows / k), 1) for k in (2 * size, size / 2))
+        while few < most and (onward * np.diff(_averaged(part.u, few)) <= 0).any():
+            few += 1  # until noise of the angle does not reach from one mean to the next
+        u, t, x = (_averaged(v, few)[:: int(onward)] for v in (part.u, part.time, part.readings))
         keep = np.r_[True, u[1:] > np.maximum.accumulate(u)[:-1]]
         reading, time = (scipy.interpolate.CubicSpline(u[keep], values[keep]) for values in (x, t))
         whole = np.floor((u[-1] - grid) / TURN) - np.ceil((u[0] - grid) / TURN) + 1
@@ -304,6 +310,12 @@ def on_grid(parts: Sequence[Stretch], size: int) -> tuple[np.ndarray, np.ndarray
     count = len(readings)
     noise = np.sqrt(np.mean((np.array(readings) - mean) ** 2) / (count - 1)) if count > 1 else np.nan
     return grid, mean, np.array(times), float(noise)
+
+
+def _averaged(values: np.ndarray, few: int) -> np.ndarray:
+    """Return means of `few` neighbours each of values (samples, ...)."""
+    count = len(values) // few
+    return np.asarray(values[: count * few].reshape(count, few, *values.shape[1:]).mean(axis=1))
 
 
 def closure_of(
@@ -329,7 +341,7 @@ def closure_of(
     for head in alive:
         if head not in found.jig.heads:
             wider = _begin(spectra, sorted((*found.jig.heads, head)), pairs)
-            trial = _closed(grid, x, noise, pairs, count, wider, found, rounds=TRIAL)
+            trial = _closed(grid, x, noise, pairs, count, wider, found, rounds=TRIAL, errors=False)
             if trial.misfit < JOINS * max(found.misfit, noise if noise > 0 else 0.0):
                 found = _closed(grid, x, noise, pairs, count, trial.jig, trial)
     return found if found.misfit < DEAD * amplitude.max() else None
@@ -373,16 +385,18 @@ def _closed(
     start: Closure | None = None,
     known: bool = False,
     rounds: int = ROUNDS,
+    errors: bool = True,
 ) -> Closure:
     """Solve (1) from the places of a jig and the table of `start`; of a `known` jig only k0 is free.
 
     f and the o of each head are linear: they are eliminated, as the offsets of a run are. The others are one
     vector: h (2 waves), then k0, k1, k2, p of each head but the first. The standard errors hold what a bend
-    of single heads (`NONLINEAR`) would do to the table.
+    of single heads (`NONLINEAR`) would do to the table, and, where the jig is not known, by how much
+    `pairs` + `BESIDE` more waves would change it: a ring has waves beyond its table. Without `errors` they
+    are 0.
     """
-    m, heads, n = len(grid), len(jig.heads), np.arange(1, count + 1)
-    x, basis, s = x[:, list(jig.heads)], columns(grid, n), (n - pairs) / pairs
-    powers = np.tile(np.array([s**0, s, s**2]), 2)  # of cosine and sine coefficients
+    m, heads, x = len(grid), len(jig.heads), x[:, list(jig.heads)]
+    basis = columns(grid, np.arange(1, count + 1))
     sigma = noise if noise > 0 else 1e-3 * float(x.std())
     own = np.column_stack([jig.heights, jig.places])
     table = np.zeros(2 * count) if start is None else coefficients(start.table)
@@ -394,9 +408,17 @@ def _closed(
     free = np.ones(own.shape, bool) & (not known or np.array([True, False, False, False]))
     free = np.concatenate([np.ones(2 * count, bool), free.ravel()])
 
-    def tangent(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+    def tangent(
+        y: np.ndarray, basis: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
         """Return residual and slopes (heads * samples, unknowns) over the noise, f and o fitted, and what
-        gives the products of the slopes, f and o eliminated, with other columns."""
+        gives the products of the slopes, f and o eliminated, with other columns.
+
+        `basis`: (samples, 2 waves) of the table; the field has as many waves."""
+        count = basis.shape[1] // 2
+        n = np.arange(1, count + 1)
+        s = (n - pairs) / pairs
+        powers = np.tile(np.array([s**0, s, s**2]), 2)  # of cosine and sine coefficients
         angle, own = grid + basis @ y[: 2 * count], np.vstack([np.zeros(4), y[2 * count :].reshape(-1, 4)])
         fields = [columns(angle + place, n) * np.exp(k @ powers) for *k, place in own]
         linear = np.hstack([np.vstack(fields), np.kron(np.eye(heads), np.ones((m, 1)))])
@@ -420,7 +442,7 @@ def _closed(
         )
 
     def derivatives(y: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        left, J, product = tangent(y)
+        left, J, product = tangent(y, basis)
         gradient = 2 * (precision * y - J.T @ left)
         return float(left @ left + precision @ y**2), gradient, 2 * (product(J) + np.diag(precision))
 
@@ -428,18 +450,25 @@ def _closed(
     problem = Problem(lambda points: np.array([derivatives(y)[0] for y in points]),
                       np.where(free, -np.inf, begin), upper, derivatives)  # fmt: skip
     y = newton(problem, begin, max_iterations=rounds, tolerance=SETTLED).x
-    left, J, product = tangent(y)
-    misfit = sigma * float(np.sqrt(np.mean(left**2)))
+    left, J, product = tangent(y, basis)
+    misfit, own = sigma * float(np.sqrt(np.mean(left**2))), y[2 * count :].reshape(-1, 4)
+    solved = replace(jig, places=own[:, 3], heights=own[:, :3])
+    if not errors:
+        return Closure(solved, phasors(y[: 2 * count]), np.zeros(count), misfit, noise)
     covariance = inverse((product(J) + np.diag(precision))[np.ix_(free, free)])[: 2 * count]
     parts = np.diag(covariance) * max(misfit / sigma, 1.0) ** 2
     bend = np.kron(np.diag(2**0.5 * NONLINEAR * x.std(axis=0)), columns(grid, np.arange(2, 5) * pairs))
     parts += ((covariance @ product(bend)[free] / sigma) ** 2).sum(axis=1)
+    if not known:
+        more = count + pairs + BESIDE
+        at = np.concatenate([np.arange(count), more + np.arange(count), 2 * more + np.arange(own.size)])
+        wide, hold = np.zeros(2 * more + own.size), np.full(2 * more + own.size, (pairs / PRIOR) ** 2)
+        wide[at], hold[at] = y, precision
+        left, J, product = tangent(wide, columns(grid, np.arange(1, more + 1)))
+        step = solve(product(J) + np.diag(hold), (J.T @ left - hold * wide)[:, None])[:, 0]
+        parts += step[at[: 2 * count]] ** 2
     std = np.sqrt(parts.reshape(2, -1).mean(axis=0))
-    own = y[2 * count :].reshape(-1, 4)
-    return Closure(
-        replace(jig, places=own[:, 3], heights=own[:, :3]), phasors(y[: 2 * count]),
-        np.minimum(std, PRIOR / pairs), misfit, noise,
-    )  # fmt: skip
+    return Closure(solved, phasors(y[: 2 * count]), np.minimum(std, PRIOR / pairs), misfit, noise)
 
 
 # -- the motion (2), (3) ------------------------------------------------------------------------------------
@@ -505,7 +534,7 @@ def line_of(parts: Sequence[Stretch], count: int, reference: str, jig: Jig | Non
     fast = max(float(s.max()) for s in speeds)
     ratio = fast / min(float(s.min()) for s in speeds)
     separable = ratio >= SPEEDS
-    shares = [(fast / s) ** 2 for s in speeds]
+    falls = [(fast / s) ** 2 for s in speeds]
     width = 2 * count * (1 + separable)
 
     def beside_slow(part: Stretch, share: np.ndarray) -> np.ndarray:
@@ -515,33 +544,55 @@ def line_of(parts: Sequence[Stretch], count: int, reference: str, jig: Jig | Non
         return without_slow(part, np.column_stack([*both, rippled(part, jig) - part.u]), reference)
 
     products = np.zeros((width + 1, width + 1))
-    for part, share in zip(parts, shares, strict=True):
+    for part, share in zip(parts, falls, strict=True):
         rows = beside_slow(part, share)
         products += rows.T @ rows
     found = solve(products[:width, :width], products[:width, width:])[:, 0]
-    power, turns, design = np.zeros(count), 0, []
-    for part, share in zip(parts, shares, strict=True):
+    powers, design, samples, run_of = np.zeros((len(parts), count)), [], [], []
+    for run, (part, share) in enumerate(zip(parts, falls, strict=True)):
         rows = beside_slow(part, share)
         table, rest = columns(part.u, n), rows[:, width] - rows[:, :width] @ found
         whole = np.abs(part.u - part.u[0]) / TURN
         for j in range(int(part.turns + 0.02)):
             turn = (whole >= j) & (whole < j + 1)
             half = 2 * np.mean(rest[turn, None] * table[turn], axis=0)
-            power += (half**2).reshape(2, -1).sum(axis=0) / 2
+            powers[run] += (half**2).reshape(2, -1).sum(axis=0) / 2
             design.append([1.0, float(share[turn].mean())])
-            turns += 1
-    used = 1 + separable
-    each = np.array(design)[:, :used]
-    spread = np.linalg.pinv(each.T @ each)
-    density = power / (turns - used) if turns > used else np.full(count, np.nan)
-    density = np.array([density[max(k - NEIGHBOURS, 0) : k + NEIGHBOURS + 1].mean() for k in range(count)])
-    worse = FEW.get(turns, 1.0)
-    nothing = np.full(count, np.nan)
-    return Line(
-        phasors(found[: 2 * count]), worse * np.sqrt(density * spread[0, 0]), density,
-        phasors(found[2 * count : width]) if separable else nothing.astype(complex),
-        worse * np.sqrt(density * spread[1, 1]) if separable else nothing, turns, float(ratio),
-    )  # fmt: skip
+            samples.append(turn.sum())
+            run_of.append(run)
+    turns, density, variance = len(design), np.full(count, np.nan), np.full((2, count), np.nan)
+    each, run_of = np.array(design)[:, : 1 + separable], np.array(run_of)
+    weighted = each.T * samples
+    gain = np.linalg.pinv(weighted @ each) @ weighted  # of the table and of its falling part, by each turn
+    free = np.bincount(run_of, 1 - (each.T * gain).sum(axis=0), len(parts))
+    if turns > 1 + separable:
+        density = _smooth(powers.sum(axis=0) / free.sum())
+        own = free.min() > LEAST_FREE  # else runs are taken to wander alike
+        densities = [_smooth(p / f) if own else density for p, f in zip(powers, free, strict=True)]
+        shares = [(gain[:, run_of == run] ** 2).sum(axis=1) for run in range(len(parts))]
+        terms = np.array([np.outer(*pair) for pair in zip(shares, densities, strict=True)])
+        variance[: 1 + separable] = terms.sum(axis=0)
+        known = 2 * (2 * NEIGHBOURS + 1) * (free if own else np.full(len(parts), free.sum()))
+        freedom = terms.sum(axis=0) ** 2 / (terms**2 / known[:, None, None]).sum(axis=0)
+        variance[: 1 + separable] *= few_degrees(freedom)
+    std = FEW.get(turns, 1.0) * np.sqrt(variance)
+    falling = phasors(found[2 * count : width]) if separable else np.full(count, np.nan, complex)
+    return Line(phasors(found[: 2 * count]), std[0], density, falling, std[1], turns, float(ratio))
+
+
+def _smooth(density: np.ndarray) -> np.ndarray:
+    """Return a density (waves,) averaged over `NEIGHBOURS`."""
+    count = len(density)
+    return np.array([density[max(k - NEIGHBOURS, 0) : k + NEIGHBOURS + 1].mean() for k in range(count)])
+
+
+def few_degrees(freedom: np.ndarray) -> np.ndarray:
+    """Return the factor of a variance of a phasor that was estimated with so many degrees of freedom.
+
+    With it the circle that holds 95 % of a phasor of known variance holds 95 % of this one: the quantile of
+    F(2, freedom) over that of F(2, infinity).
+    """
+    return np.asarray(freedom / 2 * (CHANCE ** (-2 / freedom) - 1) / -np.log(CHANCE))
 
 
 def in_step(parts: Sequence[Stretch], pairs: int, reference: str) -> list[Stretch]:
@@ -674,8 +725,8 @@ def decided(
         if w.verdict == OPEN:
             sizes[k] = abs(c)
             off[k] = max(s_own[k], sizes[k])
-        elif w.verdict == MOTION:
-            sizes[k] = falls * abs(w.motion or 0)
+        else:  # what of the step was not taken for the sensor's
+            sizes[k] = falls * abs((w.motion or 0) + w.sensor)
     return tuple(
         w if w.std is None else replace(w, std=float(np.hypot(w.std, _mixed(k, sizes, off))))
         for k, w in enumerate(waves)
@@ -776,23 +827,27 @@ def self_calibrate(
     found = in_step(found, pairs, reference)
     train = [p.cut(0, np.floor(p.turns) - 1) if p.turns >= HOLDOUT else p for p in found]
     train = [p.cut(0, np.floor(p.turns + 0.02)) if p.turns >= 1 else p for p in train]
-    count = max((*orders, waves_of(pairs)))
+    last = max((*orders, waves_of(pairs)))
     most = int(min(len(p.u) / p.turns for p in train) / 4)
     if most < pairs + 1:
         raise InputError(
             f"The log has {4 * most} samples a turn; {counted(pairs, 'pole pair')} need {4 * (pairs + 1)} at "
             "least: sample faster or turn slower."
         )
-    count = min(count, most)
+    count, beyond = (min(k, most) for k in (last, last + pairs + BESIDE))
     # a hundredth of a turn more where it goes on: whole turns from every angle
     ahead = [whole.cut(0, part.turns + 0.01) for part, whole in zip(train, found, strict=True)]
     closure = closure_of(ahead, plane, pairs, count, jig, begin)
-    n = np.arange(1, count + 1)
+    n = np.arange(1, beyond + 1)  # of the line; what a table leaves out mixes into its last waves
     unknown, s_own = _told_by_readings(closure, pairs, count, jig)
+    if reference != NONE and jig is None:  # a ripple as large as a usual wave of the table must show
+        unknown |= s_own * pairs * np.sqrt(-2 * np.log(CHANCE / count)) > PRIOR
     whole = np.zeros(count, complex) if closure is None else np.where(unknown, 0j, closure.table)
+    s_own, whole = (np.pad(v, (0, beyond - count)) for v in (s_own, whole))
+    unknown = np.pad(unknown, (0, beyond - count), constant_values=True)
     for turn in range(2):  # a ripple of the motion mixes with what the angle is off by: once more, nearer
         known = [replace(p, u=p.u + columns(p.u, n) @ coefficients(whole)) for p in train]
-        line = line_of(known, count, reference, jig)
+        line = line_of(known, beyond, reference, jig)
         waves = decided(line, unknown, s_own, reference, whole)
         more = np.array([w.sensor for w in waves])
         whole = _added(whole, more if turn else np.where(unknown, more, 0j))
@@ -800,6 +855,7 @@ def self_calibrate(
         replace(w, sensor=0j if w.verdict == OPEN and reference == NONE else complex(c))
         for w, c in zip(waves, whole, strict=True)
     )
+    waves, n = waves[:count], n[:count]
     h = coefficients(np.where(np.isin(n, orders or n), [w.sensor for w in waves], 0j))
     drive = coefficients(np.array([w.motion if w.verdict == MOTION and w.motion else 0j for w in waves]))
     left: dict[str, tuple[float, float]] = {}

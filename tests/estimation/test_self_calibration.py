@@ -71,7 +71,7 @@ def test_two_speeds_separate_cogging_of_a_rotor_that_coasts_and_nothing_else_doe
     own, found = calibrated(3, "coasting", *SLOW_AND_FAST, order=3, cogging=ONE)
     wave, truth = found.waves[2], own.table(found.plane, 14)[2]
     assert wave.verdict == sc.MOTION
-    assert abs(wave.sensor - truth) < 3 * wave.std < 0.05 * ONE
+    assert abs(wave.sensor - truth) < 3 * wave.std < 0.06 * ONE
     assert abs(abs(wave.motion) - ONE / 4) < 4 * wave.motion_std + 0.01 * ONE  # at the higher speed
     _, driven = calibrated(3, "constant-speed", *SLOW_AND_FAST, order=3, kinematic=ONE)
     assert driven.waves[2].verdict == sc.OPEN  # a kinematic ripple does not fall with the speed
