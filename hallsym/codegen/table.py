@@ -14,8 +14,19 @@ from hallsym.codegen.generation import check, notes_of
 from hallsym.codegen.lowering.phase_curve import check_static
 from hallsym.errors import InputError, require
 from hallsym.estimation.calibration import Fit
+from hallsym.estimation.without_reference import of_ring
 from hallsym.files import atomic_write
-from hallsym.log.maker_tables import BY_NAME, TURN, Layout, MakerTable, encoded, read_table, replaced, text_of
+from hallsym.log.maker_tables import (
+    BY_NAME,
+    CSV,
+    TURN,
+    Layout,
+    MakerTable,
+    encoded,
+    read_table,
+    replaced,
+    text_of,
+)
 from hallsym.log.phase import wrapped
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
@@ -26,6 +37,8 @@ ANGLE = np.arange(POINTS) * (TURN / POINTS)
 POLE_PAIR = 4
 """Full steps of a stepper in one of its electrical periods."""
 MOST_ENTRIES = 1 << 16
+SAME = 1e-6
+"""Share of the error over the turn up to which its periods are the same."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +96,16 @@ def export_table(
     """
     require(name in BY_NAME, "--table", f"one of {', '.join(BY_NAME)}", name, list(BY_NAME))
     layout, model = BY_NAME[name], fit.model
-    if model.family.decoder != "angle" or len(model.channels) > 2:
+    if model.family.decoder != "angle":
         raise InputError(
-            f"A table corrects the angle of a chip or of two voltages; {model.name} of the family "
-            f"{model.family} reads {', '.join(model.channels[:3])}: use 'hallsym codegen'."
+            f"A table corrects the angle of a chip, of two voltages or of Halls over a ring; {model.name} of "
+            f"the family {model.family} reads {', '.join(model.channels[:3])}: use 'hallsym codegen'."
+        )
+    if of_ring(model) and not layout.halls:
+        others = " or ".join(f"--table {one.name}" for one in BY_NAME.values() if one.halls)
+        raise InputError(
+            f"A table of {layout.about} corrects the angle of a chip; its firmware computes none from Halls "
+            f"over a ring: give {others}, or use 'hallsym codegen'."
         )
     own = replace(model, steps=tuple(s for s in model.steps if s[0] != "reference"), before=model)
     check_static(own, "the angle")
@@ -95,7 +114,7 @@ def export_table(
               if ca.depends_on(used.symbols.reading, symbol)]  # fmt: skip
     fit = fit.changed(undetermined_by_log=tuple(n for n in fit.undetermined_by_log if n in needed))
     check(fit, allow_undetermined)
-    raw = _raw(fit, used, motor_steps)
+    raw, centres = _raw(fit, used, motor_steps, layout)
     usual = layout.entries if layout.at_reading else motor_steps or layout.entries
     old, text = read_table(like) if like else (None, "")
     if old is not None:
@@ -114,18 +133,31 @@ def export_table(
         after=_error(table.decoded(table.seen(raw))),
         old=_error(old.decoded(old.seen(raw))) if old else None,
         calibrated=next((row["rmse"][c] for row in rows if row for c in model.pose), None),
-        notes=tuple(_notes(fit, layout, old is not None, keep_reference)),
+        notes=tuple(_notes(fit, layout, old is not None, keep_reference, centres)),
         undetermined=fit.undetermined_by_log,
     )
 
 
-def _raw(fit: Fit, model: Model, motor_steps: int | None) -> np.ndarray:
-    """Return what is logged at `ANGLE`, (POINTS,) [rad] without jumps: the angle, or that of two voltages."""
+def _raw(fit: Fit, model: Model, motor_steps: int | None, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+    """Return the angle that a firmware computes at `ANGLE` before any table, (POINTS,) [rad] without jumps.
+
+    That of a chip as logged, the arctangent of two voltages as logged, or the angle of Halls over a ring at
+    nominal places with equal gains about their means over the turn; and these means, (channels,).
+    """
     found = np.asarray(on_arrays(model.reading)(fit.values, np.zeros(len(model.offsets)), [ANGLE], [])[0])
     assignment = fit.assignment or tuple((c, 1) for c in model.channels)
     logged = {source: sign * found[k] for k, (source, sign) in enumerate(assignment)}
-    given = [logged[c] for c in model.channels]
-    raw = np.unwrap(given[0] if len(given) == 1 else np.arctan2(*given))
+    given, centres = np.array([logged[c] for c in model.channels]), found.mean(axis=1)
+    if of_ring(model):
+        v, nominal = ca.SX.sym("v", len(given)), {p.name: ca.SX(p.nominal) for p in model.parameters}
+        assert model.begin is not None
+        pose = on_arrays(ca.Function("pose", [v], [ca.densify(model.begin(v, nominal))]))
+        centres = given.mean(axis=1)
+        period = model.period[model.pose[0]]
+        raw = np.unwrap(np.ravel(pose([*(given - centres[:, None])])[0]), period=period)
+        _check_periods(raw, round(TURN / period), layout)
+    else:
+        raw = np.unwrap(given[0] if len(given) == 1 else np.arctan2(*given))
     sense = _sense(raw)
     if motor_steps is not None:
         good = motor_steps % POLE_PAIR == 0 and 0 < motor_steps <= POINTS
@@ -137,7 +169,19 @@ def _raw(fit: Fit, model: Model, motor_steps: int | None) -> np.ndarray:
         raise InputError(
             f"No angle belongs to each reading of this calibration of {model.name}: no table undoes it."
         )
-    return raw
+    return raw, centres
+
+
+def _check_periods(raw: np.ndarray, pairs: int, layout: Layout) -> None:
+    """Refuse an error that differs between periods, for a firmware that does not know in which one it is."""
+    waves = np.abs(np.fft.rfft(raw - _sense(raw) * ANGLE))
+    others = np.delete(waves, np.arange(0, len(waves), pairs))
+    if layout is not CSV and np.sqrt((others**2).sum()) > SAME * np.sqrt((waves[1:] ** 2).sum()):
+        raise InputError(
+            f"This table differs from one period to the next, and a firmware of {layout.about} counts the "
+            f"{pairs} periods from where it is switched on: fit with --effect "
+            f"turn_waves:count=4,step={pairs}, or give --table csv."
+        )
 
 
 def _sense(values: np.ndarray) -> int:
@@ -188,14 +232,24 @@ def _made(raw: np.ndarray, layout: Layout, count: int, old: MakerTable | None) -
     return made
 
 
-def _notes(fit: Fit, layout: Layout, like: bool, kept: bool) -> Iterator[str]:
+def _notes(fit: Fit, layout: Layout, like: bool, kept: bool, centres: np.ndarray) -> Iterator[str]:
     """Yield what the user of a table should know."""
     yield from notes_of(fit.changed(corrections=()))
     effects = (e.name for e in fit.model.family.effects if e.link == "reference")
     if known := [name for name in effects if name in fit.model.effects]:
         what = "is in the table" if kept else "is left out of the table (--keep-reference puts it in)"
         yield f"What the calibration knows of its reference's own error ({', '.join(known)}) {what}."
-    if len(fit.model.channels) > 1:
+    if of_ring(fit.model):
+        heads, turn = fit.model.layout, 360 / TURN * fit.model.layout[0].pole_pairs
+        said = [
+            f"{h.channel} at {turn * (h.place_rad - heads[0].place_rad):.5g} deg about {centre:.6g}"
+            for h, centre in zip(heads, centres, strict=True)
+        ]
+        yield (
+            "The table corrects the angle of Halls with equal gains at their nominal places in a period, "
+            f"less their centres: {', '.join(said)}; let the firmware compute it so."
+        )
+    elif len(fit.model.channels) > 1:
         yield "The table corrects the arctangent of both voltages as they are logged, uncalibrated."
     if layout.absolute and not like:
         yield (

@@ -109,6 +109,11 @@ def fit_without_reference(
     return self_fit_of(log, model, found, runs)
 
 
+def of_ring(model: Model) -> bool:
+    """Return whether a model is of the family that can be calibrated without a reference."""
+    return any(e.name == TABLE for e in model.family.effects)
+
+
 def usual_model() -> str:
     """Return the model that is taken where none is named: of the family whose models take a table."""
     return next(f.default for f in FAMILIES if any(e.name == TABLE for e in f.effects))
@@ -122,7 +127,7 @@ def model_for_table(
 ) -> Model:
     """Return the model of a log; raises `InputError` for one that cannot be fitted without a reference."""
     model = model_of(log, model or usual_model(), effects, parameters)
-    if TABLE not in {e.name for e in model.family.effects}:
+    if not of_ring(model):
         raise InputError(
             f"Model {model.name} cannot be calibrated without a reference; encoders of several Halls can: "
             f"--model {usual_model()}."
@@ -135,8 +140,7 @@ def model_for_table(
 
 def check_referenced(log: Log, model: Model) -> None:
     """Refuse a log without a reference, of a model that can be calibrated so, with the words for it."""
-    table = any(e.name == TABLE for e in model.family.effects)
-    if table and not set(model.references) & set(log.columns):
+    if of_ring(model) and not set(model.references) & set(log.columns):
         raise InputError(
             f"{log.name} has no {model.references[0]}; without a reference say what is known of the motion: "
             f"--reference {'|'.join(REFERENCES)}, or map the column with --column {model.references[0]}=NAME."

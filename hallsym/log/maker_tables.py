@@ -18,7 +18,9 @@ Each row of `LAYOUTS` is one format as its public source prints and uses it:
   a line. Entry i times `compensation_scale` / 127 is added to the reading (raw + offset) sign / cpr at i / N,
   in turns; straight lines between. (A comment there puts it at (i + 1/2) / N; the code does not.)
 
-ODrive has no table: it keeps four coefficients whose sign and unit no public source states.
+ODrive has no table: it keeps four coefficients whose sign and unit no public source states. Halls over a ring:
+`LinearHall` of simplefoc/Arduino-FOC-drivers takes centres off, then the arctangent; it counts periods from
+where it is switched on.
 """
 
 from __future__ import annotations
@@ -65,6 +67,7 @@ class Layout:
     many units of an entry are a turn. `code`: it is C, with comments. `lines`: straight lines that the
     firmware makes of it, where those are fewer than the entries. `by_pole_pair`: it begins with the first
     full step of the pole pair in which readings begin. `multiple`: what the number of entries is one of.
+    `halls`: its firmware computes an angle from Halls over a ring (SimpleFOC `LinearHall`).
     """
 
     name: str
@@ -81,6 +84,7 @@ class Layout:
     lines: int = 0
     by_pole_pair: bool = False
     multiple: int = 1
+    halls: bool = False
 
     @property
     def scaled(self) -> bool:
@@ -97,7 +101,7 @@ LAYOUTS = (
     Layout(
         "simplefoc", "SimpleFOC CalibratedSensor",
         r"\bfloat\s+\w*[lL][uU][tT]\w*\s*\[\s*(?P<count>\w*)\s*\]\s*=\s*\{(?P<body>[^}]*)\}",
-        200, TURN, 1, -1, decimals=6,
+        200, TURN, 1, -1, decimals=6, halls=True,
     ),
     Layout(
         "mechaduino", "Mechaduino lookup",
@@ -122,7 +126,7 @@ LAYOUTS = (
         number=rf"(?m)compensation_table\.\d+ +(?P<value>{NUMBER})",
     ),
 )  # fmt: skip
-CSV = Layout("csv", "readings and angles", "", 200, TURN, 0, 1, decimals=17)
+CSV = Layout("csv", "readings and angles", "", 200, TURN, 0, 1, decimals=17, halls=True)
 """A log of readings and the angles they stand for [rad], every bit of them; it is read as any log is."""
 BY_NAME = {one.name: one for one in (*LAYOUTS, CSV)}
 

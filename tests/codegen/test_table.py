@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rings import Ring, recorded, ring
 from twins import with_arrays
 
 import hallsym
@@ -15,6 +16,8 @@ from hallsym.cli.main import main
 from hallsym.codegen.table import POINTS, Exported, export_table
 from hallsym.errors import InputError
 from hallsym.estimation import Fit
+from hallsym.estimation.without_reference import fit_without_reference
+from hallsym.log import Log, Meta
 from hallsym.log.maker_tables import BY_NAME, LAYOUTS, TURN, MakerTable, found_in, read_table, text_of
 from hallsym.log.phase import wrapped
 
@@ -146,6 +149,39 @@ def test_csv_is_a_log_of_the_encoder(tmp_path: Path) -> None:
     assert np.abs(wrapped(columns["angle_rad"] - truth(columns["angle_ref_rad"]) - 0.7, TURN)).max() < 2e-5
 
 
+@cache
+def halls(pairs: int, *effects: str) -> tuple[Ring, Fit]:
+    """A ring under Halls at 0, 101 and 262 electrical deg, and its calibration without a reference."""
+    own = ring(7, pairs=pairs, places=np.radians([0.0, 101.0, 262.0]))
+    x = 2048 + 900 * recorded(own, 7, turns=5.1)[1]
+    names = [f"hall{k}_count" for k in (1, 2, 3)]
+    meta = Meta(raw={"encoder": {"pole_pairs": pairs}}, columns=tuple(names))
+    log = Log.from_arrays(dict(zip(names, x.T, strict=True)), meta=meta)
+    return own, fit_without_reference(log, "rings3", "constant-speed", effects=effects).fit
+
+
+@pytest.mark.parametrize(("pairs", "effects"), [(1, ()), (4, ("turn_waves:count=4,step=4",))])
+def test_a_table_of_three_halls_corrects_their_nominal_angle(pairs: int, effects: tuple[str, ...]) -> None:
+    own, fit = halls(pairs, *effects)
+    made = export_table(fit, "simplefoc", allow_undetermined=True)
+    a, b, c = (own.readings(ANGLE) - own.readings(ANGLE).mean(axis=0)).T
+    raw = np.unwrap(np.arctan2(np.sqrt(0.75) * (c - b), a - (b + c) / 2)) / pairs
+    computed = firmware("simplefoc", found_in(made.text).table.values, raw, 1.0)
+    assert made.before.rms == pytest.approx(np.std(raw - ANGLE), rel=0.1)
+    assert made.after.rms < made.before.rms / 100
+    assert np.std(computed - ANGLE) < np.std(raw - ANGLE) / (20 if pairs == 1 else 2)
+    assert any("hall2_count at 120 deg about" in note for note in made.notes)
+
+
+def test_a_table_that_a_firmware_of_halls_cannot_carry_is_refused() -> None:
+    _, fit = halls(4)
+    with pytest.raises(InputError, match="differs from one period to the next"):
+        export_table(fit, "simplefoc", allow_undetermined=True)
+    with pytest.raises(InputError, match="corrects the angle of a chip"):
+        export_table(fit, "klipper", allow_undetermined=True)
+    assert export_table(fit, "csv", allow_undetermined=True).after.rms < 1e-3
+
+
 # -- a file of the maker's -------------------------------------------------------------------------------
 
 
@@ -255,7 +291,7 @@ def test_what_cannot_be_exported_is_said(words: list[str], says: str, tmp_path: 
 
 def test_other_machines_and_calibrations_that_no_table_holds_are_refused() -> None:
     stage = hallsym.load_fit(ROOT / "tests" / "golden" / "calib.json")
-    with pytest.raises(InputError, match="A table corrects the angle of a chip or of two voltages"):
+    with pytest.raises(InputError, match="A table corrects the angle of a chip, of two voltages or of Halls"):
         export_table(stage, "simplefoc")
     fit = chip()
     far = with_arrays(fit, values=fit.values * np.where(np.array(fit.model.names) == "Vx", 0, 1) + 1.5 * (
