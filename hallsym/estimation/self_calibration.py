@@ -55,7 +55,7 @@ WEAK = 0.7
 SPEEDS = 1.2
 """Ratio of speeds from which on 1 / speed^2 is separated: the error is 4.3 times that of one speed there."""
 CHANCE = 0.05
-"""Probability that noise alone shows one of all waves as motion."""
+"""Probability that noise alone shows one of all waves as motion; share of waves outside their intervals."""
 HEIGHT = 0.012
 """Standard deviation of k1 and k2 over P: heads whose heights over the ring differ by 1 % of its radius."""
 NONLINEAR = 0.002
@@ -548,7 +548,7 @@ def line_of(parts: Sequence[Stretch], count: int, reference: str, jig: Jig | Non
         rows = beside_slow(part, share)
         products += rows.T @ rows
     found = solve(products[:width, :width], products[:width, width:])[:, 0]
-    powers, design, samples, run_of = np.zeros((len(parts), count)), [], [], []
+    powers, made = np.zeros((len(parts), count)), []
     for run, (part, share) in enumerate(zip(parts, falls, strict=True)):
         rows = beside_slow(part, share)
         table, rest = columns(part.u, n), rows[:, width] - rows[:, :width] @ found
@@ -557,14 +557,11 @@ def line_of(parts: Sequence[Stretch], count: int, reference: str, jig: Jig | Non
             turn = (whole >= j) & (whole < j + 1)
             half = 2 * np.mean(rest[turn, None] * table[turn], axis=0)
             powers[run] += (half**2).reshape(2, -1).sum(axis=0) / 2
-            design.append([1.0, float(share[turn].mean())])
-            samples.append(turn.sum())
-            run_of.append(run)
-    turns, density, variance = len(design), np.full(count, np.nan), np.full((2, count), np.nan)
-    each, run_of = np.array(design)[:, : 1 + separable], np.array(run_of)
-    weighted = each.T * samples
-    gain = np.linalg.pinv(weighted @ each) @ weighted  # of the table and of its falling part, by each turn
-    free = np.bincount(run_of, 1 - (each.T * gain).sum(axis=0), len(parts))
+            made.append((run, turn.sum(), 1.0, share[turn].mean()))
+    turns, density, variance = len(made), np.full(count, np.nan), np.full((2, count), np.nan)
+    run_of, samples, *each = np.array(made).T[: 3 + separable]
+    gain = np.linalg.pinv((each * samples) @ np.transpose(each)) @ (each * samples)
+    free = np.bincount(run_of.astype(int), 1 - (each * gain).sum(axis=0), len(parts))
     if turns > 1 + separable:
         density = _smooth(powers.sum(axis=0) / free.sum())
         own = free.min() > LEAST_FREE  # else runs are taken to wander alike

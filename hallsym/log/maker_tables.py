@@ -18,9 +18,9 @@ Each row of `LAYOUTS` is one format as its public source prints and uses it:
   a line. Entry i times `compensation_scale` / 127 is added to the reading (raw + offset) sign / cpr at i / N,
   in turns; straight lines between. (A comment there puts it at (i + 1/2) / N; the code does not.)
 
-ODrive has no table: it keeps four coefficients whose sign and unit no public source states. Halls over a ring:
-`LinearHall` of simplefoc/Arduino-FOC-drivers takes centres off, then the arctangent; it counts periods from
-where it is switched on.
+ODrive has no table: it keeps four coefficients whose sign and unit no public source states. Of Halls over a
+ring `LinearHall` of simplefoc/Arduino-FOC-drivers at 0d8f79c takes centres off, then the arctangent; it
+counts periods from where it is switched on.
 """
 
 from __future__ import annotations

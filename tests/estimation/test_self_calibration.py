@@ -67,6 +67,15 @@ def test_what_three_halls_leave_open_is_never_told_from_one_speed(reference, kin
     assert abs(found.waves[2].sensor) == 0 or reference != "none"
 
 
+def test_a_wave_that_four_halls_nearly_leave_open_is_not_told_from_constant_speed() -> None:
+    places = TURN / 4 * np.arange(4)
+    own = ring(3, places=places)
+    logged = {0: recorded(own, 3, turns=5.2, order=4, kinematic=ONE)}
+    wave = sc.self_calibrate(logged, 1, places, "constant-speed").waves[3]
+    assert wave.verdict == sc.OPEN
+    assert wave.std is None
+
+
 def test_two_speeds_separate_cogging_of_a_rotor_that_coasts_and_nothing_else_does() -> None:
     own, found = calibrated(3, "coasting", *SLOW_AND_FAST, order=3, cogging=ONE)
     wave, truth = found.waves[2], own.table(found.plane, 14)[2]
@@ -78,6 +87,21 @@ def test_two_speeds_separate_cogging_of_a_rotor_that_coasts_and_nothing_else_doe
     both = ({"turns": 5.2}, {"turns": 5.2, "direction": -1})
     _, reversed_ = calibrated(3, "coasting", *both, order=3, cogging=ONE)
     assert reversed_.waves[2].verdict == sc.OPEN
+
+
+def test_stated_errors_cover_rings_with_more_waves_than_their_table() -> None:
+    scores: list[float] = []
+    for seed, (pairs, turns) in enumerate([(4, 5.2), (7, 5.2), (4, 3.2), (4, 4.2)] * 2, 20):
+        own = ring(seed, pairs, np.radians([0.0, 101.0, 262.0]), size=0.04)
+        log = {0: recorded(own, seed, turns=turns, noise=0.0005)}
+        scores += far(own, sc.self_calibrate(log, pairs, PHASES, "constant-speed"))
+    assert np.mean(np.array(scores) < 3.0) >= 0.92  # of 230 waves
+
+
+def test_noise_of_an_angle_beyond_its_steps_does_not_spoil_what_the_halls_see() -> None:
+    places, noise = np.radians([0.0, 99.0]), 0.006
+    log = {0: recorded(ring(7, 2, places), 7, rows=600, turns=5.2, noise=noise)}
+    assert sc.self_calibrate(log, 2, places, "none").closure.noise < noise
 
 
 def test_stated_errors_cover_the_truth_whatever_ripples() -> None:
