@@ -73,6 +73,9 @@ ROUNDS, SETTLED = 40, 1e-8
 """Newton steps of (1) at most; share of the cost below which what a step promises ends them."""
 LEAST_FREE = 0.5
 """Turns that the table leaves a run from which on the density of what it wanders is its own."""
+EVEN = 0.5
+"""Share of the mean step of the angle that each step must make: a spline through noisy places swings, so
+neighbours are averaged until they do."""
 NEIGHBOURS = 2
 """Waves on either side over which the density of what is not periodic is averaged."""
 
@@ -296,8 +299,8 @@ def on_grid(parts: Sequence[Stretch], size: int) -> tuple[np.ndarray, np.ndarray
     for part in parts:
         rows, onward = len(part.u) / part.turns, np.sign(part.u[-1] - part.u[0])
         few, most = (max(int(rows / k), 1) for k in (2 * size, size / 2))
-        while few < most and (onward * np.diff(_averaged(part.u, few)) <= 0).any():
-            few += 1  # until noise of the angle does not reach from one mean to the next
+        while few < most and np.diff(onward * _averaged(part.u, few)).min() < EVEN * few * TURN / rows:
+            few += 1
         u, t, x = (_averaged(v, few)[:: int(onward)] for v in (part.u, part.time, part.readings))
         keep = np.r_[True, u[1:] > np.maximum.accumulate(u)[:-1]]
         reading, time = (scipy.interpolate.CubicSpline(u[keep], values[keep]) for values in (x, t))
