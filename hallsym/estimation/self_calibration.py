@@ -727,25 +727,15 @@ def decided(
             off[k] = max(s_own[k], sizes[k])
         else:  # what of the step was not taken for the sensor's
             sizes[k] = falls * abs((w.motion or 0) + w.sensor)
+    # a ripple of n waves of size r has a slope n r; an error of m waves of the angle at which it is met turns
+    # it into n - m and n + m waves. What is not separable may be a ripple, and an error, as large as it is.
+    n, beside = np.arange(1, count + 1), np.pad(off**2, (0, count + 1))  # its last is of no wave
+    of_error = beside[np.abs(n[:, None] - n) - 1] + beside[n[:, None] + n - 1]
+    mixed = np.sqrt(of_error @ (n * sizes / 2) ** 2)
     return tuple(
-        w if w.std is None else replace(w, std=float(np.hypot(w.std, _mixed(k, sizes, off))))
-        for k, w in enumerate(waves)
+        w if w.std is None else replace(w, std=float(np.hypot(w.std, more)))
+        for w, more in zip(waves, mixed, strict=True)
     )
-
-
-def _mixed(k: int, sizes: np.ndarray, off: np.ndarray) -> float:
-    """What ripples of the motion and errors of the angle at which they are met make of a wave together.
-
-    A ripple of n waves of size r, of `sizes` (waves,), has a slope n r; an error of m waves of the angle, of
-    `off` (waves,), turns it into n - m and n + m waves. What is not separable may be a ripple, and an error,
-    as large as it is.
-    """
-    total = 0.0
-    for n, size in enumerate(sizes):
-        if size:
-            near = [m for m in (abs(k - n) - 1, k + n + 1) if 0 <= m < len(off)]
-            total += sum(((n + 1) * size / 2 * off[m]) ** 2 for m in near)
-    return float(np.sqrt(total))
 
 
 def _told_by_readings(

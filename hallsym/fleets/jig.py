@@ -7,14 +7,14 @@ ring again with these held fixed.
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from hallsym.errors import InputError, counted, one_line
-from hallsym.estimation.self_calibration import CONSTANT, Closure, Jig, SelfCalibration, self_calibrate
+from hallsym.estimation.self_calibration import CONSTANT, Jig, SelfCalibration, self_calibrate
 from hallsym.estimation.without_reference import (
     SelfFit,
     model_for_table,
@@ -68,25 +68,9 @@ OUTLYING = 5.0
 """Robust standard deviations above the median of what is left from which on a ring does not repeat."""
 
 
-@dataclass(frozen=True)
-class Ring:
-    """One ring as a worker takes it; see `self_calibrate`."""
-
-    name: str
-    runs: Mapping[int, tuple[np.ndarray, np.ndarray]]
-    pairs: int
-    phases: np.ndarray
-    reference: str
-    orders: tuple[int, ...]
-    jig: Jig | None = None
-    begin: Closure | None = None
-
-
-def calibrated(ring: Ring) -> SelfCalibration:
-    """Return one ring calibrated; a function of a module, for workers."""
-    return self_calibrate(
-        ring.runs, ring.pairs, ring.phases, ring.reference, orders=ring.orders, jig=ring.jig, begin=ring.begin
-    )
+def calibrated(ring: tuple[str, dict[str, Any]]) -> SelfCalibration:
+    """Return a ring calibrated: its name, and what `self_calibrate` takes. A function of a module, for workers."""
+    return self_calibrate(**ring[1])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -155,29 +139,40 @@ def ring_fleet(
     as those before, has its reason in the table. Raises `InputError` where no jig is known from the rings.
     """
     began, say = perf_counter(), on_progress or (lambda _: None)
-    asked: dict[str, tuple[Model, Ring]] = {}
+    models: dict[str, Model] = {}
+    asked: dict[str, dict[str, Any]] = {}
     rows: dict[str, dict[str, Any]] = {}
     for name, log in logs.items():
         own = model_for_table(log, model, effects, parameters)
         pairs, phases, orders = terms_of(own)
-        asked[name] = own, Ring(name, samples_of(log, own), pairs, phases, reference, orders)
+        models[name], runs = own, samples_of(log, own)
+        asked[name] = {
+            "runs": runs,
+            "pairs": pairs,
+            "phases": phases,
+            "reference": reference,
+            "orders": orders,
+        }
     jig: Jig | None = None
     found: dict[str, SelfCalibration] = {}
     failed: dict[str, str] = {}
     for turn in ("each by itself", "with the jig"):
         alone = {name: one.closure for name, one in found.items()}
-        rings = [ring for _, ring in asked.values() if ring.name not in failed]
-        work = [replace(ring, jig=jig, begin=alone.get(ring.name)) for ring in rings]
+        work = [
+            (name, {**ring, "jig": jig, "begin": alone.get(name)})
+            for name, ring in asked.items()
+            if name not in failed
+        ]
         found = {}
-        for ring, outcome in completed(calibrated, work, workers=workers):
+        for (name, _), outcome in completed(calibrated, work, workers=workers):
             if isinstance(outcome, Failed):
-                failed[ring.name] = outcome.reason
+                failed[name] = outcome.reason
             else:
-                found[ring.name] = outcome
+                found[name] = outcome
             say(f"{turn}: {len(found)} of {counted(len(work), 'ring')}")
         jig = jig or jig_of(list(found.values()))
     assert jig is not None
-    fits = {n: self_fit_of(logs[n], asked[n][0], found[n], asked[n][1].runs) for n in asked if n in found}
+    fits = {n: self_fit_of(logs[n], models[n], found[n], asked[n]["runs"]) for n in asked if n in found}
     left = {n: f.left["table"][1] for n, f in found.items() if "table" in f.left}
     middle = float(np.median(list(left.values()))) if left else np.nan
     spread = 1.4826 * float(np.median(np.abs(np.array(list(left.values())) - middle))) if left else np.nan
