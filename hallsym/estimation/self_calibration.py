@@ -71,8 +71,6 @@ DEAD = 0.05
 """Share of the largest amplitude below which a head is dead."""
 ROUNDS, SETTLED = 40, 1e-8
 """Newton steps of (1) at most; share of the cost below which what a step promises ends them."""
-LEAST_FREE = 0.5
-"""Turns that the table leaves a run from which on the density of what it wanders is its own."""
 EVEN = 0.5
 """Share of the mean step of the angle that each step must make: a spline through noisy places swings, so
 neighbours are averaged until they do."""
@@ -567,13 +565,13 @@ def line_of(parts: Sequence[Stretch], count: int, reference: str, jig: Jig | Non
     free = np.bincount(run_of.astype(int), 1 - (each * gain).sum(axis=0), len(parts))
     if turns > 1 + separable:
         density = _smooth(powers.sum(axis=0) / free.sum())
-        own = free.min() > LEAST_FREE  # else runs are taken to wander alike
-        densities = [_smooth(p / f) if own else density for p, f in zip(powers, free, strict=True)]
+        own = free + 1  # each run wanders as it does, and for one turn more as all do
+        densities = [(_smooth(p) + density) / f for p, f in zip(powers, own, strict=True)]
         shares = [(gain[:, run_of == run] ** 2).sum(axis=1) for run in range(len(parts))]
         terms = np.array([np.outer(*pair) for pair in zip(shares, densities, strict=True)])
         variance[: 1 + separable] = terms.sum(axis=0)
-        known = 2 * (2 * NEIGHBOURS + 1) * (free if own else np.full(len(parts), free.sum()))
-        freedom = terms.sum(axis=0) ** 2 / (terms**2 / known[:, None, None]).sum(axis=0)
+        known = 2 * (2 * NEIGHBOURS + 1) * np.minimum(own, free.sum())[:, None, None]
+        freedom = terms.sum(axis=0) ** 2 / (terms**2 / known).sum(axis=0)
         variance[: 1 + separable] *= few_degrees(freedom)
     std = FEW.get(turns, 1.0) * np.sqrt(variance)
     falling = phasors(found[2 * count : width]) if separable else np.full(count, np.nan, complex)

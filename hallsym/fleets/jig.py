@@ -69,7 +69,7 @@ OUTLYING = 5.0
 
 
 def calibrated(ring: tuple[str, dict[str, Any]]) -> SelfCalibration:
-    """Return a ring calibrated: its name, and what `self_calibrate` takes. A function of a module, for workers."""
+    """Return a ring calibrated, of its name and arguments of `self_calibrate`; a function workers import."""
     return self_calibrate(**ring[1])
 
 
