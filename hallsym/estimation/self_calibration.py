@@ -331,12 +331,15 @@ def closure_of(
 
     `jig`: places and heights that are known. `begin`: the table of the same readings without it.
     """
-    grid, x, _, noise = on_grid(parts, 8 * max(count, 32))
+    grid, x, times, noise = on_grid(parts, 8 * max(count, 32))
     amplitude = np.hypot(*plane.shape.T)
     if jig is not None:
         return _closed(grid, x, noise, pairs, count, jig, begin, known=True)
     alive = np.flatnonzero(amplitude > DEAD * amplitude.max()).tolist()
-    both, spectra = list(combinations(alive, 2)), _spectra(x, count)
+    # over time: over the angle decoded from them two Halls are pure cosines, which do not tell the period
+    ahead = np.sign(parts[0].u[-1] - parts[0].u[0]) * TURN / parts[0].period * times[0]
+    even = np.stack([np.interp(grid, ahead, own, period=TURN) for own in x.T], axis=1)
+    both, spectra = list(combinations(alive, 2)), _spectra(even, count)
     similarity = [_place(spectra[a], spectra[b], pairs)[1] for a, b in both]
     found = _closed(grid, x, noise, pairs, count, _begin(spectra, both[int(np.argmax(similarity))], pairs))
     for head in alive:
