@@ -104,6 +104,15 @@ def test_noise_of_an_angle_beyond_its_steps_does_not_spoil_what_the_halls_see() 
     assert sc.self_calibrate(log, 2, places, "none").closure.noise < noise
 
 
+def test_two_halls_are_found_in_the_period_where_they_stand() -> None:
+    places = np.radians([0.0, 325.0])
+    for seed in (3, 4, 5):
+        own = ring(seed, 2, places, size=0.02)
+        log = {0: recorded(own, seed, turns=4.2, noise=0.003)}
+        found = sc.self_calibrate(log, 2, places, "none").closure.jig.places[0]
+        assert abs(np.angle(np.exp(1j * (found - own.places[1] + own.places[0])))) < 0.01
+
+
 def test_stated_errors_cover_the_truth_whatever_ripples() -> None:
     scores = []
     for seed in range(20, 26):
