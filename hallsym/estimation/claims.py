@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import combinations, islice, permutations, product
@@ -17,7 +18,7 @@ import scipy
 
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Claim, Fit
-from hallsym.estimation.decoding import logged_columns, residuals
+from hallsym.estimation.decoding import columns_of, logged_columns, residuals
 from hallsym.estimation.factors import RunStatistics, exact, summarise
 from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_near, cost_of
@@ -25,9 +26,11 @@ from hallsym.estimation.optimum import SETTLING, closed_form, linear_fit, refit
 from hallsym.estimation.task import Asked, Task, noise_of
 from hallsym.families.recording import Correction, as_corrections, said
 from hallsym.log import Log, Noise
+from hallsym.log.batches import batches
 from hallsym.log.columns import RUN, is_moving
 from hallsym.log.core import Block, Drop, without
 from hallsym.log.derived import extended
+from hallsym.log.estimate import estimate_noise
 from hallsym.log.phase import as_continuous, continuous
 from hallsym.log.table import joined
 from hallsym.model import Model
@@ -52,10 +55,20 @@ MOST_NOISE = 0.05
 def claims_of(fit: Fit, given: Log) -> tuple[Claim, ...]:
     """Return what is wrong with the recording of a fit; `given`: the log as it was logged.
 
-    Nothing is looked for where the model describes every run.
+    Nothing is looked for where the model describes every run, and samples that it left out are anywhere.
     """
-    coarse = tuple(coarse_readings(given, fit.model))
-    return coarse or (() if described(fit) else mistakes_of(given, fit.model))
+    if coarse := tuple(coarse_readings(given, fit.model)):
+        return coarse
+    ends = _without_ends(fit)
+    found = mistakes_of(given, fit.model) if ends or not described(fit) else ()
+    return found or ((ENDS,) if ends else ())
+
+
+ENDS = Claim(
+    "ends", "The samples that were left out as spikes are the ends of runs, where no more spikes are than "
+    "elsewhere: values that are means of neighbours, or come late, are off there, and between the ends too, "
+    "where gains make up for it; record what each sample holds (--correct lists averaged and delay).",
+)  # fmt: skip
 
 
 def described(fit: Fit) -> bool:
@@ -64,6 +77,25 @@ def described(fit: Fit) -> bool:
     return goodness is None or not (
         goodness.sentence or max(goodness.by_run.values(), default=1.0) ** 2 > ALONE
     )
+
+
+BY_CHANCE = 1e-6
+"""Probability that spikes lie at so many ends of runs, below which they are none."""
+
+
+def _without_ends(fit: Fit) -> bool:
+    """Return whether the samples that a fit left out as spikes are the ends of runs.
+
+    There a mean has fewer neighbours, and what is late repeats its first value; a spike may be anywhere.
+    """
+    if fit.keep is None or fit.source is None:
+        return False
+    lost, ends = np.zeros(2), np.zeros(2)  # left out, all
+    for batch in batches(continuous(fit.source, fit.model), columns_of(fit.model)):
+        out = 1 - np.concatenate([fit.keep(block) for block in batch.blocks])
+        at = np.array([(part.start, part.stop - 1) for _, part in batch.parts()]).ravel()
+        lost, ends = lost + [out.sum(), len(out)], ends + [out[at].sum(), len(at)]
+    return bool(scipy.stats.binom.sf(ends[0] - 1, np.ceil(lost[0]), ends[1] / lost[1]) < BY_CHANCE)
 
 
 LOOKED, RUNS_LOOKED = 4096, 8
@@ -243,6 +275,7 @@ class Trials:
     model: Model
     noise: Noise
     _last: dict[object, Log] = field(default_factory=dict, init=False)
+    _noise: dict[str, dict[int, float]] = field(default_factory=dict, init=False)
 
     def without(self, runs: Sequence[int]) -> Trials:
         """Return the same of all other runs."""
@@ -290,6 +323,37 @@ class Trials:
             for c in filter(is_moving, self.columns)
             if any(np.std(self.full[c][at]) > MOVED * self.noise[c].value for at in spans)
         }
+
+    def quieter(self, c: Correction, runs: Sequence[int]) -> float:
+        """Return the deviance per reading by which scaled references and states lack noise in some runs.
+
+        One device has one noise: a column that another unit makes quieter than in any other run was not in
+        that unit. A scale of a whole log, and columns without noise, do not tell.
+        """
+        if c.kind != "scale" or len(runs) == len(self.spans):
+            return 0.0
+        lacks, samples = 0.0, 0
+        for run, at in self.spans:
+            samples += (at.stop - at.start) * (run in runs)
+        for name in c.columns:
+            noise = {} if name in self.model.channels else self._noise_by_run(name)
+            least = min((s for r, s in noise.items() if r not in runs and s > 0), default=0.0)
+            for run, at in self.spans:
+                own = noise.get(run, 0.0) if run in runs else 0.0
+                if own > 0 and least > 0:
+                    ratio = min(abs(c.numbers[0]) * own / least, 1.0) ** 2
+                    lacks += (at.stop - at.start) * (ratio - 1 - np.log(ratio))
+        return lacks / max(samples * len(self.model.channels), 1)
+
+    def _noise_by_run(self, column: str) -> dict[int, float]:
+        """Return the noise of a column, estimated in each run by itself, of those that show it."""
+        if column not in self._noise:
+            found = self._noise[column] = {}
+            for run, at in self.spans:
+                part = {RUN: self.run[at], column: self.full[column][at]}
+                with suppress(InputError):
+                    found[run] = estimate_noise(Log.from_arrays(part), (column,))[column].value
+        return self._noise[column]
 
     @cached_property
     def run(self) -> np.ndarray:
@@ -886,7 +950,8 @@ def _best(
             return
         inside = _inside(trials, found, c, runs) if c.kind == "clipped" else 0.0
         same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
-        one = Judged(same, found.mean(found.deviance, runs) + inside, left + inside, c, found.far)
+        beyond = inside + trials.quieter(c, runs)
+        one = Judged(same, found.mean(found.deviance, runs) + beyond, left + inside, c, found.far)
         known = np.isfinite(base.rest(found)) and np.isfinite(one.gain)
         if known and _follows(base, found):
             seen.append(one)
@@ -1022,9 +1087,8 @@ def _refined(
             continue
         count = len(seen)
         closer = _least(about, lambda c: float(np.log(max(screened(c), 1e-300))), REACH, 1e-3)
-        by = float(np.log(closer.numbers[0] / about.numbers[0]))
-        # beyond what is tried, or near enough to 1 for a wavelength or a scale of the machine
-        if abs(by) > 0.9 * REACH or abs(np.log(abs(closer.numbers[0]))) < np.log(ALTERED):
+        # near enough to 1 for a wavelength or a scale of the machine
+        if abs(np.log(abs(closer.numbers[0]))) < np.log(ALTERED):
             continue
         if screened(closer) < 1 - EXPLAINS:
             judge(_least(closer, deviance, CLOSE, 1e-5))
