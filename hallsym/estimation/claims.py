@@ -90,12 +90,13 @@ def _without_ends(fit: Fit) -> bool:
     """
     if fit.keep is None or fit.source is None:
         return False
-    lost, ends = np.zeros(2), np.zeros(2)  # left out, all
+    lost, lost_ends, samples, ends = 0, 0, 0, 0
     for batch in batches(continuous(fit.source, fit.model), columns_of(fit.model)):
-        out = 1 - np.concatenate([fit.keep(block) for block in batch.blocks])
-        at = np.array([(part.start, part.stop - 1) for _, part in batch.parts()]).ravel()
-        lost, ends = lost + [out.sum(), len(out)], ends + [out[at].sum(), len(at)]
-    return bool(scipy.stats.binom.sf(ends[0] - 1, np.ceil(lost[0]), ends[1] / lost[1]) < BY_CHANCE)
+        out = np.concatenate([fit.keep(block) == 0 for block in batch.blocks])
+        at = sorted({place for _, part in batch.parts() for place in (part.start, part.stop - 1)})
+        lost, lost_ends = lost + int(out.sum()), lost_ends + int(out[at].sum())
+        samples, ends = samples + len(out), ends + len(at)
+    return bool(scipy.stats.binom.sf(lost_ends - 1, lost, ends / samples) < BY_CHANCE)
 
 
 LOOKED, RUNS_LOOKED = 4096, 8
@@ -332,18 +333,14 @@ class Trials:
         """
         if c.kind != "scale" or len(runs) == len(self.spans):
             return 0.0
-        lacks, samples = 0.0, 0
-        for run, at in self.spans:
-            samples += (at.stop - at.start) * (run in runs)
-        for name in c.columns:
-            noise = {} if name in self.model.channels else self._noise_by_run(name)
-            least = min((s for r, s in noise.items() if r not in runs and s > 0), default=0.0)
-            for run, at in self.spans:
-                own = noise.get(run, 0.0) if run in runs else 0.0
-                if own > 0 and least > 0:
-                    ratio = min(abs(c.numbers[0]) * own / least, 1.0) ** 2
-                    lacks += (at.stop - at.start) * (ratio - 1 - np.log(ratio))
-        return lacks / max(samples * len(self.model.channels), 1)
+        lacks, samples = 0.0, {run: at.stop - at.start for run, at in self.spans if run in runs}
+        for name in (n for n in c.columns if n not in self.model.channels):
+            noise = {run: sigma for run, sigma in self._noise_by_run(name).items() if sigma > 0}
+            least = min((sigma for run, sigma in noise.items() if run not in samples), default=0.0)
+            for run in samples.keys() & noise if least else ():
+                ratio = min(abs(c.numbers[0]) * noise[run] / least, 1.0) ** 2
+                lacks += samples[run] * (ratio - 1 - np.log(ratio))
+        return lacks / max(sum(samples.values()) * len(self.model.channels), 1)
 
     def _noise_by_run(self, column: str) -> dict[int, float]:
         """Return the noise of a column, estimated in each run by itself, of those that show it."""
@@ -1274,17 +1271,17 @@ def _other_device(trials: Trials, now: Tried, runs: Sequence[int]) -> list[Found
 def _gains(
     trials: Trials, own: Tried, before: Sequence[Correction], runs: Sequence[int]
 ) -> tuple[Correction, ...]:
-    """Return the gains of readings that describe runs best at the parameters of `own`."""
-    channels, known = trials.model.channels, {c.columns[0]: c.numbers[0] for c in before}
-    sums = np.zeros((2, len(channels)))
-    for _, e, block in _whitened(own, runs):
-        x = np.array([block.data[c] / own.log.noise[c].value for c in channels])
-        x -= x.mean(axis=1, keepdims=True)
-        sums += (x * (x - e)).sum(axis=1), (x * x).sum(axis=1)
+    """Return the gains of readings that describe runs better at the parameters of `own`."""
+    known = {c.columns[0]: c.numbers[0] for c in before}
+    changes = {
+        c: _along(own, c, runs, gain=True, since=None, within=False)[0]
+        for c in trials.model.channels
+        if c not in trials.model.period
+    }
     return tuple(
-        Correction("gain_step", (c,), (known.get(c, 1.0) * seen / expected,), tuple(runs))
-        for c, expected, seen in zip(channels, *sums, strict=True)
-        if c not in trials.model.period and expected * seen > 0
+        Correction("gain_step", (c,), (known.get(c, 1.0) / (1 - change),), tuple(runs))
+        for c, change in changes.items()
+        if np.isfinite(change) and change < 1
     )
 
 
@@ -1466,8 +1463,8 @@ def _step(
         at = tried if k == 0 else trials.at((now,), tried.p, runs)
         if at is None:
             return None
-        change, place = _along(trials, at, column, runs, gain=gain, since=since if k and within else None,
-                               within=within)  # fmt: skip
+        known = since if k and within else None
+        change, place = _along(at, column, runs, gain=gain, since=known, within=within)
         if not np.isfinite(change):
             return None
         since = place if k == 0 else since
@@ -1482,14 +1479,7 @@ def _step(
 
 
 def _along(
-    trials: Trials,
-    at: Tried,
-    column: str,
-    runs: Sequence[int],
-    *,
-    gain: bool,
-    since: int | None,
-    within: bool,
+    at: Tried, column: str, runs: Sequence[int], *, gain: bool, since: int | None, within: bool
 ) -> tuple[float, int]:
     """Return by how much the zero (or gain) of a column changes, and from which sample on, by least squares.
 

@@ -70,6 +70,8 @@ def test_rates_of_mistakes() -> None:
         ("reading clipped in 5%, run", "stage30", "2940.0"),  # what it leaves is noise up to chance
         ("all lengths x 1000, log", "stage30", "2944.0"),  # a file in mm, readings too
         ("reading x 1000, log", "homed", "2940.0"),  # of decades that do as well the one of a unit
+        ("zero of a reference moved, few", "drawn", "2940.0"),  # inches would leave no noise of a reference
+        ("reference averaged over 3, log", "stage31", "2944.0"),  # ends of runs are left out as spikes
     ],
 )
 def test_the_right_one_of_several_hypotheses_is_named(kind: str, family: str, seed: str) -> None:
