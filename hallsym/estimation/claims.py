@@ -28,7 +28,7 @@ from hallsym.families.recording import Correction, as_corrections, said
 from hallsym.log import Log, Noise
 from hallsym.log.batches import batches
 from hallsym.log.columns import RUN, is_moving
-from hallsym.log.core import Block, Drop, without
+from hallsym.log.core import Block
 from hallsym.log.derived import extended
 from hallsym.log.estimate import estimate_noise
 from hallsym.log.phase import as_continuous, continuous
@@ -277,10 +277,6 @@ class Trials:
     noise: Noise
     _last: dict[object, Log] = field(default_factory=dict, init=False)
     _noise: dict[str, dict[int, float]] = field(default_factory=dict, init=False)
-
-    def without(self, runs: Sequence[int]) -> Trials:
-        """Return the same of all other runs."""
-        return replace(self, given=without(self.given, Drop(runs=frozenset(runs))))
 
     def over(self, floor: float) -> Trials:
         """Return the same with `floor` times the variance: an estimate misses what colour a noise has."""
@@ -670,8 +666,6 @@ def _screen(trials: Trials, base: Tried) -> Callable[[Correction], float]:
 EXPLAINS = 0.9
 """Share of the excess that a correction must explain to be named: one that leaves a tenth of it is near the
 right one, not it."""
-CUT_OFF = 4.0
-"""Mean square that steps leave over step^2/12, at most: of numbers cut off, not rounded, step^2/3."""
 EXCESS = 1.5
 """Mean square of the residual over the noise from which on a mistake is looked for: a noise that is stated
 20 % too small is none."""
@@ -721,23 +715,19 @@ class Found:
 
 def suspects(trials: Trials) -> list[Found]:
     """Return the mistakes that explain what a model leaves of a log; none where it leaves noise."""
-    copies = copied(trials)
-    trials = trials.without(copies) if copies else trials
-    out = [Found(Correction("copied_run", runs=copies), 1.0)] if copies else []
     base = trials.fitted()
-    if base is None or not base.left:
-        return out
+    if base is None or not base.left or max(base.left.values()) < EXCESS:
+        return []
     runs = list(base.left)
-    if max(base.left.values()) < EXCESS:
-        return out
     best = _best(trials, base, lambda c: trials.fitted((c,)), _screen(trials, base), runs)
-    if best and (named := _named(trials, base, best)):
-        return [*out, named]
+    after = trials.fitted((best.correction,)) if best else None
+    if best and after and _explains(base, after):
+        return [best]
     found, floor = _of_some_runs(trials, base)
     if not found and not trials.stated and floor > EXCESS:
         louder = trials.over(floor)
         found = _of_some_runs(louder, again)[0] if (again := louder.fitted()) and again.left else []
-    return [*out, *found]
+    return found
 
 
 def _of_some_runs(trials: Trials, base: Tried) -> tuple[list[Found], float]:
@@ -753,46 +743,9 @@ def _of_some_runs(trials: Trials, base: Tried) -> tuple[list[Found], float]:
     for odd, agreed in divided.items():
         some = _in_runs(trials, agreed, odd)
         after = trials.fitted([one.correction for one in some]) if some else None
-        # the first one alone, which the others may follow from: where it is right, it leaves no more
-        alone = _named(trials, base, some[0], least) if some else None
-        left = trials.fitted((alone.correction,)) if alone else None
-        if (
-            alone
-            and left
-            and (len(some) == 1 or not after or left.mean(left.deviance) <= after.mean(after.deviance))
-        ):
-            some, after = [alone], left
         if after is not None and after.left and _explains(base, after, least):
             explained.append((len(some), after.mean(after.deviance), some))
     return min(explained, key=lambda one: one[:2], default=(0, 0.0, []))[2], floor
-
-
-def _named(trials: Trials, base: Tried, found: Found, floor: float = 1.0) -> Found | None:
-    """Return a mistake that a fit without it confirms, its factor that of a unit if one is as near.
-
-    None where the fit does not confirm it.
-    """
-    c = found.correction
-    gain = c.kind == "gain_step" and len(c.numbers) == 1  # of whole runs: their numbers are scaled
-    by = 1 / c.numbers[0] if gain else c.numbers[0] if c.kind == "scale" else 0.0
-    known = scales(trials.model, c.columns) if by else []
-    own = all(factor != by for _, factor in known)
-    near = [
-        Correction("scale", c.columns, (factor,), c.runs, unit)
-        for unit, factor in known
-        if own and 1 / UNIT_NEAR < factor / by < UNIT_NEAR
-    ]
-    for some in (near, [c]):
-        fits = {one: trials.fitted((one,)) for one in some}
-        tried = {one: after for one, after in fits.items() if after and _explains(base, after, floor)}
-        if tried:
-            best = min(tried, key=lambda one: tried[one].mean(tried[one].deviance))
-            return replace(found, correction=best)
-    return None
-
-
-UNIT_NEAR = 1.2
-"""Factor within which a scale may be that of a unit: parameters of few runs are not better known."""
 
 
 def _explains(base: Tried, after: Tried, floor: float = 1.0) -> bool:
@@ -825,18 +778,6 @@ AT_REST = 0.04
 UNEXPLAINED = 0.003
 """Share of the readings' variance that effects may leave beside a mistake, over the noise: a twentieth of the
 stroke."""
-
-
-def copied(trials: Trials) -> tuple[int, ...]:
-    """Return the runs whose samples are those of a run before."""
-    known: dict[bytes, int] = {}
-    moving = [c for c in trials.columns if is_moving(c)]
-    again = []
-    for run, at in trials.spans:
-        samples = b"".join(trials.full[c][at].tobytes() for c in moving)
-        if known.setdefault(samples, run) != run:
-            again.append(run)
-    return tuple(again)
 
 
 def _divisions(trials: Trials, base: Tried) -> dict[tuple[int, ...], Tried]:
@@ -943,8 +884,6 @@ def _best(
         if found is None or not found.left:
             return
         left = found.mean(found.left, runs)
-        if c.mistake.keeps and left > CUT_OFF:  # a noise that is larger is not all that is wrong
-            return
         inside = _inside(trials, found, c, runs) if c.kind == "clipped" else 0.0
         same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
         beyond = inside + trials.quieter(c, runs)
@@ -983,18 +922,19 @@ def _best(
     # of units, whose readings differ by less than parameters can make up for, the most usual of those that
     # leave the machine as near to the nominal one, within a width of one bound
     nearest = min(one.far for one in equal) ** 2 + 1.0
-    units = [one for one in equal if one.correction.unit and one.far**2 < nearest]
-    units.sort(key=lambda one: [*UNITS].index(one.correction.unit))
-    first = units[0] if units else min(equal, key=lambda one: one.after)
-    decades = [
-        one for one in equal
-        if one.correction.kind == "scale" and not first.correction.unit and one.correction in shares
-        and abs(np.log(one.correction.numbers[0] / first.correction.numbers[0])) > np.log(ALTERED)
-    ]  # fmt: skip
-    rivals = tuple(
-        one.correction for one in near
-        if one in units[1:] or not _same(one.correction, first.correction) or one in decades
-    )  # fmt: skip
+
+    def usual(one: Judged) -> tuple[bool, int]:
+        unit = one.correction.unit
+        return (one.far**2 >= nearest, [*UNITS].index(unit)) if unit else (False, 0)
+
+    first = min(equal, key=lambda one: (usual(one), one.after))
+
+    def rivals_it(one: Judged) -> bool:  # a number beside its own is none
+        c, named = one.correction, first.correction
+        apart = c.kind == "scale" and abs(np.log(abs(c.numbers[0] / named.numbers[0]))) > np.log(ALTERED)
+        return not _same(c, named) or (c.unit != named.unit if c.unit else apart and c in shares)
+
+    rivals = tuple(one.correction for one in near if rivals_it(one))
     c, vague = first.correction, 0.0
     if assumes(first)[0]:
         beside = [replace(c, numbers=(c.numbers[0] * (1 + by),)) for by in (-KNOWN, KNOWN)]
@@ -1156,11 +1096,9 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
             elif (lost := lost + over.get(r, 0.0)) > may_stay:
                 break
         out = _fewest(trials, out)
-        if left and out:
-            left, out = _spread(trials, left, out)
     if sum(over.get(r, 0.0) for r in left) > may_stay and not _one_way(trials, odd):
         out = _other_device(trials, now, odd) or out  # it may be another device in all
-    return [replace(f, correction=_everywhere(trials, f.correction)) for f in out]
+    return out
 
 
 def _fewest(trials: Trials, found: Sequence[Found]) -> list[Found]:
@@ -1181,26 +1119,6 @@ def _fewest(trials: Trials, found: Sequence[Found]) -> list[Found]:
         c = _one_gain(trials, same[0].correction, runs) if len(same) > 1 else None
         single += [replace(same[0], correction=c, rivals=())] if c else same
     return single
-
-
-def _spread(trials: Trials, left: Sequence[int], found: list[Found]) -> tuple[list[int], list[Found]]:
-    """Return the runs that are not described once the mistakes of others are undone and all is fitted; these.
-
-    A run that one of these describes has it too.
-    """
-    after = trials.fitted([one.correction for one in found])
-    if not after or not after.left:
-        return list(left), found
-    still = [r for r in left if after.left.get(r, np.inf) > EXCESS]
-    for k, one in enumerate(found):
-        c = one.correction
-        if c.mistake.by_run and c.numbers[1:]:  # from a sample on, or stretches: each run has its own
-            continue
-        own = trials.at((c.in_runs(still),), after.p, still) if still else None
-        more = [r for r in still if own and own.left.get(r, np.inf) < EXCESS]
-        found[k] = replace(one, correction=c.in_runs(sorted({*c.runs, *more})))
-        still = [r for r in still if r not in more]
-    return still, found
 
 
 def _one_gain(trials: Trials, c: Correction, runs: list[int]) -> Correction | None:
@@ -1231,19 +1149,6 @@ def _one_way(trials: Trials, odd: Sequence[int]) -> bool:
         if ways in (({1.0}, {-1.0}), ({-1.0}, {1.0})):
             return True
     return False
-
-
-def _everywhere(trials: Trials, c: Correction) -> Correction:
-    """Return a rail that no run crosses as one of all runs."""
-    if c.kind != "clipped":
-        return c
-    own = np.isin(trials.run, list(c.runs))
-    for x in (trials.full[n] for n in c.columns):
-        ends = (float(x[own].min()), float(x[own].max()))
-        below, above = (x[~own] < ends[0]).any(), (x[~own] > ends[1]).any()
-        if (np.isfinite(c.numbers[0]) and below) or (np.isfinite(c.numbers[1]) and above):
-            return c
-    return replace(c, runs=())
 
 
 def _of(c: Correction, runs: Sequence[int]) -> Correction:
@@ -1354,12 +1259,8 @@ def of_samples(trials: Trials, tried: Tried, known: Set[Key] = frozenset()) -> I
     if len(runs) == 1:
         yield from _still(trials, runs[0])
         yield from _steps(trials, tried, runs, known, within=True)
-    for c in _steps(trials, tried, runs, known, within=False):
-        whole = len(runs) == len(trials.spans)
-        if not whole:
-            yield c
-        elif abs(np.log(abs(c.numbers[0]))) > np.log(ALTERED):
-            yield Correction("scale", c.columns, (1 / c.numbers[0],))
+    if len(runs) < len(trials.spans):
+        yield from _steps(trials, tried, runs, known, within=False)
 
 
 SEARCHED = 6
@@ -1367,12 +1268,8 @@ SEARCHED = 6
 
 
 def _rails(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
-    """Yield columns that stop at a value in some runs: its ends hold more samples than the values beside.
-
-    Readings that do are tried together too: one converter ends at one value.
-    """
+    """Yield columns that stop at a value in some runs: its ends hold more samples than the values beside."""
     some = np.isin(trials.run, list(runs))
-    found: dict[str, tuple[float, float]] = {}
     for c in trials.columns:
         if not is_moving(c):
             continue
@@ -1386,11 +1283,7 @@ def _rails(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
         ends = (_stop(x), -_stop(-x))
         for pair in {(ends[0], np.inf), (-np.inf, ends[1]), ends}:
             if np.isfinite(pair).any():
-                found[c] = ends
                 yield Correction("clipped", (c,), pair)
-    if len(together := [c for c in found if c in trials.model.channels]) > 1:
-        low, high = np.array([found[c] for c in together]).T
-        yield Correction("clipped", tuple(together), (float(low.max()), float(high.min())))
 
 
 def _stop(x: np.ndarray) -> float:
