@@ -1048,10 +1048,6 @@ def _least(about: Correction, cost: Callable[[Correction], float], reach: float,
     return times(float(search(finite, bounds=(-reach, reach), method="bounded", options=options).x))
 
 
-SWEPT = 0.8
-"""Share of its range by which a run that is one sweep ends away from its beginning: the rest is noise."""
-
-
 def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
     """Return the mistakes of runs that do not go with the others: of all together, else of each by itself.
 
@@ -1133,6 +1129,10 @@ def _one_gain(trials: Trials, c: Correction, runs: list[int]) -> Correction | No
         if not known or not before or abs(known.numbers[0] / before.numbers[0] - 1) < SETTLED:
             break
     return known
+
+
+SWEPT = 0.8
+"""Share of its range by which a run that is one sweep ends away from its beginning: the rest is noise."""
 
 
 def _one_way(trials: Trials, odd: Sequence[int]) -> bool:
