@@ -82,6 +82,21 @@ def test_the_right_one_of_several_hypotheses_is_named(kind: str, family: str, se
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "family", "seed"),
+    [
+        ("reference in counts, log", "drawn", "2944.0"),  # a gain makes up for a factor of two
+        ("reading 20 samples off, run", "chip", "2945.0"),  # late by a third of a turn, held at its beginning
+        ("reading 20 samples off, log", "homed", "2951.0"),  # without what it holds one run would be odd
+    ],
+)
+def test_what_no_correction_explains_is_noticed_without_one(kind: str, family: str, seed: str) -> None:
+    claims = told(mistaken(kind, family, seed).recording)[0].claims
+    assert claims
+    assert [one.correction for one in claims] == [None] * len(claims)
+
+
+@pytest.mark.slow
 def test_sweeps_there_and_back_with_hysteresis_are_not_of_two_devices() -> None:
     """Every second run goes back: parameters of its own describe it, and so does play."""
     assert judged("hysteresis", "rotary", "10.0").claims == []
