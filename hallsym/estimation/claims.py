@@ -931,8 +931,9 @@ def _best(
 
     def rivals_it(one: Judged) -> bool:  # a number beside its own is none
         c, named = one.correction, first.correction
-        apart = c.kind == "scale" and abs(np.log(abs(c.numbers[0] / named.numbers[0]))) > np.log(ALTERED)
-        return not _same(c, named) or (c.unit != named.unit if c.unit else apart and c in shares)
+        if not _same(c, named) or c.unit or c.kind != "scale":
+            return not _same(c, named) or c.unit != named.unit
+        return c in shares and bool(abs(np.log(abs(c.numbers[0] / named.numbers[0]))) > np.log(ALTERED))
 
     rivals = tuple(one.correction for one in near if rivals_it(one))
     c, vague = first.correction, 0.0
