@@ -721,9 +721,14 @@ def suspects(trials: Trials) -> list[Found]:
     runs = list(base.left)
     best = _best(trials, base, lambda c: trials.fitted((c,)), _screen(trials, base), runs)
     after = trials.fitted((best.correction,)) if best else None
-    if best and after and _explains(base, after):
-        return [best]
+    whole = [best] if best and after and _explains(base, after) else []
+    if after and whole and after.mean(after.left) < EXCESS:
+        return whole
     found, floor = _of_some_runs(trials, base)
+    if after and whole:  # which leaves more than noise: mistakes of some runs may leave less
+        other = trials.fitted([one.correction for one in found]) if found else None
+        better = other and other.left and other.mean(other.deviance) < after.mean(after.deviance)
+        return found if better else whole
     if not found and not trials.stated and floor > EXCESS:
         louder = trials.over(floor)
         found = _of_some_runs(louder, again)[0] if (again := louder.fitted()) and again.left else []
@@ -1271,6 +1276,7 @@ SEARCHED = 6
 def _rails(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
     """Yield columns that stop at a value in some runs: its ends hold more samples than the values beside."""
     some = np.isin(trials.run, list(runs))
+    found: dict[str, tuple[float, float]] = {}
     for c in trials.columns:
         if not is_moving(c):
             continue
@@ -1284,7 +1290,11 @@ def _rails(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
         ends = (_stop(x), -_stop(-x))
         for pair in {(ends[0], np.inf), (-np.inf, ends[1]), ends}:
             if np.isfinite(pair).any():
+                found[c] = ends
                 yield Correction("clipped", (c,), pair)
+    if len(together := [c for c in found if c in trials.model.channels]) > 1:
+        low, high = np.array([found[c] for c in together]).T
+        yield Correction("clipped", tuple(together), (float(low.max()), float(high.min())))
 
 
 def _stop(x: np.ndarray) -> float:
