@@ -169,10 +169,10 @@ def _recording(log: Log, model: Model, asked: Asked, began: float) -> Fit:
     doubted = {n.name for n in faults if n.correction is None or not described(result)}
     if doubted:  # a fault that leaves samples out may be part of a larger one: fit all samples
         whole, _ = checked(log, model, asked, result.corrections, tuple(doubted))
-        found = mistakes_of(whole, model)
-        if not found and all(n.correction for n in faults):  # else what left samples out is not known
-            found = claims_of(result, given)
-        return _claimed(result, found, asked)
+        mistakes = mistakes_of(whole, model)
+        if not mistakes and all(n.correction for n in faults):  # else what left samples out is not known
+            mistakes = claims_of(result, given)
+        return _claimed(result, mistakes, asked)
     return _claimed(result, claims_of(result, given), asked)
 
 
