@@ -26,25 +26,25 @@ REF, READING, RUN, TIME, ANGLE = "ref", "reading", "run", "t", "angle"
 _SAME: dict[str, tuple[str, ...]] = {
     REF: (
         "ref", "reference", "if", "ifm", "interferometer", "interf", "laser", "true", "cnc", "truth",
-        "actual", "referenz", "ist", "autocollimator",
+        "actual", "referenz", "ist", "autocollimator", "激光", "参考",
     ),
-    READING: ("hall", "sensor", "probe", "hs", "ch", "channel", "adc", "sonde"),
+    READING: ("hall", "sensor", "probe", "hs", "ch", "channel", "adc", "sonde", "霍尔"),
     RUN: RUN_WORDS,
     TIME: TIME_WORDS,
-    ANGLE: ("angle", "theta", "phi", "winkel", "rotation", "rot"),
+    ANGLE: ("angle", "theta", "phi", "winkel", "rotation", "rot", "角度"),
     "sin": ("sin", "sine", "sinus"),
     "cos": ("cos", "cosine", "cosinus", "kosinus"),
     "rx": ("rx", "roll", "tiltx", "wank"),
     "ry": ("ry", "pitch", "tilty", "nick"),
     "rz": ("rz", "yaw", "gier"),
-    "z": ("z", "height", "gap", "hoehe", "höhe", "luftspalt"),
+    "z": ("z", "height", "gap", "hoehe", "höhe", "luftspalt", "高度", "气隙"),
     "col": ("col", "column"),
     "temperature": ("temperature", "temp", "temperatur"),
     "current": ("current", "strom"),
     "speed": ("speed", "velocity", "rpm"),
 }  # fmt: skip
 _WORDS = {word: token for token, words in _SAME.items() for word in words}
-_SPLIT = re.compile(r"[A-Z]{2,}(?![a-z])|[A-Z]?[a-zäöü]+|[A-Z]|\d+")
+_SPLIT = re.compile(r"[A-Z]{2,}(?![a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]|\d+")
 _IDLE = {"v", "pos", "position", "value", "signal", "raw", "data", "meas", "stage", "out", "val", "the", "of"}
 """Words that tell nothing."""
 FULL, MORE, NUMBERED, BARE = 1.0, 0.9, 0.8, 0.5

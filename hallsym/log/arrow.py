@@ -211,14 +211,18 @@ def source_of(data: Any, where: str) -> Memory:
             array = load("pyarrow").array(array.astype(f"{array.dtype.kind}8[ns]"))
         given[str(name)] = array
     typed = {name: values.type for name, values in given.items() if not isinstance(values, np.ndarray)}
-    timed = {name for name, kind in typed.items() if is_time(kind)}
+    timed = {
+        name: form
+        for name, kind in typed.items()
+        if (form := "" if is_time(kind) else _form_of(given[name])) is not None
+    }
     kept = [
         name
         for name, values in given.items()
         if (is_numeric(typed[name]) or name in timed if name in typed else values.dtype.kind in "fiu")
     ]
     source = Memory({})
-    source.take(stems_of(kept), {k: "" for k, name in enumerate(kept) if name in timed}, where)
+    source.take(stems_of(kept), {k: timed[name] for k, name in enumerate(kept) if name in timed}, where)
     for name, text in zip(source.names, kept, strict=True):
         values = source.reader(name)(given[text]) if text in typed else given[text]
         if values.ndim != 1 or len(values) != len(next(iter(source.columns.values()), values)):
@@ -229,6 +233,17 @@ def source_of(data: Any, where: str) -> Memory:
     source.rows = len(next(iter(source.columns.values()), ()))
     source.left_out = {name: "it holds no numbers" for name in given if name not in kept}
     return source
+
+
+def _form_of(cells: Any) -> str | None:
+    """Return how a column of text writes times; None for any other column."""
+    types = load("pyarrow").types
+    text = types.is_string(cells.type) or types.is_large_string(cells.type)
+    return time_form([cell for cell in cells[:_FEW].to_pylist() if cell]) if text else None
+
+
+_FEW = 1000
+"""Cells that are looked at to see whether text holds times."""
 
 
 def _columns_of(data: Any, where: str) -> Iterator[tuple[str, Any]]:

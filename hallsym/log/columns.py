@@ -24,8 +24,20 @@ from hallsym.toml import Table
 from hallsym.units import UNITS, Array, quantity, require_unit, si_name, split_unit
 
 RUN = "run"
-RUN_WORDS = ("run", "pass", "scan", "sweep", "trial", "segment", "lauf", "fahrt", "messung", "measurement")
-TIME_WORDS = ("t", "time", "timestamp", "zeit", "clock", "elapsed", "temps")
+RUN_WORDS = (
+    "run",
+    "pass",
+    "scan",
+    "sweep",
+    "trial",
+    "segment",
+    "lauf",
+    "fahrt",
+    "messung",
+    "measurement",
+    "次数",
+)
+TIME_WORDS = ("t", "time", "timestamp", "zeit", "clock", "elapsed", "temps", "时间")
 """Usual names of runs, and of the time."""
 T = "t"
 """Name of the time in a log, without its unit, and of times that a format gives."""
@@ -432,7 +444,7 @@ _WORDS = {
     "min-1": "rpm", "r/min": "rpm", "m/s": "m_s", "mm/s": "mm_s", "counts": "count", "cts": "count",
     "inc": "count", "lsb": "count", "digit": "count", "digits": "count", '"': "arcsec", "″": "arcsec",
     "''": "arcsec", "arcseconds": "arcsec", "′": "arcmin", "arcminutes": "arcmin", "turn": "rev",
-    "turns": "rev", "urad": "urad",
+    "turns": "rev", "umdr": "rev", "gon": "grad", "urad": "urad",
 }  # fmt: skip
 _EXACT = {
     "V": "v", "mV": "mv", "uV": "uv", "A": "a", "mA": "ma", "T": "t", "mT": "mt", "uT": "ut", "Hz": "hz",
@@ -454,8 +466,8 @@ _BEHIND = (
 )
 
 
-_PROGRAMS = {"X_Value": ("t", "s")}
-"""Names that a program gives whatever is recorded: LabVIEW's of the time in its measurement files."""
+_PROGRAMS = {"X_Value": ("t", "s"), "millis": ("t", "ms"), "micros": ("t", "us")}
+"""Names of the time, whatever is recorded: of LabVIEW's measurement files, of functions of Arduino."""
 _PLAIN = re.compile(r"(.*\S)\s+(\S+)")
 _SURE = {
     "um", "nm", "mm", "urad", "mrad", "nrad", "deg", "mdeg", "arcmin", "arcsec", "ms", "us", "mv", "uv", "mt",
@@ -531,8 +543,8 @@ def stems_of(
         if where and times[text] > 1 and (text == "run" or split_unit(text)[1]):
             raise InputError(f"Column names of {where} must differ; '{text}' stands there twice: rename one.")
         seen[text] += 1
-        number = f" {seen[text]}" if times[text] > 1 else ""
-        texts[k] = f"{text}{number}" if same[texts[k]] > 1 else texts[k]
+        number = f" {seen[text]}" if same[texts[k]] > 1 else ""  # pandas has numbered others
+        texts[k] += number
         other = stated[k] if k < len(stated) else None
         if where and unit and other and unit != other:
             raise InputError(

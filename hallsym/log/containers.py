@@ -1,4 +1,4 @@
-"""Files that hold several tables: sheets, tables of a database, files of an archive, signals by name."""
+"""Files that hold several tables: sheets, tables of a database, files of an archive."""
 
 from __future__ import annotations
 
@@ -12,15 +12,12 @@ from contextlib import closing
 from functools import lru_cache
 from pathlib import Path
 
-import numpy as np
-
 from hallsym.errors import InputError, nearest, quoted
 from hallsym.log.arrow import source_of
-from hallsym.log.columns import RUN_WORDS, TIME_WORDS, listed, split_header, stems_of
+from hallsym.log.columns import listed
 from hallsym.log.groups import Group, GroupedSource
-from hallsym.log.table import Arrays, Source, load
+from hallsym.log.table import Source, load
 from hallsym.log.text.cells import is_number
-from hallsym.units import split_unit
 
 
 def one_of(where: str, kind: str, tables: Mapping[str, Source], chosen: str | None = None) -> Source:
@@ -119,48 +116,3 @@ def _unpacked(path: Path, suffixes: tuple[str, ...], written: int) -> Path:
 
 
 _UNPACKED: list[tempfile.TemporaryDirectory[str]] = []
-
-
-# -- a row per value ---------------------------------------------------------------------------------------
-
-MOST_NAMES = 6
-"""Columns of a table with a row per value at most: time, run, name, value, and what is kept beside them."""
-LOOKED_AT = 1000
-"""Rows that are looked at to see whether names come again."""
-
-
-def by_signal(source: Source, where: str) -> Source:
-    """Return the signals of a table with a row per value (time, name, value) as columns.
-
-    Any other table is returned as it is: one with more than one column of words, or of numbers beside time
-    and run, or whose values have a unit, which several quantities cannot share.
-    """
-    if not 3 <= len(source.names) <= MOST_NAMES:
-        return source
-    head = [row for row in source.head(LOOKED_AT, MOST_NAMES) if len(row) == len(source.names)]
-    columns = dict(zip(source.names, zip(*head, strict=True), strict=False))
-    words = [name for name, cells in columns.items() if not any(map(is_number, cells))]
-    stems = {name: split_unit(split_header(name)[0])[0].lower().strip("_") for name in source.names}
-    stamps = [name for name in columns if stems[name] in TIME_WORDS]
-    names = [name for name in words if name not in stamps]
-    numbers = [n for n in columns if n not in words and n not in stamps and stems[n] not in RUN_WORDS]
-    if len(names) != 1 or len(numbers) != 1 or numbers[0] in source.units or split_unit(numbers[0])[1]:
-        return source
-    labels = np.array(source.labels(names[0]))
-    signals = list(dict.fromkeys(labels))
-    if not 2 <= len(signals) <= len(labels) / 2:
-        return source
-    beside = [name for name in source.names if name not in (names[0], numbers[0])]
-    data, parts = source.read([*beside, numbers[0]]), stems_of(signals, [None] * len(signals), where)
-    groups = []
-    for stem, (label, unit) in parts.items():
-        mine = labels == label
-        part = Arrays({stem: data[numbers[0]][mine], **{name: data[name][mine] for name in beside}})
-        part.units = {
-            **{n: u for n, u in source.units.items() if n in beside},
-            **({stem: unit} if unit else {}),
-        }
-        groups.append(Group(stem, part))
-    found = GroupedSource(where, "a row per value", groups, source.left_out, None, files=True)
-    found.notes = (*source.notes, *found.notes)
-    return found

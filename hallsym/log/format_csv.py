@@ -48,9 +48,10 @@ class CsvSource(Timed):
         self.notes += (*odd, *([_TORN.format(self.where)] if dialect.torn else []))
 
     def count(self) -> int:
-        """Return the number of rows: the lines are counted."""
+        """Return the number of rows: the lines are counted, but for words between them."""
         if not hasattr(self, "rows"):
-            self.rows = sum(piece.count("\n") for piece in self._pieces())
+            pieces = (piece.count("\n") for piece in self._pieces())
+            self.rows = super().count() if self.dialect.remarks else sum(pieces)
         return self.rows
 
     def head(self, count: int, most: int) -> list[list[str]]:
@@ -67,7 +68,12 @@ class CsvSource(Timed):
         """Yield consecutive chunks."""
         csv, arrow, dialect = load("pyarrow.csv"), load("pyarrow"), self.dialect
         places, labels = [str(self.names.index(name)) for name in names], [*map(str, range(len(self.names)))]
-        parse = csv.ParseOptions(delimiter=delimiter_of(dialect), quote_char='"' if dialect.quoted else False)
+        sign = delimiter_of(dialect)
+        parse = csv.ParseOptions(
+            delimiter=sign,
+            quote_char='"' if dialect.quoted else False,
+            invalid_row_handler=lambda row: "skip" if dialect.is_remark(row.text, sign) else "error",
+        )
         convert = csv.ConvertOptions(
             column_types=dict.fromkeys(labels, arrow.float64())
             | {str(k): arrow.string() for k in dialect.times},
@@ -88,20 +94,16 @@ class CsvSource(Timed):
 
     def _pieces(self) -> Iterator[str]:
         """Yield the clean lines from the first sample to the last one, in pieces."""
-        clean, footer, kept = cleaning(self.dialect), self.dialect.footer, ""
+        clean = cleaning(self.dialect)
         for piece in self.text.pieces(self.where, self.dialect.first - 1):
-            cleaned = clean(piece)
-            if footer:
-                parts = f"{kept}{cleaned}".rsplit("\n", footer + 1)
-                cleaned = f"{parts[0]}\n" if len(parts) > footer + 1 else ""
-                kept = "\n".join(parts[1:] if cleaned else parts)
-            if cleaned:
+            if cleaned := clean(piece):
                 yield cleaned
 
     def _cells(self) -> Iterator[list[str]]:
         """Yield the rows of the table as text."""
         for piece in self._pieces():
-            yield from (split(line, delimiter_of(self.dialect)) for line in piece.split("\n")[:-1])
+            sign, lines = delimiter_of(self.dialect), piece.split("\n")[:-1]
+            yield from (split(line, sign) for line in lines if not self.dialect.is_remark(line, sign))
 
 
 class CsvWriter:
@@ -134,7 +136,7 @@ def first_fault(source: CsvSource, indices: Sequence[int], error: Exception) -> 
     dialect, clean = source.dialect, cleaning(source.dialect)
     for number, line in enumerate(source.text.lines(source.where), start=1):
         text = clean(f"{line}\n")[:-1] if number >= dialect.first else ""
-        if not text:
+        if not text or dialect.is_remark(text, delimiter_of(dialect)):
             continue
         cells = split(text, delimiter_of(dialect))
         if len(cells) != len(source.names):

@@ -12,7 +12,7 @@ import numpy as np
 
 from hallsym.errors import quoted
 from hallsym.log.table import Source, load
-from hallsym.log.vectors import Stored, arranged, unit_in
+from hallsym.log.vectors import Stored, arranged, unit_in, words_of
 
 
 def open_hdf5(path: Path, clock: str | None = None, kind: str = "HDF5", by: str = "/") -> Source:
@@ -21,10 +21,13 @@ def open_hdf5(path: Path, clock: str | None = None, kind: str = "HDF5", by: str 
     opened = partial(load("h5py").File, path, "r")
     with opened() as file:
         arrays = {
-            name: Stored(node.shape, _type(node), _finder(node.name), unit_in(node.attrs), _fault(node))
+            name: Stored(
+                node.shape, _type(node), _finder(node.name), unit_in(node.attrs), _fault(node),
+                tuple(words for value in node.attrs.values() if (words := words_of(value))),
+            )
             for name, node in _datasets(file, left_out, by).items()
             if node.shape is not None
-        }
+        }  # fmt: skip
     return arranged(quoted(path), kind, arrays, left_out, by, clock, opened)
 
 

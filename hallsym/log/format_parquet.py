@@ -11,7 +11,7 @@ from typing import Any
 from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import Memory, Timed, distinct, is_numeric, is_time, source_of
 from hallsym.log.columns import stems_of
-from hallsym.log.table import IN_MEMORY_ROWS, load
+from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, load
 from hallsym.log.vectors import MOST_COLUMNS
 from hallsym.units import UNITS, Array
 
@@ -46,8 +46,9 @@ class ParquetSource(Timed):
                     f"Column '{field.name}' of {self.path} must hold numbers; it holds {field.type}."
                 )
         readers, own = [self.reader(name) for name in names], [field.name for field in fields]
-        with self._opened(buffer_size=0 if self.small else _BUFFER) as file:
-            batches = [file.read(own, use_threads=self.rows >= _THREADS)] if self.small else None
+        whole = self.small and size >= CHUNK_ROWS
+        with self._opened(buffer_size=0 if whole else _BUFFER) as file:
+            batches = [file.read(own, use_threads=self.rows >= _THREADS)] if whole else None
             for batch in batches or file.iter_batches(size, columns=own, use_threads=False):
                 yield {
                     name: array(batch.column(column))

@@ -27,7 +27,7 @@ from hallsym.log.columns import (
     read_column_file,
     still_missing,
 )
-from hallsym.log.containers import by_signal, open_sqlite, unpacked
+from hallsym.log.containers import open_sqlite, unpacked
 from hallsym.log.core import Log
 from hallsym.log.format_csv import CsvSource
 from hallsym.log.format_hdf5 import open_hdf5
@@ -44,7 +44,7 @@ from hallsym.log.meta import Meta, Noise, check_noise_keys
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
 from hallsym.log.text.sniff import stated_delimiter
-from hallsym.log.vectors import side_by_side
+from hallsym.log.parted import by_clock, by_rows, by_signal, side_by_side
 from hallsym.units import Array, split_unit
 
 
@@ -340,7 +340,9 @@ def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> S
         options["delimiter"] = stated_delimiter(options["delimiter"])
     fault = f"must be a complete {entry.kind} file; it is cut short or damaged"
     source = Guarded(file, partial(entry.open, **options), fault)
-    found = by_signal(side_by_side(source, quoted(file)), quoted(file))
+    found: Source = source
+    for parted in (side_by_side, by_signal, *(() if "clock" in entry.options else (by_clock, by_rows))):
+        found = parted(source, quoted(file)) if found is source else found
     found.read_with = {**({"format": format} if format else {}), **options}
     return found
 
@@ -392,8 +394,15 @@ def open_source(
 
 def _resolve(wanted: Mapping[str, str | Foreign], source: Source) -> dict[str, Foreign]:
     """Let a mapping use a column's long name (`log.HallA`) as well as its short one."""
+
+    def own(name: str) -> str:
+        if name in source.names or name in source.aliases:
+            return source.aliases.get(name, name)
+        longer = [one for one in source.names if re.match(rf"{re.escape(name)}\W", one)]
+        return longer[0] if len(longer) == 1 else name  # without the unit, as people say it
+
     entries = {ours: Foreign(e) if isinstance(e, str) else e for ours, e in wanted.items()}
-    return {ours: structs.replace(e, name=source.aliases.get(e.name, e.name)) for ours, e in entries.items()}
+    return {ours: structs.replace(e, name=own(e.name)) for ours, e in entries.items()}
 
 
 def _noise(meta: Meta, stated: ColumnFile, given: Mapping[str, float], table: Table) -> Noise:

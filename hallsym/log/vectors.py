@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -11,9 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.columns import RUN_WORDS, TIME_WORDS, split_header, stems_of, unit_of
+from hallsym.log.columns import split_header, stems_of, unit_of
 from hallsym.log.groups import Group, GroupedSource
-from hallsym.log.table import Arrays, Source
+from hallsym.log.table import Source
+from hallsym.log.text.cells import is_unit_row
 from hallsym.units import UNITS, Array
 
 MOST_COLUMNS = 100
@@ -28,7 +30,7 @@ class Stored(NamedTuple):
     """An array in a file, with named fields perhaps: its shape and type, and the unit that the file states.
 
     `find` takes the opened file and a field, "" without one, and returns what indices of numpy read. `fault`:
-    why it cannot be used.
+    why it cannot be used. `texts`: lists of words that stand with it, such as names of the columns of a matrix.
     """
 
     shape: tuple[int, ...]
@@ -36,6 +38,7 @@ class Stored(NamedTuple):
     find: Callable[[Any, str], Any]
     unit: str | None = None
     fault: str = ""
+    texts: tuple[tuple[str, ...], ...] = ()
 
 
 class Vector(NamedTuple):
@@ -79,11 +82,11 @@ class Vectors(Source):
                 yield part
 
 
-def columns_of(path: str, array: Stored, field: str) -> tuple[dict[str, Vector], str]:
+def columns_of(path: str, array: Stored, field: str, by: str) -> tuple[dict[str, Vector], str]:
     """Return the columns of a field of an array by path, or why there are none ("": it is none of numbers).
 
-    A matrix becomes a column for each of its rows or columns, whichever are fewer, `name_0` to `name_k`; a
-    row or column matrix, MATLAB's vector, is one.
+    A matrix becomes a column for each of its rows or columns, whichever are fewer, by the names that stand with
+    it or `name_0` to `name_k`; a row or column matrix, MATLAB's vector, is one.
     """
     shape, kind = array.shape, (array.dtype[field] if field else array.dtype).kind
     sizes = [n for n in shape if n != 1] or [1]
@@ -110,7 +113,28 @@ def columns_of(path: str, array: Stored, field: str) -> tuple[dict[str, Vector],
     last = path.rpartition("_")[2]
     if own is None and last in UNITS and (len(last) > 1 or last in "msv"):
         stem, own = path.rpartition("_")[0], last
-    return {f"{stem}_{k}": column(k, array.unit or own) for k in range(min(sizes))}, ""
+    count, names, units = range(min(sizes)), list[str](), [array.unit or own] * min(sizes)
+    before = path[: len(path) - len(path.split(by)[-1])]
+    for words in (list(texts) for texts in array.texts if len(texts) == len(count)):
+        if is_unit_row(words):
+            units = [unit_of(word) for word in words]
+        elif len(set(words)) == len(words):
+            names = names or [before + word for word in words]
+    return {name: column(k, units[k]) for k, name in enumerate(names or [f"{stem}_{k}" for k in count])}, ""
+
+
+def words_of(values: Any) -> tuple[str, ...]:
+    """Return a list of words as text; () of anything else."""
+    found = np.asarray(values)
+    texts = [v.decode("utf-8", "replace") if isinstance(v, bytes) else v for v in found.ravel().tolist()]
+    return tuple(texts) if texts and all(isinstance(text, str) for text in texts) else ()
+
+
+def _texts(arrays: Mapping[str, Stored], opened: Opened) -> tuple[tuple[str, ...], ...]:
+    """Return the lists of words of a file."""
+    short = [a for a in arrays.values() if a.dtype.kind in "SUO" and 1 < math.prod(a.shape) <= MOST_COLUMNS]
+    with opened() as file:
+        return tuple(words for array in short if (words := words_of(array.find(file, "")[()])))
 
 
 def unit_in(attributes: Mapping[str, object]) -> str | None:
@@ -120,55 +144,6 @@ def unit_in(attributes: Mapping[str, object]) -> str | None:
             text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
             return unit_of(text)
     return None
-
-
-_OF_RUN = re.compile(
-    rf"(?:^|[_ ./-])(?:(?:{'|'.join(RUN_WORDS)})[_ .#-]?|#)(\d+)(?=$|[_ ./-])", re.IGNORECASE
-)
-
-
-def side_by_side(source: Source, where: str) -> Source:
-    """Return the runs of a table with columns for each run (`hall_a_run0`, `hall_a_run1`) one after another.
-
-    Numbers without the word (`Hall A #1`) are those of runs where each has a time. Any other table, and one
-    of which most columns are of no run, is returned as it is. Columns without a run belong to all of them;
-    the empty cells that end the columns of a shorter run are left out.
-    """
-    marked = {name: match for name in source.names if (match := _OF_RUN.search(name))}
-    runs: dict[int, dict[str, str]] = {}
-    for name, match in marked.items():
-        stem = name[: match.start()] + name[match.end() :]
-        runs.setdefault(int(match[1]), {})[stem.lstrip("_ ./-")] = name
-    stems = {stem for columns in runs.values() for stem in columns}
-    if len(runs) < 2 or "" in stems or 2 * len(marked) <= len(source.names):
-        return source
-    timed = any(split_header(stem)[0].lower() in TIME_WORDS for stem in stems)
-    if not timed and any(match[0].strip("_ ./-")[0] == "#" for match in marked.values()):
-        return source
-    for run, columns in runs.items():
-        if lacking := sorted(stems - set(columns)):
-            raise InputError(f"Run {run} of {where} must have a column for {lacking[0]} as the others have.")
-    left_out, shared = dict(source.left_out), dict[str, Array]()
-    for name in source.names:
-        if name not in marked:
-            try:
-                shared |= source.read([name])
-            except InputError:
-                left_out[name] = "it holds no numbers"
-    data = source.read([name for columns in runs.values() for name in columns.values()])
-    groups = []
-    for run, columns in runs.items():
-        filled = np.any([np.isfinite(data[name]) for name in columns.values()], axis=0)
-        rows = int(np.flatnonzero(filled)[-1]) + 1 if filled.any() else 0
-        part = Arrays(
-            {s: v[:rows] for s, v in {**shared, **{s: data[n] for s, n in columns.items()}}.items()}
-        )
-        units = {**{name: name for name in shared}, **columns}
-        part.units = {stem: source.units[name] for stem, name in units.items() if name in source.units}
-        groups.append(Group(f"run{run}", part))
-    found = GroupedSource(where, "runs side by side", groups, left_out, None, files=True)
-    found.notes = (*source.notes, *found.notes)
-    return found
 
 
 def runs_of(paths: Sequence[Sequence[str]]) -> int:
@@ -201,9 +176,15 @@ def arranged(
 ) -> Source:
     """Return the table of arrays by path; `by` stands between the parts of a path."""
     vectors, left_out = dict[str, Vector](), dict(left_out)
+    widths = [min(a.shape) for a in arrays.values() if a.dtype.kind in "fiu" and len(a.shape) == 2]
+    texts = _texts(arrays, opened) if widths else ()
+    arrays = {
+        path: array._replace(texts=(*array.texts, *(t for t in texts if widths.count(len(t)) == 1)))
+        for path, array in arrays.items()
+    }
     for path, array in arrays.items():
         for field in array.dtype.names or ("",):
-            columns, why = columns_of(f"{path}{by}{field}" if field else path, array, field)
+            columns, why = columns_of(f"{path}{by}{field}" if field else path, array, field, by)
             vectors |= columns
             left_out |= {path.rpartition(by)[2]: why} if why else {}
     runs = runs_of([path.split(by) for path in vectors])

@@ -100,7 +100,7 @@ def test_what_was_recognised_is_said_in_one_line(tmp_path: Path, files: dict[str
     for name, words in {
         "utf-16": ("UTF-16", "semicolons", "decimal comma", "names in line 1 with units in line 2"),
         "lines above the names": ("names in line 4", "2 lines above them not used"),
-        "words below": ("the last line left out ('End of measurement: 60 s')",),
+        "words below": ("words among the numbers left out ('End of measurement: 60 s')",),
         "thousands": ("decimal comma and '.' between thousands",),
     }.items():
         file, data = files[name]
@@ -236,7 +236,7 @@ def test_what_cannot_be_read_is_named(tmp_path: Path, text: str, says: str) -> N
 def test_columns_of_one_name_are_numbered_and_answer_to_their_own(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("t_s,Hall [um],Hall [um].1,Temp [K]\n0,1,2,300\n1,3,4,301\n")
-    log = read_log(path, columns={"hall_a": "Hall 1", "hall_b": "Hall [um].1"})
+    log = read_log(path, columns={"hall_a": "Hall [um]", "hall_b": "Hall [um].1"})
     assert log.array("hall_b_m") == pytest.approx([2e-6, 4e-6])
     path.write_text("t_s,Hall [um],Hall [um]\n0,1,2\n1,3,4\n")
     assert read_log(path, columns={"hall_b": "Hall 2"}).array("hall_b_m") == pytest.approx([2e-6, 4e-6])

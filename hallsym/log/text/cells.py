@@ -105,7 +105,11 @@ _NAMES_OF_UNITS = "|".join(
     if unit[0] not in "\"'"  # which may stand around a cell
 )
 _ENDS = r'(?=\s*(?:[;,\t|"\n]|$))'
+LABELS = Spelling(
+    "names before numbers", re.compile(r"(?:(?<=[;,\t| ])|^)([^\W\d]\w*) ?[:=] ?(?=[-+.]?\d)", re.M), ""
+)
 SPELLINGS = (
+    LABELS,
     Spelling("exponents written with D", re.compile(r"(?<=[\d.])[dD](?=[-+]?\d+(?:\W|$))"), "e"),
     Spelling(
         "hexadecimal numbers",
@@ -130,6 +134,15 @@ def spellings_of(lines: Sequence[str]) -> dict[Spelling, int]:
         if len(lines) - first >= min(LEAST, max(len(lines) - 1, 1)):
             found[spelling] = first
     return found
+
+
+def labels_of(line: str) -> str:
+    """Return the names of a line with one before each number.
+
+    >>> labels_of("t_ms:10,sin:-0.5")
+    't_ms,sin'
+    """
+    return re.sub(rf"{LABELS.pattern.pattern}[-+.\w]+", r"\1", line, flags=re.M)
 
 
 def unit_behind(cell: str) -> str | None:

@@ -19,6 +19,7 @@ from hallsym.errors import InputError
 from hallsym.log.arrow import time_form
 from hallsym.log.columns import stems_of, unit_of
 from hallsym.log.text.cells import (
+    LABELS,
     MISSING,
     POINT,
     Convention,
@@ -26,6 +27,7 @@ from hallsym.log.text.cells import (
     conventions_of,
     is_number,
     is_unit_row,
+    labels_of,
     spellings_of,
     unit_behind,
 )
@@ -40,11 +42,11 @@ class Dialect:
     """The recognised form of a text.
 
     `delimiter`: " " stands for any number of blanks and tabs. `stems`: as `stems_of`, one by cell. `first`:
-    line the table begins at, from 1. `footer`: lines after the table. `quoted`: whether quotes stand around
-    cells. `times`: columns of times as text, and how they are written (`time_form`). `torn`: whether the last
-    line does not end. `spelled`: how numbers are written otherwise. `repeated`: the lines of names and units,
-    which come again where files were put one behind another. `said`: one line on all of it; `usual`: whether
-    it needs no word.
+    line the table begins at, from 1. `remarks`: whether lines of words stand between or after the rows.
+    `quoted`: whether quotes stand around cells. `times`: columns of times as text, and how they are written
+    (`time_form`). `torn`: whether the last line does not end. `spelled`: how numbers are written otherwise.
+    `repeated`: the lines of names and units, which come again where files were put one behind another.
+    `said`: one line on all of it; `usual`: whether it needs no word.
     """
 
     delimiter: str
@@ -53,13 +55,17 @@ class Dialect:
     numbers: Convention
     comments: tuple[str, ...]
     quoted: bool
-    footer: int
+    remarks: bool
     torn: bool
     times: dict[int, str]
     spelled: tuple[Spelling, ...]
     repeated: frozenset[str]
     said: str
     usual: bool
+
+    def is_remark(self, line: str, delimiter: str) -> bool:
+        """Say whether a line holds words about the table, where it has such lines."""
+        return self.remarks and _is_remark(line, delimiter, len(self.stems))
 
 
 def stated_delimiter(text: str) -> str:
@@ -124,10 +130,9 @@ class Split:
             [] if line.comment and len(r) != self.width else r for r, line in zip(rows, lines, strict=True)
         ]
         numeric = [sum(map(is_number, row[:LOOKED_AT])) for row in self.rows]
-        self.top = self._top(numeric)
+        self.top, self.data = self._top(numeric)
         if self.top >= 0 and len(self.names) == self.width + 1 and self.names[-1].lower() == COMMENT:
             del self.names[-1]
-        self.data = self.top + 1
         below = [k for k in range(self.data, len(rows)) if len(self.rows[k]) == self.width]
         self.trailing = self.width > 1 and bool(below) and not any(self.rows[k][-1] for k in below)
         self.trailing &= len(below) == len(rows) - self.data
@@ -135,10 +140,11 @@ class Split:
         cells = min(self.width, LOOKED_AT) * (len(rows) - self.data)
         self.quality = filled / cells if cells else 0.0
 
-    def _top(self, numeric: Sequence[int]) -> int:
-        """Return the index of the names: the last row of words above the data, or the one above its units.
+    def _top(self, numeric: Sequence[int]) -> tuple[int, int]:
+        """Return the index of the names and of the first row of data under them.
 
-        Damaged rows may stand between names and data.
+        The names are those words above the data, no units, that differ most from each other; of several such
+        rows the last. Damaged rows may stand between names and data.
         """
         count, width = len(self.rows), self.width
         data = [len(row) == width and n > 0 for row, n in zip(self.rows, numeric, strict=True)]
@@ -146,13 +152,14 @@ class Split:
             (k for n in (STEADY, 2, 1) for k in range(count) if data[k : k + n] == [True] * n), 0
         )
         words = [k for k in range(start) if self.rows[k] and not numeric[k]]
-        words = [k for k in words if abs(len(self.rows[k]) - width) <= 1] or words
+        words = [k for k in words if abs(len(self.rows[k]) - width) <= 1] or words[-1:]
         if words:
-            last = words[-1]
-            above = last - 1 in words and len(self.rows[last - 1]) == len(self.rows[last])
-            return last - 1 if above and is_unit_row(self.rows[last]) else last
+            names = [k for k in words if not is_unit_row(self.rows[k])] or words
+            return max(names, key=lambda k: (len(set(self.rows[k])), k)), words[-1] + 1
         first = next((k for k, row in enumerate(self.rows) if row), -1)
-        return -1 if first < 0 or numeric[first] >= min(len(self.rows[first]), LOOKED_AT) else first
+        if first < 0 or numeric[first] >= min(len(self.rows[first]), LOOKED_AT):
+            return -1, 0
+        return first, first + 1
 
     @property
     def names(self) -> list[str]:
@@ -177,12 +184,15 @@ class Split:
 
     def units(self, lines: Sequence[Line]) -> tuple[int, int, list[str]]:
         """Return the first row of data, the line of the units (0 without one) and the units' cells."""
-        below = self.rows[self.data] if self.data < len(self.rows) else []
-        if len(below) == len(self.names) and is_unit_row(below):
-            return self.data + 1, lines[self.data].number, below
+        below = self.rows[self.data + 1 : self.data + 1 + STEADY]
+        for k in range(self.top + 1, min(self.data + 1, len(self.rows))):
+            row = self.rows[k]  # of which a column without samples may hold a number
+            shown = [c for j, c in enumerate(row) if k < self.data or any(j < len(r) and r[j] for r in below)]
+            if len(row) == len(self.names) and is_unit_row(shown):
+                return max(self.data, k + 1), lines[k].number, row
         for k in range(self.top - 1, -1, -1):  # a row of a header: its name, then units
             units = [cell for cell in self.rows[k][1:] if cell]
-            if 2 * len(units) >= self.width > 1 and all(map(unit_of, units)):
+            if 3 * len(units) >= self.width > 1 and all(map(unit_of, units)):
                 return self.data, lines[k].number, ["", *self.rows[k][1:]]
         return self.data, 0, []
 
@@ -193,11 +203,11 @@ FEW = 12
 """Lines that are looked at at least."""
 MOST, NUMBERS = 100, 4000
 """Lines that are looked at at most to find the table, and for how its numbers are written."""
-LONGEST_FOOTER = 20
-"""Lines after a table that are taken for words about it; more are damage."""
+LAST = 20
+"""Lines at the end of a text that are looked at for words about the table."""
 _COMMENTS = ("#", "%", "//", "!")
 _SEP = re.compile(r"sep=(.)", re.IGNORECASE)
-_WORD = re.compile(r"[^\W\d_]{2,}")
+_WORD = re.compile(r"[^\W\d_]\w+")
 
 
 def sniffed(
@@ -217,6 +227,10 @@ def sniffed(
         )
     spelled, written = spellings_of([line.text for line in lines]), lines
     for spelling, at in spelled.items():
+        if spelling is LABELS:
+            at = 0 if spelling.pattern.search(lines[0].text) else at
+            lines = written = [*lines[:at], lines[at]._replace(text=labels_of(lines[at].text)), *lines[at:]]
+            at += 1
         lines = [*lines[:at], *(line._replace(text=spelling(line.text)) for line in lines[at:])]
     table = _table(lines[:MOST], delimiter, where)
     first, units_line, units = table.units(lines)
@@ -230,8 +244,15 @@ def sniffed(
     counts = [line.text.count('"') for line in below]
     quoted = any(counts) and not any(count % 2 for count in counts)  # quotes around cells are two in a line
     numbers = _numbers(body, "" if quoted else table.delimiter, decimal, where)
-    at_end = bool(body) and is_number(body[0][0])  # a first column of words looks like words
-    footer, words = _footer(text.end, table.delimiter, len(stems), marks) if at_end else (0, "")
+    remarks = []
+    if body and is_number(body[0][0]):  # a first column of words looks like words
+        ends = text.end.rstrip("\n").split("\n")[1:][-LAST:]
+        seen = [
+            line
+            for line in (*(line.text for line in below), *ends)
+            if not line.lstrip(' \t"').startswith(marks)
+        ]
+        remarks = [line.strip() for line in seen if _is_remark(line, table.delimiter, len(stems))]
     above = sum(line.number < header and not line.comment for line in lines)
     group = f" and {numbers.grouping!r} between thousands" if numbers.grouping else ""
     said = [
@@ -241,14 +262,14 @@ def sniffed(
         f"names in line {header}{f' with units in line {units_line}' if units_line else ''}",
         *([f"{above} {'line' if above == 1 else 'lines'} above them not used"] if above else ()),
     ]
-    if footer:
-        what = "the last line" if footer == 1 else f"the last {footer} lines"
-        said.append(f"{what} left out ({words[:40]!r})")
+    if remarks:
+        said.append(f"lines of words among the numbers left out ({remarks[0][:40]!r})")
     plain = text.encoding == "utf-8" and numbers == POINT and table.delimiter in ",\t"
     return Dialect(
         table.delimiter, stems, below[0].number if below else lines[-1].number + 1, numbers, marks, quoted,
-        footer, not footer and not text.end.endswith("\n"), _times(body), tuple(spelled), repeated,
-        ", ".join(said), usual=plain and not (units_line or footer or above or spelled),
+        bool(remarks), not text.end.endswith("\n") and text.end.strip().rpartition("\n")[2] not in remarks,
+        _times(body), tuple(spelled), repeated,
+        ", ".join(said), usual=plain and not (units_line or remarks or above or spelled),
     )  # fmt: skip
 
 
@@ -324,23 +345,11 @@ def _times(body: list[list[str]]) -> dict[int, str]:
     return found
 
 
-def _footer(end: str, delimiter: str, width: int, comments: tuple[str, ...]) -> tuple[int, str]:
-    """Return how many lines of words end a text after its table, and the first of them.
-
-    Comments, empty lines and lines of empty cells do not count.
-    """
-    lines, said = 0, ""
-    for text in reversed(end.rstrip("\n").split("\n")[1:][-LONGEST_FOOTER:]):
-        if not text.strip() or text.lstrip(' \t"').startswith(comments):
-            continue
-        cells = split(text, delimiter)
-        words = len(cells) != width and bool(_WORD.match(cells[0])) and not is_number(cells[0])
-        if not any(cells):
-            continue
-        if not words:
-            break
-        lines, said = lines + 1, text.strip()
-    return lines, said
+def _is_remark(line: str, delimiter: str, width: int) -> bool:
+    """Say whether a line begins with a word and has another number of cells than the table."""
+    cells = split(line, delimiter)
+    first = cells[0] if cells else ""
+    return len(cells) != width and bool(_WORD.match(first)) and first not in MISSING and not is_number(first)
 
 
 # -- bytes -----------------------------------------------------------------------------------------------
@@ -354,6 +363,8 @@ LONGEST_LINE = 10_000_000
 """Characters of a line: 100,000 columns with long names."""
 _GZIP = b"\x1f\x8b"
 _MARK = "\ufeff"
+_HIGH = re.compile(rb"[\xa1-\xfe]+")
+"""Bytes of Chinese characters, which come in pairs; letters of Latin-1 stand alone."""
 _WIDE, _NARROW = 0.6, 0.1
 """Share of null bytes at even (odd) places above which text is UTF-16; nearly all are."""
 
@@ -423,6 +434,8 @@ def _encoding(head: bytes) -> str:
             return name
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
+        return "utf-8"
     except UnicodeDecodeError:
-        return "latin-1"
-    return "utf-8"
+        pass
+    odd = any(len(run) % 2 for run in _HIGH.findall(head[: head.rfind(b"\n") + 1]))
+    return "latin-1" if odd or not _HIGH.search(head) else "gb18030"

@@ -1,0 +1,192 @@
+"""One table that holds several: runs or clocks side by side, channels in rows of their own, a row per value."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Mapping
+from itertools import pairwise
+
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.log.columns import RUN_WORDS, TIME_WORDS, T, split_header, stems_of
+from hallsym.log.groups import Group, GroupedSource
+from hallsym.log.table import Arrays, Source
+from hallsym.log.text.cells import MISSING, is_number
+from hallsym.units import UNITS, Array, split_unit
+
+Parts = Mapping[str, Mapping[str, tuple[str, Array]]]
+"""By the name of a part its columns: by their name there the source's own, and its samples."""
+
+
+def _parted(
+    source: Source, where: str, kind: str, parts: Parts, left_out: Mapping[str, str] | None = None
+) -> Source:
+    """Return the parts of a table as files are read: as runs, on one clock, or at the samples of another."""
+    groups = []
+    for name, columns in parts.items():
+        part = Arrays({own: values for own, (_, values) in columns.items()})
+        part.units = {own: source.units[n] for own, (n, _) in columns.items() if n in source.units}
+        groups.append(Group(name, part))
+    found = GroupedSource(where, kind, groups, left_out or source.left_out, None, files=True)
+    found.notes = (*source.notes, *found.notes)
+    return found
+
+
+def _is_clock(source: Source, name: str) -> bool:
+    """Say whether a column is a time by its name or its unit."""
+    stem, unit = split_unit(split_header(name)[0])
+    stated = UNITS[source.units[name]] if name in source.units else unit
+    return stem.lower().strip("_ ") in TIME_WORDS or bool(stated and stated.si == "s")
+
+
+_OF_RUN = re.compile(
+    rf"(?:^|[_ ./-])(?:(?:{'|'.join(RUN_WORDS)})[_ .#-]?|#)(\d+)(?=$|[_ ./-])", re.IGNORECASE
+)
+
+
+def side_by_side(source: Source, where: str) -> Source:
+    """Return the runs of a table with columns for each run (`hall_a_run0`, `hall_a_run1`) one after another.
+
+    Numbers without the word (`Hall A #1`) are those of runs where each has a time. Any other table, and one
+    of which most columns are of no run, is returned as it is. Columns without a run belong to all of them;
+    the empty cells that end the columns of a shorter run are left out.
+    """
+    marked = {name: match for name in source.names if (match := _OF_RUN.search(name))}
+    runs: dict[int, dict[str, str]] = {}
+    for name, match in marked.items():
+        stem = name[: match.start()] + name[match.end() :]
+        runs.setdefault(int(match[1]), {})[stem.lstrip("_ ./-")] = name
+    stems = {stem for columns in runs.values() for stem in columns}
+    if len(runs) < 2 or "" in stems or 2 * len(marked) <= len(source.names):
+        return source
+    timed = any(split_header(stem)[0].lower() in TIME_WORDS for stem in stems)
+    if not timed and any(match[0].strip("_ ./-")[0] == "#" for match in marked.values()):
+        return source
+    for run, columns in runs.items():
+        if lacking := sorted(stems - set(columns)):
+            raise InputError(f"Run {run} of {where} must have a column for {lacking[0]} as the others have.")
+    left_out, shared = dict(source.left_out), dict[str, Array]()
+    for name in source.names:
+        if name not in marked:
+            try:
+                shared |= source.read([name])
+            except InputError:
+                left_out[name] = "it holds no numbers"
+    data = {**shared, **source.read([*marked])}
+    parts = {}
+    for run, columns in runs.items():
+        filled = np.any([np.isfinite(data[name]) for name in columns.values()], axis=0)
+        rows = int(np.flatnonzero(filled)[-1]) + 1 if filled.any() else 0
+        own = {**{name: name for name in shared}, **columns}
+        parts[f"run{run}"] = {stem: (name, data[name][:rows]) for stem, name in own.items()}
+    return _parted(source, where, "runs side by side", parts, left_out)
+
+
+_NUMBERED = re.compile(r"(.+) \d+")
+"""A name that stands in the file more than once."""
+
+
+def by_clock(source: Source, where: str) -> Source:
+    """Return the blocks of a table that begin with a time of their own each: `t, Hall A, t, Laser X`.
+
+    The times are columns that are such by their names, or of the name of the first column. Any other table,
+    and one whose times do not rise, is returned as it is.
+    """
+    again = {name: match[1] for name in source.names if (match := _NUMBERED.fullmatch(name))}
+    first = source.names[0] if source.names else ""
+    called = _is_clock(source, first)
+    clocks = [n for n in source.names if n == first or (_is_clock(source, n) if called else
+              n in again and again[n] == again.get(first))]  # fmt: skip
+    starts = [*map(source.names.index, clocks), len(source.names)]
+    if len(clocks) < 2 or (np.diff(starts) < 2).any():
+        return source
+    words = {name for name, cells in _head(source).items() if not any(map(is_number, cells))}
+    if words & set(clocks):
+        return source
+    data = source.read([name for name in source.names if name not in words])
+    filled = {name: np.flatnonzero(np.isfinite(data[name])) for name in clocks}
+    if not all(len(at) and (np.diff(data[name][at]) > 0).all() for name, at in filled.items()):
+        return source
+    names = {name: again.get(name, name) if called or name not in clocks else T for name in source.names}
+    parts = {}
+    for k, (clock, (start, stop)) in enumerate(zip(clocks, pairwise(starts), strict=True), 1):
+        rows = filled[clock][-1] + 1
+        block = [n for n in source.names[start:stop] if n in data and np.isfinite(data[n][:rows]).any()]
+        parts[f"block {k}"] = {names[name]: (name, data[name][:rows]) for name in block}
+    found = _parted(source, where, "blocks side by side", parts)
+    texts = {text.removesuffix(f" {k}"): name for k in (1,) for text, name in source.aliases.items()}
+    texts |= {again[name]: name for name in clocks if name in again}
+    found.aliases = {**found.aliases, **{t: names[n] for t, n in texts.items() if n == first}}
+    return found
+
+
+def _head(source: Source) -> dict[str, tuple[str, ...]]:
+    """Return the first cells of each column."""
+    rows = [row for row in source.head(_FEW, len(source.names)) if len(row) == len(source.names)]
+    return dict(zip(source.names, zip(*rows, strict=True), strict=False))
+
+
+_FEW = 50
+"""Rows that show which columns are filled in the same ones."""
+
+
+def by_rows(source: Source, where: str) -> Source:
+    """Return the channels of a table that are never filled in the same row, as a merged bus log has them.
+
+    Columns that are filled in every row, time and run, belong to all. Any other table is returned as it is.
+    """
+    columns = _head(source)
+    rows = {n: frozenset(k for k, c in enumerate(cells) if c not in MISSING) for n, cells in columns.items()}
+    every = [name for name, filled in rows.items() if len(filled) == len(columns[name])]
+    kinds = defaultdict[frozenset[int], list[str]](list)
+    for name, filled in rows.items():
+        if filled and name not in every:
+            kinds[filled].append(name)
+    apart = sum(map(len, kinds)) == len(frozenset().union(*kinds)) and all(len(kind) > 1 for kind in kinds)
+    if len(kinds) < 2 or not apart or not any(_is_clock(source, name) for name in every):
+        return source
+    data = source.read([*every, *(name for names in kinds.values() for name in names)])
+    parts = {}
+    for names in kinds.values():
+        mine = np.any([np.isfinite(data[name]) for name in names], axis=0)
+        parts[names[0]] = {name: (name, data[name][mine]) for name in (*every, *names)}
+    return _parted(source, where, "channels in rows of their own", parts)
+
+
+MOST_NAMES = 6
+"""Columns of a table with a row per value at most: time, run, name, value, and what is kept beside them."""
+LOOKED_AT = 1000
+"""Rows that are looked at to see whether names come again."""
+
+
+def by_signal(source: Source, where: str) -> Source:
+    """Return the signals of a table with a row per value (time, name, value) as columns.
+
+    Any other table is returned as it is: one with more than one column of words, or of numbers beside time
+    and run, or whose values have a unit, which several quantities cannot share.
+    """
+    if not 3 <= len(source.names) <= MOST_NAMES:
+        return source
+    head = [row for row in source.head(LOOKED_AT, MOST_NAMES) if len(row) == len(source.names)]
+    columns = dict(zip(source.names, zip(*head, strict=True), strict=False))
+    words = [name for name, cells in columns.items() if not any(map(is_number, cells))]
+    stems = {name: split_unit(split_header(name)[0])[0].lower().strip("_") for name in source.names}
+    stamps = [name for name in columns if stems[name] in TIME_WORDS]
+    names = [name for name in words if name not in stamps]
+    numbers = [n for n in columns if n not in words and n not in stamps and stems[n] not in RUN_WORDS]
+    if len(names) != 1 or len(numbers) != 1 or numbers[0] in source.units or split_unit(numbers[0])[1]:
+        return source
+    labels = np.array(source.labels(names[0]))
+    signals = list(dict.fromkeys(labels))
+    if not 2 <= len(signals) <= len(labels) / 2:
+        return source
+    beside = [name for name in source.names if name not in (names[0], numbers[0])]
+    data, found = source.read([*beside, numbers[0]]), stems_of(signals, [None] * len(signals), where)
+    parts = {}
+    for stem, (label, _) in found.items():
+        mine = labels == label
+        parts[stem] = {stem: (stem, data[numbers[0]][mine]), **{n: (n, data[n][mine]) for n in beside}}
+    source.units = {**source.units, **{stem: unit for stem, (_, unit) in found.items() if unit}}
+    return _parted(source, where, "a row per value", parts)
